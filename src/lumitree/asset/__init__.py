@@ -1,0 +1,1 @@
+"""Baked luminaires as data: the octree and its file format."""

@@ -1,0 +1,144 @@
+"""The in-memory form of a baked luminaire, and every invariant it must satisfy.
+
+Symbols
+    N   interior nodes          M   leaves          K   (l_max + 1)² coefficients a channel
+    octant                      x + 2y + 4z, each 0 for the lower half and 1 for the upper
+"""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.frames import similarity_scale
+from lumitree.core.harmonics import MAX_L, num_coefficients
+from lumitree.core.transmittance import LAWS, Law
+from lumitree.errors import LumitreeError
+
+MAX_TREE_DEPTH = 10
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LuminaireAsset:
+    """A sparse octree over the cube [-1, 1]³ of the proxy frame.
+
+    Inside a leaf density and coefficients are constant. The emission towards a viewer in
+    direction v is Φ = max_radiance · sigmoid(Σ coefficient · Y(v)).
+
+    Attributes:
+        children: int32 [N, 8], by octant: 0 empty, n > 0 interior node n, c < 0 leaf ~c.
+            Node 0 is the root; a node's children come after it.
+        density: float32 [M], at least 0, per local unit of length.
+        coefficients: float16 [M, 3, K], spherical-harmonics coefficients before the sigmoid.
+        tree_depth: level of the smallest possible leaf, whose side is 2 / 2**tree_depth.
+        l_max: highest spherical-harmonics band, 0 to 4.
+        law: transmittance law the field was made for.
+        max_radiance: L_max, radiance units of the luminaire's own scene.
+        half_extents: float [3], the proxy box in local units; the longest is 1.
+        world_from_proxy: float [4, 4], the luminaire's own frame: local to its file's units.
+        luminaire: where the field came from, for people.
+    """
+
+    children: NDArray[np.int32]
+    density: NDArray[np.float32]
+    coefficients: NDArray[np.float16]
+    tree_depth: int
+    l_max: int
+    law: Law
+    max_radiance: float
+    half_extents: NDArray[np.float64]
+    world_from_proxy: NDArray[np.float64]
+    luminaire: str
+
+    def __post_init__(self) -> None:
+        """Refuse anything that a renderer could not traverse safely."""
+        _check_scalars(self)
+        _check_payload(self)
+        _check_tree(self.children, len(self.density), self.tree_depth)
+
+    @property
+    def num_leaves(self) -> int:
+        """Number of leaves, M."""
+        return len(self.density)
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of tree and payload."""
+        return self.children.nbytes + self.density.nbytes + self.coefficients.nbytes
+
+
+def _expect(condition: Any, message: str) -> None:
+    if not condition:
+        raise LumitreeError(f"invalid asset: {message}")
+
+
+def _check_scalars(asset: LuminaireAsset) -> None:
+    _expect(
+        type(asset.tree_depth) is int and 1 <= asset.tree_depth <= MAX_TREE_DEPTH,
+        f"tree depth {asset.tree_depth!r}, expected 1 to {MAX_TREE_DEPTH}",
+    )
+    _expect(
+        type(asset.l_max) is int and 0 <= asset.l_max <= MAX_L,
+        f"l_max {asset.l_max!r}, expected 0 to {MAX_L}",
+    )
+    _expect(asset.law in LAWS, f"transmittance law {asset.law!r}, expected one of {LAWS}")
+    _expect(
+        np.isfinite(asset.max_radiance) and asset.max_radiance > 0,
+        f"maximum radiance {asset.max_radiance!r}, expected a positive number",
+    )
+    half = asset.half_extents
+    _expect(
+        half.shape == (3,) and (half > 0).all() and abs(half.max() - 1) < 1e-6,
+        f"half extents {half.tolist()}, expected 3 positive lengths, the longest 1",
+    )
+    similarity_scale(asset.world_from_proxy, "invalid asset: world_from_proxy")
+
+
+def _check_payload(asset: LuminaireAsset) -> None:
+    leaves = len(asset.density)
+    shapes = {
+        "children": (asset.children, np.int32, (len(asset.children), 8)),
+        "density": (asset.density, np.float32, (leaves,)),
+        "coefficients": (
+            asset.coefficients,
+            np.float16,
+            (leaves, 3, num_coefficients(asset.l_max)),
+        ),
+    }
+    for name, (array, dtype, shape) in shapes.items():
+        _expect(
+            array.dtype == dtype and array.shape == shape,
+            f"{name} is {array.dtype} {array.shape}, expected {np.dtype(dtype)} {shape}",
+        )
+    _expect(
+        np.isfinite(asset.density).all() and (asset.density >= 0).all(),
+        "density holds NaN, infinity or negative values",
+    )
+    _expect(np.isfinite(asset.coefficients).all(), "coefficients hold NaN or infinity")
+
+
+def _check_tree(children: NDArray[np.int32], num_leaves: int, tree_depth: int) -> None:
+    num_nodes = len(children)
+    _expect(num_nodes >= 1, "the tree has no root")
+    nodes, leaves = children[children > 0], ~children[children < 0]
+    _expect(not len(nodes) or nodes.max() < num_nodes, "a node index is out of range")
+    _expect(
+        (np.bincount(nodes, minlength=num_nodes)[1:] == 1).all(),
+        "interior nodes are not each referenced exactly once",
+    )
+    _expect(not len(leaves) or leaves.max() < num_leaves, "a leaf index is out of range")
+    _expect(
+        len(leaves) == num_leaves and (np.bincount(leaves, minlength=num_leaves) == 1).all(),
+        "leaves are not each referenced exactly once",
+    )
+    # Every node referenced once and each level reached from the root rules out cycles.
+    level, reached = np.array([0]), 0
+    for _ in range(tree_depth):
+        reached += len(level)
+        below = children[level]
+        level = below[below > 0]
+    _expect(
+        reached == num_nodes and not len(level),
+        f"the tree is deeper than {tree_depth} levels or not connected",
+    )

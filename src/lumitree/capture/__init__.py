@@ -1,0 +1,1 @@
+"""Views of a luminaire: radiance and opacity, rendered by Mitsuba."""

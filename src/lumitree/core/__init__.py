@@ -1,0 +1,1 @@
+"""Conventions, mathematics and files that every other package builds on."""

@@ -1,0 +1,96 @@
+"""The one place that chooses libLLVM and loads Mitsuba.
+
+Mitsuba's CPU variants compile kernels with libLLVM and load it when `mitsuba` is first imported.
+The versions that Debian ships as 14 to 16 abort the process on AVX-512 machines, so a known-good
+library comes with lumitree on Linux x86-64 (the `karellen-llvm-core` package) and is named to
+Dr.Jit before that import. A value of DRJIT_LIBLLVM_PATH that the user has set is respected.
+"""
+
+import importlib
+import importlib.metadata
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from lumitree.errors import LumitreeError
+
+CPU_VARIANT = "llvm_ad_rgb"
+GPU_VARIANT = "cuda_ad_rgb"
+# 17 is the first whose AVX-512 back end can select the `fminimum` that Dr.Jit emits.
+MIN_LLVM = 17
+_REMEDY = "unset DRJIT_LIBLLVM_PATH to use the one that comes with lumitree"
+
+
+def select_llvm() -> None:
+    """Name a working libLLVM to Dr.Jit; does nothing once Mitsuba is loaded or the user chose."""
+    if "drjit" in sys.modules or os.environ.get("DRJIT_LIBLLVM_PATH"):
+        return
+    bundled = _bundled_llvm()
+    if bundled is not None:
+        os.environ["DRJIT_LIBLLVM_PATH"] = str(bundled)
+
+
+def load_mitsuba(variant: str | None = None) -> Any:
+    """Import Mitsuba with a working libLLVM and an RGB variant set; returns the module.
+
+    Args:
+        variant: Mitsuba variant; by default the one already set, else `cuda_ad_rgb` where a GPU
+            is found and `llvm_ad_rgb` elsewhere.
+
+    Raises:
+        LumitreeError: unusable libLLVM, or a variant that is unknown or not RGB.
+    """
+    select_llvm()
+    chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if chosen and not Path(chosen).is_file():
+        raise LumitreeError(f"DRJIT_LIBLLVM_PATH names {chosen}, which is not a file; {_REMEDY}")
+    mi = importlib.import_module("mitsuba")
+    variant = variant or mi.variant() or (GPU_VARIANT if _has_gpu() else CPU_VARIANT)
+    if variant not in mi.variants():
+        raise LumitreeError(
+            f"this Mitsuba has no variant {variant!r}; choose {CPU_VARIANT} or {GPU_VARIANT}"
+        )
+    if not variant.endswith("_ad_rgb"):
+        raise LumitreeError(
+            f"lumitree needs a vectorised RGB variant of Mitsuba, not {variant!r}; "
+            f"choose {CPU_VARIANT} or {GPU_VARIANT}"
+        )
+    if variant.startswith("llvm"):
+        check_llvm(importlib.import_module("drjit").detail.llvm_version(), chosen)
+    if mi.variant() != variant:
+        try:
+            mi.set_variant(variant)
+        except ImportError as error:
+            raise LumitreeError(
+                f"Mitsuba variant {variant} cannot start: {str(error).splitlines()[0]}"
+            ) from error
+    mi.set_log_level(mi.LogLevel.Error)
+    return mi
+
+
+def check_llvm(version: tuple[int, ...] | None, path: str | None) -> None:
+    """Refuse a libLLVM that cannot be used, instead of letting it abort the process."""
+    source = f" ({path})" if path else ""
+    if not version or version[0] <= 0:
+        raise LumitreeError(f"no usable libLLVM was found{source}; {_REMEDY}")
+    if version[0] < MIN_LLVM:
+        shown = ".".join(map(str, version))
+        raise LumitreeError(
+            f"libLLVM {shown}{source} is loaded, which aborts on many machines; need {MIN_LLVM} or "
+            f"newer: import lumitree before mitsuba, and {_REMEDY}"
+        )
+
+
+def _bundled_llvm() -> Path | None:
+    try:
+        files = importlib.metadata.distribution("karellen-llvm-core").files or []
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    libraries = [file for file in files if file.name.startswith("libLLVM.so.")]
+    return Path(str(libraries[0].locate())).resolve() if libraries else None
+
+
+def _has_gpu() -> bool:
+    dr = importlib.import_module("drjit")
+    return bool(dr.has_backend(dr.JitBackend.CUDA))

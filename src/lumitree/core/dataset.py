@@ -1,0 +1,188 @@
+"""A dataset: views of one luminaire as OpenEXR files beside a typed manifest.
+
+    DATASET/manifest.json       everything but the pixels, see `Manifest`
+    DATASET/view_000001.exr     channels R, G, B (radiance), geometric, straight_through (opacity)
+
+Poses follow NeRF's convention (camera x right, y up, looking along -z) in the luminaire's local
+frame (D8); cameras are orthographic, square, and share one width.
+"""
+
+import dataclasses
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.files import write_json
+from lumitree.core.frames import similarity_scale
+from lumitree.core.images import read_exr, write_exr
+from lumitree.errors import LumitreeError
+
+Split = Literal["train", "test"]
+OpacityKind = Literal["straight_through", "geometric"]
+OPACITY_KINDS: tuple[OpacityKind, ...] = get_args(OpacityKind)
+VERSION = 1
+MANIFEST = "manifest.json"
+
+
+@dataclasses.dataclass(frozen=True)
+class Frame:
+    """One view: its file, Halton index and `proxy_from_camera` pose (4 rows of 4)."""
+
+    file: str
+    halton_index: int
+    proxy_from_camera: tuple[tuple[float, ...], ...]
+
+    @property
+    def pose(self) -> NDArray[np.float64]:
+        """`proxy_from_camera` as an array [4, 4]."""
+        return np.array(self.proxy_from_camera)
+
+
+@dataclasses.dataclass(frozen=True)
+class Manifest:
+    """What a dataset shows and how it was captured.
+
+    Attributes:
+        luminaire: name or file name of the luminaire.
+        fingerprint: identifies the luminaire's content; a capture resumes only if it matches.
+        split: "train" or "test".
+        resolution: pixels a side.
+        samples_per_pixel: paths a pixel.
+        path_depth: longest path, bounces.
+        half_width: half the side of every view, local units.
+        half_extents: [3] the proxy box, local units (longest is 1).
+        world_from_proxy: 4 rows of 4.
+        frames: the views.
+    """
+
+    luminaire: str
+    fingerprint: str
+    split: Split
+    resolution: int
+    samples_per_pixel: int
+    path_depth: int
+    half_width: float
+    half_extents: tuple[float, ...]
+    world_from_proxy: tuple[tuple[float, ...], ...]
+    frames: tuple[Frame, ...]
+    version: int = VERSION
+
+    def __post_init__(self) -> None:
+        similarity_scale(self.world_from_proxy, "world_from_proxy")
+        half = np.asarray(self.half_extents, np.float64)
+        if half.shape != (3,) or not (half > 0).all() or abs(half.max() - 1) > 1e-6:
+            raise LumitreeError(f"half_extents {self.half_extents} are not 3 lengths, longest 1")
+        if self.resolution < 1 or not self.half_width > 0 or not self.frames:
+            raise LumitreeError("a dataset needs at least one view of at least one pixel")
+        for frame in self.frames:
+            if frame.pose.shape != (4, 4) or not np.isfinite(frame.pose).all():
+                raise LumitreeError(f"pose of {frame.file} is not a finite 4 x 4 matrix")
+            if Path(frame.file).name != frame.file:
+                raise LumitreeError(f"view {frame.file!r} lies outside the dataset's folder")
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """Pixels of one view: radiance [H, W, 3] and the two opacities [H, W] in [0, 1]."""
+
+    frame: Frame
+    radiance: NDArray[np.float32]
+    geometric: NDArray[np.float32]
+    straight_through: NDArray[np.float32]
+
+    def opacity(self, kind: OpacityKind) -> NDArray[np.float32]:
+        """The opacity of the chosen kind (D7)."""
+        return self.geometric if kind == "geometric" else self.straight_through
+
+
+@dataclasses.dataclass(frozen=True)
+class Dataset:
+    """A folder of views; pixels are read when asked for."""
+
+    folder: Path
+    manifest: Manifest
+
+    @staticmethod
+    def open(folder: str | os.PathLike[str]) -> "Dataset":
+        """Read a manifest.
+
+        Raises:
+            LumitreeError: there is none, or it is damaged.
+        """
+        folder = Path(folder)
+        path = folder / MANIFEST
+        if not path.is_file():
+            raise LumitreeError(
+                f"{folder} holds no {MANIFEST}; expected a dataset made by 'lumitree capture'"
+            )
+        try:
+            return Dataset(folder, _parse(json.loads(path.read_text(encoding="utf-8"))))
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            raise LumitreeError(
+                f"{path} is not a valid manifest ({type(error).__name__}: {error}); "
+                "capture the dataset again"
+            ) from None
+
+    def save_manifest(self) -> None:
+        """Write the manifest, atomically."""
+        write_json(self.folder / MANIFEST, dataclasses.asdict(self.manifest))
+
+    def missing(self) -> list[Frame]:
+        """Views that have not been captured yet."""
+        return [frame for frame in self.manifest.frames if not (self.folder / frame.file).exists()]
+
+    def write(self, view: View) -> None:
+        """Write the pixels of one view, atomically."""
+        channels = {
+            "RGB": view.radiance,
+            "geometric": view.geometric,
+            "straight_through": view.straight_through,
+        }
+        write_exr(self.folder / view.frame.file, channels)
+
+    def views(self) -> Iterator[View]:
+        """Read the views one by one.
+
+        Raises:
+            LumitreeError: views are missing, damaged or of another size than the manifest says.
+        """
+        missing = self.missing()
+        if missing:
+            total = len(self.manifest.frames)
+            raise LumitreeError(
+                f"{self.folder} is incomplete: {len(missing)} of {total} views are missing; run "
+                "the same 'lumitree capture' again to finish it"
+            )
+        for frame in self.manifest.frames:
+            yield self._read(frame)
+
+    def _read(self, frame: Frame) -> View:
+        path = self.folder / frame.file
+        planes = read_exr(path)
+        size = (self.manifest.resolution, self.manifest.resolution)
+        expected = {"RGB": (*size, 3), "geometric": size, "straight_through": size}
+        found = {name: plane.shape for name, plane in planes.items()}
+        if any(found.get(name) != shape for name, shape in expected.items()):
+            raise LumitreeError(f"{path} holds channels {found}; expected {expected}")
+        return View(frame, planes["RGB"], planes["geometric"], planes["straight_through"])
+
+
+def _parse(data: dict[str, Any]) -> Manifest:
+    if data.get("version") != VERSION:
+        raise ValueError(f"version {data.get('version')}, this lumitree reads {VERSION}")
+    frames = tuple(
+        Frame(str(frame["file"]), int(frame["halton_index"]), _rows(frame["proxy_from_camera"]))
+        for frame in data.pop("frames")
+    )
+    data["world_from_proxy"] = _rows(data["world_from_proxy"])
+    data["half_extents"] = tuple(float(value) for value in data["half_extents"])
+    return Manifest(frames=frames, **data)
+
+
+def _rows(matrix: Any) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(value) for value in row) for row in matrix)

@@ -1,0 +1,92 @@
+"""OpenEXR and PNG files."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+from PIL import Image
+
+from lumitree.core.files import atomic_path
+from lumitree.errors import LumitreeError
+
+
+def write_exr(path: str | os.PathLike[str], channels: dict[str, NDArray[np.float32]]) -> None:
+    """Write named planes [H, W] or colours [H, W, 3] ("RGB") as a 32-bit OpenEXR, atomically."""
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    planes = {name: np.ascontiguousarray(value, np.float32) for name, value in channels.items()}
+    with atomic_path(path) as temporary:
+        try:
+            OpenEXR.File(header, planes).write(str(temporary))
+        except RuntimeError as error:
+            raise LumitreeError(f"cannot write {path}: {_one_line(error)}") from error
+
+
+def read_exr(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
+    """Planes of an OpenEXR file by name; R, G and B come together as "RGB" [H, W, 3].
+
+    Raises:
+        LumitreeError: the file is missing, damaged or holds values that are not finite.
+    """
+    if not Path(path).is_file():
+        raise LumitreeError(f"{path} does not exist; expected an OpenEXR image")
+    try:
+        with OpenEXR.File(str(path)) as file:
+            planes = {
+                name: np.asarray(channel.pixels, np.float32)
+                for name, channel in file.channels().items()
+            }
+    except (RuntimeError, ValueError) as error:
+        raise LumitreeError(f"{path} is not a readable OpenEXR image: {_one_line(error)}") from None
+    for name, plane in planes.items():
+        if not np.isfinite(plane).all():
+            raise LumitreeError(f"{path}: channel {name} holds NaN or infinity; capture it again")
+    return planes
+
+
+def tonemap(radiance: NDArray[np.floating], exposure: float = 1.0) -> NDArray[np.uint8]:
+    """sRGB bytes [..., 3] of linear radiance [..., 3], clipped at 1 after `exposure`."""
+    linear = np.clip(np.nan_to_num(np.asarray(radiance) * exposure, nan=0.0), 0, 1)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.round(encoded * 255).astype(np.uint8)
+
+
+def auto_exposure(radiance: NDArray[np.floating]) -> float:
+    """Factor that brings the 98th percentile of the lit pixels' largest channel to 0.9."""
+    brightest = np.asarray(radiance).max(axis=-1)
+    lit = brightest[brightest > 0]
+    return float(0.9 / np.percentile(lit, 98)) if lit.size else 1.0
+
+
+def write_png(path: str | os.PathLike[str], pixels: NDArray[np.uint8]) -> None:
+    """Write bytes [H, W, 3] as PNG, atomically."""
+    with atomic_path(path) as temporary:
+        Image.fromarray(pixels).save(temporary, format="PNG", optimize=True)
+
+
+def write_image(
+    path: str | os.PathLike[str], radiance: NDArray[np.floating], exposure: float | None = None
+) -> None:
+    """Write linear radiance [H, W, 3] as `.exr`, or tone-mapped as `.png`.
+
+    Args:
+        exposure: factor before the sRGB curve of a PNG; by default `auto_exposure`.
+    """
+    check_image_name(path)
+    if Path(path).suffix.lower() == ".exr":
+        write_exr(path, {"RGB": np.asarray(radiance, np.float32)})
+    else:
+        write_png(path, tonemap(radiance, exposure or auto_exposure(radiance)))
+
+
+def check_image_name(path: str | os.PathLike[str]) -> None:
+    """Refuse an image name that `write_image` cannot write, before any work is done."""
+    if Path(path).suffix.lower() not in (".exr", ".png"):
+        raise LumitreeError(
+            f"image name {str(path)!r} ends in neither .exr (linear) nor .png (tone-mapped)"
+        )
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

@@ -1,0 +1,31 @@
+"""The two transmittance laws and the emission weights they give (decisions D1 to D3).
+
+Symbols
+    tau        optical depth, the integral of density along a ray
+    T          transmittance, 1 at the start of a ray; opacity is 1 - T
+    weight     light an interval takes away, w_i = T_i - T_{i+1}; the weights of a ray sum to
+               its opacity for both laws
+"""
+
+from typing import Any, Literal, get_args
+
+Law = Literal["linear", "exponential"]
+LAWS: tuple[Law, ...] = get_args(Law)
+
+# The exponential law never reaches 0: below this a ray counts as blocked (D8).
+BLOCKED = 1e-3
+
+
+def transmittance(tau: Any, law: Law, xp: Any) -> Any:
+    """T(tau): `max(0, 1 - tau)` (Eq. 4) or `exp(-tau)`.
+
+    Args:
+        tau: optical depth, at least 0, any shape.
+        law: which law.
+        xp: array module of `tau`: `numpy`, `jax.numpy` or `drjit`.
+    """
+    if law == "linear":
+        return xp.maximum(1 - tau, 0)
+    if law == "exponential":
+        return xp.exp(-tau)
+    raise ValueError(f"unknown transmittance law {law!r}; expected one of {LAWS}")

@@ -1,0 +1,1 @@
+"""Metrics and contact sheets of baked luminaires on held-out views."""

@@ -1,0 +1,1 @@
+"""Luminaires as Mitsuba scenes: built-in lamps and scene files."""

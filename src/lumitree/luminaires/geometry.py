@@ -1,0 +1,180 @@
+"""Triangle meshes of revolution and swept tubes, with smooth normals.
+
+Lengths are in the caller's unit; y is up. Faces are counter-clockwise seen from where the normals
+point. A pole, where a ring of vertices would have no radius, is one vertex, so that closed
+profiles and tubes give closed meshes.
+"""
+
+import dataclasses
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class Mesh:
+    """Vertices [V, 3], unit normals [V, 3] and faces [F, 3] (indices of vertices)."""
+
+    vertices: Floats
+    normals: Floats
+    faces: NDArray[np.int64]
+
+
+def join(meshes: Iterable[Mesh]) -> Mesh:
+    """All the meshes as one; vertices are not merged."""
+    meshes = list(meshes)
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.normals for mesh in meshes]),
+        np.concatenate([mesh.faces + at for mesh, at in zip(meshes, offsets, strict=True)]),
+    )
+
+
+def lathe(profile: ArrayLike, segments: int, crease: float = 35.0) -> Mesh:
+    """Surface of revolution about the y axis.
+
+    Args:
+        profile: [N, 2] radius (at least 0) and y; followed upwards, the normals point away from
+            the axis, so a solid's profile runs counter-clockwise from axis to axis. Only its two
+            ends may lie on the axis.
+        segments: number of facets around the axis.
+        crease: profile corners sharper than this angle, degrees, are shaded with a hard edge
+            (two rings of vertices in one place); the others are smooth.
+    """
+    profile = np.asarray(profile, np.float64)
+    steps = np.diff(profile, axis=0)
+    flat = np.stack([steps[:, 1], -steps[:, 0]], axis=1) / np.linalg.norm(
+        steps, axis=1, keepdims=True
+    )
+    hard = np.zeros(len(profile), bool)
+    hard[1:-1] = (flat[:-1] * flat[1:]).sum(axis=1) < np.cos(np.radians(crease))
+    # A hard corner appears twice: it ends one smooth run of the profile and begins the next.
+    order = np.repeat(np.arange(len(profile)), 1 + hard)
+    joined = order[1:] != order[:-1]
+    before, after = flat[np.maximum(order - 1, 0)], flat[np.minimum(order, len(flat) - 1)]
+    before[1:][~joined] = after[1:][~joined]
+    after[:-1][~joined] = before[:-1][~joined]
+    normal = before + after
+    normal[profile[order, 0] == 0, 0] = 0.0
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+
+    angle = 2 * np.pi * np.arange(segments) / segments
+
+    def revolve(pair: Floats) -> Floats:
+        radius, y = pair[:, :1], pair[:, 1:]
+        return np.stack(np.broadcast_arrays(radius * np.cos(angle), y, -radius * np.sin(angle)), -1)
+
+    return _skin(revolve(profile[order]), revolve(normal), joined)
+
+
+def sweep(path: ArrayLike, radius: float, segments: int) -> Mesh:
+    """Closed tube along a path, with slightly domed ends.
+
+    Args:
+        path: [N, 3] centre line; it must bend more gently than the tube is thick.
+        radius: of the tube.
+        segments: number of facets around the tube.
+    """
+    path = np.asarray(path, np.float64)
+    tangent, side, up = frames(path)
+    angle = 2 * np.pi * np.arange(segments) / segments
+    around = side[:, None] * np.cos(angle)[:, None] + up[:, None] * np.sin(angle)[:, None]
+    rings = path[:, None] + radius * around
+    first, last = path[0] - radius / 2 * tangent[0], path[-1] + radius / 2 * tangent[-1]
+    rings = np.concatenate([_ring(first, segments), rings, _ring(last, segments)])
+    normals = np.concatenate([_ring(-tangent[0], segments), around, _ring(tangent[-1], segments)])
+    return _skin(rings, normals, np.ones(len(rings) - 1, bool))
+
+
+def frames(path: Floats) -> tuple[Floats, Floats, Floats]:
+    """Unit tangents and two unit normals [N, 3] each, carried along the path without twist.
+
+    Parallel transport by double reflection: Wang et al., "Computation of Rotation Minimizing
+    Frames", ACM TOG 27(1), 2008. Tangent, first and second normal form a right-handed frame.
+    """
+    tangent = np.gradient(path, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    side = np.empty_like(path)
+    side[0] = np.cross(tangent[0], np.eye(3)[np.abs(tangent[0]).argmin()])
+    side[0] /= np.linalg.norm(side[0])
+    for i, step in enumerate(np.diff(path, axis=0)):
+        mirror = 2 / (step @ step) * step
+        moved_side = side[i] - (mirror @ side[i]) * step
+        moved_tangent = tangent[i] - (mirror @ tangent[i]) * step
+        turn = tangent[i + 1] - moved_tangent
+        length = turn @ turn
+        side[i + 1] = moved_side - (2 * (turn @ moved_side) / length * turn if length else 0)
+    return tangent, side, np.cross(tangent, side)
+
+
+def coil(path: ArrayLike, radius: float, pitch: float, samples: int) -> Floats:
+    """Helix around a path; over its first and last turn it winds out of and into the path's ends.
+
+    Args:
+        path: [N, 3] axis of the helix.
+        radius: of the helix.
+        pitch: advance along the path for one turn.
+        samples: points for one turn.
+
+    Returns:
+        Points [M, 3].
+    """
+    path = np.asarray(path, np.float64)
+    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    axis = resample(path, round(length / pitch * samples) + 1)
+    _, side, up = frames(axis)
+    along = np.linspace(0, length, len(axis))[:, None]
+    wound = radius * np.clip(np.minimum(along, length - along) / pitch, 0, 1) ** 0.5
+    angle = 2 * np.pi * along / pitch
+    return axis + wound * (np.cos(angle) * side + np.sin(angle) * up)
+
+
+def smooth(points: ArrayLike, rounds: int = 4) -> Floats:
+    """Quadratic B-spline of a control polygon [N, D] by Chaikin's corner cutting; ends stay."""
+    points = np.asarray(points, np.float64)
+    for _ in range(rounds):
+        start, end = points[:-1], points[1:]
+        cut = np.stack([0.75 * start + 0.25 * end, 0.25 * start + 0.75 * end], axis=1)
+        points = np.concatenate([points[:1], cut.reshape(-1, points.shape[1]), points[-1:]])
+    return points
+
+
+def resample(points: Floats, count: int) -> Floats:
+    """`count` points [count, D] at equal distances along a polyline [N, D]."""
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    wanted = np.linspace(0, along[-1], count)
+    return np.stack([np.interp(wanted, along, column) for column in points.T], axis=1)
+
+
+def offset(profile: Floats, distance: float) -> Floats:
+    """Lathe profile [N, 2] from axis to axis, moved inwards (against its normals)."""
+    tangent = np.gradient(profile, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    moved = profile - distance * np.stack([tangent[:, 1], -tangent[:, 0]], axis=1)
+    moved[[0, -1], 0] = 0.0
+    return moved
+
+
+def _ring(point: Floats, segments: int) -> Floats:
+    return np.broadcast_to(point, (1, segments, 3))
+
+
+def _skin(rings: Floats, normals: Floats, joined: NDArray[np.bool_]) -> Mesh:
+    """Join rings [R, S, 3] of vertices by triangles, where `joined` [R - 1]; merge the poles."""
+    count, segments, _ = rings.shape
+    pole = np.ptp(rings, axis=1).max(axis=1) == 0
+    kept = np.ones((count, segments), bool)
+    kept[pole, 1:] = False
+    index = (np.cumsum(kept) - 1).reshape(count, segments)
+    a, b = index[:-1][joined], index[1:][joined]
+    corners = (a, np.roll(a, -1, axis=1), np.roll(b, -1, axis=1), b)
+    faces = np.concatenate(
+        [np.stack([corners[i] for i in pick], -1).reshape(-1, 3) for pick in ((0, 1, 2), (0, 2, 3))]
+    )
+    proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    return Mesh(rings[kept], normals[kept], faces[proper])

@@ -1,0 +1,1 @@
+"""The NeRF-SH network: model, volume rendering, losses and training."""

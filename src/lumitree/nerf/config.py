@@ -1,0 +1,107 @@
+"""What a training run is asked to do: one frozen dataclass and the presets made of it."""
+
+import dataclasses
+import math
+
+from lumitree.core.dataset import OPACITY_KINDS, OpacityKind
+from lumitree.core.harmonics import MAX_L
+from lumitree.core.transmittance import LAWS, Law
+from lumitree.errors import LumitreeError
+
+# Highest frequency is 2^(n-1) half-turns per local unit; single precision ends before 2^16.
+MAX_FREQUENCIES = 16
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainConfig:
+    """Settings of one training run; the defaults are the paper's (sections 4.2 and 4.3).
+
+    Attributes:
+        num_layers: hidden layers of each of the two networks, at least 1.
+        width: neurons in a hidden layer.
+        output_width: neurons in the extra layer before the coefficients.
+        num_frequencies: octaves of the Fourier features, 0 to 16.
+        num_coarse: intervals a ray of the coarse network, N_c.
+        num_fine: further intervals of the fine network, N_f.
+        rays_per_batch: rays in one step.
+        l_max: highest band of the spherical harmonics, 0 to 4.
+        num_steps: steps of the whole run.
+        learning_rate_start: Adam's step size at the first step.
+        learning_rate_end: its value at the last step; decays exponentially in between.
+        law: transmittance law (D3).
+        opacity_kind: which captured opacity supervises the field (D7).
+        skip_empty: carve the visual hull from the masks and sample only inside it.
+        stop_gradient: no gradient through the denominator of the HDR loss (D6).
+        seed: of the initial weights, the batches and the jitter.
+    """
+
+    num_layers: int = 8
+    width: int = 256
+    output_width: int = 128
+    num_frequencies: int = 10
+    num_coarse: int = 64
+    num_fine: int = 128
+    rays_per_batch: int = 1024
+    l_max: int = 2
+    num_steps: int = 700_000
+    learning_rate_start: float = 5e-4
+    learning_rate_end: float = 5e-6
+    law: Law = "linear"
+    opacity_kind: OpacityKind = "straight_through"
+    skip_empty: bool = False
+    stop_gradient: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self._check_choice("law", LAWS)
+        self._check_choice("opacity_kind", OPACITY_KINDS)
+        for name in (
+            "num_layers",
+            "width",
+            "output_width",
+            "num_coarse",
+            "num_fine",
+            "rays_per_batch",
+            "num_steps",
+        ):
+            self._check_integer(name, 1)
+        self._check_integer("num_frequencies", 0, MAX_FREQUENCIES)
+        self._check_integer("l_max", 0, MAX_L)
+        self._check_integer("seed", 0, 2**31 - 1)
+        start, end = self.learning_rate_start, self.learning_rate_end
+        if not (math.isfinite(start) and 0 < end <= start):
+            raise LumitreeError(
+                f"learning rates {start} to {end} do not decay; expected 0 < end <= start"
+            )
+
+    def _check_choice(self, name: str, choices: tuple[str, ...]) -> None:
+        value = getattr(self, name)
+        if value not in choices:
+            raise LumitreeError(f"{name} is {value!r}; expected one of {', '.join(choices)}")
+
+    def _check_integer(self, name: str, low: int, high: int | None = None) -> None:
+        value = getattr(self, name)
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if not whole or value < low or (high is not None and value > high):
+            wanted = f"at least {low}" if high is None else f"{low} to {high}"
+            raise LumitreeError(f"{name} is {value!r}; expected a whole number, {wanted}")
+
+
+PRESETS: dict[str, TrainConfig] = {
+    # The paper's numbers; needs a GPU (3.6 s a step on two CPU cores).
+    "paper": TrainConfig(),
+    # A rough field in about 150 s on two CPU cores.
+    "preview": TrainConfig(
+        num_layers=4,
+        width=64,
+        output_width=64,
+        num_frequencies=8,
+        num_coarse=24,
+        num_fine=32,
+        rays_per_batch=1024,
+        num_steps=1500,
+        learning_rate_start=5e-3,
+        learning_rate_end=2e-4,
+        skip_empty=True,
+    ),
+}

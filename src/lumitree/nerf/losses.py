@@ -1,0 +1,49 @@
+"""The training loss (Eq. 6 to 8) and the measure shown while training."""
+
+import jax
+import jax.numpy as jnp
+
+from lumitree.nerf.volume import Composite
+
+# Eq. 7's regulariser, radiance units (D6).
+EPSILON = 0.01
+
+
+def hdr_loss(predicted: jax.Array, radiance: jax.Array, stop_gradient: bool) -> jax.Array:
+    """Relative squared error of HDR radiance (Eq. 7, D6), the mean over rays.
+
+    Args:
+        predicted: [R, 3] radiance, >= 0.
+        radiance: [R, 3] captured radiance, >= 0.
+        stop_gradient: hold the denominator fixed in the gradient. The minimum over noisy
+            captures is then their mean; with the gradient it is biased to bright.
+    """
+    denominator = jax.lax.stop_gradient(predicted) if stop_gradient else predicted
+    error = (predicted - radiance) / (denominator + EPSILON)
+    return jnp.mean(jnp.sum(error**2, axis=-1))
+
+
+def opacity_loss(predicted: jax.Array, opacity: jax.Array) -> jax.Array:
+    """Squared error of opacity [R] (Eq. 8), the mean over rays."""
+    return jnp.mean((predicted - opacity) ** 2)
+
+
+def total_loss(
+    coarse: Composite,
+    fine: Composite,
+    radiance: jax.Array,
+    opacity: jax.Array,
+    stop_gradient: bool,
+) -> jax.Array:
+    """L_c + L_f + L_opacity with equal weights (Eq. 6); only the fine network's opacity counts."""
+    return (
+        hdr_loss(coarse.radiance, radiance, stop_gradient)
+        + hdr_loss(fine.radiance, radiance, stop_gradient)
+        + opacity_loss(fine.opacity, opacity)
+    )
+
+
+def psnr(predicted: jax.Array, radiance: jax.Array, max_radiance: float) -> jax.Array:
+    """Peak signal-to-noise ratio of rays [R, 3] in dB, of radiance / L_max clipped to [0, 1]."""
+    shown, true = (jnp.clip(value / max_radiance, 0, 1) for value in (predicted, radiance))
+    return -10 * jnp.log10(jnp.maximum(jnp.mean((shown - true) ** 2), 1e-12))

@@ -1,0 +1,125 @@
+"""NeRF-SH: the network from position to density and spherical-harmonics emission (D5).
+
+Symbols
+    N            positions
+    K            (l_max + 1)² coefficients of a colour channel
+    density      sigma, per local unit length, >= 0
+    emission     Phi, radiance that a unit of opacity adds, in (0, max_radiance)
+    position     local frame (D8), each coordinate in [-1, 1]
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+from flax import nnx
+
+from lumitree.core.frames import towards_viewer
+from lumitree.core.harmonics import basis, num_coefficients
+from lumitree.nerf.config import TrainConfig
+
+# density = DENSITY_SCALE * softplus(x - DENSITY_SHIFT). The scale lets a network whose outputs
+# are of order 10 reach the 128 per unit that an opaque surface needs in a leaf of 1/128. The
+# shift starts it at 0.2, an optical depth of less than 0.7 on the box's longest diagonal:
+# under the linear law nothing behind optical depth 1 receives a gradient, so a field that
+# starts opaque could not be dug out.
+DENSITY_SCALE = 30.0
+DENSITY_SHIFT = 5.0
+
+# Emission starts at this part of max_radiance. Light that is too strong is the slow error: the
+# HDR loss divides by the prediction, so its gradient falls as the prediction grows, and most of
+# a lamp is far darker than its filament.
+INITIAL_EMISSION = 0.02
+
+
+def fourier_features(positions: jax.Array, num_frequencies: int) -> jax.Array:
+    """Positions [N, 3] with sin and cos of 2^k pi x for k < num_frequencies (NeRF, Eq. 4).
+
+    The octaves follow from the first by the double-angle formulas, which cost two products
+    instead of two transcendental functions.
+
+    Returns:
+        [N, 3 + 6 num_frequencies].
+    """
+    features = [positions]
+    sine, cosine = jnp.sin(jnp.pi * positions), jnp.cos(jnp.pi * positions)
+    for _ in range(num_frequencies):
+        features += [sine, cosine]
+        sine, cosine = 2 * sine * cosine, 1 - 2 * sine * sine
+    return jnp.concatenate(features, axis=-1)
+
+
+class NerfSH(nnx.Module):
+    """One network: position to density and coefficients (Sec. 4.2, "Network architecture")."""
+
+    def __init__(self, config: TrainConfig, rngs: nnx.Rngs) -> None:
+        self.num_frequencies = config.num_frequencies
+        self.num_coefficients = num_coefficients(config.l_max)
+        # NeRF feeds its input in again in the middle; shallow networks do without.
+        self.skip_layer = config.num_layers // 2 if config.num_layers >= 6 else None
+        num_features = 3 + 6 * config.num_frequencies
+        init = nnx.initializers.he_normal()
+        layers = []
+        for index in range(config.num_layers):
+            inputs = num_features if index == 0 else config.width
+            inputs += num_features if index == self.skip_layer else 0
+            layers.append(nnx.Linear(inputs, config.width, kernel_init=init, rngs=rngs))
+        self.layers = nnx.List(layers)
+        self.density_head = nnx.Linear(config.width, 1, rngs=rngs)
+        self.output_layer = nnx.Linear(
+            config.width, config.output_width, kernel_init=init, rngs=rngs
+        )
+        self.coefficient_head = nnx.Linear(
+            config.output_width,
+            3 * self.num_coefficients,
+            kernel_init=nnx.initializers.normal(0.01),
+            rngs=rngs,
+        )
+        self.coefficient_head.bias[...] = _initial_coefficients(self.num_coefficients)
+
+    def __call__(self, positions: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Density [N] and coefficients [N, 3, K] at positions [N, 3]."""
+        features = fourier_features(positions, self.num_frequencies)
+        trunk = features
+        for index, layer in enumerate(self.layers):
+            if index == self.skip_layer:
+                trunk = jnp.concatenate([trunk, features], axis=-1)
+            trunk = nnx.relu(layer(trunk))
+        raw = self.density_head(trunk)[..., 0]
+        density = DENSITY_SCALE * nnx.softplus(raw - DENSITY_SHIFT)
+        coefficients = self.coefficient_head(nnx.relu(self.output_layer(trunk)))
+        return density, coefficients.reshape(*density.shape, 3, self.num_coefficients)
+
+
+class CoarseAndFine(nnx.Module):
+    """The two networks of NeRF: `coarse` says where `fine` is sampled."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        rngs = nnx.Rngs(config.seed)
+        self.coarse = NerfSH(config, rngs)
+        self.fine = NerfSH(config, rngs)
+
+
+def emission(coefficients: jax.Array, directions: jax.Array, max_radiance: jax.Array) -> jax.Array:
+    """Phi = max_radiance * sigmoid(sum of c Y) (Sec. 4.2), the extended-range sigmoid.
+
+    Args:
+        coefficients: [R, N, 3, K] of N positions on each of R rays.
+        directions: [R, 3] unit directions of travel (D4).
+        max_radiance: L_max, > 0.
+
+    Returns:
+        [R, N, 3] radiance towards the viewer.
+    """
+    l_max = math.isqrt(coefficients.shape[-1]) - 1
+    x, y, z = (towards_viewer(directions)[..., axis] for axis in range(3))
+    harmonics = jnp.stack(basis(x, y, z, l_max), axis=-1)
+    logits = jnp.sum(coefficients * harmonics[:, None, None, :], axis=-1)
+    return max_radiance * nnx.sigmoid(logits)
+
+
+def _initial_coefficients(count: int) -> jax.Array:
+    """[3 count] coefficients of a direction-independent INITIAL_EMISSION."""
+    constant_band = basis(0.0, 0.0, 1.0, 0)[0]
+    value = math.log(INITIAL_EMISSION / (1 - INITIAL_EMISSION)) / constant_band
+    return jnp.zeros((3, count)).at[:, 0].set(value).ravel()

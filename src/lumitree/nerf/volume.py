@@ -1,0 +1,190 @@
+"""Differentiable volume rendering of the emitted field (Eq. 3 to 5) along R rays.
+
+Symbols
+    t            distance along a ray, local units
+    s            the same without the empty stretches, in [0, S]; S is the occupied length
+    edges        [R, N + 1] rising values of s; interval i lies between edges i and i + 1
+    widths       [R, N] lengths of the intervals; they partition [0, S]
+    tau          optical depth; T transmittance; weight w_i = T_i - T_{i+1} (D2)
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from lumitree.core.transmittance import Law, transmittance
+from lumitree.nerf.config import TrainConfig
+from lumitree.nerf.network import CoarseAndFine, NerfSH, emission
+from lumitree.nerf.occupancy import Occupancy, contains, occupied_bins
+
+# Part of the fine samples that is spread evenly, so that what the coarse network overlooks is
+# still found.
+UNIFORM_SHARE = 0.1
+
+
+class Chord(NamedTuple):
+    """The occupied bins of R rays.
+
+    Attributes:
+        near: [R] distance at which the ray enters the box.
+        bin_length: [R].
+        order: [R, K] indices of the bins, occupied ones first and in the ray's order.
+        length: [R] occupied length S.
+    """
+
+    near: jax.Array
+    bin_length: jax.Array
+    order: jax.Array
+    length: jax.Array
+
+
+class Composite(NamedTuple):
+    """What R rays collect: radiance [R, 3], opacity [R] and the intervals' weights [R, N]."""
+
+    radiance: jax.Array
+    opacity: jax.Array
+    weights: jax.Array
+
+
+def occupied_chord(occupancy: Occupancy, origins: jax.Array, directions: jax.Array) -> Chord:
+    """The occupied bins of rays [R, 3] (local frame, directions of travel)."""
+    occupied, near, bin_length = occupied_bins(occupancy, origins, directions)
+    order = jnp.argsort(~occupied, axis=-1, stable=True)
+    return Chord(near, bin_length, order, jnp.sum(occupied, axis=-1) * bin_length)
+
+
+def distances(chord: Chord, lengths: jax.Array) -> jax.Array:
+    """t(s): distances [R, N] at occupied lengths s [R, N] in [0, S]."""
+    bin_length = chord.bin_length[:, None]
+    bins = lengths / jnp.maximum(bin_length, 1e-12)
+    last = jnp.round(chord.length[:, None] / jnp.maximum(bin_length, 1e-12)) - 1
+    whole = jnp.clip(jnp.floor(bins), 0, jnp.maximum(last, 0))
+    index = jnp.take_along_axis(chord.order, whole.astype(jnp.int32), axis=-1)
+    return chord.near[:, None] + (index + bins - whole) * bin_length
+
+
+def stratified_edges(length: jax.Array, num_intervals: int, key: jax.Array | None) -> jax.Array:
+    """Edges [R, N + 1] over [0, S]: even, and jittered by up to half an interval with a key.
+
+    Args:
+        length: [R] occupied length S.
+        num_intervals: N.
+        key: PRNG key; none for even intervals.
+    """
+    steps = jnp.broadcast_to(jnp.arange(num_intervals + 1.0), (*length.shape, num_intervals + 1))
+    if key is not None:
+        jitter = jax.random.uniform(key, (*length.shape, num_intervals - 1)) - 0.5
+        steps = steps.at[:, 1:-1].add(jitter)
+    return steps / num_intervals * length[:, None]
+
+
+def importance_samples(
+    edges: jax.Array, weights: jax.Array, num_samples: int, key: jax.Array | None
+) -> jax.Array:
+    """Samples of the piecewise-constant density that the weights give, by its inverse CDF.
+
+    The density is (1 - UNIFORM_SHARE) w_i / sum(w) in interval i, plus UNIFORM_SHARE spread
+    evenly; all even where the weights are 0.
+
+    Args:
+        edges: [R, N + 1].
+        weights: [R, N], >= 0.
+        num_samples: M, stratified.
+        key: PRNG key; none for the middles of the strata.
+
+    Returns:
+        [R, M] rising values of s; no gradient.
+    """
+    edges, weights = jax.lax.stop_gradient((edges, weights))
+    widths = jnp.diff(edges, axis=-1)
+    length = edges[:, -1:] - edges[:, :1]
+    total = jnp.sum(weights, axis=-1, keepdims=True)
+    share = jnp.where(total > 1e-6, UNIFORM_SHARE, 1.0)
+    mass = (1 - share) * weights / jnp.maximum(total, 1e-6)
+    mass += share * widths / jnp.maximum(length, 1e-12)
+    cumulative = jnp.cumsum(mass, axis=-1)
+    cumulative = jnp.pad(cumulative[:, :-1], ((0, 0), (1, 0)))
+    shape = (edges.shape[0], num_samples)
+    jitter = 0.5 if key is None else jax.random.uniform(key, shape)
+    uniform = jnp.broadcast_to((jnp.arange(num_samples) + jitter) / num_samples, shape)
+    index = jnp.sum(cumulative[:, None, :] <= uniform[:, :, None], axis=-1) - 1
+
+    def pick(values: jax.Array) -> jax.Array:
+        return jnp.take_along_axis(values, index, axis=-1)
+
+    part = (uniform - pick(cumulative)) / jnp.maximum(pick(mass), 1e-12)
+    return pick(edges[:, :-1]) + jnp.clip(part, 0, 1) * pick(widths)
+
+
+def composite(density: jax.Array, phi: jax.Array, widths: jax.Array, law: Law) -> Composite:
+    """Radiance and opacity of intervals with constant density and emission (Eq. 3 to 5, D2).
+
+    Args:
+        density: [R, N], >= 0, per local unit.
+        phi: [R, N, 3] emission.
+        widths: [R, N] local units.
+        law: transmittance law.
+    """
+    tau = jnp.cumsum(density * widths, axis=-1)
+    after = transmittance(tau, law, jnp)
+    before = jnp.pad(after[:, :-1], ((0, 0), (1, 0)), constant_values=1.0)
+    weights = before - after
+    return Composite(jnp.sum(weights[..., None] * phi, axis=1), 1 - after[:, -1], weights)
+
+
+def march(
+    network: NerfSH,
+    occupancy: Occupancy,
+    chord: Chord,
+    origins: jax.Array,
+    directions: jax.Array,
+    edges: jax.Array,
+    max_radiance: jax.Array,
+    law: Law,
+) -> Composite:
+    """Evaluate one network at the middles of the intervals and integrate along the rays."""
+    middles = distances(chord, (edges[:, 1:] + edges[:, :-1]) / 2)
+    positions = origins[:, None, :] + middles[..., None] * directions[:, None, :]
+    density, coefficients = network(positions)
+    # The field is what is exported: nothing outside of the grid (see field.py).
+    density = jnp.where(contains(occupancy, positions), density, 0)
+    phi = emission(coefficients, directions, max_radiance)
+    return composite(density, phi, jnp.diff(edges, axis=-1), law)
+
+
+def render(
+    networks: CoarseAndFine,
+    occupancy: Occupancy,
+    origins: jax.Array,
+    directions: jax.Array,
+    max_radiance: jax.Array,
+    config: TrainConfig,
+    key: jax.Array | None,
+) -> tuple[Composite, Composite]:
+    """What the coarse and the fine network see along rays (hierarchical sampling of NeRF).
+
+    Args:
+        networks: both networks.
+        occupancy: where the field may be.
+        origins, directions: [R, 3] local frame; unit directions of travel.
+        max_radiance: L_max.
+        config: counts of intervals and the law.
+        key: PRNG key of the jitter; none for a repeatable picture.
+
+    Returns:
+        The coarse result on `num_coarse` intervals, the fine one on `num_coarse + num_fine`.
+    """
+    coarse_key, fine_key = (None, None) if key is None else jax.random.split(key)
+    chord = occupied_chord(occupancy, origins, directions)
+
+    def see(network: NerfSH, edges: jax.Array) -> Composite:
+        return march(
+            network, occupancy, chord, origins, directions, edges, max_radiance, config.law
+        )
+
+    edges = stratified_edges(chord.length, config.num_coarse, coarse_key)
+    coarse = see(networks.coarse, edges)
+    samples = importance_samples(edges, coarse.weights, config.num_fine, fine_key)
+    edges = jnp.sort(jnp.concatenate([edges, samples], axis=-1), axis=-1)
+    return coarse, see(networks.fine, edges)

@@ -1,0 +1,1 @@
+"""Building octrees, and extracting them from a field that can be queried."""

@@ -1,0 +1,1 @@
+"""Mitsuba plugins that render a baked luminaire."""

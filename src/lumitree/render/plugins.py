@@ -1,0 +1,186 @@
+"""The Mitsuba plugins: emitter `lumitree`, BSDF `lumitree_null` and shape `lumitree_proxy`.
+
+All take the same properties:
+
+    filename      the asset
+    to_world      where the luminaire goes, relative to its own file's frame (default: there)
+    proxy         "box" (default) or "sphere"
+    min_density, max_opacity    see `lumitree.render.field.Field`; exact by default
+
+`lumitree_proxy` is the proxy shape with both others attached: what a scene XML names. L_o =
+L_e + T · L_i (Eq. 2 with D1): the emitter returns L_e, the BSDF T, both on the face where the
+ray enters; on the face where it leaves they are 0 and 1.
+"""
+
+import importlib
+from typing import Any
+
+import numpy as np
+
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.frames import similarity_scale
+from lumitree.errors import LumitreeError
+
+_registered: set[str] = set()
+
+
+def register() -> None:
+    """Register the plugins with the variant of Mitsuba that is set; harmless when repeated.
+
+    Raises:
+        LumitreeError: Mitsuba runs on an unusable libLLVM, or its variant is not RGB.
+    """
+    mi = load_mitsuba()
+    if mi.variant() in _registered:
+        return
+    shape = importlib.import_module("lumitree.render.shape")
+    emitter, bsdf = _plugin_classes(mi)
+    mi.register_emitter("lumitree", emitter)
+    mi.register_bsdf("lumitree_null", bsdf)
+    mi.register_shape("lumitree_proxy", lambda props: mi.load_dict(shape.shape(**_options(props))))
+    _registered.add(mi.variant())
+
+
+def _options(props: Any) -> dict[str, Any]:
+    """Arguments of `lumitree.shape` from plugin properties."""
+    options = {
+        name: props[name]
+        for name in ("min_density", "max_opacity", "proxy", "to_world")
+        if props.has_property(name)
+    }
+    if "to_world" in options:
+        options["to_world"] = np.array(options["to_world"].matrix)
+    if not props.has_property("filename"):
+        raise LumitreeError("plugin 'lumitree' needs a 'filename': the .lumitree asset")
+    return {"asset": resolve(props["filename"]), **options}
+
+
+def resolve(filename: str) -> str:
+    """Path of `filename`, looked up relative to the scene file as Mitsuba does."""
+    mi = load_mitsuba()
+    return str(mi.file_resolver().resolve(filename))
+
+
+class Placed:
+    """What the emitter and the BSDF share: a field, its proxy and where they stand."""
+
+    def __init__(self, props: Any) -> None:
+        import drjit as dr
+        import mitsuba as mi
+
+        from lumitree.render.field import open_field
+        from lumitree.render.proxy import make_proxy
+
+        options = _options(props)
+        thresholds = {n: options[n] for n in ("min_density", "max_opacity") if n in options}
+        self.field = open_field(options["asset"], **thresholds)
+        asset = self.field.asset
+        self.proxy = make_proxy(options.get("proxy", "box"), asset.half_extents)
+        scene_from_proxy = options.get("to_world", np.eye(4)) @ asset.world_from_proxy
+        similarity_scale(scene_from_proxy, "to_world")
+        self.to_scene = mi.Transform4f(scene_from_proxy)
+        self.to_local = mi.Transform4f(np.linalg.inv(scene_from_proxy))
+        # Opaque: moving a luminaire does not compile new kernels.
+        dr.make_opaque(self.to_scene, self.to_local)
+
+    def local_line(self, point: Any, direction: Any) -> tuple[Any, Any]:
+        """Point and unit direction of travel of a scene line in the local frame."""
+        import drjit as dr
+
+        return self.to_local @ point, dr.normalize(self.to_local @ direction)
+
+
+def _plugin_classes(mi: Any) -> tuple[type, type]:
+    """Emitter and BSDF classes for the current variant, whose base classes they extend."""
+    import drjit as dr
+
+    class LumitreeEmitter(mi.Emitter):
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.placed = Placed(props)
+            self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
+
+        def eval(self, si, active=True):
+            line = self.placed.local_line(si.p, -si.to_world(si.wi))
+            entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+            radiance, _ = self.placed.field.emission(*line, entering)
+            return radiance & entering
+
+        def sample_direction(self, it, sample, active=True):
+            placed = self.placed
+            origin = placed.to_local @ it.p
+            p, n, direction, pdf = placed.proxy.sample(origin, sample)
+            active = active & (pdf > 0)
+            ds = dr.zeros(mi.DirectionSample3f)
+            ds.p = placed.to_scene @ p
+            ds.n = dr.normalize(placed.to_scene @ mi.Vector3f(n))
+            ds.d = ds.p - it.p
+            ds.dist = dr.norm(ds.d)
+            ds.d /= ds.dist
+            ds.time = it.time
+            ds.pdf = dr.select(active, pdf, 0)
+            ds.delta = False
+            ds.emitter = mi.EmitterPtr(self)
+            radiance, _ = placed.field.emission(origin, direction, active)
+            return ds, (radiance / pdf) & active
+
+        def pdf_direction(self, it, ds, active=True):
+            line = self.placed.local_line(it.p, ds.d)
+            facing = active & (dr.dot(ds.d, ds.n) < 0)
+            return dr.select(facing, self.placed.proxy.pdf(*line), 0)
+
+        def eval_direction(self, it, ds, active=True):
+            line = self.placed.local_line(it.p, ds.d)
+            facing = active & (dr.dot(ds.d, ds.n) < 0)
+            radiance, _ = self.placed.field.emission(*line, facing)
+            return radiance & facing
+
+        def sample_wavelengths(self, si, sample, active=True):
+            return mi.Color0f(), self.eval(si, active)
+
+        def sample_ray(self, time, sample1, sample2, sample3, active=True):
+            raise LumitreeError(
+                "the 'lumitree' emitter cannot start light paths; use an integrator that traces "
+                "from the camera, such as volpath"
+            )
+
+        def to_string(self) -> str:
+            return f"LumitreeEmitter[luminaire={self.placed.field.asset.luminaire}]"
+
+    class LumitreeNull(mi.BSDF):
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.placed = Placed(props)
+            flags = mi.BSDFFlags.Null | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
+            self.m_flags = flags
+            self.m_components = [flags]
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            enabled = active & ctx.is_enabled(mi.BSDFFlags.Null, 0)
+            bs = dr.zeros(mi.BSDFSample3f)
+            bs.wo = -si.wi
+            bs.sampled_component = 0
+            bs.sampled_type = mi.UInt32(+mi.BSDFFlags.Null)
+            bs.eta = 1
+            bs.pdf = dr.select(enabled, 1, 0)
+            return bs, self.eval_null_transmission(si, enabled) & enabled
+
+        def eval(self, ctx, si, wo, active=True):
+            return mi.Color3f(0)
+
+        def pdf(self, ctx, si, wo, active=True):
+            return mi.Float(0)
+
+        def eval_pdf(self, ctx, si, wo, active=True):
+            return mi.Color3f(0), mi.Float(0)
+
+        def eval_null_transmission(self, si, active=True):
+            line = self.placed.local_line(si.p, -si.to_world(si.wi))
+            entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+            through = self.placed.field.transmittance(*line, entering)
+            return mi.Color3f(dr.select(entering, through, 1))
+
+        def to_string(self) -> str:
+            return f"LumitreeNull[luminaire={self.placed.field.asset.luminaire}]"
+
+    return LumitreeEmitter, LumitreeNull
