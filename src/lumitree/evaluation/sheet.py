@@ -3,6 +3,7 @@
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib import colormaps
@@ -74,8 +75,10 @@ def write_sheet(
 
     Raises:
         LumitreeError: no or too many rows, images whose shapes do not belong together or that
-            are not finite, a missing metric, or a path that cannot be written.
+            are not finite, a missing metric, or a path that is no PNG or cannot be written.
     """
+    if Path(path).suffix.lower() != ".png":
+        raise LumitreeError(f"sheet name {str(path)!r} does not end in .png")
     if not 1 <= len(rows) <= MAX_ROWS:
         raise LumitreeError(f"a sheet holds 1 to {MAX_ROWS} views, not {len(rows)}; choose some")
     if not (np.isfinite(max_radiance) and max_radiance > 0):

@@ -43,7 +43,8 @@ _MATERIALS = {
         <float name="int_ior" value="1.5"/>
         <float name="ext_ior" value="1.0"/>
     </bsdf>""",
-    "brass": _CONDUCTOR.format(id="brass", metal="Au", roughness=0.2, tint="0.85, 0.85, 0.85"),
+    # Gold, toned down: Mitsuba's wheel has no data for brass (CuZn).
+    "brass": _CONDUCTOR.format(id="brass", metal="Au", roughness=0.2, tint="0.95, 0.86, 0.86"),
     "black": _CONDUCTOR.format(id="black", metal="Cr", roughness=0.3, tint="0.15, 0.14, 0.13"),
     "steel": _CONDUCTOR.format(id="steel", metal="Cr", roughness=0.25, tint="1, 1, 1"),
     "tungsten": _CONDUCTOR.format(id="tungsten", metal="W", roughness=0.3, tint="1, 1, 1"),
@@ -138,7 +139,7 @@ def _write_ply(path: Path, mesh: Mesh) -> None:
         process=False,
     )
     with atomic_path(path) as temporary:
-        temporary.write_bytes(exported.export(file_type="ply", vertex_normal=True))
+        exported.export(str(temporary), file_type="ply", vertex_normal=True)
 
 
 # ---- bulbs: five clear bulbs on a brass and black steel frame -------------------------------
@@ -147,12 +148,12 @@ def _write_ply(path: Path, mesh: Mesh) -> None:
 _NUM_BULBS = 5
 _ARM_RADIUS = 0.125  # from the lamp's axis to a bulb's, metres
 _BULB_HEIGHT = -0.205  # y of a bulb's origin in the lamp, metres
-_RADIANCE = (40.0, 27.0, 14.0)
+_RADIANCE = (30.0, 20.0, 10.5)
 _WALL = 0.0012  # of the glass, metres
 _WIRE = 0.0006  # radius of the supports, metres
 _FILAMENT = 0.0012  # radius of the filament's wire, metres
-_CAGE = 0.013  # radius of the cylinder the filament zigzags on, and distance of its legs, metres
-_LEG_TOP, _LEG_BOTTOM = -0.045, -0.085  # straight part of the legs, metres
+_CAGE = 0.0155  # radius of the cylinder the filament zigzags on, and distance of its legs, metres
+_LEG_TOP, _LEG_BOTTOM = -0.054, -0.09  # straight part of the legs, metres
 
 
 def _bulbs() -> list[Part]:
@@ -179,11 +180,13 @@ def _body() -> Mesh:
     hub = [[0.016, -0.21], [0.026, -0.198], [0.027, -0.182], [0.02, -0.168], [0.009, -0.158]]
     collar = [[0.009, -0.146], [0.006, -0.142], [0, -0.142]]
     stem = [[0, -0.15], [0.005, -0.15], [0.005, -0.02], [0, -0.02]]
-    return join([
-        lathe([*smooth(canopy[:-2], 2), *canopy[-2:]], 48),
-        lathe(smooth(knob + hub + collar, 2), 48),
-        lathe(stem, 32),
-    ])
+    return join(
+        [
+            lathe([*smooth(canopy[:-2], 2), *canopy[-2:]], 48),
+            lathe(smooth(knob + hub + collar, 2), 48),
+            lathe(stem, 32),
+        ]
+    )
 
 
 def _arm() -> Mesh:
@@ -217,18 +220,20 @@ def _glass() -> Mesh:
     neck = [[0.0125, -0.024], [0.0118, -0.004], [0.0118, 0.015], [0, 0.015]]
     outer = resample(smooth(pear + neck), 34)
     inner = resample(offset(outer, _WALL), 34)
-    stem = [[0, -0.04], [0.004, -0.04], [0.003, -0.03], [0.0028, -0.012], [0.0065, 0.0]]
+    stem = [[0, -0.044], [0.004, -0.044], [0.003, -0.034], [0.0028, -0.014], [0.0065, 0.0]]
     stem += [[0.0065, 0.008], [0, 0.008]]
-    return join([
-        lathe(outer, 48, crease=90),
-        lathe(inner[::-1], 48, crease=90),
-        lathe(resample(smooth(stem), 20), 24, crease=90),
-    ])
+    return join(
+        [
+            lathe(outer, 48, crease=90),
+            lathe(inner[::-1], 48, crease=90),
+            lathe(resample(smooth(stem), 20), 24, crease=90),
+        ]
+    )
 
 
 def _filament() -> Mesh:
     """Coiled wire in a zigzag of four legs around the stem."""
-    return sweep(coil(_zigzag(), 0.0032, 0.0055, 14), _FILAMENT, 6)
+    return sweep(coil(_zigzag(), 0.003, 0.0062, 14), _FILAMENT, 6)
 
 
 def _zigzag() -> Floats:
@@ -246,15 +251,16 @@ def _zigzag() -> Floats:
 
 def _supports() -> Mesh:
     """Two leads from the cap, and hooks from a button below the stem to the filament's turns."""
-    button = lathe(smooth([[0, -0.047], [0.003, -0.047], [0.003, -0.041], [0, -0.041]], 2), 16)
+    button = lathe(smooth([[0, -0.05], [0.003, -0.05], [0.003, -0.0445], [0, -0.0445]], 2), 16)
     foot = _LEG_BOTTOM - _CAGE / 2
     wires: list[Floats] = []
     for azimuth in (-1.5, 1.5):
         radius = [0.0085, 0.0085, _CAGE, _CAGE]
-        wires.append(_around(azimuth, radius, [0.01, -0.024, -0.03, _LEG_TOP]))
-    for azimuth in (-1.0, 1.0):
-        wires.append(_around(azimuth, [0, 0, _CAGE], [-0.044, foot + 0.004, foot]))
-    wires.append(_around(0.0, [0, 0.004, _CAGE], [-0.044, -0.044, _LEG_TOP + _CAGE / 2]))
+        wires.append(_around(azimuth, radius, [0.01, -0.024, -0.034, _LEG_TOP]))
+    wires.append(_around(0.0, [0, 0], [-0.047, foot + 0.002]))
+    yoke = np.array([-1.0, -1.0, 0.0, 1.0, 1.0])
+    wires.append(_around(yoke, [_CAGE, _CAGE / 2, 0, _CAGE / 2, _CAGE], [foot] * 5))
+    wires.append(_around(0.0, [0, 0.004, _CAGE], [-0.047, -0.047, _LEG_TOP + _CAGE / 2]))
     tubes = [sweep(resample(smooth(wire), 24), _WIRE, 8) for wire in wires]
     return join([button, *tubes])
 
@@ -265,5 +271,9 @@ def _around(azimuth: Floats | float, radius: Floats | float | list, y: Floats | 
     return np.column_stack([x, np.asarray(y), z])
 
 
-_ALL = (Builtin("bulbs", "five clear glass bulbs with coiled filaments on a hanging frame", _bulbs),)
+_ALL = (
+    Builtin(
+        "bulbs", "five clear glass bulbs with coiled filaments on a hanging frame, 0.33 m", _bulbs
+    ),
+)
 BUILTIN: dict[str, Builtin] = {builtin.name: builtin for builtin in _ALL}

@@ -108,7 +108,7 @@ def frames(path: Floats) -> tuple[Floats, Floats, Floats]:
         turn = tangent[i + 1] - moved_tangent
         length = turn @ turn
         side[i + 1] = moved_side - (2 * (turn @ moved_side) / length * turn if length else 0)
-    return tangent, side, np.cross(tangent, side)
+    return tangent, side, np.asarray(np.cross(tangent, side), np.float64)
 
 
 def coil(path: ArrayLike, radius: float, pitch: float, samples: int) -> Floats:
@@ -128,7 +128,8 @@ def coil(path: ArrayLike, radius: float, pitch: float, samples: int) -> Floats:
     axis = resample(path, round(length / pitch * samples) + 1)
     _, side, up = frames(axis)
     along = np.linspace(0, length, len(axis))[:, None]
-    wound = radius * np.clip(np.minimum(along, length - along) / pitch, 0, 1) ** 0.5
+    ramp = np.clip(np.minimum(along, length - along) / pitch, 0, 1)
+    wound = radius * ramp**2 * (3 - 2 * ramp)
     angle = 2 * np.pi * along / pitch
     return axis + wound * (np.cos(angle) * side + np.sin(angle) * up)
 

@@ -29,13 +29,13 @@ class Chord(NamedTuple):
     Attributes:
         near: [R] distance at which the ray enters the box.
         bin_length: [R].
-        order: [R, K] indices of the bins, occupied ones first and in the ray's order.
+        counts: [R, K] occupied bins up to and including each.
         length: [R] occupied length S.
     """
 
     near: jax.Array
     bin_length: jax.Array
-    order: jax.Array
+    counts: jax.Array
     length: jax.Array
 
 
@@ -50,17 +50,18 @@ class Composite(NamedTuple):
 def occupied_chord(occupancy: Occupancy, origins: jax.Array, directions: jax.Array) -> Chord:
     """The occupied bins of rays [R, 3] (local frame, directions of travel)."""
     occupied, near, bin_length = occupied_bins(occupancy, origins, directions)
-    order = jnp.argsort(~occupied, axis=-1, stable=True)
-    return Chord(near, bin_length, order, jnp.sum(occupied, axis=-1) * bin_length)
+    counts = jnp.cumsum(occupied, axis=-1, dtype=jnp.int32)
+    return Chord(near, bin_length, counts, counts[:, -1] * bin_length)
 
 
 def distances(chord: Chord, lengths: jax.Array) -> jax.Array:
     """t(s): distances [R, N] at occupied lengths s [R, N] in [0, S]."""
     bin_length = chord.bin_length[:, None]
     bins = lengths / jnp.maximum(bin_length, 1e-12)
-    last = jnp.round(chord.length[:, None] / jnp.maximum(bin_length, 1e-12)) - 1
-    whole = jnp.clip(jnp.floor(bins), 0, jnp.maximum(last, 0))
-    index = jnp.take_along_axis(chord.order, whole.astype(jnp.int32), axis=-1)
+    last = jnp.maximum(chord.counts[:, -1:] - 1, 0)
+    whole = jnp.clip(jnp.floor(bins).astype(jnp.int32), 0, last)
+    # The bin that has `whole` occupied ones before it; comparing beats sorting on a CPU.
+    index = jnp.sum(chord.counts[:, None, :] <= whole[:, :, None], axis=-1)
     return chord.near[:, None] + (index + bins - whole) * bin_length
 
 

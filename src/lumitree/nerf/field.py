@@ -1,0 +1,100 @@
+"""A trained field, ready to be asked for density and coefficients."""
+
+import dataclasses
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from flax import nnx
+from numpy.typing import ArrayLike, NDArray
+
+from lumitree.core.harmonics import num_coefficients
+from lumitree.core.transmittance import Law
+from lumitree.nerf.occupancy import Occupancy, contains, load_occupancy
+from lumitree.nerf.run import OCCUPANCY, RunRecord, restore_checkpoint
+from lumitree.nerf.train import initial_state
+
+# Positions in one call of the network; few enough to stay in a CPU's caches.
+_CHUNK = 16384
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainedField:
+    """The fine network of a run.
+
+    Attributes:
+        law: transmittance law.
+        l_max: highest band.
+        max_radiance: L_max; emission is max_radiance * sigmoid(sum of coefficient * Y).
+        half_extents: [3] proxy box, local units.
+        world_from_proxy: [4, 4].
+        luminaire: its name.
+        num_steps: steps it was trained for.
+        occupancy: cells that may hold something; density is 0 outside.
+    """
+
+    law: Law
+    l_max: int
+    max_radiance: float
+    half_extents: NDArray[np.float64]
+    world_from_proxy: NDArray[np.float64]
+    luminaire: str
+    num_steps: int
+    occupancy: Occupancy
+    _contains: Callable[[NDArray[np.float32]], jax.Array]
+    _network: Callable[[NDArray[np.float32]], tuple[jax.Array, jax.Array]]
+
+    def query(self, positions: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Density and coefficients at positions.
+
+        Args:
+            positions: [N, 3] local units.
+
+        Returns:
+            Density [N] per local unit, >= 0, and coefficients [N, 3, (l_max + 1)²]; both 0
+            outside of the box and of the occupied cells.
+        """
+        positions = np.asarray(positions, np.float32).reshape(-1, 3)
+        density = np.zeros(len(positions), np.float32)
+        coefficients = np.zeros((len(positions), 3, num_coefficients(self.l_max)), np.float32)
+        for start in range(0, len(positions), _CHUNK):
+            held = slice(start, start + _CHUNK)
+            inside = start + np.flatnonzero(self._call(self._contains, positions[held]))
+            if inside.size:
+                density[inside], coefficients[inside] = self._call(self._network, positions[inside])
+        return density, coefficients
+
+    def _call(self, function: Callable[[NDArray[np.float32]], Any], positions: NDArray) -> Any:
+        """Results at up to _CHUNK positions, padded so that each function is compiled once."""
+        padded = np.zeros((_CHUNK, 3), np.float32)
+        padded[: len(positions)] = positions
+        return jax.tree.map(lambda x: np.asarray(x)[: len(positions)], function(padded))
+
+
+def load_field(run_path: str | os.PathLike[str]) -> TrainedField:
+    """The field of a run's newest checkpoint.
+
+    Raises:
+        LumitreeError: the folder is no run, has no checkpoint, or is damaged.
+    """
+    folder = Path(run_path)
+    record = RunRecord.load(folder)
+    occupancy = jax.device_put(load_occupancy(folder / OCCUPANCY))
+    graph, template = initial_state(record.config)
+    state = restore_checkpoint(folder, template)
+    networks = nnx.merge(graph, state.params)
+    return TrainedField(
+        law=record.config.law,
+        l_max=record.config.l_max,
+        max_radiance=record.max_radiance,
+        half_extents=np.array(record.half_extents),
+        world_from_proxy=np.array(record.world_from_proxy),
+        luminaire=record.luminaire,
+        num_steps=int(state.step),
+        occupancy=occupancy,
+        _contains=jax.jit(lambda positions: contains(occupancy, positions)),
+        _network=jax.jit(networks.fine.__call__),
+    )
