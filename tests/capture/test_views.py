@@ -39,7 +39,7 @@ def test_emissive_sphere(luminaire, tmp_path):
         assert (view.geometric[centre] == 1).all()
         assert (view.straight_through[centre] == 1).all()
         assert view.geometric.mean() == pytest.approx(np.pi / 12, rel=0.02)
-        assert (view.straight_through == pytest.approx(view.geometric, abs=1e-6))
+        assert view.straight_through == pytest.approx(view.geometric, abs=1e-6)
 
 
 def panes(bsdf, medium=""):
@@ -68,34 +68,45 @@ FRESNEL = 0.04  # ((1.5 - 1) / (1.5 + 1))²
 
 
 def test_glass_slab_transmits_as_fresnel_says(luminaire, mi):
-    lamp = luminaire(panes('<bsdf type="dielectric"><float name="int_ior" value="1.5"/>'
-                           '<float name="ext_ior" value="1"/></bsdf>'))
+    lamp = luminaire(
+        panes(
+            '<bsdf type="dielectric"><float name="int_ior" value="1.5"/>'
+            '<float name="ext_ior" value="1"/></bsdf>'
+        )
+    )
     assert face_on_opacity(lamp, mi) == pytest.approx(1 - (1 - FRESNEL) ** 2, abs=1e-4)
 
 
 def test_thin_glass_transmits_as_fresnel_says(luminaire, mi):
-    lamp = luminaire(panes('<bsdf type="thindielectric"><float name="int_ior" value="1.5"/>'
-                           '<float name="ext_ior" value="1"/></bsdf>'))
+    lamp = luminaire(
+        panes(
+            '<bsdf type="thindielectric"><float name="int_ior" value="1.5"/>'
+            '<float name="ext_ior" value="1"/></bsdf>'
+        )
+    )
     # Each of the two faces is a pane: reflections inside a pane add up to 2F / (1 + F).
     pane = 1 - 2 * FRESNEL / (1 + FRESNEL)
     assert face_on_opacity(lamp, mi) == pytest.approx(1 - pane**2, abs=1e-4)
 
 
 def test_absorbing_medium_attenuates(luminaire, mi):
-    lamp = luminaire(panes(
-        '<bsdf type="dielectric"><float name="int_ior" value="1.5"/>'
-        '<float name="ext_ior" value="1"/></bsdf>',
-        '<medium type="homogeneous" name="interior"><rgb name="sigma_t" value="0.25,0.5,1"/>'
-        '<float name="scale" value="2"/><rgb name="albedo" value="0"/></medium>',
-    ))
+    lamp = luminaire(
+        panes(
+            '<bsdf type="dielectric"><float name="int_ior" value="1.5"/>'
+            '<float name="ext_ior" value="1"/></bsdf>',
+            '<medium type="homogeneous" name="interior"><rgb name="sigma_t" value="0.25,0.5,1"/>'
+            '<float name="scale" value="2"/><rgb name="albedo" value="0"/></medium>',
+        )
+    )
     assert lamp.has_media
     beer = np.exp(-np.array([0.5, 1, 2])).mean()
     assert face_on_opacity(lamp, mi) == pytest.approx(1 - (1 - FRESNEL) ** 2 * beer, abs=1e-4)
 
 
 def test_alpha_mask_lets_light_through(luminaire, mi):
-    lamp = luminaire(panes('<bsdf type="mask"><float name="opacity" value="0.3"/>'
-                           '<bsdf type="diffuse"/></bsdf>'))
+    lamp = luminaire(
+        panes('<bsdf type="mask"><float name="opacity" value="0.3"/><bsdf type="diffuse"/></bsdf>')
+    )
     # Mitsuba's mask chooses at random: 20000 samples, four standard deviations.
     assert face_on_opacity(lamp, mi) == pytest.approx(1 - 0.7**2, abs=0.014)
 
@@ -177,8 +188,10 @@ def test_rays_of_the_camera_are_those_of_the_dataset(luminaire, tmp_path):
         ('<shape type="sphere"/>', "holds no emitter"),
         (SPHERE.format(AREA) + '<emitter type="constant"/>', "environment light .constant"),
         (SPHERE.format(AREA) + '<emitter type="point"/>', "without a surface .point"),
-        ('<shape type="ply"><string name="filename" value="no.ply"/>' + AREA + "</shape>",
-         "no.ply.*not found"),
+        (
+            '<shape type="ply"><string name="filename" value="no.ply"/>' + AREA + "</shape>",
+            "no.ply.*not found",
+        ),
         ('<shape type="ball"/>' + AREA, 'Plugin "ball" not found'),
         ("<unknown/>", "unsupported XML element"),
         (SPHERE.format(AREA) + '<medium type="heterogeneous" name="m"/>', "heterogeneous"),

@@ -54,7 +54,9 @@ def _plan(
     luminaire: Luminaire, num_views: int, resolution: int, samples_per_pixel: int, split: Split
 ) -> Manifest:
     for name, value in (
-        ("views", num_views), ("resolution", resolution), ("spp", samples_per_pixel)
+        ("views", num_views),
+        ("resolution", resolution),
+        ("spp", samples_per_pixel),
     ):
         if value < 1:
             raise LumitreeError(f"{name} is {value}; expected at least 1")
@@ -102,10 +104,12 @@ class _Camera:
 
     def __init__(self, luminaire: Luminaire, manifest: Manifest) -> None:
         self._luminaire, self._manifest = luminaire, manifest
-        self._integrator = mi.load_dict({
-            "type": "volpath" if luminaire.has_media else "path",
-            "max_depth": manifest.path_depth,
-        })
+        self._integrator = mi.load_dict(
+            {
+                "type": "volpath" if luminaire.has_media else "path",
+                "max_depth": manifest.path_depth,
+            }
+        )
         self._sampler = mi.load_dict({"type": "independent"})
 
     def take(self, frame: Frame) -> View:
@@ -159,6 +163,4 @@ class _Camera:
         dr.make_opaque(world_from_camera)
         local = mi.Point3f(position.x * scale - half_width, half_width - position.y * scale, 0)
         backward = dr.normalize(world_from_camera @ mi.Vector3f(0, 0, 1))
-        return mi.RayDifferential3f(
-            mi.Ray3f(world_from_camera @ local, -backward)
-        )
+        return mi.RayDifferential3f(mi.Ray3f(world_from_camera @ local, -backward))

@@ -70,7 +70,7 @@ def rotation(axis: ArrayLike, degrees: float) -> NDArray[np.float64]:
 
 
 def similarity(
-    rotation: ArrayLike = np.eye(3), scale: float = 1.0, translation: ArrayLike = (0.0, 0.0, 0.0)
+    rotation: ArrayLike, scale: float = 1.0, translation: ArrayLike = (0.0, 0.0, 0.0)
 ) -> NDArray[np.float64]:
     """Matrix [4, 4] that rotates [3, 3], scales uniformly, then translates [3]."""
     matrix = np.eye(4)

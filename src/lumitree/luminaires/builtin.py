@@ -159,7 +159,7 @@ _LEG_TOP, _LEG_BOTTOM = -0.054, -0.09  # straight part of the legs, metres
 def _bulbs() -> list[Part]:
     step = 360 / _NUM_BULBS
     turns = tuple(similarity(rotation([0, 1, 0], step * index)) for index in range(_NUM_BULBS))
-    hang = similarity(translation=[_ARM_RADIUS, _BULB_HEIGHT, 0.0])
+    hang = similarity(np.eye(3), translation=[_ARM_RADIUS, _BULB_HEIGHT, 0.0])
     sites = tuple(turn @ hang for turn in turns)
     return [
         Part("frame_body", _body(), "brass", (np.eye(4),)),

@@ -94,9 +94,7 @@ def luminaire_path(source: str | os.PathLike[str]) -> Path:
     return path
 
 
-def place_shapes(
-    source: str | os.PathLike[str], scene_from_world: ArrayLike
-) -> dict[str, Any]:
+def place_shapes(source: str | os.PathLike[str], scene_from_world: ArrayLike) -> dict[str, Any]:
     """Shapes of an explicit luminaire moved into a scene, for `mitsuba.load_dict`.
 
     Args:

@@ -40,7 +40,8 @@ class SceneFile:
     def references(self) -> list[Path]:
         """Files that the scene names, each where it was found."""
         names = (
-            node.props["filename"] for node in self._state.nodes
+            node.props["filename"]
+            for node in self._state.nodes
             if node.props.has_property("filename")
         )
         with self._searching() as resolver:

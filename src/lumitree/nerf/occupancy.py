@@ -55,32 +55,19 @@ def visual_hull(
     """
     half = np.asarray(half_extents, np.float64)
     shape = np.maximum(np.ceil(half * resolution), 1).astype(int)
-    centres = [
-        (((np.arange(count) + 0.5) / count * 2 - 1) * extent).astype(np.float32)
-        for count, extent in zip(shape, half, strict=True)
-    ]
     # Only the survivors are projected, so the cost falls with every view.
     alive = np.stack(np.unravel_index(np.arange(shape.prod()), shape)).astype(np.int16)
     for pose, mask in views:
-        hit = np.ones(alive.shape[1], bool)
-        rows_columns = []
         size = mask.shape[0]
-        for axis, sign in ((1, -1.0), (0, 1.0)):
-            # Pixel coordinate = scale * (axis . (position - camera)) + size / 2.
-            scale = sign * size / (2 * half_width)
-            row = (scale * pose[:3, axis]).astype(np.float32)
-            offset = size / 2 - scale * float(pose[:3, axis] @ pose[:3, 3])
-            parts = [row[a] * centres[a] for a in range(3)]
-            pixel = parts[0][alive[0]] + parts[1][alive[1]] + parts[2][alive[2]] + offset
-            reach = int(np.ceil(np.abs(row) @ (half / shape))) + 1
-            rows_columns.append((np.floor(pixel).astype(np.int32), reach))
-        (row_index, row_reach), (column_index, column_reach) = rows_columns
-        seen = _max_filter(_max_filter(mask, row_reach).T, column_reach).T
-        inside = (
-            (row_index >= 0) & (row_index < size) & (column_index >= 0) & (column_index < size)
-        )
-        hit[inside] = seen[row_index[inside], column_index[inside]]
-        alive = alive[:, hit]
+        # Pixels a local unit; rows count down along the camera's y.
+        scale = size / (2 * half_width)
+        row, row_reach = _footprint(alive, shape, half, -scale * pose[:, 1], pose, size)
+        column, column_reach = _footprint(alive, shape, half, scale * pose[:, 0], pose, size)
+        near = _max_filter(_max_filter(mask, row_reach).T, column_reach).T
+        # A view says nothing about what it does not show.
+        kept = (row < 0) | (row >= size) | (column < 0) | (column >= size)
+        kept[~kept] = near[row[~kept], column[~kept]]
+        alive = alive[:, kept]
     cells = np.zeros(shape, bool)
     cells[tuple(alive)] = True
     return Occupancy(_dilate(cells), half.astype(np.float32))
@@ -161,6 +148,33 @@ def load_occupancy(path: str | os.PathLike[str]) -> Occupancy:
         raise LumitreeError(
             f"{path} is not a readable occupancy grid ({type(error).__name__}); train again"
         ) from None
+
+
+def _footprint(
+    cells: NDArray[np.int16],
+    shape: NDArray[np.int_],
+    half: NDArray[np.float64],
+    slope: NDArray[np.float64],
+    pose: NDArray[np.float64],
+    size: int,
+) -> tuple[NDArray[np.int32], int]:
+    """Where cells fall along one axis of a view.
+
+    Args:
+        cells: [3, N] indices in a grid of `shape` over the box of half extents `half`.
+        slope: [4] pixels a local unit along x, y and z.
+        pose: `proxy_from_camera`.
+        size: pixels a side of the view.
+
+    Returns:
+        Pixel of each cell's centre [N], and how many pixels its footprint with its margin reaches.
+    """
+    pixel = np.full(cells.shape[1], size / 2 - slope[:3] @ pose[:3, 3], np.float32)
+    for index, count, extent, factor in zip(cells, shape, half, slope[:3], strict=True):
+        centres = ((np.arange(count) + 0.5) / count * 2 - 1) * extent * factor
+        pixel += centres.astype(np.float32)[index]
+    reach = int(np.ceil(np.abs(slope[:3]) @ (half / shape))) + 1
+    return np.floor(pixel).astype(np.int32), reach
 
 
 def _max_filter(mask: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:

@@ -124,7 +124,9 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
         kept.append(np.flatnonzero(_crossing(occupancy, origins, direction)))
     if not any(len(pixels) for pixels in kept):
         raise LumitreeError(f"no ray of {dataset.folder} meets the luminaire; capture it again")
-    corners, column_steps, row_steps, directions = (np.stack(x) for x in zip(*geometry, strict=True))
+    corners, column_steps, row_steps, directions = (
+        np.stack(x) for x in zip(*geometry, strict=True)
+    )
     rays = RaySet(
         corners,
         column_steps,

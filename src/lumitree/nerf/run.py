@@ -1,9 +1,9 @@
 """The folder of a training run: what it knows without its dataset, and its checkpoints.
 
-    RUN/run.json        see `RunRecord`
-    RUN/occupancy.npz   cells that may hold something
-    RUN/history.json    list of {step, seconds, loss, psnr}
-    RUN/checkpoints/    Orbax; the last two are kept
+RUN/run.json        see `RunRecord`
+RUN/occupancy.npz   cells that may hold something
+RUN/history.json    list of {step, seconds, loss, psnr}
+RUN/checkpoints/    Orbax; the last two are kept
 """
 
 import dataclasses

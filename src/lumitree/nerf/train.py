@@ -64,7 +64,7 @@ class TrainResult:
 
     Attributes:
         steps: steps done in all, earlier calls included.
-        seconds: time spent training in all, preparation and compilation excluded.
+        seconds: time spent training in all, reading the dataset excluded.
         psnr: of the held-out rays, dB (`losses.psnr`).
         psnr_black: what an all-black prediction scores on them, dB.
         rays_per_second: of this call.
@@ -135,26 +135,27 @@ def initial_state(config: TrainConfig) -> tuple[nnx.GraphDef, TrainState]:
 
 
 def make_step(
-    config: TrainConfig, graph: nnx.GraphDef, occupancy: Occupancy, max_radiance: float
-) -> Callable[[TrainState, Batch], tuple[TrainState, jax.Array, jax.Array]]:
-    """The jitted training step: (state, batch) to the next state, its loss and gradient norm.
+    config: TrainConfig, graph: nnx.GraphDef, max_radiance: float
+) -> Callable[[TrainState, Batch, Occupancy], tuple[TrainState, jax.Array, jax.Array]]:
+    """The jitted training step: to the next state, its loss and gradient norm.
 
     The state that is passed in is donated: it cannot be used again.
     """
     optimizer = _optimizer(config)
     num_chunks = _num_chunks(config, config.rays_per_batch)
-    occupancy = jax.device_put(occupancy)
 
-    def loss_of(params: Any, rays: Batch, key: jax.Array) -> jax.Array:
+    def loss_of(params: Any, occupancy: Occupancy, rays: Batch, key: jax.Array) -> jax.Array:
         networks = nnx.merge(graph, params)
         coarse, fine = render(
             networks, occupancy, rays.origins, rays.directions, max_radiance, config, key
         )
         return total_loss(coarse, fine, rays.radiance, rays.opacity, config.stop_gradient)
 
-    def step(state: TrainState, batch: Batch) -> tuple[TrainState, jax.Array, jax.Array]:
+    def step(
+        state: TrainState, batch: Batch, occupancy: Occupancy
+    ) -> tuple[TrainState, jax.Array, jax.Array]:
         def add_chunk(total: Any, chunk: tuple[Batch, jax.Array]) -> tuple[Any, None]:
-            value = jax.value_and_grad(loss_of)(state.params, *chunk)
+            value = jax.value_and_grad(loss_of)(state.params, occupancy, *chunk)
             return jax.tree.map(jnp.add, total, value), None
 
         keys = jax.random.split(
@@ -176,12 +177,11 @@ def make_step(
 
 
 def make_evaluation(
-    config: TrainConfig, graph: nnx.GraphDef, occupancy: Occupancy, max_radiance: float
-) -> Callable[[Any, Batch], jax.Array]:
-    """Jitted (weights, batch) to the PSNR of the fine network on the batch, dB."""
-    occupancy = jax.device_put(occupancy)
+    config: TrainConfig, graph: nnx.GraphDef, max_radiance: float
+) -> Callable[[Any, Batch, Occupancy], jax.Array]:
+    """Jitted (weights, batch, occupancy) to the PSNR of the fine network on the batch, dB."""
 
-    def evaluate(params: Any, batch: Batch) -> jax.Array:
+    def evaluate(params: Any, batch: Batch, occupancy: Occupancy) -> jax.Array:
         networks = nnx.merge(graph, params)
 
         def see(rays: Batch) -> jax.Array:
@@ -214,9 +214,9 @@ class _Loop:
         self.folder, self.rays, self.config = folder, rays, config
         self.checkpoints, self.history = checkpoints, history
         self.held_out = rays.held_out()
-        limit = rays.max_radiance
-        self.step = make_step(config, graph, occupancy, limit)
-        self.evaluate = make_evaluation(config, graph, occupancy, limit)
+        self.occupancy = jax.device_put(occupancy)
+        self.step = make_step(config, graph, rays.max_radiance)
+        self.evaluate = make_evaluation(config, graph, rays.max_radiance)
         self.earlier = history[-1]["seconds"] if history else 0.0
         self.seconds = self.earlier
         self.pending: list[tuple[jax.Array, jax.Array]] = []
@@ -224,15 +224,13 @@ class _Loop:
     def run(self, state: TrainState, last: int) -> TrainResult:
         """Train up to step `last`; the state is saved however this ends, unless it is bad."""
         first = done = int(state.step)
-        self.step = self.step.lower(state, self._draw(0)).compile()
-        self.evaluate = self.evaluate.lower(state.params, self.held_out).compile()
         start = reported = saved = time.monotonic()
         with (
             _deferred_interrupt() as interrupted,
             progress("train", self.config.num_steps, done) as advance,
         ):
             while done < last and not interrupted.is_set():
-                state, *health = self.step(state, self._draw(done))
+                state, *health = self.step(state, self._draw(done), self.occupancy)
                 self.pending.append(tuple(health))
                 done += 1
                 note = ""
@@ -254,7 +252,7 @@ class _Loop:
                 raise KeyboardInterrupt
         rate = (done - first) * self.config.rays_per_batch / max(self.seconds - self.earlier, 1e-9)
         black = psnr(jnp.zeros(3), self.held_out.radiance, self.rays.max_radiance)
-        quality = float(self.evaluate(state.params, self.held_out))
+        quality = float(self.evaluate(state.params, self.held_out, self.occupancy))
         return TrainResult(done, self.seconds, quality, float(black), rate)
 
     def _draw(self, step: int) -> Batch:
@@ -274,7 +272,7 @@ class _Loop:
         return float(values[-1, 0]) if len(values) else float("nan")
 
     def _report(self, done: int, loss: float, state: TrainState, rate: float) -> str:
-        quality = float(self.evaluate(state.params, self.held_out))
+        quality = float(self.evaluate(state.params, self.held_out, self.occupancy))
         seconds = round(self.seconds, 3)
         self.history.append({"step": done, "seconds": seconds, "loss": loss, "psnr": quality})
         return f"loss {loss:.3g}, PSNR {quality:.2f} dB, {rate / 1000:.1f} k rays/s"

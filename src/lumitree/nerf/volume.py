@@ -131,7 +131,20 @@ def composite(density: jax.Array, phi: jax.Array, widths: jax.Array, law: Law) -
     after = transmittance(tau, law, jnp)
     before = jnp.pad(after[:, :-1], ((0, 0), (1, 0)), constant_values=1.0)
     weights = before - after
-    return Composite(jnp.sum(weights[..., None] * phi, axis=1), 1 - after[:, -1], weights)
+    opacity = 1 - after[:, -1]
+    if law == "linear":
+        opacity = _through_saturation(opacity, tau[:, -1])
+    return Composite(jnp.sum(weights[..., None] * phi, axis=1), opacity, weights)
+
+
+def _through_saturation(opacity: jax.Array, tau: jax.Array) -> jax.Array:
+    """The linear law's opacity min(tau, 1) with the gradient of tau even where it is 1.
+
+    The true gradient there is 0, so a ray that became opaque by mistake would stay so: measured,
+    most of the empty part of the hull did. An opacity of 1 can only be too large, so the gradient
+    passed on only ever thins a ray that is too opaque.
+    """
+    return tau + jax.lax.stop_gradient(opacity - tau)
 
 
 def march(

@@ -112,7 +112,7 @@ class SphereProxy:
 
     def pdf(self, origin: Any, direction: Any) -> Any:
         """Density with which `sample` gives `direction` from `origin`."""
-        distance, cap, outside = self._cone(origin)
+        _, cap, outside = self._cone(origin)
         along = -dr.dot(mi.Vector3f(origin), direction)
         off_axis = dr.squared_norm(mi.Vector3f(origin) + along * direction)
         hit = outside & (along > 0) & (off_axis < self.radius**2)

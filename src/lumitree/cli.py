@@ -1,0 +1,492 @@
+"""The command line: arguments in, one job of `pipeline`, a few lines or a table out."""
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NoReturn
+
+from lumitree.errors import LumitreeError
+
+Report = dict[str, Any]
+# Their values may begin with a minus sign, which argparse would take for an option.
+_VECTOR_OPTIONS = ("--at", "--rotate")
+DEBUG = "LUMITREE_DEBUG"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status: 0, 2 for bad input, 130 when interrupted."""
+    arguments = _join_vectors(list(sys.argv[1:] if argv is None else argv))
+    try:
+        args = _parser().parse_args(arguments)
+        report = args.run(args)
+        if args.json:
+            from lumitree.core.files import write_json
+
+            write_json(args.json, report)
+        args.show(report)
+        return 0
+    except LumitreeError as error:
+        return _fail(str(error), 2)
+    except KeyboardInterrupt:
+        return _fail("interrupted; the same command continues where that is possible", 130)
+    except BrokenPipeError:
+        # The reader of our output (a pager, head) has gone.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        if os.environ.get(DEBUG):
+            raise
+        reason = " ".join(str(error).split()) or "no details"
+        return _fail(
+            f"unexpected {type(error).__name__}: {reason} (set {DEBUG}=1 for the traceback)", 1
+        )
+
+
+def _fail(message: str, status: int) -> int:
+    print(f"lumitree: error: {message}", file=sys.stderr)
+    return status
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise LumitreeError(f"{message}; see '{self.prog} --help'")
+
+
+class _Formatter(argparse.ArgumentDefaultsHelpFormatter):
+    """Shows defaults, except of flags and of options whose help says what happens without."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        if action.default in (None, False):
+            return action.help
+        return super()._get_help_string(action)
+
+
+class _Place(argparse.Action):
+    """`--place` starts a placement; `--at`, `--size` and `--rotate` describe the latest one."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        if self.dest == "place":
+            namespace.place = [*(namespace.place or []), {"source": values}]
+        elif not namespace.place:
+            parser.error(f"{option_string} comes before any --place")
+        elif self.dest in namespace.place[-1]:
+            parser.error(f"{option_string} is given twice for {namespace.place[-1]['source']}")
+        else:
+            namespace.place[-1][self.dest] = values
+
+
+def _vector(count: int) -> Callable[[str], tuple[float, ...]]:
+    def parse(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) != count or not all(abs(value) < float("inf") for value in values):
+            raise argparse.ArgumentTypeError(f"{text!r} is not {count} numbers separated by commas")
+        return values
+
+    return parse
+
+
+def _join_vectors(arguments: list[str]) -> list[str]:
+    joined: list[str] = []
+    for argument in arguments:
+        if joined and joined[-1] in _VECTOR_OPTIONS:
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
+
+
+def _job(name: str, **options: Callable[[argparse.Namespace], Any]) -> Callable[..., Report]:
+    """Function of the parsed arguments that runs `pipeline.<name>` with the options' values."""
+
+    def run(args: argparse.Namespace) -> Report:
+        pipeline = importlib.import_module("lumitree.pipeline")
+        return getattr(pipeline, name)(**{key: value(args) for key, value in options.items()})
+
+    return run
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="lumitree",
+        description="Bake a complex luminaire once; light Mitsuba 3 scenes with it ever after.",
+        epilog="LUMINAIRE is a built-in name (see 'lumitree list') or a Mitsuba 3 .xml.",
+    )
+    from lumitree import __version__
+
+    parser.add_argument("--version", action="version", version=f"lumitree {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
+    for add in (
+        _add_list,
+        _add_capture,
+        _add_train,
+        _add_extract,
+        _add_bake,
+        _add_info,
+        _add_evaluate,
+        _add_render,
+        _add_demo,
+    ):
+        add(commands)
+    return parser
+
+
+def _command(
+    commands: Any, name: str, text: str, run: Callable[..., Report], show: Callable[[Report], None]
+) -> argparse.ArgumentParser:
+    parser = commands.add_parser(
+        name,
+        help=text,
+        description=text[0].upper() + text[1:] + ".",
+        formatter_class=_Formatter,
+    )
+    parser.add_argument(
+        "--json",
+        metavar="FILE",
+        help="also write the results as JSON to FILE",
+    )
+    parser.set_defaults(run=run, show=show)
+    return parser
+
+
+def _add_variant(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--variant",
+        metavar="NAME",
+        help="Mitsuba variant (default: cuda_ad_rgb where there is a GPU, else llvm_ad_rgb)",
+    )
+
+
+def _add_output(parser: argparse.ArgumentParser, metavar: str, text: str) -> None:
+    parser.add_argument("-o", dest="output", metavar=metavar, required=True, help=text)
+
+
+def _add_list(commands: Any) -> None:
+    _command(
+        commands,
+        "list",
+        "list the built-in luminaires",
+        _job("list_luminaires"),
+        lambda report: _print_lines(report["luminaires"]),
+    )
+
+
+def _add_capture(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "capture",
+        "render views of a luminaire: radiance and opacity",
+        _job(
+            "capture",
+            source=lambda a: a.luminaire,
+            output=lambda a: a.output,
+            num_views=lambda a: a.views,
+            resolution=lambda a: a.resolution,
+            samples_per_pixel=lambda a: a.spp,
+            split=lambda a: a.split,
+            variant=lambda a: a.variant,
+        ),
+        _show_results,
+    )
+    parser.add_argument("luminaire", metavar="LUMINAIRE", help="built-in name or .xml")
+    _add_output(parser, "DATASET", "folder for the views; run again to continue")
+    parser.add_argument(
+        "--split", choices=("train", "test"), default="train", help="which directions"
+    )
+    _add_view_options(parser, 100, 256, 128)
+    _add_variant(parser)
+
+
+def _add_view_options(
+    parser: argparse.ArgumentParser, views: int, resolution: int, samples: int
+) -> None:
+    parser.add_argument("--views", type=int, metavar="N", default=views, help="number of views")
+    parser.add_argument(
+        "--resolution", type=int, metavar="R", default=resolution, help="pixels a side"
+    )
+    parser.add_argument("--spp", type=int, metavar="S", default=samples, help="paths a pixel")
+
+
+def _add_train(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "train",
+        "train the radiance-field network on a dataset",
+        _job(
+            "train",
+            dataset=lambda a: a.dataset,
+            output=lambda a: a.output,
+            preset=lambda a: a.preset,
+            resume=lambda a: a.resume,
+        ),
+        _show_results,
+    )
+    parser.add_argument("dataset", metavar="DATASET", help="folder made by 'lumitree capture'")
+    _add_output(parser, "RUN", "folder for checkpoints and history")
+    _add_preset(parser)
+    parser.add_argument("--resume", action="store_true", help="continue an interrupted run")
+
+
+def _add_preset(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--preset",
+        choices=("preview", "paper"),
+        default="preview",
+        help="preview: minutes on 2 CPU cores; paper: the paper's settings, days on a GPU",
+    )
+
+
+def _add_extract(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "extract",
+        "distil a trained network into an octree asset",
+        _job(
+            "extract",
+            run=lambda a: a.folder,
+            output=lambda a: a.output,
+            tree_depth=lambda a: a.depth,
+        ),
+        _show_results,
+    )
+    parser.add_argument("folder", metavar="RUN", help="folder made by 'lumitree train'")
+    _add_output(parser, "ASSET", "the .lumitree file")
+    parser.add_argument(
+        "--depth",
+        type=int,
+        metavar="D",
+        default=8,
+        help="octree levels, 1 to 10: 2^D cells across the luminaire",
+    )
+
+
+def _add_bake(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "bake",
+        "capture, train and extract in one go",
+        _job(
+            "bake",
+            source=lambda a: a.luminaire,
+            output=lambda a: a.output,
+            preset=lambda a: a.preset,
+            tree_depth=lambda a: a.depth,
+            work=lambda a: a.work,
+            variant=lambda a: a.variant,
+        ),
+        _show_results,
+    )
+    parser.add_argument("luminaire", metavar="LUMINAIRE", help="built-in name or .xml")
+    _add_output(parser, "ASSET", "the .lumitree file; run again to continue")
+    parser.add_argument("--method", choices=("nerf",), default="nerf", help="how the field is made")
+    _add_preset(parser)
+    parser.add_argument(
+        "--depth",
+        type=int,
+        metavar="D",
+        help="octree levels, 1 to 10 (default: the preset's, 7 or 10)",
+    )
+    parser.add_argument(
+        "--work",
+        metavar="DIR",
+        help="keep views and network in DIR (default: removed at the end)",
+    )
+    _add_variant(parser)
+
+
+def _add_info(commands: Any) -> None:
+    parser = _command(
+        commands, "info", "describe an asset", _job("info", path=lambda a: a.asset), _show_results
+    )
+    parser.add_argument("asset", metavar="ASSET", help="a .lumitree file")
+
+
+def _add_evaluate(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "evaluate",
+        "compare an asset with held-out views of its luminaire",
+        _job(
+            "evaluate",
+            path=lambda a: a.asset,
+            target=lambda a: a.target,
+            sheet=lambda a: a.output,
+            num_views=lambda a: a.views,
+            resolution=lambda a: a.resolution,
+            samples_per_pixel=lambda a: a.spp,
+            variant=lambda a: a.variant,
+        ),
+        _show_evaluation,
+    )
+    parser.add_argument("asset", metavar="ASSET", help="a .lumitree file")
+    parser.add_argument(
+        "target",
+        metavar="LUMINAIRE|DATASET",
+        help="what to compare with; views of a LUMINAIRE are captured first",
+    )
+    parser.add_argument(
+        "-o",
+        dest="output",
+        metavar="SHEET",
+        help="contact sheet (default: ASSET's name with -evaluation.png)",
+    )
+    _add_view_options(parser, 8, 256, 256)
+    _add_variant(parser)
+
+
+def _add_render(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "render",
+        "render a Mitsuba scene with luminaires placed in it",
+        _render,
+        _show_results,
+    )
+    parser.add_argument("scene", metavar="SCENE.xml", help="a Mitsuba 3 scene with a camera")
+    _add_output(parser, "IMAGE", ".exr (linear) or .png (tone-mapped)")
+    parser.add_argument(
+        "--place",
+        action=_Place,
+        metavar="ASSET",
+        help="a .lumitree file, or a LUMINAIRE for its explicit geometry; "
+        "may be repeated, each with its own --at, --size and --rotate",
+    )
+    parser.add_argument(
+        "--at",
+        action=_Place,
+        type=_vector(3),
+        metavar="X,Y,Z",
+        help="centre of its bounding box, scene units (default: its own)",
+    )
+    parser.add_argument(
+        "--size",
+        action=_Place,
+        type=float,
+        metavar="S",
+        help="largest side of its bounding box, scene units (default: its own)",
+    )
+    parser.add_argument(
+        "--rotate",
+        action=_Place,
+        type=_vector(4),
+        metavar="AX,AY,AZ,DEG",
+        help="turn about its centre: axis, degrees",
+    )
+    parser.add_argument("--spp", type=int, metavar="N", default=64, help="samples a pixel")
+    parser.add_argument(
+        "--width",
+        type=int,
+        metavar="W",
+        help="image width in pixels (default: the scene's)",
+    )
+    parser.add_argument(
+        "--proxy", choices=("box", "sphere"), default="box", help="surface that carries the field"
+    )
+    _add_variant(parser)
+
+
+def _render(args: argparse.Namespace) -> Report:
+    from lumitree import pipeline
+
+    return pipeline.render(
+        args.scene,
+        args.output,
+        args.place or [],
+        samples_per_pixel=args.spp,
+        width=args.width,
+        proxy=args.proxy,
+        variant=args.variant,
+    )
+
+
+def _add_demo(commands: Any) -> None:
+    parser = _command(
+        commands, "demo", "bake the built-in lamp and hang it in a room", _demo, _show_demo
+    )
+    parser.add_argument(
+        "-o",
+        dest="output",
+        metavar="DIR",
+        default="demo-output",
+        help="folder for pictures, report and asset",
+    )
+    _add_variant(parser)
+
+
+def _demo(args: argparse.Namespace) -> Report:
+    from lumitree import demo
+
+    return demo.run(args.output, args.variant)
+
+
+def _print_lines(values: Report) -> None:
+    for name, value in values.items():
+        print(f"{name:>20}  {value}")
+
+
+def _show_results(report: Report) -> None:
+    flat: Report = {}
+    for name, value in report.items():
+        if name == "seconds":
+            flat |= {f"{stage} (s)": round(seconds, 1) for stage, seconds in value.items()}
+        elif name.endswith("_bytes"):
+            flat[name.removesuffix("_bytes").replace("_", " ")] = _megabytes(value)
+        elif isinstance(value, dict):
+            flat |= {
+                key: _megabytes(item) if key.endswith("_bytes") else _rounded(item)
+                for key, item in value.items()
+            }
+        else:
+            flat[name.replace("_", " ")] = _rounded(value)
+    _print_lines(flat)
+
+
+def _megabytes(value: int) -> str:
+    return f"{value / 1e6:.1f} MB"
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.5g}")
+    if isinstance(value, list):
+        return ", ".join(str(_rounded(item)) for item in value)
+    return value
+
+
+def _show_evaluation(report: Report) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{report['asset']['luminaire']}: {len(report['views'])} held-out views")
+    table.add_column("metric")
+    table.add_column("mean", justify="right")
+    for name, value in report["metrics"].items():
+        table.add_row(name, f"{value:.4f}")
+    Console().print(table)
+    print(f"contact sheet: {report['sheet']}")
+
+
+def _show_demo(report: Report) -> None:
+    _show_evaluation(report["evaluate"])
+    gain = {
+        key: report["evaluate"]["metrics"][f"psnr_{key}"]
+        - report["evaluate"]["metrics"][f"psnr_{key}_black"]
+        for key in ("linear", "mulaw")
+    }
+    print(f"gain over black: {gain['linear']:.1f} dB linear, {gain['mulaw']:.1f} dB mu-law")
+    _show_results(
+        {
+            "asset": report["evaluate"]["asset"],
+            "seconds": report["seconds"],
+            "peak_memory_bytes": report["peak_memory_bytes"],
+        }
+    )
+    print(f"written: {', '.join(report['files'])}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,39 @@
+"""Views of a baked luminaire under the same pixel filter as the captured ones."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.dataset import Frame, Manifest
+from lumitree.render.field import Field
+
+# Rays a pixel and side: 4 x 4, stratified, under the box filter that capture uses.
+RAYS_A_SIDE = 4
+
+
+def baked_view(
+    field: Field, manifest: Manifest, frame: Frame
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Radiance [H, W, 3] and opacity [H, W] of a baked luminaire in one view of a dataset."""
+    resolution = manifest.resolution
+    fine = resolution * RAYS_A_SIDE
+    index = dr.arange(mi.UInt32, fine * fine)
+    # Rays of one pixel are neighbours, so that a block sum averages them.
+    pixel, sub = index // RAYS_A_SIDE**2, index % RAYS_A_SIDE**2
+    column = (pixel % resolution) * RAYS_A_SIDE + sub % RAYS_A_SIDE
+    row = (pixel // resolution) * RAYS_A_SIDE + sub // RAYS_A_SIDE
+    step = 2 * manifest.half_width / fine
+    pose = mi.Transform4f(frame.pose)
+    dr.make_opaque(pose)
+    origin = pose @ mi.Point3f(
+        (column + 0.5) * step - manifest.half_width,
+        manifest.half_width - (row + 0.5) * step,
+        0,
+    )
+    radiance, through = field.emission(origin, -(pose @ mi.Vector3f(0, 0, 1)))
+    values = [dr.block_sum(value, RAYS_A_SIDE**2) for value in (*radiance, through)]
+    dr.eval(values)
+    image = np.stack([np.array(value) for value in values], axis=-1) / RAYS_A_SIDE**2
+    image = image.reshape(resolution, resolution, 4)
+    return image[..., :3], 1 - image[..., 3]

@@ -1,0 +1,321 @@
+"""The jobs behind the commands: each takes file names, does one job, and returns a report.
+
+A report is a dictionary that JSON can hold. Packages that are slow to import are imported by
+the job that needs them.
+"""
+
+import contextlib
+import dataclasses
+import resource
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.dataset import MANIFEST, Dataset, Split
+from lumitree.errors import LumitreeError
+from lumitree.nerf.config import PRESETS, TrainConfig
+
+if TYPE_CHECKING:
+    from lumitree.asset.model import LuminaireAsset
+
+Report = dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class BakePreset:
+    """What `bake` does: the views it captures, the network it trains, the octree it extracts."""
+
+    num_views: int
+    resolution: int
+    samples_per_pixel: int
+    train: TrainConfig
+    tree_depth: int
+
+
+BAKE_PRESETS = {
+    "preview": BakePreset(60, 192, 48, PRESETS["preview"], tree_depth=7),
+    # The paper does not state its samples a pixel.
+    "paper": BakePreset(100, 800, 256, PRESETS["paper"], tree_depth=10),
+}
+# Held-out views of `evaluate` when it is given a luminaire.
+EVALUATION_VIEWS, EVALUATION_RESOLUTION, EVALUATION_SPP = 8, 256, 256
+
+
+class Stopwatch:
+    """Seconds of named stages, in the order they ran."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextlib.contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time the block; several blocks of one name add up."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            elapsed = time.perf_counter() - start
+            self.seconds[name] = round(self.seconds.get(name, 0.0) + elapsed, 3)
+
+
+def peak_memory_bytes() -> int:
+    """Largest resident memory of this process so far."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+def list_luminaires() -> Report:
+    """Built-in luminaires and what they are."""
+    from lumitree.luminaires.builtin import BUILTIN
+
+    return {"luminaires": {name: item.description for name, item in BUILTIN.items()}}
+
+
+def capture(
+    source: str,
+    output: str,
+    *,
+    num_views: int = 100,
+    resolution: int = 256,
+    samples_per_pixel: int = 128,
+    split: Split = "train",
+    variant: str | None = None,
+) -> Report:
+    """Capture a dataset; continues one that was interrupted."""
+    load_mitsuba(variant)
+    from lumitree.capture.views import capture as capture_views
+    from lumitree.luminaires.luminaire import load_luminaire
+
+    watch = Stopwatch()
+    with watch.stage("capture"):
+        dataset = capture_views(
+            load_luminaire(source),
+            output,
+            num_views=num_views,
+            resolution=resolution,
+            samples_per_pixel=samples_per_pixel,
+            split=split,
+        )
+    return {
+        "dataset": output,
+        "luminaire": dataset.manifest.luminaire,
+        "views": len(dataset.manifest.frames),
+        "seconds": watch.seconds,
+        "peak_memory_bytes": peak_memory_bytes(),
+    }
+
+
+def train(dataset: str, output: str, *, preset: str = "preview", resume: bool = False) -> Report:
+    """Train the network on a dataset; `resume` continues a run bit for bit."""
+    from lumitree.nerf.train import train as train_network
+
+    watch = Stopwatch()
+    with watch.stage("train"):
+        result = train_network(dataset, output, PRESETS[preset], resume=resume)
+    return {
+        "run": output,
+        **dataclasses.asdict(result),
+        "seconds": watch.seconds,
+        "peak_memory_bytes": peak_memory_bytes(),
+    }
+
+
+def extract(run: str, output: str, *, tree_depth: int = 8) -> Report:
+    """Distil a trained network into an asset."""
+    from lumitree.asset.file import save
+    from lumitree.asset.model import LuminaireAsset
+    from lumitree.nerf.field import load_field
+    from lumitree.octree.extract import extract as extract_octree
+
+    _check_asset_name(output)
+    watch = Stopwatch()
+    with watch.stage("extract"):
+        field = load_field(run)
+        half_extents = np.asarray(field.half_extents, np.float64)
+        children, density, coefficients = extract_octree(field.query, half_extents, tree_depth)
+        asset = LuminaireAsset(
+            children=children,
+            density=density,
+            coefficients=coefficients,
+            tree_depth=tree_depth,
+            l_max=field.l_max,
+            law=field.law,
+            max_radiance=float(field.max_radiance),
+            half_extents=half_extents,
+            world_from_proxy=np.asarray(field.world_from_proxy, np.float64),
+            luminaire=field.luminaire,
+        )
+        save(asset, output)
+    return {
+        "asset": describe_asset(asset, output),
+        "seconds": watch.seconds,
+        "peak_memory_bytes": peak_memory_bytes(),
+    }
+
+
+def bake(
+    source: str,
+    output: str,
+    *,
+    preset: str = "preview",
+    tree_depth: int | None = None,
+    work: str | None = None,
+    variant: str | None = None,
+) -> Report:
+    """Capture, train and extract in one go.
+
+    Intermediate results live in `work` (default: a folder beside the asset, removed at the
+    end); an interrupted bake that is started again continues from them.
+    """
+    from lumitree.nerf.run import has_checkpoint
+
+    _check_asset_name(output)
+    settings = BAKE_PRESETS[preset]
+    folder = Path(work) if work else Path(output).with_suffix(".work")
+    captured = capture(
+        source,
+        str(folder / "dataset"),
+        num_views=settings.num_views,
+        resolution=settings.resolution,
+        samples_per_pixel=settings.samples_per_pixel,
+        variant=variant,
+    )
+    run = folder / "run"
+    resume = has_checkpoint(run)
+    if not resume:
+        # What an interruption before the first checkpoint left behind.
+        shutil.rmtree(run, ignore_errors=True)
+    trained = train(captured["dataset"], str(run), preset=preset, resume=resume)
+    extracted = extract(str(run), output, tree_depth=tree_depth or settings.tree_depth)
+    if work is None:
+        shutil.rmtree(folder)
+    seconds = captured["seconds"] | trained["seconds"] | extracted["seconds"]
+    return {**extracted, "seconds": seconds, "peak_memory_bytes": peak_memory_bytes()}
+
+
+def describe_asset(asset: "LuminaireAsset", path: str) -> Report:
+    """What `info` prints about an asset."""
+    return {
+        "file": str(path),
+        "file_bytes": Path(path).stat().st_size,
+        "luminaire": asset.luminaire,
+        "tree_depth": asset.tree_depth,
+        "leaves": asset.num_leaves,
+        "nodes": len(asset.children),
+        "l_max": asset.l_max,
+        "law": asset.law,
+        "max_radiance": asset.max_radiance,
+        "size": (2 * asset.half_extents * asset.world_from_proxy[0, 0]).tolist(),
+        "centre": asset.world_from_proxy[:3, 3].tolist(),
+    }
+
+
+def info(path: str) -> Report:
+    """Describe an asset."""
+    from lumitree.asset.file import load
+
+    return {"asset": describe_asset(load(path), path)}
+
+
+def evaluate(
+    path: str,
+    target: str,
+    *,
+    sheet: str | None = None,
+    num_views: int = EVALUATION_VIEWS,
+    resolution: int = EVALUATION_RESOLUTION,
+    samples_per_pixel: int = EVALUATION_SPP,
+    variant: str | None = None,
+) -> Report:
+    """Compare an asset with held-out views: of a stored dataset, or captured from a luminaire.
+
+    Args:
+        path: the asset.
+        target: DATASET folder or LUMINAIRE.
+        sheet: where the contact sheet goes; default: the asset's name with `-evaluation.png`.
+        num_views, resolution, samples_per_pixel: of the views captured from a LUMINAIRE.
+    """
+    load_mitsuba(variant)
+    from lumitree.asset.file import load
+    from lumitree.evaluation.evaluate import evaluate_views
+    from lumitree.evaluation.sheet import write_sheet
+
+    asset = load(path)
+    sheet = sheet or str(Path(path).with_suffix("")) + "-evaluation.png"
+    watch = Stopwatch()
+    with contextlib.ExitStack() as stack:
+        if (Path(target) / MANIFEST).exists():
+            dataset = Dataset.open(target)
+        else:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lumitree-views-"))
+            with watch.stage("references"):
+                capture(
+                    target,
+                    folder,
+                    num_views=num_views,
+                    resolution=resolution,
+                    samples_per_pixel=samples_per_pixel,
+                    split="test",
+                )
+            dataset = Dataset.open(folder)
+        with watch.stage("evaluate"):
+            result = evaluate_views(asset, dataset)
+            write_sheet(sheet, result.rows, asset.max_radiance, f"{asset.luminaire}, {path}")
+    return {
+        "metrics": result.metrics,
+        "views": result.views,
+        "seconds": watch.seconds,
+        "asset": describe_asset(asset, path),
+        "sheet": sheet,
+    }
+
+
+def render(
+    scene_path: str,
+    output: str,
+    placements: list[dict[str, Any]],
+    *,
+    samples_per_pixel: int = 64,
+    width: int | None = None,
+    proxy: str = "box",
+    variant: str | None = None,
+) -> Report:
+    """Render a scene file with luminaires placed in it.
+
+    Args:
+        placements: arguments of `render.room.Placement`.
+    """
+    load_mitsuba(variant)
+    from lumitree.core.images import check_image_name, write_image
+    from lumitree.render import room as rooms
+
+    check_image_name(output)
+    watch = Stopwatch()
+    with watch.stage("load"):
+        room, integrator = rooms.load_room(scene_path)
+        if width is not None:
+            rooms.set_film_width(room, width)
+        scene = rooms.furnish(room, [rooms.Placement(**item) for item in placements], proxy)
+    with watch.stage("render"):
+        image = rooms.render(scene, integrator, samples_per_pixel)
+    write_image(output, image)
+    return {
+        "image": output,
+        "resolution": [image.shape[1], image.shape[0]],
+        "samples_per_pixel": samples_per_pixel,
+        "mean_radiance": float(image.mean()),
+        "seconds": watch.seconds,
+        "peak_memory_bytes": peak_memory_bytes(),
+    }
+
+
+def _check_asset_name(path: str) -> None:
+    if Path(path).suffix != ".lumitree":
+        raise LumitreeError(f"asset name {path!r} does not end in .lumitree; choose one that does")

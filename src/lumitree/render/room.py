@@ -1,0 +1,185 @@
+"""Scenes with luminaires placed in them."""
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.file import load
+from lumitree.core.frames import placement
+from lumitree.core.progress import progress
+from lumitree.errors import LumitreeError
+from lumitree.luminaires.luminaire import load_luminaire, place_shapes
+from lumitree.luminaires.scene_file import SceneFile
+from lumitree.render.plugins import register
+from lumitree.render.proxy import ProxyKind
+from lumitree.render.shape import shape
+
+# Integrators that ask null surfaces for their transmittance in shadow rays.
+_SEE_THROUGH = ("volpath", "volpathmis")
+_DEFAULT_PATH_DEPTH = 16
+# Samples a pass: bounds memory and lets progress be shown.
+_SAMPLES_PER_PASS = 1 << 23
+
+
+@dataclasses.dataclass(frozen=True)
+class Placement:
+    """Where a luminaire goes in a scene.
+
+    Attributes:
+        source: a `.lumitree` asset, or a LUMINAIRE whose explicit geometry is placed.
+        at: [3] centre of its bounding box, scene units; default: its own file's position.
+        size: largest side of its bounding box, scene units; default: its own size.
+        rotate: axis x, y, z and angle in degrees, about the centre.
+    """
+
+    source: str
+    at: tuple[float, float, float] | None = None
+    size: float | None = None
+    rotate: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 0.0)
+
+    @property
+    def baked(self) -> bool:
+        """Whether `source` is an asset."""
+        return Path(self.source).suffix == ".lumitree"
+
+    def scene_from_world(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Transform from the luminaire's own frame, and its proxy box in the scene.
+
+        Returns:
+            `scene_from_world` [4, 4] and `scene_from_box` [4, 4], which maps [-1, 1]³ to the box.
+        """
+        origin = load(self.source) if self.baked else load_luminaire(self.source)
+        scene_from_proxy = placement(
+            origin.world_from_proxy, at=self.at, size=self.size, rotate=self.rotate
+        )
+        box = scene_from_proxy @ np.diag([*origin.half_extents, 1])
+        return scene_from_proxy @ np.linalg.inv(origin.world_from_proxy), box
+
+    def shapes(self, proxy: ProxyKind, scene_from_world: NDArray[np.float64]) -> dict[str, Any]:
+        """Shapes for `mitsuba.load_dict`."""
+        if self.baked:
+            return {"proxy": shape(self.source, scene_from_world, proxy)}
+        return place_shapes(self.source, scene_from_world)
+
+
+def furnish(room: Any, placements: list[Placement], proxy: ProxyKind = "box") -> Any:
+    """Scene that holds the room's objects and the placed luminaires.
+
+    Warns on standard error where an object, or the camera, is inside a proxy: there a baked
+    luminaire neither shades nor lights it rightly (D10).
+    """
+    register()
+    if not room.sensors():
+        raise LumitreeError("the scene has no sensor; add a camera to it")
+    objects: dict[str, Any] = {"type": "scene"}
+    objects |= {f"room_{i}": item for i, item in enumerate(room.shapes())}
+    objects |= {f"sensor_{i}": item for i, item in enumerate(room.sensors())}
+    if room.environment() is not None:
+        objects["environment"] = room.environment()
+    distant = [e for e in room.emitters() if e.get_shape() is None and not e.is_environment()]
+    objects |= {f"emitter_{i}": item for i, item in enumerate(distant)}
+    for index, item in enumerate(placements):
+        scene_from_world, box = item.scene_from_world()
+        if item.baked:
+            _warn_inside(room, item, box)
+        shapes = item.shapes(proxy, scene_from_world)
+        objects |= {f"placed_{index}_{name}": value for name, value in shapes.items()}
+    return mi.load_dict(objects)
+
+
+def load_room(path: str) -> tuple[Any, Any]:
+    """Room and integrator of a scene file; the integrator sees through null surfaces.
+
+    A `path` integrator is replaced by `volpath` with the same settings, and any other that
+    would let proxies block the light of other lamps too, which is said on standard error.
+    """
+    file = SceneFile(path)
+    integrators = file.nodes("Integrator")
+    kinds = [node.props.plugin_name() for node in integrators]
+    for node in integrators:
+        if node.props.plugin_name() == "path":
+            node.props.set_plugin_name("volpath")
+    room = file.instantiate()
+    if kinds and kinds[0] in (*_SEE_THROUGH, "path"):
+        return room, room.integrator()
+    found = f"integrator {kinds[0]!r}" if kinds else "no integrator"
+    _say(f"{path} has {found}; using volpath with max_depth {_DEFAULT_PATH_DEPTH}")
+    return room, default_integrator()
+
+
+def default_integrator(path_depth: int = _DEFAULT_PATH_DEPTH) -> Any:
+    """Integrator for scenes that name none."""
+    return mi.load_dict({"type": "volpath", "max_depth": path_depth})
+
+
+def set_film_width(room: Any, width: int) -> None:
+    """Change the film of the scene's first sensor to `width` pixels, keeping its proportions."""
+    film = room.sensors()[0].film()
+    if width < 1:
+        raise LumitreeError(f"width is {width}; expected at least 1 pixel")
+    old = film.size()
+    params = mi.traverse(film)
+    height = max(1, round(int(old[1]) * width / int(old[0])))
+    params["size"] = [width, height]
+    params["crop_size"] = [width, height]
+    params["crop_offset"] = [0, 0]
+    params.update()
+
+
+def render(
+    scene: Any, integrator: Any, samples_per_pixel: int, *, seed: int = 0, name: str = "render"
+) -> NDArray[np.float32]:
+    """Linear radiance [H, W, 3] of the scene's first sensor, in passes of bounded memory."""
+    if samples_per_pixel < 1:
+        raise LumitreeError(f"spp is {samples_per_pixel}; expected at least 1")
+    sensor = scene.sensors()[0]
+    pixels = int(dr.prod(sensor.film().crop_size()))
+    batch = max(1, min(samples_per_pixel, _SAMPLES_PER_PASS // pixels))
+    total, done = None, 0
+    with progress(name, samples_per_pixel) as advance:
+        while done < samples_per_pixel:
+            count = min(batch, samples_per_pixel - done)
+            image = mi.render(
+                scene, sensor=sensor, integrator=integrator, spp=count, seed=(seed << 16) + done
+            )
+            image = np.array(image)[..., :3] * count
+            total = image if total is None else total + image
+            done += count
+            advance(count)
+    assert total is not None
+    return (total / samples_per_pixel).astype(np.float32)
+
+
+def _warn_inside(room: Any, item: Placement, box: NDArray[np.float64]) -> None:
+    """Look for geometry inside the proxy with random segments, and for the camera."""
+    samples = 1 << 14
+    random = np.random.default_rng(0)
+    # A little smaller than the box, so that a ceiling it touches does not count.
+    start, end = (0.998 * random.uniform(-1, 1, (2, samples, 3))) @ box[:3, :3].T + box[:3, 3]
+    offset = end - start
+    length = np.linalg.norm(offset, axis=1)
+    ray = mi.Ray3f(
+        mi.Point3f(*start.T), mi.Vector3f(*(offset.T / length)), mi.Float(length), mi.Float(0), []
+    )
+    if dr.any(room.ray_test(ray)):
+        _say(
+            f"{item.source}: an object of the room is inside its proxy; it is not lit or shaded "
+            "rightly there (a baked luminaire is rendered from outside only)"
+        )
+    camera = room.sensors()[0].world_transform().translation()
+    local = np.linalg.solve(box[:3, :3], np.ravel(camera) - box[:3, 3])
+    if (np.abs(local) < 1).all():
+        _say(
+            f"{item.source}: the camera is inside its proxy; a baked luminaire is rendered from "
+            "outside only"
+        )
+
+
+def _say(message: str) -> None:
+    print(f"lumitree: warning: {message}", file=sys.stderr)

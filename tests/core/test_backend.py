@@ -1,0 +1,58 @@
+"""Choosing libLLVM."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from lumitree.core.backend import check_llvm, load_mitsuba
+from lumitree.errors import LumitreeError
+
+
+@pytest.mark.parametrize("version", [(14, 0, 6), (15, 0, 7), (16, 0, 0)])
+def test_versions_that_abort_are_refused(version):
+    with pytest.raises(LumitreeError, match="import lumitree before mitsuba, and unset"):
+        check_llvm(version, None)
+
+
+def test_no_llvm_is_refused():
+    with pytest.raises(LumitreeError, match="no usable libLLVM was found"):
+        check_llvm((-1, -1, -1), "/x.so")
+
+
+@pytest.mark.parametrize("version", [(19, 1, 0), (23, 1, 4)])
+def test_good_versions_pass(version):
+    check_llvm(version, None)
+
+
+@pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_spectral", "nonsense"])
+def test_other_variants_are_refused(mi, variant):
+    with pytest.raises(LumitreeError, match="llvm_ad_rgb"):
+        load_mitsuba(variant)
+
+
+def run(code, **environment):
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
+    )
+
+
+def test_a_missing_library_is_one_line():
+    result = run(
+        "from lumitree.cli import main; main(['capture', 'bulbs', '-o', 'x'])",
+        DRJIT_LIBLLVM_PATH="/nowhere/libLLVM.so",
+    )
+    assert "names /nowhere/libLLVM.so, which is not a file; unset" in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_users_choice_is_respected():
+    result = run(
+        "import lumitree, os; print(os.environ['DRJIT_LIBLLVM_PATH'])",
+        DRJIT_LIBLLVM_PATH="/mine.so",
+    )
+    assert result.stdout.strip() == "/mine.so"

@@ -1,0 +1,77 @@
+"""Files appear whole or not at all."""
+
+import os
+
+import numpy as np
+import pytest
+
+from lumitree.core.files import atomic_path, write_json
+from lumitree.core.images import read_exr, tonemap, write_exr, write_image
+from lumitree.errors import LumitreeError
+
+
+def test_failure_leaves_nothing_behind(tmp_path):
+    target = tmp_path / "a.txt"
+    target.write_text("before")
+    with pytest.raises(RuntimeError), atomic_path(target) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError
+    assert target.read_text() == "before"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_full_disk_is_one_line(tmp_path):
+    with (
+        pytest.raises(LumitreeError, match=r"cannot write .*: No space left on device; free"),
+        atomic_path(tmp_path / "a.txt"),
+    ):
+        raise OSError(28, os.strerror(28))
+    assert os.listdir(tmp_path) == []
+
+
+def test_unwritable_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LumitreeError, match="cannot write"):
+        write_json(tmp_path / "file" / "a.json", {})
+
+
+def test_json_refuses_nan(tmp_path):
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(tmp_path / "a.json", {"x": float("nan")})
+    assert os.listdir(tmp_path) == []
+
+
+def test_exr_round_trip(tmp_path):
+    random = np.random.default_rng(0)
+    planes = {
+        "RGB": random.normal(size=(5, 7, 3)).astype(np.float32),
+        "geometric": random.random((5, 7), np.float32),
+    }
+    write_exr(tmp_path / "a.exr", planes)
+    read = read_exr(tmp_path / "a.exr")
+    assert read.keys() == planes.keys()
+    assert all(np.array_equal(read[name], planes[name]) for name in planes)
+
+
+def test_bad_exr_files_are_refused(tmp_path):
+    with pytest.raises(LumitreeError, match="does not exist"):
+        read_exr(tmp_path / "no.exr")
+    (tmp_path / "text.exr").write_text("not an image")
+    with pytest.raises(LumitreeError, match="not a readable OpenEXR"):
+        read_exr(tmp_path / "text.exr")
+    write_exr(tmp_path / "nan.exr", {"RGB": np.full((2, 2, 3), np.nan, np.float32)})
+    with pytest.raises(LumitreeError, match="NaN"):
+        read_exr(tmp_path / "nan.exr")
+
+
+def test_tonemap_is_srgb():
+    assert tonemap(np.array([0.0, 0.5, 1.0, 2.0])).tolist() == [0, 188, 255, 255]
+
+
+def test_image_names(tmp_path):
+    image = np.full((2, 3, 3), 0.5)
+    write_image(tmp_path / "a.png", image)
+    write_image(tmp_path / "a.exr", image)
+    assert (read_exr(tmp_path / "a.exr")["RGB"] == 0.5).all()
+    with pytest.raises(LumitreeError, match="neither .exr"):
+        write_image(tmp_path / "a.jpg", image)
