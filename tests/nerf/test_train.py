@@ -18,7 +18,8 @@ from lumitree.nerf import train as training
 from lumitree.nerf.config import PRESETS, TrainConfig
 from lumitree.nerf.field import load_field
 from lumitree.nerf.run import restore_checkpoint
-from lumitree.nerf.train import initial_state, train
+from lumitree.nerf.step import initial_state
+from lumitree.nerf.train import train
 
 TINY = dataclasses.replace(
     PRESETS["preview"],
@@ -46,7 +47,7 @@ def tiny_run(dataset, tmp_path_factory):
 
 
 def _final_state(folder, config=TINY):
-    return restore_checkpoint(folder, initial_state(config)[1])
+    return restore_checkpoint(folder, initial_state(config, 0.1)[1])
 
 
 def _assert_same(first, second):
@@ -72,9 +73,9 @@ def test_finished_run_may_be_resumed_again(dataset, tiny_run, tmp_path):
 
 
 def test_training_learns_the_sphere(dataset, tmp_path):
-    config = dataclasses.replace(TINY, width=32, output_width=32, rays_per_batch=256, num_steps=250)
+    config = dataclasses.replace(TINY, width=32, output_width=32, rays_per_batch=256, num_steps=160)
     result = train(dataset, tmp_path / "run", config)
-    assert result.psnr > result.psnr_black + 8
+    assert result.psnr > result.psnr_black + 5
     field = load_field(tmp_path / "run")
     # Just under the surface it is dense, in the corner of the box it is empty.
     inside = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]]) * 0.9 * RADIUS + CENTRE

@@ -9,17 +9,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from lumitree.core.transmittance import LAWS
+from lumitree.nerf import volume
 from lumitree.nerf.occupancy import Occupancy, full_occupancy
-from lumitree.nerf.volume import (
-    UNIFORM_SHARE,
-    composite,
-    distances,
-    importance_samples,
-    occupied_chord,
-    stratified_edges,
-)
+from lumitree.nerf.volume import UNIFORM_SHARE, importance_samples, stratified_edges
 
 NUM_RAYS, NUM_INTERVALS = 4, 9
+
+composite = jax.jit(volume.composite, static_argnums=3)
+occupied_chord = jax.jit(volume.occupied_chord)
+distances = jax.jit(volume.distances)
 
 
 @pytest.mark.parametrize("law", LAWS)

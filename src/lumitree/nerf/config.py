@@ -14,7 +14,7 @@ MAX_FREQUENCIES = 16
 
 @dataclasses.dataclass(frozen=True)
 class TrainConfig:
-    """Settings of one training run; the defaults are the paper's (sections 4.2 and 4.3).
+    """Settings of one training run; the defaults are the paper's (sections 4.2 to 4.4).
 
     Attributes:
         num_layers: hidden layers of each of the two networks, at least 1.
@@ -96,10 +96,10 @@ PRESETS: dict[str, TrainConfig] = {
         width=64,
         output_width=64,
         num_frequencies=8,
-        num_coarse=24,
-        num_fine=32,
+        num_coarse=16,
+        num_fine=24,
         rays_per_batch=1024,
-        num_steps=1500,
+        num_steps=1800,
         learning_rate_start=5e-3,
         learning_rate_end=2e-4,
         skip_empty=True,

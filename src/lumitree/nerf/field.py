@@ -15,7 +15,7 @@ from lumitree.core.harmonics import num_coefficients
 from lumitree.core.transmittance import Law
 from lumitree.nerf.occupancy import Occupancy, contains, load_occupancy
 from lumitree.nerf.run import OCCUPANCY, RunRecord, restore_checkpoint
-from lumitree.nerf.train import initial_state
+from lumitree.nerf.step import initial_state
 
 # Positions in one call of the network; few enough to stay in a CPU's caches.
 _CHUNK = 16384
@@ -83,7 +83,7 @@ def load_field(run_path: str | os.PathLike[str]) -> TrainedField:
     folder = Path(run_path)
     record = RunRecord.load(folder)
     occupancy = jax.device_put(load_occupancy(folder / OCCUPANCY))
-    graph, template = initial_state(record.config)
+    graph, template = initial_state(record.config, initial_emission=0.5)
     state = restore_checkpoint(folder, template)
     networks = nnx.merge(graph, state.params)
     return TrainedField(

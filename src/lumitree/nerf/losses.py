@@ -1,16 +1,16 @@
-"""The training loss (Eq. 6 to 8) and the measure shown while training."""
+"""The training loss (Eq. 7 to 9) and the measure shown while training."""
 
 import jax
 import jax.numpy as jnp
 
 from lumitree.nerf.volume import Composite
 
-# Eq. 7's regulariser, radiance units (D6).
+# Eq. 8's regulariser, radiance units (D6).
 EPSILON = 0.01
 
 
 def hdr_loss(predicted: jax.Array, radiance: jax.Array, stop_gradient: bool) -> jax.Array:
-    """Relative squared error of HDR radiance (Eq. 7, D6), the mean over rays.
+    """Relative squared error of HDR radiance (Eq. 8, D6), the mean over rays.
 
     Args:
         predicted: [R, 3] radiance, >= 0.
@@ -24,7 +24,7 @@ def hdr_loss(predicted: jax.Array, radiance: jax.Array, stop_gradient: bool) -> 
 
 
 def opacity_loss(predicted: jax.Array, opacity: jax.Array) -> jax.Array:
-    """Squared error of opacity [R] (Eq. 8), the mean over rays."""
+    """Squared error of opacity [R] (Eq. 9), the mean over rays."""
     return jnp.mean((predicted - opacity) ** 2)
 
 
@@ -35,7 +35,7 @@ def total_loss(
     opacity: jax.Array,
     stop_gradient: bool,
 ) -> jax.Array:
-    """L_c + L_f + L_opacity with equal weights (Eq. 6); only the fine network's opacity counts."""
+    """L_c + L_f + L_opacity with equal weights (Eq. 7); only the fine network's opacity counts."""
     return (
         hdr_loss(coarse.radiance, radiance, stop_gradient)
         + hdr_loss(fine.radiance, radiance, stop_gradient)

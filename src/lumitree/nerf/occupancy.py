@@ -85,7 +85,7 @@ def contains(occupancy: Occupancy, positions: jax.Array) -> jax.Array:
 
 
 def box_interval(
-    origins: jax.Array, directions: jax.Array, half_extents: jax.Array
+    origins: jax.Array, directions: jax.Array, half_extents: jax.Array | NDArray[np.float32]
 ) -> tuple[jax.Array, jax.Array]:
     """Distances [R] at which rays [R, 3] enter and leave the box; both 0 where they miss it."""
     parallel = jnp.abs(directions) < 1e-9

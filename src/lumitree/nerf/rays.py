@@ -31,10 +31,10 @@ NUM_HELD_OUT = 4096
 class Batch(NamedTuple):
     """R rays: origins and unit directions of travel [R, 3], radiance [R, 3], opacity [R]."""
 
-    origins: NDArray[np.float32] | jax.Array
-    directions: NDArray[np.float32] | jax.Array
-    radiance: NDArray[np.float32] | jax.Array
-    opacity: NDArray[np.float32] | jax.Array
+    origins: jax.Array
+    directions: jax.Array
+    radiance: jax.Array
+    opacity: jax.Array
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +73,8 @@ class RaySet:
             + column[:, None].astype(np.float32) * self.column_steps[view]
             + row[:, None].astype(np.float32) * self.row_steps[view]
         )
-        return Batch(origins, self.directions[view], self.radiance[index], self.opacity[index])
+        rays = (origins, self.directions[view], self.radiance[index], self.opacity[index])
+        return Batch(*map(jnp.asarray, rays))
 
     def draw(self, seed: int, step: int, count: int) -> Batch:
         """The random batch of a step: a function of its arguments alone, so runs can resume."""
@@ -82,6 +83,14 @@ class RaySet:
         num_trained = len(self.view) - -(-len(self.view) // stride)
         drawn = np.random.default_rng((seed, step)).integers(0, num_trained, count)
         return self.batch(drawn + 1 + drawn // (stride - 1))
+
+    @property
+    def typical_part(self) -> float:
+        """Geometric mean of the lit rays' channels as a part of `max_radiance`, 1e-4 to 0.5."""
+        sample = self.radiance[:: max(1, len(self.radiance) // 1_000_000)]
+        lit = sample[sample > 0] / self.max_radiance
+        mean = float(np.exp(np.log(lit).mean())) if lit.size else 1e-4
+        return min(max(mean, 1e-4), 0.5)
 
     def held_out(self) -> Batch:
         """At most NUM_HELD_OUT rays (a half of a tiny set) that `draw` never returns."""

@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import orbax.checkpoint as ocp
@@ -26,8 +26,6 @@ OCCUPANCY = "occupancy.npz"
 HISTORY = "history.json"
 CHECKPOINTS = "checkpoints"
 VERSION = 1
-
-Tree = TypeVar("Tree")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,7 +115,7 @@ def save_checkpoint(manager: ocp.CheckpointManager, step: int, state: Any) -> No
         ) from error
 
 
-def restore_checkpoint(folder: Path, template: Tree) -> Tree:
+def restore_checkpoint(folder: Path, template: Any) -> Any:
     """The newest state of a run.
 
     Args:

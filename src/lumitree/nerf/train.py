@@ -1,8 +1,4 @@
-"""Training: Adam on random batches of rays, with checkpoints that continue bit for bit.
-
-Every random number of a step is a function of the seed and the step's index, so the state is
-the weights, Adam's moments and the step alone.
-"""
+"""Training: Adam on random batches of rays, with checkpoints that continue bit for bit."""
 
 import dataclasses
 import json
@@ -10,15 +6,14 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import orbax.checkpoint as ocp
 from flax import nnx
 
@@ -27,8 +22,7 @@ from lumitree.core.files import write_json
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError
 from lumitree.nerf.config import TrainConfig
-from lumitree.nerf.losses import psnr, total_loss
-from lumitree.nerf.network import CoarseAndFine
+from lumitree.nerf.losses import psnr
 from lumitree.nerf.occupancy import Occupancy, save_occupancy
 from lumitree.nerf.rays import Batch, RaySet, load_rays
 from lumitree.nerf.run import (
@@ -39,23 +33,12 @@ from lumitree.nerf.run import (
     restore_checkpoint,
     save_checkpoint,
 )
-from lumitree.nerf.volume import render
+from lumitree.nerf.step import TrainState, initial_state, make_evaluation, make_step
 
 _CHECKPOINT_SECONDS = 60.0
 _REPORT_SECONDS = 5.0
 # Losses are read back in groups, so that a GPU is never left waiting for the host.
 _STEPS_PER_CHECK = 10
-# Positions evaluated at once on a CPU. Activations of a few thousand stay in its caches, which
-# makes a step 2 to 3 times faster than one pass over the batch (2 cores, width 64).
-_CPU_POSITIONS = 6000
-
-
-class TrainState(NamedTuple):
-    """Steps done, weights of both networks and Adam's moments."""
-
-    step: jax.Array
-    params: Any
-    moments: Any
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +94,7 @@ def train(
         manifest.half_extents,
         manifest.world_from_proxy,
     )
-    graph, state = initial_state(config)
+    graph, state = initial_state(config, rays.typical_part)
     history: list[dict[str, float]] = []
     if resume:
         _check_same_data(RunRecord.load(folder), record)
@@ -125,77 +108,6 @@ def train(
         last = min(last, int(state.step) + stop_after)
     with open_checkpoints(folder) as checkpoints:
         return _Loop(folder, rays, occupancy, config, graph, checkpoints, history).run(state, last)
-
-
-def initial_state(config: TrainConfig) -> tuple[nnx.GraphDef, TrainState]:
-    """The networks' structure and the state before the first step."""
-    graph, weights = nnx.split(CoarseAndFine(config))
-    params = nnx.to_pure_dict(weights)
-    return graph, TrainState(jnp.zeros((), jnp.int32), params, _optimizer(config).init(params))
-
-
-def make_step(
-    config: TrainConfig, graph: nnx.GraphDef, max_radiance: float
-) -> Callable[[TrainState, Batch, Occupancy], tuple[TrainState, jax.Array, jax.Array]]:
-    """The jitted training step: to the next state, its loss and gradient norm.
-
-    The state that is passed in is donated: it cannot be used again.
-    """
-    optimizer = _optimizer(config)
-    num_chunks = _num_chunks(config, config.rays_per_batch)
-
-    def loss_of(params: Any, occupancy: Occupancy, rays: Batch, key: jax.Array) -> jax.Array:
-        networks = nnx.merge(graph, params)
-        coarse, fine = render(
-            networks, occupancy, rays.origins, rays.directions, max_radiance, config, key
-        )
-        return total_loss(coarse, fine, rays.radiance, rays.opacity, config.stop_gradient)
-
-    def step(
-        state: TrainState, batch: Batch, occupancy: Occupancy
-    ) -> tuple[TrainState, jax.Array, jax.Array]:
-        def add_chunk(total: Any, chunk: tuple[Batch, jax.Array]) -> tuple[Any, None]:
-            value = jax.value_and_grad(loss_of)(state.params, occupancy, *chunk)
-            return jax.tree.map(jnp.add, total, value), None
-
-        keys = jax.random.split(
-            jax.random.fold_in(jax.random.key(config.seed), state.step), num_chunks
-        )
-        chunks = jax.tree.map(lambda x: x.reshape(num_chunks, -1, *x.shape[1:]), batch)
-        zero = (jnp.zeros(()), jax.tree.map(jnp.zeros_like, state.params))
-        total, _ = jax.lax.scan(add_chunk, zero, (chunks, keys))
-        loss, gradients = jax.tree.map(lambda x: x / num_chunks, total)
-        updates, moments = optimizer.update(gradients, state.moments)
-        params = optax.apply_updates(state.params, updates)
-        return (
-            TrainState(state.step + 1, params, moments),
-            loss,
-            optax.global_norm(gradients),
-        )
-
-    return jax.jit(step, donate_argnums=0)
-
-
-def make_evaluation(
-    config: TrainConfig, graph: nnx.GraphDef, max_radiance: float
-) -> Callable[[Any, Batch, Occupancy], jax.Array]:
-    """Jitted (weights, batch, occupancy) to the PSNR of the fine network on the batch, dB."""
-
-    def evaluate(params: Any, batch: Batch, occupancy: Occupancy) -> jax.Array:
-        networks = nnx.merge(graph, params)
-
-        def see(rays: Batch) -> jax.Array:
-            _, fine = render(
-                networks, occupancy, rays.origins, rays.directions, max_radiance, config, None
-            )
-            return fine.radiance
-
-        num_chunks = _num_chunks(config, len(batch.opacity))
-        chunks = jax.tree.map(lambda x: x.reshape(num_chunks, -1, *x.shape[1:]), batch)
-        predicted = jax.lax.map(see, chunks).reshape(-1, 3)
-        return psnr(predicted, batch.radiance, max_radiance)
-
-    return jax.jit(evaluate)
 
 
 class _Loop:
@@ -229,19 +141,19 @@ class _Loop:
             _deferred_interrupt() as interrupted,
             progress("train", self.config.num_steps, done) as advance,
         ):
+            note = ""
             while done < last and not interrupted.is_set():
-                state, *health = self.step(state, self._draw(done), self.occupancy)
-                self.pending.append(tuple(health))
+                state, loss, norm = self.step(state, self._draw(done), self.occupancy)
+                self.pending.append((loss, norm))
                 done += 1
-                note = ""
                 if len(self.pending) >= _STEPS_PER_CHECK or done == last:
-                    loss = self._check(done)
+                    shown = self._check(done)
                     now = time.monotonic()
                     self.seconds = self.earlier + now - start
                     if now - reported >= _REPORT_SECONDS or done == last:
                         reported = now
                         speed = (done - first) * self.config.rays_per_batch / (now - start)
-                        note = self._report(done, loss, state, speed)
+                        note = self._report(done, shown, state, speed)
                     if now - saved >= _CHECKPOINT_SECONDS:
                         saved = now
                         self._save(done, state)
@@ -280,21 +192,6 @@ class _Loop:
     def _save(self, done: int, state: TrainState) -> None:
         save_checkpoint(self.checkpoints, done, state)
         write_json(self.folder / HISTORY, self.history)
-
-
-def _optimizer(config: TrainConfig) -> optax.GradientTransformation:
-    decay = config.learning_rate_end / config.learning_rate_start
-    schedule = optax.exponential_decay(config.learning_rate_start, config.num_steps, decay)
-    return optax.adam(schedule)
-
-
-def _num_chunks(config: TrainConfig, num_rays: int) -> int:
-    """Equal parts in which a batch is evaluated: one on a GPU, parts that fit caches on a CPU."""
-    if jax.default_backend() != "cpu":
-        return 1
-    positions = num_rays * (2 * config.num_coarse + config.num_fine)
-    wanted = min(num_rays, -(-positions // _CPU_POSITIONS))
-    return next(count for count in range(wanted, num_rays + 1) if num_rays % count == 0)
 
 
 def _check_folder(folder: Path, config: TrainConfig, resume: bool) -> None:

@@ -154,7 +154,7 @@ def march(
     origins: jax.Array,
     directions: jax.Array,
     edges: jax.Array,
-    max_radiance: jax.Array,
+    max_radiance: float,
     law: Law,
 ) -> Composite:
     """Evaluate one network at the middles of the intervals and integrate along the rays."""
@@ -172,7 +172,7 @@ def render(
     occupancy: Occupancy,
     origins: jax.Array,
     directions: jax.Array,
-    max_radiance: jax.Array,
+    max_radiance: float,
     config: TrainConfig,
     key: jax.Array | None,
 ) -> tuple[Composite, Composite]:

@@ -1,0 +1,26 @@
+"""Capture views of a Mitsuba luminaire and compare an asset with them."""
+
+from pathlib import Path
+
+from lumitree import pipeline
+
+LUMINAIRE = """
+<scene version="3.0.0">
+  <shape type="sphere">
+    <float name="radius" value="0.4"/>
+    <emitter type="area"><rgb name="radiance" value="7.9, 6.7, 4"/></emitter>
+  </shape>
+  <shape type="sphere"><bsdf type="thindielectric"/></shape>
+</scene>
+"""
+
+if not Path("ball.lumitree").exists():
+    raise SystemExit("run 01_build_an_asset.py first")
+
+Path("lamp.xml").write_text(LUMINAIRE)
+pipeline.capture(
+    "lamp.xml", "views", num_views=3, resolution=64, samples_per_pixel=64, split="test"
+)
+report = pipeline.evaluate("ball.lumitree", "views", sheet="comparison.png")
+for name, value in report["metrics"].items():
+    print(f"{name:>20}  {value:.3f}")

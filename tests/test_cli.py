@@ -1,0 +1,229 @@
+"""Every command's errors, in one line with status 2, and what they print."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from conftest import make_asset, random_asset
+
+import lumitree
+from lumitree.cli import main
+
+LAMP = (
+    '<scene version="3.0.0"><shape type="sphere"><emitter type="area">'
+    '<rgb name="radiance" value="3,2,1"/></emitter></shape></scene>'
+)
+ROOM = (
+    '<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="4"/>'
+    '</integrator><sensor type="perspective"><transform name="to_world">'
+    '<lookat origin="0,1,6" target="0,0.5,0" up="0,1,0"/></transform>'
+    '<film type="hdrfilm"><integer name="width" value="30"/><integer name="height" value="20"/>'
+    '</film></sensor><shape type="rectangle"><transform name="to_world">'
+    '<rotate x="1" angle="-90"/><scale value="4"/></transform></shape>{}</scene>'
+)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch, mi):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lamp.xml").write_text(LAMP)
+    (tmp_path / "room.xml").write_text(ROOM.format(""))
+    lumitree.save(random_asset(0), tmp_path / "lamp.lumitree")
+    return tmp_path
+
+
+def fails(capsys, *arguments):
+    """The one-line error of a command that must end with status 2."""
+    before = sorted(os.listdir())
+    assert main(list(arguments)) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("lumitree: error: ")
+    assert captured.err.count("\n") == 1
+    assert "Traceback" not in captured.err
+    assert [name for name in os.listdir() if name.startswith(".")] == []
+    return captured.err, set(os.listdir()) - set(before)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "required: COMMAND"),
+        (["paint"], "invalid choice: 'paint'"),
+        (["capture", "lamp.xml"], "required: -o"),
+        (["capture", "no.xml", "-o", "d"], "neither a file nor built in"),
+        (["capture", "lamp.xml", "-o", "d", "--views", "many"], "invalid int value: 'many'"),
+        (["capture", "lamp.xml", "-o", "d", "--views", "0"], "views is 0"),
+        (["capture", "lamp.xml", "-o", "d", "--split", "both"], "invalid choice: 'both'"),
+        (["capture", "lamp.xml", "-o", "d", "--variant", "scalar_rgb"], "choose llvm_ad_rgb"),
+        (["train", "no", "-o", "run"], "holds no manifest.json"),
+        (["train", "no", "-o", "run", "--preset", "best"], "invalid choice: 'best'"),
+        (["extract", "no", "-o", "a.lumitree"], "no holds no run.json"),
+        (["extract", "no", "-o", "a.bin"], "does not end in .lumitree"),
+        (["bake", "no.xml", "-o", "a.lumitree"], "neither a file nor built in"),
+        (["bake", "lamp.xml", "-o", "a"], "does not end in .lumitree"),
+        (["bake", "lamp.xml", "-o", "a.lumitree", "--method", "magic"], "invalid choice: 'magic'"),
+        (["info", "no.lumitree"], "no.lumitree does not exist"),
+        (["info", "lamp.xml"], "not a valid .lumitree asset"),
+        (["evaluate", "no.lumitree", "lamp.xml"], "no.lumitree does not exist"),
+        (["evaluate", "lamp.lumitree", "no.xml"], "neither a file nor built in"),
+        (["render", "no.xml", "-o", "a.png"], "no.xml does not exist"),
+        (["render", "room.xml", "-o", "a.gif"], "neither .exr"),
+        (["render", "room.xml", "-o", "a.png", "--spp", "0"], "spp is 0"),
+        (["render", "room.xml", "-o", "a.png", "--width", "0"], "width is 0"),
+        (["render", "lamp.xml", "-o", "a.png"], "no sensor"),
+        (["render", "room.xml", "-o", "a.png", "--at", "1,2,3"], "comes before any --place"),
+        (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--at", "1,2"],
+         "not 3 numbers"),
+        (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--at", "1,2,inf"],
+         "not 3 numbers"),
+        (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--size", "1",
+          "--size", "2"], "given twice"),
+        (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--size", "-1"],
+         "not a positive length"),
+        (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--rotate", "0,0,0,9"],
+         "no direction"),
+        (["render", "room.xml", "-o", "a.png", "--place", "no.lumitree"], "does not exist"),
+        (["render", "room.xml", "-o", "a.png", "--place", "no_lamp"], "neither a file nor"),
+        (["demo", "--variant", "cuda_ad_spectral"], "choose llvm_ad_rgb"),
+    ],
+)  # fmt: skip
+def test_bad_input(capsys, arguments, message):
+    error, created = fails(capsys, *arguments)
+    assert message in error
+    assert created == set()
+
+
+def test_damaged_dataset(capsys, folder):
+    assert main(["capture", "lamp.xml", "-o", "d", "--views", "2", "--resolution", "16",
+                 "--spp", "4"]) == 0  # fmt: skip
+    capsys.readouterr()
+    manifest = (folder / "d" / "manifest.json").read_text()
+    for text, message in (
+        ("{", "not a valid manifest"),
+        ("[]", "not a valid manifest"),
+        (manifest.replace('"version": 1', '"version": 9'), "version 9, this lumitree reads 1"),
+        (manifest.replace("view_000001.exr", "../x.exr"), "outside the dataset's folder"),
+        (manifest.replace('"resolution": 16', '"resolution": 8'), "holds channels"),
+    ):
+        (folder / "d" / "manifest.json").write_text(text)
+        error, _ = fails(capsys, "train", "d", "-o", "run")
+        assert message in error
+
+
+def test_asset_of_another_luminaire(capsys):
+    lumitree.save(random_asset(0, half_extents=np.array([1.0, 0.5, 1.0])), "flat.lumitree")
+    error, _ = fails(capsys, "evaluate", "flat.lumitree", "lamp.xml", "--views", "1",
+                     "--resolution", "16", "--spp", "4")  # fmt: skip
+    assert "bounding boxes of different proportions" in error
+
+
+def test_list_info_and_json(capsys):
+    assert main(["list", "--json", "list.json"]) == 0
+    assert "bulbs" in capsys.readouterr().out
+    with open("list.json") as file:
+        assert "bulbs" in json.load(file)["luminaires"]
+    assert main(["info", "lamp.lumitree", "--json", "info.json"]) == 0
+    out = capsys.readouterr().out
+    assert "tree_depth  4" in out
+    with open("info.json") as file:
+        assert json.load(file)["asset"]["law"] == "linear"
+
+
+def test_render_places_several(capsys, folder):
+    """Negative coordinates, an asset twice and an explicit luminaire, in one command."""
+    assert main(["render", "room.xml", "-o", "image.exr", "--spp", "8",
+                 "--place", "lamp.lumitree", "--at", "-1.5,1,0", "--size", "1",
+                 "--rotate", "0,1,0,30",
+                 "--place", "lamp.lumitree", "--at", "0,1,0", "--size", "0.5",
+                 "--place", "lamp.xml", "--at", "1.5,1,-1", "--size", "0.6",
+                 "--width", "60", "--json", "report.json"]) == 0  # fmt: skip
+    from lumitree.core.images import read_exr
+
+    image = read_exr("image.exr")["RGB"]
+    assert image.shape == (40, 60, 3)
+    assert image.max() > 1
+    with open("report.json") as file:
+        assert json.load(file)["resolution"] == [60, 40]
+    assert capsys.readouterr().err == ""
+
+
+def test_render_warns_of_what_is_inside_the_proxy(capsys, folder):
+    inside = '<shape type="sphere"><point name="center" x="0" y="1" z="0"/><float name="radius" value="0.3"/></shape>'
+    (folder / "inside.xml").write_text(ROOM.format(inside))
+    lumitree.save(
+        make_asset(np.zeros((0, 3)), [], [], np.zeros((0, 3, 1))), folder / "empty.lumitree"
+    )
+    assert main(["render", "inside.xml", "-o", "a.png", "--spp", "1",
+                 "--place", "empty.lumitree", "--at", "0,1.1,0", "--size", "2"]) == 0  # fmt: skip
+    assert "an object of the room is inside its proxy" in capsys.readouterr().err
+    assert main(["render", "room.xml", "-o", "a.png", "--spp", "1",
+                 "--place", "empty.lumitree", "--at", "0,1.5,6", "--size", "2"]) == 0  # fmt: skip
+    assert "the camera is inside its proxy" in capsys.readouterr().err
+
+
+def test_render_says_when_it_replaces_the_integrator(capsys, folder):
+    room = (
+        ROOM.format("")
+        .replace('type="path"', 'type="direct"')
+        .replace('<integer name="max_depth" value="4"/>', "")
+    )
+    (folder / "direct.xml").write_text(room)
+    assert main(["render", "direct.xml", "-o", "a.png", "--spp", "1"]) == 0
+    assert "integrator 'direct'; using volpath" in capsys.readouterr().err
+
+
+def test_full_disk(capsys, monkeypatch):
+    def full(*_):
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr(os, "fsync", full)
+    error, created = fails(capsys, "render", "room.xml", "-o", "a.exr", "--spp", "1")
+    assert "No space left on device" in error
+    assert created == set()
+
+
+def test_interrupted_capture_continues():
+    """Ctrl-C ends with one line and status 130; the same command then does the rest."""
+    command = [sys.executable, "-m", "lumitree.cli", "capture", "lamp.xml", "-o", "d",
+               "--views", "400", "--resolution", "64", "--spp", "16"]  # fmt: skip
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not os.path.exists("d/view_000003.exr") and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.splitlines()[-1].startswith("lumitree: error: interrupted")
+    assert "Traceback" not in err
+    done = [name for name in os.listdir("d") if name.startswith("view")]
+    assert 3 <= len(done) < 400
+    assert main(command[3:]) == 0
+    assert len([name for name in os.listdir("d") if name.startswith("view")]) == 400
+
+
+def test_unexpected_errors_are_one_line(capsys, monkeypatch):
+    monkeypatch.setattr("lumitree.pipeline.info", lambda path: 1 / 0)
+    assert main(["info", "lamp.lumitree"]) == 1
+    err = capsys.readouterr().err
+    assert "unexpected ZeroDivisionError" in err
+    assert err.count("\n") == 1
+
+
+def test_help_is_quick_and_light():
+    code = (
+        "import sys, contextlib, io\n"
+        "from lumitree.cli import main\n"
+        "with contextlib.redirect_stdout(io.StringIO()):\n"
+        "    try: main(['--help'])\n"
+        "    except SystemExit: pass\n"
+        "heavy = {'mitsuba', 'drjit', 'jax', 'numpy', 'matplotlib', 'rich'} & set(sys.modules)\n"
+        "print(sorted(heavy))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout.strip() == "[]"

@@ -1,0 +1,90 @@
+"""From a luminaire to a picture, end to end, as small as it can be."""
+
+import dataclasses
+import json
+
+import pytest
+
+from lumitree import demo, pipeline
+from lumitree.core.images import read_exr
+from lumitree.nerf.config import PRESETS
+
+LAMP = """<scene version="3.0.0">
+<shape type="sphere"><float name="radius" value="0.5"/>
+<emitter type="area"><rgb name="radiance" value="3,2,1"/></emitter></shape>
+<shape type="cube"><transform name="to_world"><scale x="1" y="0.1" z="0.1"/></transform>
+<bsdf type="diffuse"/></shape></scene>"""
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    """A bake of seconds: few views, a small network."""
+    train = dataclasses.replace(
+        PRESETS["preview"], width=32, output_width=16, num_coarse=16, num_fine=16,
+        rays_per_batch=512, num_steps=250,
+    )  # fmt: skip
+    monkeypatch.setitem(PRESETS, "preview", train)
+    monkeypatch.setitem(
+        pipeline.BAKE_PRESETS, "preview", pipeline.BakePreset(16, 48, 32, train, tree_depth=5)
+    )
+
+
+def test_bake_evaluate_render(mi, tiny, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lamp.xml").write_text(LAMP)
+    baked = pipeline.bake("lamp.xml", "lamp.lumitree")
+    assert baked["asset"]["leaves"] > 50
+    assert set(baked["seconds"]) == {"capture", "train", "extract"}
+    assert not (tmp_path / "lamp.work").exists()
+    report = pipeline.evaluate(
+        "lamp.lumitree", "lamp.xml", num_views=3, resolution=48, samples_per_pixel=64
+    )
+    metrics = report["metrics"]
+    assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 6
+    assert metrics["opacity_rmse"] < 0.2
+    assert metrics["flux_error"] < 0.2
+    assert (tmp_path / "lamp-evaluation.png").stat().st_size > 10_000
+    json.dumps(report, allow_nan=False)
+
+
+def test_an_interrupted_bake_continues(mi, tiny, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lamp.xml").write_text(LAMP)
+
+    def interrupt(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("lumitree.octree.extract.extract", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            pipeline.bake("lamp.xml", "lamp.lumitree")
+    assert not (tmp_path / "lamp.lumitree").exists()
+    views = tmp_path / "lamp.work" / "dataset" / "view_000001.exr"
+    before = views.stat().st_mtime_ns
+    with monkeypatch.context() as patch:
+        patch.setattr("shutil.rmtree", lambda *args, **kwargs: None)
+        report = pipeline.bake("lamp.xml", "lamp.lumitree")
+    assert (tmp_path / "lamp.lumitree").exists()
+    assert views.stat().st_mtime_ns == before
+    assert report["seconds"]["train"] < 20
+
+
+def test_demo(mi, tiny, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lamp.xml").write_text(LAMP)
+    monkeypatch.setattr(demo, "LUMINAIRE", "lamp.xml")
+    monkeypatch.setattr(demo, "WIDTH", 40)
+    monkeypatch.setattr(demo, "SAMPLES", 8)
+    monkeypatch.setattr(demo, "REFERENCE_SAMPLES", 32)
+    demo.run("out")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert set(report["evaluate"]) >= {"metrics", "views", "seconds", "asset"}
+    assert {"capture", "train", "extract", "room baked", "total"} <= set(report["seconds"])
+    assert report["peak_memory_bytes"] > 1e8
+    assert (tmp_path / "out" / "lamp.lumitree").exists()
+    for name in ("evaluation", "comparison"):
+        assert (tmp_path / "out" / f"{name}.png").stat().st_size > 10_000
+    for name in ("baked", "explicit", "reference"):
+        image = read_exr(tmp_path / "out" / f"room-{name}.exr")["RGB"]
+        assert image.shape == (30, 40, 3)
+        assert image.max() > 0.4
