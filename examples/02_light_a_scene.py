@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-import lumitree  # before mitsuba: it names a working libLLVM
 import mitsuba as mi
+
+import lumitree
 
 if not Path("ball.lumitree").exists():
     raise SystemExit("run 01_build_an_asset.py first")

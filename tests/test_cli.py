@@ -9,9 +9,9 @@ import time
 
 import numpy as np
 import pytest
-from conftest import make_asset, random_asset
 
 import lumitree
+from conftest import make_asset, random_asset
 from lumitree.cli import main
 
 LAMP = (
@@ -154,7 +154,10 @@ def test_render_places_several(capsys, folder):
 
 
 def test_render_warns_of_what_is_inside_the_proxy(capsys, folder):
-    inside = '<shape type="sphere"><point name="center" x="0" y="1" z="0"/><float name="radius" value="0.3"/></shape>'
+    inside = (
+        '<shape type="sphere"><point name="center" x="0" y="1" z="0"/>'
+        '<float name="radius" value="0.3"/></shape>'
+    )
     (folder / "inside.xml").write_text(ROOM.format(inside))
     lumitree.save(
         make_asset(np.zeros((0, 3)), [], [], np.zeros((0, 3, 1))), folder / "empty.lumitree"

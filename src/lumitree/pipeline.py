@@ -37,10 +37,11 @@ class BakePreset:
     samples_per_pixel: int
     train: TrainConfig
     tree_depth: int
+    samples_per_leaf: int = 256
 
 
 BAKE_PRESETS = {
-    "preview": BakePreset(60, 192, 48, PRESETS["preview"], tree_depth=7),
+    "preview": BakePreset(60, 192, 48, PRESETS["preview"], tree_depth=7, samples_per_leaf=64),
     # The paper does not state its samples a pixel.
     "paper": BakePreset(100, 800, 256, PRESETS["paper"], tree_depth=10),
 }
@@ -127,7 +128,7 @@ def train(dataset: str, output: str, *, preset: str = "preview", resume: bool = 
     }
 
 
-def extract(run: str, output: str, *, tree_depth: int = 8) -> Report:
+def extract(run: str, output: str, *, tree_depth: int = 8, samples_per_leaf: int = 256) -> Report:
     """Distil a trained network into an asset."""
     from lumitree.asset.file import save
     from lumitree.asset.model import LuminaireAsset
@@ -139,7 +140,9 @@ def extract(run: str, output: str, *, tree_depth: int = 8) -> Report:
     with watch.stage("extract"):
         field = load_field(run)
         half_extents = np.asarray(field.half_extents, np.float64)
-        children, density, coefficients = extract_octree(field.query, half_extents, tree_depth)
+        children, density, coefficients = extract_octree(
+            field.query, half_extents, tree_depth, samples_per_leaf=samples_per_leaf
+        )
         asset = LuminaireAsset(
             children=children,
             density=density,
@@ -193,7 +196,12 @@ def bake(
         # What an interruption before the first checkpoint left behind.
         shutil.rmtree(run, ignore_errors=True)
     trained = train(captured["dataset"], str(run), preset=preset, resume=resume)
-    extracted = extract(str(run), output, tree_depth=tree_depth or settings.tree_depth)
+    extracted = extract(
+        str(run),
+        output,
+        tree_depth=settings.tree_depth if tree_depth is None else tree_depth,
+        samples_per_leaf=settings.samples_per_leaf,
+    )
     if work is None:
         shutil.rmtree(folder)
     seconds = captured["seconds"] | trained["seconds"] | extracted["seconds"]

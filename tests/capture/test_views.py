@@ -6,7 +6,10 @@ import pytest
 from lumitree.core.dataset import Dataset
 from lumitree.errors import LumitreeError
 
-SPHERE = '<shape type="sphere"><float name="radius" value="2"/><point name="center" value="5,1,0"/>{}</shape>'
+SPHERE = (
+    '<shape type="sphere"><float name="radius" value="2"/>'
+    '<point name="center" value="5,1,0"/>{}</shape>'
+)
 AREA = '<emitter type="area"><rgb name="radiance" value="3,2,1"/></emitter>'
 
 
@@ -168,7 +171,7 @@ def test_rays_of_the_camera_are_those_of_the_dataset(luminaire, tmp_path):
     """What the network trains on (core.sampling) is what Mitsuba traced: a lit corner says so."""
     from lumitree.core.sampling import orthographic_rays
 
-    spot = '<shape type="sphere"><float name="radius" value="0.05"/><point name="center" value="0.9,0.5,-0.3"/>{}</shape>'
+    spot = SPHERE.replace('"2"', '"0.05"').replace("5,1,0", "0.9,0.5,-0.3")
     box = '<shape type="cube"><bsdf type="null"/></shape>'
     lamp = luminaire(spot.format(AREA) + box)
     for view in take(lamp, tmp_path / "d", num_views=5, resolution=64):

@@ -10,6 +10,7 @@ from lumitree.nerf.losses import EPSILON, hdr_loss, opacity_loss, psnr, total_lo
 from lumitree.nerf.volume import composite
 
 NUM_RAYS, NUM_INTERVALS = 3, 5
+MAX_RADIANCE = 1.7
 
 
 def _loss(raw, law, stop_gradient, frozen=None):
@@ -22,9 +23,12 @@ def _loss(raw, law, stop_gradient, frozen=None):
     radiance = jnp.linspace(0.0, 1.5, NUM_RAYS * 3).reshape(NUM_RAYS, 3)
     opacity = jnp.linspace(0.1, 0.9, NUM_RAYS)
     if frozen is None:
-        return total_loss(coarse, fine, radiance, opacity, stop_gradient), (coarse, fine)
+        return (
+            total_loss(coarse, fine, radiance, opacity, MAX_RADIANCE, stop_gradient),
+            (coarse, fine),
+        )
     terms = [
-        (((seen.radiance - radiance) / (held + EPSILON)) ** 2).sum(axis=-1).mean()
+        (((seen.radiance - radiance) / MAX_RADIANCE / (held + EPSILON)) ** 2).sum(axis=-1).mean()
         for seen, held in zip((coarse, fine), frozen, strict=True)
     ]
     return sum(terms) + ((fine.opacity - opacity) ** 2).mean(), (coarse, fine)
@@ -60,17 +64,17 @@ def test_saturated_ray_is_thinned_only_where_it_should_be():
     assert (jax.grad(loss)(saturated, 1.0) == 0).all()
 
 
-def test_hdr_loss_in_radiance_units():
+def test_hdr_loss_has_its_error_in_unit_range_and_its_denominator_in_radiance():
     predicted, radiance = jnp.array([[1.0, 2.0, 0.0]]), jnp.array([[0.5, 2.0, 0.01]])
-    expected = (0.5 / 1.01) ** 2 + 0 + (0.01 / 0.01) ** 2
-    np.testing.assert_allclose(hdr_loss(predicted, radiance, True), expected, rtol=1e-6)
+    expected = (0.125 / 1.01) ** 2 + 0 + (0.0025 / 0.01) ** 2
+    np.testing.assert_allclose(hdr_loss(predicted, radiance, 4.0, True), expected, rtol=1e-6)
 
 
 def test_frozen_denominator_is_unbiased_under_noise():
     # Captures of 1 and 3, equally often: the gradient vanishes at their mean only when frozen.
     def gradient(stop_gradient):
         noisy = jnp.array([[1.0, 1.0, 1.0], [3.0, 3.0, 3.0]])
-        return jax.grad(lambda x: hdr_loss(x * jnp.ones((2, 3)), noisy, stop_gradient))(2.0)
+        return jax.grad(lambda x: hdr_loss(x * jnp.ones((2, 3)), noisy, 1.0, stop_gradient))(2.0)
 
     assert abs(float(gradient(True))) < 1e-6
     assert abs(float(gradient(False))) > 1e-2

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from conftest import make_asset, random_asset
 from hypothesis import given
 from hypothesis import strategies as st
 
+from conftest import make_asset, random_asset
 from lumitree.errors import LumitreeError
 from lumitree.octree.build import build_children, morton
 from lumitree.octree.reference import integrate_ray, leaf_boxes

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from conftest import random_asset
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import random_asset
 from lumitree.octree.reference import integrate_ray
 
 

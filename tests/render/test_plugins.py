@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from conftest import make_asset, random_asset, uniform_asset
 
 import lumitree
+from conftest import make_asset, random_asset, uniform_asset
 from lumitree.core.frames import rotation, similarity
 from lumitree.errors import LumitreeError
 
@@ -79,7 +79,7 @@ def test_pdf_direction_matches_sample_direction(mi, asset_file, proxy, origin):
     it.t = mi.Float(0)
 
     def sample(sample2):
-        ds, weight = emitter.sample_direction(it, sample2)
+        ds, _weight = emitter.sample_direction(it, sample2)
         return ds.d, dr_select(ds.pdf > 0)
 
     def dr_select(mask):

@@ -90,7 +90,8 @@ class TrainConfig:
 PRESETS: dict[str, TrainConfig] = {
     # The paper's numbers; needs a GPU (3.6 s a step on two CPU cores).
     "paper": TrainConfig(),
-    # A rough field in about 150 s on two CPU cores.
+    # A rough field in about two minutes on two CPU cores. Many small batches reach more there
+    # than few large ones: after 60 s, 24.1 dB with 256 rays and 23.2 with 1024.
     "preview": TrainConfig(
         num_layers=4,
         width=64,
@@ -98,10 +99,10 @@ PRESETS: dict[str, TrainConfig] = {
         num_frequencies=8,
         num_coarse=16,
         num_fine=24,
-        rays_per_batch=1024,
-        num_steps=1800,
-        learning_rate_start=5e-3,
-        learning_rate_end=2e-4,
+        rays_per_batch=256,
+        num_steps=3600,
+        learning_rate_start=1e-2,
+        learning_rate_end=3e-4,
         skip_empty=True,
     ),
 }

@@ -4,7 +4,6 @@ import dataclasses
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -17,8 +16,9 @@ from lumitree.nerf.occupancy import Occupancy, contains, load_occupancy
 from lumitree.nerf.run import OCCUPANCY, RunRecord, restore_checkpoint
 from lumitree.nerf.step import initial_state
 
-# Positions in one call of the network; few enough to stay in a CPU's caches.
-_CHUNK = 16384
+# Positions in one call of the network: few enough to stay in a CPU's caches (4096 measured three
+# times faster than 8192), enough to fill a GPU.
+_CPU_CHUNK, _GPU_CHUNK = 4096, 1 << 18
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,24 +54,24 @@ class TrainedField:
             positions: [N, 3] local units.
 
         Returns:
-            Density [N] per local unit, >= 0, and coefficients [N, 3, (l_max + 1)²]; both 0
-            outside of the box and of the occupied cells.
+            Density [N] per local unit, >= 0, which is 0 outside of the box and of the occupied
+            cells, and coefficients [N, 3, (l_max + 1)²].
         """
         positions = np.asarray(positions, np.float32).reshape(-1, 3)
         density = np.zeros(len(positions), np.float32)
         coefficients = np.zeros((len(positions), 3, num_coefficients(self.l_max)), np.float32)
-        for start in range(0, len(positions), _CHUNK):
-            held = slice(start, start + _CHUNK)
-            inside = start + np.flatnonzero(self._call(self._contains, positions[held]))
-            if inside.size:
-                density[inside], coefficients[inside] = self._call(self._network, positions[inside])
+        chunk = _CPU_CHUNK if jax.default_backend() == "cpu" else _GPU_CHUNK
+        padded = np.zeros((chunk, 3), np.float32)  # so that each function is compiled once
+        for start in range(0, len(positions), chunk):
+            held = slice(start, min(start + chunk, len(positions)))
+            count = held.stop - start
+            padded[:count] = positions[held]
+            inside = np.asarray(self._contains(padded))[:count]
+            if inside.any():
+                sigma, values = self._network(padded)
+                density[held] = np.asarray(sigma)[:count] * inside
+                coefficients[held] = np.asarray(values)[:count]
         return density, coefficients
-
-    def _call(self, function: Callable[[NDArray[np.float32]], Any], positions: NDArray) -> Any:
-        """Results at up to _CHUNK positions, padded so that each function is compiled once."""
-        padded = np.zeros((_CHUNK, 3), np.float32)
-        padded[: len(positions)] = positions
-        return jax.tree.map(lambda x: np.asarray(x)[: len(positions)], function(padded))
 
 
 def load_field(run_path: str | os.PathLike[str]) -> TrainedField:

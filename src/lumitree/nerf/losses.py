@@ -5,21 +5,28 @@ import jax.numpy as jnp
 
 from lumitree.nerf.volume import Composite
 
-# Eq. 8's regulariser, radiance units (D6).
+# Eq. 8's regulariser, radiance units.
 EPSILON = 0.01
 
 
-def hdr_loss(predicted: jax.Array, radiance: jax.Array, stop_gradient: bool) -> jax.Array:
-    """Relative squared error of HDR radiance (Eq. 8, D6), the mean over rays.
+def hdr_loss(
+    predicted: jax.Array, radiance: jax.Array, max_radiance: float, stop_gradient: bool
+) -> jax.Array:
+    """Relative squared error of HDR radiance (Eq. 8), the mean over rays.
+
+    As the paper writes it, the error is in [0, 1], that is radiance / L_max, and the denominator
+    in radiance units. In radiance units throughout (D6 as first planned) this term is L_max²
+    times larger and drowns the opacity loss; docs/decisions.md has the measurement.
 
     Args:
         predicted: [R, 3] radiance, >= 0.
         radiance: [R, 3] captured radiance, >= 0.
+        max_radiance: L_max, > 0.
         stop_gradient: hold the denominator fixed in the gradient. The minimum over noisy
             captures is then their mean; with the gradient it is biased to bright.
     """
     denominator = jax.lax.stop_gradient(predicted) if stop_gradient else predicted
-    error = (predicted - radiance) / (denominator + EPSILON)
+    error = (predicted - radiance) / max_radiance / (denominator + EPSILON)
     return jnp.mean(jnp.sum(error**2, axis=-1))
 
 
@@ -33,12 +40,13 @@ def total_loss(
     fine: Composite,
     radiance: jax.Array,
     opacity: jax.Array,
+    max_radiance: float,
     stop_gradient: bool,
 ) -> jax.Array:
     """L_c + L_f + L_opacity with equal weights (Eq. 7); only the fine network's opacity counts."""
     return (
-        hdr_loss(coarse.radiance, radiance, stop_gradient)
-        + hdr_loss(fine.radiance, radiance, stop_gradient)
+        hdr_loss(coarse.radiance, radiance, max_radiance, stop_gradient)
+        + hdr_loss(fine.radiance, radiance, max_radiance, stop_gradient)
         + opacity_loss(fine.opacity, opacity)
     )
 

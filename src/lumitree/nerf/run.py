@@ -97,6 +97,12 @@ def open_checkpoints(folder: Path) -> Iterator[ocp.CheckpointManager]:
         yield manager
 
 
+def has_checkpoint(folder: Path) -> bool:
+    """Whether a run can be resumed."""
+    saved = folder / CHECKPOINTS
+    return saved.is_dir() and any(entry.name.isdigit() for entry in saved.iterdir())
+
+
 def save_checkpoint(manager: ocp.CheckpointManager, step: int, state: Any) -> None:
     """Write the state after `step` steps, atomically; nothing if that is there already.
 
