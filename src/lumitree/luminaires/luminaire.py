@@ -108,8 +108,9 @@ def place_shapes(source: str | os.PathLike[str], scene_from_world: ArrayLike) ->
     file = SceneFile(luminaire_path(source))
     _check_emitters(file)
     for node in file.nodes("Shape"):
-        own = node.props.get("to_world", mi.ScalarTransform4f())
-        node.props["to_world"] = mi.ScalarTransform4f(matrix) @ own
+        # The parser keeps transforms in double precision.
+        own = node.props.get("to_world", mi.ScalarTransform4d())
+        node.props["to_world"] = mi.ScalarTransform4d(matrix @ np.array(own.matrix))
     for node in file.nodes("Medium"):
         node.props["scale"] = node.props.get("scale", 1.0) / scale
     return {f"luminaire_{i}": shape for i, shape in enumerate(file.instantiate().shapes())}
