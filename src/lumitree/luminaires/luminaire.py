@@ -26,7 +26,7 @@ class Luminaire:
     """A luminaire that has been loaded and checked.
 
     Attributes:
-        name: built-in name, or the file's name.
+        name: built-in name, or the file's folder and name.
         path: its Mitsuba scene.
         fingerprint: SHA-256 of the scene and every file it names.
         scene: the Mitsuba scene, in the luminaire's own frame and units.
@@ -68,7 +68,10 @@ def load_luminaire(source: str | os.PathLike[str]) -> Luminaire:
         np.ravel(scene.bbox().min), np.ravel(scene.bbox().max)
     )
     return Luminaire(
-        name=str(source) if str(source) in BUILTIN else path.name,
+        # Many files are called luminaire.xml; their folder tells them apart.
+        name=str(source)
+        if str(source) in BUILTIN
+        else f"{path.resolve().parent.name}/{path.stem}",
         path=path,
         fingerprint=_fingerprint(file),
         scene=scene,

@@ -140,8 +140,8 @@ def composite(density: jax.Array, phi: jax.Array, widths: jax.Array, law: Law) -
 def _through_saturation(opacity: jax.Array, tau: jax.Array) -> jax.Array:
     """The linear law's opacity min(tau, 1) with the gradient of tau even where it is 1.
 
-    The true gradient there is 0, so a ray that became opaque by mistake would stay so. An opacity of 1 can only be too large, so the gradient
-    passed on only ever thins a ray that is too opaque.
+    The true gradient there is 0, so a ray that became opaque by mistake would stay so. An opacity
+    of 1 can only be too large, so the gradient passed on only ever thins a ray that is too opaque.
     """
     return tau + jax.lax.stop_gradient(opacity - tau)
 
