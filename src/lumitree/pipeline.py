@@ -13,7 +13,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -292,7 +292,7 @@ def render(
     *,
     samples_per_pixel: int = 64,
     width: int | None = None,
-    proxy: str = "box",
+    proxy: Literal["box", "sphere"] = "box",
     variant: str | None = None,
 ) -> Report:
     """Render a scene file with luminaires placed in it.

@@ -46,7 +46,7 @@ def load_mitsuba(variant: str | None = None) -> Any:
     if chosen and not Path(chosen).is_file():
         raise LumitreeError(f"DRJIT_LIBLLVM_PATH names {chosen}, which is not a file; {_REMEDY}")
     mi = importlib.import_module("mitsuba")
-    variant = variant or mi.variant() or (GPU_VARIANT if _has_gpu() else CPU_VARIANT)
+    variant = str(variant or mi.variant() or (GPU_VARIANT if _has_gpu() else CPU_VARIANT))
     if variant not in mi.variants():
         raise LumitreeError(
             f"this Mitsuba has no variant {variant!r}; choose {CPU_VARIANT} or {GPU_VARIANT}"

@@ -68,7 +68,5 @@ class _Bar:
                 TextColumn("{task.fields[note]}"),
             )
             self._live = self._stack.enter_context(Progress(*columns, console=Console(stderr=True)))
-            self._task = self._live.add_task(
-                self._description, total=self._total, completed=done, note=note
-            )
+            self._task = self._live.add_task(self._description, total=self._total, note=note)
         self._live.update(self._task, completed=done, note=note)

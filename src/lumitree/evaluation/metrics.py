@@ -190,7 +190,7 @@ def flux_error(baked_images: Iterable[ArrayLike], reference_images: Iterable[Arr
     return abs(baked_sum / reference_sum - 1)
 
 
-def mulaw(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def mulaw(x: NDArray[np.floating]) -> NDArray[np.float64]:
     """log(1 + mu x) / log(1 + mu) with mu = 5000: [0, 1] to [0, 1].
 
     Kalantari and Ramamoorthi, "Deep High Dynamic Range Imaging of Dynamic Scenes", 2017.
@@ -198,7 +198,7 @@ def mulaw(x: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.log1p(MU * x) / np.log1p(MU)
 
 
-def pu21(luminance: ArrayLike) -> NDArray[np.float64]:
+def pu21(luminance: ArrayLike) -> NDArray[np.floating]:
     """Perceptually uniform encoding of absolute luminance, PU21 'banding_glare'.
 
         Y = clip(luminance, 0.005, 10000)
@@ -218,7 +218,7 @@ def pu21(luminance: ArrayLike) -> NDArray[np.float64]:
     return _PU21_SCALE * (((p1 + p2 * power) / (1 + p3 * power)) ** p5 - _PU21_OFFSET)
 
 
-def psnr(image: NDArray[np.float64], reference: NDArray[np.float64], peak: float = 1.0) -> float:
+def psnr(image: NDArray[np.floating], reference: NDArray[np.float64], peak: float = 1.0) -> float:
     """10 log10(peak² / mean squared error), dB, at most `MAX_PSNR`."""
     mse = float(np.mean((image - reference) ** 2))
     if mse == 0:
@@ -226,7 +226,7 @@ def psnr(image: NDArray[np.float64], reference: NDArray[np.float64], peak: float
     return min(10 * float(np.log10(peak**2 / mse)), MAX_PSNR)
 
 
-def ssim(image: NDArray[np.float64], reference: NDArray[np.float64]) -> float:
+def ssim(image: NDArray[np.floating], reference: NDArray[np.float64]) -> float:
     """Structural similarity (-1 to 1) of two images [H, W, 3] in [0, 1], mean over channels.
 
     Wang et al. 2004: Gaussian window of 11 pixels and sigma 1.5, population covariance.
@@ -252,7 +252,7 @@ def ssim(image: NDArray[np.float64], reference: NDArray[np.float64]) -> float:
     return float(cast(float, similarity))  # the map beside it was not asked for
 
 
-def rel_mse(baked: NDArray[np.float64], reference: NDArray[np.float64]) -> float:
+def rel_mse(baked: NDArray[np.floating], reference: NDArray[np.float64]) -> float:
     """Relative mean squared error, mean((b - r)² / (r² + 0.01)), over pixels and channels.
 
     The form is that of Rousselle et al., "Adaptive Sampling and Reconstruction using Greedy Error
@@ -262,7 +262,7 @@ def rel_mse(baked: NDArray[np.float64], reference: NDArray[np.float64]) -> float
 
 
 def hdr_flip(
-    baked: NDArray[np.float64], reference: NDArray[np.float64], max_radiance: float
+    baked: NDArray[np.floating], reference: NDArray[np.float64], max_radiance: float
 ) -> float:
     """Mean HDR-FLIP error, 0 (equal) to 1, of images [H, W, 3] at 67 pixels per degree.
 
@@ -277,7 +277,7 @@ def hdr_flip(
     return float(error)
 
 
-def flip_exposures(reference: NDArray[np.float64]) -> dict[str, float]:
+def flip_exposures(reference: NDArray[np.floating]) -> dict[str, float]:
     """First and last exposure (stops) for HDR-FLIP with the ACES curve.
 
     As in Andersson et al. 2021: the brightest luminance and the median luminance are
@@ -302,18 +302,18 @@ def flip_exposures(reference: NDArray[np.float64]) -> dict[str, float]:
     }
 
 
-def _mean_luminance(image: NDArray[np.float64]) -> float:
+def _mean_luminance(image: NDArray[np.floating]) -> float:
     return float(image.mean(axis=(0, 1)) @ _LUMINANCE)
 
 
-def _image(value: ArrayLike, what: str) -> NDArray[np.float64]:
+def _image(value: ArrayLike, what: str) -> NDArray[np.floating]:
     image = _finite(value, what)
     if image.ndim != 3 or image.shape[2] != 3 or not image.size:
         raise LumitreeError(f"{what} has shape {image.shape}; expected [height, width, 3]")
     return image
 
 
-def _finite(value: ArrayLike, what: str) -> NDArray[np.float64]:
+def _finite(value: ArrayLike, what: str) -> NDArray[np.floating]:
     array = np.asarray(value, np.float64)
     bad = int(array.size - np.isfinite(array).sum())
     if bad:
@@ -321,7 +321,7 @@ def _finite(value: ArrayLike, what: str) -> NDArray[np.float64]:
     return array
 
 
-def _same_shape(baked: NDArray[np.float64], reference: NDArray[np.float64], what: str) -> None:
+def _same_shape(baked: NDArray[np.floating], reference: NDArray[np.float64], what: str) -> None:
     if baked.shape != reference.shape:
         raise LumitreeError(
             f"baked and reference {what} differ in shape: {baked.shape} and {reference.shape}"

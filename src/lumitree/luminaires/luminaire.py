@@ -69,9 +69,7 @@ def load_luminaire(source: str | os.PathLike[str]) -> Luminaire:
     )
     return Luminaire(
         # Many files are called luminaire.xml; their folder tells them apart.
-        name=str(source)
-        if str(source) in BUILTIN
-        else f"{path.resolve().parent.name}/{path.stem}",
+        name=str(source) if str(source) in BUILTIN else f"{path.resolve().parent.name}/{path.stem}",
         path=path,
         fingerprint=_fingerprint(file),
         scene=scene,

@@ -93,7 +93,7 @@ def _has_density(
     steps = (np.arange(positions_a_side) + 0.5) / positions_a_side
     offsets = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
     density, _ = _query_inside(query, half_extents, cells, level, offsets)
-    return (density > min_density).any(axis=1)
+    return np.any(density > min_density, axis=1)
 
 
 def _average_leaves(
