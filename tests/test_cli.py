@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import lumitree
-from conftest import make_asset, random_asset
+from fields import make_asset, random_asset
 from lumitree.cli import main
 
 LAMP = (

@@ -9,7 +9,7 @@ import safetensors.numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conftest import random_asset
+from fields import random_asset
 from lumitree.asset.file import load, save
 from lumitree.errors import LumitreeError
 

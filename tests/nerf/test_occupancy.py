@@ -3,7 +3,6 @@
 import jax
 import numpy as np
 import pytest
-from sphere import CENTRE, HALF_EXTENTS, HALF_WIDTH, RADIUS, hit_distance, sphere_dataset
 
 from lumitree.core.sampling import orthographic_rays, view_pose
 from lumitree.errors import LumitreeError
@@ -15,6 +14,7 @@ from lumitree.nerf.occupancy import (
     visual_hull,
 )
 from lumitree.nerf.rays import load_rays
+from sphere import CENTRE, HALF_EXTENTS, HALF_WIDTH, RADIUS, hit_distance, sphere_dataset
 
 
 def _sphere_points(radius, count=20_000):

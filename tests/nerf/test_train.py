@@ -11,7 +11,6 @@ import sys
 import jax
 import numpy as np
 import pytest
-from sphere import CENTRE, RADIUS, sphere_dataset
 
 from lumitree.errors import LumitreeError
 from lumitree.nerf import train as training
@@ -20,6 +19,7 @@ from lumitree.nerf.field import load_field
 from lumitree.nerf.run import restore_checkpoint
 from lumitree.nerf.step import initial_state
 from lumitree.nerf.train import train
+from sphere import CENTRE, RADIUS, sphere_dataset
 
 TINY = dataclasses.replace(
     PRESETS["preview"],

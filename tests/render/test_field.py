@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conftest import random_asset
+from fields import random_asset
 from lumitree.octree.reference import integrate_ray
 
 
@@ -100,7 +100,7 @@ def test_missing_and_degenerate_rays_see_nothing(mi):
 
 
 def test_empty_asset_is_clear(mi):
-    from conftest import make_asset
+    from fields import make_asset
 
     asset = make_asset(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 3, 9)))
     radiance, through = trace(mi, asset, [[0, 0, -2]], [[0, 0, 1]])

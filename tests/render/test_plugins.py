@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lumitree
-from conftest import make_asset, random_asset, uniform_asset
+from fields import make_asset, random_asset, uniform_asset
 from lumitree.core.frames import rotation, similarity
 from lumitree.errors import LumitreeError
 

@@ -190,7 +190,7 @@ def flux_error(baked_images: Iterable[ArrayLike], reference_images: Iterable[Arr
     return abs(baked_sum / reference_sum - 1)
 
 
-def mulaw(x: NDArray[np.floating]) -> NDArray[np.float64]:
+def mulaw(x: NDArray[np.floating]) -> NDArray[np.floating]:
     """log(1 + mu x) / log(1 + mu) with mu = 5000: [0, 1] to [0, 1].
 
     Kalantari and Ramamoorthi, "Deep High Dynamic Range Imaging of Dynamic Scenes", 2017.
@@ -218,7 +218,7 @@ def pu21(luminance: ArrayLike) -> NDArray[np.floating]:
     return _PU21_SCALE * (((p1 + p2 * power) / (1 + p3 * power)) ** p5 - _PU21_OFFSET)
 
 
-def psnr(image: NDArray[np.floating], reference: NDArray[np.float64], peak: float = 1.0) -> float:
+def psnr(image: NDArray[np.floating], reference: NDArray[np.floating], peak: float = 1.0) -> float:
     """10 log10(peak² / mean squared error), dB, at most `MAX_PSNR`."""
     mse = float(np.mean((image - reference) ** 2))
     if mse == 0:
@@ -226,7 +226,7 @@ def psnr(image: NDArray[np.floating], reference: NDArray[np.float64], peak: floa
     return min(10 * float(np.log10(peak**2 / mse)), MAX_PSNR)
 
 
-def ssim(image: NDArray[np.floating], reference: NDArray[np.float64]) -> float:
+def ssim(image: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
     """Structural similarity (-1 to 1) of two images [H, W, 3] in [0, 1], mean over channels.
 
     Wang et al. 2004: Gaussian window of 11 pixels and sigma 1.5, population covariance.
@@ -252,7 +252,7 @@ def ssim(image: NDArray[np.floating], reference: NDArray[np.float64]) -> float:
     return float(cast(float, similarity))  # the map beside it was not asked for
 
 
-def rel_mse(baked: NDArray[np.floating], reference: NDArray[np.float64]) -> float:
+def rel_mse(baked: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
     """Relative mean squared error, mean((b - r)² / (r² + 0.01)), over pixels and channels.
 
     The form is that of Rousselle et al., "Adaptive Sampling and Reconstruction using Greedy Error
@@ -262,7 +262,7 @@ def rel_mse(baked: NDArray[np.floating], reference: NDArray[np.float64]) -> floa
 
 
 def hdr_flip(
-    baked: NDArray[np.floating], reference: NDArray[np.float64], max_radiance: float
+    baked: NDArray[np.floating], reference: NDArray[np.floating], max_radiance: float
 ) -> float:
     """Mean HDR-FLIP error, 0 (equal) to 1, of images [H, W, 3] at 67 pixels per degree.
 
@@ -321,7 +321,7 @@ def _finite(value: ArrayLike, what: str) -> NDArray[np.floating]:
     return array
 
 
-def _same_shape(baked: NDArray[np.floating], reference: NDArray[np.float64], what: str) -> None:
+def _same_shape(baked: NDArray[np.floating], reference: NDArray[np.floating], what: str) -> None:
     if baked.shape != reference.shape:
         raise LumitreeError(
             f"baked and reference {what} differ in shape: {baked.shape} and {reference.shape}"

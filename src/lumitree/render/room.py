@@ -75,8 +75,6 @@ def furnish(room: Any, placements: list[Placement], proxy: ProxyKind = "box") ->
     luminaire neither shades nor lights it rightly (D10).
     """
     register()
-    if not room.sensors():
-        raise LumitreeError("the scene has no sensor; add a camera to it")
     objects: dict[str, Any] = {"type": "scene"}
     objects |= {f"room_{i}": item for i, item in enumerate(room.shapes())}
     objects |= {f"sensor_{i}": item for i, item in enumerate(room.sensors())}
@@ -98,8 +96,13 @@ def load_room(path: str) -> tuple[Any, Any]:
 
     A `path` integrator is replaced by `volpath` with the same settings, and any other that
     would let proxies block the light of other lamps too, which is said on standard error.
+
+    Raises:
+        LumitreeError: the scene cannot be loaded or has no camera.
     """
     file = SceneFile(path)
+    if not file.nodes("Sensor"):
+        raise LumitreeError(f"{path} has no sensor; add a camera to the scene")
     integrators = file.nodes("Integrator")
     kinds = [node.props.plugin_name() for node in integrators]
     for node in integrators:

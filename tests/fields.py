@@ -1,0 +1,69 @@
+"""Small fields that many tests share."""
+
+import numpy as np
+
+from lumitree.asset.model import LuminaireAsset
+from lumitree.core.harmonics import num_coefficients
+from lumitree.octree.build import build_children
+
+
+def make_asset(cells, levels, density, coefficients, *, tree_depth=4, law="linear", **fields):
+    """Asset with the given leaves; coefficients [M, 3, K]."""
+    coefficients = np.asarray(coefficients, np.float16)
+    l_max = int(np.sqrt(coefficients.shape[-1])) - 1
+    settings = {
+        "max_radiance": 10.0,
+        "half_extents": np.ones(3),
+        "world_from_proxy": np.eye(4),
+        "luminaire": "test",
+        **fields,
+    }
+    return LuminaireAsset(
+        children=build_children(cells, levels),
+        density=np.asarray(density, np.float32),
+        coefficients=coefficients,
+        tree_depth=tree_depth,
+        l_max=l_max,
+        law=law,
+        **settings,
+    )
+
+
+def random_asset(seed, *, tree_depth=4, l_max=2, law="linear", density_scale=2.0, **fields):
+    """Asset with leaves of several levels, about a third of the volume filled."""
+    random = np.random.default_rng(seed)
+    cells, levels = [], []
+    stack = [((0, 0, 0), 0)]
+    while stack:
+        cell, level = stack.pop()
+        kind = random.random()
+        if level > 0 and (kind < 0.25 or (level == tree_depth and kind < 0.5)):
+            cells.append(cell)
+            levels.append(level)
+        elif level < tree_depth and (level == 0 or kind < 0.6):
+            for octant in range(8):
+                bits = (octant & 1, octant >> 1 & 1, octant >> 2)
+                stack.append((tuple(2 * c + b for c, b in zip(cell, bits, strict=True)), level + 1))
+    density = random.exponential(density_scale, len(cells))
+    coefficients = random.normal(0, 1, (len(cells), 3, num_coefficients(l_max)))
+    return make_asset(
+        cells, levels, density, coefficients, tree_depth=tree_depth, law=law, **fields
+    )
+
+
+def uniform_asset(density, radiance, *, law="linear", max_radiance=10.0, **fields):
+    """Asset whose whole cube has one density and emits `radiance` [3] in every direction."""
+    octants = np.array([(o & 1, o >> 1 & 1, o >> 2) for o in range(8)])
+    ratio = np.clip(np.asarray(radiance) / max_radiance, 1e-4, 1 - 1e-4)
+    dc = np.log(ratio / (1 - ratio)) / 0.28209479177387814
+    coefficients = np.tile(dc[None, :, None], (8, 1, 1))
+    return make_asset(
+        octants,
+        np.ones(8),
+        np.full(8, density),
+        coefficients,
+        tree_depth=1,
+        law=law,
+        max_radiance=max_radiance,
+        **fields,
+    )
