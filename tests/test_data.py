@@ -1,0 +1,95 @@
+"""Real luminaires and rooms, where the development set is at hand.
+
+Its folder is ../shared/data beside the repository, or what LUMITREE_DATA names.
+"""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lumitree import pipeline
+from lumitree.core.dataset import Dataset
+from lumitree.core.images import read_exr
+
+DATA = Path(os.environ.get("LUMITREE_DATA", Path(__file__).parents[1].parent / "shared" / "data"))
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no development set at {DATA}")
+LUMINAIRES = {
+    "scopia_chandelier/luminaire.xml": 130.58,
+    "megeon_chandelier/luminaire.xml": 53.4,
+    "megeon_chandelier/luminaire_bulb.xml": 53.4,
+    "little_lamp/luminaire.xml": 6.74,
+    "little_lamp/luminaire_frosted.xml": 6.74,
+}
+
+
+@pytest.mark.parametrize("name", LUMINAIRES)
+def test_luminaires_are_captured(mi, tmp_path, name):
+    from lumitree.luminaires.luminaire import load_luminaire
+
+    luminaire = load_luminaire(DATA / "luminaires" / name)
+    width = 2 * luminaire.half_extents[0] * luminaire.world_from_proxy[0, 0]
+    assert width == pytest.approx(LUMINAIRES[name], rel=1e-3)
+    assert luminaire.has_media == name.startswith("scopia")
+    pipeline.capture(
+        str(DATA / "luminaires" / name), str(tmp_path), num_views=2, resolution=48,
+        samples_per_pixel=16,
+    )  # fmt: skip
+    for view in Dataset.open(tmp_path).views():
+        assert view.radiance.max() > 0
+        assert 0.02 < view.straight_through.mean() <= view.geometric.mean() + 1e-3
+        assert view.geometric.mean() < 0.5
+
+
+def test_explicit_luminaire_looks_the_same_at_every_size(mi, tmp_path):
+    """Placing scales the absorbing medium of the chandelier's drops with it."""
+    from lumitree.luminaires.luminaire import place_shapes
+
+    media = [
+        shape.interior_medium()
+        for shape in place_shapes(
+            DATA / "luminaires" / "scopia_chandelier" / "luminaire.xml", np.diag([0.01] * 3 + [1])
+        ).values()
+        if shape.interior_medium() is not None
+    ]
+    assert len(media) == 1
+    assert mi.traverse(media[0])["scale"] == pytest.approx(100)
+
+
+PLACES = {
+    "living_room": (1.0, 2.45, -1.75),
+    "veach_bidir": (0.0, 6.78, -1.0),
+    "modern_hall": (-2.4, 4.85, 1.5),
+}
+CHANDELIER = str(DATA / "luminaires" / "megeon_chandelier" / "luminaire.xml")
+
+
+@pytest.fixture(scope="module")
+def baked(mi, tmp_path_factory):
+    asset = str(tmp_path_factory.mktemp("bake") / "lamp.lumitree")
+    pipeline.bake(CHANDELIER, asset)
+    return asset
+
+
+@pytest.mark.slow
+def test_baked_chandelier_shows_on_held_out_views(baked):
+    metrics = pipeline.evaluate(baked, CHANDELIER, num_views=4, resolution=128)["metrics"]
+    assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 4
+    assert metrics["opacity_rmse"] < 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("room", PLACES)
+def test_baked_chandelier_lights_every_room(baked, tmp_path, room):
+    output = str(tmp_path / "room.exr")
+    pipeline.render(
+        str(DATA / "rooms" / room / "room_night.xml"),
+        output,
+        [{"source": baked, "at": PLACES[room], "size": 0.8}],
+        samples_per_pixel=16,
+        width=160,
+    )
+    image = read_exr(output)["RGB"]
+    assert np.isfinite(image).all()
+    assert (image.max(axis=-1) > 0).mean() > 0.3
