@@ -170,6 +170,17 @@ def test_render_warns_of_what_is_inside_the_proxy(capsys, folder):
     assert "the camera is inside its proxy" in capsys.readouterr().err
 
 
+def test_scene_that_names_an_asset_itself(capsys, folder):
+    lamp = '<shape type="lumitree_proxy"><string name="filename" value="{}"/></shape>'
+    (folder / "own.xml").write_text(ROOM.format(lamp.format("lamp.lumitree")))
+    assert main(["render", "own.xml", "-o", "a.exr", "--spp", "4"]) == 0
+    capsys.readouterr()
+    (folder / "own.xml").write_text(ROOM.format(lamp.format("gone.lumitree")))
+    error, _ = fails(capsys, "render", "own.xml", "-o", "b.exr", "--spp", "4")
+    assert "gone.lumitree does not exist" in error
+    assert "File " not in error
+
+
 def test_render_says_when_it_replaces_the_integrator(capsys, folder):
     room = (
         ROOM.format("")

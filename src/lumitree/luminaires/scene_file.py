@@ -78,6 +78,9 @@ class SceneFile:
         try:
             yield
         except RuntimeError as error:
-            # Mitsuba's messages begin with a place in its own source.
-            reason = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", " ".join(str(error).split()))
+            # What our own plugins raise arrives inside a traceback; Mitsuba's own messages begin
+            # with a place in its source.
+            own = re.search(r"LumitreeError: (.*)", str(error))
+            reason = own.group(1) if own else " ".join(str(error).split())
+            reason = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", reason)
             raise LumitreeError(f"{self.path} cannot be loaded: {reason}") from None

@@ -100,6 +100,7 @@ def load_room(path: str) -> tuple[Any, Any]:
     Raises:
         LumitreeError: the scene cannot be loaded or has no camera.
     """
+    register()  # the scene may name our plugins itself
     file = SceneFile(path)
     if not file.nodes("Sensor"):
         raise LumitreeError(f"{path} has no sensor; add a camera to the scene")
