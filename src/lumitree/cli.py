@@ -27,21 +27,33 @@ def main(argv: Sequence[str] | None = None) -> int:
             write_json(args.json, report)
         args.show(report)
         return 0
-    except LumitreeError as error:
-        return _fail(str(error), 2)
-    except KeyboardInterrupt:
-        return _fail("interrupted; the same command continues where that is possible", 130)
     except BrokenPipeError:
         # The reader of our output (a pager, head) has gone.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except Exception as error:
-        if os.environ.get(DEBUG):
-            raise
-        reason = " ".join(str(error).split()) or "no details"
-        return _fail(
-            f"unexpected {type(error).__name__}: {reason} (set {DEBUG}=1 for the traceback)", 1
-        )
+    except (Exception, KeyboardInterrupt) as error:
+        return _explain(error)
+
+
+def _explain(error: BaseException) -> int:
+    """Tell what went wrong in one line; returns the exit status."""
+    if _is_interrupt(error):
+        return _fail("interrupted; the same command continues where that is possible", 130)
+    if isinstance(error, LumitreeError):
+        return _fail(str(error), 2)
+    if os.environ.get(DEBUG):
+        raise error
+    reason = " ".join(str(error).split()) or "no details"
+    return _fail(
+        f"unexpected {type(error).__name__}: {reason} (set {DEBUG}=1 for the traceback)", 1
+    )
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Whether Ctrl-C caused the error; Dr.Jit wraps what is raised while it traces a loop."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _fail(message: str, status: int) -> int:
