@@ -4,10 +4,11 @@ import argparse
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, LumitreeWarning
 
 Report = dict[str, Any]
 # Their values may begin with a minus sign, which argparse would take for an option.
@@ -18,6 +19,8 @@ DEBUG = "LUMITREE_DEBUG"
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status: 0, 2 for bad input, 130 when interrupted."""
     arguments = _join_vectors(list(sys.argv[1:] if argv is None else argv))
+    warnings.showwarning = _show_warning
+    warnings.simplefilter("always", LumitreeWarning)
     try:
         args = _parser().parse_args(arguments)
         report = args.run(args)
@@ -54,6 +57,10 @@ def _is_interrupt(error: BaseException | None) -> bool:
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    print(f"lumitree: warning: {message}", file=sys.stderr)
 
 
 def _fail(message: str, status: int) -> int:

@@ -74,7 +74,7 @@ def peak_memory_bytes() -> int:
 
 def list_luminaires() -> Report:
     """Built-in luminaires and what they are."""
-    from lumitree.luminaires.builtin import BUILTIN
+    from lumitree.luminaires.builtin.registry import BUILTIN
 
     return {"luminaires": {name: item.description for name, item in BUILTIN.items()}}
 

@@ -16,15 +16,25 @@ Floats = NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True)
 class Mesh:
-    """Vertices [V, 3], unit normals [V, 3] and faces [F, 3] (indices of vertices)."""
+    """A triangle mesh.
+
+    Attributes:
+        vertices: [V, 3] positions.
+        normals: [V, 3] unit shading normals.
+        faces: [F, 3] indices of vertices.
+        uv: [V, 2] texture coordinates, v = 0 at the image's first row; None for none.
+        colours: [V, 3] linear RGB in [0, 1]; None for none.
+    """
 
     vertices: Floats
     normals: Floats
     faces: NDArray[np.int64]
+    uv: Floats | None = None
+    colours: Floats | None = None
 
 
 def join(meshes: Iterable[Mesh]) -> Mesh:
-    """All the meshes as one; vertices are not merged."""
+    """All the meshes as one, without texture coordinates; vertices are not merged."""
     meshes = list(meshes)
     offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     return Mesh(

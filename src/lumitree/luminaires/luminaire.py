@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.frames import proxy_box, similarity_scale
 from lumitree.errors import LumitreeError
-from lumitree.luminaires.builtin import BUILTIN, write_scene
+from lumitree.luminaires.builtin.registry import BUILTIN
 from lumitree.luminaires.scene_file import SceneFile
+from lumitree.luminaires.scene_writer import write_scene
 
 _ENVIRONMENTS = ("constant", "envmap", "sky", "sunsky", "directional")
 _INVISIBLE = ("point", "spot", "projector", "directionalarea")
@@ -83,7 +84,7 @@ def load_luminaire(source: str | os.PathLike[str]) -> Luminaire:
 def luminaire_path(source: str | os.PathLike[str]) -> Path:
     """Scene file of a LUMINAIRE argument; a built-in is written out to a temporary folder."""
     if str(source) in BUILTIN:
-        return write_scene(str(source), Path(_builtin_folder(str(source))))
+        return _written_builtin(str(source))
     path = Path(source)
     if not path.exists():
         raise LumitreeError(
@@ -118,10 +119,10 @@ def place_shapes(source: str | os.PathLike[str], scene_from_world: ArrayLike) ->
 
 
 @functools.cache
-def _builtin_folder(name: str) -> str:
+def _written_builtin(name: str) -> Path:
     folder = tempfile.TemporaryDirectory(prefix=f"lumitree-{name}-")
     _temporary_folders.append(folder)
-    return folder.name
+    return write_scene(BUILTIN[name].build(), folder.name)
 
 
 # Held until the process ends, when each removes itself.

@@ -1,7 +1,7 @@
 """Scenes with luminaires placed in them."""
 
 import dataclasses
-import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lumitree.asset.file import load
 from lumitree.core.frames import placement
 from lumitree.core.progress import progress
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaires.luminaire import load_luminaire, place_shapes
 from lumitree.luminaires.scene_file import SceneFile
 from lumitree.render.plugins import register
@@ -113,7 +113,11 @@ def load_room(path: str) -> tuple[Any, Any]:
     if kinds and kinds[0] in (*_SEE_THROUGH, "path"):
         return room, room.integrator()
     found = f"integrator {kinds[0]!r}" if kinds else "no integrator"
-    _say(f"{path} has {found}; using volpath with max_depth {_DEFAULT_PATH_DEPTH}")
+    warnings.warn(
+        f"{path} has {found}; using volpath with max_depth {_DEFAULT_PATH_DEPTH}",
+        LumitreeWarning,
+        stacklevel=2,
+    )
     return room, default_integrator()
 
 
@@ -172,18 +176,18 @@ def _warn_inside(room: Any, item: Placement, box: NDArray[np.float64]) -> None:
         mi.Point3f(*start.T), mi.Vector3f(*(offset.T / length)), mi.Float(length), mi.Float(0), []
     )
     if dr.any(room.ray_test(ray)):
-        _say(
+        warnings.warn(
             f"{item.source}: an object of the room is inside its proxy; it is not lit or shaded "
-            "rightly there (a baked luminaire is rendered from outside only)"
+            "rightly there (a baked luminaire is rendered from outside only)",
+            LumitreeWarning,
+            stacklevel=2,
         )
     camera = room.sensors()[0].world_transform().translation()
     local = np.linalg.solve(box[:3, :3], np.ravel(camera) - box[:3, 3])
     if (np.abs(local) < 1).all():
-        _say(
+        warnings.warn(
             f"{item.source}: the camera is inside its proxy; a baked luminaire is rendered from "
-            "outside only"
+            "outside only",
+            LumitreeWarning,
+            stacklevel=2,
         )
-
-
-def _say(message: str) -> None:
-    print(f"lumitree: warning: {message}", file=sys.stderr)

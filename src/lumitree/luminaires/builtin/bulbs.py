@@ -1,24 +1,19 @@
-"""Built-in luminaires, written as ordinary Mitsuba scenes so that they load like a user's own.
+"""`bulbs`: five clear bulbs with coil filaments on a brass and black steel frame, 0.33 m.
 
-Frame of every lamp: metres, y up, the origin where it meets the ceiling. Emitted radiance is in
-W/(m² sr) for each of R, G and B, up to one overall factor.
-
-Glass walls are solid: an outer and an inner surface around them, each closed, normals out of the
-glass. Nothing touches the glass, and every filament is an emitter of its own, because Mitsuba
-chooses among emitters uniformly and all filaments are equally bright. Metal parts may overlap
-where they are joined. Equal parts share one mesh file.
+The frame of a bulb has its origin on its axis where the glass leaves the cap; it hangs to -y.
 """
-
-import dataclasses
-import os
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
-from lumitree.core.files import atomic_path
 from lumitree.core.frames import rotation, similarity
-from lumitree.errors import LumitreeError
+from lumitree.luminaires.builtin.materials import (
+    BLACK_STEEL,
+    BRASS,
+    GLASS,
+    STEEL,
+    TUNGSTEN,
+    emitting,
+)
 from lumitree.luminaires.geometry import (
     Floats,
     Mesh,
@@ -30,120 +25,7 @@ from lumitree.luminaires.geometry import (
     smooth,
     sweep,
 )
-
-SCENE_FILE = "luminaire.xml"
-
-_CONDUCTOR = """<bsdf type="roughconductor" id="{id}">
-        <string name="material" value="{metal}"/>
-        <float name="alpha" value="{roughness}"/>
-        <rgb name="specular_reflectance" value="{tint}"/>
-    </bsdf>"""
-_MATERIALS = {
-    "glass": """<bsdf type="dielectric" id="glass">
-        <float name="int_ior" value="1.5"/>
-        <float name="ext_ior" value="1.0"/>
-    </bsdf>""",
-    # Gold, toned down: Mitsuba's wheel has no data for brass (CuZn).
-    "brass": _CONDUCTOR.format(id="brass", metal="Au", roughness=0.2, tint="0.95, 0.86, 0.86"),
-    "black": _CONDUCTOR.format(id="black", metal="Cr", roughness=0.3, tint="0.15, 0.14, 0.13"),
-    "steel": _CONDUCTOR.format(id="steel", metal="Cr", roughness=0.25, tint="1, 1, 1"),
-    "tungsten": _CONDUCTOR.format(id="tungsten", metal="W", roughness=0.3, tint="1, 1, 1"),
-}
-
-
-@dataclasses.dataclass(frozen=True)
-class Part:
-    """A mesh with its material, standing in one or more places.
-
-    Attributes:
-        name: unique in the lamp; also the name of the mesh file.
-        mesh: in the part's own frame, metres.
-        material: a key of the table of materials.
-        places: `world_from_part` [4, 4] of every copy.
-        radiance: emitted R, G and B, W/(m² sr); None where it does not emit.
-    """
-
-    name: str
-    mesh: Mesh
-    material: str
-    places: tuple[Floats, ...]
-    radiance: tuple[float, float, float] | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Builtin:
-    """A luminaire that comes with lumitree; `parts` builds its geometry."""
-
-    name: str
-    description: str
-    parts: Callable[[], list[Part]]
-
-
-def write_scene(name: str, folder: str | os.PathLike[str]) -> Path:
-    """Write a built-in luminaire as a Mitsuba 3 scene; the same bytes every time.
-
-    Args:
-        name: a key of `BUILTIN`.
-        folder: where `luminaire.xml` and `meshes/` go; made if missing.
-
-    Returns:
-        Path of the scene: shapes, BSDFs and area emitters, no sensor and no integrator.
-
-    Raises:
-        LumitreeError: there is no such luminaire, or the folder cannot be written.
-    """
-    if name not in BUILTIN:
-        known = ", ".join(sorted(BUILTIN))
-        raise LumitreeError(f"no built-in luminaire is called {name!r}; choose one of: {known}")
-    folder = Path(folder)
-    parts = BUILTIN[name].parts()
-    for part in parts:
-        _write_ply(folder / _mesh_file(part), part.mesh)
-    used = sorted({part.material for part in parts})
-    blocks = [_MATERIALS[material] for material in used]
-    blocks += [_shape(part, copy) for part in parts for copy in range(len(part.places))]
-    text = '<scene version="3.0.0">\n    ' + "\n    ".join(blocks) + "\n</scene>\n"
-    with atomic_path(folder / SCENE_FILE) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
-    return folder / SCENE_FILE
-
-
-def _mesh_file(part: Part) -> str:
-    return f"meshes/{part.name}.ply"
-
-
-def _shape(part: Part, copy: int) -> str:
-    name = part.name if len(part.places) == 1 else f"{part.name}_{copy + 1}"
-    # Rounded (and -0 made 0), so that the last bit of a machine's sine does not show.
-    matrix = " ".join(f"{value:.9g}" for value in (part.places[copy].round(9) + 0.0).ravel())
-    lines = [
-        f'<shape type="ply" id="{name}">',
-        f'    <string name="filename" value="{_mesh_file(part)}"/>',
-        f'    <transform name="to_world"><matrix value="{matrix}"/></transform>',
-        f'    <ref id="{part.material}"/>',
-    ]
-    if part.radiance is not None:
-        value = ", ".join(f"{channel:g}" for channel in part.radiance)
-        lines.append(f'    <emitter type="area"><rgb name="radiance" value="{value}"/></emitter>')
-    return "\n    ".join([*lines, "</shape>"])
-
-
-def _write_ply(path: Path, mesh: Mesh) -> None:
-    import trimesh
-
-    # Rounded to a nanometre, for the same reason as the matrices.
-    exported = trimesh.Trimesh(
-        mesh.vertices.round(9) + 0.0,
-        mesh.faces,
-        vertex_normals=mesh.normals.round(6) + 0.0,
-        process=False,
-    )
-    with atomic_path(path) as temporary:
-        exported.export(str(temporary), file_type="ply", vertex_normal=True)
-
-
-# ---- bulbs: five clear bulbs on a brass and black steel frame -------------------------------
-# The frame of a bulb has its origin on its axis where the glass leaves the cap; it hangs to -y.
+from lumitree.luminaires.model import Model, Part
 
 _NUM_BULBS = 5
 _ARM_RADIUS = 0.125  # from the lamp's axis to a bulb's, metres
@@ -156,20 +38,23 @@ _CAGE = 0.0155  # radius of the cylinder the filament zigzags on, and distance o
 _LEG_TOP, _LEG_BOTTOM = -0.054, -0.09  # straight part of the legs, metres
 
 
-def _bulbs() -> list[Part]:
+def build() -> Model:
+    """The lamp's parts and materials."""
     step = 360 / _NUM_BULBS
     turns = tuple(similarity(rotation([0, 1, 0], step * index)) for index in range(_NUM_BULBS))
     hang = similarity(np.eye(3), translation=[_ARM_RADIUS, _BULB_HEIGHT, 0.0])
     sites = tuple(turn @ hang for turn in turns)
-    return [
+    parts = (
         Part("frame_body", _body(), "brass", (np.eye(4),)),
         Part("frame_arm", _arm(), "black", turns),
         Part("socket", _socket(), "brass", sites),
         Part("bulb_cap", _cap(), "steel", sites),
         Part("bulb_glass", _glass(), "glass", sites),
         Part("bulb_supports", _supports(), "steel", sites),
-        Part("bulb_filament", _filament(), "tungsten", sites, _RADIANCE),
-    ]
+        Part("bulb_filament", _filament(), "filament", sites),
+    )
+    filament = emitting(TUNGSTEN, "filament", _RADIANCE)
+    return Model(parts, (BRASS, BLACK_STEEL, STEEL, GLASS, filament))
 
 
 def _body() -> Mesh:
@@ -269,11 +154,3 @@ def _around(azimuth: Floats | float, radius: Floats | float | list, y: Floats | 
     """Points [N, 3] at an azimuth (radians, 0 at +x), distance from the y axis, and height."""
     x, z = np.multiply(radius, np.cos(azimuth)), np.multiply(radius, -np.sin(azimuth))
     return np.column_stack([x, np.asarray(y), z])
-
-
-_ALL = (
-    Builtin(
-        "bulbs", "five clear glass bulbs with coiled filaments on a hanging frame, 0.33 m", _bulbs
-    ),
-)
-BUILTIN: dict[str, Builtin] = {builtin.name: builtin for builtin in _ALL}

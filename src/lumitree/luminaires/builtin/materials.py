@@ -1,0 +1,17 @@
+"""Materials that the built-in lamps share."""
+
+import dataclasses
+
+from lumitree.luminaires.model import RGB, Glass, Material, Metal
+
+GLASS = Material("glass", Glass(ior=1.5))
+# Gold, toned down: Mitsuba has no data for brass.
+BRASS = Material("brass", Metal((0.95, 0.86, 0.86), 0.45, "Au"))
+BLACK_STEEL = Material("black", Metal((0.15, 0.14, 0.13), 0.55, "Cr"))
+STEEL = Material("steel", Metal((1.0, 1.0, 1.0), 0.5, "Cr"))
+TUNGSTEN = Material("tungsten", Metal((1.0, 1.0, 1.0), 0.55, "W"))
+
+
+def emitting(material: Material, name: str, radiance: RGB) -> Material:
+    """The material under another name, glowing with `radiance`, W/(m² sr)."""
+    return dataclasses.replace(material, name=name, radiance=radiance)
