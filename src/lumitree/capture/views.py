@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.capture.straight_through import straight_through
+from lumitree.luminaires.straight_through import straight_through
 from lumitree.core.dataset import MANIFEST, Dataset, Frame, Manifest, Split, View
 from lumitree.core.progress import progress
 from lumitree.core.sampling import FIRST_TEST_INDEX, view_pose
@@ -150,6 +150,8 @@ class _Camera:
             self._luminaire.scene, self._sampler, ray, self._manifest.path_depth
         )
         values = (*radiance, dr.select(hit, mi.Float(1), 0), through)
+        # A block sum evaluates what it sums: without this, every channel would be traced again.
+        dr.eval(values)
         sums = [dr.block_sum(value, samples) for value in values]
         dr.eval(sums)
         return np.stack([np.array(value) for value in sums], axis=-1)

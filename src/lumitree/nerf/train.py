@@ -3,13 +3,8 @@
 import dataclasses
 import json
 import os
-import signal
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +14,7 @@ from flax import nnx
 
 from lumitree.core.dataset import Dataset
 from lumitree.core.files import write_json
+from lumitree.core.interrupt import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError
 from lumitree.nerf.config import TrainConfig
@@ -138,7 +134,7 @@ class _Loop:
         first = done = int(state.step)
         start = reported = saved = time.monotonic()
         with (
-            _deferred_interrupt() as interrupted,
+            deferred_interrupt() as interrupted,
             progress("train", self.config.num_steps, done) as advance,
         ):
             note = ""
@@ -227,23 +223,3 @@ def _load_history(folder: Path, step: int) -> list[dict[str, float]]:
         return [entry for entry in entries if entry["step"] <= step]
     except (OSError, ValueError, TypeError, KeyError):
         return []
-
-
-@contextmanager
-def _deferred_interrupt() -> Iterator[threading.Event]:
-    """Ctrl-C sets an event, so that a step is never cut in half; a second one kills at once."""
-    interrupted = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield interrupted
-        return
-    previous = signal.getsignal(signal.SIGINT)
-
-    def remember(*_: Any) -> None:
-        interrupted.set()
-        signal.signal(signal.SIGINT, previous)
-
-    signal.signal(signal.SIGINT, remember)
-    try:
-        yield interrupted
-    finally:
-        signal.signal(signal.SIGINT, previous)

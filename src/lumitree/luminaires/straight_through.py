@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 # Light that leaves within this angle of the direction it came in counts as having passed.
-_COSINE_OF_CONE = 0.9659258262890683  # cos 15°
+COSINE_OF_CONE = 0.9659258262890683  # cos 15°
 
 
 @dr.syntax
@@ -59,5 +59,5 @@ def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> Any
         crossings += 1
         active &= (crossings < path_depth) & (dr.max(throughput) > 0)
 
-    straight = passed & (dr.dot(ray.d, direction) >= _COSINE_OF_CONE)
+    straight = passed & (dr.dot(ray.d, direction) >= COSINE_OF_CONE)
     return dr.select(straight, dr.mean(throughput), 0)

@@ -1,0 +1,272 @@
+"""The direct bake: estimate an octree from rays, refine it with more rays, within a budget."""
+
+import dataclasses
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.model import LuminaireAsset
+from lumitree.core.files import atomic_path
+from lumitree.core.interrupt import deferred_interrupt
+from lumitree.core.progress import progress
+from lumitree.core.transmittance import Law
+from lumitree.direct.estimate import estimate, grow
+from lumitree.direct.field import LeafField
+from lumitree.direct.heldout import HeldOut, Score
+from lumitree.direct.rays import TracedRays
+from lumitree.direct.refine import RefineConfig, Refiner
+from lumitree.errors import LumitreeError
+from lumitree.luminaires.luminaire import Luminaire
+from lumitree.octree.build import build_children
+
+STATE = "state.npz"
+# The statistics are taken at this level at the finest; what is finer comes from splitting.
+_ESTIMATE_DEPTH = 8
+# Share of the budget spent when leaves are split for the first and for the second time.
+_SPLITS = (0.2, 0.45)
+# Seconds between two looks at the held-out rays, and between two saved states.
+_SCORE_SECONDS, _SAVE_SECONDS = 10.0, 60.0
+
+
+@dataclasses.dataclass(frozen=True)
+class DirectConfig:
+    """A direct bake.
+
+    Attributes:
+        tree_depth: level of the smallest leaves.
+        l_max: highest band of the spherical harmonics.
+        law: transmittance law.
+        estimate_lines: lines traced for the first estimate.
+        seconds: budget of time; None for no limit.
+        rays: budget of refinement rays; None for no limit.
+        seed: of all random numbers.
+        refine: the descent.
+    """
+
+    tree_depth: int = 8
+    l_max: int = 2
+    law: Law = "exponential"
+    estimate_lines: int = 1 << 24
+    seconds: float | None = 285.0
+    rays: int | None = None
+    seed: int = 0
+    refine: RefineConfig = RefineConfig()
+
+    def __post_init__(self) -> None:
+        if self.seconds is None and self.rays is None:
+            raise LumitreeError("a bake needs a budget; give it seconds or rays")
+        if (self.seconds is not None and not self.seconds > 0) or (
+            self.rays is not None and self.rays < 1
+        ):
+            raise LumitreeError("the budget of a bake must be above 0")
+
+
+@dataclasses.dataclass(frozen=True)
+class DirectResult:
+    """What came out: the asset, its held-out score, rays and seconds spent, in all."""
+
+    asset: LuminaireAsset
+    score: Score
+    rays: int
+    seconds: float
+    interrupted: bool
+
+
+def bake(luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResult:
+    """Bake a luminaire; continues what an interrupted bake left in `folder`.
+
+    Args:
+        luminaire: what is baked.
+        config: how.
+        folder: where the state is kept while it runs.
+
+    Raises:
+        LumitreeError: `folder` holds the state of another bake.
+    """
+    source = TracedRays(luminaire, spacing=2 / (1 << config.tree_depth), seed=config.seed)
+    record = _record(luminaire, config)
+    saved = _load(folder / STATE, record)
+    if saved is not None:
+        max_radiance = float(saved["max_radiance"])
+        clock = _Clock(config, float(saved["seconds"]), int(saved["rays"]))
+        refiner = Refiner(_placeholder(config, luminaire), source, max_radiance, config.refine)
+        refiner.restore(saved)
+    else:
+        clock = _Clock(config, 0.0, 0)
+        max_radiance = source.max_radiance()
+        field = _first_field(source, config, max_radiance)
+        refiner = Refiner(field, source, max_radiance, config.refine)
+    held_out = HeldOut.trace(source, max_radiance)
+    loop = _Loop(refiner, held_out, clock, config, folder, record, max_radiance)
+    interrupted = loop.run(luminaire.name)
+    asset = make_asset(loop.best, luminaire, max_radiance)
+    return DirectResult(asset, loop.best_score, clock.rays, clock.seconds, interrupted)
+
+
+def make_asset(field: LeafField, luminaire: Luminaire, max_radiance: float) -> LuminaireAsset:
+    """The asset of a field."""
+    limit = float(np.finfo(np.float16).max)
+    coefficients = np.array(field.coefficients).reshape(field.num_leaves, 3, -1)
+    return LuminaireAsset(
+        children=build_children(field.cells, field.levels),
+        density=np.exp(np.array(field.log_density)).astype(np.float32),
+        coefficients=coefficients.clip(-limit, limit).astype(np.float16),
+        tree_depth=field.tree_depth,
+        l_max=field.l_max,
+        law=field.law,
+        max_radiance=max_radiance,
+        half_extents=luminaire.half_extents,
+        world_from_proxy=luminaire.world_from_proxy,
+        luminaire=luminaire.name,
+    )
+
+
+def _first_field(source: TracedRays, config: DirectConfig, max_radiance: float) -> LeafField:
+    level = min(config.tree_depth, _ESTIMATE_DEPTH)
+    cells = grow(source, level, config.estimate_lines // 2)
+    first = estimate(source, cells, level, config.l_max, max_radiance, config.estimate_lines)
+    return LeafField(
+        first.cells,
+        np.full(len(first.cells), level),
+        np.log(np.maximum(first.density, 1e-3)),
+        first.coefficients.ravel(),
+        tree_depth=config.tree_depth,
+        l_max=config.l_max,
+        law=config.law,
+        half_extents=source.luminaire.half_extents,
+    )
+
+
+def _placeholder(config: DirectConfig, luminaire: Luminaire) -> LeafField:
+    """A field that a saved state replaces."""
+    none = np.zeros((0, 3), np.int64)
+    return LeafField(
+        none,
+        none[:, 0],
+        mi.Float(),
+        mi.Float(),
+        tree_depth=config.tree_depth,
+        l_max=config.l_max,
+        law=config.law,
+        half_extents=luminaire.half_extents,
+    )
+
+
+class _Clock:
+    """What of the budget is spent, by this run and those before it."""
+
+    def __init__(self, config: DirectConfig, seconds: float, rays: int) -> None:
+        self._config, self._earlier, self.rays = config, seconds, rays
+        self._start = time.monotonic()
+
+    @property
+    def seconds(self) -> float:
+        return self._earlier + time.monotonic() - self._start
+
+    @property
+    def progress(self) -> float:
+        """Share of the budget that is spent, 1 when it is all."""
+        shares = [0.0]
+        if self._config.seconds is not None:
+            shares.append(self.seconds / self._config.seconds)
+        if self._config.rays is not None:
+            shares.append(self.rays / self._config.rays)
+        return min(max(shares), 1.0)
+
+
+class _Loop:
+    """Steps until the budget is spent, with scores, splits and saved states on the way."""
+
+    def __init__(
+        self,
+        refiner: Refiner,
+        held_out: HeldOut,
+        clock: _Clock,
+        config: DirectConfig,
+        folder: Path,
+        record: str,
+        max_radiance: float,
+    ) -> None:
+        self._refiner, self._held_out, self._clock = refiner, held_out, clock
+        self._config, self._folder, self._record = config, folder, record
+        self._max_radiance = max_radiance
+        self.best, self.best_score = refiner.field, held_out.score(refiner.field)
+
+    def run(self, name: str) -> bool:
+        """Refine; returns whether Ctrl-C ended it."""
+        done = self._clock.progress
+        scored = saved = time.monotonic()
+        with (
+            deferred_interrupt() as interrupted,
+            progress(f"bake {name}", 1.0, done) as advance,
+        ):
+            while done < 1 and not interrupted.is_set():
+                self._clock.rays += self._refiner.advance(done)
+                before, done = done, self._clock.progress
+                self._split(before, done)
+                now = time.monotonic()
+                if now - scored >= _SCORE_SECONDS or done >= 1:
+                    scored = now
+                    self._score()
+                if now - saved >= _SAVE_SECONDS:
+                    saved = now
+                    self._save()
+                advance(done - before, f"{self.best_score}, {self._refiner.field.num_leaves} leaves")
+            if interrupted.is_set():
+                self._score()
+                self._save()
+        return interrupted.is_set()
+
+    def _split(self, before: float, done: float) -> None:
+        for index, share in enumerate(_SPLITS):
+            deepest = min(self._config.tree_depth, _ESTIMATE_DEPTH + 1 + index)
+            if before < share <= done:
+                self._refiner.prune()
+                if deepest > _ESTIMATE_DEPTH:
+                    self._refiner.split(deepest)
+
+    def _score(self) -> None:
+        score = self._held_out.score(self._refiner.field)
+        if score.psnr >= self.best_score.psnr:
+            self.best, self.best_score = self._refiner.field.copy(), score
+
+    def _save(self) -> None:
+        state = self._refiner.state()
+        state["max_radiance"] = np.array(self._max_radiance)
+        state["seconds"] = np.array(self._clock.seconds)
+        state["rays"] = np.array(self._clock.rays)
+        state["record"] = np.array(self._record)
+        with atomic_path(self._folder / STATE) as temporary:
+            np.savez(temporary, **state)  # type: ignore[arg-type]
+
+
+def _record(luminaire: Luminaire, config: DirectConfig) -> str:
+    """What must agree for a state to be continued; a budget may be raised."""
+    fields = dataclasses.asdict(config)
+    del fields["seconds"], fields["rays"]
+    return json.dumps({"fingerprint": luminaire.fingerprint, **fields}, sort_keys=True)
+
+
+def _load(path: Path, record: str) -> Mapping[str, NDArray[Any]] | None:
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            state = {name: archive[name] for name in archive.files}
+        found = str(state["record"])
+    except (OSError, ValueError, KeyError) as error:
+        raise LumitreeError(
+            f"{path} is damaged ({type(error).__name__}); remove its folder to start again"
+        ) from None
+    if found != record:
+        raise LumitreeError(
+            f"{path.parent} holds the unfinished bake of another luminaire or with other "
+            "settings; remove it, or choose another output with -o"
+        )
+    return state

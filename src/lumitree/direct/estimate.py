@@ -1,0 +1,264 @@
+"""The first octree, from statistics of random rays: where light stops, and what is seen there.
+
+A leaf's density is the number of paths that stop in it over the length that straight parts of
+paths travel in it, the maximum-likelihood rate of a homogeneous medium. Its emission is the
+least-squares fit of spherical harmonics to the radiance of the paths that stop in it.
+
+The tree grows coarse to fine: the leaves of a level that stop any path are split for the next.
+
+Symbols
+    K   (l_max + 1)² coefficients a channel
+    A   normal equations of a leaf, sum of Y Y^T over its stops, plus the regularisation
+    b   sum of Y times radiance
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.traversal import Octree
+from lumitree.core.frames import towards_viewer
+from lumitree.core.harmonics import basis, basis_array, num_coefficients
+from lumitree.core.sampling import halton_direction
+from lumitree.direct.rays import Stops, TracedRays
+from lumitree.octree.build import build_children
+
+_START_LEVEL = 5
+# Lines in flight at once; bounds memory.
+_BATCH = 1 << 20
+# Directions at which a leaf's linear fit is turned into coefficients before the sigmoid.
+_NUM_DIRECTIONS = 32
+# Fitted radiance is kept within these bounds, in units of L_max, where the sigmoid can follow.
+_DARKEST, _BRIGHTEST = 1e-5, 0.99
+# A leaf's fit is drawn to its parent's as if by this many paths that saw the parent's fit, and
+# band l by l² times the second number more.
+_PRIOR_PATHS, _PRIOR_BAND = 1.0, 100.0
+# Optical depth across a leaf that counts as opaque.
+OPAQUE = 10.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """Leaves of one level: cells [M, 3], density [M] per local unit, coefficients [M, 3, K]."""
+
+    cells: NDArray[np.int64]
+    density: NDArray[np.float32]
+    coefficients: NDArray[np.float32]
+
+
+def grow(rays: TracedRays, tree_depth: int, lines_a_level: int) -> NDArray[np.int64]:
+    """Cells [M, 3] of level `tree_depth` that may hold something: those whose parents stop paths.
+
+    Args:
+        rays: where lines come from.
+        tree_depth: level of the cells.
+        lines_a_level: lines traced to judge the cells of the last level but one; earlier levels
+            have fewer cells and get fewer.
+    """
+    half = rays.luminaire.half_extents
+    level = min(_START_LEVEL, tree_depth)
+    side = 1 << level
+    cells = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    cells = cells[_inside(cells, level, half)]
+    while level < tree_depth:
+        octree = _tree(cells, level, half)
+        lines = max(_BATCH, lines_a_level >> (2 * (tree_depth - 1 - level)))
+        stops = _count_stops(rays, octree, len(cells), lines, first_batch=level << 20)
+        cells = split(cells[stops > 0])
+        level += 1
+        cells = cells[_inside(cells, level, half)]
+    return cells
+
+
+def split(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The eight children [8 M, 3] of every cell [M, 3], in octant order."""
+    octants = np.array([(octant & 1, octant >> 1 & 1, octant >> 2) for octant in range(8)])
+    return (2 * cells[:, None] + octants).reshape(-1, 3)
+
+
+def estimate(
+    rays: TracedRays,
+    cells: NDArray[np.int64],
+    tree_depth: int,
+    l_max: int,
+    max_radiance: float,
+    num_lines: int,
+) -> Estimate:
+    """Density and coefficients of the cells in which paths stop.
+
+    Args:
+        rays: where lines come from.
+        cells: [M, 3] of level `tree_depth`.
+        max_radiance: L_max, radiance units of the luminaire's scene.
+        num_lines: lines traced.
+    """
+    half = rays.luminaire.half_extents
+    octree = _tree(cells, tree_depth, half)
+    sums = _Sums(len(cells), l_max)
+    for batch in range(-(-num_lines // _BATCH)):
+        sums.add(octree, rays.stops(_BATCH, batch))
+    # What no path crosses lies inside something: it is kept too, and made opaque.
+    kept = dr.compress((sums.stops > 0) | (sums.length == 0))
+    cells = cells[np.array(kept)]
+    sums = sums.take(kept)
+    fit = sums.solve(_parents(sums, cells, tree_depth))
+    return Estimate(
+        cells,
+        np.array(sums.density(2 / (1 << tree_depth))),
+        np.array(_before_sigmoid(fit, l_max, max_radiance)).reshape(
+            -1, 3, num_coefficients(l_max)
+        ),
+    )
+
+
+def _parents(sums: "_Sums", cells: NDArray[np.int64], level: int) -> list[list[Any]] | None:
+    """Fits of the cells' parents, gathered for every cell; None above the start level."""
+    if level <= _START_LEVEL:
+        return None
+    parents, index = np.unique(cells >> 1, axis=0, return_inverse=True)
+    index = mi.UInt32(index.ravel())
+    above = sums.sum_into(index, len(parents))
+    fit = above.solve(_parents(above, parents, level - 1))
+    return [[dr.gather(mi.Float, value, index) for value in channel] for channel in fit]
+
+
+def _inside(
+    cells: NDArray[np.int64], level: int, half_extents: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether cells [M, 3] reach into the proxy box."""
+    side = 2 / (1 << level)
+    low = cells * side - 1
+    return ((low < half_extents) & (low + side > -half_extents)).all(axis=1)
+
+
+def _tree(cells: NDArray[np.int64], level: int, half_extents: NDArray[np.float64]) -> Octree:
+    return Octree(build_children(cells, np.full(len(cells), level)), level, half_extents)
+
+
+def _count_stops(
+    rays: TracedRays, octree: Octree, num_cells: int, lines: int, first_batch: int
+) -> NDArray[np.float32]:
+    count = dr.zeros(mi.Float, num_cells)
+    for batch in range(-(-lines // _BATCH)):
+        stops = rays.stops(_BATCH, first_batch + batch, with_radiance=False)
+        leaf, found = octree.find_leaf(stops.point, stops.stopped)
+        dr.scatter_add(count, mi.Float(1), leaf, found)
+        dr.eval(count)
+    return np.array(count)
+
+
+class _Sums:
+    """Statistics of every leaf: stops, length, and the normal equations of its fit."""
+
+    def __init__(self, num_leaves: int, l_max: int) -> None:
+        self.l_max = l_max
+        self._count = num_coefficients(l_max)
+        self._pairs = [(i, j) for i in range(self._count) for j in range(i + 1)]
+        self.stops = dr.zeros(mi.Float, num_leaves)
+        self.length = dr.zeros(mi.Float, num_leaves)
+        self._a = [dr.zeros(mi.Float, num_leaves) for _ in self._pairs]
+        self._b = [dr.zeros(mi.Float, num_leaves) for _ in range(3 * self._count)]
+
+    def add(self, octree: Octree, stops: Stops) -> None:
+        """Count paths in."""
+        leaf, found = octree.find_leaf(stops.point, stops.stopped)
+        dr.scatter_add(self.stops, mi.Float(1), leaf, found)
+        y = basis(*towards_viewer(stops.direction), self.l_max)
+        for total, (i, j) in zip(self._a, self._pairs, strict=True):
+            dr.scatter_add(total, y[i] * y[j], leaf, found)
+        for index, total in enumerate(self._b):
+            channel, k = divmod(index, self._count)
+            dr.scatter_add(total, y[k] * stops.radiance[channel], leaf, found)
+
+        end = dr.select(stops.stopped, dr.dot(stops.point - stops.origin, stops.direction), dr.inf)
+
+        def visit(state, leaf, start, length, active):
+            travelled = dr.clip(end - start, 0, length)
+            dr.scatter_add(self.length, travelled, leaf, active & (travelled > 0))
+            return state, start + length < end
+
+        octree.walk(stops.origin, stops.direction, mi.Bool(True), visit, (mi.Float(0),))
+        dr.eval(self.stops, self.length, self._a, self._b)
+
+    def take(self, leaves: Any) -> "_Sums":
+        """Those of some leaves."""
+        return self._mapped(dr.width(leaves), lambda values: dr.gather(mi.Float, values, leaves))
+
+    def sum_into(self, parents: Any, num_parents: int) -> "_Sums":
+        """Sums over the leaves of each parent; `parents` is each leaf's."""
+
+        def add_up(values):
+            total = dr.zeros(mi.Float, num_parents)
+            dr.scatter_add(total, values, parents)
+            return total
+
+        return self._mapped(num_parents, add_up)
+
+    def _mapped(self, num_leaves: int, function: Callable[[Any], Any]) -> "_Sums":
+        result = _Sums(num_leaves, self.l_max)
+        result.stops, result.length = function(self.stops), function(self.length)
+        result._a = [function(values) for values in self._a]
+        result._b = [function(values) for values in self._b]
+        dr.eval(result.stops, result.length, result._a, result._b)
+        return result
+
+    def density(self, side: float) -> Any:
+        """Stops over length; at most `OPAQUE` over the leaf's side, as where no path comes."""
+        rate = self.stops / dr.maximum(self.length, 1e-9)
+        return dr.select(self.length > 0, dr.minimum(rate, OPAQUE / side), OPAQUE / side)
+
+    def solve(self, prior: list[list[Any]] | None) -> list[list[Any]]:
+        """Fits [3][K] of radiance by Cholesky's decomposition of each leaf's normal equations.
+
+        Args:
+            prior: [3][K] coefficients each leaf is drawn to; None for 0.
+        """
+        # The mean of Y Y^T over the sphere is 1 / (4 pi) on the diagonal.
+        bands = [int(np.sqrt(k)) for k in range(self._count)]
+        pull = [(_PRIOR_PATHS + _PRIOR_BAND * band**2) / (4 * np.pi) for band in bands]
+        a = dict(zip(self._pairs, self._a, strict=True))
+        lower: dict[tuple[int, int], Any] = {}
+        for i in range(self._count):
+            for j in range(i + 1):
+                rest = a[i, j] - sum(lower[i, k] * lower[j, k] for k in range(j))
+                lower[i, j] = dr.sqrt(rest + pull[i]) if i == j else rest / lower[j, j]
+        solutions = []
+        for channel in range(3):
+            x: list[Any] = []
+            for i in range(self._count):
+                b = self._b[channel * self._count + i]
+                if prior is not None:
+                    b = b + pull[i] * prior[channel][i]
+                x.append((b - sum(lower[i, k] * x[k] for k in range(i))) / lower[i, i])
+            for i in reversed(range(self._count)):
+                rest = sum(lower[k, i] * x[k] for k in range(i + 1, self._count))
+                x[i] = (x[i] - rest) / lower[i, i]
+            solutions.append(x)
+        dr.eval(solutions)
+        return solutions
+
+
+def _before_sigmoid(fit: list[list[Any]], l_max: int, max_radiance: float) -> Any:
+    """Coefficients [M · 3 · K] whose sigmoid follows a fit of radiance [3][K]."""
+    directions = np.array([halton_direction(i + 1) for i in range(_NUM_DIRECTIONS)])
+    values = basis_array(directions, l_max)
+    back = np.linalg.pinv(values)
+    count, leaves = values.shape[1], dr.width(fit[0][0])
+    result = dr.zeros(mi.Float, leaves * 3 * count)
+    row = dr.arange(mi.UInt32, leaves) * (3 * count)
+    for channel, linear in enumerate(fit):
+        before = [mi.Float(0)] * count
+        for direction in range(_NUM_DIRECTIONS):
+            radiance = sum(linear[k] * float(values[direction, k]) for k in range(count))
+            x = dr.clip(radiance / max_radiance, _DARKEST, _BRIGHTEST)
+            logit = dr.log(x / (1 - x))
+            before = [before[k] + float(back[k, direction]) * logit for k in range(count)]
+        for k in range(count):
+            dr.scatter(result, before[k], row + (channel * count + k))
+    dr.eval(result)
+    return result

@@ -1,0 +1,206 @@
+"""A field whose leaves can be changed: its integral along rays and the adjoint of that integral.
+
+Symbols
+    s_i         optical depth of leaf i along the ray, density times length
+    T_i         transmittance after leaf i; T_0 = 1
+    w_i         weight of leaf i, T_{i-1} - T_i
+    Phi_i       emission of leaf i towards the viewer, in units of L_max: sigmoid(c_i · Y)
+    L           sum of w_i Phi_i
+    dL, dT      derivatives of the loss by L and by the ray's transmittance T_n
+"""
+
+import copy
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.traversal import Octree
+from lumitree.core.frames import towards_viewer
+from lumitree.core.harmonics import basis, num_coefficients
+from lumitree.core.transmittance import BLOCKED, Law, transmittance
+from lumitree.octree.build import build_children
+
+# Leaves that show less than this of themselves get no gradient for their coefficients.
+_MIN_WEIGHT = 1e-4
+
+
+class LeafField:
+    """Leaves of one octree with trainable density and coefficients.
+
+    Attributes:
+        cells, levels: int64 [M, 3] and [M], where the leaves are.
+        log_density: mi.Float [M], per local unit.
+        coefficients: mi.Float [M · 3 · K], before the sigmoid.
+        octree: the tree over them.
+    """
+
+    def __init__(
+        self,
+        cells: NDArray[np.int64],
+        levels: NDArray[np.int64],
+        log_density: Any,
+        coefficients: Any,
+        *,
+        tree_depth: int,
+        l_max: int,
+        law: Law,
+        half_extents: NDArray[np.float64],
+    ) -> None:
+        self.cells, self.levels = cells, levels
+        self.log_density, self.coefficients = mi.Float(log_density), mi.Float(coefficients)
+        self.tree_depth, self.l_max, self.law = tree_depth, l_max, law
+        self.half_extents = half_extents
+        self.octree = Octree(build_children(cells, levels), tree_depth, half_extents)
+        self._blocked = 0.0 if law == "linear" else BLOCKED
+
+    def with_leaves(
+        self,
+        cells: NDArray[np.int64],
+        levels: NDArray[np.int64],
+        log_density: Any,
+        coefficients: Any,
+    ) -> "LeafField":
+        """A field of other leaves over the same proxy."""
+        return LeafField(
+            cells,
+            levels,
+            log_density,
+            coefficients,
+            tree_depth=self.tree_depth,
+            l_max=self.l_max,
+            law=self.law,
+            half_extents=self.half_extents,
+        )
+
+    def copy(self) -> "LeafField":
+        """The field as it is now, which later steps on this one leave alone."""
+        # Device arrays are never changed in place here, only replaced.
+        return copy.copy(self)
+
+    @property
+    def num_leaves(self) -> int:
+        """Number of leaves, M."""
+        return len(self.cells)
+
+    @property
+    def num_coefficients(self) -> int:
+        """Coefficients of a leaf, 3 K."""
+        return 3 * num_coefficients(self.l_max)
+
+    def meets(self, origin: Any, direction: Any) -> Any:
+        """Whether a line crosses any leaf (mi.Bool)."""
+
+        def visit(state, leaf, start, length, active):
+            return (state[0] | active,), ~active
+
+        return self.octree.walk(origin, direction, mi.Bool(True), visit, (mi.Bool(False),))[0]
+
+    def integrate(self, origin: Any, direction: Any) -> tuple[Any, Any, Any]:
+        """L / L_max (mi.Color3f), T, and Phi where the linear law saturates (else 0)."""
+        y = basis(*towards_viewer(direction), self.l_max)
+
+        def visit(state, leaf, start, length, active):
+            radiance, tau, through, last = state
+            tau = tau + dr.select(active, self._density(leaf, active) * length, 0)
+            after = mi.Float(transmittance(tau, self.law, dr))
+            weight = through - after
+            lit = active & (weight > _MIN_WEIGHT)
+            emission = self._emission(leaf, y, lit)
+            radiance = dr.select(lit, radiance + weight * emission, radiance)
+            if self.law == "linear":
+                last = dr.select(lit & (after <= 0), emission, last)
+            return (radiance, tau, after, last), after > self._blocked
+
+        state = (mi.Color3f(0), mi.Float(0), mi.Float(1), mi.Color3f(0))
+        radiance, _, through, last = self.octree.walk(
+            origin, direction, mi.Bool(True), visit, state
+        )
+        return radiance, through, last
+
+    def scatter_gradients(
+        self,
+        origin: Any,
+        direction: Any,
+        integrated: tuple[Any, Any, Any],
+        d_radiance: Any,
+        d_through: Any,
+        loss: Any,
+        density_gradient: Any,
+        coefficient_gradient: Any,
+        blame: Any,
+    ) -> None:
+        """Add the loss's derivatives by log density and coefficients, in a second walk.
+
+        With T = law(tau), L = Phi_1 + sum_i T_i (Phi_{i+1} - Phi_i), so that
+        dL/ds_j = sum_{i >= j} law'(tau_i) (Phi_{i+1} - Phi_i):
+        for the exponential law T_j Phi_j - (what is seen behind j), for the linear one
+        Phi_j - Phi_k where leaf k saturates it (Phi_k = 0 where none does) and 0 from k on.
+
+        Args:
+            integrated: what `integrate` returned for the same rays.
+            d_radiance, d_through: dL (mi.Color3f, by L / L_max) and dT of each ray.
+            loss: mi.Float of each ray, shared out to `blame` by the leaves' weights.
+            density_gradient, coefficient_gradient, blame: mi.Float, added to.
+        """
+        y = basis(*towards_viewer(direction), self.l_max)
+        total, through_end, last = integrated
+        width = self.num_coefficients
+        count = width // 3
+
+        def visit(state, leaf, start, length, active):
+            seen, tau, through = state
+            depth = dr.select(active, self._density(leaf, active) * length, 0)
+            tau = tau + depth
+            after = mi.Float(transmittance(tau, self.law, dr))
+            weight = through - after
+            lit = active & (weight > _MIN_WEIGHT)
+            emission = self._emission(leaf, y, lit)
+            seen = dr.select(lit, seen + weight * emission, seen)
+            if self.law == "linear":
+                # Where leaf k saturates the ray nothing changes with its density; the gradient
+                # of the opacity is taken to be that of tau, or it could never thin out.
+                slope = dr.select(after > 0, emission - last, 0)
+                d_tau = dr.dot(d_radiance, slope) - d_through * dr.select(
+                    (after > 0) | (d_through > 0), 1, 0
+                )
+            else:
+                d_tau = dr.dot(d_radiance, after * emission - (total - seen))
+                d_tau -= d_through * through_end
+            _add(density_gradient, d_tau * depth, leaf, active)
+            _add(blame, weight * loss, leaf, lit)
+            by_emission = weight * d_radiance * emission * (1 - emission)
+            for channel in range(3):
+                for k in range(count):
+                    _add(
+                        coefficient_gradient,
+                        by_emission[channel] * y[k],
+                        leaf * width + (channel * count + k),
+                        lit,
+                    )
+            return (seen, tau, after), after > self._blocked
+
+        state = (mi.Color3f(0), mi.Float(0), mi.Float(1))
+        self.octree.walk(origin, direction, mi.Bool(True), visit, state)
+        dr.eval(density_gradient, coefficient_gradient, blame)
+
+    def _density(self, leaf, active):
+        return dr.exp(dr.gather(mi.Float, self.log_density, leaf, active))
+
+    def _emission(self, leaf, y, active):
+        count = len(y)
+        channels = []
+        for channel in range(3):
+            total = mi.Float(0)
+            for k in range(count):
+                index = leaf * (3 * count) + (channel * count + k)
+                total = dr.fma(dr.gather(mi.Float, self.coefficients, index, active), y[k], total)
+            channels.append(dr.rcp(1 + dr.exp(-total)))
+        return mi.Color3f(*channels)
+
+
+def _add(target: Any, value: Any, index: Any, active: Any) -> None:
+    # Rays of a packet are neighbours but seldom in one leaf: looking for that costs more.
+    dr.scatter_reduce(dr.ReduceOp.Add, target, value, index, active, mode=dr.ReduceMode.Direct)

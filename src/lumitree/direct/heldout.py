@@ -1,0 +1,60 @@
+"""Rays kept apart, and what they say about a field: an unbiased PSNR with its uncertainty."""
+
+import dataclasses
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from lumitree.direct.field import LeafField
+from lumitree.direct.rays import HELD_OUT_BATCH, TracedRays
+
+_NUM_LINES = 1 << 17
+_PATHS = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class Score:
+    """PSNR of radiance / L_max in dB, and half the width of its 68 % interval."""
+
+    psnr: float
+    uncertainty: float
+
+    def __str__(self) -> str:
+        return f"held-out PSNR {self.psnr:.2f} ± {self.uncertainty:.2f} dB"
+
+
+@dataclasses.dataclass(frozen=True)
+class HeldOut:
+    """Lines with two independent noisy estimates a and b of their radiance / L_max.
+
+    The mean of (L - a)(L - b) is the mean squared error of L: noise that is independent in the
+    two leaves no bias, so that few paths suffice.
+    """
+
+    origin: Any
+    direction: Any
+    first: Any
+    second: Any
+
+    @staticmethod
+    def trace(source: TracedRays, max_radiance: float) -> "HeldOut":
+        """Lines that no step of a bake draws."""
+        origin, direction = source.lines(_NUM_LINES, HELD_OUT_BATCH)
+        a, b = (
+            source.trace(origin, direction, HELD_OUT_BATCH + half, _PATHS).radiance
+            for half in range(2)
+        )
+        scale = 1 / max_radiance
+        return HeldOut(origin, direction, dr.minimum(a * scale, 1), dr.minimum(b * scale, 1))
+
+    def score(self, field: LeafField) -> Score:
+        """PSNR of a field on these lines."""
+        radiance, _, _ = field.integrate(self.origin, self.direction)
+        products = [
+            (radiance[c] - self.first[c]) * (radiance[c] - self.second[c]) for c in range(3)
+        ]
+        values = np.array(sum(products) / 3)
+        error = max(float(values.mean()), 1e-12)
+        deviation = float(values.std() / np.sqrt(len(values)))
+        return Score(-10 * np.log10(error), 10 / np.log(10) * deviation / error)

@@ -1,0 +1,293 @@
+"""Rays to learn from: random lines through a luminaire, traced afresh for every batch.
+
+Symbols
+    line        a ray that enters the proxy box; lines are uniform in dA cos(theta) domega, the
+                measure in which flux is the integral of radiance
+    stop        where the part of a path ends that goes straight through: at the surface or in the
+                medium that reflects, scatters or absorbs it
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from lumitree.luminaires.luminaire import Luminaire
+from lumitree.luminaires.straight_through import COSINE_OF_CONE, straight_through
+
+PATH_DEPTH = 32
+# Batch numbers that no other use of a source reaches.
+_MAX_RADIANCE_BATCH = 1 << 30
+HELD_OUT_BATCH = _MAX_RADIANCE_BATCH + 1
+# Which lines (origin, direction, local frame) are worth tracing: mi.Bool.
+Wanted = Callable[[Any, Any], Any]
+
+
+@dataclasses.dataclass
+class Rays:
+    """A batch of rays in the local frame, and what they should show.
+
+    Attributes:
+        origin, direction: mi.Point3f and mi.Vector3f, local frame, direction of travel.
+        radiance: mi.Color3f, a noisy estimate without bias.
+        transmittance: mi.Float, straight-through throughput (D7), likewise.
+    """
+
+    origin: Any
+    direction: Any
+    radiance: Any
+    transmittance: Any
+
+
+@dataclasses.dataclass
+class Stops:
+    """Where paths stop on their way straight through, and the radiance they carry from there.
+
+    Attributes:
+        origin, direction: the line, local frame.
+        point: mi.Point3f, where it stops or leaves; local frame.
+        stopped: mi.Bool; false where the line passes through.
+        radiance: mi.Color3f, noisy.
+    """
+
+    origin: Any
+    direction: Any
+    point: Any
+    stopped: Any
+    radiance: Any
+
+
+class RaySource(Protocol):
+    """Where a bake gets its rays from."""
+
+    def draw(self, count: int, batch: int, wanted: Wanted) -> Rays:
+        """Of `count` random lines of batch number `batch`, those that are wanted."""
+        ...
+
+
+class TracedRays:
+    """Endless rays of a luminaire; equal seeds give equal rays.
+
+    Args:
+        luminaire: what is traced.
+        spacing: distance of neighbouring lines, local units.
+        paths: traced for each line of `draw`.
+        seed: of all random numbers.
+    """
+
+    def __init__(
+        self, luminaire: Luminaire, spacing: float, paths: int = 2, seed: int = 0
+    ) -> None:
+        self.luminaire, self.spacing = luminaire, spacing
+        self._paths = paths
+        self._reach = 1.01 * float(np.linalg.norm(luminaire.half_extents)) + 4 * spacing
+        self._half = luminaire.half_extents
+        self._seed = seed
+        self._sampler = mi.load_dict({"type": "independent"})
+        self._integrator = mi.load_dict(
+            {"type": "volpath" if luminaire.has_media else "path", "max_depth": PATH_DEPTH}
+        )
+        self._to_world = mi.Transform4f(luminaire.world_from_proxy)
+        self._to_local = mi.Transform4f(np.linalg.inv(luminaire.world_from_proxy))
+        dr.make_opaque(self._to_world, self._to_local)
+
+    @property
+    def measure(self) -> float:
+        """Integral of dA cos(theta) domega over all lines, local units squared times sr."""
+        x, y, z = self._half
+        return float(np.pi * 8 * (x * y + y * z + z * x))
+
+    def lines(self, count: int, batch: int) -> tuple[Any, Any]:
+        """Random lines of batch number `batch`: origins and directions in the local frame.
+
+        Lines come in tiles of 4 x 4 parallel neighbours `spacing` apart, jittered, so that the
+        lanes of a vector unit walk the same leaves; the tiles are uniform. Lines at the border of
+        a tile may miss the box.
+
+        Args:
+            count: number of lines, a multiple of 16.
+        """
+        self._sampler.seed(_mix(self._seed, batch, 0), count // 16)
+        x, y, z = self._half
+        areas = np.array([y * z, z * x, x * y])
+        split = np.cumsum(areas / areas.sum())
+        u = self._sampler.next_1d()
+        axis = dr.select(u < split[0], 0, dr.select(u < split[1], 1, mi.UInt32(2)))
+        side = dr.select(self._sampler.next_1d() < 0.5, mi.Float(-1), 1)
+        place = 2 * self._sampler.next_2d() - 1
+        towards = mi.warp.square_to_cosine_hemisphere(self._sampler.next_2d())
+        turn = 2 * np.pi * self._sampler.next_1d()
+        centre = _on_axis(axis, place.x, place.y, side) * mi.Vector3f(*self._half.tolist())
+        direction = _on_axis(axis, towards.x, towards.y, -side * towards.z)
+        s, t = mi.coordinate_system(direction)
+        sine, cosine = dr.sincos(turn)
+        right, up = cosine * s + sine * t, cosine * t - sine * s
+        dr.eval(centre, direction, right, up)
+
+        self._sampler.seed(_mix(self._seed, batch, 1), count)
+        index = dr.arange(mi.UInt32, count)
+        tile, within = index // 16, index % 16
+        jitter = (
+            mi.Point2f(within % 4, within // 4) - 2 + self._sampler.next_2d()
+        ) * self.spacing
+        origin = (
+            dr.gather(mi.Vector3f, centre, tile)
+            + jitter.x * dr.gather(mi.Vector3f, right, tile)
+            + jitter.y * dr.gather(mi.Vector3f, up, tile)
+        )
+        return mi.Point3f(origin), dr.gather(mi.Vector3f, direction, tile)
+
+    def draw(self, count: int, batch: int, wanted: Wanted) -> Rays:
+        """Of `count` random lines, those that are wanted, with a path or more traced for each."""
+        origin, direction = self.lines(count, batch)
+        chosen = dr.compress(wanted(origin, direction))
+        origin = dr.gather(mi.Point3f, origin, chosen)
+        direction = dr.gather(mi.Vector3f, direction, chosen)
+        dr.eval(origin, direction)
+        return self.trace(origin, direction, batch)
+
+    def trace(self, origin: Any, direction: Any, batch: int, paths: int | None = None) -> Rays:
+        """Radiance and straight-through transmittance of lines, each the mean of some paths."""
+        paths = self._paths if paths is None else paths
+        count = dr.width(origin)
+        self._sampler.seed(_mix(self._seed, batch, 2), count * paths)
+        index = dr.arange(mi.UInt32, count * paths) // paths
+        ray = mi.RayDifferential3f(
+            self._world_ray(dr.gather(mi.Point3f, origin, index), dr.gather(mi.Vector3f, direction, index))
+        )
+        scene = self.luminaire.scene
+        radiance, _, _ = self._integrator.sample(scene, self._sampler, ray)
+        through = straight_through(scene, self._sampler, ray, PATH_DEPTH)
+        # A block sum evaluates what it sums: without this, every channel would be traced again.
+        dr.eval(radiance, through)
+        values = [dr.block_sum(value, paths) / paths for value in (*radiance, through)]
+        dr.eval(values)
+        return Rays(origin, direction, mi.Color3f(*values[:3]), values[3])
+
+    def max_radiance(self) -> float:
+        """L_max (D9): 99.99th percentile of radiance over the pixels of views all around.
+
+        Lines of a tile average to a pixel as wide as `spacing`; views also hold pixels beside the
+        box, which lines do not visit.
+        """
+        count = 1 << 21
+        near = TracedRays(self.luminaire, self.spacing / 4, seed=self._seed)
+        origin, direction = near.lines(count, _MAX_RADIANCE_BATCH)
+        radiance = near.trace(origin, direction, _MAX_RADIANCE_BATCH).radiance
+        pixels = np.stack([np.array(dr.block_sum(value, 16)) for value in radiance]) / 16
+        views = 4 * np.pi * np.pi * self.luminaire.bounding_radius**2
+        brightest = max(1, round(1e-4 * 3 * (count // 16) * views / self.measure))
+        values = np.sort(pixels.ravel())
+        return float(values[-min(brightest, len(values))])
+
+    def stops(self, count: int, batch: int, with_radiance: bool = True) -> Stops:
+        """Random lines with the place where each one's straight part ends.
+
+        Without radiance, which takes most of the time, it is what has been met on the way.
+        """
+        origin, direction = self.lines(count, batch)
+        point, stopped, radiance = self._follow(self._world_ray(origin, direction), with_radiance)
+        stops = Stops(origin, direction, self._to_local @ point, stopped, radiance)
+        dr.eval(stops.origin, stops.direction, stops.point, stops.stopped, stops.radiance)
+        return stops
+
+    def _world_ray(self, origin, direction):
+        # From outside the bounding sphere, so that nothing is missed.
+        back = dr.dot(direction, origin) + self._reach
+        outside = mi.Point3f(origin - back * direction)
+        return mi.Ray3f(self._to_world @ outside, dr.normalize(self._to_world @ direction))
+
+    @dr.syntax
+    def _follow(self, ray, with_radiance):
+        scene, sampler = self.luminaire.scene, self._sampler
+        context = mi.BSDFContext()
+        line = mi.Ray3f(ray)
+        straight = mi.Vector3f(ray.d)
+        ray = mi.Ray3f(ray)
+        throughput = mi.Color3f(1)
+        radiance = mi.Color3f(0)
+        first = dr.zeros(mi.Point3f)
+        stop = dr.zeros(mi.Point3f)
+        stopped = mi.Bool(False)
+        scattered = mi.Ray3f(ray)
+        medium = dr.zeros(mi.MediumPtr)
+        crossings = mi.UInt32(0)
+        active = mi.Bool(True)
+        while active:
+            si = scene.ray_intersect(ray, active)
+            inside = active & (medium != None)  # noqa: E711 (a vector comparison)
+            here = dr.zeros(mi.MediumInteraction3f)
+            here.p = ray.o
+            sigma_s, _, extinction = medium.get_scattering_coefficients(here, inside)
+            mean = dr.mean(extinction)
+            flight = dr.select(
+                inside & (mean > 0), -dr.log(1 - sampler.next_1d(active)) / mean, dr.inf
+            )
+            collides = inside & (flight < dr.select(si.is_valid(), si.t, dr.inf))
+            travelled = dr.select(collides, flight, dr.select(si.is_valid(), si.t, 0))
+            tilt = dr.select(inside, dr.exp(-(extinction - mean) * travelled), 1)
+            throughput[active] = throughput * tilt
+
+            # A collision ends the straight part. No path can be started inside a medium, so the
+            # whole line stands for what comes from there.
+            throughput[collides] = dr.select(sigma_s > 0, mi.Color3f(1), 0)
+            radiance[collides] = mi.Color3f(0)
+
+            hits = active & ~collides & si.is_valid()
+            first = dr.select(hits & (crossings == 0), si.p, first)
+            radiance[hits] = radiance + throughput * si.emitter(scene, hits).eval(si, hits)
+            sample, weight = si.bsdf(ray).sample(
+                context, si, sampler.next_1d(hits), sampler.next_2d(hits), hits
+            )
+            transmits = hits & (
+                mi.has_flag(sample.sampled_type, mi.BSDFFlags.Transmission)
+                | mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+            )
+            throughput[hits] = throughput * weight
+            onwards = si.spawn_ray(si.to_world(sample.wo))
+
+            ends = collides | (hits & ~transmits)
+            bent = dr.dot(ray.d, straight) < COSINE_OF_CONE
+            place = dr.select(collides, ray(dr.select(collides, flight, 0)), si.p)
+            stop = dr.select(ends, dr.select(bent, first, place), stop)
+            stopped |= ends
+            after = dr.select(collides, line, onwards)
+            scattered = dr.select(ends, after, scattered)
+
+            leaves = active & ~collides & ~si.is_valid()
+            # What leaves in another direction was stopped where it was first bent.
+            missed = leaves & bent & (crossings > 0)
+            stop = dr.select(missed, first, stop)
+            stopped |= missed
+            scattered = dr.select(missed, ray, scattered)
+            throughput[missed] = mi.Color3f(0)
+
+            medium = dr.select(transmits & si.is_medium_transition(), si.target_medium(onwards.d), medium)
+            ray = dr.select(transmits, onwards, ray)
+            crossings += 1
+            active = transmits & (crossings < PATH_DEPTH) & (dr.max(throughput) > 0)
+
+        if dr.hint(with_radiance, mode="scalar"):
+            goes_on = stopped & (dr.max(throughput) > 0)
+            beyond, _, _ = self._integrator.sample(
+                scene, sampler, mi.RayDifferential3f(scattered), active=goes_on
+            )
+            radiance += dr.select(goes_on, throughput * beyond, 0)
+        return stop, stopped, radiance
+
+
+def _on_axis(axis: Any, a: Any, b: Any, n: Any) -> Any:
+    """mi.Vector3f whose component along `axis` is n, and a and b the two that follow it."""
+    return mi.Vector3f(
+        dr.select(axis == 0, n, dr.select(axis == 1, b, a)),
+        dr.select(axis == 0, a, dr.select(axis == 1, n, b)),
+        dr.select(axis == 0, b, dr.select(axis == 1, a, n)),
+    )
+
+
+def _mix(seed: int, batch: int, use: int) -> int:
+    """Seed of one use of one batch; distinct for all of them."""
+    return int(np.random.SeedSequence([seed, batch, use]).generate_state(1)[0])

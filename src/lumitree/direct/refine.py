@@ -1,0 +1,224 @@
+"""Gradient descent on the leaves of an octree with fresh, noisy rays.
+
+The gradient of the loss is linear in the target, so its noise averages out over rays and steps
+(noise2noise): every step draws new rays instead of looking at stored pictures.
+
+Symbols
+    L, T        radiance / L_max and transmittance of the field along a ray
+    l, t        what the ray should show, noisy
+    loss        mean of ((L - l) / (sg(L) + epsilon))² + opacity_weight (T - t)²: Eq. 8 and the
+                paper's opacity loss
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.direct.estimate import OPAQUE, split
+from lumitree.direct.field import LeafField
+from lumitree.direct.rays import RaySource
+from lumitree.errors import LumitreeError
+
+_BETA_1, _BETA_2 = 0.9, 0.98
+# Leaves thinner than this (optical depth across) are dropped.
+_MIN_DEPTH = 2e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class RefineConfig:
+    """How to descend.
+
+    Attributes:
+        lines: lines drawn for a step; those that meet no leaf cost little.
+        epsilon: of the loss, in units of L_max.
+        opacity_weight: of the loss.
+        learning_rate: first step of Adam for coefficients and log density.
+        final_rate: last step over first; the rate falls exponentially with the budget spent.
+        max_leaves: no more are made by splitting.
+    """
+
+    lines: int = 1 << 18
+    epsilon: float = 0.004
+    opacity_weight: float = 1.0
+    learning_rate: float = 0.1
+    final_rate: float = 0.03
+    max_leaves: int = 3_000_000
+
+    def __post_init__(self) -> None:
+        if self.lines < 16 or self.lines % 16:
+            raise LumitreeError(f"lines is {self.lines}; expected a multiple of 16")
+        if not (self.epsilon > 0 and self.learning_rate > 0 and 0 < self.final_rate <= 1):
+            raise LumitreeError("epsilon, learning_rate and final_rate must be above 0")
+
+
+class Refiner:
+    """A field being refined, with the state of its optimiser.
+
+    Attributes:
+        field: the leaves so far.
+        step: steps done.
+    """
+
+    def __init__(
+        self, field: LeafField, source: RaySource, max_radiance: float, config: RefineConfig
+    ) -> None:
+        self.field, self.step = field, 0
+        self._source, self._config = source, config
+        self._max_radiance = max_radiance
+        self._density_adam = Adam(field.num_leaves)
+        self._coefficient_adam = Adam(field.num_leaves * field.num_coefficients)
+        # How much of the loss each leaf answers for, since the last split.
+        self._blame = dr.zeros(mi.Float, field.num_leaves)
+
+    def advance(self, progress: float) -> int:
+        """One step at `progress` in [0, 1] of the budget; returns the number of rays used."""
+        field, config = self.field, self._config
+        self.step += 1
+        rays = self._source.draw(config.lines, self.step, field.meets)
+        count = dr.width(rays.origin)
+        if count == 0:
+            return 0
+        integrated = field.integrate(rays.origin, rays.direction)
+        radiance, through, _ = integrated
+        dr.eval(integrated)
+        scale = dr.opaque(mi.Float, 1 / self._max_radiance)
+        share = dr.opaque(mi.Float, 1 / count)
+        weight = dr.rcp(dr.square(radiance + config.epsilon))
+        error = radiance - dr.minimum(rays.radiance * scale, 1)
+        opacity_error = through - rays.transmittance
+        blame = dr.sum(dr.minimum(weight * dr.square(error), 100)) + dr.square(opacity_error)
+        d_density = dr.zeros(mi.Float, field.num_leaves)
+        d_coefficients = dr.zeros(mi.Float, field.num_leaves * field.num_coefficients)
+        field.scatter_gradients(
+            rays.origin,
+            rays.direction,
+            integrated,
+            2 * share * weight * error,
+            2 * share * config.opacity_weight * opacity_error,
+            blame,
+            d_density,
+            d_coefficients,
+            self._blame,
+        )
+        rate = config.learning_rate * config.final_rate ** min(progress, 1.0)
+        field.log_density = dr.minimum(
+            self._density_adam.descend(field.log_density, d_density, rate), self._densest()
+        )
+        field.coefficients = self._coefficient_adam.descend(
+            field.coefficients, d_coefficients, rate
+        )
+        dr.eval(field.log_density, field.coefficients)
+        return count
+
+    def _densest(self) -> Any:
+        """Log density [M] at which each leaf is opaque."""
+        level = mi.Float(self.field.levels.astype(np.float32))
+        return math.log(OPAQUE / 2) + level * math.log(2)
+
+    def prune(self) -> None:
+        """Drop the leaves that hide next to nothing, wherever they are seen from."""
+        depth = np.exp(np.array(self.field.log_density)) * 2.0 ** (1 - self.field.levels)
+        kept = np.flatnonzero(depth >= _MIN_DEPTH)
+        if len(kept):
+            self._rebuild(kept, self.field.cells[kept], self.field.levels[kept])
+
+    def split(self, deepest: int) -> None:
+        """Split the leaves above level `deepest` that answer for most of the loss.
+
+        As many as `max_leaves` allows, worst first; children begin as their parent was.
+        """
+        field = self.field
+        blame = np.array(self._blame)
+        blame[field.levels >= deepest] = 0
+        order = np.argsort(-blame)
+        # Leaves beyond these answer for a hundredth of the loss together.
+        enough = np.searchsorted(np.cumsum(blame[order]), 0.99 * blame.sum()) + 1
+        room = max(0, (self._config.max_leaves - field.num_leaves) // 7)
+        chosen = np.zeros(field.num_leaves, bool)
+        chosen[order[: min(enough, room)]] = True
+        chosen &= blame > 0
+        whole, parents = np.flatnonzero(~chosen), np.flatnonzero(chosen)
+        self._rebuild(
+            np.concatenate([whole, np.repeat(parents, 8)]),
+            np.concatenate([field.cells[whole], split(field.cells[parents])]),
+            np.concatenate([field.levels[whole], np.repeat(field.levels[parents] + 1, 8)]),
+        )
+
+    def _rebuild(
+        self, origin: NDArray[np.int64], cells: NDArray[np.int64], levels: NDArray[np.int64]
+    ) -> None:
+        """Make a field of new leaves; leaf i continues what leaf `origin[i]` was."""
+        index = mi.UInt32(origin)
+        width = self.field.num_coefficients
+        wide = dr.repeat(index, width) * width + dr.tile(dr.arange(mi.UInt32, width), len(origin))
+        self.field = self.field.with_leaves(
+            cells,
+            levels,
+            dr.gather(mi.Float, self.field.log_density, index),
+            dr.gather(mi.Float, self.field.coefficients, wide),
+        )
+        self._density_adam.take(index)
+        self._coefficient_adam.take(wide)
+        self._blame = dr.zeros(mi.Float, len(origin))
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All that `restore` needs to go on, as arrays."""
+        field, density, coefficients = self.field, self._density_adam, self._coefficient_adam
+        return {
+            "cells": field.cells,
+            "levels": field.levels,
+            "log_density": np.array(field.log_density),
+            "coefficients": np.array(field.coefficients),
+            "density_mean": np.array(density.mean),
+            "density_square": np.array(density.square),
+            "coefficient_mean": np.array(coefficients.mean),
+            "coefficient_square": np.array(coefficients.square),
+            "blame": np.array(self._blame),
+            "steps": np.array([self.step, density.steps]),
+        }
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Continue from what `state` returned."""
+        self.field = self.field.with_leaves(
+            state["cells"], state["levels"], state["log_density"], state["coefficients"]
+        )
+        density, coefficients = self._density_adam, self._coefficient_adam
+        density.mean = mi.Float(state["density_mean"])
+        density.square = mi.Float(state["density_square"])
+        coefficients.mean = mi.Float(state["coefficient_mean"])
+        coefficients.square = mi.Float(state["coefficient_square"])
+        self._blame = mi.Float(state["blame"])
+        self.step = int(state["steps"][0])
+        density.steps = coefficients.steps = int(state["steps"][1])
+
+
+class Adam:
+    """Adam's moments of one flat array; Kingma and Ba 2015."""
+
+    def __init__(self, size: int) -> None:
+        self.mean, self.square = dr.zeros(mi.Float, size), dr.zeros(mi.Float, size)
+        self.steps = 0
+
+    def descend(self, values: Any, gradient: Any, rate: float) -> Any:
+        """The values after one step."""
+        self.steps += 1
+        # Opaque, or every step would compile a kernel of its own.
+        step = dr.opaque(mi.Float, rate / (1 - _BETA_1**self.steps))
+        correction = dr.opaque(mi.Float, 1 / (1 - _BETA_2**self.steps))
+        self.mean = _BETA_1 * self.mean + (1 - _BETA_1) * gradient
+        self.square = _BETA_2 * self.square + (1 - _BETA_2) * dr.square(gradient)
+        moved = values - step * self.mean / (dr.sqrt(self.square * correction) + 1e-15)
+        dr.eval(self.mean, self.square, moved)
+        return moved
+
+    def take(self, index: Any) -> None:
+        """Keep the moments of some elements, in their order."""
+        self.mean = dr.gather(mi.Float, self.mean, index)
+        self.square = dr.gather(mi.Float, self.square, index)
+        dr.eval(self.mean, self.square)
