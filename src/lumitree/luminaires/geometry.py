@@ -81,13 +81,12 @@ def lathe(profile: ArrayLike, segments: int, crease: float = 35.0) -> Mesh:
     return skin(revolve(profile[order]), revolve(normal), joined)
 
 
-def faceted(mesh: Mesh) -> Mesh:
-    """The mesh with a flat, hard-edged facet for each of its faces."""
-    corners = mesh.vertices[mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+def facets(triangles: Floats) -> Mesh:
+    """Flat-shaded triangles [N, 3, 3], each with three vertices of its own."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    faces = np.arange(3 * len(mesh.faces)).reshape(-1, 3)
-    return Mesh(corners.reshape(-1, 3), np.repeat(normals, 3, axis=0), faces)
+    faces = np.arange(3 * len(triangles)).reshape(-1, 3)
+    return Mesh(triangles.reshape(-1, 3), np.repeat(normals, 3, axis=0), faces)
 
 
 def moved(mesh: Mesh, place: Floats) -> Mesh:

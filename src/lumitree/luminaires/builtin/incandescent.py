@@ -204,9 +204,9 @@ def flame_bulb(
 
 def _flame_glass() -> Mesh:
     """Wall of the bulb: an outer and an inner closed surface."""
-    outer = resample(smooth(_FLAME), 28)
-    inner = resample(offset(outer, 0.0009), 28)
-    return join([lathe(outer, 32, crease=90), lathe(inner[::-1], 32, crease=90)])
+    outer = resample(smooth(_FLAME), 26)
+    inner = resample(offset(outer, 0.0009), 26)
+    return join([lathe(outer, 28, crease=90), lathe(inner[::-1], 28, crease=90)])
 
 
 def _flame_filament() -> Mesh:

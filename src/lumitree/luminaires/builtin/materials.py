@@ -2,9 +2,11 @@
 
 import dataclasses
 
-from lumitree.luminaires.model import RGB, Glass, Material, Metal
+from lumitree.luminaires.model import RGB, Diffuse, Glass, Material, Metal
 
 GLASS = Material("glass", Glass(ior=1.5))
+CRYSTAL = Material("crystal", Glass(ior=1.56))
+WAX = Material("wax", Diffuse((0.82, 0.76, 0.64)))
 # Gold, toned down: Mitsuba has no data for brass.
 BRASS = Material("brass", Metal((0.95, 0.86, 0.86), 0.45, "Au"))
 BLACK_STEEL = Material("black", Metal((0.15, 0.14, 0.13), 0.55, "Cr"))
