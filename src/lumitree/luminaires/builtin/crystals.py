@@ -6,8 +6,8 @@ Every piece is closed and flat-shaded, hangs on the y axis, and keeps clear of i
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lumitree.luminaires.builtin.fittings import strut, upright
-from lumitree.luminaires.builtin.layout import at
+from lumitree.luminaires.builtin.fittings import strut
+from lumitree.luminaires.builtin.layout import aimed, at
 from lumitree.luminaires.geometry import Floats, Mesh, facets, join, lathe, moved, resample, skin
 
 _PIN = 0.0006  # radius of the wires, metres
@@ -90,7 +90,7 @@ def swag(start: ArrayLike, end: ArrayLike, sag: float, spacing: float) -> tuple[
     for i in range(count):
         before, centre, after = points[2 * i : 2 * i + 3]
         axis = (after - before) / np.linalg.norm(after - before)
-        glass.append(upright(piece, axis, centre))
+        glass.append(moved(piece, aimed(axis, centre)))
         joints += [centre - size / 2 * axis, centre + size / 2 * axis]
     joints.append(points[-1])
     pins = [_pin(joints[0], joints[1]), _pin(joints[-1], joints[-2])]

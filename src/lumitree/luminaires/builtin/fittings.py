@@ -3,7 +3,6 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lumitree.core.frames import rotation, similarity
 from lumitree.luminaires.builtin.layout import at
 from lumitree.luminaires.geometry import Mesh, join, lathe, moved, resample, smooth, sweep
 
@@ -67,13 +66,3 @@ def drip_pan(radius: float) -> Mesh:
     over = [[0.55, -0.002], [0.45, 0.0], [0.42, 0.012], [0.46, 0.02], [0.4, 0.021], [0.36, 0.006]]
     profile = np.array([*under, *lip, *over, [0, 0.004]]) * [radius, 1]
     return lathe(resample(smooth(profile, 3), 34), 36)
-
-
-def upright(mesh: Mesh, axis: ArrayLike, point: ArrayLike) -> Mesh:
-    """The mesh with its +y turned to `axis` [3] and its origin moved to `point` [3]."""
-    axis = np.asarray(axis, np.float64) / np.linalg.norm(axis)
-    pivot = np.cross([0.0, 1.0, 0.0], axis)
-    length = float(np.linalg.norm(pivot))
-    angle = np.degrees(np.arctan2(length, axis[1]))
-    turn = rotation(pivot if length > 1e-9 else [1.0, 0.0, 0.0], angle)
-    return moved(mesh, similarity(turn, translation=point))

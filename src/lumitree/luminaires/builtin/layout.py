@@ -1,6 +1,7 @@
 """Places in a lamp: where a part's own frame stands."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lumitree.core.frames import rotation, similarity
 from lumitree.luminaires.geometry import Floats
@@ -23,6 +24,16 @@ def around(count: int, radius: float = 0.0, y: float = 0.0, first: float = 0.0) 
         first: azimuth of the first place, degrees, 0 at +x.
     """
     return [at(turn=first + 360 * i / count) @ at(radius, y) for i in range(count)]
+
+
+def aimed(axis: ArrayLike, point: ArrayLike) -> Floats:
+    """Place [4, 4] at a point [3], with +y turned the shortest way to `axis` [3]."""
+    axis = np.asarray(axis, np.float64) / np.linalg.norm(axis)
+    pivot = np.cross([0.0, 1.0, 0.0], axis)
+    length = float(np.linalg.norm(pivot))
+    angle = np.degrees(np.arctan2(length, axis[1]))
+    turn = rotation(pivot if length > 1e-9 else [1.0, 0.0, 0.0], angle)
+    return similarity(turn, translation=point)
 
 
 def polar(azimuth: Floats | float, radius: Floats | float | list, y: Floats | list) -> Floats:

@@ -11,16 +11,16 @@ import itertools
 import numpy as np
 
 from lumitree.luminaires.builtin.fittings import canopy, chain, strut
-from lumitree.luminaires.builtin.layout import at
-from lumitree.luminaires.builtin.materials import BRASS, STEEL, emitting
+from lumitree.luminaires.builtin.layout import aimed, at
+from lumitree.luminaires.builtin.materials import BRASS, emitting
 from lumitree.luminaires.geometry import Floats, Mesh, facets, join, lathe, moved
 from lumitree.luminaires.model import Diffuse, Glass, Material, Medium, Model, Part
 
-_RADIANCE = (16.0, 11.8, 7.2)
+_RADIANCE = (9.0, 6.5, 3.9)
 _CORE = 0.105  # distance of the core's square faces from the centre, metres
 _LONG, _SHORT = 0.3, 0.235  # distance of the tips of square and triangular points, metres
-_LAMP_DISTANCE = 0.128  # of the lamps from the centre, metres
-_LAMP_RADIUS = 0.009
+_LAMP_FROM, _LAMP_RADIUS = 0.085, 0.01  # start of a lamp on its point's axis, metres
+_LONG_LAMP, _SHORT_LAMP = 0.125, 0.068  # length, metres
 _INSIDE = 0.945  # size of the inner surface, as a share of the outer
 _CENTRE = -0.44  # y, metres
 _EDGE = 0.0022  # radius of the brass edges, metres
@@ -28,8 +28,11 @@ _CLEARANCE = 0.0012  # between the glass and the brass, metres
 _RIDGE_FROM = 0.1  # share of a ridge, next to its foot, that has no brass
 _FINIAL, _JOINT = 0.0055, 0.004  # radius of the balls on tips and at the feet of ridges, metres
 _RAISED = 0.0078  # of the latter above the glass, metres
-_OPAL = Material("opal", Glass(ior=1.4, medium=Medium((0.0, 0.0, 0.0), (450.0, 450.0, 450.0))))
-_LAMP = Material("lamp", Diffuse((0.8, 0.8, 0.8)))
+# Frosted, and about 1.6 mean free paths thick: denser, or smooth, it traps much of the light for
+# longer than the paths of a capture.
+_MILK = Medium(absorption=(0.0, 0.0, 0.0), scattering=(400.0, 400.0, 400.0))
+_OPAL = Material("opal", Glass(ior=1.3, roughness=0.6, medium=_MILK))
+_LAMP = Material("lamp", Diffuse((0.5, 0.5, 0.5)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,16 +48,16 @@ def build() -> Model:
     """The lamp's parts and materials."""
     points = _points()
     centre = at(0, _CENTRE)
-    lamps = tuple(
-        centre @ at(*(_LAMP_DISTANCE * point.axis))
-        for point in points
-    )
+    lamps = [centre @ aimed(point.axis, _LAMP_FROM * point.axis) for point in points]
+    long = tuple(lamp for lamp, point in zip(lamps, points, strict=True) if len(point.base) == 4)
+    short = tuple(lamp for lamp, point in zip(lamps, points, strict=True) if len(point.base) == 3)
     parts = (
         Part("body", _body(points), "opal", (centre,)),
         Part("edges", _edges(points), "brass", (centre,)),
         Part("stalks", _stalks(points), "brass", (centre,)),
         Part("hanger", _hanger(), "brass", (np.eye(4),)),
-        Part("lamp", _sphere(_LAMP_RADIUS, 24), "lamp", lamps),
+        Part("long_lamp", _lamp(_LONG_LAMP), "lamp", long),
+        Part("short_lamp", _lamp(_SHORT_LAMP), "lamp", short),
     )
     return Model(parts, (BRASS, _OPAL, emitting(_LAMP, "lamp", _RADIANCE)))
 
@@ -138,10 +141,18 @@ def _normal(a: Floats, b: Floats, c: Floats) -> Floats:
 def _stalks(points: list[_Point]) -> Mesh:
     """Hub in the cavity, with a stalk to each lamp."""
     stalks = [
-        strut(np.zeros(3), (_LAMP_DISTANCE - _LAMP_RADIUS - 0.0008) * point.axis, 0.0012, 8)
-        for point in points
+        strut(np.zeros(3), (_LAMP_FROM - 0.001) * point.axis, 0.0012, 8) for point in points
     ]
     return join([_sphere(0.014, 24), *stalks])
+
+
+def _lamp(length: float) -> Mesh:
+    """Tube with round ends, from the origin up."""
+    angle = np.radians(np.linspace(-90, 90, 13))
+    profile = _LAMP_RADIUS * np.column_stack([np.cos(angle), 1 + np.sin(angle)])
+    profile[[0, -1], 0] = 0.0
+    profile[7:, 1] += length - 2 * _LAMP_RADIUS
+    return lathe(profile, 20)
 
 
 def _hanger() -> Mesh:
