@@ -54,7 +54,12 @@ def pendant(length: float) -> tuple[Mesh, Mesh]:
     """Drop that hangs from the origin: an octagon above a pear; glass and pins."""
     body = 0.66 * length
     wide = 0.27 * body
-    pear = [[0, -body], [0.5 * wide, -0.94 * body], [wide, -0.74 * body], [0.86 * wide, -0.52 * body]]
+    pear = [
+        [0, -body],
+        [0.5 * wide, -0.94 * body],
+        [wide, -0.74 * body],
+        [0.86 * wide, -0.52 * body],
+    ]
     pear += [[0.2 * wide, -0.04 * body], [0, 0]]
     octagon = cut(_octagon(0.26 * length), 8, 0.5)
     first, second = -0.055 * length, -0.055 * length - 0.26 * length

@@ -49,9 +49,7 @@ def build() -> Model:
 def _hoop() -> Mesh:
     """The hoop, four rods up to the hub, and the stem."""
     start, end = np.array([0.012, _HUB, 0, 1]), np.array([_HOOP, _HOOP_TOP + 0.012, 0, 1])
-    rods = [
-        strut((turn @ start)[:3], (turn @ end)[:3], 0.0035) for turn in around(4, first=22.5)
-    ]
+    rods = [strut((turn @ start)[:3], (turn @ end)[:3], 0.0035) for turn in around(4, first=22.5)]
     hoop = band(_HOOP - 0.005, _HOOP + 0.005, _HOOP_TOP - 0.036, _HOOP_TOP)
     return join([hoop, rod(-0.02, _HUB, 0.005), canopy(0.062, 0.024), *rods])
 

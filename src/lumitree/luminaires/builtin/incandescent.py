@@ -184,9 +184,7 @@ _FLAME = (
 )
 
 
-def flame_bulb(
-    prefix: str, sites: Sequence[Floats], glass: str, filament: str
-) -> tuple[Part, ...]:
+def flame_bulb(prefix: str, sites: Sequence[Floats], glass: str, filament: str) -> tuple[Part, ...]:
     """Candle bulb 0.1 m tall: glass, supports and filament at the sites.
 
     Args:

@@ -59,8 +59,7 @@ def build() -> Model:
             Part(f"{name}_pins", pins, "steel", tuple(turns)),
         ]
     flames = [
-        place @ at(0, _CANDLE - 0.002)
-        for place in (*around(*_LOWER), *around(*_UPPER, first=15.0))
+        place @ at(0, _CANDLE - 0.002) for place in (*around(*_LOWER), *around(*_UPPER, first=15.0))
     ]
     parts += flame_bulb("flame", flames, "glass", "filament")
     filament = emitting(TUNGSTEN, "filament", _RADIANCE)
@@ -76,8 +75,13 @@ def _column() -> Mesh:
     top = [[0.011, -0.41], [0.011, -0.36], [0.022, -0.35], [0.022, -0.342], [0.01, -0.33]]
     top += [[0.009, -0.29], [0.016, -0.282], [0.016, -0.272], [0.007, -0.262], [0, -0.262]]
     radius, y = _CROWN
-    crown = [moved(hoop(radius, 0.0032), at(0, y)), band(radius - 0.003, radius + 0.003, y, y + 0.012)]
-    spoke = resample(smooth([[0.006, -0.31, 0], [0.04, -0.33, 0], [0.08, -0.32, 0], [radius, y, 0]]), 20)
+    crown = [
+        moved(hoop(radius, 0.0032), at(0, y)),
+        band(radius - 0.003, radius + 0.003, y, y + 0.012),
+    ]
+    spoke = resample(
+        smooth([[0.006, -0.31, 0], [0.04, -0.33, 0], [0.08, -0.32, 0], [radius, y, 0]]), 20
+    )
     spokes = [moved(sweep(spoke, 0.0026, 10), place) for place in around(6)]
     profile = resample(smooth([*vase, *shaft, *top], 3), 110)
     pieces = [lathe(profile, 48, crease=60), canopy(0.065, 0.03), chain(-0.03, -0.262, 0.045)]

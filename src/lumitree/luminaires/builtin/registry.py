@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 
-from lumitree.luminaires.builtin import bulbs, cluster, dallas, neoclassical, star
+from lumitree.luminaires.builtin import bulbs, cluster, dallas, neoclassical, portica, star
 from lumitree.luminaires.model import Model
 
 
@@ -36,6 +36,11 @@ _ALL = (
         "neoclassical",
         "stand-in for the paper's Neoclassical: crystal chandelier of eighteen arms, 0.86 m",
         neoclassical.build,
+    ),
+    Builtin(
+        "portica",
+        "stand-in for the paper's Portica: arcaded lantern, opal roof, seven flame bulbs, 0.43 m",
+        portica.build,
     ),
     Builtin(
         "star",

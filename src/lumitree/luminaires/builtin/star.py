@@ -129,7 +129,9 @@ def _edges(points: list[_Point]) -> Mesh:
         start, end = corners[sorted(valley)] + raised
         pieces.append(strut(start, end, _EDGE))
     joint = _sphere(_JOINT, 16)
-    pieces += [moved(joint, at(*(corner * (1 + _RAISED / np.linalg.norm(corner))))) for corner in corners]
+    pieces += [
+        moved(joint, at(*(corner * (1 + _RAISED / np.linalg.norm(corner))))) for corner in corners
+    ]
     return join(pieces)
 
 
@@ -140,9 +142,7 @@ def _normal(a: Floats, b: Floats, c: Floats) -> Floats:
 
 def _stalks(points: list[_Point]) -> Mesh:
     """Hub in the cavity, with a stalk to each lamp."""
-    stalks = [
-        strut(np.zeros(3), (_LAMP_FROM - 0.001) * point.axis, 0.0012, 8) for point in points
-    ]
+    stalks = [strut(np.zeros(3), (_LAMP_FROM - 0.001) * point.axis, 0.0012, 8) for point in points]
     return join([_sphere(0.014, 24), *stalks])
 
 
