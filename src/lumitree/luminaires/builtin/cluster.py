@@ -1,4 +1,4 @@
-"""`cluster`: thirteen globes of cast glass, clear and tinted, hanging in a bunch, 0.4 m.
+"""`cluster`: thirteen globes of cast glass, clear and tinted, hanging in a bunch, 0.56 m.
 
 A stand-in for the paper's Cluster, not its model: the tinted glass is filled with an absorbing
 medium, so that it needs volumetric path tracing, and it is the brightest of the five.

@@ -114,7 +114,5 @@ def _pin(start: ArrayLike, end: ArrayLike, both: bool = False) -> Mesh:
 
 def _octagon(length: float) -> Floats:
     half = length / 2
-    return np.array(
-        [[0, -half], [0.45 * half, -0.9 * half], [0.95 * half, -0.35 * half]]
-        + [[0.95 * half, 0.35 * half], [0.45 * half, 0.9 * half], [0, half]]
-    )
+    lower = np.array([[0, -half], [0.45 * half, -0.9 * half], [0.95 * half, -0.35 * half]])
+    return np.concatenate([lower, lower[::-1] * [1, -1]])

@@ -1,4 +1,4 @@
-"""`dallas`: eight clear bulbs below a black steel hoop, 0.68 m.
+"""`dallas`: eight clear bulbs below a black steel hoop, 0.65 m.
 
 A stand-in for the paper's Dallas, not its model: like that one it is known by the caustic paths
 through clear bulbs with coiled filaments.

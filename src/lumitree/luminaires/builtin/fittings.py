@@ -48,7 +48,7 @@ def chain(top: float, bottom: float, link: float) -> Mesh:
 
 def strut(start: ArrayLike, end: ArrayLike, radius: float, segments: int = 12) -> Mesh:
     """Straight round bar between two points [3], metres."""
-    return sweep(np.linspace(start, end, 2), radius, segments)
+    return sweep(np.array([start, end], np.float64), radius, segments)
 
 
 def candle(height: float) -> Mesh:

@@ -1,4 +1,4 @@
-"""`neoclassical`: crystal chandelier of eighteen arms on two tiers, 0.86 m.
+"""`neoclassical`: crystal chandelier of eighteen arms on two tiers, 0.95 m.
 
 A stand-in for the paper's Neoclassical, not its model: gilt metal, flame bulbs on candles, and
 faceted drops and strings of solid crystal.
@@ -114,15 +114,17 @@ def _arm_crystals(tier: str) -> tuple[Mesh, Mesh]:
     back = at(turn=-first)
     drop = pendant(0.075 if tier == "lower" else 0.062)
     sets = []
-    for place in around(6, _PAN - 0.001, 0.004, first=30.0):
+    for place in around(8, _PAN - 0.001, 0.004, first=22.5):
         site = back @ this @ place
         sets.append(tuple(moved(mesh, site) for mesh in drop))
     rim = [0.0, 0.004, 0.0]
     left = (back @ this @ at(*rim) @ at(0, 0, -_PAN + 0.002))[:3, 3]
     right = (back @ following @ at(*rim) @ at(0, 0, _PAN - 0.002))[:3, 3]
     sets.append(swag(left, right, 0.05, 0.015))
-    crown = [_CROWN[0] + 0.003, _CROWN[1], 0.0]
-    sets.append(swag(crown, [radius - _PAN, y + 0.006, 0.0], 0.06, 0.016))
+    crown = [_CROWN[0], _CROWN[1] - 0.003, 0.0]
+    # The long strings pass below those of the upper tier.
+    sag = 0.1 if tier == "lower" else 0.06
+    sets.append(swag(crown, [radius - _PAN, y + 0.006, 0.0], sag, 0.016))
     return join([glass for glass, _ in sets]), join([pins for _, pins in sets])
 
 
@@ -130,7 +132,7 @@ def _centre_crystals() -> tuple[Mesh, Mesh]:
     """Drops of the crown, strings to the vase, and the ball below; glass and pins."""
     radius, y = _CROWN
     sets = []
-    for place in around(18, radius, y - 0.003, first=10.0):
+    for place in around(18, radius, y - 0.003, first=5.0):
         sets.append(tuple(moved(mesh, place) for mesh in pendant(0.06)))
     glass = [mesh for mesh, _ in sets]
     glass.append(moved(ball(0.03), at(0, -0.835)))

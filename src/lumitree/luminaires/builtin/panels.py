@@ -67,7 +67,7 @@ def _matched(inner: Floats, corners: Floats, centre: Floats) -> tuple[Floats, Fl
     """Points of both outlines in the same directions from the centre, at all their corners."""
     angles = [np.arctan2(*(line - centre).T[::-1]) for line in (inner, corners)]
     directions = np.unique(np.concatenate(angles).round(9))
-    return tuple(_seen(outline, centre, directions) for outline in (inner, corners))
+    return _seen(inner, centre, directions), _seen(corners, centre, directions)
 
 
 def _seen(outline: Floats, centre: Floats, directions: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""`portica`: six-sided arcaded lantern with opal roof, clear panes and seven flame bulbs, 0.43 m.
+"""`portica`: six-sided arcaded lantern with opal roof, clear panes and seven flame bulbs, 0.83 m.
 
 A stand-in for the paper's Portica, not its model: opaque, translucent and clear parts around
 the lights.
@@ -123,11 +123,11 @@ def _frame() -> Mesh:
             (_CORNER + 0.006, _TOP + 0.009, 0.008),
         ):
             ends = np.array([here, following]) * radius + [0, y, 0]
-            pieces.append(strut(*ends, thick))
-        rib = [here * _CORNER + [0, _TOP + 0.01, 0], here * _NECK + [0, _ROOF_TOP, 0]]
-        pieces.append(strut(*rib, 0.0045))
-        hub = [0.0, _FLOOR - 0.014, 0.0]
-        pieces.append(strut(hub, here * _CANDLES + [0, _FLOOR - 0.014, 0], 0.0035, 10))
+            pieces.append(strut(ends[0], ends[1], thick))
+        eave, ridge = here * _CORNER + [0, _TOP + 0.01, 0], here * _NECK + [0, _ROOF_TOP, 0]
+        pieces.append(strut(eave, ridge, 0.0045))
+        candles = np.array([0.0, _FLOOR - 0.014, 0.0])
+        pieces.append(strut(candles + 0.002 * here, candles + _CANDLES * here, 0.0035, 10))
     return join(pieces)
 
 

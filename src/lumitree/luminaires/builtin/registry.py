@@ -24,27 +24,27 @@ _ALL = (
     ),
     Builtin(
         "dallas",
-        "stand-in for the paper's Dallas: eight clear bulbs below a steel hoop, 0.68 m",
+        "stand-in for the paper's Dallas: eight clear bulbs below a steel hoop, 0.65 m",
         dallas.build,
     ),
     Builtin(
         "cluster",
-        "stand-in for the paper's Cluster: thirteen cast-glass globes, clear and tinted, 0.4 m",
+        "stand-in for the paper's Cluster: thirteen cast-glass globes, clear and tinted, 0.56 m",
         cluster.build,
     ),
     Builtin(
         "neoclassical",
-        "stand-in for the paper's Neoclassical: crystal chandelier of eighteen arms, 0.86 m",
+        "stand-in for the paper's Neoclassical: crystal chandelier of eighteen arms, 0.95 m",
         neoclassical.build,
     ),
     Builtin(
         "portica",
-        "stand-in for the paper's Portica: arcaded lantern, opal roof, seven flame bulbs, 0.43 m",
+        "stand-in for the paper's Portica: arcaded lantern, opal roof, seven flame bulbs, 0.83 m",
         portica.build,
     ),
     Builtin(
         "star",
-        "stand-in for the paper's Star: Moravian star of scattering opal glass, 0.6 m",
+        "stand-in for the paper's Star: Moravian star of scattering opal glass, 0.75 m",
         star.build,
     ),
 )

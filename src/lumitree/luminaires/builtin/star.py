@@ -1,4 +1,4 @@
-"""`star`: Moravian star of opal glass with brass edges and twenty-six points, 0.6 m.
+"""`star`: Moravian star of opal glass with brass edges and twenty-six points, 0.75 m.
 
 A stand-in for the paper's Star, not its model: the body is a hollow wall of glass filled with a
 scattering medium, lit by a lamp in every point. What is seen from outside is no brighter than about
@@ -16,7 +16,7 @@ from lumitree.luminaires.builtin.materials import BRASS, emitting
 from lumitree.luminaires.geometry import Floats, Mesh, facets, join, lathe, moved
 from lumitree.luminaires.model import Diffuse, Glass, Material, Medium, Model, Part
 
-_RADIANCE = (9.0, 6.5, 3.9)
+_RADIANCE = (10.0, 7.2, 4.3)
 _CORE = 0.105  # distance of the core's square faces from the centre, metres
 _LONG, _SHORT = 0.3, 0.235  # distance of the tips of square and triangular points, metres
 _LAMP_FROM, _LAMP_RADIUS = 0.085, 0.01  # start of a lamp on its point's axis, metres
@@ -142,7 +142,8 @@ def _normal(a: Floats, b: Floats, c: Floats) -> Floats:
 
 def _stalks(points: list[_Point]) -> Mesh:
     """Hub in the cavity, with a stalk to each lamp."""
-    stalks = [strut(np.zeros(3), (_LAMP_FROM - 0.001) * point.axis, 0.0012, 8) for point in points]
+    start, end = 0.005, _LAMP_FROM - 0.001
+    stalks = [strut(start * point.axis, end * point.axis, 0.0012, 8) for point in points]
     return join([_sphere(0.014, 24), *stalks])
 
 
