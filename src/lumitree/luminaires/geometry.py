@@ -78,26 +78,42 @@ def lathe(profile: ArrayLike, segments: int, crease: float = 35.0) -> Mesh:
         radius, y = pair[:, :1], pair[:, 1:]
         return np.stack(np.broadcast_arrays(radius * np.cos(angle), y, -radius * np.sin(angle)), -1)
 
-    return _skin(revolve(profile[order]), revolve(normal), joined)
+    return skin(revolve(profile[order]), revolve(normal), joined)
 
 
-def sweep(path: ArrayLike, radius: float, segments: int) -> Mesh:
+def facets(triangles: Floats) -> Mesh:
+    """Flat-shaded triangles [N, 3, 3], each with three vertices of its own."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    faces = np.arange(3 * len(triangles)).reshape(-1, 3)
+    return Mesh(triangles.reshape(-1, 3), np.repeat(normals, 3, axis=0), faces)
+
+
+def moved(mesh: Mesh, place: Floats) -> Mesh:
+    """The mesh's positions and normals moved by a similarity [4, 4]."""
+    turn = place[:3, :3] / np.cbrt(np.linalg.det(place[:3, :3]))
+    vertices = mesh.vertices @ place[:3, :3].T + place[:3, 3]
+    return dataclasses.replace(mesh, vertices=vertices, normals=mesh.normals @ turn.T)
+
+
+def sweep(path: ArrayLike, radius: ArrayLike, segments: int) -> Mesh:
     """Closed tube along a path, with slightly domed ends.
 
     Args:
         path: [N, 3] centre line; it must bend more gently than the tube is thick.
-        radius: of the tube.
+        radius: of the tube, or [N] radii that change slowly along it.
         segments: number of facets around the tube.
     """
     path = np.asarray(path, np.float64)
     tangent, side, up = frames(path)
     angle = 2 * np.pi * np.arange(segments) / segments
     around = side[:, None] * np.cos(angle)[:, None] + up[:, None] * np.sin(angle)[:, None]
-    rings = path[:, None] + radius * around
-    first, last = path[0] - radius / 2 * tangent[0], path[-1] + radius / 2 * tangent[-1]
+    radii = np.broadcast_to(np.asarray(radius, np.float64), len(path))
+    rings = path[:, None] + radii[:, None, None] * around
+    first, last = path[0] - radii[0] / 2 * tangent[0], path[-1] + radii[-1] / 2 * tangent[-1]
     rings = np.concatenate([_ring(first, segments), rings, _ring(last, segments)])
     normals = np.concatenate([_ring(-tangent[0], segments), around, _ring(tangent[-1], segments)])
-    return _skin(rings, normals, np.ones(len(rings) - 1, bool))
+    return skin(rings, normals, np.ones(len(rings) - 1, bool))
 
 
 def frames(path: Floats) -> tuple[Floats, Floats, Floats]:
@@ -175,8 +191,14 @@ def _ring(point: Floats, segments: int) -> Floats:
     return np.broadcast_to(point, (1, segments, 3))
 
 
-def _skin(rings: Floats, normals: Floats, joined: NDArray[np.bool_]) -> Mesh:
-    """Join rings [R, S, 3] of vertices by triangles, where `joined` [R - 1]; merge the poles."""
+def skin(rings: Floats, normals: Floats, joined: NDArray[np.bool_]) -> Mesh:
+    """Join closed rings of vertices by triangles; a ring in a single point becomes one vertex.
+
+    Args:
+        rings: [R, S, 3] positions, counter-clockwise seen from ahead of the last ring.
+        normals: [R, S, 3] unit shading normals.
+        joined: [R - 1] whether there are triangles between a ring and the next.
+    """
     count, segments, _ = rings.shape
     pole = np.ptp(rings, axis=1).max(axis=1) == 0
     kept = np.ones((count, segments), bool)
