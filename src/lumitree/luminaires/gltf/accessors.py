@@ -7,6 +7,8 @@ from lumitree.luminaires.gltf.container import Document
 from lumitree.luminaires.gltf.item import Item
 
 MAX_DECODED_BYTES = 2**30
+# Elements that no bytes stand for: all zero, but for a sparse accessor's few.
+MAX_UNSTORED = 2**20
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _LENGTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
@@ -35,7 +37,7 @@ class Accessors:
         if not np.isfinite(values).all():
             raise item.error("holds values that are not finite")
         if item.flag("normalized") and stored.dtype.kind in "iu":
-            values = np.maximum(values / np.iinfo(stored.dtype).max, -1.0)
+            values = np.maximum(values / np.iinfo(np.dtype(stored.dtype).name).max, -1.0)
         return values
 
     def integers(self, index: int) -> NDArray[np.int64]:
@@ -69,8 +71,12 @@ class Accessors:
             )
         if (view := item.index("bufferView")) is not None:
             values = self._strided(item, view, dtype, count, length)
-        else:
+        elif count <= MAX_UNSTORED:
             values = np.zeros((count, length), dtype)
+        else:
+            raise item.error(
+                f"has {count} elements and no data; at most {MAX_UNSTORED} may be left out"
+            )
         if "sparse" in item:
             values = self._with_sparse(item.item("sparse"), values)
         return values
