@@ -95,7 +95,7 @@ class Gltf:
     def image(self, pixels, kind="PNG"):
         """An embedded image [H, W, C]; returns its index."""
         stream = io.BytesIO()
-        Image.fromarray(np.asarray(pixels, np.uint8).squeeze()).save(stream, kind)
+        Image.fromarray(np.asarray(pixels, np.uint8)).save(stream, kind)
         return self.add(
             "images", bufferView=self.view(stream.getvalue()), mimeType=f"image/{kind.lower()}"
         )

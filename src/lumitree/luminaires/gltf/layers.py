@@ -12,19 +12,21 @@ class Layers:
 
     Attributes:
         item: the material's JSON.
+        name: of the material, in the file.
         uv_set: number of the texture coordinates that all its textures are read with.
+        textured: whether it has any texture.
     """
 
     def __init__(self, item: Item, name: str, textures: Textures, notes: Notes) -> None:
-        self.item = item
-        self._name, self._textures, self._notes = name, textures, notes
+        self.item, self.name = item, name
+        self._textures, self._notes = textures, notes
         sets = [uv_set(info) for info in _texture_infos(item)]
         self.uv_set = sets[0] if sets else 0
         self.textured = bool(sets)
 
     def note(self, text: str) -> None:
         """Something that the material loses."""
-        self._notes.material(self._name, text)
+        self._notes.material(self.name, text)
 
     def texture(self, parent: Item, key: str, channels: str, encoded: bool = False) -> Map | None:
         """A texture's channels; None where there is no such texture."""
@@ -38,12 +40,14 @@ class Layers:
             self.note("different wrapping along u and v")
         return found
 
-    def colour(self, parent: Item, name: str, default: tuple[float, float, float]) -> Map:
-        """`nameFactor`, of which R, G and B are taken, times the encoded `nameTexture`."""
+    def colour(
+        self, parent: Item, name: str, default: tuple[float, float, float], high: float = 1.0
+    ) -> Map:
+        """`nameFactor`, in [0, high], of which R, G and B are taken, times `nameTexture`."""
         factor = f"{name}Factor"
         # Base colours have a fourth factor, for the opacity.
         size = 4 if factor in parent and len(parent.data[factor]) == 4 else 3
-        values = parent.numbers(factor, (*default, 1.0)[:size], 0.0)[:3]
+        values = parent.numbers(factor, (*default, 1.0)[:size], 0.0, high)[:3]
         texture = self.texture(parent, f"{name}Texture", "RGB", encoded=True)
         return constant(*values) if texture is None else texture.scaled(*values)
 

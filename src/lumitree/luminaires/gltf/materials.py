@@ -86,7 +86,7 @@ class Materials:
                 item, name = Item({}, f"{self._document.name}: default material"), "default"
             else:
                 item = self._document.entry("materials", index)
-                name = item.string("name", f"material {index}")
+                name = item.string("name", f"#{index}")
             self._layers[index] = Layers(item, name, self._textures, self._notes)
         return self._layers[index]
 
@@ -129,7 +129,7 @@ class Materials:
         if not radiance.black() and item.flag("doubleSided") and not use.closed:
             layers.note("emission (from the front only)")
         material = Material(
-            self._names.unique(item.string("name", f"material {index}")),
+            self._names.unique(layers.name),
             surface,
             None if radiance.black() else self._textures.colour(radiance),
             self._textures.value(opacity),
@@ -196,7 +196,8 @@ def _radiance(layers: Layers, opacity: Map) -> Map:
     """Emitted radiance: Mitsuba's emitters shine where the surface is masked out, too."""
     extension = layers.item.extension("KHR_materials_emissive_strength")
     strength = 1.0 if extension is None else extension.number("emissiveStrength", 1.0, 0.0)
-    emitted = layers.colour(layers.item, "emissive", (0.0, 0.0, 0.0)).scaled(*3 * (strength,))
+    emitted = layers.colour(layers.item, "emissive", (0.0, 0.0, 0.0), np.inf)
+    emitted = emitted.scaled(strength)
     if emitted.black() or (opacity.constant and opacity.mean() == (1.0,)):
         return emitted
     return layers.combined(np.multiply, emitted, opacity)

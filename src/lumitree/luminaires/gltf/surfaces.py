@@ -204,7 +204,7 @@ def _ior(layers: Layers, transmits: bool) -> float:
     reflected = ((ior - 1) / (ior + 1)) ** 2
     if specular is not None:
         factor = layers.value(specular, "specularFactor", 1.0, "A", "specularTexture")
-        colour = layers.colour(specular, "specularColor", (1.0, 1.0, 1.0))
+        colour = layers.colour(specular, "specularColor", (1.0, 1.0, 1.0), np.inf)
         tint = layers.single(colour, "texture of the specular colour")
         if max(tint) > min(tint):
             layers.note("specular colour (its mean is used)")
@@ -269,11 +269,11 @@ def _anisotropy(layers: Layers, roughness: Map) -> tuple[Map, Map]:
         ratio = (along / across) ** np.cos(2 * turn)
         # Mitsuba: alpha along u over alpha across it is 1 / (1 - 0.9 anisotropic).
         anisotropy = np.clip((1 - 1 / ratio) / 0.9, 0, 1)
-        kept = anisotropy * np.isclose(np.cos(2 * turn), 1, atol=0.02)
-        return np.concatenate([(along * across) ** 0.25, anisotropy, kept], axis=2)
+        lost = (along > 1.01 * across) & (np.cos(2 * turn) < 0.98)
+        return np.concatenate([(along * across) ** 0.25, anisotropy, lost], axis=2)
 
     result = layers.combined(ellipse, roughness, texture)
-    if (result.channel(2).values == 0).any():
+    if result.channel(2).values.any():
         layers.note("anisotropy (only what lies along the texture coordinates)")
     return result.channel(0), result.channel(1)
 
