@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import trimesh
-from gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box, sphere
 from scipy.spatial.transform import Rotation
 
+from gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box, sphere
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaires.gltf import read_gltf
 from lumitree.luminaires.gltf.lights import LIGHT_RADIUS
@@ -369,6 +369,6 @@ def test_skins_and_morph_targets_are_told(tmp_path):
     gltf = Gltf()
     gltf.quad()
     gltf.json["nodes"][0]["skin"] = 0
-    gltf.json["meshes"][0]["weights"] = [0.5]
+    gltf.json["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": 0}]
     with pytest.warns(LumitreeWarning, match=r"ignored: skins .*; morph targets"):
         read_gltf(gltf.save(tmp_path))

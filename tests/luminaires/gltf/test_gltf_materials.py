@@ -4,8 +4,8 @@ import warnings
 
 import numpy as np
 import pytest
-from gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box
 
+from gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaires.gltf import read_gltf
 from lumitree.luminaires.model import Diffuse, Glass, Principled, Texture, VertexColour
@@ -252,7 +252,7 @@ def test_mirrored_coordinates_get_normals_of_their_own(tmp_path):
     pixels = np.full((2, 2, 3), (189, 51, 209))
     wears = gltf.material(normalTexture=gltf.texture(pixels))
     uv = np.concatenate([QUAD_UV, QUAD_UV * (-1, 1)]).astype(np.float32)
-    vertices = np.concatenate([QUAD, QUAD + (3, 0, 0)])
+    vertices = np.concatenate([QUAD, QUAD + np.float32([3, 0, 0])])
     faces = np.concatenate([QUAD_FACES, QUAD_FACES + 4])
     gltf.node(gltf.primitive(vertices, faces, material=wears, TEXCOORD_0=uv))
     model = read_only(gltf.save(tmp_path))

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.luminaires.gltf.container import Document
-from lumitree.luminaires.gltf.item import Item
+from lumitree.luminaires.gltf.item import MAX_MAGNITUDE, Item
 
 MAX_DECODED_BYTES = 2**30
 # Elements that no bytes stand for: all zero, but for a sparse accessor's few.
@@ -34,8 +34,8 @@ class Accessors:
         item = self._document.entry("accessors", index)
         stored = self._array(index, item, lengths)
         values = stored.astype(np.float64)
-        if not np.isfinite(values).all():
-            raise item.error("holds values that are not finite")
+        if not (np.abs(values) <= MAX_MAGNITUDE).all():
+            raise item.error("holds values that are not finite, or absurdly large")
         if item.flag("normalized") and stored.dtype.kind in "iu":
             values = np.maximum(values / np.iinfo(np.dtype(stored.dtype).name).max, -1.0)
         return values

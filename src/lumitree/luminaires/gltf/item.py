@@ -5,6 +5,9 @@ from typing import Any
 
 from lumitree.errors import LumitreeError
 
+# Lengths, factors and offsets beyond this are damage; products of two still fit a float.
+MAX_MAGNITUDE = 1e15
+
 
 class Item:
     """A JSON object; every reader checks the type and the range of what it returns.
@@ -30,7 +33,7 @@ class Item:
     def number(
         self, key: str, default: float, low: float = -math.inf, high: float = math.inf
     ) -> float:
-        """A finite number in [low, high]."""
+        """A number in [low, high], and of at most MAX_MAGNITUDE."""
         value = self.data.get(key, default)
         if not _is_number(value) or not low <= value <= high:
             raise self._wrong(key, value, f"a number{_range(low, high)}")
@@ -116,10 +119,9 @@ class Item:
 
 
 def _is_number(value: Any) -> bool:
-    # bool is a kind of int; a huge integer does not fit a float.
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) < 1e300
+    # bool is a kind of int; not a number compares false.
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number and abs(value) <= MAX_MAGNITUDE
 
 
 def _range(low: float, high: float) -> str:

@@ -40,14 +40,9 @@ class Layers:
             self.note("different wrapping along u and v")
         return found
 
-    def colour(
-        self, parent: Item, name: str, default: tuple[float, float, float], high: float = 1.0
-    ) -> Map:
-        """`nameFactor`, in [0, high], of which R, G and B are taken, times `nameTexture`."""
-        factor = f"{name}Factor"
-        # Base colours have a fourth factor, for the opacity.
-        size = 4 if factor in parent and len(parent.data[factor]) == 4 else 3
-        values = parent.numbers(factor, (*default, 1.0)[:size], 0.0, high)[:3]
+    def colour(self, parent: Item, name: str, default: tuple[float, ...], high: float = 1.0) -> Map:
+        """R, G and B of `nameFactor`, which is in [0, high], times the encoded `nameTexture`."""
+        values = parent.numbers(f"{name}Factor", default, 0.0, high)[:3]
         texture = self.texture(parent, f"{name}Texture", "RGB", encoded=True)
         return constant(*values) if texture is None else texture.scaled(*values)
 

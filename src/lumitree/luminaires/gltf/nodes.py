@@ -6,7 +6,7 @@ import numpy as np
 
 from lumitree.luminaires.geometry import Floats
 from lumitree.luminaires.gltf.container import Document
-from lumitree.luminaires.gltf.item import Item
+from lumitree.luminaires.gltf.item import MAX_MAGNITUDE, Item
 
 MAX_DEPTH = 256
 IDENTITY = tuple(np.eye(4).ravel().tolist())
@@ -43,8 +43,8 @@ def scene_nodes(document: Document) -> list[Node]:
         if depth > MAX_DEPTH:
             raise item.error(f"is nested more than {MAX_DEPTH} deep")
         world = above @ _local(item)
-        if not np.isfinite(world).all():
-            raise item.error("is scaled beyond all bounds")
+        if np.abs(world).max() > MAX_MAGNITUDE:
+            raise item.error("is scaled or moved beyond all bounds")
         nodes.append(Node(item, world))
         pending += [(child, world, depth + 1) for child in reversed(item.indices("children"))]
     return nodes

@@ -92,8 +92,8 @@ class _Reader:
 
     def _mesh(self, index: int, nodes: list[Node]) -> None:
         item = self._document.entry("meshes", index)
-        if any(entry for entry in item.data.get("weights", []) or []):
-            self._notes.file("morph targets")
+        if any(primitive.data.get("targets") for primitive in item.items("primitives")):
+            self._notes.file("morph targets (meshes keep their base shape)")
         worlds = []
         for node in nodes:
             if _flattened(node.world):

@@ -52,7 +52,7 @@ def read_base(layers: Layers) -> Base:
     core = layers.item.item("pbrMetallicRoughness")
     texture = "metallicRoughnessTexture"
     return Base(
-        layers.colour(core, "baseColor", (1.0, 1.0, 1.0)),
+        layers.colour(core, "baseColor", (1.0, 1.0, 1.0, 1.0)),
         _alpha(layers, core, "baseColor"),
         layers.value(core, "metallicFactor", 1.0, "B", texture),
         layers.value(core, "roughnessFactor", 1.0, "G", texture),
@@ -270,7 +270,8 @@ def _anisotropy(layers: Layers, roughness: Map) -> tuple[Map, Map]:
         # Mitsuba: alpha along u over alpha across it is 1 / (1 - 0.9 anisotropic).
         anisotropy = np.clip((1 - 1 / ratio) / 0.9, 0, 1)
         lost = (along > 1.01 * across) & (np.cos(2 * turn) < 0.98)
-        return np.concatenate([(along * across) ** 0.25, anisotropy, lost], axis=2)
+        mean = (along * across) ** 0.25
+        return np.concatenate([mean, anisotropy, lost.astype(mean.dtype)], axis=2)
 
     result = layers.combined(ellipse, roughness, texture)
     if result.channel(2).values.any():
@@ -303,7 +304,7 @@ def _alpha(layers: Layers, parent: Item, name: str) -> Map:
 def _from_specular_glossiness(layers: Layers, item: Item) -> Base:
     """Metallic-roughness that looks alike, by the conversion that Khronos published."""
     layers.note("specular-glossiness (converted to metallic-roughness)")
-    diffuse = layers.colour(item, "diffuse", (1.0, 1.0, 1.0))
+    diffuse = layers.colour(item, "diffuse", (1.0, 1.0, 1.0, 1.0))
     texture = "specularGlossinessTexture"
     specular = constant(*item.numbers("specularFactor", (1.0, 1.0, 1.0), 0.0, 1.0))
     if (found := layers.texture(item, texture, "RGB", encoded=True)) is not None:
