@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from lumitree.errors import LumitreeError
 from lumitree.luminaires.geometry import Floats
-from lumitree.luminaires.gltf.images import Images, Sampler
+from lumitree.luminaires.gltf.images import MAX_IMAGE_PIXELS, Images, Sampler
 from lumitree.luminaires.gltf.item import Item
 from lumitree.luminaires.model import RGB, Texture
 
@@ -79,6 +80,9 @@ def combined(function: Callable[..., Array], *maps: Map) -> tuple[Map, bool]:
     Returns:
         The result, and whether it is exact: a texture that is placed differently from the first
         one enters with its mean.
+
+    Raises:
+        LumitreeError: a wide image and a high one make too many pixels.
     """
     lead = next((entry for entry in maps if not entry.constant), maps[0])
     placed = [
@@ -88,6 +92,11 @@ def combined(function: Callable[..., Array], *maps: Map) -> tuple[Map, bool]:
     exact = all(new is old for new, old in zip(placed, maps, strict=True))
     height = max(entry.values.shape[0] for entry in placed)
     width = max(entry.values.shape[1] for entry in placed)
+    if height * width > MAX_IMAGE_PIXELS:
+        raise LumitreeError(
+            f"images are combined to {width} x {height} pixels, more than {MAX_IMAGE_PIXELS}; "
+            "make them smaller"
+        )
     arrays = [
         entry.values if entry.constant else _resized(entry.values, height, width)
         for entry in placed

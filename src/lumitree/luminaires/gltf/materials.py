@@ -5,19 +5,14 @@ import re
 
 import numpy as np
 
+from lumitree.luminaires.gltf.base import Base, read_base
 from lumitree.luminaires.gltf.container import Document
 from lumitree.luminaires.gltf.images import Images
 from lumitree.luminaires.gltf.item import Item
 from lumitree.luminaires.gltf.layers import Layers
 from lumitree.luminaires.gltf.maps import Array, Map, Textures, constant, uv_transform
 from lumitree.luminaires.gltf.notes import Notes
-from lumitree.luminaires.gltf.surfaces import (
-    Base,
-    note_ignored,
-    read_base,
-    read_surface,
-    read_volume,
-)
+from lumitree.luminaires.gltf.surfaces import note_ignored, read_surface, read_volume
 from lumitree.luminaires.model import (
     RGB,
     Diffuse,

@@ -9,7 +9,7 @@ from lumitree.luminaires.gltf.container import Document
 from lumitree.luminaires.gltf.item import MAX_MAGNITUDE, Item
 
 MAX_DEPTH = 256
-IDENTITY = tuple(np.eye(4).ravel().tolist())
+_IDENTITY = tuple(np.eye(4).ravel().tolist())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +76,10 @@ def _roots(document: Document, parents: dict[int, int]) -> list[int]:
 
 def _local(item: Item) -> Floats:
     if "matrix" in item:
-        return np.array(item.numbers("matrix", IDENTITY)).reshape(4, 4).T
+        matrix = np.array(item.numbers("matrix", _IDENTITY)).reshape(4, 4).T
+        if not np.array_equal(matrix[3], (0, 0, 0, 1)):
+            raise item.error("has a matrix that is not affine")
+        return matrix
     x, y, z, w = item.numbers("rotation", (0.0, 0.0, 0.0, 1.0))
     length = np.sqrt(x * x + y * y + z * z + w * w)
     if not 0 < length < np.inf:

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from lumitree.luminaires.gltf.item import Item
+from lumitree.luminaires.gltf.base import Base
 from lumitree.luminaires.gltf.layers import Layers
 from lumitree.luminaires.gltf.maps import Array, Map, Textures, constant
 from lumitree.luminaires.model import RGB, Diffuse, Glass, Medium, Principled, Surface
@@ -14,21 +14,6 @@ SMOOTH = 0.03
 # Mitsuba's rough glass must differ from air; of an attenuation colour 0 there is no logarithm.
 _MIN_IOR, _MIN_ATTENUATION = 1.0001, 1e-4
 _MAX_SPECULAR = 0.9
-
-
-@dataclasses.dataclass(frozen=True)
-class Base:
-    """The metallic-roughness core of a material.
-
-    Attributes:
-        colour: R, G and B.
-        alpha, metallic, roughness: one channel each.
-    """
-
-    colour: Map
-    alpha: Map
-    metallic: Map
-    roughness: Map
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,21 +27,6 @@ class Volume:
 
     thickness: float
     absorption: RGB
-
-
-def read_base(layers: Layers) -> Base:
-    """The core of a material, converted from specular-glossiness where it is given so."""
-    other = layers.item.extension("KHR_materials_pbrSpecularGlossiness")
-    if other is not None:
-        return _from_specular_glossiness(layers, other)
-    core = layers.item.item("pbrMetallicRoughness")
-    texture = "metallicRoughnessTexture"
-    return Base(
-        layers.colour(core, "baseColor", (1.0, 1.0, 1.0, 1.0)),
-        _alpha(layers, core, "baseColor"),
-        layers.value(core, "metallicFactor", 1.0, "B", texture),
-        layers.value(core, "roughnessFactor", 1.0, "G", texture),
-    )
 
 
 def read_volume(layers: Layers) -> Volume:
@@ -94,7 +64,7 @@ def read_surface(
         return Diffuse(textures.colour(base.colour))
     transmission = _transmission(layers)
     through = not transmission.black()
-    scattered, base = _diffuse_transmission(layers, base, solid)
+    scattered = _diffuse_transmission(layers, solid)
     volume = read_volume(layers)
     glass = (
         through
@@ -115,7 +85,9 @@ def read_surface(
 
 
 def _glass(layers: Layers, base: Base, volume: Volume, solid: bool, thickness: float) -> Glass:
-    _unrepresented(layers, ("clearcoat", "sheen", "anisotropy"))
+    coats = {"clear coat": _clearcoat(layers)[0], "sheen": _sheen(layers)}
+    for name in (name for name, coat in coats.items() if not coat.black()):
+        layers.note(f"{name} of clear glass (left out)")
     roughness = base.roughness.mean()[0]
     roughness = 0.0 if roughness <= SMOOTH else roughness
     ior = max(_ior(layers, transmits=True), _MIN_IOR)
@@ -171,21 +143,21 @@ def _transmission(layers: Layers) -> Map:
     return layers.value(extension, "transmissionFactor", 0.0, "R", "transmissionTexture")
 
 
-def _diffuse_transmission(layers: Layers, base: Base, solid: bool) -> tuple[float, Base]:
+def _diffuse_transmission(layers: Layers, solid: bool) -> float:
     """Share of the diffuse light that leaves on the other side of a thin sheet."""
     extension = layers.item.extension("KHR_materials_diffuse_transmission")
     if extension is None:
-        return 0.0, base
+        return 0.0
     name = "diffuseTransmission"
     share = layers.value(extension, f"{name}Factor", 0.0, "A", f"{name}Texture")
     if share.black():
-        return 0.0, base
+        return 0.0
     if solid:
         layers.note("diffuse transmission of a solid (left out)")
-        return 0.0, base
+        return 0.0
     if f"{name}ColorFactor" in extension or f"{name}ColorTexture" in extension:
         layers.note("colour of the diffuse transmission (the base colour is used)")
-    return layers.single(share, "texture of the diffuse transmission")[0], base
+    return layers.single(share, "texture of the diffuse transmission")[0]
 
 
 def _ior(layers: Layers, transmits: bool) -> float:
@@ -279,59 +251,9 @@ def _anisotropy(layers: Layers, roughness: Map) -> tuple[Map, Map]:
     return result.channel(0), result.channel(1)
 
 
-def _unrepresented(layers: Layers, names: tuple[str, ...]) -> None:
-    for name in names:
-        if layers.item.extension(f"KHR_materials_{name}") is not None:
-            layers.note(f"{name} (left out)")
-
-
 def note_ignored(layers: Layers) -> None:
     """Note the extensions that have no counterpart at all."""
     for name, key in (("iridescence", "iridescenceFactor"), ("dispersion", "dispersion")):
         extension = layers.item.extension(f"KHR_materials_{name}")
         if extension is not None and extension.number(key, 0.0, 0.0) > 0:
             layers.note(f"{name} (left out)")
-
-
-def _alpha(layers: Layers, parent: Item, name: str) -> Map:
-    if layers.item.string("alphaMode", "OPAQUE") == "OPAQUE":
-        return constant(1.0)
-    factor = parent.numbers(f"{name}Factor", (1.0, 1.0, 1.0, 1.0), 0.0)[3]
-    texture = layers.texture(parent, f"{name}Texture", "A")
-    return constant(factor) if texture is None else texture.scaled(factor)
-
-
-def _from_specular_glossiness(layers: Layers, item: Item) -> Base:
-    """Metallic-roughness that looks alike, by the conversion that Khronos published."""
-    layers.note("specular-glossiness (converted to metallic-roughness)")
-    diffuse = layers.colour(item, "diffuse", (1.0, 1.0, 1.0, 1.0))
-    texture = "specularGlossinessTexture"
-    specular = constant(*item.numbers("specularFactor", (1.0, 1.0, 1.0), 0.0, 1.0))
-    if (found := layers.texture(item, texture, "RGB", encoded=True)) is not None:
-        specular = found.scaled(*specular.mean())
-    gloss = layers.value(item, "glossinessFactor", 1.0, "A", texture)
-    metallic = layers.combined(_metallic, diffuse, specular)
-
-    def colour(diffuse: Array, specular: Array, metallic: Array) -> Array:
-        strength = 1 - specular.max(axis=2, keepdims=True)
-        from_diffuse = diffuse * strength / 0.96 / np.maximum(1 - metallic, 1e-6)
-        from_specular = (specular - 0.04 * (1 - metallic)) / np.maximum(metallic, 1e-6)
-        return np.clip(from_diffuse + (from_specular - from_diffuse) * metallic**2, 0, 1)
-
-    return Base(
-        layers.combined(colour, diffuse, specular, metallic),
-        _alpha(layers, item, "diffuse"),
-        metallic,
-        gloss.applied(lambda values: 1 - values),
-    )
-
-
-def _metallic(diffuse: Array, specular: Array) -> Array:
-    def brightness(colour: Array) -> Array:
-        return np.sqrt((colour**2 * np.array([0.299, 0.587, 0.114])).sum(axis=2, keepdims=True))
-
-    shiny = brightness(specular)
-    strength = 1 - specular.max(axis=2, keepdims=True)
-    b = brightness(diffuse) * strength / 0.96 + shiny - 0.08
-    root = np.sqrt(np.maximum(b * b - 0.16 * (0.04 - shiny), 0))
-    return np.where(shiny < 0.04, 0.0, np.clip((root - b) / 0.08, 0, 1))
