@@ -1,0 +1,33 @@
+"""What was approximated or left out while a file was read, told once at the end."""
+
+from collections.abc import Iterator
+
+
+class Notes:
+    """Collects remarks about a file and about each of its materials."""
+
+    def __init__(self, name: str) -> None:
+        """Start empty.
+
+        Args:
+            name: of the file.
+        """
+        self._name = name
+        # Dictionaries, because sets do not keep their order.
+        self._file: dict[str, None] = {}
+        self._materials: dict[str, dict[str, None]] = {}
+
+    def file(self, text: str) -> None:
+        """Something that the whole file loses."""
+        self._file[text] = None
+
+    def material(self, name: str, text: str) -> None:
+        """Something that a material loses."""
+        self._materials.setdefault(name, {})[text] = None
+
+    def lines(self) -> Iterator[str]:
+        """One line for the file and one for each material, where there is something to say."""
+        if self._file:
+            yield f"{self._name}: ignored: {'; '.join(self._file)}"
+        for name, texts in self._materials.items():
+            yield f"{self._name}: material {name!r} is approximated: {'; '.join(texts)}"
