@@ -9,12 +9,12 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.luminaires.straight_through import straight_through
 from lumitree.core.dataset import MANIFEST, Dataset, Frame, Manifest, Split, View
 from lumitree.core.progress import progress
 from lumitree.core.sampling import FIRST_TEST_INDEX, view_pose
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.luminaire import Luminaire
+from lumitree.luminaires.straight_through import straight_through
 
 PATH_DEPTH = 32
 # Paths in flight at once: bounds memory to about 1 GiB.

@@ -1,1 +1,1 @@
-"""Baking from rays of the path tracer: estimation and refinement, with no pictures and no network."""
+"""Baking from traced rays: estimation and refinement, with no pictures and no network."""

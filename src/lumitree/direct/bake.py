@@ -56,7 +56,7 @@ class DirectConfig:
     seconds: float | None = 285.0
     rays: int | None = None
     seed: int = 0
-    refine: RefineConfig = RefineConfig()
+    refine: RefineConfig = dataclasses.field(default_factory=RefineConfig)
 
     def __post_init__(self) -> None:
         if self.seconds is None and self.rays is None:
@@ -217,7 +217,9 @@ class _Loop:
                 if now - saved >= _SAVE_SECONDS:
                     saved = now
                     self._save()
-                advance(done - before, f"{self.best_score}, {self._refiner.field.num_leaves} leaves")
+                advance(
+                    done - before, f"{self.best_score}, {self._refiner.field.num_leaves} leaves"
+                )
             if interrupted.is_set():
                 self._score()
                 self._save()

@@ -110,9 +110,7 @@ def estimate(
     return Estimate(
         cells,
         np.array(sums.density(2 / (1 << tree_depth))),
-        np.array(_before_sigmoid(fit, l_max, max_radiance)).reshape(
-            -1, 3, num_coefficients(l_max)
-        ),
+        np.array(_before_sigmoid(fit, l_max, max_radiance)).reshape(-1, 3, num_coefficients(l_max)),
     )
 
 

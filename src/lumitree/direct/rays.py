@@ -78,9 +78,7 @@ class TracedRays:
         seed: of all random numbers.
     """
 
-    def __init__(
-        self, luminaire: Luminaire, spacing: float, paths: int = 2, seed: int = 0
-    ) -> None:
+    def __init__(self, luminaire: Luminaire, spacing: float, paths: int = 2, seed: int = 0) -> None:
         self.luminaire, self.spacing = luminaire, spacing
         self._paths = paths
         self._reach = 1.01 * float(np.linalg.norm(luminaire.half_extents)) + 4 * spacing
@@ -130,9 +128,7 @@ class TracedRays:
         self._sampler.seed(_mix(self._seed, batch, 1), count)
         index = dr.arange(mi.UInt32, count)
         tile, within = index // 16, index % 16
-        jitter = (
-            mi.Point2f(within % 4, within // 4) - 2 + self._sampler.next_2d()
-        ) * self.spacing
+        jitter = (mi.Point2f(within % 4, within // 4) - 2 + self._sampler.next_2d()) * self.spacing
         origin = (
             dr.gather(mi.Vector3f, centre, tile)
             + jitter.x * dr.gather(mi.Vector3f, right, tile)
@@ -156,7 +152,9 @@ class TracedRays:
         self._sampler.seed(_mix(self._seed, batch, 2), count * paths)
         index = dr.arange(mi.UInt32, count * paths) // paths
         ray = mi.RayDifferential3f(
-            self._world_ray(dr.gather(mi.Point3f, origin, index), dr.gather(mi.Vector3f, direction, index))
+            self._world_ray(
+                dr.gather(mi.Point3f, origin, index), dr.gather(mi.Vector3f, direction, index)
+            )
         )
         scene = self.luminaire.scene
         radiance, _, _ = self._integrator.sample(scene, self._sampler, ray)
@@ -265,7 +263,9 @@ class TracedRays:
             scattered = dr.select(missed, ray, scattered)
             throughput[missed] = mi.Color3f(0)
 
-            medium = dr.select(transmits & si.is_medium_transition(), si.target_medium(onwards.d), medium)
+            medium = dr.select(
+                transmits & si.is_medium_transition(), si.target_medium(onwards.d), medium
+            )
             ray = dr.select(transmits, onwards, ray)
             crossings += 1
             active = transmits & (crossings < PATH_DEPTH) & (dr.max(throughput) > 0)
