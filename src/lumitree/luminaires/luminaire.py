@@ -163,12 +163,11 @@ def _bounding_radius(
     scene: Any, world_from_proxy: NDArray[np.float64], half_extents: NDArray[np.float64]
 ) -> float:
     """Largest distance of a vertex (of a box corner, for what is not a mesh) from the centre."""
-    mi = load_mitsuba()
     centre, scale = world_from_proxy[:3, 3], world_from_proxy[0, 0]
     farthest = 0.0
     for shape in scene.shapes():
         if shape.is_mesh():
-            points = np.array(mi.traverse(shape)["vertex_positions"]).reshape(-1, 3)
+            points = np.array(shape.vertex_positions_buffer()).reshape(-1, 3)
         else:
             low, high = np.ravel(shape.bbox().min), np.ravel(shape.bbox().max)
             points = np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3)
