@@ -47,6 +47,21 @@ class Luminaire:
     half_extents: NDArray[np.float64]
     bounding_radius: float
 
+    @property
+    def num_triangles(self) -> int:
+        """Triangles of its meshes; other shapes have none."""
+        return sum(shape.face_count() for shape in self.scene.shapes() if shape.is_mesh())
+
+    @property
+    def num_emitters(self) -> int:
+        """Shapes that emit."""
+        return len(self.scene.emitters())
+
+    @property
+    def size(self) -> NDArray[np.float64]:
+        """[3] sides of the bounding box, the file's unit."""
+        return 2 * self.half_extents * self.world_from_proxy[0, 0]
+
 
 def load_luminaire(source: str | os.PathLike[str]) -> Luminaire:
     """Load a built-in luminaire by name, or a Mitsuba 3 XML that holds one.
