@@ -51,8 +51,8 @@ BAKE_PRESETS = {
 EVALUATION_VIEWS, EVALUATION_RESOLUTION, EVALUATION_SPP = 8, 256, 256
 
 
-# Paths that a preview's flux is the mean of.
-FLUX_PATHS = 1 << 22
+# Paths that a preview's flux, and its bounce statistics, are means of.
+FLUX_PATHS, BOUNCE_PATHS = 1 << 22, 1 << 20
 # A file whose glass is wrong throughout is not to fill the terminal.
 MAX_FAULTS = 5
 
@@ -150,7 +150,7 @@ def preview(
     write_preview(sheet, views, luminaire.name, _facts(report))
     if bounces:
         with watch.stage("bounces"):
-            missed = missed_by_depth(luminaire, FLUX_PATHS)
+            missed = missed_by_depth(luminaire, BOUNCE_PATHS)
         report["bounces"] = [dataclasses.asdict(each) for each in missed]
     return report | {"seconds": watch.seconds, "peak_memory_bytes": peak_memory_bytes()}
 

@@ -18,12 +18,12 @@ from lumitree.luminaires.luminaire import Luminaire
 
 # Where the camera stands and what is upwards in its picture, in the luminaire's frame (y up).
 VIEWS = {
-    "front (+z)": ((0, 0, 1), (0, 1, 0)),
-    "right (+x)": ((1, 0, 0), (0, 1, 0)),
-    "back (-z)": ((0, 0, -1), (0, 1, 0)),
-    "left (-x)": ((-1, 0, 0), (0, 1, 0)),
-    "above (+y)": ((0, 1, 0), (0, 0, -1)),
-    "below (-y)": ((0, -1, 0), (0, 0, 1)),
+    "from the front, +z": ((0, 0, 1), (0, 1, 0)),
+    "from the right, +x": ((1, 0, 0), (0, 1, 0)),
+    "from the back, -z": ((0, 0, -1), (0, 1, 0)),
+    "from the left, -x": ((-1, 0, 0), (0, 1, 0)),
+    "from above, +y": ((0, 1, 0), (0, 0, -1)),
+    "from below, -y": ((0, -1, 0), (0, 0, 1)),
 }
 NUM_ROWS = 4
 _MIN_STOPS = 2
@@ -99,6 +99,10 @@ def write_preview(
         LumitreeError: the path is no PNG or cannot be written.
     """
     check_sheet_name(path)
+    _draw(preview, title, facts).save(path)
+
+
+def _draw(preview: Preview, title: str, facts: Sequence[str]) -> TileSheet:
     exposure, stops = preview.exposure, preview.more_stops
     sheet = TileSheet(preview_layout(preview.radiance.shape[1]), DARK)
     sheet.title(title, "   ·   ".join([*facts, f"exposure {exposure:.3g} in all views"]))
@@ -117,4 +121,4 @@ def write_preview(
         sheet.row_name(row, name)
         for column, picture in enumerate(preview.pictures.values()):
             sheet.image(row, column, show(picture))
-    sheet.save(path)
+    return sheet

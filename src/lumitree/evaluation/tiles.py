@@ -131,6 +131,11 @@ class TileSheet:
         bar.ax.tick_params(labelsize=10, colors=self._style.ink, length=3)
         bar.outline.set(linewidth=0.6, edgecolor=self._style.faint)
 
+    @property
+    def texts(self) -> list[str]:
+        """Everything written on the sheet, but for the colour bars."""
+        return [text.get_text() for text in self._figure.texts]
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the PNG, atomically; the same sheet gives the same bytes."""
         with atomic_path(path) as temporary:
