@@ -1,6 +1,5 @@
 """Glass and media under capture's own integrator: no light is lost or made."""
 
-import drjit as dr
 import numpy as np
 import pytest
 
@@ -29,6 +28,8 @@ def load(tmp_path, *shapes):
 
 def rays(mi, count, direction, origin=(0, 0, 0), spread=0.0, distance=5.0):
     """Parallel rays through a square about `origin`, from `distance` before it."""
+    import drjit as dr
+
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(7, count)
     direction = dr.normalize(mi.Vector3f(np.array(direction, float)))
