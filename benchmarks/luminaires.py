@@ -1,7 +1,7 @@
 """Luminaires in numbers: python benchmarks/luminaires.py LUMINAIRE...
 
-Writes `luminaires.md` and `luminaires.json` into benchmarks/results/: triangles, emitters, L_max (of
-the preview's six views), luminous flux with its standard error, capture throughput (median of 5
+Writes `luminaires.md` and `luminaires.json` into benchmarks/results/: triangles, emitters, L_max
+(of the preview's six views), luminous flux with its standard error, capture throughput (median of 5
 pictures, after one that compiles), and what paths of 32, 64 and 128 bounces miss of the light that
 paths of 256 carry.
 """

@@ -181,6 +181,21 @@ def test_preview(capsys, monkeypatch):
     assert [item["path_depth"] for item in report["bounces"]] == [32, 64, 128]
 
 
+@pytest.mark.parametrize(
+    ("lumens", "error", "text"),
+    [
+        (3981234.5, 78912.3, "3,981,234 ± 78,912 lm"),
+        (815.317, 2.652, "815.3 ± 2.7 lm"),
+        (0.81234, 0.00123, "0.8123 ± 0.0012 lm"),
+        (0.0, 0.0, "0 ± 0 lm"),
+    ],
+)
+def test_flux_is_told_to_the_second_digit_of_its_error(lumens, error, text):
+    from lumitree.pipeline import describe_lumens
+
+    assert describe_lumens({"lumens": lumens, "lumens_error": error}) == text
+
+
 def test_faults_of_glass_are_warned_of(capsys, folder, monkeypatch):
     monkeypatch.setattr("lumitree.pipeline.FLUX_PATHS", 1)
     sheets = "".join(

@@ -520,8 +520,11 @@ def _show_luminaires(report: Report) -> None:
 
 
 def _show_preview(report: Report) -> None:
+    from lumitree.pipeline import describe_lumens
+
     flux = report["flux"]
-    watts, errors = ([f"{value:.4g}" for value in flux[key]] for key in ("watts", "watts_error"))
+    watts = ", ".join(f"{value:.4g}" for value in flux["watts"])
+    errors = ", ".join(f"{value:.2g}" for value in flux["watts_error"])
     shown = {
         "luminaire": report["luminaire"],
         "triangles": f"{report['triangles']:,}",
@@ -529,8 +532,8 @@ def _show_preview(report: Report) -> None:
         "L_max": f"{report['max_radiance']:.4g} W/(m² sr)",
         "size": " x ".join(f"{side:.4g}" for side in report["size"]),
         "media": "yes" if report["has_media"] else "no",
-        "flux": f"{flux['lumens']:.4g} ± {flux['lumens_error']:.2g} lm (lengths taken as metres)",
-        "flux R, G, B": f"{', '.join(watts)} ± {', '.join(errors)} W",
+        "flux": f"{describe_lumens(flux)} (lengths taken as metres)",
+        "flux R, G, B": f"{watts} ± {errors} W",
         "paths a second": f"{report['paths_per_second']:,.0f}",
     }
     for item in report.get("bounces", ()):

@@ -6,6 +6,7 @@ the job that needs them.
 
 import contextlib
 import dataclasses
+import math
 import resource
 import shutil
 import sys
@@ -157,15 +158,20 @@ def preview(
 
 def _facts(report: Report) -> list[str]:
     """The figures that stand on the sheet of a preview."""
-    flux = report["flux"]
     return [
         f"{report['triangles']:,} triangles",
-        f"{report['emitters']} emitters",
+        f"{report['emitters']} emitter" + ("" if report["emitters"] == 1 else "s"),
         f"L_max {report['max_radiance']:.4g}",
-        f"flux {flux['lumens']:.4g} ± {flux['lumens_error']:.2g} lm",
+        f"flux {describe_lumens(report['flux'])}",
         "size " + " x ".join(f"{side:.4g}" for side in report["size"]),
         *(["media"] if report["has_media"] else []),
     ]
+
+
+def describe_lumens(flux: Report) -> str:
+    """Luminous flux with its standard error, both to the error's second digit."""
+    digits = max(0, 1 - math.floor(math.log10(flux["lumens_error"]))) if flux["lumens_error"] else 0
+    return f"{flux['lumens']:,.{digits}f} ± {flux['lumens_error']:,.{digits}f} lm"
 
 
 def _diagnose(luminaire: "Luminaire") -> list[str]:
