@@ -32,6 +32,9 @@ ROOM = (
 def folder(tmp_path, monkeypatch, mi):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lamp.xml").write_text(LAMP)
+    (tmp_path / "dark.xml").write_text('<scene version="3.0.0"><shape type="sphere"/></scene>')
+    (tmp_path / "empty.xml").write_text('<scene version="3.0.0"/>')
+    (tmp_path / "half.xml").write_text(LAMP[: len(LAMP) // 2])
     (tmp_path / "room.xml").write_text(ROOM.format(""))
     lumitree.save(random_asset(0), tmp_path / "lamp.lumitree")
     return tmp_path
@@ -55,6 +58,17 @@ def fails(capsys, *arguments):
     [
         ([], "required: COMMAND"),
         (["paint"], "invalid choice: 'paint'"),
+        (["preview", "lamp.xml"], "required: -o"),
+        (["preview", "no.xml", "-o", "s.png"], "neither a file nor built in"),
+        (["preview", "dark.xml", "-o", "s.png"], "holds no emitter"),
+        (["preview", "empty.xml", "-o", "s.png"], "holds no shapes"),
+        (["preview", "half.xml", "-o", "s.png"], "half.xml cannot be loaded"),
+        (["preview", "lamp.xml", "-o", "s.jpg"], "does not end in .png"),
+        (["preview", "lamp.xml", "-o", "lamp.xml/s.png", "--resolution", "8", "--spp", "1"],
+         "cannot write lamp.xml/s.png"),
+        (["preview", "lamp.xml", "-o", "s.png", "--resolution", "0"], "resolution is 0"),
+        (["preview", "lamp.xml", "-o", "s.png", "--spp", "-3"], "spp is -3"),
+        (["preview", "lamp.xml", "-o", "s.png", "--spp", "few"], "invalid int value: 'few'"),
         (["capture", "lamp.xml"], "required: -o"),
         (["capture", "no.xml", "-o", "d"], "neither a file nor built in"),
         (["capture", "lamp.xml", "-o", "d", "--views", "many"], "invalid int value: 'many'"),
@@ -133,6 +147,74 @@ def test_list_info_and_json(capsys):
     assert "tree_depth  4" in out
     with open("info.json") as file:
         assert json.load(file)["asset"]["law"] == "linear"
+
+
+def test_list_tells_the_figures_of_every_lamp(capsys):
+    assert main(["list", "--json", "list.json"]) == 0
+    out = capsys.readouterr().out
+    with open("list.json") as file:
+        bulbs = json.load(file)["luminaires"]["bulbs"]
+    assert bulbs["emitters"] == 5
+    assert bulbs["emitted_radiance"] == 30
+    assert bulbs["size"][1] == pytest.approx(0.327, abs=1e-3)
+    assert bulbs["has_media"] is False
+    assert f"{bulbs['triangles']:,} triangles, 5 emitters of up to 30 W/(m² sr)" in out
+
+
+def test_preview(capsys, monkeypatch):
+    monkeypatch.setattr("lumitree.pipeline.FLUX_PATHS", 1)
+    monkeypatch.setattr("lumitree.pipeline.BOUNCE_PATHS", 1)
+    assert main(["preview", "lamp.xml", "-o", "sheet.png", "--resolution", "16", "--spp", "4",
+                 "--bounces", "--json", "report.json"]) == 0  # fmt: skip
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert "beyond 128 bounces  0 ± 0 % of the flux" in captured.out
+    assert os.path.getsize("sheet.png") > 10_000
+    with open("report.json") as file:
+        report = json.load(file)
+    assert report["flux"]["watts"] == pytest.approx([4 * np.pi**2 * x for x in (3, 2, 1)], rel=0.01)
+    assert report["max_radiance"] == pytest.approx(3)
+    assert report["size"] == [2, 2, 2]
+    assert (report["emitters"], report["triangles"], report["has_media"]) == (1, 0, False)
+    assert report["paths_per_second"] > 0
+    assert report["faults"] == []
+    assert [item["path_depth"] for item in report["bounces"]] == [32, 64, 128]
+
+
+@pytest.mark.parametrize(
+    ("lumens", "error", "text"),
+    [
+        (3981234.5, 78912.3, "3,981,234 ± 78,912 lm"),
+        (815.317, 2.652, "815.3 ± 2.7 lm"),
+        (0.81234, 0.00123, "0.8123 ± 0.0012 lm"),
+        (0.0, 0.0, "0 ± 0 lm"),
+    ],
+)
+def test_flux_is_told_to_the_second_digit_of_its_error(lumens, error, text):
+    from lumitree.pipeline import describe_lumens
+
+    assert describe_lumens({"lumens": lumens, "lumens_error": error}) == text
+
+
+def test_faults_of_glass_are_warned_of(capsys, folder, monkeypatch):
+    monkeypatch.setattr("lumitree.pipeline.FLUX_PATHS", 1)
+    sheets = "".join(
+        f'<shape type="rectangle" id="pane{i}"><transform name="to_world">'
+        f'<translate z="{i + 2}"/></transform><bsdf type="dielectric"/></shape>'
+        for i in range(7)
+    )
+    (folder / "panes.xml").write_text(LAMP.replace("</scene>", f"{sheets}</scene>"))
+    tiny = ["--resolution", "8", "--spp", "1"]
+    assert main(["preview", "panes.xml", "-o", "s.png", "--json", "r.json", *tiny]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 6
+    assert all(line.startswith("lumitree: warning: ") for line in lines)
+    assert sum("but not closed" in line for line in lines) == 5
+    assert "2 more faults" in lines[-1]
+    with open("r.json") as file:
+        assert len(json.load(file)["faults"]) == 7
+    assert main(["capture", "panes.xml", "-o", "d", "--views", "1", *tiny]) == 0
+    assert len(capsys.readouterr().err.splitlines()) == 6
 
 
 def test_render_places_several(capsys, folder):

@@ -3,6 +3,7 @@
 Its folder is ../shared/data beside the repository, or what LUMITREE_DATA names.
 """
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from lumitree import pipeline
 from lumitree.core.dataset import Dataset
 from lumitree.core.images import read_exr
+from lumitree.errors import LumitreeWarning
 
 DATA = Path(os.environ.get("LUMITREE_DATA", Path(__file__).parents[1].parent / "shared" / "data"))
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no development set at {DATA}")
@@ -32,10 +34,17 @@ def test_luminaires_are_captured(mi, tmp_path, name):
     width = 2 * luminaire.half_extents[0] * luminaire.world_from_proxy[0, 0]
     assert width == pytest.approx(LUMINAIRES[name], rel=1e-3)
     assert luminaire.has_media == name.startswith("scopia")
-    pipeline.capture(
-        str(DATA / "luminaires" / name), str(tmp_path), num_views=2, resolution=48,
-        samples_per_pixel=16,
-    )  # fmt: skip
+    # The frosted bulb is one open sheet of rough glass, which the file's author knows.
+    expected = (
+        pytest.warns(LumitreeWarning, match="Lightbulb.*not closed.*thindielectric")
+        if "frosted" in name
+        else contextlib.nullcontext()
+    )
+    with expected:
+        pipeline.capture(
+            str(DATA / "luminaires" / name), str(tmp_path), num_views=2, resolution=48,
+            samples_per_pixel=16,
+        )  # fmt: skip
     for view in Dataset.open(tmp_path).views():
         assert view.radiance.max() > 0
         assert 0.02 < view.straight_through.mean() <= view.geometric.mean() + 1e-3

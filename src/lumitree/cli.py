@@ -141,6 +141,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
     for add in (
         _add_list,
+        _add_preview,
         _add_capture,
         _add_train,
         _add_extract,
@@ -190,8 +191,35 @@ def _add_list(commands: Any) -> None:
         "list",
         "list the built-in luminaires",
         _job("list_luminaires"),
-        lambda report: _print_lines(report["luminaires"]),
+        _show_luminaires,
     )
+
+
+def _add_preview(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "preview",
+        "look at a luminaire from six sides, and print its figures",
+        _job(
+            "preview",
+            source=lambda a: a.luminaire,
+            sheet=lambda a: a.output,
+            resolution=lambda a: a.resolution,
+            samples_per_pixel=lambda a: a.spp,
+            bounces=lambda a: a.bounces,
+            variant=lambda a: a.variant,
+        ),
+        _show_preview,
+    )
+    parser.add_argument("luminaire", metavar="LUMINAIRE", help="built-in name or .xml")
+    _add_output(parser, "SHEET", "contact sheet (.png)")
+    _add_picture_options(parser, 256, 64)
+    parser.add_argument(
+        "--bounces",
+        action="store_true",
+        help="also measure what paths of 32, 64 and 128 bounces miss",
+    )
+    _add_variant(parser)
 
 
 def _add_capture(commands: Any) -> None:
@@ -224,6 +252,10 @@ def _add_view_options(
     parser: argparse.ArgumentParser, views: int, resolution: int, samples: int
 ) -> None:
     parser.add_argument("--views", type=int, metavar="N", default=views, help="number of views")
+    _add_picture_options(parser, resolution, samples)
+
+
+def _add_picture_options(parser: argparse.ArgumentParser, resolution: int, samples: int) -> None:
     parser.add_argument(
         "--resolution", type=int, metavar="R", default=resolution, help="pixels a side"
     )
@@ -474,6 +506,40 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, list):
         return ", ".join(str(_rounded(item)) for item in value)
     return value
+
+
+def _show_luminaires(report: Report) -> None:
+    for name, item in report["luminaires"].items():
+        size = " x ".join(f"{side:.3g}" for side in item["size"])
+        print(f"{name:>20}  {item['description']}")
+        print(
+            f"{'':>20}  {item['triangles']:,} triangles, {item['emitters']} emitters of up to "
+            f"{item['emitted_radiance']:.4g} W/(m² sr), {size} m, "
+            f"{'media' if item['has_media'] else 'no media'}"
+        )
+
+
+def _show_preview(report: Report) -> None:
+    from lumitree.pipeline import describe_lumens
+
+    flux = report["flux"]
+    watts = ", ".join(f"{value:.4g}" for value in flux["watts"])
+    errors = ", ".join(f"{value:.2g}" for value in flux["watts_error"])
+    shown = {
+        "luminaire": report["luminaire"],
+        "triangles": f"{report['triangles']:,}",
+        "emitters": report["emitters"],
+        "L_max": f"{report['max_radiance']:.4g} W/(m² sr)",
+        "size": " x ".join(f"{side:.4g}" for side in report["size"]),
+        "media": "yes" if report["has_media"] else "no",
+        "flux": f"{describe_lumens(flux)} (lengths taken as metres)",
+        "flux R, G, B": f"{watts} ± {errors} W",
+        "paths a second": f"{report['paths_per_second']:,.0f}",
+    }
+    for item in report.get("bounces", ()):
+        name = f"beyond {item['path_depth']} bounces"
+        shown[name] = f"{100 * item['share']:.2g} ± {100 * item['error']:.1g} % of the flux"
+    _print_lines(shown | {"sheet": report["sheet"]})
 
 
 def _show_evaluation(report: Report) -> None:

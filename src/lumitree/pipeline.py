@@ -6,11 +6,13 @@ the job that needs them.
 
 import contextlib
 import dataclasses
+import math
 import resource
 import shutil
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,11 +21,12 @@ import numpy as np
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import MANIFEST, Dataset, Split
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.nerf.config import PRESETS, TrainConfig
 
 if TYPE_CHECKING:
     from lumitree.asset.model import LuminaireAsset
+    from lumitree.luminaires.luminaire import Luminaire
 
 Report = dict[str, Any]
 
@@ -47,6 +50,12 @@ BAKE_PRESETS = {
 }
 # Held-out views of `evaluate` when it is given a luminaire.
 EVALUATION_VIEWS, EVALUATION_RESOLUTION, EVALUATION_SPP = 8, 256, 256
+
+
+# Paths that a preview's flux, and its bounce statistics, are means of.
+FLUX_PATHS, BOUNCE_PATHS = 1 << 22, 1 << 20
+# A file whose glass is wrong throughout is not to fill the terminal.
+MAX_FAULTS = 5
 
 
 class Stopwatch:
@@ -73,10 +82,109 @@ def peak_memory_bytes() -> int:
 
 
 def list_luminaires() -> Report:
-    """Built-in luminaires and what they are."""
+    """Built-in luminaires: what they are, and their figures."""
     from lumitree.luminaires.builtin.registry import BUILTIN
+    from lumitree.luminaires.figures import figures
 
-    return {"luminaires": {name: item.description for name, item in BUILTIN.items()}}
+    return {
+        "luminaires": {
+            name: {"description": item.description, **dataclasses.asdict(figures(item.build()))}
+            for name, item in BUILTIN.items()
+        }
+    }
+
+
+def preview(
+    source: str,
+    sheet: str,
+    *,
+    resolution: int = 256,
+    samples_per_pixel: int = 64,
+    bounces: bool = False,
+    variant: str | None = None,
+) -> Report:
+    """Look at a luminaire before it is baked: six views on a contact sheet, and its figures.
+
+    Args:
+        sheet: the PNG to write.
+        resolution, samples_per_pixel: of each view.
+        bounces: also measure what paths of 32, 64 and 128 bounces miss.
+    """
+    load_mitsuba(variant)
+    from lumitree.capture.camera import check_settings
+    from lumitree.capture.flux import estimate_flux, missed_by_depth
+    from lumitree.core.images import max_radiance
+    from lumitree.evaluation.preview import take_preview, write_preview
+    from lumitree.evaluation.tiles import check_sheet_name
+    from lumitree.luminaires.luminaire import load_luminaire
+
+    check_sheet_name(sheet)
+    check_settings(resolution=resolution, spp=samples_per_pixel)
+    watch = Stopwatch()
+    with watch.stage("load"):
+        luminaire = load_luminaire(source)
+    with watch.stage("diagnose"):
+        faults = _diagnose(luminaire)
+    with watch.stage("views"):
+        views = take_preview(luminaire, resolution, samples_per_pixel)
+    with watch.stage("flux"):
+        flux = estimate_flux(luminaire, FLUX_PATHS)
+    report = {
+        "luminaire": luminaire.name,
+        "triangles": luminaire.num_triangles,
+        "emitters": luminaire.num_emitters,
+        "max_radiance": max_radiance([views.radiance]),
+        "size": luminaire.size.tolist(),
+        "has_media": luminaire.has_media,
+        "flux": {
+            "watts": flux.watts.tolist(),
+            "watts_error": flux.watts_error.tolist(),
+            "lumens": flux.lumens,
+            "lumens_error": flux.lumens_error,
+            "paths": flux.num_paths,
+        },
+        "paths_per_second": views.paths_per_second,
+        "exposure": views.exposure,
+        "faults": faults,
+        "sheet": sheet,
+    }
+    write_preview(sheet, views, luminaire.name, _facts(report))
+    if bounces:
+        with watch.stage("bounces"):
+            missed = missed_by_depth(luminaire, BOUNCE_PATHS)
+        report["bounces"] = [dataclasses.asdict(each) for each in missed]
+    return report | {"seconds": watch.seconds, "peak_memory_bytes": peak_memory_bytes()}
+
+
+def _facts(report: Report) -> list[str]:
+    """The figures that stand on the sheet of a preview."""
+    return [
+        f"{report['triangles']:,} triangles",
+        f"{report['emitters']} emitter" + ("" if report["emitters"] == 1 else "s"),
+        f"L_max {report['max_radiance']:.4g}",
+        f"flux {describe_lumens(report['flux'])}",
+        "size " + " x ".join(f"{side:.4g}" for side in report["size"]),
+        *(["media"] if report["has_media"] else []),
+    ]
+
+
+def describe_lumens(flux: Report) -> str:
+    """Luminous flux with its standard error, both to the error's second digit."""
+    digits = max(0, 1 - math.floor(math.log10(flux["lumens_error"]))) if flux["lumens_error"] else 0
+    return f"{flux['lumens']:,.{digits}f} ± {flux['lumens_error']:,.{digits}f} lm"
+
+
+def _diagnose(luminaire: "Luminaire") -> list[str]:
+    """Warn of glass that cannot be rendered rightly; returns what was said."""
+    from lumitree.luminaires.diagnosis import diagnose
+
+    faults = diagnose(luminaire.scene)
+    for fault in faults[:MAX_FAULTS]:
+        warnings.warn(f"{luminaire.name}: {fault}", LumitreeWarning, stacklevel=3)
+    if len(faults) > MAX_FAULTS:
+        more = f"{luminaire.name}: {len(faults) - MAX_FAULTS} more faults of this kind"
+        warnings.warn(more, LumitreeWarning, stacklevel=3)
+    return faults
 
 
 def capture(
@@ -96,8 +204,10 @@ def capture(
 
     watch = Stopwatch()
     with watch.stage("capture"):
+        luminaire = load_luminaire(source)
+        _diagnose(luminaire)
         dataset = capture_views(
-            load_luminaire(source),
+            luminaire,
             output,
             num_views=num_views,
             resolution=resolution,

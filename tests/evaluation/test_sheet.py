@@ -9,8 +9,8 @@ from PIL import Image
 
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.errors import LumitreeError
-from lumitree.evaluation import sheet
-from lumitree.evaluation.sheet import SheetRow, relative_error, sheet_size, write_sheet
+from lumitree.evaluation import sheet, tiles
+from lumitree.evaluation.sheet import SheetRow, relative_error, sheet_layout, write_sheet
 
 METRICS = {"psnr_linear": 31.234, "opacity_rmse": 0.0123}
 
@@ -24,9 +24,9 @@ def row(height=32, width=32, **changes):
 
 def cell(image, column):
     """Pixels of a cell of the first row, without its edge."""
-    left = sheet._MARGIN + column * (sheet._CELL + sheet._GAP)
-    top = sheet._MARGIN + sheet._TITLE + sheet._HEADER
-    return np.asarray(image)[top + 2 : top + sheet._CELL - 2, left + 2 : left + sheet._CELL - 2, :3]
+    layout = sheet_layout(1)
+    left, top, end = layout.left(column) + 2, layout.top(0) + 2, layout.tile - 4
+    return np.asarray(image)[top : top + end, left : left + end, :3]
 
 
 @pytest.mark.parametrize("num_rows", range(1, sheet.MAX_ROWS + 1))
@@ -34,7 +34,7 @@ def test_size(tmp_path, num_rows):
     write_sheet(tmp_path / "sheet.png", [row()] * num_rows, 1.0, "title")
     with Image.open(tmp_path / "sheet.png") as image:
         assert image.format == "PNG"
-        assert image.size == sheet_size(num_rows)
+        assert image.size == sheet_layout(num_rows).size
     assert [path.name for path in tmp_path.iterdir()] == ["sheet.png"]
 
 
@@ -149,7 +149,7 @@ def test_leaves_nothing_behind_when_writing_fails(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     (tmp_path / "sheet.png").write_bytes(b"old")
-    monkeypatch.setattr(sheet.FigureCanvasAgg, "print_png", fail)
+    monkeypatch.setattr(tiles.FigureCanvasAgg, "print_png", fail)
     with pytest.raises(LumitreeError, match="No space left on device"):
         write_sheet(tmp_path / "sheet.png", [row()], 1.0, "title")
     assert [path.name for path in tmp_path.iterdir()] == ["sheet.png"]

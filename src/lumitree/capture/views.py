@@ -2,23 +2,22 @@
 
 import os
 from pathlib import Path
-from typing import Any
 
+<<<<<<< HEAD
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+=======
+from lumitree.capture.camera import PATH_DEPTH, Camera, check_settings
+>>>>>>> preview
 from lumitree.core.dataset import MANIFEST, Dataset, Frame, Manifest, Split, View
 from lumitree.core.progress import progress
 from lumitree.core.sampling import FIRST_TEST_INDEX, view_pose
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.luminaires.straight_through import straight_through
-
-PATH_DEPTH = 32
-# Paths in flight at once: bounds memory to about 1 GiB.
-_MAX_PATHS = 1 << 23
 
 
 def capture(
@@ -41,11 +40,12 @@ def capture(
     manifest = _plan(luminaire, num_views, resolution, samples_per_pixel, split)
     dataset = _open_or_start(Path(folder), manifest)
     missing = dataset.missing()
-    camera = _Camera(luminaire, manifest)
+    camera = Camera(luminaire, resolution, samples_per_pixel)
     done = len(manifest.frames) - len(missing)
     with progress(f"capture {luminaire.name}", len(manifest.frames), done) as advance:
         for frame in missing:
-            dataset.write(camera.take(frame))
+            picture = camera.take(frame.pose, frame.halton_index)
+            dataset.write(View(frame, **vars(picture)))
             advance(1)
     return dataset
 
@@ -53,13 +53,7 @@ def capture(
 def _plan(
     luminaire: Luminaire, num_views: int, resolution: int, samples_per_pixel: int, split: Split
 ) -> Manifest:
-    for name, value in (
-        ("views", num_views),
-        ("resolution", resolution),
-        ("spp", samples_per_pixel),
-    ):
-        if value < 1:
-            raise LumitreeError(f"{name} is {value}; expected at least 1")
+    check_settings(views=num_views, resolution=resolution, spp=samples_per_pixel)
     first = 1 if split == "train" else FIRST_TEST_INDEX
     # Cameras stand clear of the bounding sphere.
     distance = 2 * luminaire.bounding_radius
@@ -97,6 +91,7 @@ def _open_or_start(folder: Path, manifest: Manifest) -> Dataset:
     dataset = Dataset(folder, manifest)
     dataset.save_manifest()
     return dataset
+<<<<<<< HEAD
 
 
 class _Camera:
@@ -166,3 +161,5 @@ class _Camera:
         local = mi.Point3f(position.x * scale - half_width, half_width - position.y * scale, 0)
         backward = dr.normalize(world_from_camera @ mi.Vector3f(0, 0, 1))
         return mi.RayDifferential3f(mi.Ray3f(world_from_camera @ local, -backward))
+=======
+>>>>>>> preview

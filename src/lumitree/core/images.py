@@ -1,6 +1,7 @@
 """OpenEXR and PNG files."""
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,15 @@ def auto_exposure(radiance: NDArray[np.floating]) -> float:
     brightest = np.asarray(radiance).max(axis=-1)
     lit = brightest[brightest > 0]
     return float(0.9 / np.percentile(lit, 98)) if lit.size else 1.0
+
+
+def max_radiance(images: Iterable[NDArray[np.floating]]) -> float:
+    """L_max: the 99.99th percentile over the pixels of all images [..., 3], largest channel (D9).
+
+    A few fireflies among a million pixels do not raise it.
+    """
+    largest = np.concatenate([np.asarray(image).max(axis=-1).ravel() for image in images])
+    return float(np.percentile(largest, 99.99, overwrite_input=True))
 
 
 def write_png(path: str | os.PathLike[str], pixels: NDArray[np.uint8]) -> None:

@@ -1,7 +1,7 @@
 """Quasi-random directions and the orthographic views taken along them."""
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 # Held-out views start at this Halton index, so that they never meet the training views.
 FIRST_TEST_INDEX = 100_001
@@ -26,15 +26,26 @@ def halton_direction(index: int) -> NDArray[np.float64]:
 
 
 def view_pose(index: int, distance: float) -> NDArray[np.float64]:
-    """Camera of Halton view `index`: it sits at `distance` and looks at the origin.
+    """Camera of Halton view `index`: `pose_towards` with y up (z where it looks along y)."""
+    backward = halton_direction(index)
+    up = [0.0, 1.0, 0.0] if abs(backward[1]) < 0.99 else [0.0, 0.0, 1.0]
+    return pose_towards(backward, up, distance)
+
+
+def pose_towards(backward: ArrayLike, up: ArrayLike, distance: float) -> NDArray[np.float64]:
+    """Camera that sits at `distance` in the direction `backward` and looks at the origin.
+
+    Args:
+        backward: [3] unit vector from the origin to the camera.
+        up: [3] what is upwards in the picture; not parallel to `backward`.
+        distance: local units.
 
     Returns:
         `proxy_from_camera` [4, 4] in the convention of NeRF: x right, y up, the camera looks
         along its own -z.
     """
-    backward = halton_direction(index)
-    up = np.array([0.0, 1.0, 0.0]) if abs(backward[1]) < 0.99 else np.array([0.0, 0.0, 1.0])
-    right = np.cross(up, backward)
+    backward = np.asarray(backward, np.float64)
+    right = np.cross(np.asarray(up, np.float64), backward)
     right /= np.linalg.norm(right)
     pose = np.eye(4)
     pose[:3, 0], pose[:3, 1], pose[:3, 2] = right, np.cross(backward, right), backward

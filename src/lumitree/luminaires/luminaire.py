@@ -47,6 +47,21 @@ class Luminaire:
     half_extents: NDArray[np.float64]
     bounding_radius: float
 
+    @property
+    def num_triangles(self) -> int:
+        """Triangles of its meshes; other shapes have none."""
+        return sum(shape.face_count() for shape in self.scene.shapes() if shape.is_mesh())
+
+    @property
+    def num_emitters(self) -> int:
+        """Shapes that emit."""
+        return len(self.scene.emitters())
+
+    @property
+    def size(self) -> NDArray[np.float64]:
+        """[3] sides of the bounding box, the file's unit."""
+        return 2 * self.half_extents * self.world_from_proxy[0, 0]
+
 
 def load_luminaire(source: str | os.PathLike[str]) -> Luminaire:
     """Load a built-in luminaire by name, or a Mitsuba 3 XML that holds one.
@@ -163,12 +178,11 @@ def _bounding_radius(
     scene: Any, world_from_proxy: NDArray[np.float64], half_extents: NDArray[np.float64]
 ) -> float:
     """Largest distance of a vertex (of a box corner, for what is not a mesh) from the centre."""
-    mi = load_mitsuba()
     centre, scale = world_from_proxy[:3, 3], world_from_proxy[0, 0]
     farthest = 0.0
     for shape in scene.shapes():
         if shape.is_mesh():
-            points = np.array(mi.traverse(shape)["vertex_positions"]).reshape(-1, 3)
+            points = np.array(shape.vertex_positions_buffer()).reshape(-1, 3)
         else:
             low, high = np.ravel(shape.bbox().min), np.ravel(shape.bbox().max)
             points = np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3)

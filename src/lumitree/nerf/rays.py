@@ -19,12 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.dataset import Dataset, OpacityKind, View
+from lumitree.core.images import max_radiance
 from lumitree.core.sampling import orthographic_rays
 from lumitree.errors import LumitreeError
 from lumitree.nerf.occupancy import Occupancy, full_occupancy, occupied_bins, visual_hull
 
-# D9: what the extended-range sigmoid can reach.
-MAX_RADIANCE_PERCENTILE = 99.99
 NUM_HELD_OUT = 4096
 
 
@@ -118,7 +117,7 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
     if len(manifest.frames) > np.iinfo(np.uint16).max:
         raise LumitreeError(f"{len(manifest.frames)} views are too many; capture at most 65535")
     views = list(dataset.views())
-    max_radiance = _max_radiance(views, dataset)
+    highest = _max_radiance(views, dataset)
     if skip_empty:
         masks = ((view.frame.pose, view.geometric > 0) for view in views)
         occupancy = visual_hull(masks, manifest.half_width, manifest.half_extents)
@@ -144,17 +143,16 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
         manifest.resolution,
         view=np.repeat(np.arange(len(views), dtype=np.uint16), [len(p) for p in kept]),
         pixel=np.concatenate(kept).astype(np.uint32),
-        radiance=_gather([view.radiance.reshape(-1, 3) for view in views], kept, max_radiance),
+        radiance=_gather([view.radiance.reshape(-1, 3) for view in views], kept, highest),
         opacity=_gather([view.opacity(kind).ravel() for view in views], kept, 1.0),
-        max_radiance=max_radiance,
+        max_radiance=highest,
     )
     return rays, occupancy
 
 
 def _max_radiance(views: list[View], dataset: Dataset) -> float:
-    """99.99th percentile over all pixels of their largest channel (D9)."""
-    largest = np.concatenate([view.radiance.max(axis=-1).ravel() for view in views])
-    value = float(np.percentile(largest, MAX_RADIANCE_PERCENTILE, overwrite_input=True))
+    """L_max of the views; refuses views that are black."""
+    value = max_radiance(view.radiance for view in views)
     if not value > 0:
         raise LumitreeError(
             f"every view of {dataset.folder} is black (fewer than one pixel in 10000 is lit); "
