@@ -67,7 +67,7 @@ def test_clear_glass_disappears_in_a_furnace(mi, tmp_path, shapes, has_media):
 
 
 def mean_straight_through(mi, luminaire, count, direction):
-    from lumitree.capture.straight_through import straight_through
+    from lumitree.luminaires.straight_through import straight_through
 
     sampler, ray = rays(mi, count, direction)
     return float(np.mean(np.array(straight_through(luminaire.scene, sampler, ray, 32))))

@@ -59,7 +59,7 @@ def face_on_opacity(lamp, mi, samples=20000):
     """Straight-through opacity of a ray along -z through the slab's middle."""
     import drjit as dr
 
-    from lumitree.capture.straight_through import straight_through
+    from lumitree.luminaires.straight_through import straight_through
 
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(3, samples)
@@ -123,7 +123,7 @@ def test_glass_ball_that_bends_light_is_opaque(luminaire, mi):
     """A solid glass ball deflects all but the most central light by more than 15°."""
     import drjit as dr
 
-    from lumitree.capture.straight_through import straight_through
+    from lumitree.luminaires.straight_through import straight_through
 
     lamp = luminaire(SPHERE.format('<bsdf type="dielectric"/>') + panes("").replace("4", "0.01"))
     sampler = mi.load_dict({"type": "independent"})

@@ -8,9 +8,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.capture.straight_through import straight_through
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.luminaire import Luminaire
+from lumitree.luminaires.straight_through import straight_through
 
 PATH_DEPTH = 32
 # Paths in flight at once: bounds memory to about 1 GiB.
@@ -114,6 +114,8 @@ class Camera:
         radiance, _, _ = self._integrator.sample(self._luminaire.scene, self._sampler, ray)
         through = straight_through(self._luminaire.scene, self._sampler, ray, self._path_depth)
         values = (*radiance, dr.select(hit, mi.Float(1), 0), through)
+        # A block sum evaluates what it sums: without this, every channel would be traced again.
+        dr.eval(values)
         sums = [dr.block_sum(value, samples) for value in values]
         dr.eval(sums)
         return np.stack([np.array(value) for value in sums], axis=-1)
