@@ -69,6 +69,8 @@ def load_luminaire(source: Source) -> Luminaire:
             f"{path} holds a heterogeneous medium, whose straight-through opacity is not "
             "supported; use homogeneous media"
         )
+    # Creating the scene uses up what the file said, the names of other files with it.
+    fingerprint = _fingerprint(file, source)
     scene = file.instantiate()
     world_from_proxy, half_extents = proxy_box(
         np.ravel(scene.bbox().min), np.ravel(scene.bbox().max)
@@ -76,7 +78,7 @@ def load_luminaire(source: Source) -> Luminaire:
     return Luminaire(
         name=source.name if source.name in BUILTIN else _folder_and_name(source.name),
         path=path,
-        fingerprint=_fingerprint(file, source),
+        fingerprint=fingerprint,
         scene=scene,
         has_media=bool(media),
         world_from_proxy=world_from_proxy,
@@ -165,7 +167,8 @@ def _read_obj(path: Path, overrides: Overrides) -> Model:
     if overrides.variant is not None:
         raise LumitreeError(f"{overrides.file}: variant is only for glTF, not for {path.name}")
     # Readers are imported when they are needed: most runs need none.
-    return importlib.import_module("lumitree.luminaires.obj.reader").read_obj(path)
+    reader = importlib.import_module("lumitree.luminaires.obj.reader")
+    return reader.read_obj(path)
 
 
 def _read_gltf(path: Path, overrides: Overrides) -> Model:

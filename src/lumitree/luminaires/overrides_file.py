@@ -49,7 +49,7 @@ def read_overrides(path: Path) -> Overrides:
     data = read_limited(path, _MAX_BYTES)
     try:
         table = tomllib.loads(data.decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise LumitreeError(f"{path} is not valid TOML: {reason}") from None
     top = _Table(path, "", table)

@@ -54,19 +54,22 @@ class SceneFile:
             for key in list(root.keys())
             if _is_reference(root, key)
         }
-        # A group is not seen by itself: it lives as long as what shows it.
-        shapes = {
-            key: node.props.id()
+        groups = {
+            key
             for key, node in children.items()
-            if node.type == shape and node.props.plugin_name() != "shapegroup"
+            if node.type == shape and node.props.plugin_name() == "shapegroup"
         }
-        names = [(name,) for name in shapes.values()]
+        shapes = [key for key, node in children.items() if node.type == shape and key not in groups]
+        names = [(children[key].props.id(),) for key in shapes]
         chosen = select_names(names, keep, drop, str(self.path), "shape's id")
         kept = {key for key, wanted in zip(shapes, chosen, strict=True) if wanted}
-        for key, node in children.items():
-            group = node.type == shape and key not in shapes
-            if group or (key not in kept if key in shapes else bool(keep)):
-                del root[key]
+        if not keep:
+            kept |= children.keys() - groups - set(shapes)
+        # A group is not seen by itself; it stays as long as an instance shows it.
+        shown = {index for key in kept for index in _references(children[key].props)}
+        kept |= {key for key in groups if root[key].index() in shown}
+        for key in children.keys() - kept:
+            del root[key]
 
     def nodes(self, kind: str) -> list[Any]:
         """Nodes of a type of Mitsuba object, such as "Shape" or "Emitter"."""
@@ -77,9 +80,7 @@ class SceneFile:
         """Nodes that the scene holds, directly or within others, in the file's order."""
         found, waiting = {0}, [0]
         while waiting:
-            props = self._state.nodes[waiting.pop()].props
-            keys = list(props.keys())
-            inner = {props[key].index() for key in keys if _is_reference(props, key)}
+            inner = _references(self._state.nodes[waiting.pop()].props)
             waiting += inner - found
             found |= inner
         return [self._state.nodes[index] for index in sorted(found)]
@@ -133,3 +134,8 @@ class SceneFile:
 
 def _is_reference(props: Any, key: str) -> bool:
     return props.type(key) == load_mitsuba().Properties.Type.ResolvedReference
+
+
+def _references(props: Any) -> set[int]:
+    """Numbers of the nodes that a node holds."""
+    return {props[key].index() for key in list(props.keys()) if _is_reference(props, key)}

@@ -38,9 +38,10 @@ def build_meshes(file: ObjFile) -> dict[int, Mesh]:
     """
     places, rough_places = weld(file.positions), weld(file.positions, _REPEATED)
     starts = np.cumsum(file.sizes) - file.sizes
+    order = np.argsort(file.material, kind="stable")
+    used, begins = np.unique(file.material[order], return_index=True)
     meshes = {}
-    for number in range(len(file.materials)):
-        chosen = np.flatnonzero(file.material == number)
+    for number, chosen in zip(used.tolist(), np.split(order, begins[1:]), strict=True):
         triangles = _cut(file, places, rough_places, chosen, starts)
         if len(triangles.corners):
             meshes[number] = _mesh(file, places, triangles, file.materials[number])

@@ -1,5 +1,6 @@
 """The text of an OBJ file as arrays."""
 
+import codecs
 import dataclasses
 import re
 import warnings
@@ -70,7 +71,7 @@ class _Parser:
         self._free_form = False
 
     def parse(self, data: bytes) -> ObjFile:
-        data = data.replace(b"\\\r\n", b"  ").replace(b"\\\n", b" ")
+        data = data.removeprefix(codecs.BOM_UTF8).replace(b"\\\r\n", b"  ").replace(b"\\\n", b" ")
         self._lines = data.splitlines()
         # What nearly all lines begin with; "vtx" is refused with the numbers.
         frequent = {b"v ": self._values[b"v"], b"vt": self._values[b"vt"]}

@@ -15,6 +15,7 @@ from lumitree.luminaires.obj.materials import material, without_mtl
 from lumitree.luminaires.obj.mesh import build_meshes
 from lumitree.luminaires.obj.mtl import MtlMaterial, parse_mtl
 from lumitree.luminaires.obj.parse import ObjFile, parse_obj
+from lumitree.luminaires.overrides import shown_names
 
 _UNNAMED = "default"
 _MAX_NAME = 60
@@ -38,7 +39,7 @@ def read_obj(path: str | os.PathLike[str]) -> Model:
     missing = [name for name in file.materials if name and name not in library]
     if missing:
         warnings.warn(
-            f"{path}: no MTL file describes {', '.join(map(repr, missing))}; taken to be grey",
+            f"{path}: no MTL file describes {shown_names(missing)}; taken to be grey",
             LumitreeWarning,
             stacklevel=2,
         )
@@ -81,12 +82,13 @@ def _library(file: ObjFile, folder: ModelFolder) -> dict[str, MtlMaterial]:
 
 def part_names(titles: Iterable[str]) -> list[str]:
     """Distinct names, fit for files, made from any text."""
-    names: list[str] = []
+    names: dict[str, str] = {}
     for title in titles:
         base = re.sub(r"[^A-Za-z0-9_-]+", "_", title)[:_MAX_NAME].strip("_") or _UNNAMED
         name, suffix = base, 1
-        while name.lower() in {taken.lower() for taken in names}:
+        # Some file systems take names that differ in case for one.
+        while name.lower() in names:
             suffix += 1
             name = f"{base}-{suffix}"
-        names.append(name)
-    return names
+        names[name.lower()] = name
+    return list(names.values())
