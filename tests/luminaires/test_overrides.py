@@ -1,6 +1,8 @@
 """Overrides: what each key does, what lumens mean, and one line for everything that is wrong."""
 
 import dataclasses
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -227,6 +229,21 @@ def test_wrong_files(written, text, message):
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 400
+
+
+def test_documented_and_example_files_are_valid(tmp_path):
+    root = Path(__file__).parents[2]
+    page = (root / "docs" / "bring-your-own-lamp.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```toml\n(.*?)```", page, flags=re.S)
+    examples = sorted((root / "examples" / "overrides").glob("*.toml"))
+    assert len(blocks) == 1
+    assert len(examples) == 2
+    (tmp_path / "page.toml").write_text(blocks[0], encoding="utf-8")
+    assert len(read_overrides(tmp_path / "page.toml").materials) == 5
+    for path in examples:
+        found = read_overrides(path)
+        assert found.metres_per_unit == 0.01
+        assert any(change.emission for change in found.materials.values())
 
 
 def test_wrong_names_and_missing_files(written, tmp_path):

@@ -245,9 +245,9 @@ def _check_emitters(file: SceneFile) -> None:
 
 
 def _fingerprint(file: SceneFile, source: LuminaireSource) -> str:
-    """A model is fully described by the scene written for it: overrides are already in it."""
+    """SHA-256 of the scene and its files; a model's overrides and selection are already in them."""
     digest = hashlib.sha256(file.path.read_bytes())
-    if source.keep or source.drop:
+    if file.path == Path(source.name) and (source.keep or source.drop):
         digest.update(repr((source.keep, source.drop)).encode())
     for path in file.references():
         digest.update(path.read_bytes() if path.is_file() else b"")
