@@ -18,6 +18,8 @@ LAMP = (
     '<scene version="3.0.0"><shape type="sphere"><emitter type="area">'
     '<rgb name="radiance" value="3,2,1"/></emitter></shape></scene>'
 )
+MODEL = "mtllib model.mtl\nusemtl glow\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+MODEL += "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 ROOM = (
     '<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="4"/>'
     '</integrator><sensor type="perspective"><transform name="to_world">'
@@ -36,6 +38,11 @@ def folder(tmp_path, monkeypatch, mi):
     (tmp_path / "empty.xml").write_text('<scene version="3.0.0"/>')
     (tmp_path / "half.xml").write_text(LAMP[: len(LAMP) // 2])
     (tmp_path / "room.xml").write_text(ROOM.format(""))
+    (tmp_path / "model.obj").write_text(MODEL)
+    (tmp_path / "model.mtl").write_text("newmtl glow\nKd 0.5 0.5 0.5\n")
+    (tmp_path / "bright.toml").write_text("[material.glow]\nemitter = { lumens = 800 }\n")
+    (tmp_path / "wrong.toml").write_text("[material.glow]\nemiter = { lumens = 800 }\n")
+    (tmp_path / "lamp.fbx").write_bytes(b"")
     lumitree.save(random_asset(0), tmp_path / "lamp.lumitree")
     return tmp_path
 
@@ -105,6 +112,23 @@ def fails(capsys, *arguments):
         (["render", "room.xml", "-o", "a.png", "--place", "no.lumitree"], "does not exist"),
         (["render", "room.xml", "-o", "a.png", "--place", "no_lamp"], "neither a file nor"),
         (["demo", "--variant", "cuda_ad_spectral"], "choose llvm_ad_rgb"),
+        (["capture", "lamp.fbx", "-o", "d"], "(a Mitsuba 3 scene), .obj, .gltf, .glb"),
+        (["bake", "lamp.lumitree", "-o", "a.lumitree"], "in no format that is read"),
+        (["capture", "model.obj", "-o", "d"], "has no emitter (materials: glow); name one in"),
+        (["capture", "model.obj", "-o", "d", "--materials", "wrong.toml"],
+         "wrong.toml: unknown key 'material.glow.emiter'"),
+        (["bake", "model.obj", "-o", "a.lumitree", "--materials", "no.toml"],
+         "no.toml does not exist"),
+        (["evaluate", "lamp.lumitree", "model.obj", "--materials", "wrong.toml"], "wrong.toml"),
+        (["capture", "lamp.xml", "-o", "d", "--materials", "bright.toml"],
+         "--materials does not change"),
+        (["capture", "bulbs", "-o", "d", "--materials", "bright.toml"], "takes no --materials"),
+        (["capture", "model.obj", "-o", "d", "--keep", "x*"], "--keep 'x*' matches no part"),
+        (["bake", "lamp.xml", "-o", "a.lumitree", "--keep", "bulb"], "matches no shape's id"),
+        (["evaluate", "lamp.lumitree", "lamp.xml", "--drop", "bulb"], "matches no shape's id"),
+        (["capture", "model.obj", "-o", "d", "--drop", "glow"], "leave nothing"),
+        (["capture", "model.obj", "-o", "d", "--keep"], "expected one argument"),
+        (["render", "room.xml", "-o", "a.png", "--place", "model.obj"], "has no emitter"),
     ],
 )  # fmt: skip
 def test_bad_input(capsys, arguments, message):
@@ -135,6 +159,41 @@ def test_asset_of_another_luminaire(capsys):
     error, _ = fails(capsys, "evaluate", "flat.lumitree", "lamp.xml", "--views", "1",
                      "--resolution", "16", "--spp", "4")  # fmt: skip
     assert "bounding boxes of different proportions" in error
+
+
+def test_model_with_overrides_is_captured_and_placed(capsys, folder):
+    """Named overrides for the capture; those beside the model for the render."""
+    short = ["--views", "1", "--resolution", "16", "--spp", "4"]
+    assert main(["capture", "model.obj", "-o", "d", "--materials", "bright.toml", "--keep", "gl*",
+                 *short]) == 0  # fmt: skip
+    (folder / "bright.toml").rename("model.toml")
+    assert main(["capture", "model.obj", "-o", "d", *short]) == 0
+    assert main(["render", "room.xml", "-o", "a.exr", "--spp", "4", "--place", "model.obj",
+                 "--at", "0,1,0", "--size", "1"]) == 0  # fmt: skip
+    assert capsys.readouterr().err == ""
+    (folder / "model.toml").write_text("[material.glow]\nemitter = { lumens = 900 }\n")
+    error, _ = fails(capsys, "capture", "model.obj", "-o", "d", *short)
+    assert "d holds a capture of other settings or of another luminaire" in error
+
+
+def test_lamp_is_taken_out_of_a_scene(capsys, folder):
+    room = ROOM.format(
+        '<emitter type="constant"/>' + LAMP[23:-8].replace('"sphere"', '"sphere" id="a"')
+    )
+    (folder / "lit.xml").write_text(room)
+    error, _ = fails(capsys, "capture", "lit.xml", "-o", "d", "--views", "1")
+    assert "environment light (constant)" in error
+    assert "--keep" in error
+    assert main(["capture", "lit.xml", "-o", "d", "--views", "1", "--resolution", "16", "--spp",
+                 "4", "--keep", "a"]) == 0  # fmt: skip
+
+
+def test_stored_views_cannot_be_selected_from(capsys):
+    assert main(["capture", "lamp.xml", "-o", "d", "--views", "1", "--resolution", "16",
+                 "--spp", "4"]) == 0  # fmt: skip
+    capsys.readouterr()
+    error, _ = fails(capsys, "evaluate", "lamp.lumitree", "d", "--keep", "a")
+    assert "d is a dataset, which --materials, --keep and --drop cannot change" in error
 
 
 def test_list_info_and_json(capsys):

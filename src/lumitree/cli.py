@@ -14,6 +14,7 @@ Report = dict[str, Any]
 # Their values may begin with a minus sign, which argparse would take for an option.
 _VECTOR_OPTIONS = ("--at", "--rotate")
 DEBUG = "LUMITREE_DEBUG"
+_LUMINAIRE = "built-in name, Mitsuba 3 scene (.xml) or model (.obj, .gltf, .glb)"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -133,7 +134,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="lumitree",
         description="Bake a complex luminaire once; light Mitsuba 3 scenes with it ever after.",
-        epilog="LUMINAIRE is a built-in name (see 'lumitree list') or a Mitsuba 3 .xml.",
+        epilog="LUMINAIRE is a built-in name (see 'lumitree list'), a Mitsuba 3 scene (.xml), or a "
+        "model (.obj, .gltf, .glb) with an optional .toml of the same name beside it; see "
+        "docs/bring-your-own-lamp.md.",
     )
     from lumitree import __version__
 
@@ -181,6 +184,34 @@ def _add_variant(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_source_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--materials",
+        metavar="FILE",
+        help="TOML overrides of a model's materials, unit and up axis (default: the .toml beside "
+        "the model, if there is one)",
+    )
+    parser.add_argument(
+        "--keep",
+        metavar="PATTERN",
+        action="append",
+        help="take only the shapes (.xml, by id) or parts (models, by part or material) whose name "
+        "matches, with * and ?; may be repeated",
+    )
+    parser.add_argument(
+        "--drop",
+        metavar="PATTERN",
+        action="append",
+        help="leave out what matches; may be repeated",
+    )
+
+
+def _source(args: argparse.Namespace, name: str) -> Any:
+    from lumitree.luminaires.source import LuminaireSource
+
+    return LuminaireSource(name, args.materials, tuple(args.keep or ()), tuple(args.drop or ()))
+
+
 def _add_output(parser: argparse.ArgumentParser, metavar: str, text: str) -> None:
     parser.add_argument("-o", dest="output", metavar=metavar, required=True, help=text)
 
@@ -202,7 +233,7 @@ def _add_preview(commands: Any) -> None:
         "look at a luminaire from six sides, and print its figures",
         _job(
             "preview",
-            source=lambda a: a.luminaire,
+            source=lambda a: _source(a, a.luminaire),
             sheet=lambda a: a.output,
             resolution=lambda a: a.resolution,
             samples_per_pixel=lambda a: a.spp,
@@ -211,7 +242,8 @@ def _add_preview(commands: Any) -> None:
         ),
         _show_preview,
     )
-    parser.add_argument("luminaire", metavar="LUMINAIRE", help="built-in name or .xml")
+    parser.add_argument("luminaire", metavar="LUMINAIRE", help="built-in name or model file")
+    _add_source_options(parser)
     _add_output(parser, "SHEET", "contact sheet (.png)")
     _add_picture_options(parser, 256, 64)
     parser.add_argument(
@@ -229,7 +261,7 @@ def _add_capture(commands: Any) -> None:
         "render views of a luminaire: radiance and opacity",
         _job(
             "capture",
-            source=lambda a: a.luminaire,
+            source=lambda a: _source(a, a.luminaire),
             output=lambda a: a.output,
             num_views=lambda a: a.views,
             resolution=lambda a: a.resolution,
@@ -239,7 +271,8 @@ def _add_capture(commands: Any) -> None:
         ),
         _show_results,
     )
-    parser.add_argument("luminaire", metavar="LUMINAIRE", help="built-in name or .xml")
+    parser.add_argument("luminaire", metavar="LUMINAIRE", help=_LUMINAIRE)
+    _add_source_options(parser)
     _add_output(parser, "DATASET", "folder for the views; run again to continue")
     parser.add_argument(
         "--split", choices=("train", "test"), default="train", help="which directions"
@@ -322,7 +355,7 @@ def _add_bake(commands: Any) -> None:
         "capture, train and extract in one go",
         _job(
             "bake",
-            source=lambda a: a.luminaire,
+            source=lambda a: _source(a, a.luminaire),
             output=lambda a: a.output,
             preset=lambda a: a.preset,
             tree_depth=lambda a: a.depth,
@@ -331,7 +364,8 @@ def _add_bake(commands: Any) -> None:
         ),
         _show_results,
     )
-    parser.add_argument("luminaire", metavar="LUMINAIRE", help="built-in name or .xml")
+    parser.add_argument("luminaire", metavar="LUMINAIRE", help=_LUMINAIRE)
+    _add_source_options(parser)
     _add_output(parser, "ASSET", "the .lumitree file; run again to continue")
     parser.add_argument("--method", choices=("nerf",), default="nerf", help="how the field is made")
     _add_preset(parser)
@@ -364,7 +398,7 @@ def _add_evaluate(commands: Any) -> None:
         _job(
             "evaluate",
             path=lambda a: a.asset,
-            target=lambda a: a.target,
+            target=lambda a: _source(a, a.target),
             sheet=lambda a: a.output,
             num_views=lambda a: a.views,
             resolution=lambda a: a.resolution,
@@ -379,6 +413,7 @@ def _add_evaluate(commands: Any) -> None:
         metavar="LUMINAIRE|DATASET",
         help="what to compare with; views of a LUMINAIRE are captured first",
     )
+    _add_source_options(parser)
     parser.add_argument(
         "-o",
         dest="output",

@@ -27,6 +27,7 @@ from lumitree.nerf.config import PRESETS, TrainConfig
 if TYPE_CHECKING:
     from lumitree.asset.model import LuminaireAsset
     from lumitree.luminaires.luminaire import Luminaire
+    from lumitree.luminaires.source import LuminaireSource
 
 Report = dict[str, Any]
 
@@ -95,7 +96,7 @@ def list_luminaires() -> Report:
 
 
 def preview(
-    source: str,
+    source: "str | LuminaireSource",
     sheet: str,
     *,
     resolution: int = 256,
@@ -188,7 +189,7 @@ def _diagnose(luminaire: "Luminaire") -> list[str]:
 
 
 def capture(
-    source: str,
+    source: "str | LuminaireSource",
     output: str,
     *,
     num_views: int = 100,
@@ -274,7 +275,7 @@ def extract(run: str, output: str, *, tree_depth: int = 8, samples_per_leaf: int
 
 
 def bake(
-    source: str,
+    source: "str | LuminaireSource",
     output: str,
     *,
     preset: str = "preview",
@@ -344,7 +345,7 @@ def info(path: str) -> Report:
 
 def evaluate(
     path: str,
-    target: str,
+    target: "str | LuminaireSource",
     *,
     sheet: str | None = None,
     num_views: int = EVALUATION_VIEWS,
@@ -369,8 +370,9 @@ def evaluate(
     sheet = sheet or str(Path(path).with_suffix("")) + "-evaluation.png"
     watch = Stopwatch()
     with contextlib.ExitStack() as stack:
-        if (Path(target) / MANIFEST).exists():
-            dataset = Dataset.open(target)
+        if (Path(str(target)) / MANIFEST).exists():
+            _check_plain(target)
+            dataset = Dataset.open(str(target))
         else:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lumitree-views-"))
             with watch.stage("references"):
@@ -432,6 +434,15 @@ def render(
         "seconds": watch.seconds,
         "peak_memory_bytes": peak_memory_bytes(),
     }
+
+
+def _check_plain(target: "str | LuminaireSource") -> None:
+    """Refuse options for reading a luminaire where its views are stored already."""
+    if not isinstance(target, str) and (target.materials or target.keep or target.drop):
+        raise LumitreeError(
+            f"{target} is a dataset, which --materials, --keep and --drop cannot change; give the "
+            "luminaire itself"
+        )
 
 
 def _check_asset_name(path: str) -> None:

@@ -212,9 +212,9 @@ def test_missing_files_and_wrong_formats(mi, tmp_path):
 
     with pytest.raises(LumitreeError, match="neither a file nor built in"):
         load_luminaire("no_such_lamp")
-    (tmp_path / "lamp.glb").write_bytes(b"glTF")
-    with pytest.raises(LumitreeError, match="not a Mitsuba 3 scene"):
-        load_luminaire(tmp_path / "lamp.glb")
+    (tmp_path / "lamp.fbx").write_bytes(b"Kaydara")
+    with pytest.raises(LumitreeError, match=r"in no format that is read; expected \.xml"):
+        load_luminaire(tmp_path / "lamp.fbx")
     (tmp_path / "half.xml").write_text('<scene version="3.0.0"><shape')
     with pytest.raises(LumitreeError, match="Error parsing start element"):
         load_luminaire(tmp_path / "half.xml")

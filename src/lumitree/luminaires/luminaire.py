@@ -1,10 +1,11 @@
-"""A luminaire: a Mitsuba scene that holds nothing but a lamp, and its local frame."""
+"""A luminaire: a lamp from whatever file as a Mitsuba scene, and its local frame."""
 
 import dataclasses
 import functools
 import hashlib
-import os
+import importlib
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,12 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.core.frames import proxy_box, similarity_scale
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.builtin.registry import BUILTIN
+from lumitree.luminaires.model import Model
+from lumitree.luminaires.overrides import Overrides, apply_overrides, check_emits, select_parts
+from lumitree.luminaires.overrides_file import read_overrides
 from lumitree.luminaires.scene_file import SceneFile
 from lumitree.luminaires.scene_writer import write_scene
+from lumitree.luminaires.source import LuminaireSource, Source, as_source
 
 _ENVIRONMENTS = ("constant", "envmap", "sky", "sunsky", "directional")
 _INVISIBLE = ("point", "spot", "projector", "directionalarea")
@@ -63,31 +68,32 @@ class Luminaire:
         return 2 * self.half_extents * self.world_from_proxy[0, 0]
 
 
-def load_luminaire(source: str | os.PathLike[str]) -> Luminaire:
-    """Load a built-in luminaire by name, or a Mitsuba 3 XML that holds one.
+def load_luminaire(source: Source) -> Luminaire:
+    """Load a built-in luminaire by name, or a file that holds one.
 
     Raises:
         LumitreeError: unknown name, unreadable file, or a scene that is no luminaire: without
             geometry, without area emitters, or with lights that cannot be baked.
     """
-    path = luminaire_path(source)
-    file = SceneFile(path)
-    _check_emitters(file)
+    source = as_source(source)
+    file = _open(source)
+    path = file.path
     media = file.nodes("Medium")
     if any(node.props.plugin_name() != "homogeneous" for node in media):
         raise LumitreeError(
             f"{path} holds a heterogeneous medium, whose straight-through opacity is not "
             "supported; use homogeneous media"
         )
+    # Creating the scene uses up what the file said, the names of other files with it.
+    fingerprint = _fingerprint(file, source)
     scene = file.instantiate()
     world_from_proxy, half_extents = proxy_box(
         np.ravel(scene.bbox().min), np.ravel(scene.bbox().max)
     )
     return Luminaire(
-        # Many files are called luminaire.xml; their folder tells them apart.
-        name=str(source) if str(source) in BUILTIN else f"{path.resolve().parent.name}/{path.stem}",
+        name=source.name if source.name in BUILTIN else _folder_and_name(source.name),
         path=path,
-        fingerprint=_fingerprint(file),
+        fingerprint=fingerprint,
         scene=scene,
         has_media=bool(media),
         world_from_proxy=world_from_proxy,
@@ -96,22 +102,40 @@ def load_luminaire(source: str | os.PathLike[str]) -> Luminaire:
     )
 
 
-def luminaire_path(source: str | os.PathLike[str]) -> Path:
-    """Scene file of a LUMINAIRE argument; a built-in is written out to a temporary folder."""
-    if str(source) in BUILTIN:
-        return _written_builtin(str(source))
-    path = Path(source)
-    if not path.exists():
+def luminaire_path(source: Source) -> Path:
+    """Mitsuba scene of a LUMINAIRE argument; what is none is written as one to a temporary folder.
+
+    The folder lasts as long as the process. A model is read again when it or its overrides have
+    changed.
+
+    Raises:
+        LumitreeError: unknown name or format, unreadable file, wrong overrides.
+    """
+    source = as_source(source)
+    path = Path(source.name)
+    builtin = source.name in BUILTIN
+    if not builtin and not path.exists():
         raise LumitreeError(
-            f"no luminaire {str(source)!r}: neither a file nor built in "
+            f"no luminaire {source.name!r}: neither a file nor built in "
             f"({', '.join(BUILTIN)}); see 'lumitree list'"
         )
-    if path.suffix.lower() != ".xml":
-        raise LumitreeError(f"{path} is not a Mitsuba 3 scene (.xml), the only format read so far")
-    return path
+    kind = path.suffix.lower()
+    if not builtin and kind not in (".xml", *_READERS):
+        raise LumitreeError(
+            f"{path} is in no format that is read; expected .xml (a Mitsuba 3 scene), "
+            f"{', '.join(_READERS)}, or a built-in name"
+        )
+    if kind == ".xml" and not builtin:
+        if source.materials is not None:
+            raise LumitreeError(
+                f"{path} is a Mitsuba scene, which --materials does not change; edit its BSDFs"
+            )
+        return path
+    files = () if builtin else (path, _overrides_path(source))
+    return _written(source, tuple(_stamp(file) for file in files if file is not None))
 
 
-def place_shapes(source: str | os.PathLike[str], scene_from_world: ArrayLike) -> dict[str, Any]:
+def place_shapes(source: Source, scene_from_world: ArrayLike) -> dict[str, Any]:
     """Shapes of an explicit luminaire moved into a scene, for `mitsuba.load_dict`.
 
     Args:
@@ -122,8 +146,7 @@ def place_shapes(source: str | os.PathLike[str], scene_from_world: ArrayLike) ->
     mi = load_mitsuba()
     matrix = np.asarray(scene_from_world, np.float64)
     scale = similarity_scale(matrix, "placement")
-    file = SceneFile(luminaire_path(source))
-    _check_emitters(file)
+    file = _open(as_source(source))
     for node in file.nodes("Shape"):
         # The parser keeps transforms in double precision.
         own = node.props.get("to_world", mi.ScalarTransform4d())
@@ -133,15 +156,84 @@ def place_shapes(source: str | os.PathLike[str], scene_from_world: ArrayLike) ->
     return {f"luminaire_{i}": shape for i, shape in enumerate(file.instantiate().shapes())}
 
 
-@functools.cache
-def _written_builtin(name: str) -> Path:
-    folder = tempfile.TemporaryDirectory(prefix=f"lumitree-{name}-")
+def read_model(source: Source) -> Model:
+    """Model of a built-in luminaire or a model file, with its overrides: metres, y up.
+
+    Raises:
+        LumitreeError: unreadable file, wrong overrides, patterns that match nothing, no emitter.
+    """
+    source = as_source(source)
+    path = Path(source.name)
+    if source.name in BUILTIN:
+        if source.materials is not None:
+            raise LumitreeError(f"built-in luminaire {source.name!r} takes no --materials")
+        return select_parts(BUILTIN[source.name].build(), source.keep, source.drop, source.name)
+    overrides_path = _overrides_path(source)
+    overrides = read_overrides(overrides_path) if overrides_path is not None else Overrides()
+    model = _READERS[path.suffix.lower()](path, overrides)
+    model = select_parts(model, source.keep, source.drop, str(path))
+    model = apply_overrides(model, overrides)
+    shown = overrides_path or path.with_suffix(".toml")
+    check_emits(model, str(path), shown.name)
+    return model
+
+
+def _read_obj(path: Path, overrides: Overrides) -> Model:
+    if overrides.variant is not None:
+        raise LumitreeError(f"{overrides.file}: variant is only for glTF, not for {path.name}")
+    # Readers are imported when they are needed: most runs need none.
+    reader = importlib.import_module("lumitree.luminaires.obj.reader")
+    return reader.read_obj(path)
+
+
+def _read_gltf(path: Path, overrides: Overrides) -> Model:
+    reader = importlib.import_module("lumitree.luminaires.gltf.reader")
+    return reader.read_gltf(path, variant=overrides.variant)
+
+
+_READERS: dict[str, Callable[[Path, Overrides], Model]] = {
+    ".obj": _read_obj,
+    ".gltf": _read_gltf,
+    ".glb": _read_gltf,
+}
+
+
+def _overrides_path(source: LuminaireSource) -> Path | None:
+    if source.materials is not None:
+        return Path(source.materials)
+    beside = Path(source.name).with_suffix(".toml")
+    return beside if beside.is_file() else None
+
+
+def _stamp(path: Path) -> tuple[str, int, int]:
+    status = path.stat() if path.exists() else None
+    return (str(path), status.st_mtime_ns, status.st_size) if status else (str(path), 0, 0)
+
+
+@functools.lru_cache(maxsize=64)
+def _written(source: LuminaireSource, stamps: tuple[tuple[str, int, int], ...]) -> Path:
+    """Scene written for a source whose files look as `stamps` say."""
+    folder = tempfile.TemporaryDirectory(prefix=f"lumitree-{Path(source.name).stem}-")
     _temporary_folders.append(folder)
-    return write_scene(BUILTIN[name].build(), folder.name)
+    return write_scene(read_model(source), folder.name)
 
 
 # Held until the process ends, when each removes itself.
 _temporary_folders: list[tempfile.TemporaryDirectory[str]] = []
+
+
+def _open(source: LuminaireSource) -> SceneFile:
+    """The source's scene, checked to be a luminaire; patterns select in what is a scene itself."""
+    path = luminaire_path(source)
+    own = path == Path(source.name)
+    file = SceneFile(path, source.keep, source.drop) if own else SceneFile(path)
+    _check_emitters(file)
+    return file
+
+
+def _folder_and_name(path: str) -> str:
+    # Many files are called luminaire.xml; their folder tells them apart.
+    return f"{Path(path).resolve().parent.name}/{Path(path).stem}"
 
 
 def _check_emitters(file: SceneFile) -> None:
@@ -153,7 +245,7 @@ def _check_emitters(file: SceneFile) -> None:
     if environments:
         raise LumitreeError(
             f"{file.path} holds an environment light ({environments[0]}), which does not belong "
-            "to a luminaire; remove it from the file"
+            "to a luminaire; remove it from the file, or --keep only the lamp's shapes"
         )
     if invisible:
         raise LumitreeError(
@@ -167,8 +259,11 @@ def _check_emitters(file: SceneFile) -> None:
         )
 
 
-def _fingerprint(file: SceneFile) -> str:
+def _fingerprint(file: SceneFile, source: LuminaireSource) -> str:
+    """SHA-256 of the scene and its files; a model's overrides and selection are already in them."""
     digest = hashlib.sha256(file.path.read_bytes())
+    if file.path == Path(source.name) and (source.keep or source.drop):
+        digest.update(repr((source.keep, source.drop)).encode())
     for path in file.references():
         digest.update(path.read_bytes() if path.is_file() else b"")
     return digest.hexdigest()

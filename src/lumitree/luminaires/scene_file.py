@@ -3,22 +3,34 @@
 import contextlib
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError
+from lumitree.luminaires.overrides import select_names
 
 
 class SceneFile:
     """A parsed Mitsuba 3 scene file whose objects have not been created yet."""
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        keep: Sequence[str] = (),
+        drop: Sequence[str] = (),
+    ) -> None:
         """Parse `path`.
 
+        Args:
+            keep: patterns with * and ? of the ids of shapes; where there are any, all other
+                shapes and everything else but shapes is left out of the scene.
+            drop: patterns of the ids of shapes that are left out.
+
         Raises:
-            LumitreeError: the file is missing or is not a Mitsuba scene.
+            LumitreeError: the file is missing or is not a Mitsuba scene, or a pattern matches no
+                shape.
         """
         self.path = Path(path)
         if not self.path.is_file():
@@ -31,18 +43,52 @@ class SceneFile:
         with self._readable():
             self._state = mi.parser.parse_file(self._config, str(self.path))
             mi.parser.transform_all(self._config, self._state)
+        if keep or drop:
+            self._select(keep, drop)
+
+    def _select(self, keep: Sequence[str], drop: Sequence[str]) -> None:
+        shape = load_mitsuba().ObjectType.Shape
+        root = self._state.nodes[0].props
+        children = {
+            key: self._state.nodes[root[key].index()]
+            for key in list(root.keys())
+            if _is_reference(root, key)
+        }
+        groups = {
+            key
+            for key, node in children.items()
+            if node.type == shape and node.props.plugin_name() == "shapegroup"
+        }
+        shapes = [key for key, node in children.items() if node.type == shape and key not in groups]
+        names = [(children[key].props.id(),) for key in shapes]
+        chosen = select_names(names, keep, drop, str(self.path), "shape's id")
+        kept = {key for key, wanted in zip(shapes, chosen, strict=True) if wanted}
+        if not keep:
+            kept |= children.keys() - groups - set(shapes)
+        # A group is not seen by itself; it stays as long as an instance shows it.
+        shown = {index for key in kept for index in _references(children[key].props)}
+        kept |= {key for key in groups if root[key].index() in shown}
+        for key in children.keys() - kept:
+            del root[key]
 
     def nodes(self, kind: str) -> list[Any]:
         """Nodes of a type of Mitsuba object, such as "Shape" or "Emitter"."""
         kind = getattr(load_mitsuba().ObjectType, kind)
-        return [node for node in self._state.nodes if node.type == kind]
+        return [node for node in self._used() if node.type == kind]
+
+    def _used(self) -> list[Any]:
+        """Nodes that the scene holds, directly or within others, in the file's order."""
+        found, waiting = {0}, [0]
+        while waiting:
+            inner = _references(self._state.nodes[waiting.pop()].props)
+            waiting += inner - found
+            found |= inner
+        return [self._state.nodes[index] for index in sorted(found)]
 
     def references(self) -> list[Path]:
         """Files that the scene names, each where it was found."""
         names = (
-            node.props["filename"]
-            for node in self._state.nodes
-            if node.props.has_property("filename")
+            node.props["filename"] for node in self._used() if node.props.has_property("filename")
         )
         with self._searching() as resolver:
             return sorted({Path(str(resolver.resolve(name))) for name in names})
@@ -84,3 +130,12 @@ class SceneFile:
             reason = own.group(1) if own else " ".join(str(error).split())
             reason = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", reason)
             raise LumitreeError(f"{self.path} cannot be loaded: {reason}") from None
+
+
+def _is_reference(props: Any, key: str) -> bool:
+    return props.type(key) == load_mitsuba().Properties.Type.ResolvedReference
+
+
+def _references(props: Any) -> set[int]:
+    """Numbers of the nodes that a node holds."""
+    return {props[key].index() for key in list(props.keys()) if _is_reference(props, key)}

@@ -185,8 +185,8 @@ class _Writer:
 
 
 def _reference(material: Material) -> str:
-    # Shapes and materials share one space of names in a scene.
-    return f"material_{material.name}"
+    # Shapes and materials share one space of names in a scene; $ begins a parameter there.
+    return f"material_{material.name.replace('$', '%24')}"
 
 
 def _transmits(surface: Surface) -> bool:

@@ -1,0 +1,94 @@
+"""An OBJ file with its MTL files as a model."""
+
+import os
+import re
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+
+from lumitree.errors import LumitreeWarning
+from lumitree.luminaires.geometry import Mesh
+from lumitree.luminaires.mesh_repair import closed_share
+from lumitree.luminaires.model import Glass, Material, Model, Part
+from lumitree.luminaires.model_folder import ModelFolder
+from lumitree.luminaires.obj.materials import material, without_mtl
+from lumitree.luminaires.obj.mesh import build_meshes
+from lumitree.luminaires.obj.mtl import MtlMaterial, parse_mtl
+from lumitree.luminaires.obj.parse import ObjFile, parse_obj
+from lumitree.luminaires.overrides import shown_names
+
+_UNNAMED = "default"
+_MAX_NAME = 60
+
+
+def read_obj(path: str | os.PathLike[str]) -> Model:
+    """Read a Wavefront OBJ model: one part for each material, in the file's frame and unit.
+
+    Raises:
+        LumitreeError: a file is missing, malformed or too large, or names what is outside the
+            model's folder.
+    """
+    path = Path(path)
+    file = parse_obj(path)
+    folder = ModelFolder(path)
+    library = _library(file, folder)
+    meshes = build_meshes(file)
+    if not meshes:
+        warnings.warn(f"{path}: no face has any area", LumitreeWarning, stacklevel=2)
+    names = part_names(file.materials[number] for number in meshes)
+    missing = [name for name in file.materials if name and name not in library]
+    if missing:
+        warnings.warn(
+            f"{path}: no MTL file describes {shown_names(missing)}; taken to be grey",
+            LumitreeWarning,
+            stacklevel=2,
+        )
+    materials, parts = [], []
+    for name, (number, mesh) in zip(names, meshes.items(), strict=True):
+        title = file.materials[number] or _UNNAMED
+        source = library.get(file.materials[number])
+        materials.append(_material(title, source, mesh, folder))
+        parts.append(Part(name, mesh, title))
+    return Model(tuple(parts), tuple(materials))
+
+
+def _material(title: str, source: MtlMaterial | None, mesh: Mesh, folder: ModelFolder) -> Material:
+    if source is None:
+        return without_mtl(title)
+    closed, pieces = closed_share(mesh)
+    result = material(title, source, closed == pieces, folder)
+    if isinstance(result.surface, Glass) and 0 < closed < pieces:
+        warnings.warn(
+            f"material {title!r}: {closed} of {pieces} pieces are closed, the others are not; all "
+            "are taken to be thin sheets of glass",
+            LumitreeWarning,
+            stacklevel=2,
+        )
+    return result
+
+
+def _library(file: ObjFile, folder: ModelFolder) -> dict[str, MtlMaterial]:
+    """Materials of all `mtllib` lines; the first of a name counts."""
+    found: dict[str, MtlMaterial] = {}
+    for line in dict.fromkeys(file.libraries):
+        # A line may hold several names, or one name with spaces in it.
+        whole = line.lower().count(".mtl") <= 1
+        for name in [line] if whole else line.split():
+            path = folder.find(name, "mtllib")
+            if path is not None:
+                found = {**parse_mtl(path), **found}
+    return found
+
+
+def part_names(titles: Iterable[str]) -> list[str]:
+    """Distinct names, fit for files, made from any text."""
+    names: dict[str, str] = {}
+    for title in titles:
+        base = re.sub(r"[^A-Za-z0-9_-]+", "_", title)[:_MAX_NAME].strip("_") or _UNNAMED
+        name, suffix = base, 1
+        # Some file systems take names that differ in case for one.
+        while name.lower() in names:
+            suffix += 1
+            name = f"{base}-{suffix}"
+        names[name.lower()] = name
+    return list(names.values())
