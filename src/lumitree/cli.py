@@ -242,7 +242,7 @@ def _add_preview(commands: Any) -> None:
         ),
         _show_preview,
     )
-    parser.add_argument("luminaire", metavar="LUMINAIRE", help="built-in name or model file")
+    parser.add_argument("luminaire", metavar="LUMINAIRE", help=_LUMINAIRE)
     _add_source_options(parser)
     _add_output(parser, "SHEET", "contact sheet (.png)")
     _add_picture_options(parser, 256, 64)
