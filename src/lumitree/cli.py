@@ -149,6 +149,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_train,
         _add_extract,
         _add_bake,
+        _add_refine,
         _add_info,
         _add_evaluate,
         _add_render,
@@ -349,37 +350,119 @@ def _add_extract(commands: Any) -> None:
 
 
 def _add_bake(commands: Any) -> None:
-    parser = _command(
-        commands,
-        "bake",
-        "capture, train and extract in one go",
-        _job(
-            "bake",
-            source=lambda a: _source(a, a.luminaire),
-            output=lambda a: a.output,
-            preset=lambda a: a.preset,
-            tree_depth=lambda a: a.depth,
-            work=lambda a: a.work,
-            variant=lambda a: a.variant,
-        ),
-        _show_results,
-    )
+    parser = _command(commands, "bake", "turn a luminaire into an asset", _bake, _show_results)
     parser.add_argument("luminaire", metavar="LUMINAIRE", help=_LUMINAIRE)
     _add_source_options(parser)
     _add_output(parser, "ASSET", "the .lumitree file; run again to continue")
-    parser.add_argument("--method", choices=("nerf",), default="nerf", help="how the field is made")
+    parser.add_argument(
+        "--method",
+        choices=("direct", "nerf"),
+        default="direct",
+        help="direct: from traced rays, in minutes; nerf: the paper's pictures and network",
+    )
+    parser.add_argument(
+        "--quality",
+        choices=("preview", "standard", "high"),
+        default="standard",
+        help="of direct, on 2 CPU cores: 1 minute and depth 7, 5 and 8, or 30 and 10",
+    )
+    _add_budget(parser)
     _add_preset(parser)
     parser.add_argument(
         "--depth",
         type=int,
         metavar="D",
-        help="octree levels, 1 to 10 (default: the preset's, 7 or 10)",
+        help="octree levels, 1 to 10 (default: the quality's or the preset's)",
     )
+    parser.add_argument(
+        "--l-max", type=int, metavar="L", help="highest harmonics of direct, 0 to 4 (default: 2)"
+    )
+    parser.add_argument(
+        "--law",
+        choices=("linear", "exponential"),
+        help="transmittance law of direct (default: exponential)",
+    )
+    _add_work(parser)
+    _add_variant(parser)
+
+
+def _bake(args: argparse.Namespace) -> Report:
+    from lumitree import pipeline
+
+    source = _source(args, args.luminaire)
+    common = {"tree_depth": args.depth, "work": args.work, "variant": args.variant}
+    if args.method == "nerf":
+        return pipeline.bake_network(source, args.output, preset=args.preset, **common)
+    return pipeline.bake(
+        source,
+        args.output,
+        quality=args.quality,
+        seconds=args.time,
+        rays=args.rays,
+        l_max=args.l_max,
+        law=args.law,
+        seed=args.seed,
+        **common,
+    )
+
+
+def _add_budget(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--time",
+        type=_duration,
+        metavar="T",
+        help="budget such as 90s, 5m or 1h (default: the quality's)",
+    )
+    parser.add_argument(
+        "--rays", type=int, metavar="N", help="budget of refinement rays, besides or without --time"
+    )
+    parser.add_argument("--seed", type=int, metavar="S", default=0, help="of all random numbers")
+
+
+def _duration(text: str) -> float:
+    """Seconds of a text such as 90, 90s, 5m or 1.5h."""
+    factor = {"s": 1, "m": 60, "h": 3600}.get(text[-1:])
+    try:
+        value = float(text if factor is None else text[:-1]) * (factor or 1)
+    except ValueError:
+        value = -1.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a duration; write 90s, 5m or 1h")
+    return value
+
+
+def _add_work(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--work",
         metavar="DIR",
-        help="keep views and network in DIR (default: removed at the end)",
+        help="keep intermediate results in DIR (default: removed at the end)",
     )
+
+
+def _add_refine(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "refine",
+        "improve an asset with rays traced through its luminaire",
+        _job(
+            "refine",
+            path=lambda a: a.asset,
+            source=lambda a: _source(a, a.luminaire),
+            output=lambda a: a.output,
+            seconds=lambda a: a.time,
+            rays=lambda a: a.rays,
+            seed=lambda a: a.seed,
+            work=lambda a: a.work,
+            variant=lambda a: a.variant,
+        ),
+        _show_results,
+    )
+    parser.add_argument("asset", metavar="ASSET", help="a .lumitree file, from either method")
+    parser.add_argument("luminaire", metavar="LUMINAIRE", help=_LUMINAIRE)
+    _add_source_options(parser)
+    _add_output(parser, "ASSET", "the improved .lumitree file; run again to continue")
+    _add_budget(parser)
+    _add_work(parser)
     _add_variant(parser)
 
 

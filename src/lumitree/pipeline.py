@@ -13,7 +13,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -26,6 +26,8 @@ from lumitree.nerf.config import PRESETS, TrainConfig
 
 if TYPE_CHECKING:
     from lumitree.asset.model import LuminaireAsset
+    from lumitree.core.transmittance import Law
+    from lumitree.direct.bake import DirectConfig, DirectResult
     from lumitree.luminaires.luminaire import Luminaire
     from lumitree.luminaires.source import LuminaireSource
 
@@ -278,12 +280,106 @@ def bake(
     source: "str | LuminaireSource",
     output: str,
     *,
+    quality: str = "standard",
+    seconds: float | None = None,
+    rays: int | None = None,
+    tree_depth: int | None = None,
+    l_max: int | None = None,
+    law: "Law | None" = None,
+    seed: int = 0,
+    work: str | None = None,
+    variant: str | None = None,
+) -> Report:
+    """Bake a luminaire from traced rays, with no pictures and no network.
+
+    The state lives in `work` (default: a folder beside the asset, removed at the end); an
+    interrupted bake leaves the best asset so far, and continues when it is started again.
+
+    Args:
+        quality: "preview", "standard" or "high": depth and budget.
+        seconds, rays: budget instead of the quality's; rays alone means no limit of time.
+        tree_depth, l_max, law: instead of the quality's.
+    """
+    load_mitsuba(variant)
+    from lumitree.direct import bake as direct
+    from lumitree.luminaires.luminaire import load_luminaire
+
+    _check_asset_name(output)
+    changes = {"tree_depth": tree_depth, "l_max": l_max, "law": law}
+    config = dataclasses.replace(
+        _budgeted(direct.QUALITIES[quality], seconds, rays),
+        seed=seed,
+        **{name: value for name, value in changes.items() if value is not None},
+    )
+    luminaire = load_luminaire(source)
+    _diagnose(luminaire)
+    return _finish_direct(output, work, lambda folder: direct.bake(luminaire, config, folder))
+
+
+def refine(
+    path: str,
+    source: "str | LuminaireSource",
+    output: str,
+    *,
+    seconds: float | None = None,
+    rays: int | None = None,
+    seed: int = 0,
+    work: str | None = None,
+    variant: str | None = None,
+) -> Report:
+    """Improve an asset, however it was baked, with traced rays; budget and state as for `bake`."""
+    load_mitsuba(variant)
+    from lumitree.asset.file import load
+    from lumitree.direct import bake as direct
+    from lumitree.luminaires.luminaire import load_luminaire
+
+    _check_asset_name(output)
+    config = dataclasses.replace(_budgeted(direct.QUALITIES["standard"], seconds, rays), seed=seed)
+    asset, luminaire = load(path), load_luminaire(source)
+    return _finish_direct(
+        output, work, lambda folder: direct.refine(asset, luminaire, config, folder)
+    )
+
+
+def _budgeted(config: "DirectConfig", seconds: float | None, rays: int | None) -> "DirectConfig":
+    if seconds is None and rays is None:
+        return config
+    return dataclasses.replace(config, seconds=seconds, rays=rays)
+
+
+def _finish_direct(output: str, work: str | None, job: "Callable[[Path], DirectResult]") -> Report:
+    """Run a direct bake, write its asset and clear its state."""
+    from lumitree.asset.file import save
+
+    folder = Path(work) if work else Path(output).with_suffix(".work")
+    watch = Stopwatch()
+    with watch.stage("bake"):
+        result = job(folder)
+        save(result.asset, output)
+    if result.interrupted:
+        raise KeyboardInterrupt
+    if work is None:
+        shutil.rmtree(folder, ignore_errors=True)
+    return {
+        "asset": describe_asset(result.asset, output),
+        "held_out_psnr": round(result.score.psnr, 3),
+        "held_out_psnr_uncertainty": round(result.score.uncertainty, 3),
+        "rays": result.rays,
+        "seconds": watch.seconds,
+        "peak_memory_bytes": peak_memory_bytes(),
+    }
+
+
+def bake_network(
+    source: "str | LuminaireSource",
+    output: str,
+    *,
     preset: str = "preview",
     tree_depth: int | None = None,
     work: str | None = None,
     variant: str | None = None,
 ) -> Report:
-    """Capture, train and extract in one go.
+    """Bake a luminaire as the paper does: capture, train and extract in one go.
 
     Intermediate results live in `work` (default: a folder beside the asset, removed at the
     end); an interrupted bake that is started again continues from them.

@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.model import LuminaireAsset
+from lumitree.asset.model import MAX_TREE_DEPTH, LuminaireAsset
 from lumitree.core.files import atomic_path
+from lumitree.core.harmonics import MAX_L
 from lumitree.core.interrupt import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.core.transmittance import Law
@@ -23,7 +24,7 @@ from lumitree.direct.rays import TracedRays
 from lumitree.direct.refine import RefineConfig, Refiner
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.luminaire import Luminaire
-from lumitree.octree.build import build_children
+from lumitree.octree.build import build_children, leaf_cells
 
 STATE = "state.npz"
 # The statistics are taken at this level at the finest; what is finer comes from splitting.
@@ -59,6 +60,12 @@ class DirectConfig:
     refine: RefineConfig = dataclasses.field(default_factory=RefineConfig)
 
     def __post_init__(self) -> None:
+        if not 1 <= self.tree_depth <= MAX_TREE_DEPTH:
+            raise LumitreeError(
+                f"tree depth {self.tree_depth} is out of range; choose 1 to {MAX_TREE_DEPTH}"
+            )
+        if not 0 <= self.l_max <= MAX_L:
+            raise LumitreeError(f"l_max {self.l_max} is out of range; choose 0 to {MAX_L}")
         if self.seconds is None and self.rays is None:
             raise LumitreeError("a bake needs a budget; give it seconds or rays")
         if (self.seconds is not None and not self.seconds > 0) or (
@@ -78,6 +85,14 @@ class DirectResult:
     interrupted: bool
 
 
+# What `--quality` names: minutes on two CPU cores.
+QUALITIES: dict[str, DirectConfig] = {
+    "preview": DirectConfig(tree_depth=7, estimate_lines=1 << 22, seconds=60.0),
+    "standard": DirectConfig(),
+    "high": DirectConfig(tree_depth=10, seconds=1740.0),
+}
+
+
 def bake(luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResult:
     """Bake a luminaire; continues what an interrupted bake left in `folder`.
 
@@ -89,22 +104,86 @@ def bake(luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResu
     Raises:
         LumitreeError: `folder` holds the state of another bake.
     """
-    source = TracedRays(luminaire, spacing=2 / (1 << config.tree_depth), seed=config.seed)
+    source = _source(luminaire, config)
+
+    def start() -> tuple[LeafField, float]:
+        max_radiance = source.max_radiance()
+        return _first_field(source, config, max_radiance), max_radiance
+
+    return _run(source, config, folder, "bake", start)
+
+
+def refine(
+    asset: LuminaireAsset, luminaire: Luminaire, config: DirectConfig, folder: Path
+) -> DirectResult:
+    """Go on with an asset, however it was made, with rays of its luminaire.
+
+    Args:
+        asset: where to start; its law and l_max stay, its leaves may be split.
+        luminaire: what it shows.
+        config: how; its depth, l_max and law are replaced by the asset's.
+        folder: where the state is kept while it runs.
+
+    Raises:
+        LumitreeError: the asset shows something of other proportions or at another place, or
+            `folder` holds the state of another bake.
+    """
+    if not (
+        np.allclose(asset.half_extents, luminaire.half_extents, atol=1e-3)
+        and np.allclose(asset.world_from_proxy, luminaire.world_from_proxy, rtol=1e-3, atol=1e-3)
+    ):
+        raise LumitreeError(
+            f"the asset ({asset.luminaire}) and {luminaire.name} have different bounding boxes; "
+            "refine an asset with its own luminaire"
+        )
+    config = dataclasses.replace(
+        config, tree_depth=asset.tree_depth, l_max=asset.l_max, law=asset.law
+    )
+
+    def start() -> tuple[LeafField, float]:
+        cells, levels = leaf_cells(asset.children)
+        field = LeafField(
+            cells,
+            levels,
+            np.log(np.maximum(asset.density, 1e-3)),
+            asset.coefficients.astype(np.float32).ravel(),
+            tree_depth=asset.tree_depth,
+            l_max=asset.l_max,
+            law=asset.law,
+            half_extents=luminaire.half_extents,
+        )
+        return field, asset.max_radiance
+
+    return _run(_source(luminaire, config), config, folder, "refine", start)
+
+
+def _source(luminaire: Luminaire, config: DirectConfig) -> TracedRays:
+    return TracedRays(luminaire, spacing=2 / (1 << config.tree_depth), seed=config.seed)
+
+
+def _run(
+    source: TracedRays,
+    config: DirectConfig,
+    folder: Path,
+    verb: str,
+    start: Callable[[], tuple[LeafField, float]],
+) -> DirectResult:
+    """Start, or continue what `folder` holds, and spend the budget."""
+    luminaire = source.luminaire
     record = _record(luminaire, config)
     saved = _load(folder / STATE, record)
-    if saved is not None:
-        max_radiance = float(saved["max_radiance"])
+    if saved is None:
+        clock = _Clock(config, 0.0, 0)
+        field, max_radiance = start()
+        refiner = Refiner(field, source, max_radiance, config.refine)
+    else:
         clock = _Clock(config, float(saved["seconds"]), int(saved["rays"]))
+        max_radiance = float(saved["max_radiance"])
         refiner = Refiner(_placeholder(config, luminaire), source, max_radiance, config.refine)
         refiner.restore(saved)
-    else:
-        clock = _Clock(config, 0.0, 0)
-        max_radiance = source.max_radiance()
-        field = _first_field(source, config, max_radiance)
-        refiner = Refiner(field, source, max_radiance, config.refine)
     held_out = HeldOut.trace(source, max_radiance)
     loop = _Loop(refiner, held_out, clock, config, folder, record, max_radiance)
-    interrupted = loop.run(luminaire.name)
+    interrupted = loop.run(f"{verb} {luminaire.name}")
     asset = make_asset(loop.best, luminaire, max_radiance)
     return DirectResult(asset, loop.best_score, clock.rays, clock.seconds, interrupted)
 
@@ -130,7 +209,9 @@ def make_asset(field: LeafField, luminaire: Luminaire, max_radiance: float) -> L
 def _first_field(source: TracedRays, config: DirectConfig, max_radiance: float) -> LeafField:
     level = min(config.tree_depth, _ESTIMATE_DEPTH)
     cells = grow(source, level, config.estimate_lines // 2)
-    first = estimate(source, cells, level, config.l_max, max_radiance, config.estimate_lines)
+    first = estimate(
+        source, cells, level, config.l_max, config.law, max_radiance, config.estimate_lines
+    )
     return LeafField(
         first.cells,
         np.full(len(first.cells), level),
@@ -204,7 +285,7 @@ class _Loop:
         scored = saved = time.monotonic()
         with (
             deferred_interrupt() as interrupted,
-            progress(f"bake {name}", 1.0, done) as advance,
+            progress(name, 1.0, done) as advance,
         ):
             while done < 1 and not interrupted.is_set():
                 self._clock.rays += self._refiner.advance(done)

@@ -1,8 +1,8 @@
 """The first octree, from statistics of random rays: where light stops, and what is seen there.
 
-A leaf's density is the number of paths that stop in it over the length that straight parts of
-paths travel in it, the maximum-likelihood rate of a homogeneous medium. Its emission is the
-least-squares fit of spherical harmonics to the radiance of the paths that stop in it.
+A leaf's density gives it the opacity that was seen: of the paths whose straight part enters it,
+the share that stops there. Its emission is the least-squares fit of spherical harmonics to the
+radiance of the paths that stop in it.
 
 The tree grows coarse to fine: the leaves of a level that stop any path are split for the next.
 
@@ -25,6 +25,7 @@ from lumitree.asset.traversal import Octree
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, basis_array, num_coefficients
 from lumitree.core.sampling import halton_direction
+from lumitree.core.transmittance import Law
 from lumitree.direct.rays import Stops, TracedRays
 from lumitree.octree.build import build_children
 
@@ -38,8 +39,9 @@ _DARKEST, _BRIGHTEST = 1e-5, 0.99
 # A leaf's fit is drawn to its parent's as if by this many paths that saw the parent's fit, and
 # band l by l² times the second number more.
 _PRIOR_PATHS, _PRIOR_BAND = 1.0, 100.0
-# Optical depth across a leaf that counts as opaque.
+# Optical depth across a leaf that counts as opaque, and the opacity from which a leaf is.
 OPAQUE = 10.0
+_SOLID = 0.9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,6 +88,7 @@ def estimate(
     cells: NDArray[np.int64],
     tree_depth: int,
     l_max: int,
+    law: Law,
     max_radiance: float,
     num_lines: int,
 ) -> Estimate:
@@ -94,6 +97,7 @@ def estimate(
     Args:
         rays: where lines come from.
         cells: [M, 3] of level `tree_depth`.
+        law: transmittance law that the density is for.
         max_radiance: L_max, radiance units of the luminaire's scene.
         num_lines: lines traced.
     """
@@ -103,13 +107,13 @@ def estimate(
     for batch in range(-(-num_lines // _BATCH)):
         sums.add(octree, rays.stops(_BATCH, batch))
     # What no path crosses lies inside something: it is kept too, and made opaque.
-    kept = dr.compress((sums.stops > 0) | (sums.length == 0))
+    kept = dr.compress((sums.stops > 0) | (sums.entries == 0))
     cells = cells[np.array(kept)]
     sums = sums.take(kept)
     fit = sums.solve(_parents(sums, cells, tree_depth))
     return Estimate(
         cells,
-        np.array(sums.density(2 / (1 << tree_depth))),
+        np.array(sums.density(2 / (1 << tree_depth), law)),
         np.array(_before_sigmoid(fit, l_max, max_radiance)).reshape(-1, 3, num_coefficients(l_max)),
     )
 
@@ -151,14 +155,15 @@ def _count_stops(
 
 
 class _Sums:
-    """Statistics of every leaf: stops, length, and the normal equations of its fit."""
+    """Statistics of every leaf: stops, entries, chords, and the normal equations of its fit."""
 
     def __init__(self, num_leaves: int, l_max: int) -> None:
         self.l_max = l_max
         self._count = num_coefficients(l_max)
         self._pairs = [(i, j) for i in range(self._count) for j in range(i + 1)]
         self.stops = dr.zeros(mi.Float, num_leaves)
-        self.length = dr.zeros(mi.Float, num_leaves)
+        self.entries = dr.zeros(mi.Float, num_leaves)
+        self.chords = dr.zeros(mi.Float, num_leaves)
         self._a = [dr.zeros(mi.Float, num_leaves) for _ in self._pairs]
         self._b = [dr.zeros(mi.Float, num_leaves) for _ in range(3 * self._count)]
 
@@ -176,12 +181,13 @@ class _Sums:
         end = dr.select(stops.stopped, dr.dot(stops.point - stops.origin, stops.direction), dr.inf)
 
         def visit(state, leaf, start, length, active):
-            travelled = dr.clip(end - start, 0, length)
-            dr.scatter_add(self.length, travelled, leaf, active & (travelled > 0))
+            enters = active & (length > 0)
+            dr.scatter_add(self.entries, mi.Float(1), leaf, enters)
+            dr.scatter_add(self.chords, length, leaf, enters)
             return state, start + length < end
 
         octree.walk(stops.origin, stops.direction, mi.Bool(True), visit, (mi.Float(0),))
-        dr.eval(self.stops, self.length, self._a, self._b)
+        dr.eval(self.stops, self.entries, self.chords, self._a, self._b)
 
     def take(self, leaves: Any) -> "_Sums":
         """Those of some leaves."""
@@ -199,16 +205,21 @@ class _Sums:
 
     def _mapped(self, num_leaves: int, function: Callable[[Any], Any]) -> "_Sums":
         result = _Sums(num_leaves, self.l_max)
-        result.stops, result.length = function(self.stops), function(self.length)
+        result.stops, result.entries = function(self.stops), function(self.entries)
+        result.chords = function(self.chords)
         result._a = [function(values) for values in self._a]
         result._b = [function(values) for values in self._b]
-        dr.eval(result.stops, result.length, result._a, result._b)
+        dr.eval(result.stops, result.entries, result.chords, result._a, result._b)
         return result
 
-    def density(self, side: float) -> Any:
-        """Stops over length; at most `OPAQUE` over the leaf's side, as where no path comes."""
-        rate = self.stops / dr.maximum(self.length, 1e-9)
-        return dr.select(self.length > 0, dr.minimum(rate, OPAQUE / side), OPAQUE / side)
+    def density(self, side: float, law: Law) -> Any:
+        """Density that gives a mean chord the opacity seen; `OPAQUE` where no path enters."""
+        opacity = self.stops / dr.maximum(self.entries, 1)
+        chord = self.chords / dr.maximum(self.entries, 1)
+        depth = opacity if law == "linear" else -dr.log(dr.maximum(1 - opacity, 1e-6))
+        rate = dr.minimum(depth / dr.maximum(chord, 1e-3 * side), OPAQUE / side)
+        solid = (self.entries == 0) | (opacity > _SOLID)
+        return dr.select(solid, OPAQUE / side, rate)
 
     def solve(self, prior: list[list[Any]] | None) -> list[list[Any]]:
         """Fits [3][K] of radiance by Cholesky's decomposition of each leaf's normal equations.

@@ -148,22 +148,21 @@ class TracedRays:
     def trace(self, origin: Any, direction: Any, batch: int, paths: int | None = None) -> Rays:
         """Radiance and straight-through transmittance of lines, each the mean of some paths."""
         paths = self._paths if paths is None else paths
-        count = dr.width(origin)
-        self._sampler.seed(_mix(self._seed, batch, 2), count * paths)
+        count, scene = dr.width(origin), self.luminaire.scene
         index = dr.arange(mi.UInt32, count * paths) // paths
-        ray = mi.RayDifferential3f(
-            self._world_ray(
-                dr.gather(mi.Point3f, origin, index), dr.gather(mi.Vector3f, direction, index)
-            )
-        )
-        scene = self.luminaire.scene
+        copies = dr.gather(mi.Point3f, origin, index), dr.gather(mi.Vector3f, direction, index)
+        self._sampler.seed(_mix(self._seed, batch, 2), count * paths)
+        ray = mi.RayDifferential3f(self._world_ray(*copies))
         radiance, _, _ = self._integrator.sample(scene, self._sampler, ray)
-        through = straight_through(scene, self._sampler, ray, PATH_DEPTH)
         # A block sum evaluates what it sums: without this, every channel would be traced again.
+        dr.eval(radiance)
+        radiance = mi.Color3f(*(dr.block_sum(value, paths) / paths for value in radiance))
+        # Hardly noisy, so one estimate is enough.
+        self._sampler.seed(_mix(self._seed, batch, 3), count)
+        ray = self._world_ray(origin, direction)
+        through = straight_through(scene, self._sampler, ray, PATH_DEPTH)
         dr.eval(radiance, through)
-        values = [dr.block_sum(value, paths) / paths for value in (*radiance, through)]
-        dr.eval(values)
-        return Rays(origin, direction, mi.Color3f(*values[:3]), values[3])
+        return Rays(origin, direction, radiance, through)
 
     def max_radiance(self) -> float:
         """L_max (D9): 99.99th percentile of radiance over the pixels of views all around.
