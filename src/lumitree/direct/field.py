@@ -160,11 +160,12 @@ class LeafField:
             emission = self._emission(leaf, y, lit)
             seen = dr.select(lit, seen + weight * emission, seen)
             if self.law == "linear":
-                # Where leaf k saturates the ray nothing changes with its density; the gradient
-                # of the opacity is taken to be that of tau, or it could never thin out.
+                # Where leaf k saturates the ray nothing changes with its density. A ray that lets
+                # too little through (dT < 0) takes the gradient of its opacity to be that of tau,
+                # or it could never thin out.
                 slope = dr.select(after > 0, emission - last, 0)
                 d_tau = dr.dot(d_radiance, slope) - d_through * dr.select(
-                    (after > 0) | (d_through > 0), 1, 0
+                    (through_end > 0) | (d_through < 0), 1, 0
                 )
             else:
                 d_tau = dr.dot(d_radiance, after * emission - (total - seen))
