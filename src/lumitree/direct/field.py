@@ -157,7 +157,8 @@ class LeafField:
             after = mi.Float(transmittance(tau, self.law, dr))
             weight = through - after
             lit = active & (weight > _MIN_WEIGHT)
-            emission = self._emission(leaf, y, lit)
+            # Of thin leaves too: Adam follows the sign of the smallest gradient.
+            emission = self._emission(leaf, y, active)
             seen = dr.select(lit, seen + weight * emission, seen)
             if self.law == "linear":
                 # Where leaf k saturates the ray nothing changes with its density. A ray that lets
