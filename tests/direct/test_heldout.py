@@ -60,8 +60,8 @@ def test_uncertainty_counts_tiles_not_lines(mi):
         random = np.random.default_rng(seed)
         count = 1 << 12
         origin, direction = lines(mi, random, count)
-        truth = np.repeat(random.uniform(0, 1, count // TILE), TILE)
-        score = HeldOut(origin, direction, mi.Color3f(truth), mi.Color3f(truth)).score(field)
+        truth = mi.Color3f(mi.Float(np.repeat(random.uniform(0, 1, count // TILE), TILE)))
+        score = HeldOut(origin, direction, truth, truth).score(field)
         squared.append(10 ** (-score.psnr / 10))
         uncertainties.append(score.uncertainty)
     spread = 10 / np.log(10) * np.std(squared, ddof=1) / np.mean(squared)
