@@ -5,6 +5,7 @@ import numpy as np
 from lumitree.asset.model import LuminaireAsset
 from lumitree.core.harmonics import num_coefficients
 from lumitree.octree.build import build_children
+from lumitree.octree.reference import leaf_boxes
 
 
 def make_asset(cells, levels, density, coefficients, *, tree_depth=4, law="linear", **fields):
@@ -66,4 +67,22 @@ def uniform_asset(density, radiance, *, law="linear", max_radiance=10.0, **field
         law=law,
         max_radiance=max_radiance,
         **fields,
+    )
+
+
+def leaf_field(asset):
+    """Trainable field of an asset; leaf i keeps its index."""
+    from lumitree.direct.field import LeafField
+
+    lower, upper = leaf_boxes(asset)
+    side = (upper - lower)[:, :1]
+    return LeafField(
+        np.rint((lower + 1) / side).astype(np.int64),
+        np.rint(np.log2(2 / side[:, 0])).astype(np.int64),
+        np.log(asset.density.astype(np.float64)),
+        asset.coefficients.astype(np.float32).ravel(),
+        tree_depth=asset.tree_depth,
+        l_max=asset.l_max,
+        law=asset.law,
+        half_extents=asset.half_extents,
     )

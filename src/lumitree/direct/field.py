@@ -157,14 +157,16 @@ class LeafField:
             after = mi.Float(transmittance(tau, self.law, dr))
             weight = through - after
             lit = active & (weight > _MIN_WEIGHT)
-            emission = self._emission(leaf, y, lit)
+            # Of thin leaves too: Adam follows the sign of the smallest gradient.
+            emission = self._emission(leaf, y, active)
             seen = dr.select(lit, seen + weight * emission, seen)
             if self.law == "linear":
-                # Where leaf k saturates the ray nothing changes with its density; the gradient
-                # of the opacity is taken to be that of tau, or it could never thin out.
+                # Where leaf k saturates the ray nothing changes with its density. A ray that lets
+                # too little through (dT < 0) takes the gradient of its opacity to be that of tau,
+                # or it could never thin out.
                 slope = dr.select(after > 0, emission - last, 0)
                 d_tau = dr.dot(d_radiance, slope) - d_through * dr.select(
-                    (after > 0) | (d_through > 0), 1, 0
+                    (through_end > 0) | (d_through < 0), 1, 0
                 )
             else:
                 d_tau = dr.dot(d_radiance, after * emission - (total - seen))

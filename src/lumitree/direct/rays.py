@@ -246,7 +246,7 @@ class TracedRays:
             throughput[hits] = throughput * weight
             onwards = si.spawn_ray(si.to_world(sample.wo))
 
-            ends = collides | (hits & ~transmits)
+            ends = collides | (hits & (~transmits | (dr.max(throughput) <= 0)))
             bent = dr.dot(ray.d, straight) < COSINE_OF_CONE
             place = dr.select(collides, ray(dr.select(collides, flight, 0)), si.p)
             stop = dr.select(ends, dr.select(bent, first, place), stop)

@@ -1,0 +1,129 @@
+"""The first octree against fields whose density and emission are known."""
+
+import numpy as np
+import pytest
+
+from lamps import AREA, cube, sphere
+
+RADIANCE = np.array([3.0, 2.0, 1.0])
+LINES = 1 << 20
+
+
+def source(luminaire):
+    from lumitree.direct.rays import TracedRays
+
+    return TracedRays(luminaire, 1 / 64)
+
+
+def all_cells(level):
+    side = 1 << level
+    return np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3)
+
+
+def corner_distances(cells, level):
+    """Smallest and largest distance [M] of cells from the centre, local units."""
+    low = cells * (2 / (1 << level)) - 1
+    high = low + 2 / (1 << level)
+    nearest = np.clip(0, low, high)
+    farthest = np.maximum(np.abs(low), np.abs(high))
+    return np.linalg.norm(nearest, axis=1), np.linalg.norm(farthest, axis=1)
+
+
+def has(cells, others):
+    """Whether each of `others` is among the cells."""
+    found = {tuple(cell) for cell in cells.tolist()}
+    return np.array([tuple(cell) in found for cell in others.tolist()])
+
+
+def test_density_of_fog_is_its_rate(lamp):
+    from lumitree.direct.estimate import estimate
+
+    level, sigma = 4, 0.75
+    fog = (
+        '<bsdf type="null"/><medium type="homogeneous" name="interior">'
+        f'<float name="sigma_t" value="{sigma}"/><float name="albedo" value="0"/></medium>'
+    )
+    rays = source(lamp(sphere("fog", 2, inside=fog), sphere("lamp", 0.01, inside=AREA)))
+    result = estimate(rays, all_cells(level), level, 0, 10.0, LINES)
+    nearest, farthest = corner_distances(result.cells, level)
+    assert (nearest < 1).all()
+    inside = (farthest < 1) & (nearest > 0.02)
+    assert inside.sum() > 1000
+    rate = 2 * sigma
+    density = result.density[inside]
+    error = density.std(ddof=1) / np.sqrt(len(density))
+    assert error < 0.003 * rate
+    assert abs(density.mean() - rate) < 4 * error
+
+
+def opaque_sphere(lamp):
+    return source(lamp(sphere("lamp", 2, (1, 0, 0), AREA)))
+
+
+@pytest.mark.parametrize("l_max", [0, 2])
+def test_emission_of_an_opaque_surface_is_its_radiance(lamp, l_max):
+    """Seen from outside; the leaves of the interior, where no path comes, are kept opaque."""
+    from lumitree.core.harmonics import basis_array
+    from lumitree.direct.estimate import OPAQUE, estimate
+
+    level, max_radiance = 4, 10.0
+    result = estimate(opaque_sphere(lamp), all_cells(level), level, l_max, max_radiance, LINES)
+    nearest, farthest = corner_distances(result.cells, level)
+    side = 2 / (1 << level)
+    interior = farthest < 1 - 1e-4
+    expected = all_cells(level)
+    expected = expected[corner_distances(expected, level)[1] < 1 - 1e-4]
+    assert interior.sum() == len(expected)
+    assert result.density[interior] == pytest.approx(OPAQUE / side)
+
+    # Nothing hides outside, and whatever shows a fair piece of the surface is there.
+    assert (nearest < 1 + 1e-4).all()
+    centres = (result.cells + 0.5) * side - 1
+    distance = np.linalg.norm(centres, axis=1)
+    seen = np.abs(distance - 1) < side / 4
+    outwards = centres[seen] / distance[seen, None]
+    y = basis_array(outwards, l_max)
+    raw = np.einsum("mck,mk->mc", result.coefficients[seen], y)
+    emission = max_radiance / (1 + np.exp(-raw))
+    assert seen.sum() > 300
+    # The fit is drawn to black by a path; several hundred stop in such a leaf.
+    assert emission == pytest.approx(np.tile(RADIANCE, (seen.sum(), 1)), rel=0.02)
+
+
+def test_grow_keeps_what_the_surface_touches(lamp):
+    from lumitree.direct.estimate import grow
+
+    level = 6
+    cells = grow(opaque_sphere(lamp), level, LINES)
+    assert len(np.unique(cells, axis=0)) == len(cells)
+    nearest, farthest = corner_distances(cells, level)
+    centres = (all_cells(level) + 0.5) * (2 / (1 << level)) - 1
+    touched = np.abs(np.linalg.norm(centres, axis=1) - 1) < 0.5 / (1 << level)
+    assert has(cells, all_cells(level)[touched]).all()
+    # Empty space is dropped but for the other children of a parent.
+    parent_side = 4 / (1 << level)
+    assert (nearest < 1 + np.sqrt(3) * parent_side).all()
+    assert (farthest > 1 - np.sqrt(3) * parent_side).all()
+    assert len(cells) < 0.2 * 8**level
+
+
+def test_grow_stays_in_the_proxy_box(lamp):
+    from lumitree.direct.estimate import grow
+
+    rays = source(lamp(cube("lamp", (1, 0.5, 0.1), (0, 0, 3), AREA)))
+    cells = grow(rays, 3, LINES)
+    low = cells / 4 - 1
+    half = rays.luminaire.half_extents
+    assert ((low < half) & (low + 0.25 > -half)).all()
+    # At the start level nothing is known yet: all that reach into the box.
+    assert len(cells) == 8 * 4 * 2
+
+
+def test_split_has_the_children_in_octant_order():
+    from lumitree.direct.estimate import split
+
+    children = split(np.array([[1, 2, 3], [0, 0, 0]]))
+    assert children.shape == (16, 3)
+    assert (children[:8] >> 1 == [1, 2, 3]).all()
+    assert children[:3].tolist() == [[2, 4, 6], [3, 4, 6], [2, 5, 6]]
+    assert (children[8:] @ [1, 2, 4] == np.arange(8)).all()

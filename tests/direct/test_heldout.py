@@ -1,0 +1,92 @@
+"""The held-out score: unbiased under noise, with an honest uncertainty."""
+
+import numpy as np
+import pytest
+
+from fields import uniform_asset
+from lamps import AREA, sphere
+
+TILE = 16
+
+
+def uniform_field(radiance):
+    """Opaque cube of one radiance / L_max, and lines that all meet it."""
+    from fields import leaf_field
+
+    return leaf_field(uniform_asset(200.0, [radiance] * 3, law="exponential", max_radiance=1.0))
+
+
+def lines(mi, random, count):
+    directions = random.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return mi.Point3f(*np.zeros((3, count))), mi.Vector3f(*directions.T)
+
+
+@pytest.mark.parametrize("error", [0.0, 0.02, 0.1])
+def test_noise_leaves_no_bias(mi, error):
+    """Noise a hundred times as strong as the smaller error is not taken for error."""
+    from lumitree.direct.heldout import HeldOut
+
+    random = np.random.default_rng(1)
+    count, truth = 1 << 18, 0.3
+    origin, direction = lines(mi, random, count)
+
+    def noisy():
+        # As traced light is: mostly dark, seldom bright.
+        return mi.Color3f(*(truth * (random.random((3, count)) < 0.05) / 0.05))
+
+    field = uniform_field(truth + error)
+    shown = np.array(field.integrate(origin, direction)[0])[0].mean() - truth
+    score = HeldOut(origin, direction, noisy(), noisy()).score(field)
+    squared = 10 ** (-score.psnr / 10)
+    # Standard error of the mean product of two independent noises around `shown`.
+    variance = truth**2 * (1 / 0.05 - 1)
+    spread = np.sqrt((variance**2 + 2 * variance * shown**2) / (3 * count))
+    assert abs(squared - shown**2) < 4 * spread
+    if error:
+        assert shown == pytest.approx(error, abs=1e-3)
+        # The interval is what this spread is in dB.
+        expected = 10 / np.log(10) * spread / squared
+        assert score.uncertainty == pytest.approx(expected, rel=0.1)
+
+
+def test_uncertainty_counts_tiles_not_lines(mi):
+    """Neighbours of a tile are wrong together: a tile counts as one."""
+    from lumitree.direct.heldout import HeldOut
+
+    field = uniform_field(0.5)
+    squared, uncertainties = [], []
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        count = 1 << 12
+        origin, direction = lines(mi, random, count)
+        truth = mi.Color3f(mi.Float(np.repeat(random.uniform(0, 1, count // TILE), TILE)))
+        score = HeldOut(origin, direction, truth, truth).score(field)
+        squared.append(10 ** (-score.psnr / 10))
+        uncertainties.append(score.uncertainty)
+    spread = 10 / np.log(10) * np.std(squared, ddof=1) / np.mean(squared)
+    # 99.8 % interval of a spread from 40 samples (chi-square, 39 degrees of freedom).
+    assert 0.67 < spread / np.mean(uncertainties) < 1.37
+
+
+def test_lines_are_those_of_no_step(mi, lamp):
+    from lumitree.direct.heldout import HeldOut
+    from lumitree.direct.rays import TracedRays
+
+    source = TracedRays(lamp(sphere("lamp", 2.0, inside=AREA)), 1 / 32)
+    held_out = HeldOut.trace(source, 10.0)
+    first, second = np.array(held_out.first), np.array(held_out.second)
+    # The sphere has no noise: both halves see 0.3, 0.2, 0.1 or nothing, at any line but its rim's.
+    seen = first[0] > 0
+    assert first[:, seen] == pytest.approx(np.array([[0.3], [0.2], [0.1]]) * np.ones(seen.sum()))
+    assert np.array_equal(first, second)
+    held = {tuple(direction) for direction in np.array(held_out.direction).T[::TILE].tolist()}
+    for batch in range(3):
+        _, direction = source.lines(1 << 12, batch)
+        assert held.isdisjoint(map(tuple, np.array(direction).T[::TILE].tolist()))
+
+
+def test_a_score_says_what_it_is():
+    from lumitree.direct.heldout import Score
+
+    assert str(Score(31.416, 0.0271)) == "held-out PSNR 31.42 ± 0.03 dB"

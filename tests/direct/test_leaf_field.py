@@ -1,0 +1,240 @@
+"""The trainable field: its integral against its twins, its adjoint against finite differences."""
+
+import types
+
+import numpy as np
+import pytest
+
+from fields import leaf_field, make_asset, random_asset
+from lumitree.octree import reference
+
+NUM_RAYS = 16
+
+
+def random_rays(seed):
+    """Origins and directions [16, 3]; every fourth ray is parallel to an axis, off the planes."""
+    random = np.random.default_rng(seed)
+    directions = random.normal(size=(NUM_RAYS, 3))
+    targets = random.uniform(-0.8, 0.8, (NUM_RAYS, 3))
+    for i in range(0, NUM_RAYS, 4):
+        directions[i] = 0
+        directions[i, i // 4 % 3] = random.choice([-1.0, 1.0])
+        targets[i] = (random.integers(-16, 16, 3) + 0.5) / 16
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return (targets - 3 * directions).astype(np.float32), directions.astype(np.float32)
+
+
+def on_device(mi, origins, directions):
+    return mi.Point3f(*origins.T), mi.Vector3f(*directions.T)
+
+
+def adjoint(mi, field, origins, directions, d_radiance, d_through, loss=None):
+    """Gradients by log density [M] and coefficients [M, 3 K], and the blame [M]."""
+    import drjit as dr
+
+    o, d = on_device(mi, origins, directions)
+    integrated = field.integrate(o, d)
+    density, blame = (dr.zeros(mi.Float, field.num_leaves) for _ in range(2))
+    coefficients = dr.zeros(mi.Float, field.num_leaves * field.num_coefficients)
+    field.scatter_gradients(
+        o,
+        d,
+        integrated,
+        mi.Color3f(*np.asarray(d_radiance, np.float32).T),
+        mi.Float(np.asarray(d_through, np.float32)),
+        mi.Float(np.ones(len(origins)) if loss is None else loss),
+        density,
+        coefficients,
+        blame,
+    )
+    return np.array(density), np.array(coefficients).reshape(field.num_leaves, -1), np.array(blame)
+
+
+class Twin:
+    """The same field in double precision, by the slow reference; `max_radiance` 1."""
+
+    def __init__(self, asset, origins, directions, monkeypatch):
+        boxes = reference.leaf_boxes(asset)
+        monkeypatch.setattr(reference, "leaf_boxes", lambda _: boxes)
+        self._asset, self._rays = asset, list(zip(origins, directions, strict=True))
+        self.log_density = np.log(asset.density.astype(float))
+        self.coefficients = asset.coefficients.astype(float)
+
+    def integrate(self):
+        asset = types.SimpleNamespace(
+            half_extents=self._asset.half_extents,
+            l_max=self._asset.l_max,
+            law=self._asset.law,
+            max_radiance=1.0,
+            density=np.exp(self.log_density),
+            coefficients=self.coefficients,
+        )
+        rays = [
+            reference.integrate_ray(asset, o.astype(float), d.astype(float)) for o, d in self._rays
+        ]
+        return np.array([ray[0] for ray in rays]), np.array([ray[1] for ray in rays])
+
+    def gradient(self, values, d_radiance, d_through, step=1e-5):
+        """Central differences of sum(dL · L) + sum(dT T) by every element of `values`."""
+        result = np.zeros(values.size)
+        flat = values.reshape(-1)
+        for i in range(values.size):
+            losses = []
+            for sign in (1, -1):
+                before = flat[i]
+                flat[i] = before + sign * step
+                radiance, through = self.integrate()
+                losses.append((d_radiance * radiance).sum() + (d_through * through).sum())
+                flat[i] = before
+            result[i] = (losses[0] - losses[1]) / (2 * step)
+        return result
+
+
+@pytest.mark.parametrize("law", ["linear", "exponential"])
+@pytest.mark.parametrize("l_max", [0, 1, 2])
+def test_adjoint_is_the_derivative(mi, law, l_max, monkeypatch):
+    density_scale = {"linear": 1.0, "exponential": 1.5}[law]
+    asset = random_asset(
+        40 + l_max, tree_depth=2, l_max=l_max, law=law, density_scale=density_scale, max_radiance=1
+    )
+    origins, directions = random_rays(l_max)
+    random = np.random.default_rng(l_max)
+    d_radiance = random.normal(size=(NUM_RAYS, 3))
+    # At saturation the gradient of the opacity is exact where light should not come through.
+    d_through = random.uniform(0.1, 1, NUM_RAYS)
+    twin = Twin(asset, origins, directions, monkeypatch)
+    through = twin.integrate()[1]
+    if law == "linear":
+        assert (through == 0).any()
+    assert ((through > 0.01) & (through < 0.99)).any()
+
+    density, coefficients, _ = adjoint(
+        mi, leaf_field(asset), origins, directions, d_radiance, d_through
+    )
+    by_density = twin.gradient(twin.log_density, d_radiance, d_through)
+    by_coefficients = twin.gradient(twin.coefficients, d_radiance, d_through)
+    # Light below the thresholds (1e-4 of a leaf, 1e-3 of an opaque ray) is left out.
+    tolerance = {"linear": 5e-4, "exponential": 2e-3}[law]
+    assert density == pytest.approx(by_density, abs=tolerance)
+    assert coefficients.ravel() == pytest.approx(by_coefficients, abs=tolerance)
+    assert np.abs(by_density).max() > 0.1
+    assert np.abs(by_coefficients).max() > 0.01
+
+
+def column(density, radiance, law):
+    """Asset of one layer of cells along +x, with densities and radiances (of 1) front to back."""
+    count = len(density)
+    level = int(np.log2(count))
+    cells = [(x, 0, 0) for x in range(count)]
+    logit = np.log(radiance) - np.log1p(-np.asarray(radiance))
+    coefficients = np.repeat(logit[:, None, None], 3, axis=1) / 0.28209479177387814
+    return make_asset(
+        cells,
+        np.full(count, level),
+        density,
+        coefficients,
+        tree_depth=level,
+        law=law,
+        max_radiance=1.0,
+    )
+
+
+ALONG_X = np.array([[-2, -0.9, -0.9]], np.float32), np.array([[1, 0, 0]], np.float32)
+
+
+def test_saturated_ray_that_is_too_opaque_thins_as_if_its_opacity_were_tau(mi):
+    """Cells of optical depth 0.4, 0.9, 0.5: the second saturates the ray, the third is hidden."""
+    depth = np.array([0.4, 0.9, 0.5, 0.1])
+    field = leaf_field(column(2 * depth, [0.5, 0.5, 0.5, 0.5], "linear"))
+    # A loss that falls as more comes through.
+    density, _, _ = adjoint(mi, field, *ALONG_X, [[0, 0, 0]], [-0.7])
+    assert density == pytest.approx([0.7 * 0.4, 0.7 * 0.9, 0, 0], rel=1e-5)
+
+
+def test_saturated_ray_is_never_made_denser_than_opaque(mi):
+    field = leaf_field(column([0.8, 1.8, 1.0, 0.2], [0.5, 0.5, 0.5, 0.5], "linear"))
+    density, _, _ = adjoint(mi, field, *ALONG_X, [[0, 0, 0]], [0.7])
+    assert (density == 0).all()
+
+
+@pytest.mark.parametrize("law", ["linear", "exponential"])
+def test_leaves_too_thin_to_be_seen_still_know_their_emission(mi, law):
+    """Adam sees the sign of a gradient, however small: it must be that of the true one."""
+    depth = np.array([1e-5, 0.3])
+    field = leaf_field(column(depth, [0.01, 0.2], law))
+    density, _, _ = adjoint(mi, field, *ALONG_X, [[1, 1, 1]], [0])
+    behind = {"linear": 0.0, "exponential": 0.2 * (1 - np.exp(-0.3))}[law]
+    assert density[0] == pytest.approx(3 * depth[0] * (0.01 - behind), rel=1e-2)
+
+
+@pytest.mark.parametrize("law", ["linear", "exponential"])
+def test_blame_is_shared_out_by_weight(mi, law):
+    field = leaf_field(column([0.3, 0.5, 0.2, 0.1], [0.5] * 4, law))
+    _, _, blame = adjoint(mi, field, *ALONG_X, [[0, 0, 0]], [0], loss=[3.0])
+    tau = np.cumsum([0, 0.15, 0.25, 0.1, 0.05])
+    through = 1 - tau if law == "linear" else np.exp(-tau)
+    assert blame == pytest.approx(3 * -np.diff(through), rel=1e-4)
+
+
+@pytest.mark.parametrize("law", ["linear", "exponential"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_integral_agrees_with_renderer_and_reference(mi, law, seed):
+    from lumitree.render.field import Field
+
+    half = np.array([1.0, 0.61, 0.37]) if seed == 1 else np.ones(3)
+    asset = random_asset(seed, l_max=seed - 1, law=law, density_scale=0.7, half_extents=half)
+    origins, directions = random_rays(seed)
+    o, d = on_device(mi, origins, directions)
+    radiance, through, _ = (np.array(value).T for value in leaf_field(asset).integrate(o, d))
+    rendered, rendered_through = (np.array(value).T for value in Field(asset).emission(o, d))
+    # Each leaf that shows less than 1e-4 of itself is left out; a ray meets few of them.
+    assert radiance == pytest.approx(rendered / asset.max_radiance, abs=1e-3)
+    assert through == pytest.approx(rendered_through, abs=1e-6)
+    for i in range(NUM_RAYS):
+        expected, expected_through = reference.integrate_ray(
+            asset, origins[i].astype(float), directions[i].astype(float)
+        )
+        assert radiance[i] == pytest.approx(expected / asset.max_radiance, abs=2e-3)
+        assert through[i] == pytest.approx(expected_through, abs=1.2e-3)
+
+
+def test_meets_tells_lines_that_cross_a_leaf(mi):
+    asset = random_asset(9, tree_depth=3)
+    lower, upper = reference.leaf_boxes(asset)
+    random = np.random.default_rng(9)
+    directions = random.normal(size=(400, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    origins = random.uniform(-1.5, 1.5, (400, 3))
+    first = (lower - origins[:, None]) / directions[:, None]
+    second = (upper - origins[:, None]) / directions[:, None]
+    length = np.maximum(first, second).min(axis=2) - np.minimum(first, second).max(axis=2)
+    # Lines that graze an edge may go either way in single precision.
+    clear = np.abs(length.max(axis=1)) > 1e-4
+    expected = length.max(axis=1) > 0
+    met = np.array(leaf_field(asset).meets(*on_device(mi, origins, directions)))
+    assert (met == expected)[clear].all()
+    assert 0.05 < expected[clear].mean() < 0.95
+
+
+def test_find_leaf_is_the_leaf_whose_box_holds_the_point(mi):
+    asset = random_asset(11, tree_depth=3)
+    lower, upper = reference.leaf_boxes(asset)
+    random = np.random.default_rng(11)
+    points = random.uniform(-1.2, 1.2, (2000, 3)).astype(np.float32)
+    # Corners belong to the leaf above them, as intervals are half open.
+    points = np.concatenate([points, lower, [[1, 0, 0], [0, -1.0001, 0]]]).astype(np.float32)
+    holds = ((points[:, None] >= lower) & (points[:, None] < upper)).all(axis=2)
+    leaf, found = (
+        np.array(value) for value in leaf_field(asset).octree.find_leaf(mi.Point3f(*points.T))
+    )
+    assert np.array_equal(found, holds.any(axis=1))
+    assert np.array_equal(leaf[found], holds.argmax(axis=1)[found])
+    assert 0 < found.sum() < len(points)
+
+
+def test_find_leaf_leaves_masked_points_alone(mi):
+    asset = random_asset(11, tree_depth=3)
+    centre = reference.leaf_boxes(asset)[0][:2] + 1e-3
+    octree = leaf_field(asset).octree
+    _, found = octree.find_leaf(mi.Point3f(*centre.T), mi.Bool([True, False]))
+    assert np.array(found).tolist() == [True, False]

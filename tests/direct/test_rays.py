@@ -1,0 +1,289 @@
+"""Lines that are uniform, and what is traced along them, against what is known in closed form."""
+
+import numpy as np
+import pytest
+
+from lamps import AREA, cube, sphere
+
+RADIANCE = np.array([3.0, 2.0, 1.0])
+TILE = 16
+
+
+def tile_mean(values):
+    """Mean of a line's values [N, ...] and its standard error; tiles are independent, lines not."""
+    tiles = values.reshape(-1, TILE, *values.shape[1:]).mean(axis=1)
+    return tiles.mean(axis=0), tiles.std(axis=0, ddof=1) / np.sqrt(len(tiles))
+
+
+def arrays(*values):
+    return [np.array(value, np.float64).T for value in values]
+
+
+def source(luminaire, spacing=1 / 64, seed=0, **options):
+    from lumitree.direct.rays import TracedRays
+
+    return TracedRays(luminaire, spacing, seed=seed, **options)
+
+
+def distance_to(origins, directions, centre):
+    offset = origins - centre
+    along = (offset * directions).sum(axis=1, keepdims=True)
+    return np.linalg.norm(offset - along * directions, axis=1)
+
+
+@pytest.fixture
+def box(lamp):
+    """Rays of a luminaire with half sides 1, 0.5 and 0.4 local units."""
+    return source(lamp(cube("box", (2, 1, 0.8), (3, 0, 0), AREA)))
+
+
+def test_lines_meet_convex_bodies_in_proportion_to_their_surface(box):
+    o, d = arrays(*box.lines(1 << 20, 1))
+    surface = 8 * (0.5 + 0.2 + 0.4)
+    assert box.measure == pytest.approx(np.pi * surface)
+    for centre, radius in (((0.6, 0.1, 0), 0.25), ((-0.4, -0.2, 0.1), 0.15)):
+        distance = distance_to(o, d, centre)
+        hit = distance < radius
+        share, error = tile_mean(hit.astype(float))
+        assert share == pytest.approx(4 * np.pi * radius**2 / surface, abs=4 * error)
+        assert error < 0.03 * share
+        # Cauchy: the mean chord is 4 V / S.
+        chord = 2 * np.sqrt(np.maximum(radius**2 - distance**2, 0))
+        length, error = tile_mean(chord)
+        expected = 4 / 3 * radius * 4 * np.pi * radius**2 / surface
+        assert length == pytest.approx(expected, abs=4 * error)
+        # All directions are equally likely for what does not know its orientation.
+        outer = d[:, :, None] * d[:, None, :] * hit[:, None, None]
+        moment, error = tile_mean(outer)
+        assert (np.abs(moment - share * np.eye(3) / 3) < 4.5 * error + 1e-6).all()
+        mean, error = tile_mean(d * hit[:, None])
+        assert (np.abs(mean) < 4.5 * error).all()
+
+
+def test_lines_of_a_tile_are_close_and_parallel(box):
+    o, d = arrays(*box.lines(1 << 12, 1))
+    assert np.linalg.norm(d, axis=1) == pytest.approx(1, abs=1e-5)
+    tiles, directions = o.reshape(-1, TILE, 3), d.reshape(-1, TILE, 3)
+    assert (directions == directions[:, :1]).all()
+    assert len(np.unique(directions[:, 0], axis=0)) == len(directions)
+    span = np.ptp(np.einsum("tnk,tk->tn", tiles, directions[:, 0]), axis=1)
+    assert span == pytest.approx(0, abs=1e-5)
+    # Each in its own square of the tile: a diagonal holds all of them, none is on another.
+    apart = np.linalg.norm(tiles[:, :, None] - tiles[:, None], axis=-1)
+    assert apart.max() <= 4 * np.sqrt(2) * box.spacing * 1.001
+    assert np.sort(apart, axis=2)[:, :, 1].mean() > 0.3 * box.spacing
+
+
+def test_equal_seeds_give_equal_rays_and_other_batches_do_not(lamp):
+    luminaire = lamp(cube("box", 1, (3, 0, 0), AREA), sphere("ball", 0.3, (3, 0, 1.4)))
+
+    def drawn(seed, batch):
+        rays = source(luminaire, seed=seed).draw(1 << 12, batch, lambda o, d: d.z < 0)
+        return np.concatenate(arrays(rays.origin, rays.direction, rays.radiance), axis=1)
+
+    first = drawn(1, 2)
+    assert np.array_equal(first, drawn(1, 2))
+    assert (first[:, 5] < 0).all()
+    for other in (drawn(1, 3), drawn(2, 2)):
+        # No line is shared.
+        assert len(np.unique(np.concatenate([first, other]), axis=0)) == len(first) + len(other)
+
+
+def test_order_of_batches_does_not_matter(box):
+    """A batch is the same whatever was drawn before: what resuming relies on."""
+    first = arrays(*box.lines(1 << 10, 5))
+    box.stops(1 << 10, 9)
+    for one, two in zip(first, arrays(*box.lines(1 << 10, 5)), strict=True):
+        assert np.array_equal(one, two)
+
+
+def test_mean_radiance_is_the_flux(lamp):
+    rays = source(lamp(sphere("lamp", 2.0, (5, 1, 0), AREA)))
+    traced = rays.trace(*rays.lines(1 << 19, 3), 3)
+    radiance, through = arrays(traced.radiance, traced.transmittance)
+    flux, error = tile_mean(radiance)
+    assert rays.measure * flux == pytest.approx(4 * np.pi**2 * RADIANCE, rel=0.02)
+    assert (np.abs(rays.measure * flux - 4 * np.pi**2 * RADIANCE) < 4 * rays.measure * error).all()
+    assert np.array_equal(through == 0, radiance[:, 0] > 0)
+
+
+def fresnel(cosine, ior):
+    """Reflectance of unpolarised light at a smooth dielectric."""
+    inner = np.sqrt(1 - (1 - cosine**2) / ior**2)
+    s = (cosine - ior * inner) / (cosine + ior * inner)
+    p = (ior * cosine - inner) / (ior * cosine + inner)
+    return (s**2 + p**2) / 2
+
+
+def pane(kind, z):
+    """A pane of glass across the box at height z: a thin sheet, or a slab."""
+    if kind == "thin":
+        return (
+            '<shape type="rectangle" id="pane"><transform name="to_world">'
+            f'<translate z="{z}"/></transform><bsdf type="thindielectric">'
+            '<float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/></bsdf></shape>'
+        )
+    glass = (
+        '<bsdf type="dielectric"><float name="int_ior" value="1.5"/>'
+        '<float name="ext_ior" value="1"/></bsdf>'
+    )
+    return cube("pane", (1, 1, 0.02), (0, 0, z), glass)
+
+
+@pytest.mark.parametrize("kind", ["thin", "solid"])
+@pytest.mark.parametrize("degrees", [0, 35, 60])
+def test_transmittance_of_a_pane_is_fresnels(mi, lamp, kind, degrees):
+    """Through chains of transmissions alone: (1 - F)² for a slab, (1 - F) / (1 + F) for a sheet."""
+    luminaire = lamp(pane(kind, 0.5), sphere("lamp", 0.01, (0, 0.99, 0), AREA))
+    angle = np.deg2rad(degrees)
+    direction = [float(np.sin(angle)), 0.0, float(-np.cos(angle))]
+    scale, centre = luminaire.world_from_proxy[0, 0], luminaire.world_from_proxy[:3, 3]
+    inside_pane = (np.array([0, 0, 0.5]) - centre) / scale
+    rays = source(luminaire)
+    traced = rays.trace(mi.Point3f(inside_pane.tolist()), mi.Vector3f(direction), 1, paths=4)
+    f = fresnel(np.cos(angle), 1.5)
+    expected = {"thin": (1 - f) / (1 + f), "solid": (1 - f) ** 2}[kind]
+    assert np.array(traced.transmittance) == pytest.approx(expected, abs=1e-5)
+
+
+def test_paths_stop_on_an_opaque_surface_with_its_radiance(lamp):
+    rays = source(lamp(sphere("lamp", 2.0, (5, 1, 0), AREA)))
+    stops = rays.stops(1 << 14, 1)
+    o, d, point, radiance = arrays(stops.origin, stops.direction, stops.point, stops.radiance)
+    stopped = np.array(stops.stopped)
+    distance = distance_to(o, d, 0)
+    assert (stopped == (distance < 1))[np.abs(distance - 1) > 1e-4].all()
+    assert np.linalg.norm(point[stopped], axis=1) == pytest.approx(1, abs=1e-4)
+    # On the side from which the line comes, and on the line.
+    assert ((point * d).sum(axis=1)[stopped] < 1e-3).all()
+    assert distance_to(point[stopped], d[stopped], 0) == pytest.approx(distance[stopped], abs=1e-4)
+    assert radiance[stopped] == pytest.approx(np.tile(RADIANCE, (stopped.sum(), 1)), rel=1e-5)
+    assert (radiance[~stopped] == 0).all()
+
+
+def fog(sigma, albedo=0.0):
+    return (
+        '<bsdf type="null"/><medium type="homogeneous" name="interior">'
+        f'<float name="sigma_t" value="{sigma}"/><float name="albedo" value="{albedo}"/></medium>'
+    )
+
+
+def test_paths_stop_in_fog_at_its_rate(lamp):
+    """Stops less rate times length travelled is a martingale: mean 0, variance rate times length"""
+    radius, sigma = 2.0, 0.75
+    ball = sphere("fog", radius, inside=fog(sigma))
+    rays = source(lamp(ball, sphere("lamp", 0.01, inside=AREA)))
+    stops = rays.stops(1 << 17, 1)
+    o, d, point = arrays(stops.origin, stops.direction, stops.point)
+    stopped = np.array(stops.stopped)
+    distance = distance_to(o, d, 0)
+    crosses = (distance < 0.999) & (distance > 0.006)
+    half_chord = np.sqrt(np.maximum(1 - distance**2, 0))
+    middle = -(o * d).sum(axis=1)
+    entry = middle - half_chord
+    end = np.where(stopped, ((point - o) * d).sum(axis=1), middle + half_chord)
+    assert not stopped[distance > 1.001].any()
+    assert np.linalg.norm(point[stopped], axis=1).max() < 1.001
+    rate = sigma * radius
+    # In the first and in the second half of every chord.
+    for low, high in ((entry, middle), (middle, middle + half_chord)):
+        length = np.clip(end - low, 0, high - low)[crosses].sum()
+        count = (crosses & stopped & (end >= low) & (end < high)).sum()
+        assert abs(count - rate * length) < 4 * np.sqrt(rate * length)
+        assert count > 1000
+    traced = rays.trace(stops.origin, stops.direction, 1)
+    through = np.array(traced.transmittance)
+    # Mitsuba starts rays a little off a surface, which shortens grazing chords.
+    steep = crosses & (distance < 0.9)
+    assert through[steep] == pytest.approx(np.exp(-rate * 2 * half_chord)[steep], abs=2e-3)
+
+
+def test_paths_stop_at_a_pane_as_often_as_it_reflects(lamp):
+    luminaire = lamp(pane("thin", 1), cube("lamp", (1, 1, 0.1), (0, 0, 0), AREA))
+    rays = source(luminaire)
+    stops = rays.stops(1 << 16, 1)
+    o, d, point, radiance = arrays(stops.origin, stops.direction, stops.point, stops.radiance)
+    centre = luminaire.world_from_proxy[:3, 3]
+    world_point = point * luminaire.world_from_proxy[0, 0] + centre
+    world = o * luminaire.world_from_proxy[0, 0] + centre
+
+    def at(z):
+        return world + (z - world[:, 2:]) / d[:, 2:] * d
+
+    down = d[:, 2] < -0.3
+    chosen = down & (np.abs(np.hstack([at(1)[:, :2], at(0.1)[:, :2]])) < 0.99).all(axis=1)
+    assert np.array(stops.stopped)[chosen].all()
+    at_pane = np.abs(world_point[:, 2] - 1) < 1e-3
+    at_lamp = np.abs(world_point[:, 2] - 0.1) < 1e-3
+    assert (at_pane | at_lamp)[chosen].all()
+    f = fresnel(-d[chosen, 2], 1.5)
+    reflected = 2 * f / (1 + f)
+    variance = (reflected * (1 - reflected)).sum()
+    assert abs(at_pane[chosen].sum() - reflected.sum()) < 4 * np.sqrt(variance)
+    assert at_pane[chosen].sum() > 100
+    assert world_point[chosen & at_pane] == pytest.approx(at(1)[chosen & at_pane], abs=1e-3)
+    # The pane mirrors nothing; the emitter shows all of its light.
+    assert (radiance[chosen & at_pane] == 0).all()
+    lit = chosen & at_lamp
+    assert radiance[lit] == pytest.approx(np.tile(RADIANCE, (lit.sum(), 1)), rel=1e-4)
+
+
+CLUTTER = (
+    sphere("lamp", 0.5, (0, 0, 0), AREA),
+    sphere(
+        "shade",
+        0.4,
+        (1, 0.3, 0),
+        '<bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf>',
+    ),
+    sphere(
+        "metal",
+        0.3,
+        (-0.9, 0, 0.2),
+        '<bsdf type="conductor"><string name="material" value="none"/></bsdf>',
+    ),
+    sphere(
+        "glass",
+        0.35,
+        (0, 0.9, 0.1),
+        '<bsdf type="dielectric"><float name="int_ior" value="1.5"/>'
+        '<float name="ext_ior" value="1"/></bsdf>',
+    ),
+)
+
+
+@pytest.mark.parametrize("extra", [(), (sphere("fog", 0.4, (0, -0.9, 0), fog(2.0)),)])
+def test_stops_carry_the_radiance_that_is_traced(lamp, extra):
+    luminaire = lamp(*CLUTTER, *extra)
+    assert luminaire.has_media == bool(extra)
+    rays = source(luminaire)
+    stops = rays.stops(1 << 18, 1)
+    traced = rays.trace(stops.origin, stops.direction, 1)
+    radiance, expected = arrays(stops.radiance, traced.radiance)
+    difference, error = tile_mean(radiance - expected)
+    assert (np.abs(difference) < 4 * error).all()
+    assert (error < 0.02 * expected.mean(axis=0)).all()
+    # And where they stop, they hide as much as straight-through transmittance says.
+    hidden, error = tile_mean(np.array(stops.stopped) - 1 + np.array(traced.transmittance))
+    assert abs(hidden) < 4 * error
+
+
+def test_absorbing_glass_stops_what_it_absorbs(lamp):
+    """A sheet that lets nothing through hides all, and is where paths stop."""
+    black = (
+        '<shape type="rectangle" id="pane"><bsdf type="thindielectric">'
+        '<rgb name="specular_transmittance" value="0"/></bsdf></shape>'
+    )
+    rays = source(lamp(black, sphere("lamp", 0.05, (0, 0, 0.9), AREA)))
+    stops = rays.stops(1 << 14, 1)
+    o, d, point = arrays(stops.origin, stops.direction, stops.point)
+    luminaire = rays.luminaire
+    height = -luminaire.world_from_proxy[2, 3] / luminaire.world_from_proxy[0, 0]
+    crossing = o + (height - o[:, 2:]) / d[:, 2:] * d
+    first = (np.abs(crossing[:, :2]) < 0.99).all(axis=1) & (d[:, 2] > 0.1)
+    assert np.array(stops.stopped)[first].all()
+    assert point[first] == pytest.approx(crossing[first], abs=1e-3)
+
+
+def test_max_radiance_of_a_uniform_lamp_is_its_radiance(lamp):
+    assert source(lamp(sphere("lamp", 2.0, (5, 1, 0), AREA))).max_radiance() == pytest.approx(3)

@@ -1,0 +1,252 @@
+"""Descent on noisy rays of a field that is known."""
+
+import numpy as np
+import pytest
+
+from fields import leaf_field, make_asset, random_asset, uniform_asset
+from lumitree.errors import LumitreeError
+
+LINES = 1 << 12
+
+
+def random_lines(mi, count, seed):
+    """Lines through the ball of radius 1.2, uniform."""
+    random = np.random.default_rng(seed)
+    direction = random.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    origin = random.normal(size=(count, 3))
+    origin -= (origin * direction).sum(axis=1, keepdims=True) * direction
+    origin *= 1.2 * np.sqrt(random.random((count, 1))) / np.linalg.norm(origin, axis=1)[:, None]
+    origin -= 2 * direction
+    return mi.Point3f(*origin.T), mi.Vector3f(*direction.T)
+
+
+class FieldRays:
+    """Noisy rays of a known field: all or nothing half the time, so that the mean is right."""
+
+    def __init__(self, mi, truth, noise=True):
+        self._mi, self._truth, self._noise = mi, truth, noise
+
+    def draw(self, count, batch, wanted):
+        import drjit as dr
+
+        from lumitree.direct.rays import Rays
+
+        mi = self._mi
+        origin, direction = random_lines(mi, count, batch)
+        chosen = dr.compress(wanted(origin, direction))
+        origin = dr.gather(mi.Point3f, origin, chosen)
+        direction = dr.gather(mi.Vector3f, direction, chosen)
+        dr.eval(origin, direction)
+        if dr.width(chosen) == 0:
+            return Rays(origin, direction, mi.Color3f(0), mi.Float(0))
+        radiance, through, _ = self._truth.integrate(origin, direction)
+        factor = mi.Float(1)
+        if self._noise:
+            random = np.random.default_rng([7, batch])
+            factor = mi.Float(2.0 * (random.random(dr.width(chosen)) < 0.5))
+        return Rays(origin, direction, radiance * factor, through)
+
+
+def refiner(mi, start, truth, *, noise=True, **options):
+    from lumitree.direct.refine import RefineConfig, Refiner
+
+    return Refiner(start, FieldRays(mi, truth, noise), 1.0, RefineConfig(lines=LINES, **options))
+
+
+def truth_and_start(law, seed=3):
+    """A field with radiance below 0.5, and one of the same leaves that is all wrong."""
+    asset = random_asset(seed, tree_depth=3, l_max=1, law=law, max_radiance=1)
+    random = np.random.default_rng(seed)
+    coefficients = 0.5 * asset.coefficients.astype(float)
+    coefficients[..., 0] -= 5
+    truth, start = leaf_field(asset), leaf_field(asset)
+    truth = truth.with_leaves(
+        truth.cells, truth.levels, truth.log_density, coefficients.astype(np.float32).ravel()
+    )
+    start = start.with_leaves(
+        start.cells,
+        start.levels,
+        np.array(start.log_density) + random.choice([-1.0, 1.0], start.num_leaves),
+        np.zeros(coefficients.size, np.float32),
+    )
+    return truth, start
+
+
+def score(mi, truth, field):
+    """PSNR and RMSE of the transmittance, on rays of no step."""
+    from lumitree.direct.heldout import HeldOut
+
+    origin, direction = random_lines(mi, 1 << 14, 10**6)
+    radiance, through, _ = truth.integrate(origin, direction)
+    psnr = HeldOut(origin, direction, radiance, radiance).score(field).psnr
+    difference = np.array(field.integrate(origin, direction)[1]) - np.array(through)
+    return psnr, np.sqrt((difference**2).mean())
+
+
+@pytest.mark.parametrize("law", ["linear", "exponential"])
+def test_a_wrong_start_becomes_the_truth(mi, law):
+    truth, start = truth_and_start(law)
+    before, opacity_before = score(mi, truth, start)
+    descent = refiner(mi, start, truth)
+    steps = 400
+    for step in range(steps):
+        assert descent.advance(step / steps) > 0
+    after, opacity_after = score(mi, truth, descent.field)
+    assert descent.step == steps
+    # A tenth of the error (20 dB) and less, although every ray is twice too bright or black.
+    assert after > before + 20
+    assert opacity_after < opacity_before / 2
+
+
+def parameters(descent):
+    return {name: np.array(value, np.float64) for name, value in descent.state().items()}
+
+
+def same(first, second):
+    """Sums of a step are added up in any order, which Adam's first steps make more of."""
+    first, second = parameters(first), parameters(second)
+    assert first.keys() == second.keys()
+    for name, value in first.items():
+        assert second[name] == pytest.approx(value, rel=2e-3, abs=2e-4), name
+
+
+def test_equal_seeds_give_equal_fields(mi):
+    truth, start = truth_and_start("exponential")
+    first, second = (refiner(mi, start.copy(), truth) for _ in range(2))
+    for step in range(20):
+        first.advance(step / 20)
+        second.advance(step / 20)
+    same(first, second)
+    moved = np.array(first.field.coefficients) - np.array(start.coefficients)
+    assert np.abs(moved).max() > 0.1
+
+
+def test_restored_state_continues_as_if_never_interrupted(mi):
+    truth, start = truth_and_start("linear")
+    whole, first = (refiner(mi, start.copy(), truth) for _ in range(2))
+    for step in range(20):
+        whole.advance(step / 20)
+        if step < 8:
+            first.advance(step / 20)
+    state = first.state()
+    second = refiner(mi, truth_and_start("linear", seed=5)[1], truth)
+    second.restore(state)
+    assert second.step == 8
+    for name, value in second.state().items():
+        assert np.array_equal(value, state[name]), name
+    for step in range(8, 20):
+        second.advance(step / 20)
+    same(whole, second)
+
+
+def lengths_seen(mi, field):
+    origin, direction = random_lines(mi, 1 << 13, 99)
+    radiance, through, _ = field.integrate(origin, direction)
+    return np.array(radiance), np.array(through)
+
+
+@pytest.mark.parametrize("law", ["linear", "exponential"])
+def test_splitting_changes_nothing_at_first(mi, law):
+    truth, start = truth_and_start(law)
+    descent = refiner(mi, start, truth)
+    for _ in range(5):
+        descent.advance(0.0)
+    radiance, through = lengths_seen(mi, descent.field)
+    leaves, levels = descent.field.num_leaves, descent.field.levels
+    volume = (8.0**-levels).sum()
+    descent.split(3)
+    assert descent.field.num_leaves > leaves
+    assert (descent.field.num_leaves - leaves) % 7 == 0
+    assert descent.field.levels.max() == 3
+    assert (8.0**-descent.field.levels).sum() == pytest.approx(volume)
+    after, through_after = lengths_seen(mi, descent.field)
+    # Smaller leaves show less of themselves each, and what is below 1e-4 is left out; opaque rays
+    # end within 1e-3.
+    assert through_after == pytest.approx(through, abs=1e-5 if law == "linear" else 1e-3)
+    assert after == pytest.approx(radiance, abs=1e-3)
+    # The new leaves learn.
+    assert descent.advance(0.0) > 0
+    assert np.isfinite(np.array(descent.field.coefficients)).all()
+
+
+def test_leaves_that_answer_for_most_are_split_first(mi):
+    """Eight octants, one of them wrong: room for one split goes to it."""
+    truth = leaf_field(uniform_asset(0.5, [0.2] * 3, law="exponential", max_radiance=1))
+    coefficients = np.array(truth.coefficients).reshape(8, 3)
+    coefficients[5] += 3
+    start = truth.with_leaves(truth.cells, truth.levels, truth.log_density, coefficients.ravel())
+    start.tree_depth = 2
+    start = start.with_leaves(start.cells, start.levels, start.log_density, start.coefficients)
+    descent = refiner(mi, start, truth, noise=False, max_leaves=15, learning_rate=1e-6)
+    descent.advance(0.0)
+    descent.split(2)
+    assert descent.field.num_leaves == 15
+    fine = descent.field.cells[descent.field.levels == 2]
+    assert np.unique(fine >> 1, axis=0).tolist() == [truth.cells[5].tolist()]
+    # No room is left.
+    descent.advance(0.0)
+    descent.split(2)
+    assert descent.field.num_leaves == 15
+
+
+def test_leaves_at_the_deepest_level_are_not_split(mi):
+    truth, start = truth_and_start("linear")
+    descent = refiner(mi, start, truth)
+    descent.advance(0.0)
+    descent.split(2)
+    levels, before = descent.field.levels, start.levels
+    assert (levels == 3).sum() == (before == 3).sum()
+    assert (levels == 1).sum() < (before == 1).sum()
+
+
+@pytest.mark.parametrize("law", ["linear", "exponential"])
+def test_pruning_drops_only_what_nobody_sees(mi, law):
+    random = np.random.default_rng(2)
+    cells = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    density = np.where(random.random(64) < 0.5, 1e-4, random.uniform(0.1, 5, 64))
+    coefficients = random.normal(size=(64, 3, 1))
+    asset = make_asset(
+        cells, np.full(64, 2), density, coefficients, tree_depth=2, law=law, max_radiance=1
+    )
+    field = leaf_field(asset)
+    descent = refiner(mi, field, field)
+    before, through_before = lengths_seen(mi, field)
+    descent.prune()
+    assert np.array_equal(descent.field.cells, cells[density > 0.01])
+    assert np.array(descent.field.log_density) == pytest.approx(
+        np.log(density[density > 0.01]), abs=1e-5
+    )
+    after, through = lengths_seen(mi, descent.field)
+    # A line crosses at most 10 of the 4³ cells; each dropped one hides up to 1e-4 · √3 / 2.
+    assert through == pytest.approx(through_before, abs=1e-3)
+    assert after == pytest.approx(before, abs=2e-3)
+    assert descent.advance(0.0) > 0
+
+
+def test_a_step_that_meets_no_leaf_changes_nothing(mi):
+    """A speck that no line of a small batch meets."""
+    asset = make_asset([(512, 512, 512)], [10], [1.0], np.zeros((1, 3, 1)), tree_depth=10)
+    field = leaf_field(asset)
+    descent = refiner(mi, field, field)
+    assert descent.advance(0.5) == 0
+    assert descent.step == 1
+    assert np.array(descent.field.log_density) == pytest.approx([0.0])
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"lines": 0},
+        {"lines": 100},
+        {"epsilon": 0.0},
+        {"learning_rate": -1.0},
+        {"final_rate": 0.0},
+        {"final_rate": 1.5},
+    ],
+)
+def test_wrong_settings_are_refused(mi, settings):
+    from lumitree.direct.refine import RefineConfig
+
+    with pytest.raises(LumitreeError, match=next(iter(settings))):
+        RefineConfig(**settings)
