@@ -27,7 +27,7 @@ HERE = Path(__file__).parent
 RESULTS, OVERRIDES = HERE / "results", HERE.parent / "examples" / "overrides"
 RESOLUTION, SAMPLES = 192, 32
 ROUNDS = 5
-FLUX_PATHS, BOUNCE_PATHS = 1 << 22, 1 << 20
+FLUX_PATHS, BOUNCE_PATHS = 1 << 21, 1 << 20
 PATH_DEPTHS = (32, 64, 128)
 # File, overrides, and metres in a unit of what is loaded.
 DATA = (
