@@ -7,6 +7,7 @@ paths of 256 carry. Without a name, all built-in luminaires; `--data` adds those
 """
 
 import argparse
+import importlib.metadata
 import json
 import os
 import platform
@@ -15,8 +16,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-
-import drjit as dr
 
 from lumitree import __version__
 from lumitree.core.backend import load_mitsuba
@@ -123,20 +122,21 @@ def main() -> None:
     parser.add_argument("--data", metavar="FOLDER", type=Path)
     args = parser.parse_args()
     mi = load_mitsuba()
+    describe = ["git", "-C", str(HERE), "describe", "--always", "--dirty"]
+    commit = subprocess.run(describe, capture_output=True, text=True).stdout.strip()
     rows = []
     for source, unit in sources(args.luminaires, args.data):
         rows.append(measure(source, unit))
         print(f"measured {source}", file=sys.stderr)
-    commit = ["git", "-C", str(HERE), "describe", "--always", "--dirty"]
     setting = {
         # The folder is the machine's own business.
         "command": "benchmarks/luminaires.py" + " --data FOLDER" * (args.data is not None),
-        "commit": subprocess.run(commit, capture_output=True, text=True).stdout.strip(),
+        "commit": commit,
         "device": processor(),
         "variant": mi.variant(),
         "lumitree": __version__,
         "mitsuba": mi.__version__,
-        "drjit": dr.__version__,
+        "drjit": importlib.metadata.version("drjit"),
         "python": platform.python_version(),
         "resolution": RESOLUTION,
         "samples_per_pixel": SAMPLES,
