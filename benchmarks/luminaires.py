@@ -1,7 +1,7 @@
 """Luminaires in numbers: python benchmarks/luminaires.py [--data FOLDER] [LUMINAIRE ...]
 
 Writes `luminaires.md` and `luminaires.json` into benchmarks/results/: triangles, emitters, L_max
-(of the preview's six views), luminous flux with its standard error, capture throughput (median of 5
+(of the preview's six views), luminous flux with its standard error, capture throughput (median of 3
 pictures, after one that compiles), and what paths of 32, 64 and 128 bounces miss of the light that
 paths of 256 carry. Without a name, all built-in luminaires; `--data` adds those of a folder.
 """
@@ -25,8 +25,8 @@ from lumitree.luminaires.source import LuminaireSource
 HERE = Path(__file__).parent
 RESULTS, OVERRIDES = HERE / "results", HERE.parent / "examples" / "overrides"
 RESOLUTION, SAMPLES = 192, 32
-ROUNDS = 5
-FLUX_PATHS, BOUNCE_PATHS = 1 << 21, 1 << 20
+ROUNDS = 3
+FLUX_PATHS, BOUNCE_PATHS = 1 << 20, 1 << 20
 PATH_DEPTHS = (32, 64, 128)
 # File, overrides, and metres in a unit of what is loaded.
 DATA = (
@@ -124,10 +124,6 @@ def main() -> None:
     mi = load_mitsuba()
     describe = ["git", "-C", str(HERE), "describe", "--always", "--dirty"]
     commit = subprocess.run(describe, capture_output=True, text=True).stdout.strip()
-    rows = []
-    for source, unit in sources(args.luminaires, args.data):
-        rows.append(measure(source, unit))
-        print(f"measured {source}", file=sys.stderr)
     setting = {
         # The folder is the machine's own business.
         "command": "benchmarks/luminaires.py" + " --data FOLDER" * (args.data is not None),
@@ -143,13 +139,21 @@ def main() -> None:
         "flux_paths": FLUX_PATHS,
         "bounce_paths": BOUNCE_PATHS,
     }
+    rows = []
+    for source, unit in sources(args.luminaires, args.data):
+        rows.append(measure(source, unit))
+        write(rows, setting)
+        print(f"measured {source}", file=sys.stderr)
+
+
+def write(rows: list[dict], setting: dict) -> None:
+    """Both files, after every row: the slowest luminaire takes minutes."""
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / "luminaires.json").write_text(
         json.dumps({"setting": setting, "rows": rows}, indent=1) + "\n"
     )
     note = "\n".join(f"* {key}: {value}" for key, value in setting.items())
     (RESULTS / "luminaires.md").write_text(f"# Luminaires in numbers\n\n{table(rows)}\n{note}\n")
-    print(table(rows))
 
 
 if __name__ == "__main__":
