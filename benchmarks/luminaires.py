@@ -1,27 +1,46 @@
-"""Luminaires in numbers: python benchmarks/luminaires.py LUMINAIRE...
+"""Luminaires in numbers: python benchmarks/luminaires.py [--data FOLDER] [LUMINAIRE ...]
 
 Writes `luminaires.md` and `luminaires.json` into benchmarks/results/: triangles, emitters, L_max
-(of the preview's six views), luminous flux with its standard error, capture throughput (median of 5
+(of the preview's six views), luminous flux with its standard error, capture throughput (median of 3
 pictures, after one that compiles), and what paths of 32, 64 and 128 bounces miss of the light that
-paths of 256 carry.
+paths of 256 carry. Without a name, all built-in luminaires; `--data` adds those of a folder.
 """
 
+import argparse
+import importlib.metadata
 import json
+import os
+import platform
 import statistics
+import subprocess
 import sys
 import time
 from pathlib import Path
 
+from lumitree import __version__
 from lumitree.core.backend import load_mitsuba
+from lumitree.luminaires.builtin.registry import BUILTIN
+from lumitree.luminaires.source import LuminaireSource
 
-RESULTS = Path(__file__).parent / "results"
+HERE = Path(__file__).parent
+RESULTS, OVERRIDES = HERE / "results", HERE.parent / "examples" / "overrides"
 RESOLUTION, SAMPLES = 192, 32
-ROUNDS = 5
-FLUX_PATHS, BOUNCE_PATHS = 1 << 22, 1 << 21
+ROUNDS = 3
+FLUX_PATHS, BOUNCE_PATHS = 1 << 20, 1 << 20
 PATH_DEPTHS = (32, 64, 128)
+# File, overrides, and metres in a unit of what is loaded.
+DATA = (
+    ("scopia_chandelier/luminaire.xml", None, 0.01),
+    ("scopia_chandelier/original/chandelier-lamp.obj", "chandelier-lamp.toml", 1.0),
+    ("megeon_chandelier/luminaire.xml", None, 0.01),
+    ("megeon_chandelier/original/lamp2.obj", "lamp2.toml", 1.0),
+    ("little_lamp/luminaire.xml", None, 0.1),
+    ("barn_lamp/AnisotropyBarnLamp.gltf", None, 1.0),
+    ("stained_glass_lamp/StainedGlassLamp.gltf", "stained_glass_lamp.toml", 1.0),
+)
 
 
-def measure(source: str) -> dict:
+def measure(source: LuminaireSource, metres_per_unit: float) -> dict:
     """One row of the table."""
     from lumitree.capture.flux import estimate_flux, missed_by_depth
     from lumitree.core.images import max_radiance
@@ -36,8 +55,9 @@ def measure(source: str) -> dict:
         "triangles": luminaire.num_triangles,
         "emitters": luminaire.num_emitters,
         "max_radiance": max_radiance([take_preview(luminaire, RESOLUTION, SAMPLES).radiance]),
-        "lumens": flux.lumens,
-        "lumens_error": flux.lumens_error,
+        "metres_per_unit": metres_per_unit,
+        "lumens": flux.lumens * metres_per_unit**2,
+        "lumens_error": flux.lumens_error * metres_per_unit**2,
         "paths_per_second": throughput(luminaire),
         "missed": {each.path_depth: (each.share, each.error) for each in missed},
     }
@@ -79,28 +99,62 @@ def table(rows: list[dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(sources: list[str]) -> None:
+def sources(names: list[str], data: Path | None) -> list[tuple[LuminaireSource, float]]:
+    """What to measure, and the metres in a unit of each."""
+    found = [(LuminaireSource(name), 1.0) for name in names]
+    for file, overrides, unit in DATA if data is not None else ():
+        materials = None if overrides is None else str(OVERRIDES / overrides)
+        found.append((LuminaireSource(str(data / file), materials=materials), unit))
+    return found
+
+
+def processor() -> str:
+    """Model of the processor, and the cores this process may use."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.is_file() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return f"{models[0] if models else platform.machine()}, {os.cpu_count()} cores"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Luminaires in numbers.")
+    parser.add_argument("luminaires", metavar="LUMINAIRE", nargs="*", default=list(BUILTIN))
+    parser.add_argument("--data", metavar="FOLDER", type=Path)
+    args = parser.parse_args()
     mi = load_mitsuba()
-    rows = []
-    for source in sources:
-        rows.append(measure(source))
-        print(f"measured {source}", file=sys.stderr)
+    describe = ["git", "-C", str(HERE), "describe", "--always", "--dirty"]
+    commit = subprocess.run(describe, capture_output=True, text=True).stdout.strip()
     setting = {
+        # The folder is the machine's own business.
+        "command": "benchmarks/luminaires.py" + " --data FOLDER" * (args.data is not None),
+        "commit": commit,
+        "device": processor(),
         "variant": mi.variant(),
+        "lumitree": __version__,
         "mitsuba": mi.__version__,
+        "drjit": importlib.metadata.version("drjit"),
+        "python": platform.python_version(),
         "resolution": RESOLUTION,
         "samples_per_pixel": SAMPLES,
         "flux_paths": FLUX_PATHS,
         "bounce_paths": BOUNCE_PATHS,
     }
+    rows = []
+    for source, unit in sources(args.luminaires, args.data):
+        rows.append(measure(source, unit))
+        write(rows, setting)
+        print(f"measured {source}", file=sys.stderr)
+
+
+def write(rows: list[dict], setting: dict) -> None:
+    """Both files, after every row: the slowest luminaire takes minutes."""
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / "luminaires.json").write_text(
-        json.dumps({"setting": setting, "rows": rows}, indent=1)
+        json.dumps({"setting": setting, "rows": rows}, indent=1) + "\n"
     )
-    note = ", ".join(f"{key} {value}" for key, value in setting.items())
-    (RESULTS / "luminaires.md").write_text(f"{table(rows)}\n{note}; lengths taken as metres\n")
-    print(table(rows))
+    note = "\n".join(f"* {key}: {value}" for key, value in setting.items())
+    (RESULTS / "luminaires.md").write_text(f"# Luminaires in numbers\n\n{table(rows)}\n{note}\n")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or ["bulbs"])
+    main()

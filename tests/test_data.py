@@ -124,6 +124,46 @@ def test_obj_and_hand_made_scene_give_the_same_light(mi, tmp_path):
     assert straight == pytest.approx(1, abs=0.02)
 
 
+FILES = {
+    # Overrides, materials that emit, and the width in metres that the data's README gives.
+    "scopia_chandelier/original/chandelier-lamp.obj": (
+        "chandelier-lamp.toml",
+        ["emit-bulb"],
+        1.306,
+    ),
+    "megeon_chandelier/original/lamp2.obj": ("lamp2.toml", ["Lamp"], 0.534),
+    "barn_lamp/AnisotropyBarnLamp.gltf": (None, ["lamp_filament"], 0.1908),
+    "stained_glass_lamp/StainedGlassLamp.gltf": ("stained_glass_lamp.toml", ["bulbs_off"], 0.44),
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore::lumitree.errors.LumitreeWarning")
+@pytest.mark.parametrize("file", FILES)
+def test_models_load_with_their_overrides_and_shine(mi, file):
+    from lumitree.capture.flux import estimate_flux
+    from lumitree.luminaires.luminaire import load_luminaire, read_model
+    from lumitree.luminaires.overrides import material_area
+    from lumitree.luminaires.photometry import flux_from_radiance
+    from lumitree.luminaires.source import LuminaireSource
+
+    name, emitting, width = FILES[file]
+    overrides = Path(__file__).parents[1] / "examples" / "overrides"
+    materials = None if name is None else str(overrides / name)
+    source = LuminaireSource(str(DATA / "luminaires" / file), materials=materials)
+    model = read_model(source)
+    used = {part.material for part in model.parts}
+    shining = [item for item in model.materials if item.radiance and item.name in used]
+    assert [item.name for item in shining] == emitting
+    luminaire = load_luminaire(source)
+    assert luminaire.num_emitters == len(emitting)
+    assert luminaire.size[0] == pytest.approx(width, rel=1e-3)
+    given = sum(
+        flux_from_radiance(item.radiance, material_area(model, item.name)) for item in shining
+    )
+    flux = estimate_flux(luminaire, 1)
+    assert 10 * flux.lumens_error < flux.lumens < given
+
+
 PLACES = {
     "living_room": (1.0, 2.45, -1.75),
     "veach_bidir": (0.0, 6.78, -1.0),

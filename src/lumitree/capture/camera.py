@@ -1,4 +1,4 @@
-"""The camera that takes pictures of a luminaire, and the integrator that traces its paths."""
+"""The camera that takes pictures of a luminaire."""
 
 import dataclasses
 from typing import Any
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.luminaires.straight_through import straight_through
+from lumitree.luminaires.tracing import path_integrator
 
 PATH_DEPTH = 32
 # Paths in flight at once: bounds memory to about 1 GiB.
@@ -31,17 +32,6 @@ def check_settings(**settings: int) -> None:
     for name, value in settings.items():
         if value < 1:
             raise LumitreeError(f"{name} is {value}; expected at least 1")
-
-
-def path_integrator(luminaire: Luminaire, path_depth: int, **options: Any) -> Any:
-    """The mi.Integrator that traces this luminaire's paths: `volpath` where there are media.
-
-    Args:
-        path_depth: longest path, bounces.
-        options: more of the integrator's parameters, such as `rr_depth`.
-    """
-    kind = "volpath" if luminaire.has_media else "path"
-    return mi.load_dict({"type": kind, "max_depth": path_depth, **options})
 
 
 def check_finite(luminaire: Luminaire, values: NDArray[np.floating]) -> None:

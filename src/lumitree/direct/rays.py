@@ -17,6 +17,7 @@ import numpy as np
 
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.luminaires.straight_through import COSINE_OF_CONE, straight_through
+from lumitree.luminaires.tracing import path_integrator
 
 PATH_DEPTH = 32
 # Batch numbers that no other use of a source reaches.
@@ -85,9 +86,7 @@ class TracedRays:
         self._half = luminaire.half_extents
         self._seed = seed
         self._sampler = mi.load_dict({"type": "independent"})
-        self._integrator = mi.load_dict(
-            {"type": "volpath" if luminaire.has_media else "path", "max_depth": PATH_DEPTH}
-        )
+        self._integrator = path_integrator(luminaire, PATH_DEPTH)
         self._to_world = mi.Transform4f(luminaire.world_from_proxy)
         self._to_local = mi.Transform4f(np.linalg.inv(luminaire.world_from_proxy))
         dr.make_opaque(self._to_world, self._to_local)

@@ -7,9 +7,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.overrides import select_names
+
+# Extinction that a medium's clearest channel has at least, as a share of its densest one's.
+_CLEAR = 1e-5
 
 
 class SceneFile:
@@ -100,10 +105,14 @@ class SceneFile:
             LumitreeError: a mesh, texture or plugin it names is missing or damaged.
         """
         mi = load_mitsuba()
+        # Creating the scene uses up the nodes.
+        has_media = bool(self.nodes("Medium"))
         with self._searching(), self._readable():
             scene = mi.parser.instantiate(self._config, self._state)
         if not isinstance(scene, mi.Scene):
             raise LumitreeError(f"{self.path} does not hold a <scene>; found {type(scene)}")
+        if has_media:
+            _keep_clear_channels(scene)
         return scene
 
     @contextlib.contextmanager
@@ -130,6 +139,18 @@ class SceneFile:
             reason = own.group(1) if own else " ".join(str(error).split())
             reason = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", reason)
             raise LumitreeError(f"{self.path} cannot be loaded: {reason}") from None
+
+
+def _keep_clear_channels(scene: Any) -> None:
+    """Lift extinctions of 0: there `volpath` divides 0 by 0, and `volpathmis` loses scattering."""
+    mi = load_mitsuba()
+    parameters = mi.traverse(scene)
+    for key in [key for key in parameters.keys() if key.endswith("sigma_t.value.value")]:  # noqa: SIM118
+        extinction = np.ravel(parameters[key])
+        lifted = np.maximum(extinction, _CLEAR * extinction.max())
+        if (lifted > extinction).any():
+            parameters[key] = mi.Color3f(*lifted.tolist())
+    parameters.update()
 
 
 def _is_reference(props: Any, key: str) -> bool:

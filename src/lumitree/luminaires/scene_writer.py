@@ -29,8 +29,6 @@ from lumitree.luminaires.model import (
 
 SCENE_FILE = "luminaire.xml"
 _COLOUR_ATTRIBUTE = "vertex_color"
-# Of a medium's densest channel: what its clearest has at least.
-_CLEAR = 1e-5
 
 
 def write_scene(model: Model, folder: str | os.PathLike[str]) -> Path:
@@ -201,8 +199,6 @@ def _medium(shape: Element, medium: Medium) -> None:
     extinction = absorption + scattering
     # An <rgb> above 1 is refused; the scale carries the density.
     scale = float(extinction.max())
-    # Where one channel is clear, Mitsuba's distance sampling divides 0 by 0.
-    extinction = np.maximum(extinction, _CLEAR * scale)
     element = SubElement(shape, "medium", type="homogeneous", name="interior")
     _rgb(element, "sigma_t", tuple(extinction / scale))
     _rgb(element, "albedo", tuple(scattering / np.maximum(extinction, 1e-30)))
