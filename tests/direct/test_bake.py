@@ -1,0 +1,182 @@
+"""The whole direct bake of tiny lamps: result, budget, interruption and refusals."""
+
+import dataclasses
+import signal
+
+import numpy as np
+import pytest
+
+from fields import leaf_field
+from lamps import AREA, cube, sphere
+from lumitree.errors import LumitreeError
+
+RAYS = 1 << 19
+KNOWN = 4 * np.pi**2 * np.array([3.0, 2.0, 1.0])
+
+
+def config(**options):
+    from lumitree.direct.bake import DirectConfig
+    from lumitree.direct.refine import RefineConfig
+
+    refine = RefineConfig(lines=1 << 14, **options.pop("refine", {}))
+    settings = {"tree_depth": 4, "l_max": 1, "estimate_lines": 1 << 20, "seconds": None}
+    return DirectConfig(**{**settings, "rays": RAYS, "refine": refine, **options})
+
+
+@pytest.fixture
+def ball(lamp):
+    """Uniform emissive sphere of radius 2, 1 local unit."""
+    return lamp(sphere("lamp", 2, (1, 0, 0), AREA))
+
+
+@pytest.mark.parametrize("law", ["linear", "exponential"])
+def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
+    from lumitree.direct.bake import bake
+    from lumitree.direct.rays import TracedRays
+    from lumitree.render.field import Field
+
+    result = bake(ball, config(law=law), tmp_path)
+    assert not result.interrupted
+    assert RAYS <= result.rays < RAYS + (1 << 14)
+    assert result.seconds > 0
+    asset = result.asset
+    assert (asset.tree_depth, asset.l_max, asset.law) == (4, 1, law)
+    assert asset.max_radiance == pytest.approx(3)
+    assert np.array_equal(asset.world_from_proxy, ball.world_from_proxy)
+
+    lines = TracedRays(ball, 1 / 64, seed=77)
+    origin, direction = lines.lines(1 << 20, 1)
+    radiance = np.array(Field(asset).emission(origin, direction)[0])
+    traced = np.array(lines.trace(origin, direction, 1).radiance)
+    flux, expected = (lines.measure * values.mean(axis=1) for values in (radiance, traced))
+    assert expected == pytest.approx(KNOWN, rel=0.015)
+    # Cells of an eighth of the radius: a few percent of the light goes astray at the rim.
+    assert flux == pytest.approx(expected, rel=0.03)
+
+
+def test_score_is_that_of_the_asset_even_where_descent_makes_it_worse(ball, tmp_path):
+    """Steps far too long: what is returned is the field that the score was given to."""
+    from lumitree.direct.bake import bake
+    from lumitree.direct.heldout import HeldOut
+    from lumitree.direct.rays import TracedRays
+
+    wild = config(refine={"learning_rate": 30.0, "final_rate": 1.0})
+    result = bake(ball, wild, tmp_path)
+    source = TracedRays(ball, 2 / 16)
+    score = HeldOut.trace(source, result.asset.max_radiance).score(leaf_field(result.asset))
+    # Coefficients are rounded to half precision.
+    assert score.psnr == pytest.approx(result.score.psnr, abs=0.1)
+
+
+def interrupt_after(monkeypatch, steps):
+    """Presses Ctrl-C during the step of that number; returns the list of steps done."""
+    from lumitree.direct.refine import Refiner
+
+    advance, done = Refiner.advance, []
+
+    def press(self, progress):
+        done.append(self.step + 1)
+        if len(done) == steps:
+            signal.raise_signal(signal.SIGINT)
+        return advance(self, progress)
+
+    monkeypatch.setattr(Refiner, "advance", press)
+    return done
+
+
+def test_interrupted_bake_continues(ball, tmp_path, monkeypatch):
+    from lumitree.direct.bake import STATE, bake
+
+    steps = interrupt_after(monkeypatch, 5)
+    first = bake(ball, config(), tmp_path)
+    assert first.interrupted
+    assert steps == [1, 2, 3, 4, 5]
+    assert 0 < first.rays < RAYS
+    assert (tmp_path / STATE).exists()
+
+    def refuse(*_):
+        raise AssertionError("a continued bake estimates nothing again")
+
+    monkeypatch.setattr("lumitree.direct.bake._first_field", refuse)
+    second = bake(ball, config(), tmp_path)
+    assert not second.interrupted
+    assert steps == list(range(1, len(steps) + 1))
+    assert second.rays >= RAYS
+    assert second.seconds > first.seconds
+    assert second.asset.max_radiance == first.asset.max_radiance
+    assert second.score.psnr > first.score.psnr - 0.1
+
+
+def test_budget_may_be_raised_other_settings_may_not(ball, lamp, tmp_path, monkeypatch):
+    from lumitree.direct.bake import bake
+
+    steps = interrupt_after(monkeypatch, 2)
+    bake(ball, config(), tmp_path)
+    other = lamp(cube("lamp", 2, (1, 0, 0), AREA))
+    for luminaire, settings in (
+        (other, config()),
+        (ball, config(seed=1)),
+        (ball, config(l_max=2)),
+        (ball, config(law="linear")),
+        (ball, config(refine={"epsilon": 0.01})),
+    ):
+        with pytest.raises(LumitreeError, match="unfinished bake of another") as refusal:
+            bake(luminaire, settings, tmp_path)
+        assert "\n" not in str(refusal.value)
+    assert len(steps) == 2
+    more = dataclasses.replace(config(), rays=RAYS + (1 << 15), seconds=600.0)
+    assert bake(ball, more, tmp_path).rays >= RAYS + (1 << 15)
+    assert steps[:4] == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("damage", ["empty", "cut", "text", "flipped"])
+def test_damaged_state_is_refused(ball, tmp_path, damage):
+    from lumitree.direct.bake import STATE, bake
+
+    path = tmp_path / STATE
+    np.savez(path, record=np.array("x"), cells=np.arange(30000))
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    path.write_bytes(
+        {
+            "empty": b"",
+            "cut": whole[:middle],
+            "text": b"not a state at all",
+            "flipped": whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :],
+        }[damage]
+    )
+    with pytest.raises(LumitreeError, match="is damaged") as refusal:
+        bake(ball, config(), tmp_path)
+    assert "\n" not in str(refusal.value)
+    assert str(path) in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"seconds": None, "rays": None},
+        {"seconds": 0.0},
+        {"seconds": float("nan")},
+        {"rays": 0},
+        {"tree_depth": 0},
+        {"tree_depth": 11},
+        {"l_max": -1},
+        {"l_max": 5},
+        {"estimate_lines": 0},
+        {"law": "cubic"},
+    ],
+)
+def test_wrong_settings_are_refused(mi, settings):
+    from lumitree.direct.bake import DirectConfig
+
+    with pytest.raises(LumitreeError):
+        DirectConfig(**settings)
+
+
+def test_lamp_without_light_is_refused(lamp, tmp_path):
+    from lumitree.direct.bake import bake
+
+    black = '<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>'
+    dark = lamp(sphere("lamp", 1, inside=AREA), sphere("shell", 2, inside=black))
+    with pytest.raises(LumitreeError, match="no light"):
+        bake(dark, config(), tmp_path)
