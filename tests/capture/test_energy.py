@@ -70,7 +70,7 @@ def mean_straight_through(mi, luminaire, count, direction):
     from lumitree.luminaires.straight_through import straight_through
 
     sampler, ray = rays(mi, count, direction)
-    return float(np.mean(np.array(straight_through(luminaire.scene, sampler, ray, 32))))
+    return float(np.mean(np.array(straight_through(luminaire.scene, sampler, ray, 32)[0])))
 
 
 def fresnel(cosine, ior):

@@ -13,7 +13,7 @@ from lumitree.luminaires.luminaire import Luminaire
 from lumitree.luminaires.straight_through import straight_through
 from lumitree.luminaires.tracing import path_integrator
 
-PATH_DEPTH = 32
+PATH_DEPTH = 128
 # Paths in flight at once: bounds memory to about 1 GiB.
 _MAX_PATHS = 1 << 23
 
@@ -102,7 +102,7 @@ class Camera:
         ray = self._ray(pose, mi.Point2f(pixel % resolution, pixel // resolution) + jitter)
         hit = self._luminaire.scene.ray_test(ray)
         radiance, _, _ = self._integrator.sample(self._luminaire.scene, self._sampler, ray)
-        through = straight_through(self._luminaire.scene, self._sampler, ray, self._path_depth)
+        through, _ = straight_through(self._luminaire.scene, self._sampler, ray, self._path_depth)
         values = (*radiance, dr.select(hit, mi.Float(1), 0), through)
         # A block sum evaluates what it sums: without this, every channel would be traced again.
         dr.eval(values)

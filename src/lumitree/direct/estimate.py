@@ -2,7 +2,7 @@
 
 A leaf's density gives it the opacity that was seen: of the paths whose straight part enters it,
 the share that stops there. Its emission is the least-squares fit of spherical harmonics to the
-radiance of the paths that stop in it.
+radiance of the paths that stop in it, most of which is brought by paths from the emitters.
 
 The tree grows coarse to fine: the leaves of a level that stop any path are split for the next.
 
@@ -26,6 +26,7 @@ from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, basis_array, num_coefficients
 from lumitree.core.sampling import halton_direction
 from lumitree.core.transmittance import Law
+from lumitree.direct.light_paths import LightPaths
 from lumitree.direct.rays import Stops, TracedRays
 from lumitree.octree.build import build_children
 
@@ -106,6 +107,8 @@ def estimate(
     sums = _Sums(len(cells), l_max)
     for batch in range(-(-num_lines // _BATCH)):
         sums.add(octree, rays.stops(_BATCH, batch))
+        # Flux in units of the radiance of one of the lines.
+        sums.add_light(octree, rays.light(_BATCH // 4, batch), _BATCH / rays.measure)
     # What no path crosses lies inside something: it is kept too, and made opaque.
     kept = dr.compress((sums.stops > 0) | (sums.entries == 0))
     cells = cells[np.array(kept)]
@@ -147,7 +150,7 @@ def _count_stops(
 ) -> NDArray[np.float32]:
     count = dr.zeros(mi.Float, num_cells)
     for batch in range(-(-lines // _BATCH)):
-        stops = rays.stops(_BATCH, first_batch + batch, with_radiance=False)
+        stops = rays.stops(_BATCH, first_batch + batch)
         leaf, found = octree.find_leaf(stops.point, stops.stopped)
         dr.scatter_add(count, mi.Float(1), leaf, found)
         dr.eval(count)
@@ -168,7 +171,7 @@ class _Sums:
         self._b = [dr.zeros(mi.Float, num_leaves) for _ in range(3 * self._count)]
 
     def add(self, octree: Octree, stops: Stops) -> None:
-        """Count paths in."""
+        """Count lines in."""
         leaf, found = octree.find_leaf(stops.point, stops.stopped)
         dr.scatter_add(self.stops, mi.Float(1), leaf, found)
         y = basis(*towards_viewer(stops.direction), self.l_max)
@@ -188,6 +191,16 @@ class _Sums:
 
         octree.walk(stops.origin, stops.direction, mi.Bool(True), visit, (mi.Float(0),))
         dr.eval(self.stops, self.entries, self.chords, self._a, self._b)
+
+    def add_light(self, octree: Octree, paths: LightPaths, scale: float) -> None:
+        """Count light in, its flux times `scale`."""
+        leaf, found = octree.find_leaf(paths.stop)
+        y = basis(*towards_viewer(paths.direction), self.l_max)
+        flux = paths.flux * dr.opaque(mi.Float, scale)
+        for index, total in enumerate(self._b):
+            channel, k = divmod(index, self._count)
+            dr.scatter_add(total, y[k] * flux[channel], leaf, found)
+        dr.eval(self._b)
 
     def take(self, leaves: Any) -> "_Sums":
         """Those of some leaves."""

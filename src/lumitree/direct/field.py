@@ -127,10 +127,8 @@ class LeafField:
         integrated: tuple[Any, Any, Any],
         d_radiance: Any,
         d_through: Any,
-        loss: Any,
         density_gradient: Any,
         coefficient_gradient: Any,
-        blame: Any,
     ) -> None:
         """Add the loss's derivatives by log density and coefficients, in a second walk.
 
@@ -142,8 +140,7 @@ class LeafField:
         Args:
             integrated: what `integrate` returned for the same rays.
             d_radiance, d_through: dL (mi.Color3f, by L / L_max) and dT of each ray.
-            loss: mi.Float of each ray, shared out to `blame` by the leaves' weights.
-            density_gradient, coefficient_gradient, blame: mi.Float, added to.
+            density_gradient, coefficient_gradient: mi.Float, added to.
         """
         y = basis(*towards_viewer(direction), self.l_max)
         total, through_end, last = integrated
@@ -172,7 +169,6 @@ class LeafField:
                 d_tau = dr.dot(d_radiance, after * emission - (total - seen))
                 d_tau -= d_through * through_end
             _add(density_gradient, d_tau * depth, leaf, active)
-            _add(blame, weight * loss, leaf, lit)
             by_emission = weight * d_radiance * emission * (1 - emission)
             for channel in range(3):
                 for k in range(count):
@@ -186,7 +182,19 @@ class LeafField:
 
         state = (mi.Color3f(0), mi.Float(0), mi.Float(1))
         self.octree.walk(origin, direction, mi.Bool(True), visit, state)
-        dr.eval(density_gradient, coefficient_gradient, blame)
+        dr.eval(density_gradient, coefficient_gradient)
+
+    def share_out(self, origin: Any, direction: Any, value: Any, total: Any) -> None:
+        """Add a value (mi.Float) of each ray to `total` (mi.Float [M]) by the leaves' weights."""
+
+        def visit(state, leaf, start, length, active):
+            tau = state[0] + dr.select(active, self._density(leaf, active) * length, 0)
+            after = mi.Float(transmittance(tau, self.law, dr))
+            _add(total, (state[1] - after) * value, leaf, active)
+            return (tau, after), after > self._blocked
+
+        self.octree.walk(origin, direction, mi.Bool(True), visit, (mi.Float(0), mi.Float(1)))
+        dr.eval(total)
 
     def _density(self, leaf, active):
         return dr.exp(dr.gather(mi.Float, self.log_density, leaf, active))

@@ -7,7 +7,7 @@ import drjit as dr
 import numpy as np
 
 from lumitree.direct.field import LeafField
-from lumitree.direct.rays import HELD_OUT_BATCH, TracedRays
+from lumitree.direct.rays import HELD_OUT_BATCH, RaySource
 
 _NUM_LINES = 1 << 17
 _PATHS = 8
@@ -40,15 +40,12 @@ class HeldOut:
     second: Any
 
     @staticmethod
-    def trace(source: TracedRays, max_radiance: float) -> "HeldOut":
+    def trace(source: RaySource, max_radiance: float) -> "HeldOut":
         """Lines that no step of a bake draws."""
-        origin, direction = source.lines(_NUM_LINES, HELD_OUT_BATCH)
-        a, b = (
-            source.trace(origin, direction, HELD_OUT_BATCH + half, _PATHS).radiance
-            for half in range(2)
-        )
+        pairs = source.pairs(_NUM_LINES, HELD_OUT_BATCH, _PATHS)
         scale = 1 / max_radiance
-        return HeldOut(origin, direction, dr.minimum(a * scale, 1), dr.minimum(b * scale, 1))
+        a, b = (dr.minimum(value * scale, 1) for value in (pairs.first, pairs.second))
+        return HeldOut(pairs.origin, pairs.direction, a, b)
 
     def score(self, field: LeafField) -> Score:
         """PSNR of a field on these lines."""

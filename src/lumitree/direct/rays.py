@@ -1,8 +1,14 @@
-"""Rays to learn from: random lines through a luminaire, traced afresh for every batch.
+"""Rays to learn from, traced afresh for every batch: random lines, and paths from the emitters.
+
+What a line sees through smooth transmission alone is found by following it; all other light is
+brought by paths that start at the emitters (`light_paths`), which find it with far less noise. The
+loss of a field is an integral over lines that holds the light to be learned in first power only, so
+that the two parts are summed apart.
 
 Symbols
     line        a ray that enters the proxy box; lines are uniform in dA cos(theta) domega, the
                 measure in which flux is the integral of radiance
+    light       integral of radiance over lines; a path from an emitter carries some of it
     stop        where the part of a path ends that goes straight through: at the surface or in the
                 medium that reflects, scatters or absorbs it
 """
@@ -15,14 +21,16 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from lumitree.direct.light_paths import LightPaths, trace_light
 from lumitree.luminaires.luminaire import Luminaire
-from lumitree.luminaires.straight_through import COSINE_OF_CONE, straight_through
+from lumitree.luminaires.straight_through import COSINE_OF_CONE, is_smooth, straight_through
 from lumitree.luminaires.tracing import path_integrator
 
-PATH_DEPTH = 32
+PATH_DEPTH = 128
 # Batch numbers that no other use of a source reaches.
 _MAX_RADIANCE_BATCH = 1 << 30
 HELD_OUT_BATCH = _MAX_RADIANCE_BATCH + 1
+BLAME_BATCH = HELD_OUT_BATCH + 1
 # Which lines (origin, direction, local frame) are worth tracing: mi.Bool.
 Wanted = Callable[[Any, Any], Any]
 
@@ -31,27 +39,33 @@ Wanted = Callable[[Any, Any], Any]
 class Rays:
     """A batch of rays in the local frame, and what they should show.
 
+    The integral of f(ray) · radiance(ray) over all wanted lines, divided by their measure, is the
+    sum of f · light over the batch without bias; of f(ray) alone, of f · share.
+
     Attributes:
         origin, direction: mi.Point3f and mi.Vector3f, local frame, direction of travel.
-        radiance: mi.Color3f, a noisy estimate without bias.
-        transmittance: mi.Float, straight-through throughput (D7), likewise.
+        share: mi.Float, the part of all wanted lines that the ray stands for; 0 where it is a path
+            from an emitter.
+        light: mi.Color3f, radiance times share.
+        transmittance: mi.Float, straight-through throughput (D7); 0 for paths from emitters.
     """
 
     origin: Any
     direction: Any
-    radiance: Any
+    share: Any
+    light: Any
     transmittance: Any
 
 
 @dataclasses.dataclass
 class Stops:
-    """Where paths stop on their way straight through, and the radiance they carry from there.
+    """Where paths stop on their way straight through.
 
     Attributes:
         origin, direction: the line, local frame.
         point: mi.Point3f, where it stops or leaves; local frame.
         stopped: mi.Bool; false where the line passes through.
-        radiance: mi.Color3f, noisy.
+        radiance: mi.Color3f, of the emitters seen through smooth transmission.
     """
 
     origin: Any
@@ -61,11 +75,32 @@ class Stops:
     radiance: Any
 
 
+@dataclasses.dataclass
+class Pairs:
+    """Lines with two independent noisy estimates of all their radiance.
+
+    Attributes:
+        origin, direction: as in `Rays`.
+        first, second: mi.Color3f.
+        transmittance: mi.Float, straight-through throughput (D7).
+    """
+
+    origin: Any
+    direction: Any
+    first: Any
+    second: Any
+    transmittance: Any
+
+
 class RaySource(Protocol):
     """Where a bake gets its rays from."""
 
     def draw(self, count: int, batch: int, wanted: Wanted) -> Rays:
-        """Of `count` random lines of batch number `batch`, those that are wanted."""
+        """Rays of batch number `batch`: those of `count` random lines that are wanted, and light."""
+        ...
+
+    def pairs(self, count: int, batch: int, paths: int) -> Pairs:
+        """`count` random lines of batch number `batch`, two means of `paths` paths for each."""
         ...
 
 
@@ -75,13 +110,15 @@ class TracedRays:
     Args:
         luminaire: what is traced.
         spacing: distance of neighbouring lines, local units.
-        paths: traced for each line of `draw`.
+        light_share: paths traced from the emitters for each line of `draw`.
         seed: of all random numbers.
     """
 
-    def __init__(self, luminaire: Luminaire, spacing: float, paths: int = 2, seed: int = 0) -> None:
+    def __init__(
+        self, luminaire: Luminaire, spacing: float, light_share: float = 0.5, seed: int = 0
+    ) -> None:
         self.luminaire, self.spacing = luminaire, spacing
-        self._paths = paths
+        self._light_share = light_share
         self._reach = 1.01 * float(np.linalg.norm(luminaire.half_extents)) + 4 * spacing
         self._half = luminaire.half_extents
         self._seed = seed
@@ -136,32 +173,67 @@ class TracedRays:
         return mi.Point3f(origin), dr.gather(mi.Vector3f, direction, tile)
 
     def draw(self, count: int, batch: int, wanted: Wanted) -> Rays:
-        """Of `count` random lines, those that are wanted, with a path or more traced for each."""
+        """Of `count` random lines, those that are wanted, and light from the emitters."""
         origin, direction = self.lines(count, batch)
         chosen = dr.compress(wanted(origin, direction))
+        lines = dr.width(chosen)
         origin = dr.gather(mi.Point3f, origin, chosen)
         direction = dr.gather(mi.Vector3f, direction, chosen)
         dr.eval(origin, direction)
-        return self.trace(origin, direction, batch)
+        if not lines:
+            none = mi.Float()
+            return Rays(origin, direction, none, mi.Color3f(none), none)
+        through, seen = self._follow_smooth(origin, direction, batch)
+        paths = self.light(round(self._light_share * count), batch)
+        share = dr.opaque(mi.Float, 1 / lines)
+        # The measure of the wanted lines is that part of all.
+        scale = dr.opaque(mi.Float, count / (lines * self.measure))
+        size = dr.width(paths.origin)
+        rays = Rays(
+            _join(origin, paths.origin),
+            _join(direction, paths.direction),
+            dr.concat([share * dr.ones(mi.Float, lines), dr.zeros(mi.Float, size)]),
+            _join(seen * share, paths.flux * scale),
+            dr.concat([through, dr.zeros(mi.Float, size)]),
+        )
+        dr.eval(rays.origin, rays.direction, rays.share, rays.light, rays.transmittance)
+        return rays
 
-    def trace(self, origin: Any, direction: Any, batch: int, paths: int | None = None) -> Rays:
-        """Radiance and straight-through transmittance of lines, each the mean of some paths."""
-        paths = self._paths if paths is None else paths
+    def light(self, count: int, batch: int) -> LightPaths:
+        """What comes out of `count` paths from the emitters, all but what lines see smoothly."""
+        self._sampler.seed(_mix(self._seed, batch, 4), count)
+        return trace_light(self.luminaire, self._sampler, count, PATH_DEPTH)
+
+    def pairs(self, count: int, batch: int, paths: int) -> Pairs:
+        """`count` random lines of batch number `batch`, two means of `paths` paths for each."""
+        origin, direction = self.lines(count, batch)
+        first, through = self.trace(origin, direction, batch, paths)
+        second, _ = self.trace(origin, direction, batch, paths, half=1)
+        return Pairs(origin, direction, first, second, through)
+
+    def trace(
+        self, origin: Any, direction: Any, batch: int, paths: int, half: int = 0
+    ) -> tuple[Any, Any]:
+        """All radiance (mi.Color3f) of lines, mean of some camera paths, and transmittance."""
         count, scene = dr.width(origin), self.luminaire.scene
         index = dr.arange(mi.UInt32, count * paths) // paths
         copies = dr.gather(mi.Point3f, origin, index), dr.gather(mi.Vector3f, direction, index)
-        self._sampler.seed(_mix(self._seed, batch, 2), count * paths)
+        self._sampler.seed(_mix(self._seed, batch, 5 + half), count * paths)
         ray = mi.RayDifferential3f(self._world_ray(*copies))
         radiance, _, _ = self._integrator.sample(scene, self._sampler, ray)
         # A block sum evaluates what it sums: without this, every channel would be traced again.
         dr.eval(radiance)
         radiance = mi.Color3f(*(dr.block_sum(value, paths) / paths for value in radiance))
-        # Hardly noisy, so one estimate is enough.
-        self._sampler.seed(_mix(self._seed, batch, 3), count)
-        ray = self._world_ray(origin, direction)
-        through = straight_through(scene, self._sampler, ray, PATH_DEPTH)
+        through, _ = self._follow_smooth(origin, direction, batch)
         dr.eval(radiance, through)
-        return Rays(origin, direction, radiance, through)
+        return radiance, through
+
+    def _follow_smooth(self, origin: Any, direction: Any, batch: int) -> tuple[Any, Any]:
+        self._sampler.seed(_mix(self._seed, batch, 3), dr.width(origin))
+        ray = self._world_ray(origin, direction)
+        found = straight_through(self.luminaire.scene, self._sampler, ray, PATH_DEPTH)
+        dr.eval(found)
+        return found
 
     def max_radiance(self) -> float:
         """L_max (D9): 99.99th percentile of radiance over the pixels of views all around.
@@ -172,20 +244,17 @@ class TracedRays:
         count = 1 << 21
         near = TracedRays(self.luminaire, self.spacing / 4, seed=self._seed)
         origin, direction = near.lines(count, _MAX_RADIANCE_BATCH)
-        radiance = near.trace(origin, direction, _MAX_RADIANCE_BATCH).radiance
+        radiance, _ = near.trace(origin, direction, _MAX_RADIANCE_BATCH, 2)
         pixels = np.stack([np.array(dr.block_sum(value, 16)) for value in radiance]) / 16
         views = 4 * np.pi * np.pi * self.luminaire.bounding_radius**2
         brightest = max(1, round(1e-4 * 3 * (count // 16) * views / self.measure))
         values = np.sort(pixels.ravel())
         return float(values[-min(brightest, len(values))])
 
-    def stops(self, count: int, batch: int, with_radiance: bool = True) -> Stops:
-        """Random lines with the place where each one's straight part ends.
-
-        Without radiance, which takes most of the time, it is what has been met on the way.
-        """
+    def stops(self, count: int, batch: int) -> Stops:
+        """Random lines with the place where each one's straight part ends."""
         origin, direction = self.lines(count, batch)
-        point, stopped, radiance = self._follow(self._world_ray(origin, direction), with_radiance)
+        point, stopped, radiance = self._follow(self._world_ray(origin, direction))
         stops = Stops(origin, direction, self._to_local @ point, stopped, radiance)
         dr.eval(stops.origin, stops.direction, stops.point, stops.stopped, stops.radiance)
         return stops
@@ -197,10 +266,9 @@ class TracedRays:
         return mi.Ray3f(self._to_world @ outside, dr.normalize(self._to_world @ direction))
 
     @dr.syntax
-    def _follow(self, ray, with_radiance):
+    def _follow(self, ray):
         scene, sampler = self.luminaire.scene, self._sampler
         context = mi.BSDFContext()
-        line = mi.Ray3f(ray)
         straight = mi.Vector3f(ray.d)
         ray = mi.Ray3f(ray)
         throughput = mi.Color3f(1)
@@ -208,7 +276,7 @@ class TracedRays:
         first = dr.zeros(mi.Point3f)
         stop = dr.zeros(mi.Point3f)
         stopped = mi.Bool(False)
-        scattered = mi.Ray3f(ray)
+        smooth = mi.Bool(True)
         medium = dr.zeros(mi.MediumPtr)
         crossings = mi.UInt32(0)
         active = mi.Bool(True)
@@ -217,7 +285,7 @@ class TracedRays:
             inside = active & (medium != None)  # noqa: E711 (a vector comparison)
             here = dr.zeros(mi.MediumInteraction3f)
             here.p = ray.o
-            sigma_s, _, extinction = medium.get_scattering_coefficients(here, inside)
+            _, _, extinction = medium.get_scattering_coefficients(here, inside)
             mean = dr.mean(extinction)
             flight = dr.select(
                 inside & (mean > 0), -dr.log(1 - sampler.next_1d(active)) / mean, dr.inf
@@ -227,14 +295,10 @@ class TracedRays:
             tilt = dr.select(inside, dr.exp(-(extinction - mean) * travelled), 1)
             throughput[active] = throughput * tilt
 
-            # A collision ends the straight part. No path can be started inside a medium, so the
-            # whole line stands for what comes from there.
-            throughput[collides] = dr.select(sigma_s > 0, mi.Color3f(1), 0)
-            radiance[collides] = mi.Color3f(0)
-
             hits = active & ~collides & si.is_valid()
             first = dr.select(hits & (crossings == 0), si.p, first)
-            radiance[hits] = radiance + throughput * si.emitter(scene, hits).eval(si, hits)
+            light = si.emitter(scene, hits).eval(si, hits)
+            radiance[hits & smooth] = radiance + throughput * light
             sample, weight = si.bsdf(ray).sample(
                 context, si, sampler.next_1d(hits), sampler.next_2d(hits), hits
             )
@@ -243,6 +307,7 @@ class TracedRays:
                 | mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
             )
             throughput[hits] = throughput * weight
+            smooth &= is_smooth(sample.sampled_type)
             onwards = si.spawn_ray(si.to_world(sample.wo))
 
             ends = collides | (hits & (~transmits | (dr.max(throughput) <= 0)))
@@ -250,16 +315,12 @@ class TracedRays:
             place = dr.select(collides, ray(dr.select(collides, flight, 0)), si.p)
             stop = dr.select(ends, dr.select(bent, first, place), stop)
             stopped |= ends
-            after = dr.select(collides, line, onwards)
-            scattered = dr.select(ends, after, scattered)
 
             leaves = active & ~collides & ~si.is_valid()
             # What leaves in another direction was stopped where it was first bent.
             missed = leaves & bent & (crossings > 0)
             stop = dr.select(missed, first, stop)
             stopped |= missed
-            scattered = dr.select(missed, ray, scattered)
-            throughput[missed] = mi.Color3f(0)
 
             medium = dr.select(
                 transmits & si.is_medium_transition(), si.target_medium(onwards.d), medium
@@ -268,13 +329,12 @@ class TracedRays:
             crossings += 1
             active = transmits & (crossings < PATH_DEPTH) & (dr.max(throughput) > 0)
 
-        if dr.hint(with_radiance, mode="scalar"):
-            goes_on = stopped & (dr.max(throughput) > 0)
-            beyond, _, _ = self._integrator.sample(
-                scene, sampler, mi.RayDifferential3f(scattered), active=goes_on
-            )
-            radiance += dr.select(goes_on, throughput * beyond, 0)
         return stop, stopped, radiance
+
+
+def _join(first: Any, second: Any) -> Any:
+    """One vector array after the other."""
+    return type(first)(*(dr.concat(values) for values in zip(first, second, strict=True)))
 
 
 def _on_axis(axis: Any, a: Any, b: Any, n: Any) -> Any:

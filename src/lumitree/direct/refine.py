@@ -1,7 +1,8 @@
 """Gradient descent on the leaves of an octree with fresh, noisy rays.
 
 The gradient of the loss is linear in the target, so its noise averages out over rays and steps
-(noise2noise): every step draws new rays instead of looking at stored pictures.
+(noise2noise): every step draws new rays instead of looking at stored pictures. For the same reason
+lines, and light from the emitters, may bring in different parts of it (see `Rays`).
 
 Symbols
     L, T        radiance / L_max and transmittance of the field along a ray
@@ -22,10 +23,12 @@ from numpy.typing import NDArray
 
 from lumitree.direct.estimate import OPAQUE, split
 from lumitree.direct.field import LeafField
-from lumitree.direct.rays import RaySource
+from lumitree.direct.rays import BLAME_BATCH, RaySource
 from lumitree.errors import LumitreeError
 
 _BETA_1, _BETA_2 = 0.9, 0.98
+# Lines of which the blame is found, before leaves are split.
+_BLAME_LINES, _BLAME_BATCHES = 1 << 20, 4
 # Leaves thinner than this (optical depth across) are dropped.
 _MIN_DEPTH = 2e-3
 
@@ -73,38 +76,29 @@ class Refiner:
         self._max_radiance = max_radiance
         self._density_adam = Adam(field.num_leaves)
         self._coefficient_adam = Adam(field.num_leaves * field.num_coefficients)
-        # How much of the loss each leaf answers for, since the last split.
-        self._blame = dr.zeros(mi.Float, field.num_leaves)
 
     def advance(self, progress: float) -> int:
         """One step at `progress` in [0, 1] of the budget; returns the number of rays used."""
         field, config = self.field, self._config
         self.step += 1
         rays = self._source.draw(config.lines, self.step, field.meets)
-        count = dr.width(rays.origin)
-        if count == 0:
+        if dr.width(rays.origin) == 0:
             return 0
         integrated = field.integrate(rays.origin, rays.direction)
         radiance, through, _ = integrated
         dr.eval(integrated)
-        scale = dr.opaque(mi.Float, 1 / self._max_radiance)
-        share = dr.opaque(mi.Float, 1 / count)
-        weight = dr.rcp(dr.square(radiance + config.epsilon))
-        error = radiance - dr.minimum(rays.radiance * scale, 1)
-        opacity_error = through - rays.transmittance
-        blame = dr.sum(dr.minimum(weight * dr.square(error), 100)) + dr.square(opacity_error)
+        import os; weight = dr.exp(-float(os.environ.get('POW','2'))*dr.log(radiance + config.epsilon))
+        light = rays.light * dr.opaque(mi.Float, 1 / self._max_radiance)
         d_density = dr.zeros(mi.Float, field.num_leaves)
         d_coefficients = dr.zeros(mi.Float, field.num_leaves * field.num_coefficients)
         field.scatter_gradients(
             rays.origin,
             rays.direction,
             integrated,
-            2 * share * weight * error,
-            2 * share * config.opacity_weight * opacity_error,
-            blame,
+            2 * weight * (rays.share * radiance - light),
+            2 * config.opacity_weight * rays.share * (through - rays.transmittance),
             d_density,
             d_coefficients,
-            self._blame,
         )
         rate = config.learning_rate * config.final_rate ** min(progress, 1.0)
         field.log_density = dr.minimum(
@@ -114,7 +108,7 @@ class Refiner:
             field.coefficients, d_coefficients, rate
         )
         dr.eval(field.log_density, field.coefficients)
-        return count
+        return dr.width(rays.origin)
 
     def _densest(self) -> Any:
         """Log density [M] at which each leaf is opaque."""
@@ -134,7 +128,7 @@ class Refiner:
         As many as `max_leaves` allows, worst first; children begin as their parent was.
         """
         field = self.field
-        blame = np.array(self._blame)
+        blame = self._blame()
         blame[field.levels >= deepest] = 0
         order = np.argsort(-blame)
         # Leaves beyond these answer for a hundredth of the loss together.
@@ -149,6 +143,22 @@ class Refiner:
             np.concatenate([field.cells[whole], split(field.cells[parents])]),
             np.concatenate([field.levels[whole], np.repeat(field.levels[parents] + 1, 8)]),
         )
+
+    def _blame(self) -> NDArray[np.float32]:
+        """How much of the loss each leaf answers for [M], by its weight in the rays."""
+        field, config = self.field, self._config
+        blame = dr.zeros(mi.Float, field.num_leaves)
+        for batch in range(_BLAME_BATCHES):
+            pairs = self._source.pairs(_BLAME_LINES, BLAME_BATCH + self.step + batch, 1)
+            radiance, through, _ = field.integrate(pairs.origin, pairs.direction)
+            scale = dr.opaque(mi.Float, 1 / self._max_radiance)
+            # Without bias, so that noise takes no part.
+            square = (radiance - pairs.first * scale) * (radiance - pairs.second * scale)
+            loss = dr.sum(square * dr.rcp(dr.square(radiance + config.epsilon)))
+            loss += config.opacity_weight * dr.square(through - pairs.transmittance)
+            dr.eval(loss)
+            field.share_out(pairs.origin, pairs.direction, loss, blame)
+        return np.maximum(np.array(blame), 0)
 
     def _rebuild(
         self, origin: NDArray[np.int64], cells: NDArray[np.int64], levels: NDArray[np.int64]
@@ -165,7 +175,6 @@ class Refiner:
         )
         self._density_adam.take(index)
         self._coefficient_adam.take(wide)
-        self._blame = dr.zeros(mi.Float, len(origin))
 
     def state(self) -> dict[str, NDArray[Any]]:
         """All that `restore` needs to go on, as arrays."""
@@ -179,7 +188,6 @@ class Refiner:
             "density_square": np.array(density.square),
             "coefficient_mean": np.array(coefficients.mean),
             "coefficient_square": np.array(coefficients.square),
-            "blame": np.array(self._blame),
             "steps": np.array([self.step, density.steps]),
         }
 
@@ -193,7 +201,6 @@ class Refiner:
         density.square = mi.Float(state["density_square"])
         coefficients.mean = mi.Float(state["coefficient_mean"])
         coefficients.square = mi.Float(state["coefficient_square"])
-        self._blame = mi.Float(state["blame"])
         self.step = int(state["steps"][0])
         density.steps = coefficients.steps = int(state["steps"][1])
 

@@ -1,4 +1,4 @@
-"""Straight-through opacity: what a luminaire hides of the light behind it (decision D7)."""
+"""What is found by following transmissions alone: straight-through opacity (D7), emitters seen."""
 
 from typing import Any
 
@@ -9,12 +9,20 @@ import mitsuba as mi
 COSINE_OF_CONE = 0.9659258262890683  # cos 15°
 
 
+def is_smooth(sampled_type: Any) -> Any:
+    """Whether an interaction of this mi.BSDFFlags type lets light pass without spreading it."""
+    return mi.has_flag(sampled_type, mi.BSDFFlags.DeltaTransmission) | mi.has_flag(
+        sampled_type, mi.BSDFFlags.Null
+    )
+
+
 @dr.syntax
-def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> Any:
-    """One-sample estimate of the throughput of `ray` by a chain of transmissions alone.
+def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> tuple[Any, Any]:
+    """Follow `ray` along a chain of transmissions: what passes, and which emitters it sees.
 
     Null, specular and rough transmission continue the chain, interior media attenuate it, a
-    reflection or absorption ends it.
+    reflection or absorption ends it. Both are estimates of one sample, and exact where no
+    transmission is rough.
 
     Args:
         scene: mi.Scene of the luminaire.
@@ -23,13 +31,15 @@ def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> Any
         path_depth: longest chain.
 
     Returns:
-        mi.Float, throughput averaged over R, G and B; 0 where the ray is stopped or bent.
+        mi.Float, throughput averaged over R, G and B, 0 where the ray is stopped or bent; and
+        mi.Color3f, radiance of the emitters met before the first rough transmission.
     """
     context = mi.BSDFContext()
     context.type_mask = mi.BSDFFlags.Transmission | mi.BSDFFlags.Null
     direction = mi.Vector3f(ray.d)
     ray = mi.Ray3f(ray)
-    throughput = mi.Color3f(1)
+    throughput, emitted = mi.Color3f(1), mi.Color3f(0)
+    smooth = mi.Bool(True)
     medium = dr.zeros(mi.MediumPtr)
     crossings = mi.UInt32(0)
     active = mi.Bool(True)
@@ -46,6 +56,8 @@ def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> Any
 
         passed |= active & ~si.is_valid()
         active &= si.is_valid()
+        light = si.emitter(scene, active).eval(si, active)
+        emitted = dr.select(active & smooth, emitted + throughput * light, emitted)
         sample, weight = si.bsdf(ray).sample(
             context, si, sampler.next_1d(active), sampler.next_2d(active), active
         )
@@ -53,6 +65,7 @@ def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> Any
             sample.sampled_type, mi.BSDFFlags.Null
         )
         throughput[active] = throughput * weight
+        smooth &= is_smooth(sample.sampled_type)
         ray = dr.select(active, si.spawn_ray(si.to_world(sample.wo)), ray)
         changes = active & si.is_medium_transition()
         medium = dr.select(changes, si.target_medium(ray.d), medium)
@@ -60,4 +73,4 @@ def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> Any
         active &= (crossings < path_depth) & (dr.max(throughput) > 0)
 
     straight = passed & (dr.dot(ray.d, direction) >= COSINE_OF_CONE)
-    return dr.select(straight, dr.mean(throughput), 0)
+    return dr.select(straight, dr.mean(throughput), 0), emitted
