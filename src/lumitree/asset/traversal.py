@@ -14,6 +14,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+# The descent to a cell starts from a table of this level: 8**5 entries stay in the cache.
+_TOP_LEVEL = 5
 # visit(state, leaf, start, length, active) -> state, active: see `Octree.walk`.
 Visit = Callable[[Any, Any, Any, Any, Any], tuple[Any, Any]]
 
@@ -36,7 +38,11 @@ class Octree:
         self.tree_depth = tree_depth
         self._half_extents = half_extents
         self._children = mi.Int32(children.ravel())
-        dr.eval(self._children)
+        self._top_level = min(_TOP_LEVEL, tree_depth)
+        entries, sides = _top(children, self._top_level)
+        self._top_entries = mi.Int32(entries)
+        self._top_sides = mi.Int32(sides << (tree_depth - self._top_level))
+        dr.eval(self._children, self._top_entries, self._top_sides)
 
     @dr.syntax
     def walk(self, origin: Any, direction: Any, active: Any, visit: Visit, state: Any) -> Any:
@@ -62,22 +68,30 @@ class Octree:
         inverse = dr.rcp(dr.select(moving, d, 1))
         t, t_end, inside = self._clip(o, moving, inverse)
         active = active & inside & (t < t_end)
-        cell = mi.Vector3i(dr.clip(mi.Vector3i(dr.floor(o + t * d)), 0, size - 1))
+        t_exit = mi.Float(t)
+        ahead = mi.Vector3i(dr.clip(mi.Vector3i(dr.floor(o + t * d)), 0, size - 1))
+        child = mi.Int32(0)
 
         while active:
-            child, lower, side = self._find_cell(cell, active)
-            plane = mi.Vector3f(dr.select(d > 0, lower + side, lower))
-            t_planes = dr.select(moving, (plane - o) * inverse, dr.inf)
-            t_exit = dr.minimum(dr.min(t_planes), t_end)
-            length = dr.maximum(t_exit - t, 0)
-
-            state, onwards = visit(state, mi.UInt32(~child), t, length, active & (child < 0))
-
-            stepped = dr.clip(mi.Vector3i(dr.floor(o + t_exit * d)), lower, lower + side - 1)
-            beyond = dr.select(d > 0, lower + side, lower - 1)
-            cell = mi.Vector3i(dr.select(t_planes <= t_exit, beyond, stepped))
-            t = dr.maximum(t, t_exit)
-            active &= (t_exit < t_end) & onwards & dr.all((cell >= 0) & (cell < size))
+            # To the next leaf first, so that the rays of a packet meet their leaves together.
+            seeking = mi.Bool(active)
+            while seeking:
+                t = mi.Float(t_exit)
+                child, lower, side = self._find_cell(ahead, seeking)
+                plane = mi.Vector3f(dr.select(d > 0, lower + side, lower))
+                t_planes = dr.select(moving, (plane - o) * inverse, dr.inf)
+                t_cell = dr.minimum(dr.min(t_planes), t_end)
+                stepped = dr.clip(mi.Vector3i(dr.floor(o + t_cell * d)), lower, lower + side - 1)
+                beyond = dr.select(d > 0, lower + side, lower - 1)
+                ahead = mi.Vector3i(dr.select(t_planes <= t_cell, beyond, stepped))
+                t_exit = dr.maximum(t, t_cell)
+                active &= (t_cell < t_end) & dr.all((ahead >= 0) & (ahead < size))
+                seeking &= active & (child >= 0)
+            # A leaf may be the last cell of its ray.
+            found = child < 0
+            state, onwards = visit(state, mi.UInt32(~child), t, t_exit - t, found)
+            child = mi.Int32(0)
+            active &= found & onwards
         return state
 
     def find_leaf(self, point: Any, active: Any = True) -> tuple[Any, Any]:
@@ -102,14 +116,16 @@ class Octree:
     def _find_cell(self, cell, active):
         """Deepest node's child entry that holds `cell`, its lower corner and side (grid units).
 
-        Descends from the root; an empty entry of any level is as large as that level's cells,
-        which is how empty space is skipped.
+        Descends from the table of the upper levels; an empty entry of any level is as large as
+        that level's cells, which is how empty space is skipped.
         """
-        depth = self.tree_depth
-        node = mi.Int32(0)
-        side = mi.Int32(1 << depth)
-        open_ = mi.Bool(active)
-        for level in range(1, depth + 1):
+        depth, top = self.tree_depth, self._top_level
+        place = cell >> (depth - top)
+        index = mi.UInt32(place.x + ((place.y + (place.z << top)) << top))
+        node = dr.gather(mi.Int32, self._top_entries, index, active)
+        side = dr.gather(mi.Int32, self._top_sides, index, active)
+        open_ = mi.Bool(active) & (node > 0)
+        for level in range(top + 1, depth + 1):
             shift = depth - level
             bits = (cell >> shift) & 1
             octant = bits.x + 2 * bits.y + 4 * bits.z
@@ -118,3 +134,22 @@ class Octree:
             side = dr.select(open_, 1 << shift, side)
             open_ &= child > 0
         return node, cell & ~(side - 1), side
+
+
+def _top(children: NDArray[np.int32], level: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Where the descent from the root stands at `level`, for all cells of that level, x fastest.
+
+    Returns:
+        Entries of `children` [8**level] and the sides of their cells in cells of `level`.
+    """
+    cells = np.arange(1 << level)
+    z, y, x = np.meshgrid(cells, cells, cells, indexing="ij")
+    entry = np.zeros(x.shape, np.int32)
+    side = np.full(x.shape, 1 << level, np.int32)
+    open_ = np.ones(x.shape, bool)
+    for shift in reversed(range(level)):
+        octant = (x >> shift & 1) + 2 * (y >> shift & 1) + 4 * (z >> shift & 1)
+        entry = np.where(open_, children[entry.clip(0), octant], entry)
+        side = np.where(open_, 1 << shift, side)
+        open_ &= entry > 0
+    return entry.ravel(), side.ravel()

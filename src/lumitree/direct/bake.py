@@ -17,6 +17,7 @@ from lumitree.core.harmonics import MAX_L
 from lumitree.core.interrupt import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.core.transmittance import Law
+from lumitree.direct.balance import balance
 from lumitree.direct.estimate import estimate, grow
 from lumitree.direct.field import LeafField
 from lumitree.direct.heldout import HeldOut, Score
@@ -146,7 +147,7 @@ def refine(
             cells,
             levels,
             np.log(np.maximum(asset.density, 1e-3)),
-            asset.coefficients.astype(np.float32).ravel(),
+            asset.coefficients,
             tree_depth=asset.tree_depth,
             l_max=asset.l_max,
             law=asset.law,
@@ -191,11 +192,10 @@ def _run(
 def make_asset(field: LeafField, luminaire: Luminaire, max_radiance: float) -> LuminaireAsset:
     """The asset of a field."""
     limit = float(np.finfo(np.float16).max)
-    coefficients = np.array(field.coefficients).reshape(field.num_leaves, 3, -1)
     return LuminaireAsset(
         children=build_children(field.cells, field.levels),
         density=np.exp(np.array(field.log_density)).astype(np.float32),
-        coefficients=coefficients.clip(-limit, limit).astype(np.float16),
+        coefficients=field.coefficient_array().clip(-limit, limit).astype(np.float16),
         tree_depth=field.tree_depth,
         l_max=field.l_max,
         law=field.law,
@@ -212,16 +212,18 @@ def _first_field(source: TracedRays, config: DirectConfig, max_radiance: float) 
     first = estimate(
         source, cells, level, config.l_max, config.law, max_radiance, config.estimate_lines
     )
-    return LeafField(
+    field = LeafField(
         first.cells,
         np.full(len(first.cells), level),
         np.log(np.maximum(first.density, 1e-3)),
-        first.coefficients.ravel(),
+        first.coefficients,
         tree_depth=config.tree_depth,
         l_max=config.l_max,
         law=config.law,
         half_extents=source.luminaire.half_extents,
     )
+    balance(field, source, max_radiance)
+    return field
 
 
 def _placeholder(config: DirectConfig, luminaire: Luminaire) -> LeafField:

@@ -33,7 +33,8 @@ class LeafField:
     Attributes:
         cells, levels: int64 [M, 3] and [M], where the leaves are.
         log_density: mi.Float [M], per local unit.
-        coefficients: mi.Float [M · 3 · K], before the sigmoid.
+        coefficients: mi.Float [M · width], before the sigmoid: the 3 · K of a leaf follow one
+            another, padded to `width`, a multiple of 4.
         octree: the tree over them.
     """
 
@@ -50,8 +51,8 @@ class LeafField:
         half_extents: NDArray[np.float64],
     ) -> None:
         self.cells, self.levels = cells, levels
-        self.log_density, self.coefficients = mi.Float(log_density), mi.Float(coefficients)
         self.tree_depth, self.l_max, self.law = tree_depth, l_max, law
+        self.log_density, self.coefficients = mi.Float(log_density), self._padded(coefficients)
         self.half_extents = half_extents
         self.octree = Octree(build_children(cells, levels), tree_depth, half_extents)
         self._blocked = 0.0 if law == "linear" else BLOCKED
@@ -86,9 +87,25 @@ class LeafField:
         return len(self.cells)
 
     @property
-    def num_coefficients(self) -> int:
-        """Coefficients of a leaf, 3 K."""
-        return 3 * num_coefficients(self.l_max)
+    def width(self) -> int:
+        """Coefficients of a leaf with their padding."""
+        return -(-3 * num_coefficients(self.l_max) // 4) * 4
+
+    def coefficient_array(self) -> NDArray[np.float32]:
+        """Coefficients [M, 3, K] without their padding."""
+        count = num_coefficients(self.l_max)
+        rows = np.array(self.coefficients).reshape(self.num_leaves, self.width)
+        return rows[:, : 3 * count].reshape(-1, 3, count)
+
+    def set_coefficients(self, coefficients: NDArray[np.floating]) -> None:
+        """Replace the coefficients by others [M, 3, K]."""
+        self.coefficients = self._padded(coefficients)
+
+    def _padded(self, coefficients: Any) -> Any:
+        if not isinstance(coefficients, np.ndarray):
+            return mi.Float(coefficients)
+        rows = coefficients.astype(np.float32).reshape(self.num_leaves, -1)
+        return mi.Float(np.pad(rows, ((0, 0), (0, self.width - rows.shape[1]))).ravel())
 
     def meets(self, origin: Any, direction: Any) -> Any:
         """Whether a line crosses any leaf (mi.Bool)."""
@@ -144,8 +161,7 @@ class LeafField:
         """
         y = basis(*towards_viewer(direction), self.l_max)
         total, through_end, last = integrated
-        width = self.num_coefficients
-        count = width // 3
+        quads = self.width // 4
 
         def visit(state, leaf, start, length, active):
             seen, tau, through = state
@@ -170,19 +186,31 @@ class LeafField:
                 d_tau -= d_through * through_end
             _add(density_gradient, d_tau * depth, leaf, active)
             by_emission = weight * d_radiance * emission * (1 - emission)
-            for channel in range(3):
-                for k in range(count):
-                    _add(
-                        coefficient_gradient,
-                        by_emission[channel] * y[k],
-                        leaf * width + (channel * count + k),
-                        lit,
-                    )
+            flat = [by_emission[channel] * value for channel in range(3) for value in y]
+            flat += [mi.Float(0)] * (-len(flat) % 4)
+            for quad in range(quads):
+                values = mi.Vector4f(*flat[4 * quad : 4 * quad + 4])
+                _add(coefficient_gradient, values, leaf * quads + quad, lit)
             return (seen, tau, after), after > self._blocked
 
         state = (mi.Color3f(0), mi.Float(0), mi.Float(1))
         self.octree.walk(origin, direction, mi.Bool(True), visit, state)
         dr.eval(density_gradient, coefficient_gradient)
+
+    def scatter_emission(self, origin: Any, direction: Any, value: Any, total: Any) -> None:
+        """Add w Phi · value (mi.Color3f) of each ray to `total` (mi.Float [M · 4]) of its leaves."""
+        y = basis(*towards_viewer(direction), self.l_max)
+
+        def visit(state, leaf, start, length, active):
+            tau = state[0] + dr.select(active, self._density(leaf, active) * length, 0)
+            after = mi.Float(transmittance(tau, self.law, dr))
+            weight = state[1] - after
+            shown = weight * self._emission(leaf, y, active) * value
+            _add(total, mi.Vector4f(shown.x, shown.y, shown.z, 0), leaf, active)
+            return (tau, after), after > self._blocked
+
+        self.octree.walk(origin, direction, mi.Bool(True), visit, (mi.Float(0), mi.Float(1)))
+        dr.eval(total)
 
     def share_out(self, origin: Any, direction: Any, value: Any, total: Any) -> None:
         """Add a value (mi.Float) of each ray to `total` (mi.Float [M]) by the leaves' weights."""
@@ -200,13 +228,16 @@ class LeafField:
         return dr.exp(dr.gather(mi.Float, self.log_density, leaf, active))
 
     def _emission(self, leaf, y, active):
-        count = len(y)
+        count, quads = len(y), self.width // 4
+        flat = []
+        for quad in range(quads):
+            # Four at a time take a third of the time of one by one.
+            flat.extend(dr.gather(mi.Vector4f, self.coefficients, leaf * quads + quad, active))
         channels = []
         for channel in range(3):
             total = mi.Float(0)
             for k in range(count):
-                index = leaf * (3 * count) + (channel * count + k)
-                total = dr.fma(dr.gather(mi.Float, self.coefficients, index, active), y[k], total)
+                total = dr.fma(flat[channel * count + k], y[k], total)
             channels.append(dr.rcp(1 + dr.exp(-total)))
         return mi.Color3f(*channels)
 

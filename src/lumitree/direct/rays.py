@@ -30,7 +30,8 @@ PATH_DEPTH = 128
 # Batch numbers that no other use of a source reaches.
 _MAX_RADIANCE_BATCH = 1 << 30
 HELD_OUT_BATCH = _MAX_RADIANCE_BATCH + 1
-BLAME_BATCH = HELD_OUT_BATCH + 1
+BALANCE_BATCH = HELD_OUT_BATCH + (1 << 10)
+BLAME_BATCH = BALANCE_BATCH + (1 << 10)
 # Which lines (origin, direction, local frame) are worth tracing: mi.Bool.
 Wanted = Callable[[Any, Any], Any]
 

@@ -75,7 +75,7 @@ class Refiner:
         self._source, self._config = source, config
         self._max_radiance = max_radiance
         self._density_adam = Adam(field.num_leaves)
-        self._coefficient_adam = Adam(field.num_leaves * field.num_coefficients)
+        self._coefficient_adam = Adam(field.num_leaves * field.width)
 
     def advance(self, progress: float) -> int:
         """One step at `progress` in [0, 1] of the budget; returns the number of rays used."""
@@ -87,10 +87,12 @@ class Refiner:
         integrated = field.integrate(rays.origin, rays.direction)
         radiance, through, _ = integrated
         dr.eval(integrated)
-        import os; weight = dr.exp(-float(os.environ.get('POW','2'))*dr.log(radiance + config.epsilon))
+        import os
+
+        weight = dr.exp(-float(os.environ.get("POW", "2")) * dr.log(radiance + config.epsilon))
         light = rays.light * dr.opaque(mi.Float, 1 / self._max_radiance)
         d_density = dr.zeros(mi.Float, field.num_leaves)
-        d_coefficients = dr.zeros(mi.Float, field.num_leaves * field.num_coefficients)
+        d_coefficients = dr.zeros(mi.Float, field.num_leaves * field.width)
         field.scatter_gradients(
             rays.origin,
             rays.direction,
@@ -165,7 +167,7 @@ class Refiner:
     ) -> None:
         """Make a field of new leaves; leaf i continues what leaf `origin[i]` was."""
         index = mi.UInt32(origin)
-        width = self.field.num_coefficients
+        width = self.field.width
         wide = dr.repeat(index, width) * width + dr.tile(dr.arange(mi.UInt32, width), len(origin))
         self.field = self.field.with_leaves(
             cells,
