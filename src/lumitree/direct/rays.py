@@ -145,7 +145,7 @@ class TracedRays:
         Args:
             count: number of lines, a multiple of 16.
         """
-        self._sampler.seed(_mix(self._seed, batch, 0), count // 16)
+        self._sampler.seed(seed_of(self._seed, batch, 0), count // 16)
         x, y, z = self._half
         areas = np.array([y * z, z * x, x * y])
         split = np.cumsum(areas / areas.sum())
@@ -162,7 +162,7 @@ class TracedRays:
         right, up = cosine * s + sine * t, cosine * t - sine * s
         dr.eval(centre, direction, right, up)
 
-        self._sampler.seed(_mix(self._seed, batch, 1), count)
+        self._sampler.seed(seed_of(self._seed, batch, 1), count)
         index = dr.arange(mi.UInt32, count)
         tile, within = index // 16, index % 16
         jitter = (mi.Point2f(within % 4, within // 4) - 2 + self._sampler.next_2d()) * self.spacing
@@ -202,7 +202,7 @@ class TracedRays:
 
     def light(self, count: int, batch: int) -> LightPaths:
         """What comes out of `count` paths from the emitters, all but what lines see smoothly."""
-        self._sampler.seed(_mix(self._seed, batch, 4), count)
+        self._sampler.seed(seed_of(self._seed, batch, 4), count)
         return trace_light(self.luminaire, self._sampler, count, PATH_DEPTH)
 
     def pairs(self, count: int, batch: int, paths: int) -> Pairs:
@@ -219,7 +219,7 @@ class TracedRays:
         count, scene = dr.width(origin), self.luminaire.scene
         index = dr.arange(mi.UInt32, count * paths) // paths
         copies = dr.gather(mi.Point3f, origin, index), dr.gather(mi.Vector3f, direction, index)
-        self._sampler.seed(_mix(self._seed, batch, 5 + half), count * paths)
+        self._sampler.seed(seed_of(self._seed, batch, 5 + half), count * paths)
         ray = mi.RayDifferential3f(self._world_ray(*copies))
         radiance, _, _ = self._integrator.sample(scene, self._sampler, ray)
         # A block sum evaluates what it sums: without this, every channel would be traced again.
@@ -230,7 +230,7 @@ class TracedRays:
         return radiance, through
 
     def _follow_smooth(self, origin: Any, direction: Any, batch: int) -> tuple[Any, Any]:
-        self._sampler.seed(_mix(self._seed, batch, 3), dr.width(origin))
+        self._sampler.seed(seed_of(self._seed, batch, 3), dr.width(origin))
         ray = self._world_ray(origin, direction)
         found = straight_through(self.luminaire.scene, self._sampler, ray, PATH_DEPTH)
         dr.eval(found)
@@ -347,6 +347,6 @@ def _on_axis(axis: Any, a: Any, b: Any, n: Any) -> Any:
     )
 
 
-def _mix(seed: int, batch: int, use: int) -> int:
+def seed_of(seed: int, batch: int, use: int) -> int:
     """Seed of one use of one batch; distinct for all of them."""
     return int(np.random.SeedSequence([seed, batch, use]).generate_state(1)[0])

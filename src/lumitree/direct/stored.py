@@ -1,0 +1,177 @@
+"""Rays of stored pictures, for a luminaire that cannot be traced: `RaySource` from a dataset."""
+
+import dataclasses
+import math
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageFilter
+
+from lumitree.core.dataset import Dataset, View
+from lumitree.core.images import max_radiance
+from lumitree.core.sampling import orthographic_rays
+from lumitree.direct.estimate import split
+from lumitree.direct.rays import HELD_OUT_BATCH, Pairs, Rays, Wanted, seed_of
+from lumitree.errors import LumitreeError
+
+# One view in so many is kept apart for the score.
+_HELD_OUT_STRIDE = 8
+# Neighbouring pixels are drawn together, so that the lanes of a vector unit walk the same leaves.
+_TILE = 4
+
+
+class StoredRays:
+    """Rays through the pixels of a dataset's views; a ray is anywhere in its pixel.
+
+    All pixels are held in memory, 20 bytes each.
+
+    Args:
+        dataset: views with radiance and straight-through opacity.
+        seed: of all random numbers.
+
+    Raises:
+        LumitreeError: there are fewer than two views, or they are black.
+    """
+
+    def __init__(self, dataset: Dataset, seed: int = 0) -> None:
+        self._manifest, self._seed = dataset.manifest, seed
+        views = list(dataset.views())
+        if len(views) < 2:
+            raise LumitreeError(f"{dataset.folder} has one view; a bake needs two or more")
+        self._max_radiance = max_radiance(view.radiance for view in views)
+        if not self._max_radiance > 0:
+            raise LumitreeError(
+                f"every view of {dataset.folder} is black (fewer than one pixel in 10000 is lit)"
+            )
+        held_out = views[_HELD_OUT_STRIDE // 2 :: _HELD_OUT_STRIDE] or views[-1:]
+        apart = {view.frame.file for view in held_out}
+        self._views = [view for view in views if view.frame.file not in apart]
+        self._training, self._held_out = self._load(self._views), self._load(held_out)
+        self._sampler = mi.load_dict({"type": "independent"})
+
+    def max_radiance(self) -> float:
+        """L_max (D9)."""
+        return self._max_radiance
+
+    def draw(self, count: int, batch: int, wanted: Wanted) -> Rays:
+        """Of rays through `count` random pixels of the training views, those that are wanted."""
+        origin, direction, radiance, through = self._pixels(self._training, count, batch)
+        chosen = dr.compress(wanted(origin, direction))
+        origin = dr.gather(mi.Point3f, origin, chosen)
+        direction = dr.gather(mi.Vector3f, direction, chosen)
+        lines = dr.width(chosen)
+        share = dr.opaque(mi.Float, 1 / max(1, lines)) * dr.ones(mi.Float, lines)
+        light = dr.gather(mi.Color3f, radiance, chosen) * share
+        through = dr.gather(mi.Float, through, chosen)
+        dr.eval(origin, direction, share, light, through)
+        return Rays(origin, direction, share, light, through)
+
+    def pairs(self, count: int, batch: int, paths: int) -> Pairs:
+        """Rays of the views kept apart, or of the others for other batches.
+
+        A picture has one value for a pixel, whose noise is taken for error; `paths` is ignored.
+        """
+        pictures = self._held_out if batch == HELD_OUT_BATCH else self._training
+        origin, direction, radiance, through = self._pixels(pictures, count, batch)
+        return Pairs(origin, direction, radiance, radiance, through)
+
+    def hull(self, level: int) -> NDArray[np.int64]:
+        """Cells [M, 3] of an octree's level that no training view sees to be empty."""
+        half = np.asarray(self._manifest.half_extents)
+        start = min(level, 4)
+        side = 1 << start
+        cells = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3)
+        for finer in range(start, level + 1):
+            if finer > start:
+                cells = split(cells)
+            size = 2 / (1 << finer)
+            low = cells * size - 1
+            cells = cells[((low < half) & (low + size > -half)).all(axis=1)]
+            for view in self._views:
+                cells = cells[self._covered(view, (cells + 0.5) * size - 1, size)]
+        return cells
+
+    def _covered(
+        self, view: View, centres: NDArray[np.float64], size: float
+    ) -> NDArray[np.bool_]:
+        """Whether a view shows something within the cell around each centre [M, 3]."""
+        resolution, half_width = self._manifest.resolution, self._manifest.half_width
+        scale = resolution / (2 * half_width)
+        reach = math.ceil(size / 2 * math.sqrt(3) * scale) + 1
+        lit = (view.straight_through > 0) | (view.radiance.max(axis=-1) > 0)
+        picture = Image.fromarray(lit.astype(np.uint8))
+        near = np.asarray(picture.filter(ImageFilter.MaxFilter(2 * reach + 1))) > 0
+        pose = view.frame.pose
+        offset = centres - pose[:3, 3]
+        column = np.floor((offset @ pose[:3, 0] + half_width) * scale).astype(int)
+        row = np.floor((half_width - offset @ pose[:3, 1]) * scale).astype(int)
+        # A view says nothing about what it does not show.
+        beyond = (column < 0) | (row < 0) | (column >= resolution) | (row >= resolution)
+        return beyond | near[row.clip(0, resolution - 1), column.clip(0, resolution - 1)]
+
+    def _load(self, views: list[View]) -> "_Pictures":
+        manifest = self._manifest
+        corners, columns, rows, directions = [], [], [], []
+        for view in views:
+            # The corner of the picture, and the steps from pixel to pixel.
+            pose = view.frame.pose
+            centres, direction = orthographic_rays(pose, manifest.half_width, 1)
+            step = 2 * manifest.half_width / manifest.resolution
+            columns.append(step * pose[:3, 0])
+            rows.append(-step * pose[:3, 1])
+            middle = manifest.resolution / 2
+            corners.append(centres[0, 0] - middle * (columns[-1] + rows[-1]))
+            directions.append(direction)
+        vectors = [mi.Vector3f(*np.array(each).T) for each in (corners, columns, rows, directions)]
+        radiance = np.concatenate([view.radiance.reshape(-1, 3) for view in views])
+        through = 1 - np.concatenate([view.straight_through.ravel() for view in views])
+        pictures = _Pictures(*vectors, mi.Color3f(*radiance.T), mi.Float(through), len(views))
+        dr.eval(vectors, pictures.radiance, pictures.through)
+        return pictures
+
+    def _pixels(self, pictures: "_Pictures", count: int, batch: int):
+        """Origin, direction, radiance and transmittance of rays through random pixels."""
+        resolution, tiles = self._manifest.resolution, count // _TILE**2
+        self._sampler.seed(seed_of(self._seed, batch, 0), tiles)
+        view = mi.UInt32(dr.minimum(self._sampler.next_1d() * pictures.count, pictures.count - 1))
+        # Tiles may hang over the border, so that all pixels are equally likely.
+        reach = resolution + _TILE - 1
+        corner = mi.Point2i(dr.floor(self._sampler.next_2d() * reach)) - (_TILE - 1)
+        dr.eval(view, corner)
+        self._sampler.seed(seed_of(self._seed, batch, 1), count)
+        index = dr.arange(mi.UInt32, count)
+        tile, within = index // _TILE**2, mi.Int32(index % _TILE**2)
+        view = dr.gather(mi.UInt32, view, tile)
+        pixel = dr.gather(mi.Point2i, corner, tile) + mi.Point2i(within % _TILE, within // _TILE)
+        shown = dr.all((pixel >= 0) & (pixel < resolution))
+        place = mi.Point2f(pixel) + self._sampler.next_2d()
+        chosen = dr.compress(shown)
+        view = dr.gather(mi.UInt32, view, chosen)
+        place, pixel = dr.gather(mi.Point2f, place, chosen), dr.gather(mi.Point2i, pixel, chosen)
+        origin = (
+            dr.gather(mi.Vector3f, pictures.corner, view)
+            + place.x * dr.gather(mi.Vector3f, pictures.column, view)
+            + place.y * dr.gather(mi.Vector3f, pictures.row, view)
+        )
+        flat = view * resolution**2 + mi.UInt32(pixel.y * resolution + pixel.x)
+        return (
+            mi.Point3f(origin),
+            dr.gather(mi.Vector3f, pictures.direction, view),
+            dr.gather(mi.Color3f, pictures.radiance, flat),
+            dr.gather(mi.Float, pictures.through, flat),
+        )
+
+
+@dataclasses.dataclass
+class _Pictures:
+    """Views on the device: per view corner, steps and direction; per pixel what it shows."""
+
+    corner: mi.Vector3f
+    column: mi.Vector3f
+    row: mi.Vector3f
+    direction: mi.Vector3f
+    radiance: mi.Color3f
+    through: mi.Float
+    count: int
