@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import time
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from lumitree.core.files import atomic_path
 from lumitree.core.harmonics import MAX_L
 from lumitree.core.interrupt import deferred_interrupt
 from lumitree.core.progress import progress
-from lumitree.core.transmittance import Law
+from lumitree.core.transmittance import LAWS, Law
 from lumitree.direct.estimate import estimate, grow
 from lumitree.direct.field import LeafField
 from lumitree.direct.heldout import HeldOut, Score
@@ -66,6 +67,10 @@ class DirectConfig:
             )
         if not 0 <= self.l_max <= MAX_L:
             raise LumitreeError(f"l_max {self.l_max} is out of range; choose 0 to {MAX_L}")
+        if self.law not in LAWS:
+            raise LumitreeError(f"law {self.law!r} is unknown; choose {' or '.join(LAWS)}")
+        if self.estimate_lines < 1:
+            raise LumitreeError(f"estimate_lines is {self.estimate_lines}; expected 1 or more")
         if self.seconds is None and self.rays is None:
             raise LumitreeError("a bake needs a budget; give it seconds or rays")
         if (self.seconds is not None and not self.seconds > 0) or (
@@ -102,12 +107,17 @@ def bake(luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResu
         folder: where the state is kept while it runs.
 
     Raises:
-        LumitreeError: `folder` holds the state of another bake.
+        LumitreeError: no light comes out, or `folder` holds the state of another bake.
     """
     source = _source(luminaire, config)
 
     def start() -> tuple[LeafField, float]:
         max_radiance = source.max_radiance()
+        if not max_radiance > 0:
+            raise LumitreeError(
+                f"{luminaire.name} sends no light out of its bounding box; a luminaire needs an "
+                "emitter that can be seen from outside"
+            )
         return _first_field(source, config, max_radiance), max_radiance
 
     return _run(source, config, folder, "bake", start)
@@ -343,7 +353,7 @@ def _load(path: Path, record: str) -> Mapping[str, NDArray[Any]] | None:
         with np.load(path, allow_pickle=False) as archive:
             state = {name: archive[name] for name in archive.files}
         found = str(state["record"])
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise LumitreeError(
             f"{path} is damaged ({type(error).__name__}); remove its folder to start again"
         ) from None
