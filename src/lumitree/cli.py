@@ -351,7 +351,9 @@ def _add_extract(commands: Any) -> None:
 
 def _add_bake(commands: Any) -> None:
     parser = _command(commands, "bake", "turn a luminaire into an asset", _bake, _show_results)
-    parser.add_argument("luminaire", metavar="LUMINAIRE", help=_LUMINAIRE)
+    parser.add_argument(
+        "luminaire", metavar="LUMINAIRE", help=_LUMINAIRE + "; or the folder of a dataset"
+    )
     _add_source_options(parser)
     _add_output(parser, "ASSET", "the .lumitree file; run again to continue")
     parser.add_argument(

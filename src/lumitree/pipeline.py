@@ -290,12 +290,13 @@ def bake(
     work: str | None = None,
     variant: str | None = None,
 ) -> Report:
-    """Bake a luminaire from traced rays, with no pictures and no network.
+    """Bake a luminaire from traced rays, with no pictures and no network; or a dataset's pictures.
 
     The state lives in `work` (default: a folder beside the asset, removed at the end); an
     interrupted bake leaves the best asset so far, and continues when it is started again.
 
     Args:
+        source: a luminaire, or the folder of a dataset.
         quality: "preview", "standard" or "high": depth and budget.
         seconds, rays: budget instead of the quality's; rays alone means no limit of time.
         tree_depth, l_max, law: instead of the quality's.
@@ -303,6 +304,7 @@ def bake(
     load_mitsuba(variant)
     from lumitree.direct import bake as direct
     from lumitree.luminaires.luminaire import load_luminaire
+    from lumitree.luminaires.source import as_source
 
     _check_asset_name(output)
     changes = {"tree_depth": tree_depth, "l_max": l_max, "law": law}
@@ -311,6 +313,10 @@ def bake(
         seed=seed,
         **{name: value for name, value in changes.items() if value is not None},
     )
+    folder = as_source(source).name
+    if (Path(folder) / MANIFEST).is_file():
+        dataset = Dataset.open(folder)
+        return _finish_direct(output, work, lambda at: direct.bake_stored(dataset, config, at))
     luminaire = load_luminaire(source)
     _diagnose(luminaire)
     return _finish_direct(output, work, lambda folder: direct.bake(luminaire, config, folder))

@@ -2,36 +2,42 @@
 
 import dataclasses
 import json
+import math
 import time
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.model import MAX_TREE_DEPTH, LuminaireAsset
+from lumitree.core.dataset import Dataset
 from lumitree.core.files import atomic_path
-from lumitree.core.harmonics import MAX_L
+from lumitree.core.harmonics import MAX_L, basis_array, num_coefficients
 from lumitree.core.interrupt import deferred_interrupt
 from lumitree.core.progress import progress
-from lumitree.core.transmittance import Law
+from lumitree.core.transmittance import LAWS, Law
 from lumitree.direct.balance import balance
 from lumitree.direct.estimate import estimate, grow
 from lumitree.direct.field import LeafField
 from lumitree.direct.heldout import HeldOut, Score
-from lumitree.direct.rays import TracedRays
+from lumitree.direct.rays import RaySource, Subject, TracedRays
 from lumitree.direct.refine import RefineConfig, Refiner
+from lumitree.direct.stored import StoredRays
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.octree.build import build_children, leaf_cells
 
 STATE = "state.npz"
-# The statistics are taken at this level at the finest; what is finer comes from splitting.
-_ESTIMATE_DEPTH = 8
-# Share of the budget spent when leaves are split for the first and for the second time.
-_SPLITS = (0.2, 0.45)
+# The statistics are taken at this level at the finest, and the hull of pictures at this one; what
+# is finer comes from splitting.
+_ESTIMATE_DEPTH, _HULL_DEPTH = 8, 6
+# Shares of the budget: between two times at which leaves are split, and after which none are.
+_SPLIT_EVERY, _LAST_SPLIT = 0.15, 0.65
+# Optical depth across a leaf of the hull, and its radiance / L_max, before anything is known.
+_HULL_OPTICAL_DEPTH, _HULL_RADIANCE = 0.3, 0.01
 # Seconds between two looks at the held-out rays, and between two saved states.
 _SCORE_SECONDS, _SAVE_SECONDS = 10.0, 60.0
 
@@ -67,6 +73,10 @@ class DirectConfig:
             )
         if not 0 <= self.l_max <= MAX_L:
             raise LumitreeError(f"l_max {self.l_max} is out of range; choose 0 to {MAX_L}")
+        if self.law not in LAWS:
+            raise LumitreeError(f"law {self.law!r} is unknown; choose {' or '.join(LAWS)}")
+        if self.estimate_lines < 1:
+            raise LumitreeError(f"estimate_lines is {self.estimate_lines}; expected 1 or more")
         if self.seconds is None and self.rays is None:
             raise LumitreeError("a bake needs a budget; give it seconds or rays")
         if (self.seconds is not None and not self.seconds > 0) or (
@@ -103,13 +113,42 @@ def bake(luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResu
         folder: where the state is kept while it runs.
 
     Raises:
-        LumitreeError: `folder` holds the state of another bake.
+        LumitreeError: no light comes out, or `folder` holds the state of another bake.
     """
     source = _source(luminaire, config)
 
     def start() -> tuple[LeafField, float]:
         max_radiance = source.max_radiance()
+        if not max_radiance > 0:
+            raise LumitreeError(
+                f"{luminaire.name} sends no light out of its bounding box; a luminaire needs an "
+                "emitter that can be seen from outside"
+            )
         return _first_field(source, config, max_radiance), max_radiance
+
+    return _run(source, config, folder, "bake", start)
+
+
+def bake_stored(dataset: Dataset, config: DirectConfig, folder: Path) -> DirectResult:
+    """Bake what a dataset's pictures show; otherwise as `bake`.
+
+    Raises:
+        LumitreeError: the pictures are black, too few or show nothing in common, or `folder` holds
+            the state of another bake.
+    """
+    source = StoredRays(dataset, config.seed)
+
+    def start() -> tuple[LeafField, float]:
+        level = min(config.tree_depth, _HULL_DEPTH)
+        cells = source.hull(level)
+        if not len(cells):
+            raise LumitreeError(f"no part of the box is lit in every view of {dataset.folder}")
+        coefficients = np.zeros((len(cells), 3, num_coefficients(config.l_max)))
+        constant = basis_array(np.array([[0.0, 0.0, 1.0]]), 0)[0, 0]
+        coefficients[:, :, 0] = math.log(_HULL_RADIANCE / (1 - _HULL_RADIANCE)) / constant
+        density = np.full(len(cells), _HULL_OPTICAL_DEPTH * (1 << level) / 2)
+        levels = np.full(len(cells), level)
+        return _field(config, source, cells, levels, density, coefficients), source.max_radiance()
 
     return _run(source, config, folder, "bake", start)
 
@@ -140,22 +179,14 @@ def refine(
     config = dataclasses.replace(
         config, tree_depth=asset.tree_depth, l_max=asset.l_max, law=asset.law
     )
+    source = _source(luminaire, config)
 
     def start() -> tuple[LeafField, float]:
-        cells, levels = leaf_cells(asset.children)
-        field = LeafField(
-            cells,
-            levels,
-            np.log(np.maximum(asset.density, 1e-3)),
-            asset.coefficients,
-            tree_depth=asset.tree_depth,
-            l_max=asset.l_max,
-            law=asset.law,
-            half_extents=luminaire.half_extents,
-        )
+        leaves = leaf_cells(asset.children)
+        field = _field(config, source, *leaves, asset.density, asset.coefficients)
         return field, asset.max_radiance
 
-    return _run(_source(luminaire, config), config, folder, "refine", start)
+    return _run(source, config, folder, "refine", start)
 
 
 def _source(luminaire: Luminaire, config: DirectConfig) -> TracedRays:
@@ -163,33 +194,34 @@ def _source(luminaire: Luminaire, config: DirectConfig) -> TracedRays:
 
 
 def _run(
-    source: TracedRays,
+    source: RaySource,
     config: DirectConfig,
     folder: Path,
     verb: str,
     start: Callable[[], tuple[LeafField, float]],
 ) -> DirectResult:
     """Start, or continue what `folder` holds, and spend the budget."""
-    luminaire = source.luminaire
-    record = _record(luminaire, config)
+    record = _record(source.subject, config)
     saved = _load(folder / STATE, record)
     if saved is None:
         clock = _Clock(config, 0.0, 0)
         field, max_radiance = start()
-        refiner = Refiner(field, source, max_radiance, config.refine)
     else:
         clock = _Clock(config, float(saved["seconds"]), int(saved["rays"]))
+        none = np.zeros((0, 3), np.int64)
+        field = _field(config, source, none, none[:, 0], none[:, 0], none)
         max_radiance = float(saved["max_radiance"])
-        refiner = Refiner(_placeholder(config, luminaire), source, max_radiance, config.refine)
+    refiner = Refiner(field, source, max_radiance, config.refine)
+    if saved is not None:
         refiner.restore(saved)
     held_out = HeldOut.trace(source, max_radiance)
     loop = _Loop(refiner, held_out, clock, config, folder, record, max_radiance)
-    interrupted = loop.run(f"{verb} {luminaire.name}")
-    asset = make_asset(loop.best, luminaire, max_radiance)
+    interrupted = loop.run(f"{verb} {source.subject.name}")
+    asset = make_asset(loop.best, source.subject, max_radiance)
     return DirectResult(asset, loop.best_score, clock.rays, clock.seconds, interrupted)
 
 
-def make_asset(field: LeafField, luminaire: Luminaire, max_radiance: float) -> LuminaireAsset:
+def make_asset(field: LeafField, subject: Subject, max_radiance: float) -> LuminaireAsset:
     """The asset of a field."""
     limit = float(np.finfo(np.float16).max)
     return LuminaireAsset(
@@ -200,9 +232,9 @@ def make_asset(field: LeafField, luminaire: Luminaire, max_radiance: float) -> L
         l_max=field.l_max,
         law=field.law,
         max_radiance=max_radiance,
-        half_extents=luminaire.half_extents,
-        world_from_proxy=luminaire.world_from_proxy,
-        luminaire=luminaire.name,
+        half_extents=subject.half_extents,
+        world_from_proxy=subject.world_from_proxy,
+        luminaire=subject.name,
     )
 
 
@@ -212,32 +244,29 @@ def _first_field(source: TracedRays, config: DirectConfig, max_radiance: float) 
     first = estimate(
         source, cells, level, config.l_max, config.law, max_radiance, config.estimate_lines
     )
-    field = LeafField(
-        first.cells,
-        np.full(len(first.cells), level),
-        np.log(np.maximum(first.density, 1e-3)),
-        first.coefficients,
-        tree_depth=config.tree_depth,
-        l_max=config.l_max,
-        law=config.law,
-        half_extents=source.luminaire.half_extents,
-    )
+    levels = np.full(len(first.cells), level)
+    field = _field(config, source, first.cells, levels, first.density, first.coefficients)
     balance(field, source, max_radiance)
     return field
 
 
-def _placeholder(config: DirectConfig, luminaire: Luminaire) -> LeafField:
-    """A field that a saved state replaces."""
-    none = np.zeros((0, 3), np.int64)
+def _field(
+    config: DirectConfig,
+    source: RaySource,
+    cells: NDArray[np.int64],
+    levels: NDArray[np.int64],
+    density: NDArray[Any],
+    coefficients: NDArray[Any],
+) -> LeafField:
     return LeafField(
-        none,
-        none[:, 0],
-        mi.Float(),
-        mi.Float(),
+        cells,
+        levels,
+        np.log(np.maximum(density, 1e-3)),
+        coefficients,
         tree_depth=config.tree_depth,
         l_max=config.l_max,
         law=config.law,
-        half_extents=luminaire.half_extents,
+        half_extents=source.subject.half_extents,
     )
 
 
@@ -309,12 +338,14 @@ class _Loop:
         return interrupted.is_set()
 
     def _split(self, before: float, done: float) -> None:
-        for index, share in enumerate(_SPLITS):
-            deepest = min(self._config.tree_depth, _ESTIMATE_DEPTH + 1 + index)
-            if before < share <= done:
-                self._refiner.prune()
-                if deepest > _ESTIMATE_DEPTH:
-                    self._refiner.split(deepest)
+        """Prune now and then, and make the leaves one level deeper until they are deep enough."""
+        turn = int(done / _SPLIT_EVERY)
+        if turn == int(before / _SPLIT_EVERY) or done > _LAST_SPLIT:
+            return
+        self._refiner.prune()
+        deepest = int(self._refiner.field.levels.max())
+        if deepest < self._config.tree_depth:
+            self._refiner.split(deepest + 1)
 
     def _score(self) -> None:
         score = self._held_out.score(self._refiner.field)
@@ -331,11 +362,11 @@ class _Loop:
             np.savez(temporary, **state)  # type: ignore[arg-type]
 
 
-def _record(luminaire: Luminaire, config: DirectConfig) -> str:
+def _record(subject: Subject, config: DirectConfig) -> str:
     """What must agree for a state to be continued; a budget may be raised."""
     fields = dataclasses.asdict(config)
     del fields["seconds"], fields["rays"]
-    return json.dumps({"fingerprint": luminaire.fingerprint, **fields}, sort_keys=True)
+    return json.dumps({"fingerprint": subject.fingerprint, **fields}, sort_keys=True)
 
 
 def _load(path: Path, record: str) -> Mapping[str, NDArray[Any]] | None:
@@ -345,7 +376,7 @@ def _load(path: Path, record: str) -> Mapping[str, NDArray[Any]] | None:
         with np.load(path, allow_pickle=False) as archive:
             state = {name: archive[name] for name in archive.files}
         found = str(state["record"])
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise LumitreeError(
             f"{path} is damaged ({type(error).__name__}); remove its folder to start again"
         ) from None

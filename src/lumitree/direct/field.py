@@ -198,7 +198,7 @@ class LeafField:
         dr.eval(density_gradient, coefficient_gradient)
 
     def scatter_emission(self, origin: Any, direction: Any, value: Any, total: Any) -> None:
-        """Add w Phi · value (mi.Color3f) of each ray to `total` (mi.Float [M · 4]) of its leaves."""
+        """Add w Phi · value (mi.Color3f) of each ray to `total` (mi.Float [M · 4])."""
         y = basis(*towards_viewer(direction), self.l_max)
 
         def visit(state, leaf, start, length, active):

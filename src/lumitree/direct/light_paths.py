@@ -51,6 +51,9 @@ def trace_light(luminaire: Luminaire, sampler: Any, count: int, path_depth: int)
     origin, direction, flux, stop, leaves = _trace(luminaire.scene, sampler, path_depth)
     dr.eval(origin, direction, flux, stop, leaves)
     chosen = dr.compress(leaves)
+    if not dr.width(chosen):
+        # An array without elements goes with no other: one path that carries nothing stands in.
+        chosen, flux = mi.UInt32([0]), mi.Color3f(dr.zeros(mi.Float, count))
     to_local = mi.Transform4f(np.linalg.inv(luminaire.world_from_proxy))
     dr.make_opaque(to_local)
     scale = dr.opaque(mi.Float, 1 / (count * similarity_scale(luminaire.world_from_proxy) ** 2))

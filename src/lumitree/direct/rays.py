@@ -20,6 +20,7 @@ from typing import Any, Protocol
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.direct.light_paths import LightPaths, trace_light
 from lumitree.luminaires.luminaire import Luminaire
@@ -93,11 +94,33 @@ class Pairs:
     transmittance: Any
 
 
+@dataclasses.dataclass(frozen=True)
+class Subject:
+    """What the rays show.
+
+    Attributes:
+        name: of the luminaire.
+        fingerprint: identifies its content.
+        half_extents: [3] the proxy box, local units.
+        world_from_proxy: [4, 4] local frame (D8).
+    """
+
+    name: str
+    fingerprint: str
+    half_extents: NDArray[np.float64]
+    world_from_proxy: NDArray[np.float64]
+
+
 class RaySource(Protocol):
     """Where a bake gets its rays from."""
 
+    @property
+    def subject(self) -> Subject:
+        """What the rays show."""
+        ...
+
     def draw(self, count: int, batch: int, wanted: Wanted) -> Rays:
-        """Rays of batch number `batch`: those of `count` random lines that are wanted, and light."""
+        """Of `count` random lines those that are wanted, and light from the emitters."""
         ...
 
     def pairs(self, count: int, batch: int, paths: int) -> Pairs:
@@ -128,6 +151,12 @@ class TracedRays:
         self._to_world = mi.Transform4f(luminaire.world_from_proxy)
         self._to_local = mi.Transform4f(np.linalg.inv(luminaire.world_from_proxy))
         dr.make_opaque(self._to_world, self._to_local)
+
+    @property
+    def subject(self) -> Subject:
+        """The luminaire."""
+        of = self.luminaire
+        return Subject(of.name, of.fingerprint, of.half_extents, of.world_from_proxy)
 
     @property
     def measure(self) -> float:

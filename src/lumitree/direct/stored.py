@@ -13,7 +13,7 @@ from lumitree.core.dataset import Dataset, View
 from lumitree.core.images import max_radiance
 from lumitree.core.sampling import orthographic_rays
 from lumitree.direct.estimate import split
-from lumitree.direct.rays import HELD_OUT_BATCH, Pairs, Rays, Wanted, seed_of
+from lumitree.direct.rays import HELD_OUT_BATCH, Pairs, Rays, Subject, Wanted, seed_of
 from lumitree.errors import LumitreeError
 
 # One view in so many is kept apart for the score.
@@ -50,6 +50,13 @@ class StoredRays:
         self._views = [view for view in views if view.frame.file not in apart]
         self._training, self._held_out = self._load(self._views), self._load(held_out)
         self._sampler = mi.load_dict({"type": "independent"})
+
+    @property
+    def subject(self) -> Subject:
+        """What the pictures show."""
+        of = self._manifest
+        frame = np.array(of.world_from_proxy)
+        return Subject(of.luminaire, of.fingerprint, np.array(of.half_extents), frame)
 
     def max_radiance(self) -> float:
         """L_max (D9)."""
@@ -93,9 +100,7 @@ class StoredRays:
                 cells = cells[self._covered(view, (cells + 0.5) * size - 1, size)]
         return cells
 
-    def _covered(
-        self, view: View, centres: NDArray[np.float64], size: float
-    ) -> NDArray[np.bool_]:
+    def _covered(self, view: View, centres: NDArray[np.float64], size: float) -> NDArray[np.bool_]:
         """Whether a view shows something within the cell around each centre [M, 3]."""
         resolution, half_width = self._manifest.resolution, self._manifest.half_width
         scale = resolution / (2 * half_width)
@@ -136,20 +141,16 @@ class StoredRays:
         resolution, tiles = self._manifest.resolution, count // _TILE**2
         self._sampler.seed(seed_of(self._seed, batch, 0), tiles)
         view = mi.UInt32(dr.minimum(self._sampler.next_1d() * pictures.count, pictures.count - 1))
-        # Tiles may hang over the border, so that all pixels are equally likely.
-        reach = resolution + _TILE - 1
-        corner = mi.Point2i(dr.floor(self._sampler.next_2d() * reach)) - (_TILE - 1)
+        free = max(1, resolution - _TILE + 1)
+        corner = mi.Point2i(dr.floor(self._sampler.next_2d() * free))
         dr.eval(view, corner)
         self._sampler.seed(seed_of(self._seed, batch, 1), count)
         index = dr.arange(mi.UInt32, count)
         tile, within = index // _TILE**2, mi.Int32(index % _TILE**2)
         view = dr.gather(mi.UInt32, view, tile)
         pixel = dr.gather(mi.Point2i, corner, tile) + mi.Point2i(within % _TILE, within // _TILE)
-        shown = dr.all((pixel >= 0) & (pixel < resolution))
+        pixel = dr.minimum(pixel, resolution - 1)
         place = mi.Point2f(pixel) + self._sampler.next_2d()
-        chosen = dr.compress(shown)
-        view = dr.gather(mi.UInt32, view, chosen)
-        place, pixel = dr.gather(mi.Point2f, place, chosen), dr.gather(mi.Point2i, pixel, chosen)
         origin = (
             dr.gather(mi.Vector3f, pictures.corner, view)
             + place.x * dr.gather(mi.Vector3f, pictures.column, view)
