@@ -34,9 +34,11 @@ def register() -> None:
     if mi.variant() in _registered:
         return
     shape = importlib.import_module("lumitree.render.shape")
+    integrator = importlib.import_module("lumitree.render.integrator").integrator_class()
     emitter, bsdf = _plugin_classes(mi)
     mi.register_emitter("lumitree", emitter)
     mi.register_bsdf("lumitree_null", bsdf)
+    mi.register_integrator("lumitree_path", integrator)
     mi.register_shape("lumitree_proxy", lambda props: mi.load_dict(shape.shape(**_options(props))))
     _registered.add(mi.variant())
 
@@ -101,10 +103,14 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
         def eval(self, si, active=True):
+            return self.eval_through(si, active)[0]
+
+        def eval_through(self, si, active):
+            """Radiance and transmittance in one traversal, for `lumitree_path`."""
             line = self.placed.local_line(si.p, -si.to_world(si.wi))
             entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-            radiance, _ = self.placed.field.emission(*line, entering)
-            return radiance & entering
+            radiance, through = self.placed.field.emission(*line, entering)
+            return radiance & entering, dr.select(entering, through, 1)
 
         def sample_direction(self, it, sample, active=True):
             placed = self.placed
