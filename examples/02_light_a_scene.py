@@ -15,7 +15,7 @@ place = mi.ScalarTransform4f
 scene = mi.load_dict(
     {
         "type": "scene",
-        "integrator": {"type": "volpath", "max_depth": 6},
+        "integrator": {"type": "lumitree_path", "max_depth": 6},
         "sensor": {
             "type": "perspective",
             "fov": 40,

@@ -7,8 +7,7 @@ cross it with the transmittance that its BSDF states. Participating media are no
 `path`; scenes with media need `volpath`.
 
 Symbols
-    L, β, η    radiance so far, throughput, product of relative indices of refraction
-    T          transmittance of a shadow ray
+    β, η    throughput of the path, product of its relative indices of refraction
 """
 
 from typing import Any
@@ -40,6 +39,8 @@ def integrator_class() -> type:
                 )
 
         def sample(self, scene, sampler, ray, medium=None, active=True):
+            if not scene.emitters():
+                return mi.Color3f(0), scene.ray_test(ray, active), []
             radiance, valid = _trace(self, scene, sampler, mi.Ray3f(ray), mi.Bool(active))
             return radiance, valid, []
 
@@ -52,12 +53,12 @@ def integrator_class() -> type:
 @dr.syntax
 def _trace(settings, scene, sampler, ray, active):
     """Radiance along camera rays, and whether they met something (for the film's alpha)."""
-    max_depth = mi.UInt32(settings.max_depth)  # -1 becomes the largest number
+    max_depth = mi.UInt32(settings.max_depth % (1 << 32))  # no limit: the largest number
     sees_null = has_null_surfaces(scene)
     sees_environment = scene.environment() is not None and not settings.hide_emitters
     context = mi.BSDFContext()
 
-    L, β, η = mi.Color3f(0), mi.Color3f(1), mi.Float(1)
+    radiance, β, η = mi.Color3f(0), mi.Color3f(1), mi.Float(1)
     depth = mi.UInt32(0)
     valid = mi.Bool(sees_environment)
     # The last interaction that was not null, the density of the direction sampled there, and
@@ -84,15 +85,21 @@ def _trace(settings, scene, sampler, ray, active):
         ds = mi.DirectionSample3f(scene, si, vertex)
         emitter_pdf = scene.pdf_emitter_direction(vertex, ds, seen & ~delta)
         emitted, through, proxy = dr.dispatch(ds.emitter, _emitted, si, active)
-        L[seen] += β * _mis_weight(pdf, emitter_pdf) * emitted
+        radiance[seen] += β * _mis_weight(pdf, emitter_pdf) * emitted
 
         # A proxy is left the way it was entered; every other surface is sampled.
         proxy &= active & si.is_valid()
         scatters = active & ~proxy & si.is_valid() & (depth + 1 < max_depth)
 
-        # Next-event estimation.
+        # Next-event estimation. Whether light arrives is asked before how much a baked luminaire
+        # sends, which costs a traversal.
         estimates = scatters & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        ds, weight = scene.sample_emitter_direction(si, sampler.next_2d(), False, estimates)
+        sample = sampler.next_2d()
+        index, emitter_weight, sample.x = scene.sample_emitter(sample.x, estimates)
+        emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index, estimates)
+        ds, weight = dr.dispatch(emitter, _aim, si, sample, estimates)
+        ds.pdf *= dr.rcp(emitter_weight)
+        weight *= emitter_weight
         estimates &= ds.pdf != 0
         wo = si.to_local(ds.d)
         value, value_pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
@@ -100,7 +107,9 @@ def _trace(settings, scene, sampler, ray, active):
         )
         direct = β * value * weight * dr.select(ds.delta, 1, _mis_weight(ds.pdf, value_pdf))
         estimates &= dr.max(direct) > 0
-        L[estimates] += direct * _visible(scene, si, ds.p, sees_null, estimates)
+        direct *= _visible(scene, si, ds.p, sees_null, estimates)
+        estimates &= dr.max(direct) > 0
+        radiance[estimates] += direct * dr.dispatch(emitter, _sent, si, ds, estimates)
 
         # The next ray.
         null = proxy | (scatters & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null))
@@ -125,7 +134,7 @@ def _trace(settings, scene, sampler, ray, active):
         active = (proxy | scatters) & survives & (brightest != 0)
         pi = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
 
-    return L, valid
+    return radiance, valid
 
 
 def _emitted(emitter: Any, si: Any, active: Any) -> tuple[Any, Any, Any]:
@@ -135,13 +144,27 @@ def _emitted(emitter: Any, si: Any, active: Any) -> tuple[Any, Any, Any]:
     return emitter.eval(si, active), mi.Float(1), mi.Bool(False)
 
 
+def _aim(emitter: Any, it: Any, sample: Any, active: Any) -> tuple[Any, Any]:
+    """Direction sampled towards an emitter, and its weight but for what `_sent` adds."""
+    if hasattr(emitter, "aim"):
+        return emitter.aim(it, sample, active)
+    return emitter.sample_direction(it, sample, active)
+
+
+def _sent(emitter: Any, it: Any, ds: Any, active: Any) -> Any:
+    """Radiance that is sent in a direction of `_aim`, where its weight lacks it."""
+    if hasattr(emitter, "aim"):
+        return emitter.eval_direction(it, ds, active)
+    return mi.Color3f(1)
+
+
 @dr.syntax
 def _visible(scene, si, point, sees_null, active):
     """Transmittance of the way from a surface to a point: 0 behind what is not null."""
-    T = mi.Color3f(1)
+    through = mi.Color3f(1)
     ray = si.spawn_ray_to(point)
     if dr.hint(not sees_null, mode="scalar"):
-        T[scene.ray_test(ray, active)] = 0
+        through[scene.ray_test(ray, active)] = 0
     else:
         active = mi.Bool(active)
         while active:
@@ -150,10 +173,10 @@ def _visible(scene, si, point, sees_null, active):
             bsdf = pi.shape.bsdf()
             null = hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
             crossing = pi.compute_surface_interaction(ray, mi.RayFlags.All, null)
-            T[hit] *= dr.select(null, bsdf.eval_null_transmission(crossing, null), 0)
-            active = null & (dr.max(T) > 0)
+            through[hit] *= dr.select(null, bsdf.eval_null_transmission(crossing, null), 0)
+            active = null & (dr.max(through) > 0)
             ray[active] = crossing.spawn_ray_to(point)
-    return T
+    return through
 
 
 def has_null_surfaces(scene: Any) -> bool:

@@ -1,6 +1,6 @@
 """The Mitsuba plugins: emitter `lumitree`, BSDF `lumitree_null` and shape `lumitree_proxy`.
 
-All take the same properties:
+(The integrator `lumitree_path` is registered here too.) All take the same properties:
 
     filename      the asset
     to_world      where the luminaire goes, relative to its own file's frame (default: there)
@@ -113,9 +113,14 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             return radiance & entering, dr.select(entering, through, 1)
 
         def sample_direction(self, it, sample, active=True):
+            ds, weight = self.aim(it, sample, active)
+            return ds, weight * self.eval_direction(it, ds, active & (ds.pdf > 0))
+
+        def aim(self, it, sample, active):
+            """As `sample_direction`, but the weight lacks the radiance, which costs a traversal."""
             placed = self.placed
             origin = placed.to_local @ it.p
-            p, n, direction, pdf = placed.proxy.sample(origin, sample)
+            p, n, _, pdf = placed.proxy.sample(origin, sample)
             active = active & (pdf > 0)
             ds = dr.zeros(mi.DirectionSample3f)
             ds.p = placed.to_scene @ p
@@ -127,8 +132,7 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             ds.pdf = dr.select(active, pdf, 0)
             ds.delta = False
             ds.emitter = mi.EmitterPtr(self)
-            radiance, _ = placed.field.emission(origin, direction, active)
-            return ds, (radiance / pdf) & active
+            return ds, mi.Color3f(dr.rcp(pdf)) & active
 
         def pdf_direction(self, it, ds, active=True):
             line = self.placed.local_line(it.p, ds.d)
@@ -147,7 +151,7 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
         def sample_ray(self, time, sample1, sample2, sample3, active=True):
             raise LumitreeError(
                 "the 'lumitree' emitter cannot start light paths; use an integrator that traces "
-                "from the camera, such as volpath"
+                "from the camera, such as lumitree_path"
             )
 
         def to_string(self) -> str:
