@@ -16,7 +16,7 @@ Floats = NDArray[np.float32]
 # render(samples a pixel, seed) -> picture [H, W, 3]
 Render = Callable[[int, int], Floats]
 
-MAX_BATCHES = 32
+MIN_BATCHES, MAX_BATCHES = 8, 32
 # Seeds of long runs start here; those of ladders stay below.
 _LONG_SEEDS = 1 << 14
 
@@ -69,24 +69,29 @@ class LongRun:
         """[H, W, 3] the best picture there is."""
         return self.batches.mean(0)
 
-    def extend(self, render: Render, budget: float, min_batches: int = 8) -> None:
-        """Render until `budget` seconds by the wall are spent, and at least `min_batches` are."""
+    def extend(self, render: Render, budget: float) -> None:
+        """Render until `budget` seconds by the wall are spent and there are 8 batches."""
         start = saved = time.perf_counter()
-        while len(self.batches) < min_batches or time.perf_counter() - start < budget:
-            clock = Clock()
-            image = render(self.samples, _LONG_SEEDS + self._next)[None]
-            self.seconds = {k: self.seconds[k] + v for k, v in clock.read().items()}
-            self.batches = np.concatenate([self.batches, image]) if len(self.batches) else image
-            self._next += 1
-            if len(self.batches) == MAX_BATCHES:
-                self.batches = (self.batches[::2] + self.batches[1::2]) / 2
-                self.samples *= 2
+        while len(self.batches) < MIN_BATCHES or time.perf_counter() - start < budget:
+            self.add(render)
             if time.perf_counter() - saved > 20:
-                self._save()
+                self.save()
                 saved = time.perf_counter()
-        self._save()
+        self.save()
 
-    def _save(self) -> None:
+    def add(self, render: Render) -> None:
+        """Render one more batch."""
+        clock = Clock()
+        image = render(self.samples, _LONG_SEEDS + self._next)[None]
+        self.seconds = {k: self.seconds[k] + v for k, v in clock.read().items()}
+        self.batches = np.concatenate([self.batches, image]) if len(self.batches) else image
+        self._next += 1
+        if len(self.batches) == MAX_BATCHES:
+            self.batches = (self.batches[::2] + self.batches[1::2]) / 2
+            self.samples *= 2
+
+    def save(self) -> None:
+        """Write the file."""
         with atomic_path(self._path) as temporary, open(temporary, "wb") as file:
             counts = {"samples": self.samples, "next": self._next}
             np.savez(file, batches=self.batches, **counts, **self.seconds)

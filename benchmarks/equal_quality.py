@@ -5,21 +5,22 @@ Many pairs: --pairs benchmarks/equal_quality_pairs.toml --rooms FOLDER --assets 
 
 For each pair, with `--time` seconds of rendering in all:
 
-* a long run of the explicit lamp (half the time): the reference. Its own error, from the spread
-  of its independent batches, is stated, and nothing is compared below it;
-* a long run of the baked lamp: its noise, and the *bake's error*, the difference of the two long runs
-  with the noise of both subtracted;
+* a long run of the explicit lamp (half the time): the reference. Its own error, from the spread of
+  its independent batches, is stated, and nothing is compared below it;
+* a long run of the baked lamp: its noise, and the *bake's error*, the difference of the two long
+  runs with the noise of both subtracted;
 * both methods with 1, 2, 4, ... samples a pixel, timed.
 
-Everything is kept in the `--cache` folder under the hash of what it depends on. The same command again
-spends its time on making all of it longer. Readings (one row a pair):
+Everything is kept in the `--cache` folder under the hash of what it depends on. The same command
+again spends its time on making the long runs longer. Readings (one row a pair):
 
-* speedup: as in the paper's Table 5, the time for the RMSE that the baked lamp has at 32 samples. The
-  RMSE and the explicit lamp's time are expected values: the mean squared error is variance / samples
-  (+ the bake's error), with the variance of the long runs. Rare bright samples make single pictures
-  of few samples look better than they are on average, so this is the sound reading;
+* speedup: as in the paper's Table 5, the time for the RMSE that the baked lamp has at 32 samples.
+  Its RMSE and the explicit lamp's time are expected values: the mean squared error is variance /
+  samples (+ the bake's error), with the variance of the long runs. Where rare samples are very
+  bright, most pictures look better than they are on average, so this is the sound reading;
 * measured: the same by the ladders' RMSE alone, marked ~ where it lies beyond the last rung;
-* robust: the time for equal relMSE without the 0.1 % of the pixels with the largest errors.
+* robust: the time for equal relMSE without the 0.1 % of the pixels with the largest errors, from
+  the ladders as well.
 
 Writes equal_quality.json, equal_quality.md and pictures into `--output`.
 """
@@ -36,7 +37,7 @@ import numpy as np
 import lumitree
 from batches import LongRun, digest, ladder, remember
 from equal_quality_report import draw_curves, draw_pictures, table
-from error_against_time import Efficiency, noise, squared_difference
+from error_against_time import Efficiency, noise, ratio_of_means, squared_difference
 from luminaires import processor
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import write_json
@@ -61,9 +62,12 @@ class Pair:
 
     @property
     def lamp_name(self) -> str:
-        """Built-in name, or the folder of a file."""
+        """Built-in name, or the folder of a file (and the file's own name where it says more)."""
         path = Path(self.luminaire)
-        return path.resolve().parent.name if path.suffix else self.luminaire
+        if not path.suffix:
+            return self.luminaire
+        folder = path.resolve().parent.name
+        return folder if path.stem == "luminaire" else f"{folder}-{path.stem}"
 
     @property
     def name(self) -> str:
@@ -153,6 +157,7 @@ def compare(pair: Pair, explicit: Method, baked: Method, clock: str) -> dict:
     readings = levels(rows["explicit"], rows["baked"], *efficiency, reference)
     best = headline(readings)
     saved = (best["explicit_seconds"] or 0.0) - best["baked_seconds"]
+    means = ratio_of_means(baked.long.batches, explicit.long.batches)
     relative = squared_difference(baked.long.batches, explicit.long.batches, reference.weights)
     return {
         "luminaire": pair.lamp_name,
@@ -176,7 +181,8 @@ def compare(pair: Pair, explicit: Method, baked: Method, clock: str) -> dict:
             "rmse": float(np.sqrt(max(bias.value, 0.0))),
             "rel_mse": relative.value,
             "rel_mse_error": relative.error,
-            "mean_ratio": float(baked.long.mean.mean() / reference.picture.mean()),
+            "mean_ratio": means.value,
+            "mean_ratio_error": means.error,
             "spp": baked.long.samples_per_pixel,
             "seconds": pair.bake_seconds,
             "break_even_pictures": (

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from lumitree.core.files import atomic_path
 from lumitree.core.images import tonemap
@@ -45,7 +46,7 @@ def table(rows: list[dict]) -> str:
             _reading(at, "robust"),
             f"{bake['rmse']:.2g} (MSE {bake['mse']:.2g} ± {bake['mse_error']:.1g})",
             f"{row['reference']['rmse']:.2g}",
-            f"{bake['mean_ratio']:.3f}",
+            f"{bake['mean_ratio']:.3f} ± {bake['mean_ratio_error']:.2g}",
         ]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
@@ -82,14 +83,16 @@ def draw_pictures(
     gaps = [abs(np.log(rung["seconds"] / at["baked_seconds"])) for rung in rungs]
     theirs = int(np.argmin(gaps))
     our_row = next(r for r in row["ladders"]["baked"] if r["spp"] == at["baked_spp"])
-    columns = [
+    columns: list[tuple[str, np.ndarray, dict | None]] = [
         (f"reference: explicit, {row['reference']['spp']} spp", reference, None),
         ("baked", ours["images"][0], our_row),
         ("explicit, equal time", explicit[theirs]["images"][0], rungs[theirs]),
-        ("explicit, longest of the ladder", explicit[-1]["images"][0], rungs[-1]),
     ]
+    if theirs != len(rungs) - 1:
+        columns.append(("explicit, longest of the ladder", explicit[-1]["images"][0], rungs[-1]))
     # The room in the middle of the scale; the lamp itself may burn out.
-    exposure = 0.18 / float(np.median(reference.mean(-1)[reference.mean(-1) > 0]))
+    brightness = ours["images"][0].mean(-1)
+    exposure = 0.18 / float(np.median(brightness[brightness > 0]))
     height, width = reference.shape[:2]
     middle = np.s_[height // 4 : height // 4 + height // 2, width // 4 : width // 4 + width // 2]
     figure = Figure(figsize=(4 * len(columns), 8 * height / width + 0.9), layout="constrained")
@@ -126,6 +129,9 @@ def draw_curves(path: Path, row: dict) -> None:
     for axis in axes:
         axis.set_xscale("log")
         axis.set_yscale("log")
+        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.set_xlabel(f"seconds ({row['clock']})")
         axis.grid(alpha=0.3, which="both")
         axis.legend(fontsize=8)

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 Floats = NDArray[np.floating]
 Kind = Literal["measured", "extrapolated"]
@@ -19,6 +20,7 @@ TRIMMED_SHARE = 0.001
 # relMSE divides by r² plus this share of the picture's squared mean, so that the unit of radiance
 # does not matter.
 RELATIVE_FLOOR = 0.01
+WINDOW = 9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,8 +35,13 @@ class Estimate:
 
 
 def relative_weights(reference: Floats) -> Floats:
-    """w of the relMSE: 1 / (r² + 0.01 mean(r)²)."""
-    return 1 / (reference**2 + RELATIVE_FLOOR * reference.mean() ** 2)
+    """w of the relMSE: 1 / (r² + 0.01 mean(r)²), where r is averaged over 9 x 9 pixels.
+
+    A noisy reference has pixels that no light has reached yet. Their own values would give the
+    errors there a hundred times the weight, and make the weights depend on the noise.
+    """
+    local = uniform_filter(reference, size=(WINDOW, WINDOW, 0), mode="nearest")
+    return 1 / (local**2 + RELATIVE_FLOOR * reference.mean() ** 2)
 
 
 def trimmed_mean(squares: Floats, share: float = TRIMMED_SHARE) -> float:
@@ -66,7 +73,8 @@ def squared_difference(first: Floats, second: Floats, weights: Floats | float = 
     """Mean squared difference of what two series of batches [K, H, W, 3] converge to.
 
     The noise of both is subtracted, (a - b)² - var(a) - var(b): unbiased, and so below 0 by chance
-    where the truth is near 0. The standard error is the jackknife's over both series.
+    where the truth is near 0. The standard error is the jackknife's over both series, which states
+    up to half too much where the truth is 0.
     """
     whole = _difference(first, second, weights)
     errors = []
@@ -75,6 +83,14 @@ def squared_difference(first: Floats, second: Floats, weights: Floats | float = 
         without = [_difference(series[rest != i], other, weights) for i in rest]
         errors.append(_jackknife(np.array(without)))
     return Estimate(whole, float(np.hypot(*errors)))
+
+
+def ratio_of_means(first: Floats, second: Floats) -> Estimate:
+    """Mean of the pictures of one series of batches over that of another."""
+    means = [batches.mean(axis=(1, 2, 3), dtype=np.float64) for batches in (first, second)]
+    relative = [each.std(ddof=1) / np.sqrt(len(each)) / each.mean() for each in means]
+    ratio = float(means[0].mean() / means[1].mean())
+    return Estimate(ratio, ratio * float(np.hypot(*relative)))
 
 
 def _difference(first: Floats, second: Floats, weights: Floats | float) -> float:
@@ -122,8 +138,3 @@ class Efficiency:
 
     variance_seconds: Estimate
     bias: float = 0.0
-
-    def time(self, level: float) -> float | None:
-        """Seconds until the root mean squared error is `level`; None where it never is."""
-        room = level**2 - max(self.bias, 0.0)
-        return self.variance_seconds.value / room if room > 0 else None
