@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 import lumitree
-from fields import random_asset, uniform_asset
+from fields import make_asset, random_asset, uniform_asset
 from lamps import scene as scene_xml
 from lamps import sphere
 from lumitree.core.frames import rotation, similarity
@@ -259,6 +259,16 @@ def test_hidden_emitters_hide_the_lamp_but_not_its_light(mi, lamp):
     assert_same_expectation(hidden, theirs)
     shown = passes(scene, "lumitree_path", 256, max_depth=2)
     assert shown.max() > 3.9 > hidden.max() > 0
+
+
+def test_what_is_behind_a_hidden_lamp_is_seen_where_it_is(mi, lamp):
+    """A ball behind a lamp that is not there, lit from the side, as if there were no lamp."""
+    empty = make_asset(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 3, 9)))
+    objects = {"ball": ball("diffuse", (0, 0.6, 0)), "point": POINT}
+    options = {"max_depth": 2, "hide_emitters": True}
+    scene = view(**objects, lamp=lamp([0, 1.4, 1.6], 0.5, asset=empty))
+    ours = passes(scene, "lumitree_path", 1024, **options)
+    assert_same_expectation(ours, passes(view(**objects), "path", 1024, seed=500, **options))
 
 
 def test_a_proxy_is_recognised(mi, lamp):

@@ -70,10 +70,13 @@ def _trace(settings, scene, sampler, ray, active):
 
     while active:
         if dr.hint(settings.hide_emitters, mode="scalar"):
+            # Not Mitsuba's `skip_area_emitters`, whose distance belongs to another ray.
             hidden = active & (depth == 0) & pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711
-            si_hidden = pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
-            ray[hidden] = si_hidden.spawn_ray(ray.d)
-            pi[hidden] = settings.skip_area_emitters(scene, ray, True, hidden)
+            while hidden:
+                passed = pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
+                ray[hidden] = passed.spawn_ray(ray.d)
+                pi[hidden] = scene.ray_intersect_preliminary(ray, coherent=True, active=hidden)
+                hidden &= pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711
 
         si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
         bsdf = si.bsdf(ray)
