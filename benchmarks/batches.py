@@ -17,6 +17,7 @@ Floats = NDArray[np.float32]
 Render = Callable[[int, int], Floats]
 
 MIN_BATCHES, MAX_BATCHES = 8, 32
+MIN_RUNGS = 6
 # Seeds of long runs start here; those of ladders stay below.
 _LONG_SEEDS = 1 << 14
 
@@ -100,7 +101,8 @@ class LongRun:
 def ladder(folder: Path, render: Render, budget: float, max_rungs: int = 14) -> list[dict]:
     """Pictures with 1, 2, 4, ... samples a pixel until `budget` seconds of wall time are spent.
 
-    Rungs are kept as they finish; a later call with more time goes on where this one stopped.
+    There are six rungs at least, up to the 32 samples of the paper's comparison. Rungs are kept as
+    they finish; a later call with more time goes on where this one stopped.
 
     Returns:
         For every rung `samples`, `images` [R, H, W, 3] and `seconds` by clock, [R] of each
@@ -116,7 +118,7 @@ def ladder(folder: Path, render: Render, budget: float, max_rungs: int = 14) -> 
             spent += float(rungs[-1]["seconds"]["wall"].sum())
             continue
         last = rungs[-1]["seconds"]["wall"].mean() if rungs else 0.0
-        if spent + 2 * last > budget and index >= 3:
+        if spent + 2 * last > budget and index >= MIN_RUNGS:
             break
         if not warm:  # compiling is no part of a picture's time
             render(1, 0)

@@ -28,6 +28,7 @@ Writes equal_quality.json, equal_quality.md and pictures into `--output`.
 import argparse
 import dataclasses
 import json
+import subprocess
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,7 @@ import numpy as np
 
 import lumitree
 from batches import LongRun, digest, ladder, remember
-from equal_quality_report import draw_curves, draw_pictures, table
+from equal_quality_report import draw_curves, draw_pictures, level_table, table
 from error_against_time import Efficiency, noise, ratio_of_means, squared_difference
 from luminaires import processor
 from lumitree.core.backend import load_mitsuba
@@ -239,7 +240,8 @@ def write(rows: list[dict], output: Path, setting: dict) -> None:
     rows = [row for row in known if (row["luminaire"], row["room"]) not in names] + rows
     write_json(path, {"setting": setting, "pairs": rows})
     notes = "".join(f"* {key}: {value}\n" for key, value in setting.items())
-    text = f"# Time at equal error\n\n{table(rows)}\n{notes}"
+    text = f"# Time at equal error\n\n{table(rows)}\n{notes}\n"
+    text += f"## Speed-up at the RMSE of the baked lamp's samples\n\n{level_table(rows)}"
     (output / "equal_quality.md").write_text(text)
 
 
@@ -281,7 +283,9 @@ def main() -> None:
     else:
         at = tuple(args.at)
         pairs = [Pair(args.luminaire, args.asset, args.room, at, args.size, args.bake_seconds)]
+    describe = ["git", "-C", str(HERE), "describe", "--always", "--dirty"]
     setting = {
+        "commit": subprocess.run(describe, capture_output=True, text=True).stdout.strip(),
         "device": processor(),
         "variant": mi.variant(),
         "lumitree": lumitree.__version__,

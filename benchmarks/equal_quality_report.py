@@ -52,6 +52,26 @@ def table(rows: list[dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def level_table(rows: list[dict]) -> str:
+    """Markdown; the expected RMSE of the baked lamp's rungs, and the speed-up at each."""
+    counts = sorted({level["baked_spp"] for row in rows for level in row["levels"]})
+    lines = [
+        "| luminaire | room | " + " | ".join(f"{count} spp" for count in counts) + " |",
+        "|---|---" + "|---:" * len(counts) + "|",
+    ]
+    for row in rows:
+        levels = {level["baked_spp"]: level for level in row["levels"]}
+        cells = [_level(levels.get(count)) for count in counts]
+        lines.append("| " + " | ".join([row["luminaire"], row["room"], *cells]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _level(level: dict | None) -> str:
+    if level is None:
+        return ""
+    return f"{_times(level['speedup'])} (RMSE {level['rmse']:.2g})"
+
+
 def _reading(at: dict, name: str) -> str:
     mark = "~" if at[f"{name}_kind"] == "extrapolated" else ""
     return mark + _times(at[f"speedup_{name}"])
