@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-import mitsuba as mi
+import lumitree  # before mitsuba: it names a working libLLVM
 
-import lumitree
+# isort: split
+import mitsuba as mi
 
 if not Path("ball.lumitree").exists():
     raise SystemExit("run 01_build_an_asset.py first")
