@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-import mitsuba as mi
+import lumitree  # before mitsuba: it names a working libLLVM
 
-import lumitree
+# isort: split
+import mitsuba as mi
 
 if not Path("ball.lumitree").exists():
     raise SystemExit("run 01_build_an_asset.py first")
@@ -15,7 +16,7 @@ place = mi.ScalarTransform4f
 scene = mi.load_dict(
     {
         "type": "scene",
-        "integrator": {"type": "volpath", "max_depth": 6},
+        "integrator": {"type": "lumitree_path", "max_depth": 6},
         "sensor": {
             "type": "perspective",
             "fov": 40,

@@ -330,7 +330,7 @@ def test_render_says_when_it_replaces_the_integrator(capsys, folder):
     )
     (folder / "direct.xml").write_text(room)
     assert main(["render", "direct.xml", "-o", "a.png", "--spp", "1"]) == 0
-    assert "integrator 'direct'; using volpath" in capsys.readouterr().err
+    assert "integrator 'direct'; using lumitree_path" in capsys.readouterr().err
 
 
 def test_full_disk(capsys, monkeypatch):

@@ -521,10 +521,11 @@ def render(
     check_image_name(output)
     watch = Stopwatch()
     with watch.stage("load"):
-        room, integrator = rooms.load_room(scene_path)
+        items = [rooms.Placement(**item) for item in placements]
+        room, integrator = rooms.load_room(scene_path, items)
         if width is not None:
             rooms.set_film_width(room, width)
-        scene = rooms.furnish(room, [rooms.Placement(**item) for item in placements], proxy)
+        scene = rooms.furnish(room, items, proxy)
     with watch.stage("render"):
         image = rooms.render(scene, integrator, samples_per_pixel)
     write_image(output, image)

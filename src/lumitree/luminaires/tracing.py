@@ -19,10 +19,15 @@ def path_integrator(luminaire: Luminaire, path_depth: int, **options: Any) -> An
         path_depth: longest path, bounces.
         options: more of the integrator's parameters, such as `rr_depth`.
     """
-    kind = "path"
-    if luminaire.has_media:
-        kind = "volpathmis" if _only_colours(luminaire) else "volpath"
+    kind = integrator_kind(luminaire)
     return load_mitsuba().load_dict({"type": kind, "max_depth": path_depth, **options})
+
+
+def integrator_kind(luminaire: Luminaire) -> str:
+    """Name of the Mitsuba integrator of `path_integrator`."""
+    if not luminaire.has_media:
+        return "path"
+    return "volpathmis" if _only_colours(luminaire) else "volpath"
 
 
 def _only_colours(luminaire: Luminaire) -> bool:

@@ -1,6 +1,6 @@
 """The Mitsuba plugins: emitter `lumitree`, BSDF `lumitree_null` and shape `lumitree_proxy`.
 
-All take the same properties:
+(The integrator `lumitree_path` is registered here too.) All take the same properties:
 
     filename      the asset
     to_world      where the luminaire goes, relative to its own file's frame (default: there)
@@ -34,9 +34,11 @@ def register() -> None:
     if mi.variant() in _registered:
         return
     shape = importlib.import_module("lumitree.render.shape")
+    integrator = importlib.import_module("lumitree.render.integrator").integrator_class()
     emitter, bsdf = _plugin_classes(mi)
     mi.register_emitter("lumitree", emitter)
     mi.register_bsdf("lumitree_null", bsdf)
+    mi.register_integrator("lumitree_path", integrator)
     mi.register_shape("lumitree_proxy", lambda props: mi.load_dict(shape.shape(**_options(props))))
     _registered.add(mi.variant())
 
@@ -101,15 +103,24 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
         def eval(self, si, active=True):
+            return self.eval_through(si, active)[0]
+
+        def eval_through(self, si, active):
+            """Radiance and transmittance in one traversal, for `lumitree_path`."""
             line = self.placed.local_line(si.p, -si.to_world(si.wi))
             entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-            radiance, _ = self.placed.field.emission(*line, entering)
-            return radiance & entering
+            radiance, through = self.placed.field.emission(*line, entering)
+            return radiance & entering, dr.select(entering, through, 1)
 
         def sample_direction(self, it, sample, active=True):
+            ds, weight = self.aim(it, sample, active)
+            return ds, weight * self.eval_direction(it, ds, active & (ds.pdf > 0))
+
+        def aim(self, it, sample, active):
+            """As `sample_direction`, but the weight lacks the radiance, which costs a traversal."""
             placed = self.placed
             origin = placed.to_local @ it.p
-            p, n, direction, pdf = placed.proxy.sample(origin, sample)
+            p, n, _, pdf = placed.proxy.sample(origin, sample)
             active = active & (pdf > 0)
             ds = dr.zeros(mi.DirectionSample3f)
             ds.p = placed.to_scene @ p
@@ -121,8 +132,7 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             ds.pdf = dr.select(active, pdf, 0)
             ds.delta = False
             ds.emitter = mi.EmitterPtr(self)
-            radiance, _ = placed.field.emission(origin, direction, active)
-            return ds, (radiance / pdf) & active
+            return ds, mi.Color3f(dr.rcp(pdf)) & active
 
         def pdf_direction(self, it, ds, active=True):
             line = self.placed.local_line(it.p, ds.d)
@@ -141,7 +151,7 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
         def sample_ray(self, time, sample1, sample2, sample3, active=True):
             raise LumitreeError(
                 "the 'lumitree' emitter cannot start light paths; use an integrator that traces "
-                "from the camera, such as volpath"
+                "from the camera, such as lumitree_path"
             )
 
         def to_string(self) -> str:

@@ -1,7 +1,9 @@
 """Scenes with luminaires placed in them."""
 
 import dataclasses
+import functools
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.file import load
+from lumitree.asset.model import LuminaireAsset
 from lumitree.core.frames import placement
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.luminaires.luminaire import load_luminaire, place_shapes
+from lumitree.luminaires.luminaire import Luminaire, load_luminaire, place_shapes
 from lumitree.luminaires.scene_file import SceneFile
 from lumitree.render.plugins import register
 from lumitree.render.proxy import ProxyKind
 from lumitree.render.shape import shape
 
-# Integrators that ask null surfaces for their transmittance in shadow rays.
-_SEE_THROUGH = ("volpath", "volpathmis")
+# Integrators that ask null surfaces for their transmittance in shadow rays, and see media.
+_SEE_MEDIA = ("volpath", "volpathmis")
+# What becomes `lumitree_path`, or `volpath` where there are media.
+_PATH_TRACERS = ("path", "lumitree_path")
 _DEFAULT_PATH_DEPTH = 16
 # Samples a pass: bounds memory and lets progress be shown.
 _SAMPLES_PER_PASS = 1 << 23
@@ -48,13 +53,22 @@ class Placement:
         """Whether `source` is an asset."""
         return Path(self.source).suffix == ".lumitree"
 
+    @functools.cached_property
+    def _origin(self) -> LuminaireAsset | Luminaire:
+        return load(self.source) if self.baked else load_luminaire(self.source)
+
+    @property
+    def has_media(self) -> bool:
+        """Whether paths through it cross participating media."""
+        return isinstance(self._origin, Luminaire) and self._origin.has_media
+
     def scene_from_world(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Transform from the luminaire's own frame, and its proxy box in the scene.
 
         Returns:
             `scene_from_world` [4, 4] and `scene_from_box` [4, 4], which maps [-1, 1]³ to the box.
         """
-        origin = load(self.source) if self.baked else load_luminaire(self.source)
+        origin = self._origin
         scene_from_proxy = placement(
             origin.world_from_proxy, at=self.at, size=self.size, rotate=self.rotate
         )
@@ -91,11 +105,12 @@ def furnish(room: Any, placements: list[Placement], proxy: ProxyKind = "box") ->
     return mi.load_dict(objects)
 
 
-def load_room(path: str) -> tuple[Any, Any]:
+def load_room(path: str, placements: Sequence[Placement] = ()) -> tuple[Any, Any]:
     """Room and integrator of a scene file; the integrator sees through null surfaces.
 
-    A `path` integrator is replaced by `volpath` with the same settings, and any other that
-    would let proxies block the light of other lamps too, which is said on standard error.
+    A `path` integrator becomes `lumitree_path` with the same settings, or `volpath` where the room
+    or an explicit luminaire among `placements` has participating media. Any other that would let
+    proxies block the light of other lamps is replaced too, which is said on standard error.
 
     Raises:
         LumitreeError: the scene cannot be loaded or has no camera.
@@ -104,26 +119,32 @@ def load_room(path: str) -> tuple[Any, Any]:
     file = SceneFile(path)
     if not file.nodes("Sensor"):
         raise LumitreeError(f"{path} has no sensor; add a camera to the scene")
+    has_media = bool(file.nodes("Medium")) or any(item.has_media for item in placements)
     integrators = file.nodes("Integrator")
     kinds = [node.props.plugin_name() for node in integrators]
     for node in integrators:
-        if node.props.plugin_name() == "path":
-            node.props.set_plugin_name("volpath")
+        if node.props.plugin_name() in _PATH_TRACERS:
+            node.props.set_plugin_name(_path_tracer(has_media))
     room = file.instantiate()
-    if kinds and kinds[0] in (*_SEE_THROUGH, "path"):
+    if kinds and kinds[0] in (*_SEE_MEDIA, *_PATH_TRACERS):
         return room, room.integrator()
     found = f"integrator {kinds[0]!r}" if kinds else "no integrator"
     warnings.warn(
-        f"{path} has {found}; using volpath with max_depth {_DEFAULT_PATH_DEPTH}",
+        f"{path} has {found}; using {_path_tracer(has_media)} with max_depth {_DEFAULT_PATH_DEPTH}",
         LumitreeWarning,
         stacklevel=2,
     )
-    return room, default_integrator()
+    return room, default_integrator(has_media=has_media)
 
 
-def default_integrator(path_depth: int = _DEFAULT_PATH_DEPTH) -> Any:
+def default_integrator(path_depth: int = _DEFAULT_PATH_DEPTH, *, has_media: bool = False) -> Any:
     """Integrator for scenes that name none."""
-    return mi.load_dict({"type": "volpath", "max_depth": path_depth})
+    register()
+    return mi.load_dict({"type": _path_tracer(has_media), "max_depth": path_depth})
+
+
+def _path_tracer(has_media: bool) -> str:
+    return "volpath" if has_media else "lumitree_path"
 
 
 def set_film_width(room: Any, width: int) -> None:

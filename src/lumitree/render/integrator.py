@@ -1,0 +1,198 @@
+"""The integrator `lumitree_path`: Mitsuba's `path`, which also walks through null surfaces.
+
+A null interaction (a baked luminaire's proxy, a hole of an alpha mask) bends no ray. So it counts
+neither towards `max_depth` nor for Russian roulette, it keeps the state of multiple importance
+sampling (the vertex before it and the density of the direction sampled there), and shadow rays
+cross it with the transmittance that its BSDF states. Participating media are not seen, as by
+`path`; scenes with media need `volpath`.
+
+Symbols
+    β, η    throughput of the path, product of its relative indices of refraction
+"""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from lumitree.errors import LumitreeError
+
+_DEFAULT_RR_DEPTH = 5
+
+
+def integrator_class() -> type:
+    """Class of `lumitree_path` for the variant of Mitsuba that is set.
+
+    Its properties are those of `path`: `max_depth` (-1: no limit), `rr_depth` and
+    `hide_emitters`, which hides baked luminaires from the camera as other area lights.
+    """
+
+    class LumitreePath(mi.SamplingIntegrator):
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.max_depth = int(props.get("max_depth", -1))
+            self.rr_depth = int(props.get("rr_depth", _DEFAULT_RR_DEPTH))
+            if self.max_depth < -1 or self.rr_depth < 1:
+                raise LumitreeError(
+                    f"lumitree_path has max_depth {self.max_depth} and rr_depth {self.rr_depth}; "
+                    "expected max_depth of -1 (no limit) or more and rr_depth of 1 or more"
+                )
+
+        def sample(self, scene, sampler, ray, medium=None, active=True):
+            if not scene.emitters():
+                return mi.Color3f(0), scene.ray_test(ray, active), []
+            radiance, valid = _trace(self, scene, sampler, mi.Ray3f(ray), mi.Bool(active))
+            return radiance, valid, []
+
+        def to_string(self) -> str:
+            return f"LumitreePath[max_depth={self.max_depth}, rr_depth={self.rr_depth}]"
+
+    return LumitreePath
+
+
+@dr.syntax
+def _trace(settings, scene, sampler, ray, active):
+    """Radiance along camera rays, and whether they met something (for the film's alpha)."""
+    max_depth = mi.UInt32(settings.max_depth % (1 << 32))  # no limit: the largest number
+    sees_null = has_null_surfaces(scene)
+    sees_environment = scene.environment() is not None and not settings.hide_emitters
+    context = mi.BSDFContext()
+
+    radiance, β, η = mi.Color3f(0), mi.Color3f(1), mi.Float(1)
+    depth = mi.UInt32(0)
+    valid = mi.Bool(sees_environment)
+    # The last interaction that was not null, the density of the direction sampled there, and
+    # whether next-event estimation could not have found that direction.
+    vertex = dr.zeros(mi.Interaction3f)
+    pdf, delta = mi.Float(1), mi.Bool(True)
+    active &= depth < max_depth
+    pi = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+
+    while active:
+        if dr.hint(settings.hide_emitters, mode="scalar"):
+            # Not Mitsuba's `skip_area_emitters`, whose distance belongs to another ray.
+            hidden = active & (depth == 0) & pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711
+            while hidden:
+                passed = pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
+                ray[hidden] = passed.spawn_ray(ray.d)
+                pi[hidden] = scene.ray_intersect_preliminary(ray, coherent=True, active=hidden)
+                hidden &= pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711
+
+        si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
+        bsdf = si.bsdf(ray)
+
+        # Light of the emitter that the ray has hit.
+        seen = mi.Bool(active)
+        if dr.hint(settings.hide_emitters, mode="scalar"):
+            seen &= depth > 0
+        ds = mi.DirectionSample3f(scene, si, vertex)
+        emitter_pdf = scene.pdf_emitter_direction(vertex, ds, seen & ~delta)
+        emitted, through, proxy = dr.dispatch(ds.emitter, _emitted, si, active)
+        radiance[seen] += β * _mis_weight(pdf, emitter_pdf) * emitted
+
+        # A proxy is left the way it was entered; every other surface is sampled.
+        proxy &= active & si.is_valid()
+        scatters = active & ~proxy & si.is_valid() & (depth + 1 < max_depth)
+
+        # Next-event estimation. Whether light arrives is asked before how much a baked luminaire
+        # sends, which costs a traversal.
+        estimates = scatters & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        sample = sampler.next_2d()
+        index, emitter_weight, sample.x = scene.sample_emitter(sample.x, estimates)
+        emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index, estimates)
+        ds, weight = dr.dispatch(emitter, _aim, si, sample, estimates)
+        ds.pdf *= dr.rcp(emitter_weight)
+        weight *= emitter_weight
+        estimates &= ds.pdf != 0
+        wo = si.to_local(ds.d)
+        value, value_pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
+            context, si, wo, sampler.next_1d(), sampler.next_2d(), scatters
+        )
+        direct = β * value * weight * dr.select(ds.delta, 1, _mis_weight(ds.pdf, value_pdf))
+        estimates &= dr.max(direct) > 0
+        direct *= _visible(scene, si, ds.p, sees_null, estimates)
+        estimates &= dr.max(direct) > 0
+        radiance[estimates] += direct * dr.dispatch(emitter, _sent, si, ds, estimates)
+
+        # The next ray.
+        null = proxy | (scatters & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null))
+        bounces = scatters & ~null
+        β[proxy] *= through
+        β[scatters] *= bsdf_weight
+        η[bounces] *= bs.eta
+        vertex[bounces] = mi.Interaction3f(si)
+        pdf[bounces] = bs.pdf
+        delta[bounces] = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+        depth[bounces] += 1
+        valid |= bounces | (proxy & seen & (dr.max(emitted) > 0))
+        # A null ray keeps its direction to the last bit.
+        ray = si.spawn_ray(dr.select(null, ray.d, si.to_world(bs.wo)))
+
+        # Russian roulette, as in `path`.
+        brightest = dr.max(β)
+        survival = dr.minimum(brightest * dr.square(η), 0.95)
+        roulette = bounces & (depth >= settings.rr_depth)
+        survives = ~roulette | (sampler.next_1d() < survival)
+        β[roulette] *= dr.rcp(survival)
+        active = (proxy | scatters) & survives & (brightest != 0)
+        pi = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+
+    return radiance, valid
+
+
+def _emitted(emitter: Any, si: Any, active: Any) -> tuple[Any, Any, Any]:
+    """Radiance of an emitter that was hit, and of a proxy T and that it is one."""
+    if hasattr(emitter, "eval_through"):
+        return *emitter.eval_through(si, active), mi.Bool(True)
+    return emitter.eval(si, active), mi.Float(1), mi.Bool(False)
+
+
+def _aim(emitter: Any, it: Any, sample: Any, active: Any) -> tuple[Any, Any]:
+    """Direction sampled towards an emitter, and its weight but for what `_sent` adds."""
+    if hasattr(emitter, "aim"):
+        return emitter.aim(it, sample, active)
+    return emitter.sample_direction(it, sample, active)
+
+
+def _sent(emitter: Any, it: Any, ds: Any, active: Any) -> Any:
+    """Radiance that is sent in a direction of `_aim`, where its weight lacks it."""
+    if hasattr(emitter, "aim"):
+        return emitter.eval_direction(it, ds, active)
+    return mi.Color3f(1)
+
+
+@dr.syntax
+def _visible(scene, si, point, sees_null, active):
+    """Transmittance of the way from a surface to a point: 0 behind what is not null."""
+    through = mi.Color3f(1)
+    ray = si.spawn_ray_to(point)
+    if dr.hint(not sees_null, mode="scalar"):
+        through[scene.ray_test(ray, active)] = 0
+    else:
+        active = mi.Bool(active)
+        while active:
+            pi = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+            hit = active & pi.is_valid()
+            bsdf = pi.shape.bsdf()
+            null = hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
+            crossing = pi.compute_surface_interaction(ray, mi.RayFlags.All, null)
+            through[hit] *= dr.select(null, bsdf.eval_null_transmission(crossing, null), 0)
+            active = null & (dr.max(through) > 0)
+            ray[active] = crossing.spawn_ray_to(point)
+    return through
+
+
+def has_null_surfaces(scene: Any) -> bool:
+    """Whether light may pass some shape of the scene without being bent."""
+    for shape in scene.shapes():
+        bsdf = shape.bsdf()
+        # An instance has no BSDF of its own; what it repeats may have any.
+        if bsdf is None or mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null):
+            return True
+    return False
+
+
+def _mis_weight(pdf: Any, other_pdf: Any) -> Any:
+    """Power heuristic; 0 where neither density is positive, as in `path`."""
+    weight = dr.square(pdf) / (dr.square(pdf) + dr.square(other_pdf))
+    return dr.select(dr.isfinite(weight), weight, 0)

@@ -1,0 +1,103 @@
+"""The harness from end to end, on a lamp and a room of a few shapes."""
+
+import argparse
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumitree
+from equal_quality import Pair, explicit_integrator, read_pairs, run, write
+from fields import random_asset
+from lamps import AREA, GLASS, cube, scene, sphere
+from lumitree.luminaires.luminaire import load_luminaire
+
+THIN = '<bsdf type="thindielectric"/>'
+ROOM = (
+    '<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="60"/>'
+    '<transform name="to_world"><lookat origin="0,1.5,5" target="0,0.5,0" up="0,1,0"/></transform>'
+    '<film type="hdrfilm"><integer name="width" value="32"/><integer name="height" value="24"/>'
+    '<rfilter type="box"/></film></sensor>'
+    '<integrator type="path"/><shape type="rectangle"><transform name="to_world">'
+    '<rotate x="1" angle="-90"/><scale value="4"/></transform></shape></scene>'
+)
+
+
+@pytest.fixture
+def pair(mi, tmp_path):
+    lamp, room = tmp_path / "lantern", tmp_path / "cellar"
+    lamp.mkdir()
+    room.mkdir()
+    (lamp / "luminaire.xml").write_text(scene(sphere("bulb", 0.5, inside=AREA)))
+    (room / "room_night.xml").write_text(ROOM)
+    lumitree.save(random_asset(3, density_scale=4.0), lamp / "lantern.lumitree")
+    return Pair(
+        luminaire=str(lamp / "luminaire.xml"),
+        asset=str(lamp / "lantern.lumitree"),
+        room=str(room / "room_night.xml"),
+        at=(0.0, 1.2, 0.0),
+        size=1.0,
+        bake_seconds=10.0,
+    )
+
+
+@pytest.fixture
+def options(tmp_path):
+    return argparse.Namespace(
+        time=0.0,
+        width=16,
+        path_depth=6,
+        explicit=None,
+        clock="cpu",
+        cache=tmp_path / "cache",
+        output=tmp_path / "results",
+    )
+
+
+def test_a_pair_from_end_to_end(pair, options):
+    row = run(pair, options)
+    assert (row["luminaire"], row["room"]) == ("lantern", "cellar")
+    assert row["integrators"] == ["path", "lumitree_path"]
+    assert row["resolution"] == [16, 12]
+    assert row["at_paper_samples"]["baked_spp"] == 32
+    # The asset is another lamp altogether, and the bake's error says so.
+    assert row["bake"]["mse"] > 5 * row["bake"]["mse_error"] > 0
+    assert row["bake"]["rmse"] > row["reference"]["rmse"] > 0
+    assert row["speedup"] > 0
+    for name in row["pictures"]:
+        assert np.ptp(np.array(Image.open(options.output / name))) > 100
+    # Once more: the ladders are kept, and so the times are the very same.
+    again = run(pair, options)
+    assert again["ladders"]["baked"][-1]["seconds"] == row["ladders"]["baked"][-1]["seconds"]
+
+    write([row | {"luminaire": "other"}], options.output, {})
+    write([row], options.output, {})
+    write([again], options.output, {"clock": "cpu"})
+    found = json.loads((options.output / "equal_quality.json").read_text())["pairs"]
+    assert [each["luminaire"] for each in found] == ["other", "lantern"]
+    text = (options.output / "equal_quality.md").read_text()
+    assert "| lantern | cellar | 32 |" in text
+    assert "* clock: cpu" in text
+
+
+@pytest.mark.parametrize(("glass", "kind"), [("", "path"), (GLASS, "path"), (THIN, "volpath")])
+def test_the_explicit_lamp_gets_the_integrator_it_needs(mi, tmp_path, glass, kind):
+    (tmp_path / "lamp.xml").write_text(
+        scene(sphere("bulb", 0.2, inside=AREA), sphere("glass", 0.5, inside=glass))
+    )
+    assert explicit_integrator(load_luminaire(str(tmp_path / "lamp.xml"))) == kind
+
+
+def test_heights_become_sizes(mi, tmp_path, pair):
+    (tmp_path / "pairs.toml").write_text(
+        '[[pair]]\nluminaire = "lantern/flat.xml"\nasset = "a.lumitree"\nroom = "cellar"\n'
+        "at = [1, 2, 3]\nheight = 0.5\n"
+    )
+    flat = scene(cube("panel", (3, 1, 1), inside=AREA))
+    (tmp_path / "lantern" / "flat.xml").write_text(flat)
+    (found,) = read_pairs(tmp_path / "pairs.toml", tmp_path, tmp_path / "assets", tmp_path)
+    assert found.name == "lantern-flat-cellar"
+    assert found.room == pair.room
+    assert found.size == pytest.approx(1.5)
+    assert found.asset == str(tmp_path / "assets" / "a.lumitree")
