@@ -6,7 +6,7 @@ Symbols
     w_i         weight of leaf i, T_{i-1} - T_i
     Phi_i       emission of leaf i towards the viewer, in units of L_max: sigmoid(c_i · Y)
     L           sum of w_i Phi_i
-    dL, dT      derivatives of the loss by L and by the ray's transmittance T_n
+    dL          derivative of the loss by L
 """
 
 import copy
@@ -143,7 +143,7 @@ class LeafField:
         direction: Any,
         integrated: tuple[Any, Any, Any],
         d_radiance: Any,
-        d_through: Any,
+        d_depth: Any,
         density_gradient: Any,
         coefficient_gradient: Any,
     ) -> None:
@@ -156,11 +156,12 @@ class LeafField:
 
         Args:
             integrated: what `integrate` returned for the same rays.
-            d_radiance, d_through: dL (mi.Color3f, by L / L_max) and dT of each ray.
+            d_radiance: dL of each ray (mi.Color3f, by L / L_max).
+            d_depth: the loss's derivative by the optical depth of the whole ray (mi.Float).
             density_gradient, coefficient_gradient: mi.Float, added to.
         """
         y = basis(*towards_viewer(direction), self.l_max)
-        total, through_end, last = integrated
+        total, _, last = integrated
         quads = self.width // 4
 
         def visit(state, leaf, start, length, active):
@@ -174,16 +175,10 @@ class LeafField:
             emission = self._emission(leaf, y, active)
             seen = dr.select(lit, seen + weight * emission, seen)
             if self.law == "linear":
-                # Where leaf k saturates the ray nothing changes with its density. A ray that lets
-                # too little through (dT < 0) takes the gradient of its opacity to be that of tau,
-                # or it could never thin out.
                 slope = dr.select(after > 0, emission - last, 0)
-                d_tau = dr.dot(d_radiance, slope) - d_through * dr.select(
-                    (through_end > 0) | (d_through < 0), 1, 0
-                )
             else:
-                d_tau = dr.dot(d_radiance, after * emission - (total - seen))
-                d_tau -= d_through * through_end
+                slope = after * emission - (total - seen)
+            d_tau = dr.dot(d_radiance, slope) + d_depth
             _add(density_gradient, d_tau * depth, leaf, active)
             by_emission = weight * d_radiance * emission * (1 - emission)
             flat = [by_emission[channel] * value for channel in range(3) for value in y]

@@ -7,8 +7,11 @@ lines, and light from the emitters, may bring in different parts of it (see `Ray
 Symbols
     L, T        radiance / L_max and transmittance of the field along a ray
     l, t        what the ray should show, noisy
-    loss        mean of ((L - l) / (sg(L) + epsilon))² + opacity_weight (T - t)²: Eq. 8 and the
-                paper's opacity loss
+    loss        mean of D(L + epsilon, l + epsilon) + opacity_weight D(T, t), where
+                D(x, y) = x - y log x is the Poisson deviance but for what does not depend on x.
+                Where D(x, y) has no slope x and y agree in sum, so that the field gives as much
+                light and hides as much as the luminaire: squared errors, relative (Eq. 8) or of
+                T, leave it too bright and too dense around what is small and bright
 """
 
 import dataclasses
@@ -87,9 +90,7 @@ class Refiner:
         integrated = field.integrate(rays.origin, rays.direction)
         radiance, through, _ = integrated
         dr.eval(integrated)
-        import os
-
-        weight = dr.exp(-float(os.environ.get("POW", "2")) * dr.log(radiance + config.epsilon))
+        weight = dr.rcp(radiance + config.epsilon)
         light = rays.light * dr.opaque(mi.Float, 1 / self._max_radiance)
         d_density = dr.zeros(mi.Float, field.num_leaves)
         d_coefficients = dr.zeros(mi.Float, field.num_leaves * field.width)
@@ -97,8 +98,8 @@ class Refiner:
             rays.origin,
             rays.direction,
             integrated,
-            2 * weight * (rays.share * radiance - light),
-            2 * config.opacity_weight * rays.share * (through - rays.transmittance),
+            weight * (rays.share * radiance - light),
+            config.opacity_weight * rays.share * (rays.transmittance - through),
             d_density,
             d_coefficients,
         )
