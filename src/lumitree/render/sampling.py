@@ -1,10 +1,10 @@
 """Importance sampling of what a field emits, in the luminaire's local frame.
 
-A field's emission is enclosed in a few dozen boxes, small where it is bright. Each knows the radiance
-it sends by direction, so what it sends to a point is about that times its solid angle; a box is chosen
-in that proportion, and a direction by a point on the box's faces. The density of a direction is the
-sum over all boxes that its line meets, mixed with the proxy's uniform density, so that no direction
-that may carry light is left out.
+A field's emission is enclosed in a few boxes, small where it is bright. Each knows the radiance it
+sends by direction, so what it sends to a point is about that times its solid angle; a box is chosen in
+that proportion, and a direction by a point on the box's faces. The density of a direction is the sum
+over all boxes that its line meets, mixed with the proxy's uniform density, so that no direction that
+may carry light is left out. Lines that leave the lamp are drawn from the same tables.
 
 Symbols
     c, h    centre and half extents of a box
@@ -19,14 +19,17 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
-from lumitree.render.partition import cluster_cells
+from lumitree.render.clusters import cluster_cells
 from lumitree.render.proxy import Proxy, face_areas, point_on_box, safe_inverse, slab
 
 if TYPE_CHECKING:
     from lumitree.render.field import Field
 
-NUM_BOXES = 64
+SAMPLING_KINDS = ("emission", "uniform")
+NUM_BOXES = 32
+_NO_BOX = NUM_BOXES
 # Directions are binned by the octahedral map: RESOLUTION² bins.
 RESOLUTION = 16
 _NUM_BINS = RESOLUTION * RESOLUTION
@@ -53,10 +56,19 @@ class LightBoxes:
         self.count = mi.UInt32(len(clusters))
         self._centre, self._half = mi.Float(centre.ravel()), mi.Float(half.ravel())
         dr.make_opaque(self.count, self._centre, self._half)
-        owner = np.full((_GRID,) * 3, NUM_BOXES, np.uint32)
+        owner = np.full((_GRID,) * 3, _NO_BOX, np.uint32)
         for index, cells in enumerate(clusters):
             owner[tuple(cells.T)] = index
-        self._radiance = self._tabulate(field, len(clusters), mi.UInt32(owner.ravel()))
+        radiance = self._tabulate(field, len(clusters), mi.UInt32(owner.ravel()))
+        self._radiance = mi.Float(radiance)
+        self._line_choice = mi.DiscreteDistribution(radiance * self._bin_extents(len(clusters)))
+
+    def _bin_extents(self, count):
+        """Projected area times solid angle [count * bins] of each box and bin."""
+        index = dr.arange(mi.UInt32, count * _NUM_BINS)
+        direction, density = _direction_in_bin(index % _NUM_BINS, mi.Point2f(0.5))
+        _, half = self._box(index // _NUM_BINS)
+        return np.array(dr.sum(_projected_areas(half, direction)) / density)
 
     def _tabulate(self, field, count, owner):
         """Root mean square of the radiance [count * bins] of each box's own cells, by direction."""
@@ -67,7 +79,7 @@ class LightBoxes:
         rng = mi.PCG32(len(index), 1)
         uniform = lambda: rng.next_float32()  # noqa: E731
         towards, _ = _direction_in_bin(bin_index % _NUM_BINS, mi.Point2f(uniform(), uniform()))
-        weights = face_areas(half) * dr.abs(towards)
+        weights = _projected_areas(half, towards)
         p = point_on_box(half, weights, towards, mi.Point2f(uniform(), uniform()))
         start = centre + p
         seen = dr.zeros(mi.Float, len(index))
@@ -83,9 +95,7 @@ class LightBoxes:
         mean = dr.repeat(dr.block_sum(radiance, _NUM_BINS) / _NUM_BINS, _NUM_BINS)
         radiance = dr.maximum(radiance, _FLOOR * mean)
         # Nothing shines: any choice of boxes will do, as long as it is one.
-        radiance = dr.select(dr.max(radiance) > 0, radiance, 1)
-        dr.eval(radiance)
-        return radiance
+        return np.array(dr.select(dr.max(radiance) > 0, radiance, 1))
 
     def _box(self, index, active=True):
         centre = dr.gather(mi.Vector3f, self._centre, index, active)
@@ -146,15 +156,45 @@ class LightBoxes:
         return dr.select(total > 0, density / total, 0)
 
 
+    def sample_line(self, choice: Any, sample1: Any, sample2: Any) -> tuple[Any, Any]:
+        """Point inside the lamp and direction of travel of a line that leaves it."""
+        index = self._line_choice.sample(choice)
+        direction, _ = _direction_in_bin(index % _NUM_BINS, sample1)
+        centre, half = self._box(index // _NUM_BINS)
+        weights = _projected_areas(half, direction)
+        return centre + point_on_box(half, weights, direction, sample2), direction
+
+    @dr.syntax
+    def line_pdf(self, point: Any, direction: Any, active: Any) -> Any:
+        """Density of `sample_line` over projected area and solid angle."""
+        inverse_direction = safe_inverse(direction)
+        bin_index = _bin(direction)
+        density = mi.Float(0)
+        i = mi.UInt32(0)
+        while active & (i < self.count):
+            centre, half = self._box(i, active)
+            planes_near, planes_far = slab(centre - point, half, inverse_direction)
+            share = self._line_choice.eval_pmf_normalized(i * _NUM_BINS + bin_index, active)
+            hit = dr.max(planes_near) <= dr.min(planes_far)
+            density += dr.select(hit, share / dr.sum(_projected_areas(half, direction)), 0)
+            i += 1
+        return density * _bin_density(direction)
+
+
 class EmitterSampler:
     """Directions towards a field: its boxes mixed with the proxy's uniform sampling.
 
     Args:
+        proxy: what is sampled uniformly.
+        half_extents: [3] the box around the field, local units.
         boxes: None for uniform sampling alone.
     """
 
-    def __init__(self, proxy: Proxy, boxes: LightBoxes | None) -> None:
+    def __init__(
+        self, proxy: Proxy, half_extents: NDArray[np.float64], boxes: LightBoxes | None
+    ) -> None:
         self._proxy = proxy
+        self._half = mi.Vector3f(*half_extents.tolist())
         self._boxes = boxes
 
     def sample(self, origin: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
@@ -171,32 +211,68 @@ class EmitterSampler:
         if self._boxes is None:
             direction = self._proxy.sample(origin, sample)
             return direction, self._proxy.pdf(origin, direction)
-        uniform = sample.x < UNIFORM_FRACTION
-        rest = (sample.x - UNIFORM_FRACTION) / (1 - UNIFORM_FRACTION)
-        u = dr.select(uniform, sample.x / UNIFORM_FRACTION, rest)
-        sample = mi.Point2f(dr.minimum(u, dr.one_minus_epsilon(mi.Float)), sample.y)
+        uniform, rest = _divide_sample(sample.x)
+        sample = mi.Point2f(rest, sample.y)
         aimed, box = self._boxes.sample(origin, sample, active)
         direction = dr.select(uniform, self._proxy.sample(origin, sample), aimed)
-        nowhere = mi.UInt32(NUM_BOXES)
-        box = dr.select(uniform, nowhere, box)
+        box = dr.select(uniform, _NO_BOX, box)
         return direction, self._density(origin, direction, active, box)
 
     def pdf(self, origin: Any, direction: Any, active: Any = True) -> Any:
         """Density with which `sample` gives `direction` from `origin`, per steradian."""
         if self._boxes is None:
             return self._proxy.pdf(origin, direction)
-        return self._density(origin, direction, active, mi.UInt32(NUM_BOXES))
+        return self._density(origin, direction, active, mi.UInt32(_NO_BOX))
+
+    def sample_line(
+        self, choice: Any, sample1: Any, sample2: Any, active: Any = True
+    ) -> tuple[Any, Any, Any]:
+        """Line along which light leaves the lamp.
+
+        Args:
+            choice: mi.Float in [0, 1).
+            sample1, sample2: mi.Point2f in the unit square.
+            active: mi.Bool mask.
+
+        Returns:
+            A point of the line inside the proxy, the unit direction of travel, and the density over
+            projected area (local units) and solid angle.
+        """
+        direction = mi.warp.square_to_uniform_sphere(sample1)
+        areas = _projected_areas(self._half, direction)
+        point = point_on_box(self._half, areas, direction, sample2)
+        if self._boxes is None:
+            return mi.Point3f(point), direction, dr.inv_four_pi / dr.sum(areas)
+        uniform, rest = _divide_sample(choice)
+        aimed_point, aimed = self._boxes.sample_line(rest, sample1, sample2)
+        point = dr.select(uniform, point, aimed_point)
+        direction = dr.select(uniform, direction, aimed)
+        density = dr.inv_four_pi / dr.sum(_projected_areas(self._half, direction))
+        aimed_density = self._boxes.line_pdf(point, direction, active)
+        return mi.Point3f(point), direction, dr.lerp(aimed_density, density, UNIFORM_FRACTION)
 
     def _density(self, origin, direction, active, box):
         uniform = self._proxy.pdf(origin, direction)
         aimed = self._boxes.pdf(origin, direction, active & (uniform > 0), box)
-        mixed = UNIFORM_FRACTION * uniform + (1 - UNIFORM_FRACTION) * aimed
-        return dr.select(uniform > 0, mixed, 0)
+        return dr.select(uniform > 0, dr.lerp(aimed, uniform, UNIFORM_FRACTION), 0)
+
+
+def _divide_sample(sample):
+    """Whether to sample uniformly, and a sample in [0, 1) to do either with."""
+    uniform = sample < UNIFORM_FRACTION
+    rest = (sample - UNIFORM_FRACTION) / (1 - UNIFORM_FRACTION)
+    rest = dr.select(uniform, sample / UNIFORM_FRACTION, rest)
+    return uniform, dr.clip(rest, 0, dr.one_minus_epsilon(mi.Float))
 
 
 def _face_weights(delta, half):
     """Area times distance of the faces that can be seen [3]: solid angle but for 1 / r³."""
     return face_areas(half) * dr.maximum(dr.abs(delta) - half, 0)
+
+
+def _projected_areas(half, direction):
+    """Areas [3] of the faces of a box as seen along a direction."""
+    return face_areas(half) * dr.abs(direction)
 
 
 def _octahedral(direction):
@@ -217,17 +293,22 @@ def _bin(direction):
 
 
 def _direction_in_bin(bin_index, sample):
-    """Unit direction in a bin, uniform in octahedral coordinates, and its density there.
-
-    Area on the octahedron and solid angle differ by the cube of the distance from the origin.
-    """
+    """Unit direction in a bin, uniform in octahedral coordinates, and its density there."""
     cell = mi.Point2f(bin_index % RESOLUTION, bin_index // RESOLUTION)
     uv = (cell + sample) * (2 / RESOLUTION) - 1
     z = 1 - dr.abs(uv.x) - dr.abs(uv.y)
     fold = dr.maximum(-z, 0)
     v = mi.Vector3f(uv.x - dr.copysign(fold, uv.x), uv.y - dr.copysign(fold, uv.y), z)
-    r = dr.norm(v)
-    return v / r, r * r * r * (_NUM_BINS / 4)
+    direction = dr.normalize(v)
+    return direction, _bin_density(direction)
+
+
+def _bin_density(direction):
+    """Density per steradian of `_direction_in_bin`, given the bin.
+
+    Area on the octahedron and solid angle differ by the cube of the distance from the origin.
+    """
+    return (_NUM_BINS / 4) / dr.sum(dr.abs(direction)) ** 3
 
 
 def _power_grid(field):
@@ -236,7 +317,7 @@ def _power_grid(field):
     rng = mi.PCG32(_GRID_RAYS)
     uniform = lambda: mi.Point2f(rng.next_float32(), rng.next_float32())  # noqa: E731
     direction = mi.warp.square_to_uniform_sphere(uniform())
-    weights = face_areas(half) * dr.abs(direction)
+    weights = _projected_areas(half, direction)
     p = point_on_box(half, weights, -direction, uniform())
     projected = dr.sum(weights)
     grid = dr.zeros(mi.Float, _GRID**3)
