@@ -149,7 +149,7 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
         def sample_ray(self, time, sample1, sample2, sample3, active=True):
             placed = self.placed
             p, direction, pdf = self.sampler.sample_line(sample1, sample2, sample3, active)
-            radiance, _ = placed.field.emission(p, direction, active)
+            radiance, _ = placed.field.emission(p, -direction, active)
             # Where the line leaves the proxy is where its reverse enters.
             distance, n, _ = placed.proxy.enter(p, -direction)
             si = dr.zeros(mi.SurfaceInteraction3f)
