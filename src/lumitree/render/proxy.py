@@ -60,23 +60,9 @@ class SphereProxy:
         self.shape = {"type": "sphere"}
         self.shape_scale = np.full(3, self.radius)
 
-    def _cone(self, origin: Any) -> tuple[Any, Any, Any]:
-        """Distance of the centre, 1 - cosine of the cone's half angle, and whether outside."""
-        distance = dr.norm(mi.Vector3f(origin))
-        sine_squared = dr.square(self.radius / distance)
-        outside = sine_squared < 1
-        cosine = dr.safe_sqrt(1 - sine_squared)
-        # 1 - cos without the cancellation that a distant, small sphere would suffer.
-        return distance, sine_squared / (1 + cosine), outside
-
     def sample(self, origin: Any, sample: Any) -> Any:
         """Direction from `origin` for a sample in the unit square; valid where `pdf` is not 0."""
-        distance, cap, _ = self._cone(origin)
-        one_minus_cos = cap * sample.x
-        sine, cosine = dr.safe_sqrt(one_minus_cos * (2 - one_minus_cos)), 1 - one_minus_cos
-        azimuth_sine, azimuth_cosine = dr.sincos(dr.two_pi * sample.y)
-        frame = mi.Frame3f(-mi.Vector3f(origin) / distance)
-        return frame.to_world(mi.Vector3f(sine * azimuth_cosine, sine * azimuth_sine, cosine))
+        return sample_cone(origin, self.radius, sample)
 
     def enter(self, origin: Any, direction: Any) -> tuple[Any, Any, Any]:
         """Distance and outward normal where a line enters from outside, and whether it does."""
@@ -88,9 +74,9 @@ class SphereProxy:
 
     def pdf(self, origin: Any, direction: Any) -> Any:
         """Density with which `sample` gives `direction` from `origin`."""
-        _, cap, outside = self._cone(origin)
+        outside = dr.squared_norm(mi.Vector3f(origin)) > self.radius**2
         _, _, hit = self.enter(origin, direction)
-        return dr.select(hit & outside, dr.rcp(dr.two_pi * cap), 0)
+        return dr.select(hit & outside, cone_pdf(origin, self.radius), 0)
 
 
 Proxy = BoxProxy | SphereProxy
@@ -99,6 +85,32 @@ Proxy = BoxProxy | SphereProxy
 def make_proxy(kind: ProxyKind, half_extents: NDArray[np.float64]) -> Proxy:
     """Proxy of the given kind around the box with `half_extents` [3], local units."""
     return BoxProxy(half_extents) if kind == "box" else SphereProxy(half_extents)
+
+
+def sample_cone(origin: Any, radius: float, sample: Any) -> Any:
+    """Direction towards the sphere of this radius about the centre, uniform over its solid angle.
+
+    From a point inside the sphere all directions are towards it.
+    """
+    axis = -mi.Vector3f(origin)
+    one_minus_cos = _cap(origin, radius) * sample.x
+    sine, cosine = dr.safe_sqrt(one_minus_cos * (2 - one_minus_cos)), 1 - one_minus_cos
+    azimuth_sine, azimuth_cosine = dr.sincos(dr.two_pi * sample.y)
+    frame = mi.Frame3f(dr.normalize(axis))
+    return frame.to_world(mi.Vector3f(sine * azimuth_cosine, sine * azimuth_sine, cosine))
+
+
+def cone_pdf(origin: Any, radius: float) -> Any:
+    """Density of `sample_cone`, the same for all of its directions."""
+    return dr.rcp(dr.two_pi * _cap(origin, radius))
+
+
+def _cap(origin, radius):
+    """1 - cosine of the half angle under which a sphere is seen; 2 from inside."""
+    sine_squared = radius**2 / dr.squared_norm(mi.Vector3f(origin))
+    # Written so that a distant, small sphere does not suffer from cancellation.
+    cap = sine_squared / (1 + dr.safe_sqrt(1 - sine_squared))
+    return dr.select(sine_squared < 1, cap, 2)
 
 
 def face_areas(half: Any) -> Any:

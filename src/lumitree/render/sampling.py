@@ -22,7 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.render.clusters import cluster_cells
-from lumitree.render.proxy import Proxy, face_areas, point_on_box, safe_inverse, slab
+from lumitree.render.proxy import (
+    Proxy,
+    cone_pdf,
+    face_areas,
+    point_on_box,
+    safe_inverse,
+    sample_cone,
+    slab,
+)
 
 if TYPE_CHECKING:
     from lumitree.render.field import Field
@@ -38,7 +46,7 @@ _GRID = 64
 _GRID_RAYS = 1 << 20
 _RAYS_PER_BIN = 32
 # No direction of a box is held to be darker than this part of its mean.
-_FLOOR = 0.05
+_FLOOR = 0.2
 # Part of the samples that is taken uniformly from the proxy.
 UNIFORM_FRACTION = 0.1
 
@@ -195,6 +203,7 @@ class EmitterSampler:
     ) -> None:
         self._proxy = proxy
         self._half = mi.Vector3f(*half_extents.tolist())
+        self._radius = float(np.linalg.norm(half_extents))
         self._boxes = boxes
 
     def sample(self, origin: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
@@ -214,7 +223,7 @@ class EmitterSampler:
         uniform, rest = _divide_sample(sample.x)
         sample = mi.Point2f(rest, sample.y)
         aimed, box = self._boxes.sample(origin, sample, active)
-        direction = dr.select(uniform, self._proxy.sample(origin, sample), aimed)
+        direction = dr.select(uniform, sample_cone(origin, self._radius, sample), aimed)
         box = dr.select(uniform, _NO_BOX, box)
         return direction, self._density(origin, direction, active, box)
 
@@ -252,9 +261,11 @@ class EmitterSampler:
         return mi.Point3f(point), direction, dr.lerp(aimed_density, density, UNIFORM_FRACTION)
 
     def _density(self, origin, direction, active, box):
-        uniform = self._proxy.pdf(origin, direction)
-        aimed = self._boxes.pdf(origin, direction, active & (uniform > 0), box)
-        return dr.select(uniform > 0, dr.lerp(aimed, uniform, UNIFORM_FRACTION), 0)
+        # Where the proxy's own density is 0 nothing is emitted: from inside, and past it.
+        valid = self._proxy.pdf(origin, direction) > 0
+        aimed = self._boxes.pdf(origin, direction, active & valid, box)
+        uniform = cone_pdf(origin, self._radius)
+        return dr.select(valid, dr.lerp(aimed, uniform, UNIFORM_FRACTION), 0)
 
 
 def _divide_sample(sample):
