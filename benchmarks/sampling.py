@@ -10,8 +10,8 @@ the 0.1 % of largest; medians of pass times, the two samplings taking turns. `--
 """
 
 import argparse
-import json
 import math
+import os
 import platform
 import statistics
 import time
@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.files import write_text
+from lumitree.core.files import atomic_path, write_json
 
 RESULTS = Path(__file__).parent / "results"
 WIDTH, SAMPLES, PASSES = 128, 32, 8
@@ -180,7 +180,7 @@ def main() -> None:
     report: dict = {
         "variant": mi.variant(),
         "mitsuba": mi.__version__,
-        "cores": len(__import__("os").sched_getaffinity(0)),
+        "cores": len(os.sched_getaffinity(0)),
         "python": platform.python_version(),
         "pairs": [],
         "points": [],
@@ -195,8 +195,9 @@ def main() -> None:
             print(report["pairs"][-1], flush=True)
     print(table(report))
     if arguments.write:
-        write_text(RESULTS / "sampling.md", table(report))
-        write_text(RESULTS / "sampling.json", json.dumps(report, indent=1) + "\n")
+        write_json(RESULTS / "sampling.json", report)
+        with atomic_path(RESULTS / "sampling.md") as path:
+            path.write_text(table(report), encoding="utf-8")
 
 
 if __name__ == "__main__":
