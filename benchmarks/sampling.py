@@ -2,11 +2,11 @@
 
     python benchmarks/sampling.py --pair ASSET ROOM AT SIZE [--pair ...] [--write]
 
-ROOM is a scene file, or "demo"; AT is x,y,z and SIZE the lamp's largest side, in the room's units (a
-lamp in the demo's room stands where the demo puts it: AT and SIZE are "-"). Direct light and full
-paths. Variances are of pixels that do not see the lamp itself, over the square of their mean, without
-the 0.1 % of largest; medians of pass times, the two samplings taking turns. `--write` puts
-`sampling.md` and `sampling.json` into benchmarks/results/.
+ROOM is a scene file, or "demo"; AT is x,y,z and SIZE the lamp's largest side, in the room's units
+(a lamp in the demo's room stands where the demo puts it: AT and SIZE are "-"). Direct and full
+light. Variances are of pixels that do not see the lamp itself, over the square of their mean,
+without the 0.1 % of largest; times are medians of passes, the two samplings taking turns. `--write`
+puts `sampling.md` and `sampling.json` into benchmarks/results/.
 """
 
 import argparse
@@ -82,7 +82,6 @@ def measure_paths(by_kind: dict, path_depth: int) -> dict:
 def measure_points(asset: str) -> dict:
     """Without a room: variance ratios from points about the lamp, and time a sample."""
     import drjit as dr
-    import mitsuba as mi
 
     from lumitree.render.field import open_field
     from lumitree.render.proxy import make_proxy
@@ -108,23 +107,33 @@ def measure_points(asset: str) -> dict:
     for name, place in points.items():
         variance = {}
         for kind, sampler in samplers.items():
-            random = mi.PCG32(POINT_SAMPLES, 5)
-            origin = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in place))
-            uniform = mi.Point2f(random.next_float32(), random.next_float32())
-            dr.eval(uniform)
-            direction, pdf = sampler.sample(origin, uniform)
-            radiance, _ = field.emission(origin, direction, pdf > 0)
-            weight = np.array(dr.mean(radiance) * dr.select(pdf > 0, dr.rcp(pdf), 0), np.float64)
-            variance[kind] = float(weight.var())
+            measured = _measure_point(field, sampler, place)
+            variance[kind] = measured.pop("variance")
             if name == "below":
-                dr.eval(direction, pdf)
-                row[f"ns_sample_{kind}"] = _nanoseconds(lambda s=sampler: s.sample(origin, uniform))
-                row[f"ns_pdf_{kind}"] = _nanoseconds(lambda s=sampler: s.pdf(origin, direction))
-                row[f"ns_query_{kind}"] = _nanoseconds(
-                    lambda: field.emission(origin, direction, pdf > 0)
-                )
+                row |= {f"ns_{job}_{kind}": value for job, value in measured.items()}
         row[name] = variance["uniform"] / variance["emission"]
     return row
+
+
+def _measure_point(field, sampler, place: tuple[float, ...]) -> dict[str, float]:
+    """Variance of the light that arrives at a point, and nanoseconds of the parts of a sample."""
+    import drjit as dr
+    import mitsuba as mi
+
+    random = mi.PCG32(POINT_SAMPLES, 5)
+    origin = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in place))
+    uniform = mi.Point2f(random.next_float32(), random.next_float32())
+    dr.eval(uniform)
+    direction, pdf = sampler.sample(origin, uniform)
+    dr.eval(direction, pdf)
+    radiance, _ = field.emission(origin, direction, pdf > 0)
+    weight = dr.mean(radiance) * dr.select(pdf > 0, dr.rcp(pdf), 0)
+    return {
+        "variance": float(np.array(weight, np.float64).var()),
+        "sample": _nanoseconds(lambda: sampler.sample(origin, uniform)),
+        "pdf": _nanoseconds(lambda: sampler.pdf(origin, direction)),
+        "query": _nanoseconds(lambda: field.emission(origin, direction, pdf > 0)),
+    }
 
 
 def _nanoseconds(job) -> float:
@@ -142,8 +151,8 @@ def _nanoseconds(job) -> float:
 
 def table(report: dict) -> str:
     lines = [
-        f"{report['variant']}, Mitsuba {report['mitsuba']}, {report['cores']} cores, {WIDTH} pixels "
-        f"wide, {PASSES} passes of {SAMPLES} samples.",
+        f"{report['variant']}, Mitsuba {report['mitsuba']}, {report['cores']} cores, {WIDTH} "
+        f"pixels wide, {PASSES} passes of {SAMPLES} samples.",
         "",
         "| lamp, room | light | variance ratio at equal samples | error ratio at equal time |"
         " s a sample, uniform | by emission |",

@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 # Cells that hold the last part of the light need no box.
 _NEGLECTED = 0.005
-# In a block, cells whose light differs by more than about this factor start in clusters of their own,
-# so that a box of bright cells is not widened by a glow around them.
+# In a block, cells whose light differs by more than about this factor start in clusters of their
+# own, so that a box of bright cells is not widened by a glow around them.
 _GROUP_RATIO = 8.0
 _NUM_GROUPS = 4
 # Most clusters to begin with: bounds the table of pairs.
@@ -21,8 +21,8 @@ def cluster_cells(
     """Clusters of cells that shine, each to be sampled by points on its bounding box.
 
     Blocks of cells are merged, two at a time, those whose merging costs least. The cost of a
-    cluster is the root of its box's area times the sum of squared light in it: added up, that is the
-    root of the second moment of an estimator that takes boxes in the best proportion and points
+    cluster is the root of its box's area times the sum of squared light in it: added up, that is
+    the root of the second moment of an estimator that takes boxes in the best proportion and points
     uniformly in each.
 
     Args:
@@ -85,7 +85,10 @@ class _Boxes:
         self.num_alive -= 1
 
     def _increases(self, i):
-        lower, upper = np.minimum(self._lower, self._lower[i]), np.maximum(self._upper, self._upper[i])
+        lower, upper = (
+            np.minimum(self._lower, self._lower[i]),
+            np.maximum(self._upper, self._upper[i]),
+        )
         together = _cost(lower, upper, self._squared + self._squared[i])
         gone = np.isinf(self._cost)
         increase = np.where(gone, np.inf, together - np.where(gone, 0, self._cost) - self._cost[i])

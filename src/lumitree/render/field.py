@@ -20,7 +20,7 @@ from lumitree.asset.traversal import Octree
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.transmittance import BLOCKED, transmittance
-from lumitree.render.sampling import LightBoxes
+from lumitree.render.light_boxes import LightBoxes
 
 Record = Callable[[Any, Any, Any], None]
 _OPEN: "weakref.WeakValueDictionary[tuple[Any, ...], Field]" = weakref.WeakValueDictionary()

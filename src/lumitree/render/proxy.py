@@ -118,6 +118,11 @@ def face_areas(half: Any) -> Any:
     return 4 * mi.Vector3f(half.y * half.z, half.x * half.z, half.x * half.y)
 
 
+def projected_areas(half: Any, direction: Any) -> Any:
+    """Areas [3] of the faces of a box as seen along a direction."""
+    return face_areas(half) * dr.abs(direction)
+
+
 def point_on_box(half: Any, weights: Any, towards: Any, sample: Any) -> Any:
     """Point on the faces of a box at the origin that look `towards` a direction or point.
 
@@ -148,6 +153,6 @@ def safe_inverse(direction: Any) -> Any:
 
 
 def slab(delta: Any, half: Any, inverse_direction: Any) -> tuple[Any, Any]:
-    """Distances [3], [3] at which a line crosses the planes of a box whose centre is `delta` away."""
+    """Distances [3], [3] at which a line crosses the planes of a box with its centre at `delta`."""
     middle, reach = delta * inverse_direction, half * dr.abs(inverse_direction)
     return middle - reach, middle + reach

@@ -28,7 +28,7 @@ def shape(
         proxy: "box" or "sphere", the surface that carries the field.
         min_density: leaves below this density count as empty (the paper: 0.1).
         max_opacity: rays stop at this opacity (the paper: 0.9).
-        sampling: "emission", in proportion to what the luminaire sends, or "uniform" over the proxy.
+        sampling: "emission", about in proportion to it, or "uniform" over the proxy.
 
     Raises:
         LumitreeError: the asset cannot be read, or `to_world` shears or scales non-uniformly.
