@@ -23,12 +23,12 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import atomic_path, write_json
 
 RESULTS = Path(__file__).parent / "results"
-WIDTH, SAMPLES, PASSES = 128, 32, 8
-PATH_DEPTHS = {"direct": 2, "full": 12}
+WIDTH, SAMPLES, PASSES = 96, 16, 8
+PATH_DEPTHS = {"direct": 2, "full": 8}
 SAMPLINGS = ("uniform", "emission")
 TRIMMED = 0.001
 SHADING_POINTS = {"below": (0, -6, 0), "far below": (0, -30, 3), "beside": (4, 0, 0.5)}
-POINT_SAMPLES = 1 << 18
+POINT_SAMPLES = 1 << 17
 
 
 def scenes(asset: str, room: str, at: str, size: str) -> dict:
