@@ -23,7 +23,7 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import atomic_path, write_json
 
 RESULTS = Path(__file__).parent / "results"
-WIDTH, SAMPLES, PASSES = 96, 16, 8
+WIDTH, SAMPLES, PASSES = 64, 16, 8
 PATH_DEPTHS = {"direct": 2, "full": 8}
 SAMPLINGS = ("uniform", "emission")
 TRIMMED = 0.001
@@ -107,16 +107,15 @@ def measure_points(asset: str) -> dict:
     for name, place in points.items():
         variance = {}
         for kind, sampler in samplers.items():
-            measured = _measure_point(field, sampler, place)
-            variance[kind] = measured.pop("variance")
+            variance[kind], jobs = _measure_point(field, sampler, place)
             if name == "below":
-                row |= {f"ns_{job}_{kind}": value for job, value in measured.items()}
+                row |= {f"ns_{job}_{kind}": _nanoseconds(run) for job, run in jobs.items()}
         row[name] = variance["uniform"] / variance["emission"]
     return row
 
 
-def _measure_point(field, sampler, place: tuple[float, ...]) -> dict[str, float]:
-    """Variance of the light that arrives at a point, and nanoseconds of the parts of a sample."""
+def _measure_point(field, sampler, place: tuple[float, ...]) -> tuple[float, dict]:
+    """Variance of the light that arrives at a point, and the parts of a sample, to be timed."""
     import drjit as dr
     import mitsuba as mi
 
@@ -128,11 +127,10 @@ def _measure_point(field, sampler, place: tuple[float, ...]) -> dict[str, float]
     dr.eval(direction, pdf)
     radiance, _ = field.emission(origin, direction, pdf > 0)
     weight = dr.mean(radiance) * dr.select(pdf > 0, dr.rcp(pdf), 0)
-    return {
-        "variance": float(np.array(weight, np.float64).var()),
-        "sample": _nanoseconds(lambda: sampler.sample(origin, uniform)),
-        "pdf": _nanoseconds(lambda: sampler.pdf(origin, direction)),
-        "query": _nanoseconds(lambda: field.emission(origin, direction, pdf > 0)),
+    return float(np.array(weight, np.float64).var()), {
+        "sample": lambda: sampler.sample(origin, uniform),
+        "pdf": lambda: sampler.pdf(origin, direction),
+        "query": lambda: field.emission(origin, direction, pdf > 0),
     }
 
 
@@ -196,6 +194,7 @@ def main() -> None:
     }
     for asset in dict.fromkeys(pair[0] for pair in arguments.pair):
         report["points"].append({"luminaire": load(asset).luminaire} | measure_points(asset))
+        print(report["points"][-1], flush=True)
     for asset, room, at, size in arguments.pair:
         by_kind = scenes(asset, room, at, size)
         for light, depth in PATH_DEPTHS.items():

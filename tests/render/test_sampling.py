@@ -6,6 +6,7 @@ import pytest
 import lumitree
 from fields import make_asset, random_asset, uniform_asset
 from lumitree.core.frames import rotation, similarity
+from lumitree.errors import LumitreeError
 
 HALF = np.array([1.0, 0.75, 0.5])
 # Far and near, past an edge, past a corner, and just off a face that shines.
@@ -17,6 +18,12 @@ POINTS = {
     "corner": (1.1, 0.8, 0.6),
     "touching": (-0.9, -0.7501, 0.2),
 }
+
+
+def visible_points(kind):
+    """The sphere is larger than the box; from inside it nothing is sampled."""
+    radius = np.linalg.norm(HALF)
+    return [n for n, p in POINTS.items() if kind == "box" or np.linalg.norm(p) > radius]
 
 
 def lamp(**fields):
@@ -75,21 +82,14 @@ def estimates(mi, field, sampler, name, count=1 << 17):
     return np.array(dr.mean(radiance) * dr.select(pdf > 0, dr.rcp(pdf), 0), np.float64)
 
 
-def visible_points(kind):
-    """The sphere is larger than the box; from inside it nothing is sampled."""
-    radius = np.linalg.norm(HALF)
-    return [n for n, p in POINTS.items() if kind == "box" or np.linalg.norm(p) > radius]
-
-
-@pytest.mark.parametrize("kind", ["box", "sphere"])
-@pytest.mark.parametrize("name", POINTS)
+@pytest.mark.parametrize(
+    ("kind", "name"), [(kind, n) for kind in ("box", "sphere") for n in visible_points(kind)]
+)
 def test_density_is_that_of_the_samples(mi, samplers, kind, name):
     """χ² over the directions towards the bounding sphere, or all directions from within it."""
     import drjit as dr
     from mitsuba.chi2 import ChiSquareTest, PlanarDomain
 
-    if name not in visible_points(kind):
-        pytest.skip("inside this proxy")
     sampler = samplers[1][kind][0]
     origin = point(mi, name)
     distance = np.linalg.norm(POINTS[name])
@@ -270,6 +270,19 @@ def test_rays_leave_the_proxy_with_the_same_flux_as_uniform_ones(mi, tmp_path, p
     back = scene.ray_intersect(mi.Ray3f(ray.o + 5 * ray.d, -ray.d))
     # Rays that graze the proxy start further along it.
     assert np.quantile(np.abs(np.array(back.t) - 5), 0.99) < 2e-3
+
+
+def test_connecting_the_lamp_to_a_camera_is_refused(mi, tmp_path):
+    lumitree.save(lamp(), tmp_path / "lamp.lumitree")
+    emitter = mi.load_dict(lumitree.shape(tmp_path / "lamp.lumitree")).emitter()
+    with pytest.raises(LumitreeError, match="set hide_emitters"):
+        emitter.sample_position(0, mi.Point2f(0.5))
+
+
+def test_unknown_sampling_is_refused(tmp_path):
+    lumitree.save(lamp(), tmp_path / "lamp.lumitree")
+    with pytest.raises(LumitreeError, match="unknown sampling 'best'; expected one of emission"):
+        lumitree.shape(tmp_path / "lamp.lumitree", sampling="best")
 
 
 def test_particle_tracing_gives_the_image_of_path_tracing(mi, tmp_path):

@@ -35,8 +35,8 @@ _SHELL_WIDTH = 0.25
 _NUM_CELLS = _NUM_SHELLS * NUM_BINS
 # Cells a side of the grid that the boxes are made of, and rays of the two tables.
 _GRID = 64
-_GRID_RAYS = 1 << 20
-_RAYS_PER_ENTRY = 32
+_GRID_RAYS = 1 << 19
+_RAYS_PER_ENTRY = 16
 # No box is held to be darker than this part of its mean over the directions of a shell.
 _FLOOR = 0.2
 

@@ -159,6 +159,12 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             ray = si.spawn_ray(dr.normalize(placed.to_scene @ direction))
             return ray, (radiance * dr.square(placed.scale) / pdf) & active
 
+        def sample_position(self, time, sample, active=True):
+            raise LumitreeError(
+                "the 'lumitree' emitter cannot be connected to a camera; set hide_emitters of the "
+                "integrator that traces from the light"
+            )
+
         def to_string(self) -> str:
             return f"LumitreeEmitter[luminaire={self.placed.field.asset.luminaire}]"
 
