@@ -195,7 +195,10 @@ def _face_weights(delta, half):
 
 
 def _power_grid(field):
-    """Light [GRID³], up to a factor, that leaves from each cell of a grid over the proxy box."""
+    """Light [GRID³], up to a factor, that leaves from each cell of a grid over the proxy box.
+
+    Root mean square over directions, so that a cell that is bright in few of them counts.
+    """
     half = mi.Vector3f(*field.asset.half_extents.tolist())
     rng = mi.PCG32(_GRID_RAYS)
     uniform = lambda: mi.Point2f(rng.next_float32(), rng.next_float32())  # noqa: E731
@@ -207,11 +210,11 @@ def _power_grid(field):
 
     def record(distance, emission, active):
         index = _grid_cell(p + distance * direction, field)
-        value = dr.mean(emission) * projected
+        value = dr.square(dr.mean(emission)) * projected
         dr.scatter_reduce(dr.ReduceOp.Add, grid, value, index, active)
 
     dr.eval(field.emission(mi.Point3f(p), direction, record=record), grid)
-    return np.array(grid, np.float64).reshape(_GRID, _GRID, _GRID)
+    return np.sqrt(np.array(grid, np.float64)).reshape(_GRID, _GRID, _GRID)
 
 
 def _grid_cell(point, field):
