@@ -4,8 +4,10 @@ Symbols
     tau, T      optical depth and transmittance so far
 """
 
+import functools
 import os
 import weakref
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,9 @@ from lumitree.asset.traversal import Octree
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.transmittance import BLOCKED, transmittance
+from lumitree.render.light_boxes import LightBoxes
 
+Record = Callable[[Any, Any, Any], None]
 _OPEN: "weakref.WeakValueDictionary[tuple[Any, ...], Field]" = weakref.WeakValueDictionary()
 
 
@@ -46,24 +50,33 @@ class Field:
         self._coefficients = mi.Float16(asset.coefficients.ravel() if asset.num_leaves else [0.0])
         dr.eval(self._density, self._coefficients)
 
-    def emission(self, origin: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
+    @functools.cached_property
+    def light_boxes(self) -> LightBoxes:
+        """What emitters are sampled with; made on first use, shared by all instances."""
+        return LightBoxes(self)
+
+    def emission(
+        self, origin: Any, direction: Any, active: Any = True, record: Record | None = None
+    ) -> tuple[Any, Any]:
         """Emitted radiance L_e (Eq. 3) and transmittance T (Eq. 4) of the line through the proxy.
 
         Args:
             origin: mi.Point3f, any point of the line, local units.
             direction: mi.Vector3f, unit direction of travel, local frame.
             active: mi.Bool mask.
+            record: told the light of each leaf: called with the distance of the middle of the
+                line's stretch in it, its part of the radiance, and a mask.
 
         Returns:
             mi.Color3f, radiance units of the luminaire's scene; mi.Float in [0, 1].
         """
-        return self._integrate(origin, direction, mi.Bool(active), with_emission=True)
+        return self._integrate(origin, direction, mi.Bool(active), True, record)
 
     def transmittance(self, origin: Any, direction: Any, active: Any = True) -> Any:
         """Transmittance T (Eq. 4) alone; arguments as for `emission`."""
         return self._integrate(origin, direction, mi.Bool(active), with_emission=False)[1]
 
-    def _integrate(self, origin, direction, active, with_emission):
+    def _integrate(self, origin, direction, active, with_emission, record=None):
         y = basis(*towards_viewer(direction), self.asset.l_max) if with_emission else []
 
         def visit(state, leaf, start, length, active):
@@ -78,6 +91,8 @@ class Field:
                 lit = active & (weight > 0)
                 emission = weight * self._leaf_emission(leaf, y, lit)
                 radiance = dr.select(lit, radiance + emission, radiance)
+                if record is not None:
+                    record(start + length / 2, emission, lit)
             return (radiance, tau, after), after > self._blocked
 
         state = (mi.Color3f(0), mi.Float(0), mi.Float(1))

@@ -6,6 +6,7 @@
     to_world      where the luminaire goes, relative to its own file's frame (default: there)
     proxy         "box" (default) or "sphere"
     min_density, max_opacity    see `lumitree.render.field.Field`; exact by default
+    sampling      "emission" (default), or "uniform" over the proxy
 
 `lumitree_proxy` is the proxy shape with both others attached: what a scene XML names. L_o =
 L_e + T · L_i (Eq. 2 with D1): the emitter returns L_e, the BSDF T, both on the face where the
@@ -47,7 +48,7 @@ def _options(props: Any) -> dict[str, Any]:
     """Arguments of `lumitree.shape` from plugin properties."""
     options = {
         name: props[name]
-        for name in ("min_density", "max_opacity", "proxy", "to_world")
+        for name in ("min_density", "max_opacity", "proxy", "sampling", "to_world")
         if props.has_property(name)
     }
     if "to_world" in options:
@@ -78,12 +79,13 @@ class Placed:
         self.field = open_field(options["asset"], **thresholds)
         asset = self.field.asset
         self.proxy = make_proxy(options.get("proxy", "box"), asset.half_extents)
+        self.sampling = options.get("sampling", "emission")
         scene_from_proxy = options.get("to_world", np.eye(4)) @ asset.world_from_proxy
-        similarity_scale(scene_from_proxy, "to_world")
+        self.scale = mi.Float(similarity_scale(scene_from_proxy, "to_world"))
         self.to_scene = mi.Transform4f(scene_from_proxy)
         self.to_local = mi.Transform4f(np.linalg.inv(scene_from_proxy))
         # Opaque: moving a luminaire does not compile new kernels.
-        dr.make_opaque(self.to_scene, self.to_local)
+        dr.make_opaque(self.to_scene, self.to_local, self.scale)
 
     def local_line(self, point: Any, direction: Any) -> tuple[Any, Any]:
         """Point and unit direction of travel of a scene line in the local frame."""
@@ -96,10 +98,15 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
     """Emitter and BSDF classes for the current variant, whose base classes they extend."""
     import drjit as dr
 
+    from lumitree.render.sampling import EmitterSampler
+
     class LumitreeEmitter(mi.Emitter):
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.placed = Placed(props)
+            placed = self.placed = Placed(props)
+            boxes = placed.field.light_boxes if placed.sampling == "emission" else None
+            half_extents = placed.field.asset.half_extents
+            self.sampler = EmitterSampler(placed.proxy, half_extents, boxes)
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
         def eval(self, si, active=True):
@@ -120,10 +127,11 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             """As `sample_direction`, but the weight lacks the radiance, which costs a traversal."""
             placed = self.placed
             origin = placed.to_local @ it.p
-            p, n, _, pdf = placed.proxy.sample(origin, sample)
+            direction, pdf = self.sampler.sample(origin, sample, active)
             active = active & (pdf > 0)
+            distance, n, _ = placed.proxy.enter(origin, direction)
             ds = dr.zeros(mi.DirectionSample3f)
-            ds.p = placed.to_scene @ p
+            ds.p = placed.to_scene @ mi.Point3f(origin + distance * direction)
             ds.n = dr.normalize(placed.to_scene @ mi.Vector3f(n))
             ds.d = ds.p - it.p
             ds.dist = dr.norm(ds.d)
@@ -137,7 +145,7 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
         def pdf_direction(self, it, ds, active=True):
             line = self.placed.local_line(it.p, ds.d)
             facing = active & (dr.dot(ds.d, ds.n) < 0)
-            return dr.select(facing, self.placed.proxy.pdf(*line), 0)
+            return dr.select(facing, self.sampler.pdf(*line, facing), 0)
 
         def eval_direction(self, it, ds, active=True):
             line = self.placed.local_line(it.p, ds.d)
@@ -149,9 +157,22 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             return mi.Color0f(), self.eval(si, active)
 
         def sample_ray(self, time, sample1, sample2, sample3, active=True):
+            placed = self.placed
+            p, direction, pdf = self.sampler.sample_line(sample1, sample2, sample3, active)
+            radiance, _ = placed.field.emission(p, -direction, active)
+            # Where the line leaves the proxy is where its reverse enters.
+            distance, n, _ = placed.proxy.enter(p, -direction)
+            si = dr.zeros(mi.SurfaceInteraction3f)
+            si.p = placed.to_scene @ mi.Point3f(p - distance * direction)
+            si.n = dr.normalize(placed.to_scene @ mi.Vector3f(n))
+            si.time = time
+            ray = si.spawn_ray(dr.normalize(placed.to_scene @ direction))
+            return ray, (radiance * dr.square(placed.scale) / pdf) & active
+
+        def sample_position(self, time, sample, active=True):
             raise LumitreeError(
-                "the 'lumitree' emitter cannot start light paths; use an integrator that traces "
-                "from the camera, such as lumitree_path"
+                "the 'lumitree' emitter cannot be connected to a camera; set hide_emitters of the "
+                "integrator that traces from the light"
             )
 
         def to_string(self) -> str:

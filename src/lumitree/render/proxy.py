@@ -4,7 +4,6 @@ Both proxies are sampled from outside only (decision D10): from a point inside, 
 
 Symbols
     h       half extents of the box
-    p, n    point on the proxy and its outward normal
     pdf     density per solid angle; the same in world and local frame, since similarities
             keep angles
 """
@@ -17,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 ProxyKind = Literal["box", "sphere"]
+_PARALLEL = 1e-12
+
 PROXY_KINDS: tuple[ProxyKind, ...] = get_args(ProxyKind)
 
 
@@ -29,53 +30,26 @@ class BoxProxy:
         self.shape_scale = half_extents
 
     def _visible_areas(self, origin: Any) -> Any:
-        h = self.half
-        areas = 4 * mi.Vector3f(h.y * h.z, h.x * h.z, h.x * h.y)
-        return dr.select(dr.abs(origin) > h, areas, 0)
+        return dr.select(dr.abs(origin) > self.half, face_areas(self.half), 0)
 
-    def sample(self, origin: Any, sample: Any) -> tuple[Any, Any, Any, Any]:
-        """Point p, normal n, direction from `origin` and pdf for a sample in the unit square."""
-        areas = self._visible_areas(origin)
-        total = dr.sum(areas)
-        scaled = sample.x * total
-        choose_x = scaled < areas.x
-        choose_y = ~choose_x & (scaled < areas.x + areas.y)
-        axis = dr.select(choose_x, mi.UInt32(0), dr.select(choose_y, mi.UInt32(1), 2))
-        start = dr.select(choose_x, 0, dr.select(choose_y, areas.x, areas.x + areas.y))
-        area = dr.select(choose_x, areas.x, dr.select(choose_y, areas.y, areas.z))
-        u = 2 * dr.clip((scaled - start) / area, 0, 1) - 1
-        v = 2 * sample.y - 1
-        unit = mi.Vector3f(
-            dr.select(choose_x, 1, u),
-            dr.select(axis == 1, 1, dr.select(choose_x, u, v)),
-            dr.select(axis == 2, 1, v),
-        )
-        on_axis = mi.Vector3f(axis == 0, axis == 1, axis == 2)
-        side = dr.select(on_axis > 0, dr.sign(origin), 1)
-        p = mi.Point3f(unit * self.half * side)
-        return p, on_axis * side, *self._direction(origin, p, on_axis, total)
+    def sample(self, origin: Any, sample: Any) -> Any:
+        """Direction from `origin` for a sample in the unit square; valid where `pdf` is not 0."""
+        p = point_on_box(self.half, self._visible_areas(origin), origin, sample)
+        return dr.normalize(p - origin)
 
-    def _direction(self, origin: Any, p: Any, on_axis: Any, total: Any) -> tuple[Any, Any]:
-        offset = p - origin
-        distance_squared = dr.squared_norm(offset)
-        direction = offset * dr.rsqrt(distance_squared)
-        cosine = dr.abs(dr.dot(direction, on_axis))
-        valid = (total > 0) & (cosine > 0)
-        return direction, dr.select(valid, distance_squared / (cosine * total), 0)
+    def enter(self, origin: Any, direction: Any) -> tuple[Any, Any, Any]:
+        """Distance and outward normal where a line enters from outside, and whether it does."""
+        near, far = slab(-mi.Vector3f(origin), self.half, safe_inverse(direction))
+        distance = dr.max(near)
+        normal = dr.select(near == distance, -dr.sign(direction), 0)
+        return distance, dr.normalize(normal), (distance > 0) & (distance <= dr.min(far))
 
     def pdf(self, origin: Any, direction: Any) -> Any:
         """Density with which `sample` gives `direction` from `origin`."""
-        areas = self._visible_areas(origin)
-        inverse = dr.rcp(direction)
-        first, second = (-self.half - origin) * inverse, (self.half - origin) * inverse
-        near = dr.select(direction == 0, -dr.inf, dr.minimum(first, second))
-        far = dr.select(direction == 0, dr.inf, dr.maximum(first, second))
-        beside = (direction == 0) & (dr.abs(origin) > self.half)
-        t = dr.max(near)
-        hit = (t > 0) & (t <= dr.min(far)) & ~dr.any(beside)
-        cosine = dr.max(dr.select(near == t, dr.abs(direction), 0))
-        total = dr.sum(areas)
-        return dr.select(hit & (total > 0), t * t / (cosine * total), 0)
+        distance, normal, hit = self.enter(origin, direction)
+        cosine = -dr.dot(normal, direction)
+        total = dr.sum(self._visible_areas(origin))
+        return dr.select(hit & (total > 0), dr.square(distance) / (cosine * total), 0)
 
 
 class SphereProxy:
@@ -86,37 +60,23 @@ class SphereProxy:
         self.shape = {"type": "sphere"}
         self.shape_scale = np.full(3, self.radius)
 
-    def _cone(self, origin: Any) -> tuple[Any, Any, Any]:
-        """Distance of the centre, 1 - cosine of the cone's half angle, and whether outside."""
-        distance = dr.norm(mi.Vector3f(origin))
-        sine_squared = dr.square(self.radius / distance)
-        outside = sine_squared < 1
-        cosine = dr.safe_sqrt(1 - sine_squared)
-        # 1 - cos without the cancellation that a distant, small sphere would suffer.
-        return distance, sine_squared / (1 + cosine), outside
+    def sample(self, origin: Any, sample: Any) -> Any:
+        """Direction from `origin` for a sample in the unit square; valid where `pdf` is not 0."""
+        return sample_cone(origin, self.radius, sample)
 
-    def sample(self, origin: Any, sample: Any) -> tuple[Any, Any, Any, Any]:
-        """Point p, normal n, direction from `origin` and pdf for a sample in the unit square."""
-        distance, cap, outside = self._cone(origin)
-        one_minus_cos = cap * sample.x
-        sine_squared = one_minus_cos * (2 - one_minus_cos)
-        sine, cosine = dr.safe_sqrt(sine_squared), 1 - one_minus_cos
-        azimuth_sine, azimuth_cosine = dr.sincos(dr.two_pi * sample.y)
-        frame = mi.Frame3f(-mi.Vector3f(origin) / distance)
-        direction = frame.to_world(mi.Vector3f(sine * azimuth_cosine, sine * azimuth_sine, cosine))
-        chord = dr.safe_sqrt(self.radius**2 - dr.square(distance) * sine_squared)
-        p = origin + direction * (distance * cosine - chord)
-        n = dr.normalize(mi.Vector3f(p))
-        p = mi.Point3f(n * self.radius)
-        return p, n, direction, dr.select(outside, dr.rcp(dr.two_pi * cap), 0)
+    def enter(self, origin: Any, direction: Any) -> tuple[Any, Any, Any]:
+        """Distance and outward normal where a line enters from outside, and whether it does."""
+        along = -dr.dot(mi.Vector3f(origin), direction)
+        off_axis = dr.squared_norm(mi.Vector3f(origin) + along * direction)
+        distance = along - dr.safe_sqrt(self.radius**2 - off_axis)
+        normal = dr.normalize(mi.Vector3f(origin) + distance * direction)
+        return distance, normal, (distance > 0) & (off_axis < self.radius**2)
 
     def pdf(self, origin: Any, direction: Any) -> Any:
         """Density with which `sample` gives `direction` from `origin`."""
-        _, cap, outside = self._cone(origin)
-        along = -dr.dot(mi.Vector3f(origin), direction)
-        off_axis = dr.squared_norm(mi.Vector3f(origin) + along * direction)
-        hit = outside & (along > 0) & (off_axis < self.radius**2)
-        return dr.select(hit, dr.rcp(dr.two_pi * cap), 0)
+        outside = dr.squared_norm(mi.Vector3f(origin)) > self.radius**2
+        _, _, hit = self.enter(origin, direction)
+        return dr.select(hit & outside, cone_pdf(origin, self.radius), 0)
 
 
 Proxy = BoxProxy | SphereProxy
@@ -125,3 +85,74 @@ Proxy = BoxProxy | SphereProxy
 def make_proxy(kind: ProxyKind, half_extents: NDArray[np.float64]) -> Proxy:
     """Proxy of the given kind around the box with `half_extents` [3], local units."""
     return BoxProxy(half_extents) if kind == "box" else SphereProxy(half_extents)
+
+
+def sample_cone(origin: Any, radius: float, sample: Any) -> Any:
+    """Direction towards the sphere of this radius about the centre, uniform over its solid angle.
+
+    From a point inside the sphere all directions are towards it.
+    """
+    axis = -mi.Vector3f(origin)
+    one_minus_cos = _cap(origin, radius) * sample.x
+    sine, cosine = dr.safe_sqrt(one_minus_cos * (2 - one_minus_cos)), 1 - one_minus_cos
+    azimuth_sine, azimuth_cosine = dr.sincos(dr.two_pi * sample.y)
+    frame = mi.Frame3f(dr.normalize(axis))
+    return frame.to_world(mi.Vector3f(sine * azimuth_cosine, sine * azimuth_sine, cosine))
+
+
+def cone_pdf(origin: Any, radius: float) -> Any:
+    """Density of `sample_cone`, the same for all of its directions."""
+    return dr.rcp(dr.two_pi * _cap(origin, radius))
+
+
+def _cap(origin, radius):
+    """1 - cosine of the half angle under which a sphere is seen; 2 from inside."""
+    sine_squared = radius**2 / dr.squared_norm(mi.Vector3f(origin))
+    # Written so that a distant, small sphere does not suffer from cancellation.
+    cap = sine_squared / (1 + dr.safe_sqrt(1 - sine_squared))
+    return dr.select(sine_squared < 1, cap, 2)
+
+
+def face_areas(half: Any) -> Any:
+    """Area [3] of a face of a box with half extents `half`, by the axis it is perpendicular to."""
+    return 4 * mi.Vector3f(half.y * half.z, half.x * half.z, half.x * half.y)
+
+
+def projected_areas(half: Any, direction: Any) -> Any:
+    """Areas [3] of the faces of a box as seen along a direction."""
+    return face_areas(half) * dr.abs(direction)
+
+
+def point_on_box(half: Any, weights: Any, towards: Any, sample: Any) -> Any:
+    """Point on the faces of a box at the origin that look `towards` a direction or point.
+
+    Args:
+        half: [3] half extents.
+        weights: [3] by axis: a face is chosen in proportion, a point uniformly on it.
+        sample: in the unit square.
+    """
+    scaled = sample.x * dr.sum(weights)
+    on_x = scaled < weights.x
+    on_y = ~on_x & (scaled < weights.x + weights.y)
+    on_z = ~on_x & ~on_y
+    start = dr.select(on_x, 0, dr.select(on_y, weights.x, weights.x + weights.y))
+    weight = dr.select(on_x, weights.x, dr.select(on_y, weights.y, weights.z))
+    u = 2 * dr.clip((scaled - start) / weight, 0, 1) - 1
+    v = 2 * sample.y - 1
+    unit = mi.Vector3f(
+        dr.select(on_x, dr.sign(towards.x), u),
+        dr.select(on_y, dr.sign(towards.y), dr.select(on_x, u, v)),
+        dr.select(on_z, dr.sign(towards.z), v),
+    )
+    return unit * half
+
+
+def safe_inverse(direction: Any) -> Any:
+    """1 / direction by component, finite for lines parallel to an axis."""
+    return dr.rcp(dr.select(dr.abs(direction) < _PARALLEL, _PARALLEL, direction))
+
+
+def slab(delta: Any, half: Any, inverse_direction: Any) -> tuple[Any, Any]:
+    """Distances [3], [3] at which a line crosses the planes of a box with its centre at `delta`."""
+    middle, reach = delta * inverse_direction, half * dr.abs(inverse_direction)
+    return middle - reach, middle + reach

@@ -75,14 +75,21 @@ class Placement:
         box = scene_from_proxy @ np.diag([*origin.half_extents, 1])
         return scene_from_proxy @ np.linalg.inv(origin.world_from_proxy), box
 
-    def shapes(self, proxy: ProxyKind, scene_from_world: NDArray[np.float64]) -> dict[str, Any]:
+    def shapes(
+        self, proxy: ProxyKind, scene_from_world: NDArray[np.float64], sampling: str
+    ) -> dict[str, Any]:
         """Shapes for `mitsuba.load_dict`."""
         if self.baked:
-            return {"proxy": shape(self.source, scene_from_world, proxy)}
+            return {"proxy": shape(self.source, scene_from_world, proxy, sampling=sampling)}
         return place_shapes(self.source, scene_from_world)
 
 
-def furnish(room: Any, placements: list[Placement], proxy: ProxyKind = "box") -> Any:
+def furnish(
+    room: Any,
+    placements: list[Placement],
+    proxy: ProxyKind = "box",
+    sampling: str = "emission",
+) -> Any:
     """Scene that holds the room's objects and the placed luminaires.
 
     Warns on standard error where an object, or the camera, is inside a proxy: there a baked
@@ -100,7 +107,7 @@ def furnish(room: Any, placements: list[Placement], proxy: ProxyKind = "box") ->
         scene_from_world, box = item.scene_from_world()
         if item.baked:
             _warn_inside(room, item, box)
-        shapes = item.shapes(proxy, scene_from_world)
+        shapes = item.shapes(proxy, scene_from_world, sampling)
         objects |= {f"placed_{index}_{name}": value for name, value in shapes.items()}
     return mi.load_dict(objects)
 

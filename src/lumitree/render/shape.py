@@ -17,6 +17,7 @@ def shape(
     proxy: str = "box",
     min_density: float = 0.0,
     max_opacity: float = 1.0,
+    sampling: str = "emission",
 ) -> dict[str, Any]:
     """Proxy shape with the `lumitree` emitter and the `lumitree_null` BSDF attached.
 
@@ -27,6 +28,7 @@ def shape(
         proxy: "box" or "sphere", the surface that carries the field.
         min_density: leaves below this density count as empty (the paper: 0.1).
         max_opacity: rays stop at this opacity (the paper: 0.9).
+        sampling: "emission", about in proportion to it, or "uniform" over the proxy.
 
     Raises:
         LumitreeError: the asset cannot be read, or `to_world` shears or scales non-uniformly.
@@ -34,11 +36,16 @@ def shape(
     from lumitree.render.field import open_field
     from lumitree.render.plugins import register
     from lumitree.render.proxy import PROXY_KINDS, make_proxy
+    from lumitree.render.sampling import SAMPLING_KINDS
 
     mi = load_mitsuba()
     register()
     if proxy not in PROXY_KINDS:
         raise LumitreeError(f"unknown proxy {proxy!r}; expected one of {', '.join(PROXY_KINDS)}")
+    if sampling not in SAMPLING_KINDS:
+        raise LumitreeError(
+            f"unknown sampling {sampling!r}; expected one of {', '.join(SAMPLING_KINDS)}"
+        )
     matrix = np.asarray(getattr(to_world, "matrix", np.eye(4) if to_world is None else to_world))
     if matrix.shape == (4, 4, 1):
         matrix = matrix[..., 0]
@@ -52,6 +59,7 @@ def shape(
         "proxy": proxy,
         "min_density": min_density,
         "max_opacity": max_opacity,
+        "sampling": sampling,
     }
     return {
         **surface.shape,

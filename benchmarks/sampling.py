@@ -1,0 +1,212 @@
+"""Sampling by emission against uniform sampling of the proxy, in the same run.
+
+    python benchmarks/sampling.py --pair ASSET ROOM AT SIZE [--pair ...] [--write]
+
+ROOM is a scene file, or "demo"; AT is x,y,z and SIZE the lamp's largest side, in the room's units
+(a lamp in the demo's room stands where the demo puts it: AT and SIZE are "-"). Direct and full
+light. Variances are of pixels that do not see the lamp itself, over the square of their mean,
+without the 0.1 % of largest; times are medians of passes, the two samplings taking turns. `--write`
+puts `sampling.md` and `sampling.json` into benchmarks/results/.
+"""
+
+import argparse
+import math
+import os
+import platform
+import statistics
+import time
+from pathlib import Path
+
+import numpy as np
+
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.files import atomic_path, write_json
+
+RESULTS = Path(__file__).parent / "results"
+WIDTH, SAMPLES, PASSES = 64, 16, 8
+PATH_DEPTHS = {"direct": 2, "full": 8}
+SAMPLINGS = ("uniform", "emission")
+TRIMMED = 0.001
+SHADING_POINTS = {"below": (0, -6, 0), "far below": (0, -30, 3), "beside": (4, 0, 0.5)}
+POINT_SAMPLES = 1 << 17
+
+
+def scenes(asset: str, room: str, at: str, size: str) -> dict:
+    """The room with the lamp in it, by kind of sampling."""
+    from lumitree.render.demo_room import demo_room, lamp
+    from lumitree.render.room import Placement, furnish, load_room, set_film_width
+
+    if room == "demo":
+        place, scene = lamp(asset), demo_room(WIDTH)
+    else:
+        x, y, z = (float(word) for word in at.split(","))
+        place = Placement(asset, (x, y, z), float(size))
+        scene, _ = load_room(room)
+        set_film_width(scene, WIDTH)
+    return {kind: furnish(scene, [place], sampling=kind) for kind in SAMPLINGS}
+
+
+def measure_paths(by_kind: dict, path_depth: int) -> dict:
+    """Variance and time of a sample a pixel, by kind of sampling."""
+    import mitsuba as mi
+
+    from lumitree.render.room import render
+
+    def integrator(depth):
+        return mi.load_dict({"type": "volpath", "max_depth": depth, "rr_depth": 1000})
+
+    lamp_seen = render(by_kind["emission"], integrator(1), SAMPLES).max(axis=2) > 0
+    images: dict = {kind: [] for kind in SAMPLINGS}
+    seconds: dict = {kind: [] for kind in SAMPLINGS}
+    for index in range(PASSES + 1):
+        for kind, scene in by_kind.items():
+            start = time.perf_counter()
+            image = render(scene, integrator(path_depth), SAMPLES, seed=1 + index)
+            if index:  # the first compiles
+                seconds[kind].append(time.perf_counter() - start)
+                images[kind].append(image[~lamp_seen].mean(axis=1))
+    mean = np.mean(images["emission"], axis=0)
+    scale = mean**2 + (0.01 * mean.mean()) ** 2
+    row = {}
+    for kind in SAMPLINGS:
+        relative = np.sort(np.var(images[kind], axis=0, ddof=1) * SAMPLES / scale)
+        kept = relative[: max(1, round(len(relative) * (1 - TRIMMED)))]
+        row[f"variance_{kind}"] = float(kept.mean())
+        row[f"seconds_{kind}"] = statistics.median(seconds[kind]) / SAMPLES
+    ratio = row["variance_uniform"] / row["variance_emission"]
+    time_ratio = row["seconds_uniform"] / row["seconds_emission"]
+    row |= {"variance_ratio": ratio, "error_ratio_equal_time": math.sqrt(ratio * time_ratio)}
+    return row
+
+
+def measure_points(asset: str) -> dict:
+    """Without a room: variance ratios from points about the lamp, and time a sample."""
+    import drjit as dr
+
+    from lumitree.render.field import open_field
+    from lumitree.render.proxy import make_proxy
+    from lumitree.render.sampling import EmitterSampler
+
+    field = open_field(asset)
+    half = field.asset.half_extents
+    start = time.perf_counter()
+    boxes = field.light_boxes
+    dr.sync_thread()
+    row: dict = {"table_seconds": time.perf_counter() - start, "boxes": int(boxes.count[0])}
+    proxy = make_proxy("box", half)
+    samplers = {
+        "uniform": EmitterSampler(proxy, half, None),
+        "emission": EmitterSampler(proxy, half, boxes),
+    }
+    points = {
+        **SHADING_POINTS,
+        "above": (0.5, 3, 1),
+        "near": (0.2, -float(half[1]) - 0.2, 0.1),
+        "corner": tuple((1.1 * half).tolist()),
+    }
+    for name, place in points.items():
+        variance = {}
+        for kind, sampler in samplers.items():
+            variance[kind], jobs = _measure_point(field, sampler, place)
+            if name == "below":
+                row |= {f"ns_{job}_{kind}": _nanoseconds(run) for job, run in jobs.items()}
+        row[name] = variance["uniform"] / variance["emission"]
+    return row
+
+
+def _measure_point(field, sampler, place: tuple[float, ...]) -> tuple[float, dict]:
+    """Variance of the light that arrives at a point, and the parts of a sample, to be timed."""
+    import drjit as dr
+    import mitsuba as mi
+
+    random = mi.PCG32(POINT_SAMPLES, 5)
+    origin = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in place))
+    uniform = mi.Point2f(random.next_float32(), random.next_float32())
+    dr.eval(uniform)
+    direction, pdf = sampler.sample(origin, uniform)
+    dr.eval(direction, pdf)
+    radiance, _ = field.emission(origin, direction, pdf > 0)
+    weight = dr.mean(radiance) * dr.select(pdf > 0, dr.rcp(pdf), 0)
+    return float(np.array(weight, np.float64).var()), {
+        "sample": lambda: sampler.sample(origin, uniform),
+        "pdf": lambda: sampler.pdf(origin, direction),
+        "query": lambda: field.emission(origin, direction, pdf > 0),
+    }
+
+
+def _nanoseconds(job) -> float:
+    """Time a lane of a kernel, its compilation apart: median of 5."""
+    import drjit as dr
+
+    times = []
+    for _ in range(6):
+        start = time.perf_counter()
+        dr.eval(job())
+        dr.sync_thread()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times[1:]) / POINT_SAMPLES * 1e9
+
+
+def table(report: dict) -> str:
+    lines = [
+        f"{report['variant']}, Mitsuba {report['mitsuba']}, {report['cores']} cores, {WIDTH} "
+        f"pixels wide, {PASSES} passes of {SAMPLES} samples.",
+        "",
+        "| lamp, room | light | variance ratio at equal samples | error ratio at equal time |"
+        " s a sample, uniform | by emission |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in report["pairs"]:
+        lines.append(
+            f"| {row['luminaire']}, {row['room']} | {row['light']} | {row['variance_ratio']:.1f} | "
+            f"{row['error_ratio_equal_time']:.2f} | {row['seconds_uniform']:.3f} | "
+            f"{row['seconds_emission']:.3f} |"
+        )
+    for name in ("variance_ratio", "error_ratio_equal_time"):
+        values = [row[name] for row in report["pairs"]]
+        mean = math.exp(statistics.fmean(map(math.log, values)))
+        lines.append(f"\n{name}: geometric mean {mean:.2f}, least {min(values):.2f}")
+    lines += ["", "| from points, " + " | ".join(report["points"][0]) + " |"]
+    lines += ["|---" * (1 + len(report["points"][0])) + "|"]
+    for row in report["points"]:
+        values = (v if isinstance(v, str) else f"{v:.3g}" for v in row.values())
+        lines.append("| | " + " | ".join(values) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    names = ("ASSET", "ROOM", "AT", "SIZE")
+    parser.add_argument("--pair", nargs=4, action="append", required=True, metavar=names)
+    parser.add_argument("--write", action="store_true")
+    arguments = parser.parse_args()
+    mi = load_mitsuba()
+
+    from lumitree.asset.file import load
+
+    report: dict = {
+        "variant": mi.variant(),
+        "mitsuba": mi.__version__,
+        "cores": len(os.sched_getaffinity(0)),
+        "python": platform.python_version(),
+        "pairs": [],
+        "points": [],
+    }
+    for asset in dict.fromkeys(pair[0] for pair in arguments.pair):
+        report["points"].append({"luminaire": load(asset).luminaire} | measure_points(asset))
+        print(report["points"][-1], flush=True)
+    for asset, room, at, size in arguments.pair:
+        by_kind = scenes(asset, room, at, size)
+        for light, depth in PATH_DEPTHS.items():
+            names = {"luminaire": load(asset).luminaire, "room": Path(room).parent.name or room}
+            report["pairs"].append(names | {"light": light} | measure_paths(by_kind, depth))
+            print(report["pairs"][-1], flush=True)
+    print(table(report))
+    if arguments.write:
+        write_json(RESULTS / "sampling.json", report)
+        with atomic_path(RESULTS / "sampling.md") as path:
+            path.write_text(table(report), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
