@@ -37,7 +37,7 @@ def has(cells, others):
 
 @pytest.mark.parametrize("law", ["linear", "exponential"])
 def test_density_of_fog_gives_the_opacity_seen(lamp, law):
-    """For the exponential law its rate; for the linear one the opacity of a mean chord over it."""
+    """The opacity of a cell, mean over all chords, is what the law gives a mean chord."""
     from lumitree.direct.estimate import estimate
 
     level, sigma = 4, 0.75
@@ -51,11 +51,10 @@ def test_density_of_fog_gives_the_opacity_seen(lamp, law):
     assert (nearest < 1 + 1e-4).all()
     inside = (farthest < 1) & (nearest > 0.02)
     assert inside.sum() > 1000
-    rate = 2 * sigma
-    if law == "linear":
-        # The mean over chords of a cube of 1 - exp(-rate chord), chords being lines through it.
-        chords = cube_chords(2 / (1 << level))
-        rate = (1 - np.exp(-rate * chords)).mean() / chords.mean()
+    chords = cube_chords(2 / (1 << level))
+    opacity = (1 - np.exp(-2 * sigma * chords)).mean()
+    depth = opacity if law == "linear" else -np.log(1 - opacity)
+    rate = depth / chords.mean()
     density = result.density[inside]
     error = density.std(ddof=1) / np.sqrt(len(density))
     assert error < 0.003 * rate

@@ -61,7 +61,10 @@ def shapes_of(name, folder):
         "frosted": (lamp, sphere("ball", 1, inside=FROSTED)),
         "beside fog": (lamp, sphere("fog", 0.5, (1, 0.2, 0), fog(3.0, 0.8))),
         "in fog": (lamp, sphere("fog", 1, inside=fog(1.5, 0.8))),
-        "in milk": (lamp, sphere("milk", 1, inside=GLASS + medium("0.4, 0.4, 0.4", "0.9, 0.9, 0.9"))),
+        "in milk": (
+            lamp,
+            sphere("milk", 1, inside=GLASS + medium("0.4, 0.4, 0.4", "0.9, 0.9, 0.9")),
+        ),
         "coloured glass": (
             lamp,
             sphere("ball", 0.6, (0.2, 1.1, 0), GLASS + medium("0.2, 0.4, 1", "0, 0, 0")),

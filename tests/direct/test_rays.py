@@ -8,6 +8,7 @@ from lines import CLUTTER, TILE, arrays, fog, source, tile_mean
 
 RADIANCE = np.array([3.0, 2.0, 1.0])
 
+
 def distance_to(origins, directions, centre):
     offset = origins - centre
     along = (offset * directions).sum(axis=1, keepdims=True)

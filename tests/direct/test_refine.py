@@ -45,13 +45,15 @@ class FieldRays:
         if not lines:
             return Rays(origin, direction, mi.Float(), mi.Color3f(mi.Float()), mi.Float())
         radiance, through, _ = self._truth.integrate(origin, direction)
-        light = self._noisy(radiance, batch) / lines
-        share = dr.full(mi.Float, 1 / lines, lines)
+        # Opaque, or every step would compile kernels of its own.
+        part = dr.opaque(mi.Float, 1 / lines)
+        share = part * dr.ones(mi.Float, lines)
+        light = self._noisy(radiance, batch) * part
         if not self._split:
             return Rays(origin, direction, share, light, through)
         # Lines of their own, the unwanted among them.
         other = random_lines(mi, count, batch + 10**5)
-        brought = self._noisy(self._truth.integrate(*other)[0], batch + 10**5) / lines
+        brought = self._noisy(self._truth.integrate(*other)[0], batch + 10**5) * part
         none = dr.zeros(mi.Float, count)
         return Rays(
             mi.Point3f(*np.hstack([np.array(origin), np.array(other[0])])),
