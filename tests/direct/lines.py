@@ -1,4 +1,4 @@
-"""What tests of traced lines share: lamps, arrays of Mitsuba vectors, and means with standard errors."""
+"""What tests of traced lines share: lamps, bins, and means with their standard errors."""
 
 import numpy as np
 

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-
-from lamps import AREA, GLASS, cube, sphere
 from lines import (
     CLUTTER,
     DIFFUSE,
@@ -16,6 +14,8 @@ from lines import (
     octant,
     source,
 )
+
+from lamps import AREA, GLASS, cube, sphere
 from lumitree.core.frames import towards_viewer
 
 LINES = 1 << 19

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from lines import CLUTTER, TILE, arrays, fog, source, tile_mean
 
 from lamps import AREA, cube, sphere
-from lines import CLUTTER, TILE, arrays, fog, source, tile_mean
 
 RADIANCE = np.array([3.0, 2.0, 1.0])
 
