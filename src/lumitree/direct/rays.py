@@ -97,7 +97,7 @@ class RaySource(Protocol):
     """Where a bake gets its rays from."""
 
     def draw(self, count: int, batch: int, wanted: Wanted) -> Rays:
-        """Rays of batch number `batch`: those of `count` random lines that are wanted, and light."""
+        """Rays of batch `batch`: those of `count` random lines that are wanted, and light."""
         ...
 
     def pairs(self, count: int, batch: int, paths: int) -> Pairs:
