@@ -11,6 +11,7 @@ from lumitree.core.files import write_json
 from lumitree.core.images import write_exr
 
 LUMINAIRE = "bulbs"
+BAKE_SECONDS = 150
 WIDTH = 256
 SAMPLES, REFERENCE_SAMPLES = 64, 512
 
@@ -19,7 +20,7 @@ def run(folder: str = "demo-output", variant: str | None = None) -> pipeline.Rep
     """Bake, evaluate and render; writes pictures, the asset and `report.json` into `folder`."""
     output = Path(folder)
     asset = str(output / "lamp.lumitree")
-    baked = pipeline.bake(LUMINAIRE, asset, variant=variant)
+    baked = pipeline.bake(LUMINAIRE, asset, seconds=BAKE_SECONDS, variant=variant)
     evaluation = pipeline.evaluate(
         asset,
         LUMINAIRE,

@@ -47,7 +47,7 @@ def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     lines = TracedRays(ball, 1 / 64, seed=77)
     origin, direction = lines.lines(1 << 20, 1)
     radiance = np.array(Field(asset).emission(origin, direction)[0])
-    traced = np.array(lines.trace(origin, direction, 1).radiance)
+    traced = np.array(lines.trace(origin, direction, 1, 1)[0])
     flux, expected = (lines.measure * values.mean(axis=1) for values in (radiance, traced))
     assert expected == pytest.approx(KNOWN, rel=0.015)
     # Cells of an eighth of the radius: a few percent of the light goes astray at the rim.
@@ -63,7 +63,10 @@ def test_score_is_that_of_the_asset_even_where_descent_makes_it_worse(ball, tmp_
     wild = config(refine={"learning_rate": 30.0, "final_rate": 1.0})
     result = bake(ball, wild, tmp_path)
     source = TracedRays(ball, 2 / 16)
-    score = HeldOut.trace(source, result.asset.max_radiance).score(leaf_field(result.asset))
+    # Steps so long leave densities that are too small for a number.
+    with np.errstate(divide="ignore"):
+        field = leaf_field(result.asset)
+    score = HeldOut.trace(source, result.asset.max_radiance).score(field)
     # Coefficients are rounded to half precision.
     assert score.psnr == pytest.approx(result.score.psnr, abs=0.1)
 

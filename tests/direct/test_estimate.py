@@ -35,7 +35,9 @@ def has(cells, others):
     return np.array([tuple(cell) in found for cell in others.tolist()])
 
 
-def test_density_of_fog_is_its_rate(lamp):
+@pytest.mark.parametrize("law", ["linear", "exponential"])
+def test_density_of_fog_gives_the_opacity_seen(lamp, law):
+    """The opacity of a cell, mean over all chords, is what the law gives a mean chord."""
     from lumitree.direct.estimate import estimate
 
     level, sigma = 4, 0.75
@@ -44,16 +46,34 @@ def test_density_of_fog_is_its_rate(lamp):
         f'<float name="sigma_t" value="{sigma}"/><float name="albedo" value="0"/></medium>'
     )
     rays = source(lamp(sphere("fog", 2, inside=fog), sphere("lamp", 0.01, inside=AREA)))
-    result = estimate(rays, all_cells(level), level, 0, 10.0, LINES)
+    result = estimate(rays, all_cells(level), level, 0, law, 10.0, LINES)
     nearest, farthest = corner_distances(result.cells, level)
-    assert (nearest < 1).all()
+    assert (nearest < 1 + 1e-4).all()
     inside = (farthest < 1) & (nearest > 0.02)
     assert inside.sum() > 1000
-    rate = 2 * sigma
+    chords = cube_chords(2 / (1 << level))
+    opacity = (1 - np.exp(-2 * sigma * chords)).mean()
+    depth = opacity if law == "linear" else -np.log(1 - opacity)
+    rate = depth / chords.mean()
     density = result.density[inside]
     error = density.std(ddof=1) / np.sqrt(len(density))
     assert error < 0.003 * rate
     assert abs(density.mean() - rate) < 4 * error
+
+
+def cube_chords(side):
+    """Lengths in a cube of random lines that meet it."""
+    random = np.random.default_rng(4)
+    direction = random.normal(size=(1 << 20, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    middle = random.normal(size=direction.shape)
+    middle -= (middle * direction).sum(axis=1, keepdims=True) * direction
+    middle *= (np.sqrt(random.random((len(middle), 1))) * np.sqrt(3) * side / 2) / np.linalg.norm(
+        middle, axis=1, keepdims=True
+    )
+    planes = np.stack([(sign * side / 2 - middle) / direction for sign in (-1, 1)])
+    length = planes.max(axis=0).min(axis=1) - planes.min(axis=0).max(axis=1)
+    return length[length > 0]
 
 
 def opaque_sphere(lamp):
@@ -67,7 +87,9 @@ def test_emission_of_an_opaque_surface_is_its_radiance(lamp, l_max):
     from lumitree.direct.estimate import OPAQUE, estimate
 
     level, max_radiance = 4, 10.0
-    result = estimate(opaque_sphere(lamp), all_cells(level), level, l_max, max_radiance, LINES)
+    result = estimate(
+        opaque_sphere(lamp), all_cells(level), level, l_max, "exponential", max_radiance, LINES
+    )
     nearest, farthest = corner_distances(result.cells, level)
     side = 2 / (1 << level)
     interior = farthest < 1 - 1e-4

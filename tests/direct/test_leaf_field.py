@@ -28,13 +28,13 @@ def on_device(mi, origins, directions):
     return mi.Point3f(*origins.T), mi.Vector3f(*directions.T)
 
 
-def adjoint(mi, field, origins, directions, d_radiance, d_through, loss=None):
-    """Gradients by log density [M] and coefficients [M, 3 K], and the blame [M]."""
+def adjoint(mi, field, origins, directions, d_radiance, d_through):
+    """Gradients by log density [M] and coefficients [M, 3 K]."""
     import drjit as dr
 
     o, d = on_device(mi, origins, directions)
     integrated = field.integrate(o, d)
-    density, blame = (dr.zeros(mi.Float, field.num_leaves) for _ in range(2))
+    density = dr.zeros(mi.Float, field.num_leaves)
     coefficients = dr.zeros(mi.Float, field.num_leaves * field.num_coefficients)
     field.scatter_gradients(
         o,
@@ -42,12 +42,10 @@ def adjoint(mi, field, origins, directions, d_radiance, d_through, loss=None):
         integrated,
         mi.Color3f(*np.asarray(d_radiance, np.float32).T),
         mi.Float(np.asarray(d_through, np.float32)),
-        mi.Float(np.ones(len(origins)) if loss is None else loss),
         density,
         coefficients,
-        blame,
     )
-    return np.array(density), np.array(coefficients).reshape(field.num_leaves, -1), np.array(blame)
+    return np.array(density), np.array(coefficients).reshape(field.num_leaves, -1)
 
 
 class Twin:
@@ -108,7 +106,7 @@ def test_adjoint_is_the_derivative(mi, law, l_max, monkeypatch):
         assert (through == 0).any()
     assert ((through > 0.01) & (through < 0.99)).any()
 
-    density, coefficients, _ = adjoint(
+    density, coefficients = adjoint(
         mi, leaf_field(asset), origins, directions, d_radiance, d_through
     )
     by_density = twin.gradient(twin.log_density, d_radiance, d_through)
@@ -147,13 +145,13 @@ def test_saturated_ray_that_is_too_opaque_thins_as_if_its_opacity_were_tau(mi):
     depth = np.array([0.4, 0.9, 0.5, 0.1])
     field = leaf_field(column(2 * depth, [0.5, 0.5, 0.5, 0.5], "linear"))
     # A loss that falls as more comes through.
-    density, _, _ = adjoint(mi, field, *ALONG_X, [[0, 0, 0]], [-0.7])
+    density, _ = adjoint(mi, field, *ALONG_X, [[0, 0, 0]], [-0.7])
     assert density == pytest.approx([0.7 * 0.4, 0.7 * 0.9, 0, 0], rel=1e-5)
 
 
 def test_saturated_ray_is_never_made_denser_than_opaque(mi):
     field = leaf_field(column([0.8, 1.8, 1.0, 0.2], [0.5, 0.5, 0.5, 0.5], "linear"))
-    density, _, _ = adjoint(mi, field, *ALONG_X, [[0, 0, 0]], [0.7])
+    density, _ = adjoint(mi, field, *ALONG_X, [[0, 0, 0]], [0.7])
     assert (density == 0).all()
 
 
@@ -162,18 +160,23 @@ def test_leaves_too_thin_to_be_seen_still_know_their_emission(mi, law):
     """Adam sees the sign of a gradient, however small: it must be that of the true one."""
     depth = np.array([1e-5, 0.3])
     field = leaf_field(column(depth, [0.01, 0.2], law))
-    density, _, _ = adjoint(mi, field, *ALONG_X, [[1, 1, 1]], [0])
+    density, _ = adjoint(mi, field, *ALONG_X, [[1, 1, 1]], [0])
     behind = {"linear": 0.0, "exponential": 0.2 * (1 - np.exp(-0.3))}[law]
     assert density[0] == pytest.approx(3 * depth[0] * (0.01 - behind), rel=1e-2)
 
 
 @pytest.mark.parametrize("law", ["linear", "exponential"])
-def test_blame_is_shared_out_by_weight(mi, law):
-    field = leaf_field(column([0.3, 0.5, 0.2, 0.1], [0.5] * 4, law))
-    _, _, blame = adjoint(mi, field, *ALONG_X, [[0, 0, 0]], [0], loss=[3.0])
-    tau = np.cumsum([0, 0.15, 0.25, 0.1, 0.05])
-    through = 1 - tau if law == "linear" else np.exp(-tau)
-    assert blame == pytest.approx(3 * -np.diff(through), rel=1e-4)
+@pytest.mark.parametrize("density", [[0.3, 0.5, 0.2, 0.1], [0.6, 1.0, 1.8, 20.0]])
+def test_a_value_is_shared_out_by_weight(mi, law, density):
+    """Of several rays, and added to what is there; what is behind an opaque leaf gets nothing."""
+    field = leaf_field(column(density, [0.5] * 4, law))
+    total = mi.Float([1.0, 2.0, 3.0, 4.0])
+    origins, directions = (np.repeat(values, 2, axis=0) for values in ALONG_X)
+    field.share_out(*on_device(mi, origins, directions), mi.Float([3.0, -1.0]), total)
+    tau = np.concatenate([[0], np.cumsum(np.array(density) / 2)])
+    through = np.maximum(1 - tau, 0) if law == "linear" else np.exp(-tau)
+    expected = np.array([1, 2, 3, 4]) + 2 * -np.diff(through)
+    assert np.array(total) == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize("law", ["linear", "exponential"])

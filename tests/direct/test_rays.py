@@ -2,27 +2,11 @@
 
 import numpy as np
 import pytest
+from lines import CLUTTER, TILE, arrays, fog, source, tile_mean
 
 from lamps import AREA, cube, sphere
 
 RADIANCE = np.array([3.0, 2.0, 1.0])
-TILE = 16
-
-
-def tile_mean(values):
-    """Mean of a line's values [N, ...] and its standard error; tiles are independent, lines not."""
-    tiles = values.reshape(-1, TILE, *values.shape[1:]).mean(axis=1)
-    return tiles.mean(axis=0), tiles.std(axis=0, ddof=1) / np.sqrt(len(tiles))
-
-
-def arrays(*values):
-    return [np.array(value, np.float64).T for value in values]
-
-
-def source(luminaire, spacing=1 / 64, seed=0, **options):
-    from lumitree.direct.rays import TracedRays
-
-    return TracedRays(luminaire, spacing, seed=seed, **options)
 
 
 def distance_to(origins, directions, centre):
@@ -79,11 +63,16 @@ def test_equal_seeds_give_equal_rays_and_other_batches_do_not(lamp):
 
     def drawn(seed, batch):
         rays = source(luminaire, seed=seed).draw(1 << 12, batch, lambda o, d: d.z < 0)
-        return np.concatenate(arrays(rays.origin, rays.direction, rays.radiance), axis=1)
+        share = np.array(rays.share)
+        assert np.array_equal(np.sort(share), share[::-1])
+        all_of_it = arrays(rays.origin, rays.direction, rays.light, rays.transmittance)
+        return np.column_stack([*all_of_it, share])
 
     first = drawn(1, 2)
     assert np.array_equal(first, drawn(1, 2))
-    assert (first[:, 5] < 0).all()
+    is_line = first[:, -1] > 0
+    assert (first[is_line, 5] < 0).all()
+    assert 1000 < is_line.sum() < len(first)
     for other in (drawn(1, 3), drawn(2, 2)):
         # No line is shared.
         assert len(np.unique(np.concatenate([first, other]), axis=0)) == len(first) + len(other)
@@ -97,10 +86,10 @@ def test_order_of_batches_does_not_matter(box):
         assert np.array_equal(one, two)
 
 
-def test_mean_radiance_is_the_flux(lamp):
+@pytest.mark.parametrize("paths", [1, 3])
+def test_mean_radiance_is_the_flux(lamp, paths):
     rays = source(lamp(sphere("lamp", 2.0, (5, 1, 0), AREA)))
-    traced = rays.trace(*rays.lines(1 << 19, 3), 3)
-    radiance, through = arrays(traced.radiance, traced.transmittance)
+    radiance, through = arrays(*rays.trace(*rays.lines(1 << 19, 3), 3, paths))
     flux, error = tile_mean(radiance)
     assert rays.measure * flux == pytest.approx(4 * np.pi**2 * RADIANCE, rel=0.02)
     assert (np.abs(rays.measure * flux - 4 * np.pi**2 * RADIANCE) < 4 * rays.measure * error).all()
@@ -140,10 +129,10 @@ def test_transmittance_of_a_pane_is_fresnels(mi, lamp, kind, degrees):
     scale, centre = luminaire.world_from_proxy[0, 0], luminaire.world_from_proxy[:3, 3]
     inside_pane = (np.array([0, 0, 0.5]) - centre) / scale
     rays = source(luminaire)
-    traced = rays.trace(mi.Point3f(inside_pane.tolist()), mi.Vector3f(direction), 1, paths=4)
+    _, through = rays.trace(mi.Point3f(inside_pane.tolist()), mi.Vector3f(direction), 1, 4)
     f = fresnel(np.cos(angle), 1.5)
     expected = {"thin": (1 - f) / (1 + f), "solid": (1 - f) ** 2}[kind]
-    assert np.array(traced.transmittance) == pytest.approx(expected, abs=1e-5)
+    assert np.array(through) == pytest.approx(expected, abs=1e-5)
 
 
 def test_paths_stop_on_an_opaque_surface_with_its_radiance(lamp):
@@ -159,13 +148,6 @@ def test_paths_stop_on_an_opaque_surface_with_its_radiance(lamp):
     assert distance_to(point[stopped], d[stopped], 0) == pytest.approx(distance[stopped], abs=1e-4)
     assert radiance[stopped] == pytest.approx(np.tile(RADIANCE, (stopped.sum(), 1)), rel=1e-5)
     assert (radiance[~stopped] == 0).all()
-
-
-def fog(sigma, albedo=0.0):
-    return (
-        '<bsdf type="null"/><medium type="homogeneous" name="interior">'
-        f'<float name="sigma_t" value="{sigma}"/><float name="albedo" value="{albedo}"/></medium>'
-    )
 
 
 def test_paths_stop_in_fog_at_its_rate(lamp):
@@ -191,8 +173,7 @@ def test_paths_stop_in_fog_at_its_rate(lamp):
         count = (crosses & stopped & (end >= low) & (end < high)).sum()
         assert abs(count - rate * length) < 4 * np.sqrt(rate * length)
         assert count > 1000
-    traced = rays.trace(stops.origin, stops.direction, 1)
-    through = np.array(traced.transmittance)
+    through = np.array(rays.trace(stops.origin, stops.direction, 1, 1)[1])
     # Mitsuba starts rays a little off a surface, which shortens grazing chords.
     steep = crosses & (distance < 0.9)
     assert through[steep] == pytest.approx(np.exp(-rate * 2 * half_chord)[steep], abs=2e-3)
@@ -228,44 +209,99 @@ def test_paths_stop_at_a_pane_as_often_as_it_reflects(lamp):
     assert radiance[lit] == pytest.approx(np.tile(RADIANCE, (lit.sum(), 1)), rel=1e-4)
 
 
-CLUTTER = (
-    sphere("lamp", 0.5, (0, 0, 0), AREA),
-    sphere(
-        "shade",
-        0.4,
-        (1, 0.3, 0),
-        '<bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf>',
-    ),
-    sphere(
-        "metal",
-        0.3,
-        (-0.9, 0, 0.2),
-        '<bsdf type="conductor"><string name="material" value="none"/></bsdf>',
-    ),
-    sphere(
-        "glass",
-        0.35,
-        (0, 0.9, 0.1),
-        '<bsdf type="dielectric"><float name="int_ior" value="1.5"/>'
-        '<float name="ext_ior" value="1"/></bsdf>',
-    ),
-)
+def everywhere(origin, direction):
+    return direction.z < 2
+
+
+def downwards(origin, direction):
+    return direction.z < -0.2
 
 
 @pytest.mark.parametrize("extra", [(), (sphere("fog", 0.4, (0, -0.9, 0), fog(2.0)),)])
-def test_stops_carry_the_radiance_that_is_traced(lamp, extra):
+def test_stops_hide_and_show_what_smooth_transmission_does(lamp, extra):
+    """Paths that pick one way each, against all of what lines let through and see."""
     luminaire = lamp(*CLUTTER, *extra)
     assert luminaire.has_media == bool(extra)
     rays = source(luminaire)
-    stops = rays.stops(1 << 18, 1)
-    traced = rays.trace(stops.origin, stops.direction, 1)
-    radiance, expected = arrays(stops.radiance, traced.radiance)
-    difference, error = tile_mean(radiance - expected)
+    count = 1 << 18
+    stops = rays.stops(count, 1)
+    drawn = rays.draw(count, 1, everywhere)
+    origin, light = arrays(drawn.origin, drawn.light)
+    assert np.array_equal(origin[:count], arrays(stops.origin)[0])
+    seen = count * light[:count]
+    difference, error = tile_mean(np.array(stops.radiance).T - seen)
     assert (np.abs(difference) < 4 * error).all()
-    assert (error < 0.02 * expected.mean(axis=0)).all()
-    # And where they stop, they hide as much as straight-through transmittance says.
-    hidden, error = tile_mean(np.array(stops.stopped) - 1 + np.array(traced.transmittance))
+    assert (error < 0.02 * seen.mean(axis=0)).all()
+    hidden, error = tile_mean(np.array(stops.stopped) - 1 + np.array(drawn.transmittance)[:count])
     assert abs(hidden) < 4 * error
+
+
+@pytest.mark.parametrize("wanted", [everywhere, downwards])
+def test_drawn_rays_integrate_any_function_of_wanted_lines(lamp, wanted):
+    """Lines and light together give the means that camera paths alone give."""
+    rays = source(lamp(*CLUTTER))
+
+    def functions(origin, direction):
+        """Some functions [N, 4] that are 0 on unwanted lines."""
+        o, d = arrays(origin, direction)
+        centre = o - (o * d).sum(axis=1, keepdims=True) * d
+        value = [np.ones(len(d)), d[:, 0] > 0, centre[:, 1], np.exp(-9 * (centre**2).sum(axis=1))]
+        return np.array(wanted(origin, direction))[:, None] * np.stack(value, axis=1)
+
+    origin, direction = rays.lines(1 << 18, 1)
+    chosen = np.array(wanted(origin, direction))
+    radiance, _ = rays.trace(origin, direction, 1, 2)
+    f = functions(origin, direction)
+    products = f[:, :, None] * np.array(radiance, np.float64).T[:, None]
+    mean, error = tile_mean(products)
+    part = chosen.mean()
+
+    drawn = [rays.draw(1 << 15, batch, wanted) for batch in range(2, 34)]
+    sums, shares = [], []
+    for batch in drawn:
+        f = functions(batch.origin, batch.direction)
+        light, share = arrays(batch.light, batch.share)
+        is_line = share > 0
+        assert 0 < is_line.sum() < len(share)
+        assert (np.array(batch.transmittance)[~is_line] == 0).all()
+        assert share.sum() == pytest.approx(1, rel=1e-4)
+        sums.append(f.T @ light)
+        shares.append(f.T @ share)
+    spread = np.std(sums, axis=0, ddof=1) / np.sqrt(len(sums))
+    error = np.hypot(error / part, spread)
+    assert (np.abs(np.mean(sums, axis=0) - mean / part) < 4 * error).all()
+    assert (error[0] < 0.03 * mean[0] / part).all()
+    # The functions alone.
+    mean, error = tile_mean(functions(origin, direction))
+    spread = np.std(shares, axis=0, ddof=1) / np.sqrt(len(shares))
+    tolerance = 4 * np.hypot(error / part, spread) + 1e-6
+    assert (np.abs(np.mean(shares, axis=0) - mean / part) < tolerance).all()
+
+
+def test_no_wanted_line_gives_no_rays(lamp):
+    import drjit as dr
+
+    rays = source(lamp(*CLUTTER)).draw(1 << 10, 1, lambda o, d: d.z > 2)
+    assert dr.width(rays.origin) == dr.width(rays.light) == dr.width(rays.share) == 0
+
+
+def test_pairs_are_independent_means_of_the_same_lines(lamp):
+    rays = source(lamp(*CLUTTER))
+    pairs = rays.pairs(1 << 17, 1, 2)
+    origin, direction = rays.lines(1 << 17, 1)
+    assert np.array_equal(np.array(pairs.origin), np.array(origin))
+    assert np.array_equal(np.array(pairs.direction), np.array(direction))
+    first, second = arrays(pairs.first, pairs.second)
+    assert not np.array_equal(first, second)
+    difference, error = tile_mean(first - second)
+    assert (np.abs(difference) < 4 * error).all()
+    # Their noise is not shared: with a third mean c, (a - c)(b - c) and (a - c)² know how much.
+    third, through = arrays(*rays.trace(origin, direction, 2, 2))
+    shared, error = tile_mean((first - third) * (second - third) - (first - third) ** 2 / 2)
+    assert (np.abs(shared) < 4 * error).all()
+    assert ((first - second) ** 2).mean() > 10 * error.max()
+    # Smooth transmission alone: no noise.
+    assert np.array(pairs.transmittance) == pytest.approx(through, abs=1e-6)
 
 
 def test_absorbing_glass_stops_what_it_absorbs(lamp):

@@ -22,10 +22,13 @@ def random_lines(mi, count, seed):
 
 
 class FieldRays:
-    """Noisy rays of a known field: all or nothing half the time, so that the mean is right."""
+    """Noisy rays of a known field: all or nothing half the time, so that the mean is right.
 
-    def __init__(self, mi, truth, noise=True):
-        self._mi, self._truth, self._noise = mi, truth, noise
+    `split` gives half of the light as rays that stand for no line, as paths from emitters do.
+    """
+
+    def __init__(self, mi, truth, noise=True, split=False):
+        self._mi, self._truth, self._noise, self._split = mi, truth, noise, split
 
     def draw(self, count, batch, wanted):
         import drjit as dr
@@ -35,23 +38,56 @@ class FieldRays:
         mi = self._mi
         origin, direction = random_lines(mi, count, batch)
         chosen = dr.compress(wanted(origin, direction))
+        lines = dr.width(chosen)
         origin = dr.gather(mi.Point3f, origin, chosen)
         direction = dr.gather(mi.Vector3f, direction, chosen)
         dr.eval(origin, direction)
-        if dr.width(chosen) == 0:
-            return Rays(origin, direction, mi.Color3f(0), mi.Float(0))
+        if not lines:
+            return Rays(origin, direction, mi.Float(), mi.Color3f(mi.Float()), mi.Float())
         radiance, through, _ = self._truth.integrate(origin, direction)
-        factor = mi.Float(1)
-        if self._noise:
-            random = np.random.default_rng([7, batch])
-            factor = mi.Float(2.0 * (random.random(dr.width(chosen)) < 0.5))
-        return Rays(origin, direction, radiance * factor, through)
+        # Opaque, or every step would compile kernels of its own.
+        part = dr.opaque(mi.Float, 1 / lines)
+        share = part * dr.ones(mi.Float, lines)
+        light = self._noisy(radiance, batch) * part
+        if not self._split:
+            return Rays(origin, direction, share, light, through)
+        # Lines of their own, the unwanted among them.
+        other = random_lines(mi, count, batch + 10**5)
+        brought = self._noisy(self._truth.integrate(*other)[0], batch + 10**5) * part
+        none = dr.zeros(mi.Float, count)
+        return Rays(
+            mi.Point3f(*np.hstack([np.array(origin), np.array(other[0])])),
+            mi.Vector3f(*np.hstack([np.array(direction), np.array(other[1])])),
+            dr.concat([share, none]),
+            mi.Color3f(*(np.hstack([np.array(light), np.array(brought)]) / 2)),
+            dr.concat([through, none]),
+        )
+
+    def pairs(self, count, batch, paths):
+        from lumitree.direct.rays import Pairs
+
+        origin, direction = random_lines(self._mi, count, batch)
+        radiance, through, _ = self._truth.integrate(origin, direction)
+        noisy = [self._noisy(radiance, [batch, half]) for half in range(2)]
+        return Pairs(origin, direction, *noisy, through)
+
+    def _noisy(self, radiance, seed):
+        if not self._noise:
+            return radiance
+        random = np.random.default_rng([7, *np.atleast_1d(seed)])
+        return radiance * self._mi.Float(2.0 * (random.random(radiance.shape[1]) < 0.5))
 
 
-def refiner(mi, start, truth, *, noise=True, **options):
+@pytest.fixture(autouse=True)
+def few_blame_lines(mi, monkeypatch):
+    monkeypatch.setattr("lumitree.direct.refine._BLAME_LINES", 1 << 14)
+
+
+def refiner(mi, start, truth, *, noise=True, split=False, **options):
     from lumitree.direct.refine import RefineConfig, Refiner
 
-    return Refiner(start, FieldRays(mi, truth, noise), 1.0, RefineConfig(lines=LINES, **options))
+    rays = FieldRays(mi, truth, noise, split)
+    return Refiner(start, rays, 1.0, RefineConfig(lines=LINES, **options))
 
 
 def truth_and_start(law, seed=3):
@@ -84,11 +120,12 @@ def score(mi, truth, field):
     return psnr, np.sqrt((difference**2).mean())
 
 
+@pytest.mark.parametrize("split", [False, True])
 @pytest.mark.parametrize("law", ["linear", "exponential"])
-def test_a_wrong_start_becomes_the_truth(mi, law):
+def test_a_wrong_start_becomes_the_truth(mi, law, split):
     truth, start = truth_and_start(law)
     before, opacity_before = score(mi, truth, start)
-    descent = refiner(mi, start, truth)
+    descent = refiner(mi, start, truth, split=split)
     steps = 400
     for step in range(steps):
         assert descent.advance(step / steps) > 0

@@ -308,7 +308,7 @@ class _Loop:
         self._refiner, self._held_out, self._clock = refiner, held_out, clock
         self._config, self._folder, self._record = config, folder, record
         self._max_radiance = max_radiance
-        self.best, self.best_score = refiner.field, held_out.score(refiner.field)
+        self.best, self.best_score = refiner.field.copy(), held_out.score(refiner.field)
 
     def run(self, name: str) -> bool:
         """Refine; returns whether Ctrl-C ended it."""

@@ -41,7 +41,8 @@ Wanted = Callable[[Any, Any], Any]
 class Rays:
     """A batch of rays in the local frame, and what they should show.
 
-    The integral of f(ray) · radiance(ray) over all wanted lines, divided by their measure, is the
+    For an f that is 0 on all other lines (emitted paths are not sorted by what is wanted),
+    the integral of f(ray) · radiance(ray) over the wanted lines, divided by their measure, is the
     sum of f · light over the batch without bias; of f(ray) alone, of f · share.
 
     Attributes:

@@ -1,0 +1,59 @@
+"""Reference: camera paths that only sample BSDFs, without media; import after `load_mitsuba`."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+
+def frame(luminaire):
+    """Scale and centre of a luminaire's local frame."""
+    matrix = luminaire.world_from_proxy
+    return float(matrix[0, 0]), matrix[:3, 3].tolist()
+
+
+def trace_with_stops(rays, count, batch):
+    """Radiance and stop of camera paths along `count` random lines.
+
+    Returns:
+        Radiance [N, 3], stops [N, 3] in the local frame, whether there is one [N], and directions
+        [N, 3]. A stop is the first event that does not transmit or, where the chain has bent by
+        more than 15° until there, the first surface.
+    """
+    origin, direction = rays.lines(count, batch)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(1000 + batch, count)
+    scale, centre = frame(rays.luminaire)
+    outside = mi.Point3f(origin - 5 * direction)
+    ray = mi.Ray3f(outside * scale + mi.Vector3f(centre), direction)
+    radiance, stop, stopped = follow(rays.luminaire.scene, sampler, ray)
+    points = (np.array(stop).T - centre) / scale
+    return np.array(radiance, np.float64).T, points, np.array(stopped), np.array(direction).T
+
+
+@dr.syntax
+def follow(scene, sampler, ray):
+    ray = mi.Ray3f(ray)
+    straight = mi.Vector3f(ray.d)
+    throughput, radiance = mi.Color3f(1), mi.Color3f(0)
+    stop, first = dr.zeros(mi.Point3f), dr.zeros(mi.Point3f)
+    stopped, active = mi.Bool(False), mi.Bool(True)
+    events = mi.UInt32(0)
+    while active:
+        si = scene.ray_intersect(ray, active)
+        hits = active & si.is_valid()
+        first = dr.select(hits & (events == 0), si.p, first)
+        bent = dr.dot(ray.d, straight) < np.cos(np.deg2rad(15))
+        leaves = active & ~hits & ~stopped & bent
+        radiance[hits] = radiance + throughput * si.emitter(scene, hits).eval(si, hits)
+        sample, weight = si.bsdf().sample(
+            mi.BSDFContext(), si, sampler.next_1d(hits), sampler.next_2d(hits), hits
+        )
+        throughput[hits] = throughput * weight
+        transmits = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Transmission)
+        ends = hits & ~stopped & ~(transmits & (dr.max(throughput) > 0))
+        stop = dr.select(leaves | (ends & bent), first, dr.select(ends, si.p, stop))
+        stopped |= ends | leaves
+        ray = dr.select(hits, si.spawn_ray(si.to_world(sample.wo)), ray)
+        events += 1
+        active = hits & (dr.max(throughput) > 0) & (events < 128)
+    return radiance, stop, stopped

@@ -1,0 +1,239 @@
+"""Light traced from the emitters and radiance seen straight add up to what camera paths trace."""
+
+import numpy as np
+import pytest
+from lines import (
+    CLUTTER,
+    DIFFUSE,
+    MIRROR,
+    TILE,
+    arrays,
+    binned_sum,
+    cell_of,
+    fog,
+    octant,
+    source,
+)
+
+from lamps import AREA, GLASS, cube, sphere
+from lumitree.core.frames import towards_viewer
+
+LINES = 1 << 19
+# A batch of no other use.
+LIGHT_BATCH = 1
+FROSTED = (
+    '<bsdf type="roughdielectric"><float name="alpha" value="0.3"/>'
+    '<float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/></bsdf>'
+)
+
+
+def medium(sigma_t, albedo):
+    """An interior medium of the given colours, "r, g, b", at most 1; sigma_t times 3."""
+    return (
+        '<medium type="homogeneous" name="interior"><float name="scale" value="3"/>'
+        f'<rgb name="sigma_t" value="{sigma_t}"/><rgb name="albedo" value="{albedo}"/></medium>'
+    )
+
+
+def pane(z):
+    return cube("pane", (1, 1, 0.02), (0, 0, z), GLASS)
+
+
+def coarse_ball(folder, centre, bsdf):
+    """An icosphere of 80 triangles with interpolated normals; a shape element."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.5)
+    path = folder / "ball.ply"
+    ball.export(path, vertex_normal=True)
+    x, y, z = centre
+    return (
+        f'<shape type="ply" id="ball"><string name="filename" value="{path}"/>'
+        f'<transform name="to_world"><translate x="{x}" y="{y}" z="{z}"/></transform>{bsdf}</shape>'
+    )
+
+
+def shapes_of(name, folder):
+    lamp = sphere("lamp", 0.4, (0.1, 0, 0.2), AREA)
+    return {
+        "clutter": CLUTTER,
+        "pane": (lamp, pane(0.8)),
+        "frosted": (lamp, sphere("ball", 1, inside=FROSTED)),
+        "beside fog": (lamp, sphere("fog", 0.5, (1, 0.2, 0), fog(3.0, 0.8))),
+        "in fog": (lamp, sphere("fog", 1, inside=fog(1.5, 0.8))),
+        "in milk": (
+            lamp,
+            sphere("milk", 1, inside=GLASS + medium("0.4, 0.4, 0.4", "0.9, 0.9, 0.9")),
+        ),
+        "coloured glass": (
+            lamp,
+            sphere("ball", 0.6, (0.2, 1.1, 0), GLASS + medium("0.2, 0.4, 1", "0, 0, 0")),
+        ),
+        "in coloured glass": (
+            lamp,
+            sphere("ball", 1, inside=GLASS + medium("0.1, 0.2, 0.6", "0, 0, 0")),
+        ),
+        "smooth diffuse": (lamp, coarse_ball(folder, (0.9, 0.3, 0.1), DIFFUSE)),
+        "smooth mirror": (lamp, coarse_ball(folder, (0.9, 0.3, 0.1), MIRROR)),
+        "smooth glass": (lamp, coarse_ball(folder, (0.9, 0.3, 0.1), GLASS)),
+    }[name]
+
+
+SCENES = [
+    "clutter",
+    "pane",
+    "frosted",
+    "beside fog",
+    "in fog",
+    "in milk",
+    "coloured glass",
+    "in coloured glass",
+    "smooth diffuse",
+    "smooth mirror",
+    "smooth glass",
+]
+
+
+def middle(origin, direction):
+    """Where lines come closest to the centre [N, 3]: the same for all origins on them."""
+    return origin - (origin * direction).sum(axis=1, keepdims=True) * direction
+
+
+def lines_by(binning, origin, direction):
+    """Bins of lines and how many there are."""
+    if binning == "all":
+        return np.zeros(len(direction), int), 1
+    if binning == "octant":
+        return octant(direction), 8
+    return cell_of(middle(origin, direction)), 64
+
+
+def agree(sums, errors, expected, expected_errors):
+    """Whether sums [B, 3] are the expected ones, within what their noise allows."""
+    # A bin that only a handful of paths reach does not know its noise: all such count as one.
+    few = (np.hypot(errors, expected_errors) > 0.1 * expected).any(axis=1)
+
+    def pooled(values):
+        return np.vstack([values[~few], values[few].sum(axis=0)])
+
+    difference = pooled(sums - expected)
+    error = np.sqrt(pooled(errors**2 + expected_errors**2))
+    # Rays start a little off surfaces, which costs light in narrow places.
+    error = np.hypot(error, 2e-4 * expected.sum(axis=0))
+    z = difference / error
+    assert np.abs(z).max() < 4.5, z
+    # Channels share their paths and count as one.
+    assert (z**2).mean() < 1 + 5 * np.sqrt(2 / len(z))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_seen_straight_and_light_paths_are_the_whole(lamp, tmp_path, name):
+    """In all, by direction, and by where lines pass: as `path` and `volpath` trace them."""
+    rays = source(lamp(*shapes_of(name, tmp_path)))
+    origin, direction = rays.lines(LINES, 2)
+    traced = np.array(rays.trace(origin, direction, 2, 1)[0], np.float64).T
+    o, d = arrays(origin, direction)
+    drawn = rays.draw(LINES, 3, lambda o, d: d.z < 2)
+    drawn_o, drawn_d, drawn_light = arrays(drawn.origin, drawn.direction, drawn.light)
+    light = rays.light(LINES, LIGHT_BATCH)
+    light_o, light_d, flux = arrays(light.origin, light.direction, light.flux)
+    assert np.isfinite(flux).all()
+    assert (flux >= 0).all()
+    assert np.linalg.norm(light_d, axis=1) == pytest.approx(1, abs=1e-4)
+    scale = rays.measure / LINES
+    for binning in ("all", "octant", "cell"):
+        bins, count = lines_by(binning, o, d)
+        expected, expected_error = binned_sum(traced * scale, bins, count, TILE)
+        bins, _ = lines_by(binning, drawn_o[:LINES], drawn_d[:LINES])
+        seen, seen_error = binned_sum(drawn_light[:LINES] * rays.measure, bins, count, TILE)
+        bins, _ = lines_by(binning, light_o, light_d)
+        brought, brought_error = binned_sum(flux, bins, count)
+        assert (brought.sum(axis=0) > 0).all()
+        agree(seen + brought, np.hypot(seen_error, brought_error), expected, expected_error)
+
+
+@pytest.mark.parametrize(
+    "name", ["clutter", "pane", "frosted", "smooth diffuse", "smooth mirror", "smooth glass"]
+)
+def test_light_stops_where_camera_paths_that_carry_it_stop(lamp, tmp_path, name):
+    """By cell of the stop and by direction: a leaf is given the light that is seen in it."""
+    from camera_paths import trace_with_stops
+
+    rays = source(lamp(*shapes_of(name, tmp_path)))
+    traced, points, stopped, direction = trace_with_stops(rays, LINES, 2)
+    assert (traced[~stopped] == 0).all()
+    stops = rays.stops(LINES, 3)
+    seen_direction, seen_point, seen_light = arrays(stops.direction, stops.point, stops.radiance)
+    light = rays.light(LINES, LIGHT_BATCH)
+    light_direction, light_point, flux = arrays(light.direction, light.stop, light.flux)
+    assert np.abs(light_point).max() < 1.001
+    scale = rays.measure / LINES
+    for by_octant in (False, True):
+
+        def bins(points, directions, with_octant=by_octant):
+            cells = cell_of(points)
+            return 8 * cells + octant(directions) if with_octant else cells
+
+        num_bins = 512 if by_octant else 64
+        expected, expected_error = binned_sum(
+            traced * scale, bins(points, direction), num_bins, TILE
+        )
+        seen, seen_error = binned_sum(
+            seen_light * scale, bins(seen_point, seen_direction), num_bins, TILE
+        )
+        brought, brought_error = binned_sum(flux, bins(light_point, light_direction), num_bins)
+        agree(seen + brought, np.hypot(seen_error, brought_error), expected, expected_error)
+
+
+def test_origin_and_direction_are_a_line_that_camera_rays_take(mi, lamp, tmp_path):
+    """Followed against its flight, a path is met at its origin, where nothing is in between."""
+    from camera_paths import frame
+
+    rays = source(lamp(*shapes_of("clutter", tmp_path)))
+    light = rays.light(1 << 16, LIGHT_BATCH)
+    scale, centre = frame(rays.luminaire)
+    outside = mi.Point3f(light.origin - 4 * light.direction)
+    ray = mi.Ray3f(outside * scale + mi.Vector3f(centre), light.direction)
+    si = rays.luminaire.scene.ray_intersect(ray)
+    assert np.array(si.is_valid()).mean() > 0.9999
+    distance = np.array(si.t) / scale
+    # Lines that graze a surface may miss the place by far, in single precision.
+    assert (np.abs(distance - 4) < 1e-2).mean() > 0.995
+    # Emitters seen straight are left out: no path comes from the lamp without having been bent.
+    place = np.array(light.origin).T * scale + centre
+    on_lamp = np.abs(np.linalg.norm(place, axis=1) - 0.5) < 1e-3
+    assert not on_lamp.any()
+
+
+def test_equal_seeds_give_equal_paths_and_other_batches_do_not(lamp, tmp_path):
+    luminaire = lamp(*shapes_of("in milk", tmp_path))
+
+    def traced(seed, batch):
+        light = source(luminaire, seed=seed).light(1 << 12, batch)
+        return np.column_stack(arrays(light.origin, light.direction, light.flux, light.stop))
+
+    first = traced(1, 2)
+    assert len(first) > 1000
+    assert np.array_equal(first, traced(1, 2))
+    for other in (traced(1, 3), traced(2, 2)):
+        assert len(np.unique(np.concatenate([first, other]), axis=0)) == len(first) + len(other)
+
+
+def test_lamp_that_is_all_seen_straight_brings_no_light(lamp):
+    rays = source(lamp(sphere("lamp", 2, (1, 0, 0), AREA)))
+    light = rays.light(1 << 10, LIGHT_BATCH)
+    assert (np.array(light.flux) == 0).all()
+    drawn = rays.draw(1 << 10, 2, lambda o, d: d.z < 2)
+    flux = rays.measure * np.array(drawn.light, np.float64).sum(axis=1)
+    assert flux == pytest.approx(4 * np.pi**2 * np.array([3, 2, 1]), rel=0.25)
+
+
+def test_directions_are_those_of_camera_rays(lamp, tmp_path):
+    """A lamp over a white floor: what is brought is seen by rays that look down."""
+    floor = cube("floor", (1, 1, 0.1), (0, 0, -1), DIFFUSE)
+    rays = source(lamp(sphere("lamp", 0.1, inside=AREA), floor))
+    light = rays.light(1 << 14, LIGHT_BATCH)
+    direction, flux = arrays(light.direction, light.flux)
+    assert (direction[:, 2] < 1e-6).all()
+    assert (towards_viewer(direction)[:, 2] > -1e-6).all()
+    assert flux.sum() > 0
