@@ -343,6 +343,7 @@ class _Loop:
         if turn == int(before / _SPLIT_EVERY) or done > _LAST_SPLIT:
             return
         self._refiner.prune()
+        self._refiner.balance()
         deepest = int(self._refiner.field.levels.max())
         if deepest < self._config.tree_depth:
             self._refiner.split(deepest + 1)

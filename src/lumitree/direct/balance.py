@@ -26,22 +26,34 @@ _ROUNDS, _LINES = 4, 1 << 18
 # The prior of a cell's ratio is as good as this many paths that agree with the field.
 _PRIOR_PATHS = 8.0
 _COARSEST_LEVEL = 3
+_BRIGHTEST = 0.995
 
 
-def balance(field: LeafField, source: RaySource, max_radiance: float) -> None:
-    """Scale the emission of a field's leaves, channel by channel, in place."""
+def balance(field: LeafField, source: RaySource, max_radiance: float, batch: int = 0) -> None:
+    """Scale the emission of a field's leaves, channel by channel, in place.
+
+    Args:
+        batch: number that sets the rays apart from those of other calls.
+    """
     constant = float(basis_array(np.array([[0.0, 0.0, 1.0]]), 0)[0, 0])
     parents = [_parents(field, level) for level in range(_COARSEST_LEVEL, field.tree_depth + 1)]
     for step in range(_ROUNDS):
-        ascribed, given, path = _light(field, source, max_radiance, BALANCE_BATCH + step)
+        ascribed, given, path = _light(field, source, max_radiance, BALANCE_BATCH + batch + step)
         factor = np.ones_like(given)
         prior = _PRIOR_PATHS * path
         for index, count in parents:
             n, d = (_sum(values, index, count) for values in (ascribed, given * factor))
             factor *= ((n + prior) / (d + prior))[index]
         coefficients = field.coefficient_array()
-        coefficients[:, :, 0] += np.log(factor) / constant
+        # The sigmoid of the mean over directions is to become that many times as large.
+        emission = 1 / (1 + np.exp(-constant * coefficients[:, :, 0].astype(np.float64)))
+        wanted = np.clip(emission * factor, 1e-6, _BRIGHTEST)
+        coefficients[:, :, 0] += (_logit(wanted) - _logit(emission.clip(1e-6, 1 - 1e-6))) / constant
         field.set_coefficients(coefficients)
+
+
+def _logit(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.log(values / (1 - values))
 
 
 def _light(

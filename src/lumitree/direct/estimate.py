@@ -39,7 +39,7 @@ _NUM_DIRECTIONS = 32
 _DARKEST, _BRIGHTEST = 1e-5, 0.99
 # A leaf's fit is drawn to its parent's as if by this many paths that saw the parent's fit, and
 # band l by l² times the second number more.
-_PRIOR_PATHS, _PRIOR_BAND = 1.0, 100.0
+_PRIOR_PATHS, _PRIOR_BAND = 1.0, 10.0
 # Optical depth across a leaf that counts as opaque, and the opacity from which a leaf is.
 OPAQUE = 10.0
 _SOLID = 0.9
@@ -108,7 +108,7 @@ def estimate(
     for batch in range(-(-num_lines // _BATCH)):
         sums.add(octree, rays.stops(_BATCH, batch))
         # Flux in units of the radiance of one of the lines.
-        sums.add_light(octree, rays.light(_BATCH // 4, batch), _BATCH / rays.measure)
+        sums.add_light(octree, rays.light(_BATCH // 2, batch), _BATCH / rays.measure)
     # What no path crosses lies inside something: it is kept too, and made opaque.
     kept = dr.compress((sums.stops > 0) | (sums.entries == 0))
     cells = cells[np.array(kept)]

@@ -192,6 +192,31 @@ class LeafField:
         self.octree.walk(origin, direction, mi.Bool(True), visit, state)
         dr.eval(density_gradient, coefficient_gradient)
 
+    def through(self, origin: Any, direction: Any) -> Any:
+        """T of rays (mi.Float), alone."""
+
+        def visit(state, leaf, start, length, active):
+            tau = state[0] + dr.select(active, self._density(leaf, active) * length, 0)
+            after = mi.Float(transmittance(tau, self.law, dr))
+            return (tau, after), after > self._blocked
+
+        state = (mi.Float(0), mi.Float(1))
+        return self.octree.walk(origin, direction, mi.Bool(True), visit, state)[1]
+
+    def scatter_depth_gradient(
+        self, origin: Any, direction: Any, d_depth: Any, density_gradient: Any
+    ) -> None:
+        """As `scatter_gradients` where the loss depends on the rays' optical depth alone."""
+
+        def visit(state, leaf, start, length, active):
+            depth = dr.select(active, self._density(leaf, active) * length, 0)
+            tau = state[0] + depth
+            _add(density_gradient, d_depth * depth, leaf, active)
+            return (tau,), mi.Float(transmittance(tau, self.law, dr)) > self._blocked
+
+        self.octree.walk(origin, direction, mi.Bool(True), visit, (mi.Float(0),))
+        dr.eval(density_gradient)
+
     def scatter_emission(self, origin: Any, direction: Any, value: Any, total: Any) -> None:
         """Add w Phi · value (mi.Color3f) of each ray to `total` (mi.Float [M · 4])."""
         y = basis(*towards_viewer(direction), self.l_max)

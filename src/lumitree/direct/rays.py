@@ -31,8 +31,9 @@ PATH_DEPTH = 128
 # Batch numbers that no other use of a source reaches.
 _MAX_RADIANCE_BATCH = 1 << 30
 HELD_OUT_BATCH = _MAX_RADIANCE_BATCH + 1
-BALANCE_BATCH = HELD_OUT_BATCH + (1 << 10)
-BLAME_BATCH = BALANCE_BATCH + (1 << 10)
+STRAIGHT_BATCH = 1 << 29
+BALANCE_BATCH = HELD_OUT_BATCH + (1 << 24)
+BLAME_BATCH = BALANCE_BATCH + (1 << 24)
 # Which lines (origin, direction, local frame) are worth tracing: mi.Bool.
 Wanted = Callable[[Any, Any], Any]
 
@@ -124,6 +125,10 @@ class RaySource(Protocol):
         """Of `count` random lines those that are wanted, and light from the emitters."""
         ...
 
+    def straight(self, count: int, batch: int, wanted: Wanted) -> tuple[Any, Any, Any]:
+        """Origin, direction and transmittance of those of `count` random lines that are wanted."""
+        ...
+
     def pairs(self, count: int, batch: int, paths: int) -> Pairs:
         """`count` random lines of batch number `batch`, two means of `paths` paths for each."""
         ...
@@ -205,12 +210,8 @@ class TracedRays:
 
     def draw(self, count: int, batch: int, wanted: Wanted) -> Rays:
         """Of `count` random lines, those that are wanted, and light from the emitters."""
-        origin, direction = self.lines(count, batch)
-        chosen = dr.compress(wanted(origin, direction))
-        lines = dr.width(chosen)
-        origin = dr.gather(mi.Point3f, origin, chosen)
-        direction = dr.gather(mi.Vector3f, direction, chosen)
-        dr.eval(origin, direction)
+        origin, direction = self._wanted_lines(count, batch, wanted)
+        lines = dr.width(origin)
         if not lines:
             none = mi.Float()
             return Rays(origin, direction, none, mi.Color3f(none), none)
@@ -229,6 +230,21 @@ class TracedRays:
         )
         dr.eval(rays.origin, rays.direction, rays.share, rays.light, rays.transmittance)
         return rays
+
+    def straight(self, count: int, batch: int, wanted: Wanted) -> tuple[Any, Any, Any]:
+        """Origin, direction and transmittance of those of `count` random lines that are wanted."""
+        line = self._wanted_lines(count, batch, wanted)
+        if not dr.width(line[0]):
+            return *line, mi.Float()
+        return *line, self._follow_smooth(*line, batch)[0]
+
+    def _wanted_lines(self, count: int, batch: int, wanted: Wanted) -> tuple[Any, Any]:
+        origin, direction = self.lines(count, batch)
+        chosen = dr.compress(wanted(origin, direction))
+        origin = dr.gather(mi.Point3f, origin, chosen)
+        direction = dr.gather(mi.Vector3f, direction, chosen)
+        dr.eval(origin, direction)
+        return origin, direction
 
     def light(self, count: int, batch: int) -> LightPaths:
         """What comes out of `count` paths from the emitters, all but what lines see smoothly."""

@@ -7,11 +7,10 @@ lines, and light from the emitters, may bring in different parts of it (see `Ray
 Symbols
     L, T        radiance / L_max and transmittance of the field along a ray
     l, t        what the ray should show, noisy
-    loss        mean of D(L + epsilon, l + epsilon) + opacity_weight D(T, t), where
-                D(x, y) = x - y log x is the Poisson deviance but for what does not depend on x.
-                Where D(x, y) has no slope x and y agree in sum, so that the field gives as much
-                light and hides as much as the luminaire: squared errors, relative (Eq. 8) or of
-                T, leave it too bright and too dense around what is small and bright
+    loss        mean of D(L + epsilon, l + epsilon) + opacity_weight (T - t)², where
+                D(x, y) = x - y log x is the Poisson deviance but for what does not depend on x:
+                where it has no slope x and y agree in sum, so that the field gives as much light
+                as the luminaire. Relative squared errors (Eq. 8) agree in another sum
 """
 
 import dataclasses
@@ -24,14 +23,17 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.direct.balance import balance
 from lumitree.direct.estimate import OPAQUE, split
 from lumitree.direct.field import LeafField
-from lumitree.direct.rays import BLAME_BATCH, RaySource
+from lumitree.direct.rays import BLAME_BATCH, STRAIGHT_BATCH, RaySource
 from lumitree.errors import LumitreeError
 
-_BETA_1, _BETA_2 = 0.9, 0.98
+_BETA_1, _BETA_2 = 0.9, 0.998
 # Lines of which the blame is found, before leaves are split.
 _BLAME_LINES, _BLAME_BATCHES = 1 << 20, 4
+# Lines followed straight alone, for each line whose light is asked for too: they cost a third.
+_STRAIGHT_LINES = 4
 # Leaves thinner than this (optical depth across) are dropped.
 _MIN_DEPTH = 2e-3
 
@@ -49,11 +51,11 @@ class RefineConfig:
         max_leaves: no more are made by splitting.
     """
 
-    lines: int = 1 << 18
-    epsilon: float = 0.004
-    opacity_weight: float = 1.0
-    learning_rate: float = 0.1
-    final_rate: float = 0.03
+    lines: int = 1 << 15
+    epsilon: float = 0.002
+    opacity_weight: float = 300.0
+    learning_rate: float = 0.15
+    final_rate: float = 0.02
     max_leaves: int = 3_000_000
 
     def __post_init__(self) -> None:
@@ -85,13 +87,19 @@ class Refiner:
         field, config = self.field, self._config
         self.step += 1
         rays = self._source.draw(config.lines, self.step, field.meets)
-        if dr.width(rays.origin) == 0:
-            return 0
+        straight = self._source.straight(
+            _STRAIGHT_LINES * config.lines, STRAIGHT_BATCH + self.step, field.meets
+        )
+        count = dr.width(rays.origin) + dr.width(straight[0])
+        if dr.width(rays.origin) == 0 or dr.width(straight[0]) == 0:
+            return count
         integrated = field.integrate(rays.origin, rays.direction)
         radiance, through, _ = integrated
         dr.eval(integrated)
         weight = dr.rcp(radiance + config.epsilon)
         light = rays.light * dr.opaque(mi.Float, 1 / self._max_radiance)
+        # Lines of both kinds tell of the opacity.
+        part = 1 / (1 + _STRAIGHT_LINES)
         d_density = dr.zeros(mi.Float, field.num_leaves)
         d_coefficients = dr.zeros(mi.Float, field.num_leaves * field.width)
         field.scatter_gradients(
@@ -99,10 +107,15 @@ class Refiner:
             rays.direction,
             integrated,
             weight * (rays.share * radiance - light),
-            config.opacity_weight * rays.share * (rays.transmittance - through),
+            part * rays.share * self._by_depth(through, rays.transmittance),
             d_density,
             d_coefficients,
         )
+        through = field.through(*straight[:2])
+        share = dr.opaque(mi.Float, (1 - part) / dr.width(straight[0]))
+        d_depth = share * self._by_depth(through, straight[2])
+        dr.eval(d_depth)
+        field.scatter_depth_gradient(*straight[:2], d_depth, d_density)
         rate = config.learning_rate * config.final_rate ** min(progress, 1.0)
         field.log_density = dr.minimum(
             self._density_adam.descend(field.log_density, d_density, rate), self._densest()
@@ -111,7 +124,13 @@ class Refiner:
             field.coefficients, d_coefficients, rate
         )
         dr.eval(field.log_density, field.coefficients)
-        return dr.width(rays.origin)
+        return count
+
+    def _by_depth(self, through: Any, wanted: Any) -> Any:
+        """Derivative of the opacity loss by the optical depth of rays that let `through` pass."""
+        # Beyond saturation the linear law's is 0: taken for that of tau, or nothing could thin out.
+        slope = through if self.field.law == "exponential" else 1
+        return 2 * self._config.opacity_weight * (wanted - through) * slope
 
     def _densest(self) -> Any:
         """Log density [M] at which each leaf is opaque."""
@@ -124,6 +143,10 @@ class Refiner:
         kept = np.flatnonzero(depth >= _MIN_DEPTH)
         if len(kept):
             self._rebuild(kept, self.field.cells[kept], self.field.levels[kept])
+
+    def balance(self) -> None:
+        """Scale the emission of regions to the light they send, see `balance`."""
+        balance(self.field, self._source, self._max_radiance, self.step)
 
     def split(self, deepest: int) -> None:
         """Split the leaves above level `deepest` that answer for most of the loss.

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -74,6 +75,11 @@ class StoredRays:
         through = dr.gather(mi.Float, through, chosen)
         dr.eval(origin, direction, share, light, through)
         return Rays(origin, direction, share, light, through)
+
+    def straight(self, count: int, batch: int, wanted: Wanted) -> tuple[Any, Any, Any]:
+        """Origin, direction and transmittance of wanted rays of the training views."""
+        rays = self.draw(count, batch, wanted)
+        return rays.origin, rays.direction, rays.transmittance
 
     def pairs(self, count: int, batch: int, paths: int) -> Pairs:
         """Rays of the views kept apart, or of the others for other batches.
