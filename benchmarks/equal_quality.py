@@ -28,7 +28,6 @@ Writes equal_quality.json, equal_quality.md and pictures into `--output`.
 import argparse
 import dataclasses
 import json
-import subprocess
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -39,10 +38,10 @@ import lumitree
 from batches import LongRun, digest, ladder, remember
 from equal_quality_report import draw_curves, draw_pictures, level_table, table
 from error_against_time import Efficiency, noise, ratio_of_means, squared_difference
-from luminaires import processor
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import write_json
 from readings import Reference, headline, levels, rung_rows
+from setting import setting
 
 HERE = Path(__file__).parent
 REFERENCE_SHARE, BAKED_SHARE, LADDER_SHARE = 0.5, 0.15, 0.175  # the last one twice
@@ -232,14 +231,14 @@ def read_pairs(path: Path, rooms: Path, assets: Path, data: Path) -> list[Pair]:
     return pairs
 
 
-def write(rows: list[dict], output: Path, setting: dict) -> None:
+def write(rows: list[dict], output: Path, facts: dict) -> None:
     """Both files; rows of other pairs that are there already stay."""
     path = output / "equal_quality.json"
     known = json.loads(path.read_text())["pairs"] if path.exists() else []
     names = {(row["luminaire"], row["room"]) for row in rows}
     rows = [row for row in known if (row["luminaire"], row["room"]) not in names] + rows
-    write_json(path, {"setting": setting, "pairs": rows})
-    notes = "".join(f"* {key}: {value}\n" for key, value in setting.items())
+    write_json(path, {"setting": facts, "pairs": rows})
+    notes = "".join(f"* {key}: {value}\n" for key, value in facts.items())
     text = f"# Time at equal error\n\n{table(rows)}\n{notes}\n"
     text += f"## Speed-up at the RMSE of the baked lamp's samples\n\n{level_table(rows)}"
     (output / "equal_quality.md").write_text(text)
@@ -277,26 +276,16 @@ def arguments() -> argparse.Namespace:
 
 def main() -> None:
     args = arguments()
-    mi = load_mitsuba()
+    load_mitsuba()
     if args.pairs is not None:
         pairs = read_pairs(args.pairs, args.rooms, args.assets, args.data)
     else:
         at = tuple(args.at)
         pairs = [Pair(args.luminaire, args.asset, args.room, at, args.size, args.bake_seconds)]
-    describe = ["git", "-C", str(HERE), "describe", "--always", "--dirty"]
-    setting = {
-        "commit": subprocess.run(describe, capture_output=True, text=True).stdout.strip(),
-        "device": processor(),
-        "variant": mi.variant(),
-        "lumitree": lumitree.__version__,
-        "mitsuba": mi.__version__,
-        "seconds_a_pair": args.time,
-        "clock": args.clock,
-        "path_depth": args.path_depth,
-    }
+    facts = setting(seconds_a_pair=args.time, clock=args.clock, path_depth=args.path_depth)
     for pair in pairs:
         row = run(pair, args)
-        write([row], args.output, setting)
+        write([row], args.output, facts)
         print(table([row]))
 
 

@@ -7,20 +7,15 @@ paths of 256 carry. Without a name, all built-in luminaires; `--data` adds those
 """
 
 import argparse
-import importlib.metadata
 import json
-import os
-import platform
 import statistics
-import subprocess
 import sys
 import time
 from pathlib import Path
 
-from lumitree import __version__
-from lumitree.core.backend import load_mitsuba
 from lumitree.luminaires.builtin.registry import BUILTIN
 from lumitree.luminaires.source import LuminaireSource
+from setting import setting
 
 HERE = Path(__file__).parent
 RESULTS, OVERRIDES = HERE / "results", HERE.parent / "examples" / "overrides"
@@ -108,51 +103,34 @@ def sources(names: list[str], data: Path | None) -> list[tuple[LuminaireSource, 
     return found
 
 
-def processor() -> str:
-    """Model of the processor, and the cores this process may use."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.is_file() else []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return f"{models[0] if models else platform.machine()}, {os.cpu_count()} cores"
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description="Luminaires in numbers.")
     parser.add_argument("luminaires", metavar="LUMINAIRE", nargs="*", default=list(BUILTIN))
     parser.add_argument("--data", metavar="FOLDER", type=Path)
     args = parser.parse_args()
-    mi = load_mitsuba()
-    describe = ["git", "-C", str(HERE), "describe", "--always", "--dirty"]
-    commit = subprocess.run(describe, capture_output=True, text=True).stdout.strip()
-    setting = {
-        # The folder is the machine's own business.
-        "command": "benchmarks/luminaires.py" + " --data FOLDER" * (args.data is not None),
-        "commit": commit,
-        "device": processor(),
-        "variant": mi.variant(),
-        "lumitree": __version__,
-        "mitsuba": mi.__version__,
-        "drjit": importlib.metadata.version("drjit"),
-        "python": platform.python_version(),
-        "resolution": RESOLUTION,
-        "samples_per_pixel": SAMPLES,
-        "flux_paths": FLUX_PATHS,
-        "bounce_paths": BOUNCE_PATHS,
-    }
+    # The folder is the machine's own business.
+    command = "benchmarks/luminaires.py" + " --data FOLDER" * (args.data is not None)
+    facts = setting(
+        command=command,
+        resolution=RESOLUTION,
+        samples_per_pixel=SAMPLES,
+        flux_paths=FLUX_PATHS,
+        bounce_paths=BOUNCE_PATHS,
+    )
     rows = []
     for source, unit in sources(args.luminaires, args.data):
         rows.append(measure(source, unit))
-        write(rows, setting)
+        write(rows, facts)
         print(f"measured {source}", file=sys.stderr)
 
 
-def write(rows: list[dict], setting: dict) -> None:
+def write(rows: list[dict], facts: dict) -> None:
     """Both files, after every row: the slowest luminaire takes minutes."""
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / "luminaires.json").write_text(
-        json.dumps({"setting": setting, "rows": rows}, indent=1) + "\n"
+        json.dumps({"setting": facts, "rows": rows}, indent=1) + "\n"
     )
-    note = "\n".join(f"* {key}: {value}" for key, value in setting.items())
+    note = "\n".join(f"* {key}: {value}" for key, value in facts.items())
     (RESULTS / "luminaires.md").write_text(f"# Luminaires in numbers\n\n{table(rows)}\n{note}\n")
 
 

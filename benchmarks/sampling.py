@@ -11,8 +11,6 @@ puts `sampling.md` and `sampling.json` into benchmarks/results/.
 
 import argparse
 import math
-import os
-import platform
 import statistics
 import time
 from pathlib import Path
@@ -21,6 +19,7 @@ import numpy as np
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import atomic_path, write_json
+from setting import setting
 
 RESULTS = Path(__file__).parent / "results"
 WIDTH, SAMPLES, PASSES = 64, 16, 8
@@ -149,7 +148,7 @@ def _nanoseconds(job) -> float:
 
 def table(report: dict) -> str:
     lines = [
-        f"{report['variant']}, Mitsuba {report['mitsuba']}, {report['cores']} cores, {WIDTH} "
+        f"{report['setting']['device']}, {report['setting']['variant']}, {WIDTH} "
         f"pixels wide, {PASSES} passes of {SAMPLES} samples.",
         "",
         "| lamp, room | light | variance ratio at equal samples | error ratio at equal time |"
@@ -180,15 +179,12 @@ def main() -> None:
     parser.add_argument("--pair", nargs=4, action="append", required=True, metavar=names)
     parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
-    mi = load_mitsuba()
+    load_mitsuba()
 
     from lumitree.asset.file import load
 
     report: dict = {
-        "variant": mi.variant(),
-        "mitsuba": mi.__version__,
-        "cores": len(os.sched_getaffinity(0)),
-        "python": platform.python_version(),
+        "setting": setting(),
         "pairs": [],
         "points": [],
     }

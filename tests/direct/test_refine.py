@@ -63,6 +63,10 @@ class FieldRays:
             dr.concat([through, none]),
         )
 
+    def straight(self, count, batch, wanted):
+        rays = FieldRays(self._mi, self._truth, noise=False).draw(count, batch, wanted)
+        return rays.origin, rays.direction, rays.transmittance
+
     def pairs(self, count, batch, paths):
         from lumitree.direct.rays import Pairs
 
@@ -210,9 +214,9 @@ def test_splitting_changes_nothing_at_first(mi, law):
 def test_leaves_that_answer_for_most_are_split_first(mi):
     """Eight octants, one of them wrong: room for one split goes to it."""
     truth = leaf_field(uniform_asset(0.5, [0.2] * 3, law="exponential", max_radiance=1))
-    coefficients = np.array(truth.coefficients).reshape(8, 3)
+    coefficients = truth.coefficient_array()
     coefficients[5] += 3
-    start = truth.with_leaves(truth.cells, truth.levels, truth.log_density, coefficients.ravel())
+    start = truth.with_leaves(truth.cells, truth.levels, truth.log_density, coefficients)
     start.tree_depth = 2
     start = start.with_leaves(start.cells, start.levels, start.log_density, start.coefficients)
     descent = refiner(mi, start, truth, noise=False, max_leaves=15, learning_rate=1e-6)

@@ -60,7 +60,7 @@ class DirectConfig:
     tree_depth: int = 8
     l_max: int = 2
     law: Law = "exponential"
-    estimate_lines: int = 1 << 24
+    estimate_lines: int = 1 << 23
     seconds: float | None = 285.0
     rays: int | None = None
     seed: int = 0

@@ -29,7 +29,7 @@ from lumitree.direct.field import LeafField
 from lumitree.direct.rays import BLAME_BATCH, STRAIGHT_BATCH, RaySource
 from lumitree.errors import LumitreeError
 
-_BETA_1, _BETA_2 = 0.9, 0.998
+_BETA_1, _BETA_2 = 0.9, 0.98
 # Lines of which the blame is found, before leaves are split.
 _BLAME_LINES, _BLAME_BATCHES = 1 << 20, 4
 # Lines followed straight alone, for each line whose light is asked for too: they cost a third.
@@ -53,7 +53,7 @@ class RefineConfig:
 
     lines: int = 1 << 15
     epsilon: float = 0.002
-    opacity_weight: float = 300.0
+    opacity_weight: float = 1000.0
     learning_rate: float = 0.15
     final_rate: float = 0.02
     max_leaves: int = 3_000_000
