@@ -217,8 +217,11 @@ def _run(
     held_out = HeldOut.trace(source, max_radiance)
     loop = _Loop(refiner, held_out, clock, config, folder, record, max_radiance)
     interrupted = loop.run(f"{verb} {source.subject.name}")
+    # The descent leaves what is small and bright a few percent too bright.
+    balance(loop.best, source, max_radiance, refiner.step)
+    score = held_out.score(loop.best)
     asset = make_asset(loop.best, source.subject, max_radiance)
-    return DirectResult(asset, loop.best_score, clock.rays, clock.seconds, interrupted)
+    return DirectResult(asset, score, clock.rays, clock.seconds, interrupted)
 
 
 def make_asset(field: LeafField, subject: Subject, max_radiance: float) -> LuminaireAsset:

@@ -26,7 +26,7 @@ _ROUNDS, _LINES = 4, 1 << 18
 # The prior of a cell's ratio is as good as this many paths that agree with the field.
 _PRIOR_PATHS = 8.0
 _COARSEST_LEVEL = 3
-_BRIGHTEST = 0.995
+_LARGEST_SHIFT = 2.0
 
 
 def balance(field: LeafField, source: RaySource, max_radiance: float, batch: int = 0) -> None:
@@ -38,39 +38,35 @@ def balance(field: LeafField, source: RaySource, max_radiance: float, batch: int
     constant = float(basis_array(np.array([[0.0, 0.0, 1.0]]), 0)[0, 0])
     parents = [_parents(field, level) for level in range(_COARSEST_LEVEL, field.tree_depth + 1)]
     for step in range(_ROUNDS):
-        ascribed, given, path = _light(field, source, max_radiance, BALANCE_BATCH + batch + step)
+        sums, path = _light(field, source, max_radiance, BALANCE_BATCH + batch + step)
+        ascribed, given, slope = sums
         factor = np.ones_like(given)
         prior = _PRIOR_PATHS * path
         for index, count in parents:
             n, d = (_sum(values, index, count) for values in (ascribed, given * factor))
             factor *= ((n + prior) / (d + prior))[index]
+        # To first order the shift that multiplies what the leaf gives by the factor: near L_max the
+        # sigmoid hardly moves.
+        shift = np.log(factor) * given / np.maximum(slope, 1e-3 * given + 1e-30)
         coefficients = field.coefficient_array()
-        # The sigmoid of the mean over directions is to become that many times as large.
-        emission = 1 / (1 + np.exp(-constant * coefficients[:, :, 0].astype(np.float64)))
-        wanted = np.clip(emission * factor, 1e-6, _BRIGHTEST)
-        coefficients[:, :, 0] += (_logit(wanted) - _logit(emission.clip(1e-6, 1 - 1e-6))) / constant
+        coefficients[:, :, 0] += shift.clip(-_LARGEST_SHIFT, _LARGEST_SHIFT) / constant
         field.set_coefficients(coefficients)
-
-
-def _logit(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.log(values / (1 - values))
 
 
 def _light(
     field: LeafField, source: RaySource, max_radiance: float, batch: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """N and D [M, 3], and the light of a typical path."""
+) -> tuple[NDArray[np.float64], float]:
+    """N, D and the derivative of D by the logit [3, M, 3], and the light of a typical path."""
     rays = source.draw(_LINES, batch, field.meets)
     light = rays.light * dr.opaque(mi.Float, 1 / max_radiance)
     radiance, _, _ = field.integrate(rays.origin, rays.direction)
-    sums = []
-    for value in (light / dr.maximum(radiance, 1e-6), mi.Color3f(rays.share)):
-        total = dr.zeros(mi.Float, 4 * field.num_leaves)
-        dr.eval(value)
-        field.scatter_emission(rays.origin, rays.direction, value, total)
-        sums.append(np.array(total, np.float64).reshape(-1, 4)[:, :3])
+    ratio = light / dr.maximum(radiance, 1e-6)
+    sums = dr.zeros(mi.Float, 12 * field.num_leaves)
+    dr.eval(ratio)
+    field.scatter_emission(rays.origin, rays.direction, ratio, rays.share, sums)
+    rows = np.array(sums, np.float64).reshape(-1, 3, 4)[:, :, :3]
     carried = np.array(light)
-    return sums[0], sums[1], float(carried.sum() / max(1, np.count_nonzero(carried)))
+    return rows.transpose(1, 0, 2), float(carried.sum() / max(1, np.count_nonzero(carried)))
 
 
 def _parents(field: LeafField, level: int) -> tuple[NDArray[np.int64], int]:

@@ -217,20 +217,31 @@ class LeafField:
         self.octree.walk(origin, direction, mi.Bool(True), visit, (mi.Float(0),))
         dr.eval(density_gradient)
 
-    def scatter_emission(self, origin: Any, direction: Any, value: Any, total: Any) -> None:
-        """Add w Phi · value (mi.Color3f) of each ray to `total` (mi.Float [M · 4])."""
+    def scatter_emission(
+        self, origin: Any, direction: Any, light: Any, share: Any, sums: Any
+    ) -> None:
+        """Add to `sums` (mi.Float [M · 12]) what each leaf shows, for `balance`.
+
+        Every leaf has three rows of R, G, B and an unused number: w Phi · light, w Phi · share, and
+        the derivative of the second by all of the leaf's values before the sigmoid.
+
+        Args:
+            light: mi.Color3f of each ray.
+            share: mi.Float of each ray.
+        """
         y = basis(*towards_viewer(direction), self.l_max)
 
         def visit(state, leaf, start, length, active):
             tau = state[0] + dr.select(active, self._density(leaf, active) * length, 0)
             after = mi.Float(transmittance(tau, self.law, dr))
-            weight = state[1] - after
-            shown = weight * self._emission(leaf, y, active) * value
-            _add(total, mi.Vector4f(shown.x, shown.y, shown.z, 0), leaf, active)
+            emission = self._emission(leaf, y, active)
+            shown = (state[1] - after) * emission
+            for row, value in enumerate((light, share, share * (1 - emission))):
+                _add(sums, mi.Vector4f(*(shown * value), 0), 3 * leaf + row, active)
             return (tau, after), after > self._blocked
 
         self.octree.walk(origin, direction, mi.Bool(True), visit, (mi.Float(0), mi.Float(1)))
-        dr.eval(total)
+        dr.eval(sums)
 
     def share_out(self, origin: Any, direction: Any, value: Any, total: Any) -> None:
         """Add a value (mi.Float) of each ray to `total` (mi.Float [M]) by the leaves' weights."""
