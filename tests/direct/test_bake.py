@@ -37,7 +37,8 @@ def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
 
     result = bake(ball, config(law=law), tmp_path)
     assert not result.interrupted
-    assert RAYS <= result.rays < RAYS + (1 << 14)
+    # A step's lines of both kinds, and its paths, at the most.
+    assert RAYS <= result.rays < RAYS + 6 * (1 << 14)
     assert result.seconds > 0
     asset = result.asset
     assert (asset.tree_depth, asset.l_max, asset.law) == (4, 1, law)
@@ -51,7 +52,9 @@ def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     flux, expected = (lines.measure * values.mean(axis=1) for values in (radiance, traced))
     assert expected == pytest.approx(KNOWN, rel=0.015)
     # Cells of an eighth of the radius: a few percent of the light goes astray at the rim.
-    assert flux == pytest.approx(expected, rel=0.03)
+    assert flux[1:] == pytest.approx(expected[1:], rel=0.03)
+    # Red is L_max everywhere: what the rim lacks, brighter leaves cannot make up for.
+    assert 0.9 * expected[0] < flux[0] < 1.03 * expected[0]
 
 
 def test_score_is_that_of_the_asset_even_where_descent_makes_it_worse(ball, tmp_path):
@@ -107,7 +110,11 @@ def test_interrupted_bake_continues(ball, tmp_path, monkeypatch):
     assert second.rays >= RAYS
     assert second.seconds > first.seconds
     assert second.asset.max_radiance == first.asset.max_radiance
-    assert second.score.psnr > first.score.psnr - 0.1
+    # As if it had never been interrupted.
+    monkeypatch.undo()
+    whole = bake(ball, config(), tmp_path / "whole")
+    assert second.score.psnr == pytest.approx(whole.score.psnr, abs=0.1)
+    assert second.asset.num_leaves == whole.asset.num_leaves
 
 
 def test_budget_may_be_raised_other_settings_may_not(ball, lamp, tmp_path, monkeypatch):

@@ -38,6 +38,10 @@ _ESTIMATE_DEPTH, _HULL_DEPTH = 8, 6
 _SPLIT_EVERY, _LAST_SPLIT = 0.15, 0.65
 # Optical depth across a leaf of the hull, and its radiance / L_max, before anything is known.
 _HULL_OPTICAL_DEPTH, _HULL_RADIANCE = 0.3, 0.01
+# What makes up a field.
+_LEAVES = ("cells", "levels", "log_density", "coefficients")
+# Finest cells of which the light is balanced at the end.
+_LAST_BALANCE_LEVEL = 5
 # Seconds between two looks at the held-out rays, and between two saved states.
 _SCORE_SECONDS, _SAVE_SECONDS = 10.0, 60.0
 
@@ -209,16 +213,18 @@ def _run(
     else:
         clock = _Clock(config, float(saved["seconds"]), int(saved["rays"]))
         none = np.zeros((0, 3), np.int64)
-        field = _field(config, source, none, none[:, 0], none[:, 0], none)
+        field = _field(config, source, none, none[:, 0], none[:, 0], np.zeros(0))
         max_radiance = float(saved["max_radiance"])
     refiner = Refiner(field, source, max_radiance, config.refine)
     if saved is not None:
         refiner.restore(saved)
     held_out = HeldOut.trace(source, max_radiance)
     loop = _Loop(refiner, held_out, clock, config, folder, record, max_radiance)
+    if saved is not None:
+        loop.keep_better(field.with_leaves(*(saved[f"best_{name}"] for name in _LEAVES)))
     interrupted = loop.run(f"{verb} {source.subject.name}")
     # The descent leaves what is small and bright a few percent too bright.
-    balance(loop.best, source, max_radiance, refiner.step)
+    balance(loop.best, source, max_radiance, refiner.step, _LAST_BALANCE_LEVEL)
     score = held_out.score(loop.best)
     asset = make_asset(loop.best, source.subject, max_radiance)
     return DirectResult(asset, score, clock.rays, clock.seconds, interrupted)
@@ -328,7 +334,7 @@ class _Loop:
                 now = time.monotonic()
                 if now - scored >= _SCORE_SECONDS or done >= 1:
                     scored = now
-                    self._score()
+                    self.keep_better(self._refiner.field)
                 if now - saved >= _SAVE_SECONDS:
                     saved = now
                     self._save()
@@ -336,7 +342,7 @@ class _Loop:
                     done - before, f"{self.best_score}, {self._refiner.field.num_leaves} leaves"
                 )
             if interrupted.is_set():
-                self._score()
+                self.keep_better(self._refiner.field)
                 self._save()
         return interrupted.is_set()
 
@@ -351,10 +357,11 @@ class _Loop:
         if deepest < self._config.tree_depth:
             self._refiner.split(deepest + 1)
 
-    def _score(self) -> None:
-        score = self._held_out.score(self._refiner.field)
+    def keep_better(self, field: LeafField) -> None:
+        """Make a field the best so far, if it is."""
+        score = self._held_out.score(field)
         if score.psnr >= self.best_score.psnr:
-            self.best, self.best_score = self._refiner.field.copy(), score
+            self.best, self.best_score = field.copy(), score
 
     def _save(self) -> None:
         state = self._refiner.state()
@@ -362,6 +369,10 @@ class _Loop:
         state["seconds"] = np.array(self._clock.seconds)
         state["rays"] = np.array(self._clock.rays)
         state["record"] = np.array(self._record)
+        best = (getattr(self.best, name) for name in _LEAVES)
+        state |= {
+            f"best_{name}": np.array(value) for name, value in zip(_LEAVES, best, strict=True)
+        }
         with atomic_path(self._folder / STATE) as temporary:
             np.savez(temporary, **state)  # type: ignore[arg-type]
 

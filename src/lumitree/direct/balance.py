@@ -18,6 +18,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.model import MAX_TREE_DEPTH
 from lumitree.core.harmonics import basis_array
 from lumitree.direct.field import LeafField
 from lumitree.direct.rays import BALANCE_BATCH, RaySource
@@ -29,14 +30,23 @@ _COARSEST_LEVEL = 3
 _LARGEST_SHIFT = 2.0
 
 
-def balance(field: LeafField, source: RaySource, max_radiance: float, batch: int = 0) -> None:
+def balance(
+    field: LeafField,
+    source: RaySource,
+    max_radiance: float,
+    batch: int = 0,
+    finest_level: int = MAX_TREE_DEPTH,
+) -> None:
     """Scale the emission of a field's leaves, channel by channel, in place.
 
     Args:
         batch: number that sets the rays apart from those of other calls.
+        finest_level: cells below this level follow those above; few rays tell less of small ones
+            than a descent has learned.
     """
     constant = float(basis_array(np.array([[0.0, 0.0, 1.0]]), 0)[0, 0])
-    parents = [_parents(field, level) for level in range(_COARSEST_LEVEL, field.tree_depth + 1)]
+    levels = range(_COARSEST_LEVEL, min(finest_level, field.tree_depth) + 1)
+    parents = [_parents(field, level) for level in levels]
     for step in range(_ROUNDS):
         sums, path = _light(field, source, max_radiance, BALANCE_BATCH + batch + step)
         ascribed, given, slope = sums

@@ -104,7 +104,8 @@ class LeafField:
     def _padded(self, coefficients: Any) -> Any:
         if not isinstance(coefficients, np.ndarray):
             return mi.Float(coefficients)
-        rows = coefficients.astype(np.float32).reshape(self.num_leaves, -1)
+        count = 3 * num_coefficients(self.l_max)
+        rows = coefficients.astype(np.float32).reshape(self.num_leaves, count)
         return mi.Float(np.pad(rows, ((0, 0), (0, self.width - rows.shape[1]))).ravel())
 
     def meets(self, origin: Any, direction: Any) -> Any:

@@ -5,6 +5,7 @@ import pytest
 
 from gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box
 from lumitree.luminaires.gltf import read_gltf
+from lumitree.luminaires.scene_file import SceneFile
 from lumitree.luminaires.scene_writer import write_scene
 
 
@@ -16,7 +17,8 @@ def mi():
 
 
 def imported(mi, gltf, folder):
-    return mi.load_file(str(write_scene(read_gltf(gltf.save(folder)), folder / "scene")))
+    written = write_scene(read_gltf(gltf.save(folder)), folder / "scene")
+    return SceneFile(str(written)).instantiate()
 
 
 def photographed(mi, scene, spp=64, integrator="volpath", background=1.0, origin=(0, 0, 5)):
