@@ -1,0 +1,127 @@
+"""Rays of stored pictures, and the bake that learns from nothing else."""
+
+import numpy as np
+import pytest
+
+from lamps import AREA, cube, sphere
+from lumitree.errors import LumitreeError
+
+VIEWS, RESOLUTION = 17, 64
+
+
+@pytest.fixture(scope="module")
+def dataset(mi, tmp_path_factory):
+    """A glowing sphere beside a grey cube."""
+    from lumitree.capture.views import capture
+    from lumitree.luminaires.luminaire import load_luminaire
+
+    folder = tmp_path_factory.mktemp("stored")
+    grey = '<bsdf type="diffuse"/>'
+    shapes = sphere("lamp", 0.5, (-0.5, 0, 0), AREA) + cube("body", 0.5, (0.5, 0.1, 0), grey)
+    (folder / "lamp.xml").write_text(f'<scene version="3.0.0">{shapes}</scene>')
+    return capture(
+        load_luminaire(str(folder / "lamp.xml")),
+        str(folder / "views"),
+        num_views=VIEWS,
+        resolution=RESOLUTION,
+        samples_per_pixel=32,
+        split="train",
+    )
+
+
+def everything(origin, direction):
+    import mitsuba as mi
+
+    return mi.Bool(True) | (direction.x < 2)
+
+
+def test_rays_show_their_pixels(mi, dataset):
+    """Every ray, projected into the view it is of, lies in a pixel of its value."""
+    from lumitree.direct.stored import StoredRays
+
+    rays = StoredRays(dataset).draw(1 << 12, 3, everything)
+    origin, direction = np.array(rays.origin).T, np.array(rays.direction).T
+    light, share = np.array(rays.light).T, np.array(rays.share)
+    assert share.sum() == pytest.approx(1, rel=1e-4)
+    through = np.array(rays.transmittance)
+    seen = set()
+    for view in dataset.views():
+        pose = view.frame.pose
+        of_view = np.abs(direction + pose[:3, 2]).max(axis=1) < 1e-4
+        if not of_view.any():
+            continue
+        seen.add(view.frame.file)
+        half = dataset.manifest.half_width
+        offset = origin[of_view] - pose[:3, 3]
+        column = (offset @ pose[:3, 0] + half) / (2 * half) * RESOLUTION
+        row = (half - offset @ pose[:3, 1]) / (2 * half) * RESOLUTION
+        inner = (np.abs(column % 1 - 0.5) < 0.49) & (np.abs(row % 1 - 0.5) < 0.49)
+        place = row[inner].astype(int), column[inner].astype(int)
+        shown = light[of_view][inner] / share[of_view][inner, None]
+        assert shown == pytest.approx(view.radiance[place], rel=1e-3, abs=1e-5)
+        assert 1 - through[of_view][inner] == pytest.approx(view.straight_through[place], abs=1e-5)
+    # Two of the 17 are kept apart.
+    assert len(seen) == VIEWS - 2
+
+
+def test_held_out_views_are_others(mi, dataset):
+    from lumitree.direct.rays import HELD_OUT_BATCH
+    from lumitree.direct.stored import StoredRays
+
+    source = StoredRays(dataset)
+    kinds = [
+        {tuple(np.round(row, 4)) for row in np.array(source.pairs(1 << 12, batch, 1).direction).T}
+        for batch in (1, HELD_OUT_BATCH)
+    ]
+    assert len(kinds[0]) == VIEWS - 2
+    assert len(kinds[1]) == 2
+    assert not kinds[0] & kinds[1]
+
+
+def test_hull_holds_the_lamp_and_little_else(mi, dataset):
+    from lumitree.direct.stored import StoredRays
+
+    level = 6
+    cells = StoredRays(dataset).hull(level)
+    manifest = dataset.manifest
+    scale = np.array(manifest.world_from_proxy)[0, 0]
+    centre = np.array(manifest.world_from_proxy)[:3, 3]
+    random = np.random.default_rng(1)
+    points = random.normal(size=(500, 3))
+    points = 0.5 * points / np.linalg.norm(points, axis=1, keepdims=True) + [-0.5, 0, 0]
+    local = (points - centre) / scale
+    inside = {tuple(cell) for cell in cells}
+    on_lamp = np.floor((local * 0.999 + 1) / 2 * (1 << level)).astype(int)
+    assert all(tuple(cell) in inside for cell in on_lamp)
+    # The corners of the box around the sphere, 0.87 from its centre, are carved away.
+    centres = ((cells + 0.5) / (1 << level) * 2 - 1) * scale + centre - [-0.5, 0, 0]
+    beyond = centres[centres[:, 0] < 0]
+    assert 0.4 < np.linalg.norm(beyond, axis=1).max() < 0.75
+
+
+def test_bake_from_pictures(mi, dataset, tmp_path):
+    from lumitree.direct.bake import DirectConfig, bake_stored
+    from lumitree.direct.refine import RefineConfig
+    from lumitree.evaluation.evaluate import evaluate_views
+
+    config = DirectConfig(
+        tree_depth=6, l_max=1, seconds=None, rays=1 << 22, refine=RefineConfig(lines=1 << 13)
+    )
+    result = bake_stored(dataset, config, tmp_path)
+    metrics = evaluate_views(result.asset, dataset).metrics
+    assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 8
+    assert metrics["opacity_rmse"] < 0.15
+    assert result.asset.luminaire == dataset.manifest.luminaire
+
+
+def test_one_view_is_refused(mi, lamp, tmp_path):
+    from lumitree.capture.views import capture
+    from lumitree.direct.stored import StoredRays
+
+    glowing = lamp(sphere("lamp", 1, inside=AREA))
+    one = capture(
+        glowing, str(tmp_path / "one"), num_views=1, resolution=16, samples_per_pixel=1,
+        split="train",
+    )  # fmt: skip
+    with pytest.raises(LumitreeError, match="one view"):
+        StoredRays(one)
