@@ -67,7 +67,8 @@ def table(rows: list[dict]) -> str:
             *(f"{row['metrics'][name]:.{digits}f}" for name, digits in COLUMNS.items()),
         ]
         lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n\n* 4 views of 256² captured with 256 samples a pixel.\n"
+    note = "A star after the name: on 4 views of 256² captured with 256 samples a pixel.\n"
+    return "\n".join(lines) + "\n\n" + note
 
 
 def main() -> None:
