@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from lumitree.capture.views import PATH_DEPTH, capture
+from lumitree.capture.views import capture
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.builtin.registry import BUILTIN
 from lumitree.luminaires.geometry import coil, frames, lathe, offset, smooth, sweep
 from lumitree.luminaires.luminaire import load_luminaire, luminaire_path
 from lumitree.luminaires.model import Glass
 from lumitree.luminaires.scene_writer import SCENE_FILE, write_scene
+from lumitree.luminaires.tracing import PATH_DEPTH
 
 
 @pytest.fixture(scope="module")

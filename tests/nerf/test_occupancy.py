@@ -8,10 +8,10 @@ from lumitree.core.sampling import orthographic_rays, view_pose
 from lumitree.errors import LumitreeError
 from lumitree.nerf.occupancy import (
     contains,
+    dilated_hull,
     full_occupancy,
     load_occupancy,
     save_occupancy,
-    visual_hull,
 )
 from lumitree.nerf.rays import load_rays
 from sphere import CENTRE, HALF_EXTENTS, HALF_WIDTH, RADIUS, hit_distance, sphere_dataset
@@ -29,7 +29,7 @@ def _in_box(points):
 
 def test_hull_keeps_the_object_and_carves_the_rest(tmp_path):
     dataset = sphere_dataset(tmp_path, num_views=16, resolution=64)
-    hull = visual_hull(
+    hull = dilated_hull(
         ((view.frame.pose, view.geometric > 0) for view in dataset.views()),
         HALF_WIDTH,
         HALF_EXTENTS,
@@ -49,7 +49,7 @@ def test_no_hit_is_ever_carved(tmp_path):
     for resolution, num_views in ((7, 5), (33, 3)):
         folder = tmp_path / str(resolution)
         dataset = sphere_dataset(folder, num_views, resolution)
-        hull = visual_hull(
+        hull = dilated_hull(
             ((view.frame.pose, view.geometric > 0) for view in dataset.views()),
             HALF_WIDTH,
             HALF_EXTENTS,
@@ -65,7 +65,7 @@ def test_no_hit_is_ever_carved(tmp_path):
 def test_what_a_view_does_not_show_is_kept():
     pose = view_pose(1, 2.0)
     # The view covers a quarter of the box's width only, and shows nothing there.
-    hull = visual_hull([(pose, np.zeros((16, 16), bool))], 0.25, (1.0, 1.0, 1.0), resolution=32)
+    hull = dilated_hull([(pose, np.zeros((16, 16), bool))], 0.25, (1.0, 1.0, 1.0), resolution=32)
     assert not hull.cells[16, 16, 16]
     assert np.asarray(hull.cells).mean() > 0.8
 

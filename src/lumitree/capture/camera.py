@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.luminaires.straight_through import straight_through
-from lumitree.luminaires.tracing import path_integrator
+from lumitree.luminaires.tracing import PATH_DEPTH, path_integrator
 
-PATH_DEPTH = 128
 # Paths in flight at once: bounds memory to about 1 GiB.
 _MAX_PATHS = 1 << 23
 

@@ -9,10 +9,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.capture.camera import PATH_DEPTH, check_finite
+from lumitree.capture.camera import check_finite
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.luminaires.photometry import luminance
-from lumitree.luminaires.tracing import path_integrator
+from lumitree.luminaires.tracing import PATH_DEPTH, path_integrator
 
 # Paths traced at once.
 _BATCH = 1 << 20

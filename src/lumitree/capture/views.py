@@ -3,12 +3,13 @@
 import os
 from pathlib import Path
 
-from lumitree.capture.camera import PATH_DEPTH, Camera, check_settings
+from lumitree.capture.camera import Camera, check_settings
 from lumitree.core.dataset import MANIFEST, Dataset, Frame, Manifest, Split, View
 from lumitree.core.progress import progress
 from lumitree.core.sampling import FIRST_TEST_INDEX, view_pose
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.luminaire import Luminaire
+from lumitree.luminaires.tracing import PATH_DEPTH
 
 
 def capture(

@@ -10,7 +10,7 @@ frame (D8); cameras are orthographic, square, and share one width.
 import dataclasses
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.files import write_json
 from lumitree.core.frames import similarity_scale
-from lumitree.core.images import read_exr, write_exr
+from lumitree.core.images import max_radiance, read_exr, write_exr
 from lumitree.errors import LumitreeError
 
 Split = Literal["train", "test"]
@@ -160,6 +160,20 @@ class Dataset:
             )
         for frame in self.manifest.frames:
             yield self._read(frame)
+
+    def max_radiance(self, views: Iterable[View]) -> float:
+        """L_max of this dataset's views (D9).
+
+        Raises:
+            LumitreeError: they are black.
+        """
+        value = max_radiance(view.radiance for view in views)
+        if not value > 0:
+            raise LumitreeError(
+                f"every view of {self.folder} is black (fewer than one pixel in 10000 is lit); "
+                "does the luminaire emit?"
+            )
+        return value
 
     def _read(self, frame: Frame) -> View:
         path = self.folder / frame.file

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_L = 4
+# The constant one of band 0.
+Y_00 = 0.28209479177387814
 
 
 def num_coefficients(l_max: int) -> int:
@@ -29,7 +31,7 @@ def basis(x: Any, y: Any, z: Any, l_max: int) -> list[Any]:
     """
     if not 0 <= l_max <= MAX_L:
         raise ValueError(f"l_max is {l_max}; expected 0 to {MAX_L}")
-    values = [0.28209479177387814 + 0.0 * x]
+    values = [Y_00 + 0.0 * x]
     if l_max >= 1:
         c = 0.4886025119029199
         values += [c * y, c * z, c * x]

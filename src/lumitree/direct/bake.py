@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lumitree.asset.model import MAX_TREE_DEPTH, LuminaireAsset
 from lumitree.core.dataset import Dataset
 from lumitree.core.files import atomic_path
-from lumitree.core.harmonics import MAX_L, basis_array, num_coefficients
+from lumitree.core.harmonics import MAX_L, Y_00, num_coefficients
 from lumitree.core.interrupt import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.core.transmittance import LAWS, Law
@@ -148,8 +148,7 @@ def bake_stored(dataset: Dataset, config: DirectConfig, folder: Path) -> DirectR
         if not len(cells):
             raise LumitreeError(f"no part of the box is lit in every view of {dataset.folder}")
         coefficients = np.zeros((len(cells), 3, num_coefficients(config.l_max)))
-        constant = basis_array(np.array([[0.0, 0.0, 1.0]]), 0)[0, 0]
-        coefficients[:, :, 0] = math.log(_HULL_RADIANCE / (1 - _HULL_RADIANCE)) / constant
+        coefficients[:, :, 0] = math.log(_HULL_RADIANCE / (1 - _HULL_RADIANCE)) / Y_00
         density = np.full(len(cells), _HULL_OPTICAL_DEPTH * (1 << level) / 2)
         levels = np.full(len(cells), level)
         return _field(config, source, cells, levels, density, coefficients), source.max_radiance()

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.model import MAX_TREE_DEPTH
-from lumitree.core.harmonics import basis_array
+from lumitree.core.harmonics import Y_00
 from lumitree.direct.field import LeafField
 from lumitree.direct.rays import BALANCE_BATCH, RaySource
 
@@ -44,7 +44,6 @@ def balance(
         finest_level: cells below this level follow those above; few rays tell less of small ones
             than a descent has learned.
     """
-    constant = float(basis_array(np.array([[0.0, 0.0, 1.0]]), 0)[0, 0])
     levels = range(_COARSEST_LEVEL, min(finest_level, field.tree_depth) + 1)
     parents = [_parents(field, level) for level in levels]
     for step in range(_ROUNDS):
@@ -59,7 +58,7 @@ def balance(
         # sigmoid hardly moves.
         shift = np.log(factor) * given / np.maximum(slope, 1e-3 * given + 1e-30)
         coefficients = field.coefficient_array()
-        coefficients[:, :, 0] += shift.clip(-_LARGEST_SHIFT, _LARGEST_SHIFT) / constant
+        coefficients[:, :, 0] += shift.clip(-_LARGEST_SHIFT, _LARGEST_SHIFT) / Y_00
         field.set_coefficients(coefficients)
 
 

@@ -67,14 +67,14 @@ def grow(rays: TracedRays, tree_depth: int, lines_a_level: int) -> NDArray[np.in
     level = min(_START_LEVEL, tree_depth)
     side = 1 << level
     cells = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3)
-    cells = cells[_inside(cells, level, half)]
+    cells = cells[inside_box(cells, level, half)]
     while level < tree_depth:
         octree = _tree(cells, level, half)
         lines = max(_BATCH, lines_a_level >> (2 * (tree_depth - 1 - level)))
         stops = _count_stops(rays, octree, len(cells), lines, first_batch=level << 20)
         cells = split(cells[stops > 0])
         level += 1
-        cells = cells[_inside(cells, level, half)]
+        cells = cells[inside_box(cells, level, half)]
     return cells
 
 
@@ -132,7 +132,7 @@ def _parents(sums: "_Sums", cells: NDArray[np.int64], level: int) -> list[list[A
     return [[dr.gather(mi.Float, value, index) for value in channel] for channel in fit]
 
 
-def _inside(
+def inside_box(
     cells: NDArray[np.int64], level: int, half_extents: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Whether cells [M, 3] reach into the proxy box."""

@@ -122,8 +122,7 @@ class LeafField:
 
         def visit(state, leaf, start, length, active):
             radiance, tau, through, last = state
-            tau = tau + dr.select(active, self._density(leaf, active) * length, 0)
-            after = mi.Float(transmittance(tau, self.law, dr))
+            _, tau, after = self._cross(tau, leaf, length, active)
             weight = through - after
             lit = active & (weight > _MIN_WEIGHT)
             emission = self._emission(leaf, y, lit)
@@ -167,9 +166,7 @@ class LeafField:
 
         def visit(state, leaf, start, length, active):
             seen, tau, through = state
-            depth = dr.select(active, self._density(leaf, active) * length, 0)
-            tau = tau + depth
-            after = mi.Float(transmittance(tau, self.law, dr))
+            depth, tau, after = self._cross(tau, leaf, length, active)
             weight = through - after
             lit = active & (weight > _MIN_WEIGHT)
             # Of thin leaves too: Adam follows the sign of the smallest gradient.
@@ -197,8 +194,7 @@ class LeafField:
         """T of rays (mi.Float), alone."""
 
         def visit(state, leaf, start, length, active):
-            tau = state[0] + dr.select(active, self._density(leaf, active) * length, 0)
-            after = mi.Float(transmittance(tau, self.law, dr))
+            _, tau, after = self._cross(state[0], leaf, length, active)
             return (tau, after), after > self._blocked
 
         state = (mi.Float(0), mi.Float(1))
@@ -210,10 +206,9 @@ class LeafField:
         """As `scatter_gradients` where the loss depends on the rays' optical depth alone."""
 
         def visit(state, leaf, start, length, active):
-            depth = dr.select(active, self._density(leaf, active) * length, 0)
-            tau = state[0] + depth
+            depth, tau, after = self._cross(state[0], leaf, length, active)
             _add(density_gradient, d_depth * depth, leaf, active)
-            return (tau,), mi.Float(transmittance(tau, self.law, dr)) > self._blocked
+            return (tau,), after > self._blocked
 
         self.octree.walk(origin, direction, mi.Bool(True), visit, (mi.Float(0),))
         dr.eval(density_gradient)
@@ -233,8 +228,7 @@ class LeafField:
         y = basis(*towards_viewer(direction), self.l_max)
 
         def visit(state, leaf, start, length, active):
-            tau = state[0] + dr.select(active, self._density(leaf, active) * length, 0)
-            after = mi.Float(transmittance(tau, self.law, dr))
+            _, tau, after = self._cross(state[0], leaf, length, active)
             emission = self._emission(leaf, y, active)
             shown = (state[1] - after) * emission
             for row, value in enumerate((light, share, share * (1 - emission))):
@@ -248,16 +242,19 @@ class LeafField:
         """Add a value (mi.Float) of each ray to `total` (mi.Float [M]) by the leaves' weights."""
 
         def visit(state, leaf, start, length, active):
-            tau = state[0] + dr.select(active, self._density(leaf, active) * length, 0)
-            after = mi.Float(transmittance(tau, self.law, dr))
+            _, tau, after = self._cross(state[0], leaf, length, active)
             _add(total, (state[1] - after) * value, leaf, active)
             return (tau, after), after > self._blocked
 
         self.octree.walk(origin, direction, mi.Bool(True), visit, (mi.Float(0), mi.Float(1)))
         dr.eval(total)
 
-    def _density(self, leaf, active):
-        return dr.exp(dr.gather(mi.Float, self.log_density, leaf, active))
+    def _cross(self, tau, leaf, length, active):
+        """Optical depth of a leaf, and the ray's depth and transmittance after it."""
+        density = dr.exp(dr.gather(mi.Float, self.log_density, leaf, active))
+        depth = dr.select(active, density * length, 0)
+        tau = tau + depth
+        return depth, tau, mi.Float(transmittance(tau, self.law, dr))
 
     def _emission(self, leaf, y, active):
         count, quads = len(y), self.width // 4

@@ -7,12 +7,10 @@ import drjit as dr
 import numpy as np
 
 from lumitree.direct.field import LeafField
-from lumitree.direct.rays import HELD_OUT_BATCH, RaySource
+from lumitree.direct.rays import HELD_OUT_BATCH, TILE_LINES, RaySource
 
 _NUM_LINES = 1 << 17
 _PATHS = 8
-# Lines come in tiles of this many neighbours, which see nearly the same.
-_TILE = 16
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,6 +53,6 @@ class HeldOut:
         ]
         values = np.array(sum(products) / 3)
         error = max(float(values.mean()), 1e-12)
-        tiles = values.reshape(-1, _TILE).mean(axis=1)
+        tiles = values.reshape(-1, TILE_LINES).mean(axis=1)
         deviation = float(tiles.std() / np.sqrt(len(tiles)))
         return Score(-10 * np.log10(error), 10 / np.log(10) * deviation / error)

@@ -18,7 +18,7 @@ import numpy as np
 
 from lumitree.core.frames import similarity_scale
 from lumitree.luminaires.luminaire import Luminaire
-from lumitree.luminaires.straight_through import COSINE_OF_CONE, is_smooth
+from lumitree.luminaires.straight_through import COSINE_OF_CONE, is_smooth, is_transmitted
 
 # Paths longer than this many events are played at Russian roulette with.
 _ROULETTE_DEPTH = 8
@@ -138,10 +138,7 @@ def _trace(scene, sampler, path_depth):
             collides, flux * phase_weight, dr.select(hits, flux * bsdf_weight * correction, flux)
         )
 
-        transmits = hits & (
-            mi.has_flag(sample.sampled_type, mi.BSDFFlags.Transmission)
-            | mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
-        )
+        transmits = hits & is_transmitted(sample.sampled_type)
         smooth &= ~(active & ~(transmits & is_smooth(sample.sampled_type)))
         onwards = si.spawn_ray(towards)
         ray = dr.select(collides, mi.Ray3f(here.p, scattered), dr.select(hits, onwards, ray))

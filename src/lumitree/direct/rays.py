@@ -24,10 +24,19 @@ from numpy.typing import NDArray
 
 from lumitree.direct.light_paths import LightPaths, trace_light
 from lumitree.luminaires.luminaire import Luminaire
-from lumitree.luminaires.straight_through import COSINE_OF_CONE, is_smooth, straight_through
-from lumitree.luminaires.tracing import path_integrator
+from lumitree.luminaires.straight_through import (
+    COSINE_OF_CONE,
+    extinction_at,
+    is_smooth,
+    is_transmitted,
+    straight_through,
+)
+from lumitree.luminaires.tracing import PATH_DEPTH, path_integrator
 
-PATH_DEPTH = 128
+# Lines come in tiles of so many neighbours a side, so that the lanes of a vector unit walk the same
+# leaves; lines of a tile see nearly the same.
+TILE = 4
+TILE_LINES = TILE**2
 # Batch numbers that no other use of a source reaches.
 _MAX_RADIANCE_BATCH = 1 << 30
 HELD_OUT_BATCH = _MAX_RADIANCE_BATCH + 1
@@ -173,14 +182,13 @@ class TracedRays:
     def lines(self, count: int, batch: int) -> tuple[Any, Any]:
         """Random lines of batch number `batch`: origins and directions in the local frame.
 
-        Lines come in tiles of 4 x 4 parallel neighbours `spacing` apart, jittered, so that the
-        lanes of a vector unit walk the same leaves; the tiles are uniform. Lines at the border of
-        a tile may miss the box.
+        Lines of a tile are parallel, `spacing` apart and jittered; the tiles are uniform. Lines at
+        the border of a tile may miss the box.
 
         Args:
-            count: number of lines, a multiple of 16.
+            count: number of lines, a multiple of `TILE_LINES`.
         """
-        self._sampler.seed(seed_of(self._seed, batch, 0), count // 16)
+        self._sampler.seed(seed_of(self._seed, batch, 0), count // TILE_LINES)
         x, y, z = self._half
         areas = np.array([y * z, z * x, x * y])
         split = np.cumsum(areas / areas.sum())
@@ -199,8 +207,9 @@ class TracedRays:
 
         self._sampler.seed(seed_of(self._seed, batch, 1), count)
         index = dr.arange(mi.UInt32, count)
-        tile, within = index // 16, index % 16
-        jitter = (mi.Point2f(within % 4, within // 4) - 2 + self._sampler.next_2d()) * self.spacing
+        tile, within = index // TILE_LINES, index % TILE_LINES
+        place = mi.Point2f(within % TILE, within // TILE) - TILE / 2
+        jitter = (place + self._sampler.next_2d()) * self.spacing
         origin = (
             dr.gather(mi.Vector3f, centre, tile)
             + jitter.x * dr.gather(mi.Vector3f, right, tile)
@@ -292,9 +301,10 @@ class TracedRays:
         near = TracedRays(self.luminaire, self.spacing / 4, seed=self._seed)
         origin, direction = near.lines(count, _MAX_RADIANCE_BATCH)
         radiance, _ = near.trace(origin, direction, _MAX_RADIANCE_BATCH, 2)
-        pixels = np.stack([np.array(dr.block_sum(value, 16)) for value in radiance]) / 16
+        tiles = [np.array(dr.block_sum(value, TILE_LINES)) for value in radiance]
+        pixels = np.stack(tiles) / TILE_LINES
         views = 4 * np.pi * np.pi * self.luminaire.bounding_radius**2
-        brightest = max(1, round(1e-4 * 3 * (count // 16) * views / self.measure))
+        brightest = max(1, round(1e-4 * 3 * (count // TILE_LINES) * views / self.measure))
         values = np.sort(pixels.ravel())
         return float(values[-min(brightest, len(values))])
 
@@ -330,9 +340,7 @@ class TracedRays:
         while active:
             si = scene.ray_intersect(ray, active)
             inside = active & (medium != None)  # noqa: E711 (a vector comparison)
-            here = dr.zeros(mi.MediumInteraction3f)
-            here.p = ray.o
-            _, _, extinction = medium.get_scattering_coefficients(here, inside)
+            extinction = extinction_at(medium, ray.o, inside)
             mean = dr.mean(extinction)
             flight = dr.select(
                 inside & (mean > 0), -dr.log(1 - sampler.next_1d(active)) / mean, dr.inf
@@ -349,10 +357,7 @@ class TracedRays:
             sample, weight = si.bsdf(ray).sample(
                 context, si, sampler.next_1d(hits), sampler.next_2d(hits), hits
             )
-            transmits = hits & (
-                mi.has_flag(sample.sampled_type, mi.BSDFFlags.Transmission)
-                | mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
-            )
+            transmits = hits & is_transmitted(sample.sampled_type)
             throughput[hits] = throughput * weight
             smooth &= is_smooth(sample.sampled_type)
             onwards = si.spawn_ray(si.to_world(sample.wo))

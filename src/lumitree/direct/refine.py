@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from lumitree.direct.balance import balance
 from lumitree.direct.estimate import OPAQUE, split
 from lumitree.direct.field import LeafField
-from lumitree.direct.rays import BLAME_BATCH, STRAIGHT_BATCH, RaySource
+from lumitree.direct.rays import BLAME_BATCH, STRAIGHT_BATCH, TILE_LINES, RaySource
 from lumitree.errors import LumitreeError
 
 _BETA_1, _BETA_2 = 0.9, 0.98
@@ -59,8 +59,8 @@ class RefineConfig:
     max_leaves: int = 3_000_000
 
     def __post_init__(self) -> None:
-        if self.lines < 16 or self.lines % 16:
-            raise LumitreeError(f"lines is {self.lines}; expected a multiple of 16")
+        if self.lines < TILE_LINES or self.lines % TILE_LINES:
+            raise LumitreeError(f"lines is {self.lines}; expected a multiple of {TILE_LINES}")
         if not (self.epsilon > 0 and self.learning_rate > 0 and 0 < self.final_rate <= 1):
             raise LumitreeError("epsilon, learning_rate and final_rate must be above 0")
 

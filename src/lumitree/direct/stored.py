@@ -1,26 +1,31 @@
 """Rays of stored pictures, for a luminaire that cannot be traced: `RaySource` from a dataset."""
 
 import dataclasses
-import math
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageFilter
 
 from lumitree.core.dataset import Dataset, View
-from lumitree.core.images import max_radiance
 from lumitree.core.sampling import orthographic_rays
-from lumitree.direct.estimate import split
-from lumitree.direct.rays import HELD_OUT_BATCH, Pairs, Rays, Subject, Wanted, seed_of
+from lumitree.core.visual_hull import visual_hull
+from lumitree.direct.estimate import inside_box
+from lumitree.direct.rays import (
+    HELD_OUT_BATCH,
+    TILE,
+    TILE_LINES,
+    Pairs,
+    Rays,
+    Subject,
+    Wanted,
+    seed_of,
+)
 from lumitree.errors import LumitreeError
 
 # One view in so many is kept apart for the score.
 _HELD_OUT_STRIDE = 8
-# Neighbouring pixels are drawn together, so that the lanes of a vector unit walk the same leaves.
-_TILE = 4
 
 
 class StoredRays:
@@ -41,11 +46,7 @@ class StoredRays:
         views = list(dataset.views())
         if len(views) < 2:
             raise LumitreeError(f"{dataset.folder} has one view; a bake needs two or more")
-        self._max_radiance = max_radiance(view.radiance for view in views)
-        if not self._max_radiance > 0:
-            raise LumitreeError(
-                f"every view of {dataset.folder} is black (fewer than one pixel in 10000 is lit)"
-            )
+        self._max_radiance = dataset.max_radiance(views)
         held_out = views[_HELD_OUT_STRIDE // 2 :: _HELD_OUT_STRIDE] or views[-1:]
         apart = {view.frame.file for view in held_out}
         self._views = [view for view in views if view.frame.file not in apart]
@@ -92,35 +93,14 @@ class StoredRays:
 
     def hull(self, level: int) -> NDArray[np.int64]:
         """Cells [M, 3] of an octree's level that no training view sees to be empty."""
-        half = np.asarray(self._manifest.half_extents)
-        start = min(level, 4)
-        side = 1 << start
-        cells = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3)
-        for finer in range(start, level + 1):
-            if finer > start:
-                cells = split(cells)
-            size = 2 / (1 << finer)
-            low = cells * size - 1
-            cells = cells[((low < half) & (low + size > -half)).all(axis=1)]
-            for view in self._views:
-                cells = cells[self._covered(view, (cells + 0.5) * size - 1, size)]
-        return cells
-
-    def _covered(self, view: View, centres: NDArray[np.float64], size: float) -> NDArray[np.bool_]:
-        """Whether a view shows something within the cell around each centre [M, 3]."""
-        resolution, half_width = self._manifest.resolution, self._manifest.half_width
-        scale = resolution / (2 * half_width)
-        reach = math.ceil(size / 2 * math.sqrt(3) * scale) + 1
-        lit = (view.straight_through > 0) | (view.radiance.max(axis=-1) > 0)
-        picture = Image.fromarray(lit.astype(np.uint8))
-        near = np.asarray(picture.filter(ImageFilter.MaxFilter(2 * reach + 1))) > 0
-        pose = view.frame.pose
-        offset = centres - pose[:3, 3]
-        column = np.floor((offset @ pose[:3, 0] + half_width) * scale).astype(int)
-        row = np.floor((half_width - offset @ pose[:3, 1]) * scale).astype(int)
-        # A view says nothing about what it does not show.
-        beyond = (column < 0) | (row < 0) | (column >= resolution) | (row >= resolution)
-        return beyond | near[row.clip(0, resolution - 1), column.clip(0, resolution - 1)]
+        manifest = self._manifest
+        # A mask is what hides or shines: light may also come from what hides nothing.
+        masks = (
+            (view.frame.pose, (view.straight_through > 0) | (view.radiance.max(axis=-1) > 0))
+            for view in self._views
+        )
+        cells = np.argwhere(visual_hull(masks, manifest.half_width, (1, 1, 1), 1 << level))
+        return cells[inside_box(cells, level, np.array(manifest.half_extents))]
 
     def _load(self, views: list[View]) -> "_Pictures":
         manifest = self._manifest
@@ -144,17 +124,17 @@ class StoredRays:
 
     def _pixels(self, pictures: "_Pictures", count: int, batch: int):
         """Origin, direction, radiance and transmittance of rays through random pixels."""
-        resolution, tiles = self._manifest.resolution, count // _TILE**2
+        resolution, tiles = self._manifest.resolution, count // TILE_LINES
         self._sampler.seed(seed_of(self._seed, batch, 0), tiles)
         view = mi.UInt32(dr.minimum(self._sampler.next_1d() * pictures.count, pictures.count - 1))
-        free = max(1, resolution - _TILE + 1)
+        free = max(1, resolution - TILE + 1)
         corner = mi.Point2i(dr.floor(self._sampler.next_2d() * free))
         dr.eval(view, corner)
         self._sampler.seed(seed_of(self._seed, batch, 1), count)
         index = dr.arange(mi.UInt32, count)
-        tile, within = index // _TILE**2, mi.Int32(index % _TILE**2)
+        tile, within = index // TILE_LINES, mi.Int32(index % TILE_LINES)
         view = dr.gather(mi.UInt32, view, tile)
-        pixel = dr.gather(mi.Point2i, corner, tile) + mi.Point2i(within % _TILE, within // _TILE)
+        pixel = dr.gather(mi.Point2i, corner, tile) + mi.Point2i(within % TILE, within // TILE)
         pixel = dr.minimum(pixel, resolution - 1)
         place = mi.Point2f(pixel) + self._sampler.next_2d()
         origin = (

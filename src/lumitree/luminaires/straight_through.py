@@ -16,6 +16,20 @@ def is_smooth(sampled_type: Any) -> Any:
     )
 
 
+def is_transmitted(sampled_type: Any) -> Any:
+    """Whether an interaction of this mi.BSDFFlags type lets light pass."""
+    return mi.has_flag(sampled_type, mi.BSDFFlags.Transmission) | mi.has_flag(
+        sampled_type, mi.BSDFFlags.Null
+    )
+
+
+def extinction_at(medium: Any, point: Any, active: Any) -> Any:
+    """Extinction (mi.Color3f, per scene unit) of a mi.MediumPtr at a point."""
+    here = dr.zeros(mi.MediumInteraction3f)
+    here.p = point
+    return medium.get_scattering_coefficients(here, active)[2]
+
+
 @dr.syntax
 def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> tuple[Any, Any]:
     """Follow `ray` along a chain of transmissions: what passes, and which emitters it sees.
@@ -48,9 +62,7 @@ def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> tup
     while active:
         si = scene.ray_intersect(ray, active)
         inside = active & (medium != None)  # noqa: E711 (a vector comparison)
-        here = dr.zeros(mi.MediumInteraction3f)
-        here.p = ray.o
-        _, _, extinction = medium.get_scattering_coefficients(here, inside)
+        extinction = extinction_at(medium, ray.o, inside)
         depth = dr.select(inside & si.is_valid(), extinction * si.t, 0)
         throughput *= dr.exp(-depth)
 
@@ -61,9 +73,7 @@ def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> tup
         sample, weight = si.bsdf(ray).sample(
             context, si, sampler.next_1d(active), sampler.next_2d(active), active
         )
-        active &= mi.has_flag(sample.sampled_type, mi.BSDFFlags.Transmission) | mi.has_flag(
-            sample.sampled_type, mi.BSDFFlags.Null
-        )
+        active &= is_transmitted(sample.sampled_type)
         throughput[active] = throughput * weight
         smooth &= is_smooth(sample.sampled_type)
         ray = dr.select(active, si.spawn_ray(si.to_world(sample.wo)), ray)

@@ -18,11 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.dataset import Dataset, OpacityKind, View
-from lumitree.core.images import max_radiance
+from lumitree.core.dataset import Dataset, OpacityKind
 from lumitree.core.sampling import orthographic_rays
 from lumitree.errors import LumitreeError
-from lumitree.nerf.occupancy import Occupancy, full_occupancy, occupied_bins, visual_hull
+from lumitree.nerf.occupancy import Occupancy, dilated_hull, full_occupancy, occupied_bins
 
 NUM_HELD_OUT = 4096
 
@@ -117,10 +116,10 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
     if len(manifest.frames) > np.iinfo(np.uint16).max:
         raise LumitreeError(f"{len(manifest.frames)} views are too many; capture at most 65535")
     views = list(dataset.views())
-    highest = _max_radiance(views, dataset)
+    highest = dataset.max_radiance(views)
     if skip_empty:
         masks = ((view.frame.pose, view.geometric > 0) for view in views)
-        occupancy = visual_hull(masks, manifest.half_width, manifest.half_extents)
+        occupancy = dilated_hull(masks, manifest.half_width, manifest.half_extents)
     else:
         occupancy = full_occupancy(manifest.half_extents)
     geometry, kept = [], []
@@ -148,17 +147,6 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
         max_radiance=highest,
     )
     return rays, occupancy
-
-
-def _max_radiance(views: list[View], dataset: Dataset) -> float:
-    """L_max of the views; refuses views that are black."""
-    value = max_radiance(view.radiance for view in views)
-    if not value > 0:
-        raise LumitreeError(
-            f"every view of {dataset.folder} is black (fewer than one pixel in 10000 is lit); "
-            "does the luminaire emit?"
-        )
-    return value
 
 
 def _view_geometry(
