@@ -53,6 +53,17 @@ def test_random_rays(mi, seed, law, l_max, thin):
     )
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_random_rays_through_a_deep_tree(mi, seed):
+    # More levels than one wide node has, and more leaves a ray than are put off together.
+    random = np.random.default_rng(seed)
+    asset = random_asset(seed, tree_depth=7, density_scale=0.5, law="exponential")
+    directions = random.normal(size=(24, 3)).astype(np.float32)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    origins = (random.uniform(-0.9, 0.9, (24, 3)) - 3 * directions).astype(np.float32)
+    check(mi, asset, origins.astype(float), directions.astype(float), 1.2e-3)
+
+
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), axis=st.integers(0, 2), sign=st.sampled_from([-1.0, 1.0]))
 def test_axis_parallel_rays_on_cell_boundaries(mi, seed, axis, sign):

@@ -7,17 +7,41 @@ Symbols
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-# The descent to a cell starts from a table of this level: 8**5 entries stay in the cache.
-_TOP_LEVEL = 5
-# visit(state, leaf, start, length, active) -> state, active: see `Octree.walk`.
+from lumitree.asset.wide_nodes import LEAF, wide_levels, wide_nodes
+
+# visit(state, leaf, start, length, active) -> state, active; shade(state, leaf, start, length,
+# active) -> state: see `Octree.walk`.
 Visit = Callable[[Any, Any, Any, Any, Any], tuple[Any, Any]]
+Shade = Callable[[Any, Any, Any, Any, Any], Any]
+# Leaves of a ray that are put off together.
+_PUT_OFF = 8
+
+
+class _Ray(NamedTuple):
+    """A ray in grid units.
+
+    Attributes:
+        o, d: origin and direction.
+        moving, inverse: by axis, whether d is not 0, and 1 / d there.
+        rising: by axis, whether d is positive.
+        octant: the same as `wide_nodes` numbers them.
+        t_end: distance at which the ray leaves the proxy box.
+    """
+
+    o: Any
+    d: Any
+    moving: Any
+    inverse: Any
+    rising: Any
+    octant: Any
+    t_end: Any
 
 
 class Octree:
@@ -37,12 +61,11 @@ class Octree:
     ) -> None:
         self.tree_depth = tree_depth
         self._half_extents = half_extents
-        self._children = mi.Int32(children.ravel())
-        self._top_level = min(_TOP_LEVEL, tree_depth)
-        entries, sides = _top(children, self._top_level)
-        self._top_entries = mi.Int32(entries)
-        self._top_sides = mi.Int32(sides << (tree_depth - self._top_level))
-        dr.eval(self._children, self._top_entries, self._top_sides)
+        # Device arrays cannot be empty: a level without nodes gets one that nothing refers to.
+        self._nodes = [
+            mi.Int32(level if len(level) else [0]) for level in wide_nodes(children, tree_depth)
+        ]
+        dr.eval(self._nodes)
 
     @dr.syntax
     def walk(self, origin: Any, direction: Any, active: Any, visit: Visit, state: Any) -> Any:
@@ -61,46 +84,95 @@ class Octree:
         Returns:
             The last state.
         """
-        size = 1 << self.tree_depth
-        o = (origin + 1) * (size / 2)
-        d = direction * (size / 2)
-        moving = dr.abs(d) > 1e-18
-        inverse = dr.rcp(dr.select(moving, d, 1))
-        t, t_end, inside = self._clip(o, moving, inverse)
-        active = active & inside & (t < t_end)
-        t_exit = mi.Float(t)
-        ahead = mi.Vector3i(dr.clip(mi.Vector3i(dr.floor(o + t * d)), 0, size - 1))
-        child = mi.Int32(0)
-
+        ray, t_exit, ahead, active = self._enter(origin, direction, active)
         while active:
-            # To the next leaf first, so that the rays of a packet meet their leaves together.
+            t = mi.Float(t_exit)
+            entry, t_exit, ahead, ends = self._step(ray, t, ahead, active)
+            # A leaf may be the last cell of its ray.
+            found = entry > 0
+            state, onwards = visit(state, _leaf(entry), t, t_exit - t, found)
+            active &= ~ends & (~found | onwards)
+        return state
+
+    @dr.syntax
+    def walk_and_shade(
+        self,
+        origin: Any,
+        direction: Any,
+        active: Any,
+        visit: Visit,
+        state: Any,
+        shade: Shade,
+        shaded: Any,
+    ) -> tuple[Any, Any]:
+        """As `walk`, and call `shade` for the same leaves in the same order.
+
+        The rays of a packet meet their leaves at different steps, and all wait for one that is
+        busy. So `visit` only decides how far a ray goes; what takes longer is for `shade`, which is
+        put off until the rays have some leaves each.
+
+        Returns:
+            The last states of both.
+        """
+        ray, t_exit, ahead, active = self._enter(origin, direction, active)
+        # In registers: Dr.Jit 1.5 has no local memory in functions that are called.
+        queue = _PUT_OFF * [(mi.UInt32(0), mi.Float(0), mi.Float(0))]
+        while active:
+            count = mi.UInt32(0)
             seeking = mi.Bool(active)
             while seeking:
                 t = mi.Float(t_exit)
-                child, lower, side = self._find_cell(ahead, seeking)
-                plane = mi.Vector3f(dr.select(d > 0, lower + side, lower))
-                t_planes = dr.select(moving, (plane - o) * inverse, dr.inf)
-                t_cell = dr.minimum(dr.min(t_planes), t_end)
-                stepped = dr.clip(mi.Vector3i(dr.floor(o + t_cell * d)), lower, lower + side - 1)
-                beyond = dr.select(d > 0, lower + side, lower - 1)
-                ahead = mi.Vector3i(dr.select(t_planes <= t_cell, beyond, stepped))
-                t_exit = dr.maximum(t, t_cell)
-                active &= (t_cell < t_end) & dr.all((ahead >= 0) & (ahead < size))
-                seeking &= active & (child >= 0)
-            # A leaf may be the last cell of its ray.
-            found = child < 0
-            state, onwards = visit(state, mi.UInt32(~child), t, t_exit - t, found)
-            child = mi.Int32(0)
-            active &= found & onwards
-        return state
+                entry, t_exit, ahead, ends = self._step(ray, t, ahead, seeking)
+                found, crossing = entry > 0, (_leaf(entry), t, t_exit - t)
+                state, onwards = visit(state, *crossing, found)
+                active &= ~ends & (~found | onwards)
+                queue = _with(queue, count, crossing, found)
+                count += dr.select(found, mi.UInt32(1), 0)
+                seeking = active & (count < _PUT_OFF)
+            while count > 0:
+                shaded = shade(shaded, *queue[0], count > 0)
+                queue = [*queue[1:], queue[-1]]
+                count -= 1
+        return state, shaded
+
+    def _enter(self, origin, direction, active):
+        """A ray in grid units, its first distance and cell, and whether it meets the proxy box."""
+        size = 1 << self.tree_depth
+        o, d = (origin + 1) * (size / 2), direction * (size / 2)
+        moving = dr.abs(d) > 1e-18
+        inverse = dr.rcp(dr.select(moving, d, 1))
+        t, t_end, inside = self._clip(o, moving, inverse)
+        cell = mi.Vector3i(dr.clip(mi.Vector3i(dr.floor(o + t * d)), 0, size - 1))
+        rising = d > 0
+        octant = mi.Int32(rising.x) + 2 * mi.Int32(rising.y) + 4 * mi.Int32(rising.z)
+        ray = _Ray(o, d, moving, inverse, rising, octant, t_end)
+        return ray, mi.Float(t), cell, mi.Bool(active) & inside & (t < t_end)
+
+    def _step(self, ray, t, cell, active):
+        """Through the box that a ray enters at distance t in a cell.
+
+        Returns:
+            The box's entry of `wide_nodes`, the distance at which the ray leaves it, the cell that
+            it enters then, and whether it has left the grid.
+        """
+        entry, lower, side = self._find_box(ray, cell, active)
+        plane = mi.Vector3f(dr.select(ray.rising, lower + side, lower))
+        t_planes = dr.select(ray.moving, (plane - ray.o) * ray.inverse, dr.inf)
+        t_box = dr.minimum(dr.min(t_planes), ray.t_end)
+        within = mi.Vector3i(dr.floor(ray.o + t_box * ray.d))
+        within = dr.clip(within, lower, lower + side - 1)
+        beyond = dr.select(ray.rising, lower + side, lower - 1)
+        ahead = mi.Vector3i(dr.select(t_planes <= t_box, beyond, within))
+        outside = dr.any((ahead < 0) | (ahead >= 1 << self.tree_depth))
+        return entry, dr.maximum(t, t_box), ahead, outside | (t_box >= ray.t_end)
 
     def find_leaf(self, point: Any, active: Any = True) -> tuple[Any, Any]:
         """Index (mi.UInt32) of the leaf that holds a point in local units, and whether one does."""
         size = 1 << self.tree_depth
         cell = mi.Vector3i(dr.floor((point + 1) * (size / 2)))
         inside = mi.Bool(active) & dr.all((cell >= 0) & (cell < size))
-        child, _, _ = self._find_cell(cell, inside)
-        return mi.UInt32(~child), inside & (child < 0)
+        entry, _ = self._find(cell, inside)
+        return _leaf(entry), inside & (entry > 0)
 
     def _clip(self, o, moving, inverse):
         """Entry and exit distance of the proxy box, and whether the line meets it."""
@@ -113,43 +185,42 @@ class Octree:
         beside = ~moving & ((o < (1 - half) * scale) | (o >= (1 + half) * scale))
         return entry, exit_, ~dr.any(beside)
 
-    def _find_cell(self, cell, active):
-        """Deepest node's child entry that holds `cell`, its lower corner and side (grid units).
+    def _find(self, cell, active):
+        """Entry of `wide_nodes` for a cell, and log2 of its node's cells' side (grid units)."""
+        log_cell = self.tree_depth
+        node, entry, log_side = mi.Int32(0), mi.Int32(0), mi.Int32(0)
+        open_ = mi.Bool(active)
+        for bits, entries in zip(wide_levels(self.tree_depth), self._nodes, strict=True):
+            log_cell -= bits
+            place = (cell >> log_cell) & ((1 << bits) - 1)
+            index = (((node << bits) + place.z << bits) + place.y << bits) + place.x
+            node = dr.gather(mi.Int32, entries, mi.UInt32(index), open_)
+            entry = dr.select(open_, node, entry)
+            log_side = dr.select(open_, log_cell, log_side)
+            open_ &= (node >= 0) & (node < int(LEAF))
+        return entry, log_side
 
-        Descends from the table of the upper levels; an empty entry of any level is as large as
-        that level's cells, which is how empty space is skipped.
+    def _find_box(self, ray, cell, active):
+        """What a ray meets in a cell: the entry, lower corner and side (grid units) of its box.
+
+        The box is a leaf, or an empty cube that begins with the cell.
         """
-        depth, top = self.tree_depth, self._top_level
-        place = cell >> (depth - top)
-        index = mi.UInt32(place.x + ((place.y + (place.z << top)) << top))
-        node = dr.gather(mi.Int32, self._top_entries, index, active)
-        side = dr.gather(mi.Int32, self._top_sides, index, active)
-        open_ = mi.Bool(active) & (node > 0)
-        for level in range(top + 1, depth + 1):
-            shift = depth - level
-            bits = (cell >> shift) & 1
-            octant = bits.x + 2 * bits.y + 4 * bits.z
-            child = dr.gather(mi.Int32, self._children, mi.UInt32(node * 8 + octant), open_)
-            node = dr.select(open_, child, node)
-            side = dr.select(open_, 1 << shift, side)
-            open_ &= child > 0
-        return node, cell & ~(side - 1), side
+        entry, log_cell = self._find(cell, active)
+        empty = entry < 0
+        log_side = dr.select(empty, log_cell, entry & 15)
+        more = dr.select(empty, (entry >> (3 * ray.octant)) & 7, 0) << log_side
+        lower = (cell >> log_side) << log_side
+        return entry, dr.select(ray.rising, lower, lower - more), more + (1 << log_side)
 
 
-def _top(children: NDArray[np.int32], level: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Where the descent from the root stands at `level`, for all cells of that level, x fastest.
+def _with(queue, place, item, active):
+    """A list of tuples with another one in a place [index]."""
+    return [
+        tuple(dr.select(active & (place == i), *pair) for pair in zip(item, waiting, strict=True))
+        for i, waiting in enumerate(queue)
+    ]
 
-    Returns:
-        Entries of `children` [8**level] and the sides of their cells in cells of `level`.
-    """
-    cells = np.arange(1 << level)
-    z, y, x = np.meshgrid(cells, cells, cells, indexing="ij")
-    entry = np.zeros(x.shape, np.int32)
-    side = np.full(x.shape, 1 << level, np.int32)
-    open_ = np.ones(x.shape, bool)
-    for shift in reversed(range(level)):
-        octant = (x >> shift & 1) + 2 * (y >> shift & 1) + 4 * (z >> shift & 1)
-        entry = np.where(open_, children[entry.clip(0), octant], entry)
-        side = np.where(open_, 1 << shift, side)
-        open_ &= entry > 0
-    return entry.ravel(), side.ravel()
+
+def _leaf(entry):
+    """Index of the leaf that an entry of `wide_nodes` names."""
+    return mi.UInt32((entry & ~int(LEAF)) >> 4)

@@ -120,7 +120,7 @@ class LeafField:
         """L / L_max (mi.Color3f), T, and Phi where the linear law saturates (else 0)."""
         y = basis(*towards_viewer(direction), self.l_max)
 
-        def visit(state, leaf, start, length, active):
+        def shade(state, leaf, start, length, active):
             radiance, tau, through, last = state
             _, tau, after = self._cross(tau, leaf, length, active)
             weight = through - after
@@ -129,12 +129,10 @@ class LeafField:
             radiance = dr.select(lit, radiance + weight * emission, radiance)
             if self.law == "linear":
                 last = dr.select(lit & (after <= 0), emission, last)
-            return (radiance, tau, after, last), after > self._blocked
+            return radiance, tau, after, last
 
         state = (mi.Color3f(0), mi.Float(0), mi.Float(1), mi.Color3f(0))
-        radiance, _, through, last = self.octree.walk(
-            origin, direction, mi.Bool(True), visit, state
-        )
+        through, (radiance, _, _, last) = self._shade(origin, direction, shade, state)
         return radiance, through, last
 
     def scatter_gradients(
@@ -164,7 +162,7 @@ class LeafField:
         total, _, last = integrated
         quads = self.width // 4
 
-        def visit(state, leaf, start, length, active):
+        def shade(state, leaf, start, length, active):
             seen, tau, through = state
             depth, tau, after = self._cross(tau, leaf, length, active)
             weight = through - after
@@ -184,33 +182,27 @@ class LeafField:
             for quad in range(quads):
                 values = mi.Vector4f(*flat[4 * quad : 4 * quad + 4])
                 _add(coefficient_gradient, values, leaf * quads + quad, lit)
-            return (seen, tau, after), after > self._blocked
+            return seen, tau, after
 
-        state = (mi.Color3f(0), mi.Float(0), mi.Float(1))
-        self.octree.walk(origin, direction, mi.Bool(True), visit, state)
+        self._shade(origin, direction, shade, (mi.Color3f(0), mi.Float(0), mi.Float(1)))
         dr.eval(density_gradient, coefficient_gradient)
 
     def through(self, origin: Any, direction: Any) -> Any:
         """T of rays (mi.Float), alone."""
-
-        def visit(state, leaf, start, length, active):
-            _, tau, after = self._cross(state[0], leaf, length, active)
-            return (tau, after), after > self._blocked
-
-        state = (mi.Float(0), mi.Float(1))
-        return self.octree.walk(origin, direction, mi.Bool(True), visit, state)[1]
+        clear = mi.Float(0), mi.Float(1)
+        return self.octree.walk(origin, direction, mi.Bool(True), self._visit, clear)[1]
 
     def scatter_depth_gradient(
         self, origin: Any, direction: Any, d_depth: Any, density_gradient: Any
     ) -> None:
         """As `scatter_gradients` where the loss depends on the rays' optical depth alone."""
 
-        def visit(state, leaf, start, length, active):
-            depth, tau, after = self._cross(state[0], leaf, length, active)
+        def shade(state, leaf, start, length, active):
+            depth, _, _ = self._cross(state[0], leaf, length, active)
             _add(density_gradient, d_depth * depth, leaf, active)
-            return (tau,), after > self._blocked
+            return state
 
-        self.octree.walk(origin, direction, mi.Bool(True), visit, (mi.Float(0),))
+        self._shade(origin, direction, shade, (mi.Float(0),))
         dr.eval(density_gradient)
 
     def scatter_emission(
@@ -227,27 +219,39 @@ class LeafField:
         """
         y = basis(*towards_viewer(direction), self.l_max)
 
-        def visit(state, leaf, start, length, active):
+        def shade(state, leaf, start, length, active):
             _, tau, after = self._cross(state[0], leaf, length, active)
             emission = self._emission(leaf, y, active)
             shown = (state[1] - after) * emission
             for row, value in enumerate((light, share, share * (1 - emission))):
                 _add(sums, mi.Vector4f(*(shown * value), 0), 3 * leaf + row, active)
-            return (tau, after), after > self._blocked
+            return tau, after
 
-        self.octree.walk(origin, direction, mi.Bool(True), visit, (mi.Float(0), mi.Float(1)))
+        self._shade(origin, direction, shade, (mi.Float(0), mi.Float(1)))
         dr.eval(sums)
 
     def share_out(self, origin: Any, direction: Any, value: Any, total: Any) -> None:
         """Add a value (mi.Float) of each ray to `total` (mi.Float [M]) by the leaves' weights."""
 
-        def visit(state, leaf, start, length, active):
+        def shade(state, leaf, start, length, active):
             _, tau, after = self._cross(state[0], leaf, length, active)
             _add(total, (state[1] - after) * value, leaf, active)
-            return (tau, after), after > self._blocked
+            return tau, after
 
-        self.octree.walk(origin, direction, mi.Bool(True), visit, (mi.Float(0), mi.Float(1)))
+        self._shade(origin, direction, shade, (mi.Float(0), mi.Float(1)))
         dr.eval(total)
+
+    def _shade(self, origin, direction, shade, shaded):
+        """T of rays, and the last state of `shade`, see `Octree.walk_and_shade`."""
+        clear = mi.Float(0), mi.Float(1)
+        (_, through), shaded = self.octree.walk_and_shade(
+            origin, direction, mi.Bool(True), self._visit, clear, shade, shaded
+        )
+        return through, shaded
+
+    def _visit(self, state, leaf, start, length, active):
+        _, tau, through = self._cross(state[0], leaf, length, active)
+        return (tau, through), through > self._blocked
 
     def _cross(self, tau, leaf, length, active):
         """Optical depth of a leaf, and the ray's depth and transmittance after it."""

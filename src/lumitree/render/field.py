@@ -13,6 +13,8 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.asset.file import load
 from lumitree.asset.model import LuminaireAsset
@@ -23,6 +25,8 @@ from lumitree.core.transmittance import BLOCKED, transmittance
 from lumitree.render.light_boxes import LightBoxes
 
 Record = Callable[[Any, Any, Any], None]
+# Coefficients that are loaded at once: gathers of single halves take three times as long.
+_PACKET = 8
 _OPEN: "weakref.WeakValueDictionary[tuple[Any, ...], Field]" = weakref.WeakValueDictionary()
 
 
@@ -42,12 +46,15 @@ class Field:
         self, asset: LuminaireAsset, min_density: float = 0.0, max_opacity: float = 1.0
     ) -> None:
         self.asset = asset
-        self._min_density = min_density
         self._blocked = max(1.0 - max_opacity, 0.0 if asset.law == "linear" else BLOCKED)
-        self._octree = Octree(asset.children, asset.tree_depth, asset.half_extents)
+        children = asset.children
+        if min_density > 0:
+            thin = np.append(asset.density < min_density, False)
+            children = np.where((children < 0) & thin[~children.clip(max=-1)], 0, children)
+        self._octree = Octree(children, asset.tree_depth, asset.half_extents)
         # Device arrays cannot be empty: an asset without leaves gets one that nothing refers to.
         self._density = mi.Float(asset.density if asset.num_leaves else [0.0])
-        self._coefficients = mi.Float16(asset.coefficients.ravel() if asset.num_leaves else [0.0])
+        self._coefficients = mi.UInt32(_packets(asset))
         dr.eval(self._density, self._coefficients)
 
     @functools.cached_property
@@ -70,47 +77,77 @@ class Field:
         Returns:
             mi.Color3f, radiance units of the luminaire's scene; mi.Float in [0, 1].
         """
-        return self._integrate(origin, direction, mi.Bool(active), True, record)
+        y = basis(*towards_viewer(direction), self.asset.l_max)
+
+        def shade(state, leaf, start, length, active):
+            radiance, tau, through = state
+            tau, after = self._cross(tau, leaf, length, active)
+            weight = through - after
+            lit = active & (weight > 0)
+            emission = weight * self._leaf_emission(leaf, y, lit)
+            radiance = dr.select(lit, radiance + emission, radiance)
+            if record is not None:
+                record(start + length / 2, emission, lit)
+            return radiance, tau, after
+
+        clear = mi.Float(0), mi.Float(1)
+        (_, through), (radiance, _, _) = self._octree.walk_and_shade(
+            origin, direction, mi.Bool(active), self._visit, clear, shade, (mi.Color3f(0), *clear)
+        )
+        return radiance, through
 
     def transmittance(self, origin: Any, direction: Any, active: Any = True) -> Any:
         """Transmittance T (Eq. 4) alone; arguments as for `emission`."""
-        return self._integrate(origin, direction, mi.Bool(active), with_emission=False)[1]
+        state = (mi.Float(0), mi.Float(1))
+        walk = self._octree.walk
+        return walk(origin, direction, mi.Bool(active), self._visit, state)[1]
 
-    def _integrate(self, origin, direction, active, with_emission, record=None):
-        y = basis(*towards_viewer(direction), self.asset.l_max) if with_emission else []
+    def _visit(self, state, leaf, start, length, active):
+        tau, through = self._cross(state[0], leaf, length, active)
+        return (tau, through), through > self._blocked
 
-        def visit(state, leaf, start, length, active):
-            radiance, tau, through = state
-            density = dr.gather(mi.Float, self._density, leaf, active)
-            if self._min_density > 0:
-                density = dr.select(density < self._min_density, 0, density)
-            tau = tau + density * length
-            after = mi.Float(transmittance(tau, self.asset.law, dr))
-            if with_emission:
-                weight = through - after
-                lit = active & (weight > 0)
-                emission = weight * self._leaf_emission(leaf, y, lit)
-                radiance = dr.select(lit, radiance + emission, radiance)
-                if record is not None:
-                    record(start + length / 2, emission, lit)
-            return (radiance, tau, after), after > self._blocked
-
-        state = (mi.Color3f(0), mi.Float(0), mi.Float(1))
-        radiance, _, through = self._octree.walk(origin, direction, active, visit, state)
-        return radiance, through
+    def _cross(self, tau, leaf, length, active):
+        """Optical depth and transmittance after a leaf."""
+        density = dr.gather(mi.Float, self._density, leaf, active)
+        tau = tau + dr.select(active, density * length, 0)
+        return tau, mi.Float(transmittance(tau, self.asset.law, dr))
 
     def _leaf_emission(self, leaf, y, active):
         """Φ of Eq. 6 for leaves [index], with the basis values `y` of the ray."""
-        count = num_coefficients(self.asset.l_max)
+        count, packets = len(y), _width(self.asset.l_max) // _PACKET
+        flat = []
+        for packet in range(packets):
+            index = leaf * packets + packet
+            for pair in dr.gather(mi.Vector4u, self._coefficients, index, active):
+                flat += [_from_half(pair << 16), _from_half(pair)]
         channels = []
         for channel in range(3):
             total = mi.Float(0)
             for k in range(count):
-                index = leaf * (3 * count) + (channel * count + k)
-                value = dr.gather(mi.Float16, self._coefficients, index, active)
-                total = dr.fma(mi.Float(value), y[k], total)
+                total = dr.fma(flat[channel * count + k], y[k], total)
             channels.append(dr.rcp(1 + dr.exp(-total)))
         return self.asset.max_radiance * mi.Color3f(*channels)
+
+
+def _width(l_max: int) -> int:
+    """Coefficients of a leaf with their padding."""
+    return -(-3 * num_coefficients(l_max) // _PACKET) * _PACKET
+
+
+def _packets(asset: LuminaireAsset) -> NDArray[np.uint32]:
+    """Coefficients in pairs, each leaf's padded to whole packets."""
+    rows = np.zeros((max(asset.num_leaves, 1), _width(asset.l_max)), np.float16)
+    flat = asset.coefficients.reshape(-1, 3 * num_coefficients(asset.l_max))
+    rows[: len(flat), : flat.shape[1]] = flat
+    return rows.view(np.uint32).ravel()
+
+
+def _from_half(bits):
+    """Value (mi.Float) of the half-precision number in the upper 16 of 32 bits."""
+    # Sign; exponent and mantissa moved to their places; then the difference of the exponents'
+    # offsets. There are no infinities in an asset.
+    word = (bits & 0x80000000) | ((bits & 0x7FFF0000) >> 3)
+    return dr.reinterpret_array(mi.Float, word) * 2.0**112
 
 
 def open_field(
