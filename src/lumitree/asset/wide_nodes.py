@@ -36,7 +36,7 @@ def wide_nodes(children: NDArray[np.int32], tree_depth: int) -> list[NDArray[np.
         children: int32 [N, 8] as `LuminaireAsset` defines it.
         tree_depth: level of the smallest possible leaf.
     """
-    nodes, below, levels = np.zeros(1, np.int64), tree_depth, []
+    nodes, below, levels = np.zeros(1, np.int32), tree_depth, []
     for bits in wide_levels(tree_depth):
         below -= bits
         child, log_side = _descend(children, nodes, bits)
@@ -49,7 +49,7 @@ def wide_nodes(children: NDArray[np.int32], tree_depth: int) -> list[NDArray[np.
 
 
 def _descend(
-    children: NDArray[np.int32], nodes: NDArray[np.int64], bits: int
+    children: NDArray[np.int32], nodes: NDArray[np.int32], bits: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """What is `bits` levels below nodes [N], or where the descent ended: [N, z, y, x].
 
