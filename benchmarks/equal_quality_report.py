@@ -19,6 +19,7 @@ _HEADS = (
     "explicit: spp",
     "time",
     "speedup",
+    "lit",
     "measured",
     "robust",
     "bake's RMSE",
@@ -42,6 +43,7 @@ def table(rows: list[dict]) -> str:
             _number(at["explicit_spp"]),
             _seconds(at["explicit_seconds"]),
             _times(at["speedup"], at["speedup_error"]),
+            _times(row["speedup_lit"], row["speedup_lit_error"]),
             _reading(at, "measured"),
             _reading(at, "robust"),
             f"{bake['rmse']:.2g} (MSE {bake['mse']:.2g} ± {bake['mse_error']:.1g})",
@@ -52,16 +54,21 @@ def table(rows: list[dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def level_table(rows: list[dict]) -> str:
-    """Markdown; the expected RMSE of the baked lamp's rungs, and the speed-up at each."""
-    counts = sorted({level["baked_spp"] for row in rows for level in row["levels"]})
+def level_table(rows: list[dict], part: str | None = None) -> str:
+    """Markdown; the expected RMSE of the baked lamp's rungs, and the speed-up at each.
+
+    Args:
+        part: which part of the picture, a key of `rows`; None for all of it.
+    """
+    by_pair = [(row if part is None else row[part])["levels"] for row in rows]
+    counts = sorted({level["baked_spp"] for levels in by_pair for level in levels})
     lines = [
         "| luminaire | room | " + " | ".join(f"{count} spp" for count in counts) + " |",
         "|---|---" + "|---:" * len(counts) + "|",
     ]
-    for row in rows:
-        levels = {level["baked_spp"]: level for level in row["levels"]}
-        cells = [_level(levels.get(count)) for count in counts]
+    for row, levels in zip(rows, by_pair, strict=True):
+        known = {level["baked_spp"]: level for level in levels}
+        cells = [_level(known.get(count)) for count in counts]
         lines.append("| " + " | ".join([row["luminaire"], row["room"], *cells]) + " |")
     return "\n".join(lines) + "\n"
 

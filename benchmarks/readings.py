@@ -101,6 +101,26 @@ def levels(
     The level of `speedup` is the expected RMSE of the rung, with the bake's error in it. It is None
     where that lies below the reference's own error, and so are the other readings.
     """
+    both = explicit_efficiency, baked_efficiency
+    rows = expected_levels(explicit, baked, *both, reference.own.value)
+    for row, rung in zip(rows, baked, strict=True):
+        row |= _measured(rung, explicit, "rmse", reference.own.value**0.5, "measured")
+        row |= _measured(rung, explicit, "trimmed_rel_mse", reference.own_trimmed, "robust")
+    return rows
+
+
+def expected_levels(
+    explicit: list[dict],
+    baked: list[dict],
+    explicit_efficiency: Efficiency,
+    baked_efficiency: Efficiency,
+    floor: float,
+) -> list[dict]:
+    """What `levels` says of expected errors, from the efficiencies and the rungs' times alone.
+
+    Args:
+        floor: mean squared error of the reference; nothing is compared below it.
+    """
     top = baked[-1]
     variance = baked_efficiency.variance_seconds.value * top["spp"] / top["seconds"]
     rows = []
@@ -115,15 +135,13 @@ def levels(
             "speedup": None,
             "speedup_error": None,
         }
-        if expected**2 > reference.own.value:
+        if expected**2 > floor:
             seconds = explicit_efficiency.variance_seconds * (1 / expected**2)
             per_sample = explicit[-1]["seconds"] / explicit[-1]["spp"]
             row["explicit_seconds"] = seconds.value
             row["explicit_spp"] = seconds.value / per_sample
             row["speedup"] = seconds.value / rung["seconds"]
             row["speedup_error"] = seconds.error / rung["seconds"]
-        row |= _measured(rung, explicit, "rmse", reference.own.value**0.5, "measured")
-        row |= _measured(rung, explicit, "trimmed_rel_mse", reference.own_trimmed, "robust")
         rows.append(row)
     return rows
 
