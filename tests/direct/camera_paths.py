@@ -17,7 +17,8 @@ def trace_with_stops(rays, count, batch):
     Returns:
         Radiance [N, 3], stops [N, 3] in the local frame, whether there is one [N], and directions
         [N, 3]. A stop is the first event that does not transmit or, where the chain has bent by
-        more than 15° until there, the first surface.
+        more than 15° until there, by a coin the first surface or what is abreast of the last place,
+    if that is further along and within the box.
     """
     origin, direction = rays.lines(count, batch)
     sampler = mi.load_dict({"type": "independent"})
@@ -36,6 +37,7 @@ def follow(scene, sampler, ray):
     straight = mi.Vector3f(ray.d)
     throughput, radiance = mi.Color3f(1), mi.Color3f(0)
     stop, first = dr.zeros(mi.Point3f), dr.zeros(mi.Point3f)
+    coin, box = sampler.next_1d() < 0.5, scene.bbox()
     stopped, active = mi.Bool(False), mi.Bool(True)
     events = mi.UInt32(0)
     while active:
@@ -51,7 +53,12 @@ def follow(scene, sampler, ray):
         throughput[hits] = throughput * weight
         transmits = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Transmission)
         ends = hits & ~stopped & ~(transmits & (dr.max(throughput) > 0))
-        stop = dr.select(leaves | (ends & bent), first, dr.select(ends, si.p, stop))
+        last = dr.select(ends, si.p, ray.o)
+        moved = first + straight * dr.dot(last - first, straight)
+        further = dr.dot(last - first, straight) > 0
+        fits = coin & further & dr.all((moved >= box.min) & (moved <= box.max))
+        somewhere = dr.select(fits, moved, first)
+        stop = dr.select(leaves | (ends & bent), somewhere, dr.select(ends, si.p, stop))
         stopped |= ends | leaves
         ray = dr.select(hits, si.spawn_ray(si.to_world(sample.wo)), ray)
         events += 1

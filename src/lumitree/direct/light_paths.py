@@ -154,5 +154,25 @@ def _trace(scene, sampler, path_depth):
         flux[active] = flux / survival
 
     bent = dr.dot(ray.d, start_direction) < COSINE_OF_CONE
-    stop = dr.select(bent, ray.o, start)
+    seen = mi.Ray3f(ray.o, -ray.d)
+    at_once = sampler.next_1d() < 0.5
+    stop = dr.select(bent, bent_stop(scene.bbox(), seen, ray.o, start, at_once), start)
     return ray.o, ray.d, flux, stop, leaves & ~smooth
+
+
+def bent_stop(box: Any, line: Any, first: Any, last: Any, at_once: Any) -> Any:
+    """Where a line counts as stopped whose path is bent at `first` and ends at `last`.
+
+    As often as not abreast of where it ends: what is seen through thick glass seems to be about
+    there, and so it is found by lines of other directions too. Only on the glass itself a few
+    harmonics would have to show its image.
+
+    Args:
+        box: mi.BoundingBox3f of the luminaire; what lies abreast outside it counts as at `first`.
+        line: mi.Ray3f.
+        at_once: mi.Bool, a fair coin: at `first`.
+    """
+    along = dr.dot(last - first, line.d)
+    abreast = first + along * line.d
+    inside = dr.all((abreast >= box.min) & (abreast <= box.max))
+    return dr.select(at_once | (along <= 0) | ~inside, first, abreast)

@@ -22,7 +22,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.direct.light_paths import LightPaths, trace_light
+from lumitree.direct.light_paths import LightPaths, bent_stop, trace_light
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.luminaires.straight_through import (
     COSINE_OF_CONE,
@@ -336,6 +336,8 @@ class TracedRays:
         smooth = mi.Bool(True)
         medium = dr.zeros(mi.MediumPtr)
         crossings = mi.UInt32(0)
+        line = mi.Ray3f(ray)
+        at_once = sampler.next_1d() < 0.5
         active = mi.Bool(True)
         while active:
             si = scene.ray_intersect(ray, active)
@@ -365,13 +367,14 @@ class TracedRays:
             ends = collides | (hits & (~transmits | (dr.max(throughput) <= 0)))
             bent = dr.dot(ray.d, straight) < COSINE_OF_CONE
             place = dr.select(collides, ray(dr.select(collides, flight, 0)), si.p)
-            stop = dr.select(ends, dr.select(bent, first, place), stop)
+            abreast = bent_stop(scene.bbox(), line, first, place, at_once)
+            stop = dr.select(ends, dr.select(bent, abreast, place), stop)
             stopped |= ends
 
             leaves = active & ~collides & ~si.is_valid()
-            # What leaves in another direction was stopped where it was first bent.
+            # What leaves in another direction was stopped on its way.
             missed = leaves & bent & (crossings > 0)
-            stop = dr.select(missed, first, stop)
+            stop = dr.select(missed, bent_stop(scene.bbox(), line, first, ray.o, at_once), stop)
             stopped |= missed
 
             medium = dr.select(
