@@ -388,9 +388,30 @@ def _add_bake(commands: Any) -> None:
     _add_variant(parser)
 
 
+# Options of `bake` that only one method knows, with their defaults.
+_DIRECT_ONLY = {
+    "quality": "standard",
+    "time": None,
+    "rays": None,
+    "seed": 0,
+    "l_max": None,
+    "law": None,
+}
+_NERF_ONLY = {"preset": "preview"}
+
+
+def _refuse_unused(args: argparse.Namespace) -> None:
+    unused = _NERF_ONLY if args.method == "direct" else _DIRECT_ONLY
+    given = [name for name, default in unused.items() if getattr(args, name) != default]
+    if given:
+        names = ", ".join("--" + name.replace("_", "-") for name in given)
+        raise LumitreeError(f"{names}: unknown to --method {args.method}; leave it out")
+
+
 def _bake(args: argparse.Namespace) -> Report:
     from lumitree import pipeline
 
+    _refuse_unused(args)
     source = _source(args, args.luminaire)
     common = {"tree_depth": args.depth, "work": args.work, "variant": args.variant}
     if args.method == "nerf":
