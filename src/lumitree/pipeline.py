@@ -489,9 +489,10 @@ def evaluate(
             dataset = Dataset.open(folder)
         with watch.stage("evaluate"):
             result = evaluate_views(asset, dataset)
-            write_sheet(sheet, result.rows, asset.max_radiance, f"{asset.luminaire}, {path}")
+            write_sheet(sheet, result.rows, result.max_radiance, f"{asset.luminaire}, {path}")
     return {
         "metrics": result.metrics,
+        "max_radiance": result.max_radiance,
         "views": result.views,
         "seconds": watch.seconds,
         "asset": describe_asset(asset, path),

@@ -42,7 +42,7 @@ def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     assert result.seconds > 0
     asset = result.asset
     assert (asset.tree_depth, asset.l_max, asset.law) == (4, 1, law)
-    assert asset.max_radiance == pytest.approx(3)
+    assert asset.max_radiance == pytest.approx(2 * 3, rel=0.1)
     assert np.array_equal(asset.world_from_proxy, ball.world_from_proxy)
 
     lines = TracedRays(ball, 1 / 64, seed=77)
@@ -51,10 +51,9 @@ def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     traced = np.array(lines.trace(origin, direction, 1, 1)[0])
     flux, expected = (lines.measure * values.mean(axis=1) for values in (radiance, traced))
     assert expected == pytest.approx(KNOWN, rel=0.015)
-    # Cells of an eighth of the radius: a few percent of the light goes astray at the rim.
-    assert flux[1:] == pytest.approx(expected[1:], rel=0.03)
-    # Red is L_max everywhere: what the rim lacks, brighter leaves cannot make up for.
-    assert 0.9 * expected[0] < flux[0] < 1.03 * expected[0]
+    # Cells of an eighth of the radius: some of a channel's light may go astray, but not of all.
+    assert flux == pytest.approx(expected, rel=0.02)
+    assert flux.sum() == pytest.approx(expected.sum(), rel=0.005)
 
 
 def test_score_is_that_of_the_asset_even_where_descent_makes_it_worse(ball, tmp_path):
@@ -109,7 +108,8 @@ def test_interrupted_bake_continues(ball, tmp_path, monkeypatch):
     assert steps == list(range(1, len(steps) + 1))
     assert second.rays >= RAYS
     assert second.seconds > first.seconds
-    assert second.asset.max_radiance == first.asset.max_radiance
+    # But for the last correction, which is of either's own field.
+    assert second.asset.max_radiance == pytest.approx(first.asset.max_radiance, rel=0.02)
     # As if it had never been interrupted.
     monkeypatch.undo()
     whole = bake(ball, config(), tmp_path / "whole")

@@ -125,6 +125,17 @@ def score(mi, truth, field):
 
 
 @pytest.mark.parametrize("split", [False, True])
+def test_light_left_over_is_what_l_max_lacks(mi, split):
+    """Of a field that shows the truth, where L_max is stated too small."""
+    from lumitree.direct.balance import light_left_over
+
+    truth, _ = truth_and_start("exponential")
+    rays = FieldRays(mi, truth, split=split)
+    assert light_left_over(truth, rays, 1.0, 0) == pytest.approx(1, rel=0.01)
+    assert light_left_over(truth, rays, 0.8, 0) == pytest.approx(1.25, rel=0.01)
+
+
+@pytest.mark.parametrize("split", [False, True])
 @pytest.mark.parametrize("law", ["linear", "exponential"])
 def test_a_wrong_start_becomes_the_truth(mi, law, split):
     truth, start = truth_and_start(law)

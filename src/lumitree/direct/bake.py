@@ -19,7 +19,7 @@ from lumitree.core.harmonics import MAX_L, Y_00, num_coefficients
 from lumitree.core.interrupt import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.core.transmittance import LAWS, Law
-from lumitree.direct.balance import balance
+from lumitree.direct.balance import BALANCE_ROUNDS, balance, light_left_over
 from lumitree.direct.estimate import estimate, grow
 from lumitree.direct.field import LeafField
 from lumitree.direct.heldout import HeldOut, Score
@@ -100,6 +100,9 @@ class DirectResult:
     interrupted: bool
 
 
+# The sigmoid's end over the largest radiance seen: a thin filament must outshine its pixel, in
+# a leaf that hides only part of it.
+_HEADROOM = 2.0
 # What `--quality` names: minutes on two CPU cores.
 QUALITIES: dict[str, DirectConfig] = {
     "preview": DirectConfig(tree_depth=7, estimate_lines=1 << 22, seconds=60.0),
@@ -128,7 +131,8 @@ def bake(luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResu
                 f"{luminaire.name} sends no light out of its bounding box; a luminaire needs an "
                 "emitter that can be seen from outside"
             )
-        return _first_field(source, config, max_radiance), max_radiance
+        largest = _HEADROOM * max_radiance
+        return _first_field(source, config, largest), largest
 
     return _run(source, config, folder, "bake", start)
 
@@ -151,7 +155,8 @@ def bake_stored(dataset: Dataset, config: DirectConfig, folder: Path) -> DirectR
         coefficients[:, :, 0] = math.log(_HULL_RADIANCE / (1 - _HULL_RADIANCE)) / Y_00
         density = np.full(len(cells), _HULL_OPTICAL_DEPTH * (1 << level) / 2)
         levels = np.full(len(cells), level)
-        return _field(config, source, cells, levels, density, coefficients), source.max_radiance()
+        field = _field(config, source, cells, levels, density, coefficients)
+        return field, _HEADROOM * source.max_radiance()
 
     return _run(source, config, folder, "bake", start)
 
@@ -222,10 +227,12 @@ def _run(
     if saved is not None:
         loop.keep_better(field.with_leaves(*(saved[f"best_{name}"] for name in _LEAVES)))
     interrupted = loop.run(f"{verb} {source.subject.name}")
-    # The descent leaves what is small and bright a few percent too bright.
+    # The descent leaves what is small and bright a few percent too bright; and what the sigmoid has
+    # no room for is made up by the rest.
     balance(loop.best, source, max_radiance, refiner.step, _LAST_BALANCE_LEVEL)
-    score = held_out.score(loop.best)
-    asset = make_asset(loop.best, source.subject, max_radiance)
+    factor = light_left_over(loop.best, source, max_radiance, refiner.step + BALANCE_ROUNDS)
+    score = held_out.rescaled(factor).score(loop.best)
+    asset = make_asset(loop.best, source.subject, factor * max_radiance)
     return DirectResult(asset, score, clock.rays, clock.seconds, interrupted)
 
 

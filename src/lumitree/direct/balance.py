@@ -23,7 +23,7 @@ from lumitree.core.harmonics import Y_00
 from lumitree.direct.field import LeafField
 from lumitree.direct.rays import BALANCE_BATCH, RaySource
 
-_ROUNDS, _LINES = 4, 1 << 18
+BALANCE_ROUNDS, _LINES = 4, 1 << 18
 # The prior of a cell's ratio is as good as this many paths that agree with the field.
 _PRIOR_PATHS = 8.0
 _COARSEST_LEVEL = 3
@@ -46,7 +46,7 @@ def balance(
     """
     levels = range(_COARSEST_LEVEL, min(finest_level, field.tree_depth) + 1)
     parents = [_parents(field, level) for level in levels]
-    for step in range(_ROUNDS):
+    for step in range(BALANCE_ROUNDS):
         sums, path = _light(field, source, max_radiance, BALANCE_BATCH + batch + step)
         ascribed, given, slope = sums
         factor = np.ones_like(given)
@@ -60,6 +60,21 @@ def balance(
         coefficients = field.coefficient_array()
         coefficients[:, :, 0] += shift.clip(-_LARGEST_SHIFT, _LARGEST_SHIFT) / Y_00
         field.set_coefficients(coefficients)
+
+
+def light_left_over(field: LeafField, source: RaySource, max_radiance: float, batch: int) -> float:
+    """All light of the source over all that the field gives, along the lines that meet it.
+
+    Args:
+        batch: as for `balance`.
+    """
+    seen, given = 0.0, 0.0
+    for step in range(BALANCE_ROUNDS):
+        rays = source.draw(_LINES, BALANCE_BATCH + batch + step, field.meets)
+        radiance, _, _ = field.integrate(rays.origin, rays.direction)
+        seen += float(dr.sum(rays.light, axis=None)[0]) / max_radiance
+        given += float(dr.sum(rays.share * radiance, axis=None)[0])
+    return seen / given
 
 
 def _light(

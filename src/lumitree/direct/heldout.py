@@ -45,6 +45,11 @@ class HeldOut:
         a, b = (dr.minimum(value * scale, 1) for value in (pairs.first, pairs.second))
         return HeldOut(pairs.origin, pairs.direction, a, b)
 
+    def rescaled(self, factor: float) -> "HeldOut":
+        """The same for an L_max that is `factor` times as large."""
+        scale = 1 / factor
+        return HeldOut(self.origin, self.direction, self.first * scale, self.second * scale)
+
     def score(self, field: LeafField) -> Score:
         """PSNR of a field on these lines."""
         radiance, _, _ = field.integrate(self.origin, self.direction)

@@ -15,8 +15,13 @@ from lumitree.render.field import Field
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
-    """Means over views, each view's own metrics, and what a contact sheet shows."""
+    """Means over views, each view's own metrics, and what a contact sheet shows.
 
+    Attributes:
+        max_radiance: L_max of the views compared with.
+    """
+
+    max_radiance: float
     metrics: dict[str, float]
     views: list[dict[str, Any]]
     rows: list[SheetRow]
@@ -29,7 +34,7 @@ def evaluate_views(asset: LuminaireAsset, dataset: Dataset) -> Evaluation:
     with (D7).
 
     Raises:
-        LumitreeError: the dataset shows a luminaire of other proportions.
+        LumitreeError: the dataset shows a luminaire of other proportions, or nothing.
     """
     manifest = dataset.manifest
     if any(
@@ -41,12 +46,14 @@ def evaluate_views(asset: LuminaireAsset, dataset: Dataset) -> Evaluation:
             "bounding boxes of different proportions; evaluate an asset on its own luminaire"
         )
     field = Field(asset)
+    # Of the views, so that assets with other bounds are compared on one scale.
+    max_radiance = dataset.max_radiance(dataset.views())
     views, rows = [], []
     with progress("evaluate", len(manifest.frames)) as advance:
         for view in dataset.views():
             radiance, opacity = baked_view(field, manifest, view.frame)
             metrics = view_metrics(
-                radiance, view.radiance, opacity, view.straight_through, asset.max_radiance
+                radiance, view.radiance, opacity, view.straight_through, max_radiance
             )
             views.append({"halton_index": view.frame.halton_index, **metrics})
             name = f"view {view.frame.halton_index}"
@@ -56,4 +63,4 @@ def evaluate_views(asset: LuminaireAsset, dataset: Dataset) -> Evaluation:
             advance(1)
     metrics = mean_metrics([row.metrics for row in rows])
     metrics["flux_error"] = flux_error([row.baked for row in rows], [row.reference for row in rows])
-    return Evaluation(metrics, views, rows[:MAX_ROWS])
+    return Evaluation(max_radiance, metrics, views, rows[:MAX_ROWS])
