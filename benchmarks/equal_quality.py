@@ -18,9 +18,9 @@ again spends its time on making the long runs longer. Readings (one row a pair):
   Its RMSE and the explicit lamp's time are expected values: the mean squared error is variance /
   samples (+ the bake's error), with the variance of the long runs. Where rare samples are very
   bright, most pictures look better than they are on average, so this is the sound reading;
-* lit: the same over the pixels that do not show the lamp itself. A camera sees a lamp through its
-  glass without noise, whoever renders it, and its filaments are a thousand times brighter than the
-  room, so that they decide an RMSE of the whole picture. What a lamp is for is the rest;
+* lit: the same over the pixels that do not show the lamp itself. Camera paths find what shines
+  in a lamp with little noise, whoever renders it, and filaments are a thousand times brighter than
+  the room, so that they decide an RMSE of the whole picture. What a lamp is for is the rest;
 * measured: the same by the ladders' RMSE alone, marked ~ where it lies beyond the last rung;
 * robust: the time for equal relMSE without the 0.1 % of the pixels with the largest errors, from
   the ladders as well.
@@ -133,7 +133,7 @@ class Method:
         return Efficiency(variance * per_sample, bias)
 
     def shows_lamp(self) -> Any:
-        """Pixels [H, W] in which a baked lamp is seen directly, or that are next to one."""
+        """Pixels [H, W] in which an emitter, as a baked lamp, is seen directly, or next to one."""
         emitted = self._render(SEEN_SAMPLES, 0, max_depth=1).max(axis=2)
         return binary_dilation(emitted > 0, iterations=2)
 

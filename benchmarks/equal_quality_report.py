@@ -43,7 +43,7 @@ def table(rows: list[dict]) -> str:
             _number(at["explicit_spp"]),
             _seconds(at["explicit_seconds"]),
             _times(at["speedup"], at["speedup_error"]),
-            _times(row["speedup_lit"], row["speedup_lit_error"]),
+            _times(row["speedup_lit"], row["speedup_lit_error"]) if "lit" in row else "",
             _reading(at, "measured"),
             _reading(at, "robust"),
             f"{bake['rmse']:.2g} (MSE {bake['mse']:.2g} ± {bake['mse_error']:.1g})",
@@ -60,6 +60,7 @@ def level_table(rows: list[dict], part: str | None = None) -> str:
     Args:
         part: which part of the picture, a key of `rows`; None for all of it.
     """
+    rows = [row for row in rows if part is None or part in row]
     by_pair = [(row if part is None else row[part])["levels"] for row in rows]
     counts = sorted({level["baked_spp"] for levels in by_pair for level in levels})
     lines = [

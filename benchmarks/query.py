@@ -7,8 +7,8 @@ keep them. In one run, interleaved, medians:
 * area light: what Mitsuba does for the same rays where the lamp is a plain emissive cube, one
   intersection and one constant emission: the baseline;
 * transmittance, emission: the queries;
-* loads alone: as many loads of random entries and leaves as an emission query makes, without any
-  walk between them: a bound that no walk over this table can beat.
+* loads alone: about as many loads as an emission query makes, of random entries and leaves, without
+  any walk between them: a yardstick.
 
 Then the paper's thresholds, on the asset itself: their time and their error. `--write` puts
 `query.md` and `query.json` into benchmarks/results/.
@@ -75,9 +75,10 @@ def measure(jobs: dict[str, Callable[[], Any]]) -> dict[str, float]:
     times: dict[str, list[float]] = {name: [] for name in jobs}
     for _ in range(ROUNDS + 1):
         for name, job in jobs.items():
+            result = job()
             dr.sync_thread()
             start = time.perf_counter()
-            dr.eval(job())
+            dr.eval(result)
             dr.sync_thread()
             times[name].append((time.perf_counter() - start) / NUM_RAYS * 1e9)
     return {name: statistics.median(values[1:]) for name, values in times.items()}
@@ -88,14 +89,14 @@ def visits(field: Any, origin: Any, direction: Any) -> tuple[float, float]:
     import drjit as dr
     import mitsuba as mi
 
-    octree, counts = field._octree, dr.zeros(mi.Float, 2)
+    octree, counts = field._octree, dr.zeros(mi.UInt32, 2)
     step = octree._step
 
     def counted(ray, t, cell, active):
         found = step(ray, t, cell, active)
-        dr.scatter_reduce(dr.ReduceOp.Add, counts, mi.Float(1), mi.UInt32(0), active)
+        dr.scatter_reduce(dr.ReduceOp.Add, counts, mi.UInt32(1), mi.UInt32(0), active)
         leaf = active & (found[0] > 0)
-        dr.scatter_reduce(dr.ReduceOp.Add, counts, mi.Float(1), mi.UInt32(1), leaf)
+        dr.scatter_reduce(dr.ReduceOp.Add, counts, mi.UInt32(1), mi.UInt32(1), leaf)
         return found
 
     octree._step = counted
@@ -241,7 +242,7 @@ def table(report: dict) -> str:
         "max_opacity",
         "emission, ns",
         "light kept",
-        "RMSE / L_max",
+        "RMSE / asset's L_max",
         "opacity RMSE",
     ]
     lines += ["", "| " + " | ".join(heads) + " |", "|---:" * len(heads) + "|"]

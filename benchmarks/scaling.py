@@ -3,7 +3,7 @@
     python benchmarks/scaling.py bulbs --references FOLDER [--time 45] [--depth 7] [--l-max 2]
 
 Bakes the luminaire once with every value of one setting while the others stay as given, evaluates
-on the views in FOLDER/NAME (or on some captured with few samples), and writes `scaling.json` and
+on the views in FOLDER/NAME (see `lumitree capture --split test`), and writes `scaling.json` and
 `scaling.png` into benchmarks/results/. The bakes by depth are shown by their leaves as well.
 """
 
@@ -17,7 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from lumitree import pipeline
-from lumitree.core.dataset import MANIFEST
+from lumitree.asset.model import MAX_TREE_DEPTH
 from lumitree.core.files import atomic_path, write_json
 from setting import setting
 
@@ -26,20 +26,20 @@ TIMES = (0.5, 1.0, 2.0, 4.0)  # times the budget
 DEPTHS = (-2, -1, 0, 1)  # more than the given one
 L_MAX = (0, 1, 2, 3, 4)
 PANELS = {
-    "rays": "rays",
+    "rays": "rays of the refinement",
     "depth": "octree levels",
     "l_max": "highest harmonics",
     "leaves": "leaves",
 }
 
 
-def measure(name: str, target: str, folder: Path, **how: Any) -> dict:
+def measure(name: str, views: str, folder: Path, **how: Any) -> dict:
     """One bake and what it is worth."""
     asset = str(folder / "lamp.lumitree")
     Path(asset).unlink(missing_ok=True)
     baked = pipeline.bake(name, asset, quality="preview", **how)
     sheet = str(folder / "sheet.png")
-    metrics = pipeline.evaluate(asset, target, sheet=sheet, num_views=4)["metrics"]
+    metrics = pipeline.evaluate(asset, views, sheet=sheet)["metrics"]
     return {
         "seconds": sum(baked["seconds"].values()),
         "rays": baked["rays"],
@@ -72,7 +72,10 @@ def draw(report: dict, path: Path) -> None:
         axis.legend(loc="lower right", fontsize=8)
         other.legend(loc="center right", fontsize=8)
     setting = report["setting"]
-    figure.suptitle(f"{setting['luminaire']}, bakes of {setting['seconds']:g} s and more")
+    figure.suptitle(
+        f"{setting['luminaire']}; where not varied: {setting['seconds']:g} s, depth "
+        f"{setting['tree_depth']}, l_max {setting['l_max']}"
+    )
     FigureCanvasAgg(figure)
     with atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=80, format="png")
@@ -81,20 +84,23 @@ def draw(report: dict, path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("luminaire", metavar="NAME")
-    parser.add_argument("--references", metavar="FOLDER", type=Path)
-    parser.add_argument("--time", type=float, metavar="S", default=45)
+    parser.add_argument("--references", metavar="FOLDER", type=Path, required=True)
+    parser.add_argument("--time", type=float, metavar="S", default=45.0)
     parser.add_argument("--depth", type=int, metavar="D", default=7)
     parser.add_argument("--l-max", type=int, metavar="L", default=2)
     args = parser.parse_args()
-    views = args.references / args.luminaire if args.references else Path()
-    target = str(views) if (views / MANIFEST).is_file() else args.luminaire
+    views = str(args.references / args.luminaire)
     given = {"seconds": args.time, "tree_depth": args.depth, "l_max": args.l_max}
     runs = {
         "rays": [{"seconds": factor * args.time} for factor in TIMES],
-        "depth": [{"tree_depth": args.depth + more} for more in DEPTHS],
+        "depth": [
+            {"tree_depth": args.depth + more}
+            for more in DEPTHS
+            if 1 <= args.depth + more <= MAX_TREE_DEPTH
+        ],
         "l_max": [{"l_max": l_max} for l_max in L_MAX],
     }
-    facts = setting(luminaire=args.luminaire, stored_views=target != args.luminaire, **given)
+    facts = setting(luminaire=args.luminaire, **given)
     report: dict = {"setting": facts, **{key: [] for key in runs}}
     known: dict[str, dict] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -103,7 +109,7 @@ def main() -> None:
                 how = given | change
                 text = json.dumps(how)
                 if text not in known:
-                    known[text] = measure(args.luminaire, target, Path(folder), **how)
+                    known[text] = measure(args.luminaire, views, Path(folder), **how)
                 report[key].append(known[text])
                 print(key, change, {k: report[key][-1][k] for k in ("gain_linear", "gain_mulaw")})
                 write_json(RESULTS / "scaling.json", report)

@@ -365,8 +365,7 @@ def _add_bake(commands: Any) -> None:
     parser.add_argument(
         "--quality",
         choices=("preview", "standard", "high"),
-        default="standard",
-        help="of direct, on 2 CPU cores: 1 minute and depth 7, 5 and 8, or 30 and 10",
+        help="of direct, on 2 CPU cores: 1 minute and depth 7, 5 and 8 (standard), or 30 and 10",
     )
     _add_budget(parser)
     _add_preset(parser)
@@ -384,25 +383,20 @@ def _add_bake(commands: Any) -> None:
         choices=("linear", "exponential"),
         help="transmittance law of direct (default: exponential)",
     )
+    # So that what is given can be told from what is not.
+    parser.set_defaults(preset=None, seed=None)
     _add_work(parser)
     _add_variant(parser)
 
 
-# Options of `bake` that only one method knows, with their defaults.
-_DIRECT_ONLY = {
-    "quality": "standard",
-    "time": None,
-    "rays": None,
-    "seed": 0,
-    "l_max": None,
-    "law": None,
-}
-_NERF_ONLY = {"preset": "preview"}
+# Options of `bake` that the other method does not know.
+_DIRECT_ONLY = ("quality", "time", "rays", "seed", "l_max", "law")
+_NERF_ONLY = ("preset",)
 
 
 def _refuse_unused(args: argparse.Namespace) -> None:
     unused = _NERF_ONLY if args.method == "direct" else _DIRECT_ONLY
-    given = [name for name, default in unused.items() if getattr(args, name) != default]
+    given = [name for name in unused if getattr(args, name) is not None]
     if given:
         names = ", ".join("--" + name.replace("_", "-") for name in given)
         raise LumitreeError(f"{names}: unknown to --method {args.method}; leave it out")
@@ -415,16 +409,17 @@ def _bake(args: argparse.Namespace) -> Report:
     source = _source(args, args.luminaire)
     common = {"tree_depth": args.depth, "work": args.work, "variant": args.variant}
     if args.method == "nerf":
-        return pipeline.bake_network(source, args.output, preset=args.preset, **common)
+        preset = args.preset or "preview"
+        return pipeline.bake_network(source, args.output, preset=preset, **common)
     return pipeline.bake(
         source,
         args.output,
-        quality=args.quality,
+        quality=args.quality or "standard",
         seconds=args.time,
         rays=args.rays,
         l_max=args.l_max,
         law=args.law,
-        seed=args.seed,
+        seed=args.seed or 0,
         **common,
     )
 

@@ -36,7 +36,7 @@ def look_up(levels, bits, depth, cell):
     return entry, below
 
 
-@pytest.mark.parametrize("depth", [3, 6, 7])
+@pytest.mark.parametrize("depth", [1, 2, 3, 6, 7])
 def test_every_cell_names_its_leaf_or_an_empty_cube(depth):
     asset = random_asset(5, tree_depth=depth)
     grid = leaf_grid(asset)
@@ -59,7 +59,7 @@ def test_every_cell_names_its_leaf_or_an_empty_cube(depth):
             side = 1 + (entry >> 3 * octant & 7)
             expected = largest_empty_cube(cells, (cell >> below) % node_side, octant)
             assert side == min(expected, 8)
-    assert empties > 20
+    assert empties > 0
 
 
 def grid_of_node(grid, cell, below, bits, depth):

@@ -18,7 +18,7 @@ def trace_with_stops(rays, count, batch):
         Radiance [N, 3], stops [N, 3] in the local frame, whether there is one [N], and directions
         [N, 3]. A stop is the first event that does not transmit or, where the chain has bent by
         more than 15° until there, by a coin the first surface or what is abreast of the last place,
-    if that is further along and within the box.
+        if that is further along and within the box.
     """
     origin, direction = rays.lines(count, batch)
     sampler = mi.load_dict({"type": "independent"})

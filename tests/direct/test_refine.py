@@ -133,6 +133,16 @@ def test_light_left_over_is_what_l_max_lacks(mi, split):
     rays = FieldRays(mi, truth, split=split)
     assert light_left_over(truth, rays, 1.0, 0) == pytest.approx(1, rel=0.01)
     assert light_left_over(truth, rays, 0.8, 0) == pytest.approx(1.25, rel=0.01)
+    # Light that meets no leaf is left over too.
+    half = truth.cells[:, 0] < (1 << truth.levels) // 2
+    density = np.array(truth.log_density)[half]
+    coefficients = truth.coefficient_array()[half]
+    part = truth.with_leaves(truth.cells[half], truth.levels[half], density, coefficients)
+    origin, direction = random_lines(mi, 1 << 16, 9)
+    whole, halved = (
+        float(np.array(f.integrate(origin, direction)[0]).sum()) for f in (truth, part)
+    )
+    assert light_left_over(part, rays, 1.0, 0) == pytest.approx(whole / halved, rel=0.02)
 
 
 @pytest.mark.parametrize("split", [False, True])

@@ -53,11 +53,11 @@ def test_random_rays(mi, seed, law, l_max, thin):
     )
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_random_rays_through_a_deep_tree(mi, seed):
+@pytest.mark.parametrize(("seed", "depth"), [(0, 7), (1, 7), (2, 9)])
+def test_random_rays_through_a_deep_tree(mi, seed, depth):
     # More levels than one wide node has, and more leaves a ray than are put off together.
     random = np.random.default_rng(seed)
-    asset = random_asset(seed, tree_depth=7, density_scale=0.5, law="exponential")
+    asset = random_asset(seed, tree_depth=depth, density_scale=0.5, law="exponential")
     directions = random.normal(size=(24, 3)).astype(np.float32)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     origins = (random.uniform(-0.9, 0.9, (24, 3)) - 3 * directions).astype(np.float32)

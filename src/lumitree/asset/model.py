@@ -34,7 +34,7 @@ class LuminaireAsset:
         tree_depth: level of the smallest possible leaf, whose side is 2 / 2**tree_depth.
         l_max: highest spherical-harmonics band, 0 to 4.
         law: transmittance law the field was made for.
-        max_radiance: L_max, radiance units of the luminaire's own scene.
+        max_radiance: L_max, the sigmoid's end; radiance units of the luminaire's own scene.
         half_extents: float [3], the proxy box in local units; the longest is 1.
         world_from_proxy: float [4, 4], the luminaire's own frame: local to its file's units.
         luminaire: where the field came from, for people.

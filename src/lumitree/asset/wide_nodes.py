@@ -1,6 +1,6 @@
 """Nodes of many cells, in which a ray finds its next leaf in few steps.
 
-The binary levels of an octree are joined into two to four wide ones: a node of 2**b cells a side
+The binary levels of an octree are joined into one to three wide ones: a node of 2**b cells a side
 holds, for each cell, a number that says what is there. A cell of a leaf that is larger than a cell
 names the leaf and its size. An empty cell says how far a ray may go in each of the eight octants
 of directions before something may come: the side of the largest empty cube of cells that has the
@@ -14,6 +14,8 @@ cell in the corner where the ray comes from.
 
 import numpy as np
 from numpy.typing import NDArray
+
+from lumitree.errors import LumitreeError
 
 EMPTY, LEAF = np.int32(-(1 << 31)), np.int32(1 << 30)
 MAX_LEAVES = 1 << 26
@@ -35,7 +37,14 @@ def wide_nodes(children: NDArray[np.int32], tree_depth: int) -> list[NDArray[np.
     Args:
         children: int32 [N, 8] as `LuminaireAsset` defines it.
         tree_depth: level of the smallest possible leaf.
+
+    Raises:
+        LumitreeError: there are more than `MAX_LEAVES`.
     """
+    if ~int(children.min()) >= MAX_LEAVES:
+        raise LumitreeError(
+            f"an octree of {~int(children.min()) + 1} leaves; at most {MAX_LEAVES} can be rendered"
+        )
     nodes, below, levels = np.zeros(1, np.int32), tree_depth, []
     for bits in wide_levels(tree_depth):
         below -= bits

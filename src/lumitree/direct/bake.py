@@ -100,8 +100,8 @@ class DirectResult:
     interrupted: bool
 
 
-# The sigmoid's end over the largest radiance seen: a thin filament must outshine its pixel, in
-# a leaf that hides only part of it.
+# The sigmoid's end over the radiance that pixels reach (D9): a thin filament outshines its pixel,
+# in a leaf that hides only part of it.
 _HEADROOM = 2.0
 # What `--quality` names: minutes on two CPU cores.
 QUALITIES: dict[str, DirectConfig] = {
@@ -125,14 +125,8 @@ def bake(luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResu
     source = _source(luminaire, config)
 
     def start() -> tuple[LeafField, float]:
-        max_radiance = source.max_radiance()
-        if not max_radiance > 0:
-            raise LumitreeError(
-                f"{luminaire.name} sends no light out of its bounding box; a luminaire needs an "
-                "emitter that can be seen from outside"
-            )
-        largest = _HEADROOM * max_radiance
-        return _first_field(source, config, largest), largest
+        max_radiance = _HEADROOM * _radiance_of(source)
+        return _first_field(source, config, max_radiance), max_radiance
 
     return _run(source, config, folder, "bake", start)
 
@@ -190,6 +184,7 @@ def refine(
     source = _source(luminaire, config)
 
     def start() -> tuple[LeafField, float]:
+        _radiance_of(source)
         leaves = leaf_cells(asset.children)
         field = _field(config, source, *leaves, asset.density, asset.coefficients)
         return field, asset.max_radiance
@@ -199,6 +194,17 @@ def refine(
 
 def _source(luminaire: Luminaire, config: DirectConfig) -> TracedRays:
     return TracedRays(luminaire, spacing=2 / (1 << config.tree_depth), seed=config.seed)
+
+
+def _radiance_of(source: TracedRays) -> float:
+    """Radiance that next to nothing of what the source shows exceeds (D9)."""
+    max_radiance = source.max_radiance()
+    if not max_radiance > 0:
+        raise LumitreeError(
+            f"{source.subject.name} sends no light out of its bounding box; a luminaire needs an "
+            "emitter that can be seen from outside"
+        )
+    return max_radiance
 
 
 def _run(

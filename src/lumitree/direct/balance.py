@@ -63,18 +63,22 @@ def balance(
 
 
 def light_left_over(field: LeafField, source: RaySource, max_radiance: float, batch: int) -> float:
-    """All light of the source over all that the field gives, along the lines that meet it.
+    """All light of the source over all that the field gives; 1 where either is nothing.
 
     Args:
         batch: as for `balance`.
     """
     seen, given = 0.0, 0.0
     for step in range(BALANCE_ROUNDS):
-        rays = source.draw(_LINES, BALANCE_BATCH + batch + step, field.meets)
+        rays = source.draw(_LINES, BALANCE_BATCH + batch + step, _all_lines)
         radiance, _, _ = field.integrate(rays.origin, rays.direction)
         seen += float(dr.sum(rays.light, axis=None)[0]) / max_radiance
         given += float(dr.sum(rays.share * radiance, axis=None)[0])
-    return seen / given
+    return seen / given if seen > 0 and given > 0 else 1.0
+
+
+def _all_lines(origin: Any, direction: Any) -> Any:
+    return dr.full(mi.Bool, True, dr.width(origin))
 
 
 def _light(

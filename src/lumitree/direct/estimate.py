@@ -1,6 +1,6 @@
 """The first octree, from statistics of random rays: where light stops, and what is seen there.
 
-A leaf's density gives it the opacity that was seen: of the paths whose straight part enters it,
+A leaf's density gives it the opacity that was seen: of the lines that enter it before their stop,
 the share that stops there. Its emission is the least-squares fit of spherical harmonics to the
 radiance of the paths that stop in it, most of which is brought by paths from the emitters.
 

@@ -15,7 +15,7 @@ _PATHS = 8
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """PSNR of radiance / L_max in dB, and half the width of its 68 % interval."""
+    """PSNR of radiance / L_max (the asset's) in dB, and half the width of its 68 % interval."""
 
     psnr: float
     uncertainty: float
@@ -42,8 +42,7 @@ class HeldOut:
         """Lines that no step of a bake draws."""
         pairs = source.pairs(_NUM_LINES, HELD_OUT_BATCH, _PATHS)
         scale = 1 / max_radiance
-        a, b = (dr.minimum(value * scale, 1) for value in (pairs.first, pairs.second))
-        return HeldOut(pairs.origin, pairs.direction, a, b)
+        return HeldOut(pairs.origin, pairs.direction, pairs.first * scale, pairs.second * scale)
 
     def rescaled(self, factor: float) -> "HeldOut":
         """The same for an L_max that is `factor` times as large."""
@@ -53,9 +52,8 @@ class HeldOut:
     def score(self, field: LeafField) -> Score:
         """PSNR of a field on these lines."""
         radiance, _, _ = field.integrate(self.origin, self.direction)
-        products = [
-            (radiance[c] - self.first[c]) * (radiance[c] - self.second[c]) for c in range(3)
-        ]
+        a, b = dr.minimum(self.first, 1), dr.minimum(self.second, 1)
+        products = [(radiance[c] - a[c]) * (radiance[c] - b[c]) for c in range(3)]
         values = np.array(sum(products) / 3)
         error = max(float(values.mean()), 1e-12)
         tiles = values.reshape(-1, TILE_LINES).mean(axis=1)

@@ -154,13 +154,12 @@ def _trace(scene, sampler, path_depth):
         flux[active] = flux / survival
 
     bent = dr.dot(ray.d, start_direction) < COSINE_OF_CONE
-    seen = mi.Ray3f(ray.o, -ray.d)
     at_once = sampler.next_1d() < 0.5
-    stop = dr.select(bent, bent_stop(scene.bbox(), seen, ray.o, start, at_once), start)
+    stop = dr.select(bent, bent_stop(scene.bbox(), -ray.d, ray.o, start, at_once), start)
     return ray.o, ray.d, flux, stop, leaves & ~smooth
 
 
-def bent_stop(box: Any, line: Any, first: Any, last: Any, at_once: Any) -> Any:
+def bent_stop(box: Any, direction: Any, first: Any, last: Any, at_once: Any) -> Any:
     """Where a line counts as stopped whose path is bent at `first` and ends at `last`.
 
     As often as not abreast of where it ends: what is seen through thick glass seems to be about
@@ -169,10 +168,12 @@ def bent_stop(box: Any, line: Any, first: Any, last: Any, at_once: Any) -> Any:
 
     Args:
         box: mi.BoundingBox3f of the luminaire; what lies abreast outside it counts as at `first`.
-        line: mi.Ray3f.
+        direction: mi.Vector3f of the line.
+        first: mi.Point3f of the line, where the path leaves it.
+        last: mi.Point3f, the end of the path or its last place.
         at_once: mi.Bool, a fair coin: at `first`.
     """
-    along = dr.dot(last - first, line.d)
-    abreast = first + along * line.d
+    along = dr.dot(last - first, direction)
+    abreast = first + along * direction
     inside = dr.all((abreast >= box.min) & (abreast <= box.max))
     return dr.select(at_once | (along <= 0) | ~inside, first, abreast)

@@ -9,8 +9,9 @@ Symbols
     line        a ray that enters the proxy box; lines are uniform in dA cos(theta) domega, the
                 measure in which flux is the integral of radiance
     light       integral of radiance over lines; a path from an emitter carries some of it
-    stop        where the part of a path ends that goes straight through: at the surface or in the
-                medium that reflects, scatters or absorbs it
+    stop        where a line ends that cannot be followed straight through: at the surface or in
+                the medium that reflects, scatters or absorbs it; where it was bent on the way, by a
+                coin at the first surface or abreast of that end (`light_paths.bent_stop`)
 """
 
 import dataclasses
@@ -72,11 +73,11 @@ class Rays:
 
 @dataclasses.dataclass
 class Stops:
-    """Where paths stop on their way straight through.
+    """Where lines stop.
 
     Attributes:
         origin, direction: the line, local frame.
-        point: mi.Point3f, where it stops or leaves; local frame.
+        point: mi.Point3f, where it stops, local frame; without meaning where it does not.
         stopped: mi.Bool; false where the line passes through.
         radiance: mi.Color3f, of the emitters seen through smooth transmission.
     """
@@ -336,7 +337,6 @@ class TracedRays:
         smooth = mi.Bool(True)
         medium = dr.zeros(mi.MediumPtr)
         crossings = mi.UInt32(0)
-        line = mi.Ray3f(ray)
         at_once = sampler.next_1d() < 0.5
         active = mi.Bool(True)
         while active:
@@ -367,14 +367,14 @@ class TracedRays:
             ends = collides | (hits & (~transmits | (dr.max(throughput) <= 0)))
             bent = dr.dot(ray.d, straight) < COSINE_OF_CONE
             place = dr.select(collides, ray(dr.select(collides, flight, 0)), si.p)
-            abreast = bent_stop(scene.bbox(), line, first, place, at_once)
-            stop = dr.select(ends, dr.select(bent, abreast, place), stop)
+            halt = bent_stop(scene.bbox(), straight, first, place, at_once)
+            stop = dr.select(ends, dr.select(bent, halt, place), stop)
             stopped |= ends
 
             leaves = active & ~collides & ~si.is_valid()
             # What leaves in another direction was stopped on its way.
             missed = leaves & bent & (crossings > 0)
-            stop = dr.select(missed, bent_stop(scene.bbox(), line, first, ray.o, at_once), stop)
+            stop = dr.select(missed, bent_stop(scene.bbox(), straight, first, ray.o, at_once), stop)
             stopped |= missed
 
             medium = dr.select(

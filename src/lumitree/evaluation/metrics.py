@@ -2,7 +2,7 @@
 
 Symbols
     b, r       baked and reference radiance, in the asset's radiance unit
-    L_max      radiance that counts as 1, the 99.99th percentile of the training radiance
+    L_max      radiance that counts as 1, the 99.99th percentile of the views compared with
     x          clip(radiance / L_max, 0, 1)
 
 A match so good that a PSNR exceeds `MAX_PSNR` counts as `MAX_PSNR`: JSON has no infinity, and a
