@@ -37,7 +37,7 @@ def test_noise_leaves_no_bias(mi, error):
 
     field = uniform_field(truth + error)
     shown = np.array(field.integrate(origin, direction)[0])[0].mean() - truth
-    score = HeldOut(origin, direction, noisy(), noisy()).score(field)
+    score = HeldOut(origin, direction, noisy(), noisy(), mi.Float(0)).score(field)
     squared = 10 ** (-score.psnr / 10)
     # Standard error of the mean product of two independent noises around `shown`.
     variance = truth**2 * (1 / 0.05 - 1)
@@ -48,6 +48,22 @@ def test_noise_leaves_no_bias(mi, error):
         # The interval is what this spread is in dB.
         expected = 10 / np.log(10) * spread / squared
         assert score.uncertainty == pytest.approx(expected, rel=0.1)
+
+
+def test_rank_counts_the_opacity_as_much_as_the_light(mi):
+    from lumitree.direct.heldout import HeldOut
+
+    random = np.random.default_rng(0)
+    origin, direction = lines(mi, random, 1 << 12)
+    truth = mi.Color3f(0.5) + 0 * mi.Color3f(origin)
+    scores = []
+    for shown, through in ((0.6, 0.1), (0.51, 0.1), (0.51, 0.01)):
+        # The field is opaque.
+        held_out = HeldOut(origin, direction, truth, truth, mi.Float(through) + 0 * origin.x)
+        scores.append(held_out.score(uniform_field(shown)))
+    assert [score.psnr for score in scores] == pytest.approx([20, 40, 40], abs=0.1)
+    assert [score.opacity_psnr for score in scores] == pytest.approx([20, 20, 40], abs=0.1)
+    assert [score.rank for score in scores] == pytest.approx([40, 60, 80], abs=0.2)
 
 
 def test_uncertainty_counts_tiles_not_lines(mi):
@@ -61,7 +77,7 @@ def test_uncertainty_counts_tiles_not_lines(mi):
         count = 1 << 12
         origin, direction = lines(mi, random, count)
         truth = mi.Color3f(mi.Float(np.repeat(random.uniform(0, 1, count // TILE), TILE)))
-        score = HeldOut(origin, direction, truth, truth).score(field)
+        score = HeldOut(origin, direction, truth, truth, mi.Float(0)).score(field)
         squared.append(10 ** (-score.psnr / 10))
         uncertainties.append(score.uncertainty)
     spread = 10 / np.log(10) * np.std(squared, ddof=1) / np.mean(squared)
@@ -89,4 +105,4 @@ def test_lines_are_those_of_no_step(mi, lamp):
 def test_a_score_says_what_it_is():
     from lumitree.direct.heldout import Score
 
-    assert str(Score(31.416, 0.0271)) == "held-out PSNR 31.42 ± 0.03 dB"
+    assert str(Score(31.416, 0.0271, 20.0)) == "held-out PSNR 31.42 ± 0.03 dB"

@@ -119,7 +119,7 @@ def score(mi, truth, field):
 
     origin, direction = random_lines(mi, 1 << 14, 10**6)
     radiance, through, _ = truth.integrate(origin, direction)
-    psnr = HeldOut(origin, direction, radiance, radiance).score(field).psnr
+    psnr = HeldOut(origin, direction, radiance, radiance, through).score(field).psnr
     difference = np.array(field.integrate(origin, direction)[1]) - np.array(through)
     return psnr, np.sqrt((difference**2).mean())
 

@@ -372,7 +372,7 @@ class _Loop:
     def keep_better(self, field: LeafField) -> None:
         """Make a field the best so far, if it is."""
         score = self._held_out.score(field)
-        if score.psnr >= self.best_score.psnr:
+        if score.rank >= self.best_score.rank:
             self.best, self.best_score = field.copy(), score
 
     def _save(self) -> None:

@@ -15,10 +15,22 @@ _PATHS = 8
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """PSNR of radiance / L_max (the asset's) in dB, and half the width of its 68 % interval."""
+    """How good a field is on rays that it does not learn from.
+
+    Attributes:
+        psnr: of radiance / L_max (the asset's), dB.
+        uncertainty: half the width of its 68 % interval.
+        opacity_psnr: of the transmittance, dB.
+    """
 
     psnr: float
     uncertainty: float
+    opacity_psnr: float
+
+    @property
+    def rank(self) -> float:
+        """What a bake keeps the best of: a part of either error counts for as much."""
+        return self.psnr + self.opacity_psnr
 
     def __str__(self) -> str:
         return f"held-out PSNR {self.psnr:.2f} ± {self.uncertainty:.2f} dB"
@@ -26,7 +38,7 @@ class Score:
 
 @dataclasses.dataclass(frozen=True)
 class HeldOut:
-    """Lines with two independent noisy estimates a and b of their radiance / L_max.
+    """Lines with their transmittance and two independent noisy estimates a, b of radiance / L_max.
 
     The mean of (L - a)(L - b) is the mean squared error of L: noise that is independent in the
     two leaves no bias, so that few paths suffice.
@@ -36,26 +48,34 @@ class HeldOut:
     direction: Any
     first: Any
     second: Any
+    transmittance: Any
 
     @staticmethod
     def trace(source: RaySource, max_radiance: float) -> "HeldOut":
         """Lines that no step of a bake draws."""
         pairs = source.pairs(_NUM_LINES, HELD_OUT_BATCH, _PATHS)
         scale = 1 / max_radiance
-        return HeldOut(pairs.origin, pairs.direction, pairs.first * scale, pairs.second * scale)
+        a, b = (dr.minimum(value * scale, 1) for value in (pairs.first, pairs.second))
+        return HeldOut(pairs.origin, pairs.direction, a, b, pairs.transmittance)
 
     def rescaled(self, factor: float) -> "HeldOut":
-        """The same for an L_max that is `factor` times as large."""
-        scale = 1 / factor
-        return HeldOut(self.origin, self.direction, self.first * scale, self.second * scale)
+        """The same for an L_max that is `factor` times as large, but for what was above it."""
+        a, b = (dr.minimum(value * (1 / factor), 1) for value in (self.first, self.second))
+        return dataclasses.replace(self, first=a, second=b)
 
     def score(self, field: LeafField) -> Score:
-        """PSNR of a field on these lines."""
-        radiance, _, _ = field.integrate(self.origin, self.direction)
-        a, b = dr.minimum(self.first, 1), dr.minimum(self.second, 1)
-        products = [(radiance[c] - a[c]) * (radiance[c] - b[c]) for c in range(3)]
+        """Score of a field on these lines."""
+        radiance, through, _ = field.integrate(self.origin, self.direction)
+        products = [
+            (radiance[c] - self.first[c]) * (radiance[c] - self.second[c]) for c in range(3)
+        ]
         values = np.array(sum(products) / 3)
         error = max(float(values.mean()), 1e-12)
         tiles = values.reshape(-1, TILE_LINES).mean(axis=1)
         deviation = float(tiles.std() / np.sqrt(len(tiles)))
-        return Score(-10 * np.log10(error), 10 / np.log(10) * deviation / error)
+        opacity_error = max(float(np.square(np.array(through - self.transmittance)).mean()), 1e-12)
+        return Score(
+            psnr=-10 * np.log10(error),
+            uncertainty=10 / np.log(10) * deviation / error,
+            opacity_psnr=-10 * np.log10(opacity_error),
+        )
