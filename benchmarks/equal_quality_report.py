@@ -43,7 +43,7 @@ def table(rows: list[dict]) -> str:
             _number(at["explicit_spp"]),
             _seconds(at["explicit_seconds"]),
             _times(at["speedup"], at["speedup_error"]),
-            _times(row["speedup_lit"], row["speedup_lit_error"]) if "lit" in row else "",
+            _lit(row) if "lit" in row else "",
             _reading(at, "measured"),
             _reading(at, "robust"),
             f"{bake['rmse']:.2g} (MSE {bake['mse']:.2g} ± {bake['mse_error']:.1g})",
@@ -78,6 +78,11 @@ def _level(level: dict | None) -> str:
     if level is None:
         return ""
     return f"{_times(level['speedup'])} (RMSE {level['rmse']:.2g})"
+
+
+def _lit(row: dict) -> str:
+    value = _times(row["speedup_lit"], row["speedup_lit_error"])
+    return value if row["speedup_lit"] is None else f"{value} ({row['speedup_lit_spp']} spp)"
 
 
 def _reading(at: dict, name: str) -> str:

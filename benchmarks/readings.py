@@ -159,6 +159,12 @@ def _measured(rung: dict, explicit: list[dict], key: str, floor: float, name: st
     return {f"speedup_{name}": speedup, f"{name}_kind": kind}
 
 
+def readable(rows: list[dict]) -> dict:
+    """Of the rows above the reference's error that of most samples, up to the paper's number."""
+    known = [row for row in rows if row["speedup"] is not None]
+    return headline(known or rows)
+
+
 def headline(rows: list[dict]) -> dict:
     """The row of the number of samples nearest to the paper's."""
     return min(rows, key=lambda row: abs(np.log(row["baked_spp"] / PAPER_SAMPLES)))

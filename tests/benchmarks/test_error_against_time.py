@@ -137,3 +137,12 @@ def test_nothing_is_compared_below_the_references_own_error():
     assert first["speedup"] is None
     assert first["explicit_seconds"] is None
     assert first["speedup_measured"] is None
+
+
+def test_the_readable_row_lies_above_the_references_own_error():
+    from readings import readable
+
+    rows = [{"baked_spp": 1 << i, "speedup": 7.0 if i < 3 else None} for i in range(7)]
+    assert readable(rows)["baked_spp"] == 4
+    assert readable([row | {"speedup": 1.0} for row in rows])["baked_spp"] == 32
+    assert readable([row | {"speedup": None} for row in rows])["speedup"] is None
