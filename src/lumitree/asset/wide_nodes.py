@@ -1,6 +1,6 @@
 """Nodes of many cells, in which a ray finds its next leaf in few steps.
 
-The binary levels of an octree are joined into one to three wide ones: a node of 2**b cells a side
+The binary levels of an octree are joined into one to four wide ones: a node of 2**b cells a side
 holds, for each cell, a number that says what is there. A cell of a leaf that is larger than a cell
 names the leaf and its size. An empty cell says how far a ray may go in each of the eight octants
 of directions before something may come: the side of the largest empty cube of cells that has the
@@ -19,8 +19,9 @@ from lumitree.errors import LumitreeError
 
 EMPTY, LEAF = np.int32(-(1 << 31)), np.int32(1 << 30)
 MAX_LEAVES = 1 << 26
-# 32³ entries of the first node stay in the cache; a node of 8³ takes 2 kB.
-_FIRST_BITS, _BITS = 5, 3
+# 32³ entries of the first node stay in the cache. Larger nodes below it (8³, 2 kB) save steps, but
+# outgrow the cache, which costs more.
+_FIRST_BITS, _BITS = 5, 2
 _LONGEST = 8
 
 
