@@ -350,7 +350,7 @@ def test_full_disk(capsys, monkeypatch):
 def test_interrupted_capture_continues():
     """Ctrl-C ends with one line and status 130; the same command then does the rest."""
     command = [sys.executable, "-m", "lumitree.cli", "capture", "lamp.xml", "-o", "d",
-               "--views", "150", "--resolution", "64", "--spp", "16"]  # fmt: skip
+               "--views", "150", "--resolution", "96", "--spp", "48"]  # fmt: skip
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not os.path.exists("d/view_000003.exr") and time.monotonic() < deadline:
