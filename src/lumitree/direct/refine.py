@@ -53,7 +53,7 @@ class RefineConfig:
 
     lines: int = 1 << 15
     epsilon: float = 0.001
-    opacity_weight: float = 1000.0
+    opacity_weight: float = 500.0
     learning_rate: float = 0.15
     final_rate: float = 0.02
     max_leaves: int = 3_000_000
