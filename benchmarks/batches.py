@@ -142,6 +142,21 @@ def _rung(samples: int, images: Floats, wall: Any, cpu: Any) -> dict:
     return {"samples": samples, "images": images, "seconds": {"wall": wall, "cpu": cpu}}
 
 
+def pace(renders: list[Render], samples: int = 8, rounds: int = 5) -> list[dict[str, float]]:
+    """Seconds by clock that a sample a pixel takes, side by side: medians of interleaved rounds."""
+    times: list[list[dict[str, float]]] = [[] for _ in renders]
+    for round_ in range(rounds + 1):
+        for render, taken in zip(renders, times, strict=True):
+            clock = Clock()
+            render(samples, round_)
+            if round_:  # compiling is no part of a picture's time
+                taken.append(clock.read())
+    return [
+        {name: float(np.median([each[name] for each in taken])) / samples for name in taken[0]}
+        for taken in times
+    ]
+
+
 def remember(folder: Path, what: dict) -> None:
     """Write what a folder's hash stands for, for people."""
     write_json(folder / "key.json", what)

@@ -16,15 +16,18 @@ again spends its time on making the long runs longer. Readings (one row a pair):
 
 * speedup: as in the paper's Table 5, the time for the RMSE that the baked lamp has at 32 samples.
   Its RMSE and the explicit lamp's time are expected values: the mean squared error is variance /
-  samples (+ the bake's error), with the variance of the long runs. Where rare samples are very
-  bright, most pictures look better than they are on average, so this is the sound reading;
-* lit: the same over the pixels that do not show the lamp itself. Camera paths find what shines
+  samples (+ the bake's error), with the variance of the long runs; a sample's time is measured
+  with both methods taking turns. Where rare samples are very bright, most pictures look better
+  than they are on average, so this is the sound reading;
+* lit: the same over the pixels whose rays do not meet the lamp's box. Camera paths find what shines
   in a lamp with little noise, whoever renders it, and filaments are a thousand times brighter than
   the room, so that they decide an RMSE of the whole picture. What a lamp is for is the rest. With
   fewer samples than 32 where the reference is not good enough for more;
-* measured: the same by the ladders' RMSE alone, marked ~ where it lies beyond the last rung;
-* robust: the time for equal relMSE without the 0.1 % of the pixels with the largest errors, from
-  the ladders as well.
+* lit, robust: the same pixels by relMSE, without the 0.1 % of them that are noisiest by either
+  method: mirror images of filaments, which no sampling of lamps finds;
+* measured: the first by the ladders' RMSE alone, marked ~ where it lies beyond the last rung;
+* robust: the time for equal relMSE of the whole picture without the 0.1 % of the pixels with the
+  largest errors, from the ladders as well.
 
 Writes equal_quality.json, equal_quality.md and pictures into `--output`.
 """
@@ -40,9 +43,17 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 import lumitree
-from batches import LongRun, digest, ladder, remember
+from batches import LongRun, digest, ladder, pace, remember
 from equal_quality_report import draw_curves, draw_pictures, level_table, table
-from error_against_time import Efficiency, Estimate, noise, ratio_of_means, squared_difference
+from error_against_time import (
+    Floats,
+    Pace,
+    noise,
+    ratio_of_means,
+    relative_weights,
+    squared_difference,
+    trimming,
+)
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import write_json
 from readings import Reference, expected_levels, headline, levels, readable, rung_rows
@@ -50,7 +61,7 @@ from setting import setting
 
 HERE = Path(__file__).parent
 REFERENCE_SHARE, BAKED_SHARE, LADDER_SHARE = 0.5, 0.15, 0.175  # the last one twice
-SEEN_SAMPLES = 64  # to tell which pixels show the lamp
+SEEN_RAYS = 16  # a pixel, to tell which show the lamp
 # What a picture of the baked lamp depends on, besides its asset and the room.
 _SOURCES = ("render", "asset", "core")
 
@@ -115,28 +126,45 @@ class Method:
         self.long = LongRun(self.folder / "long.npz")
         self.rungs: list[dict] = []
 
-        def render_pair(samples: int, seed: int, max_depth: int = args.path_depth) -> Any:
-            integrator = mi.load_dict({"type": self.kind, "max_depth": max_depth})
+        def render_pair(samples: int, seed: int) -> Any:
+            integrator = mi.load_dict({"type": self.kind, "max_depth": args.path_depth})
             return render(scene, integrator, samples, seed=seed, name=f"{pair.name}, {self.kind}")
 
-        self._render = render_pair
+        self.render, self.scene = render_pair, scene
 
     def spend(self, long_seconds: float, ladder_seconds: float) -> None:
         """Climb the ladder and extend the long run for so many seconds by the wall."""
-        self.rungs = ladder(self.folder, self._render, ladder_seconds)
-        self.long.extend(self._render, long_seconds)
+        self.rungs = ladder(self.folder, self.render, ladder_seconds)
+        self.long.extend(self.render, long_seconds)
 
-    def efficiency(self, clock: str, bias: float = 0.0, weights: Any = 1.0) -> Efficiency:
-        """Variance × time, at the speed of the ladder's highest rung."""
-        top = self.rungs[-1]
-        per_sample = float(np.median(top["seconds"][clock])) / top["samples"]
+    def variance(self) -> Floats:
+        """Variance [H, W, 3] of a sample, from the long run."""
+        return self.long.batches.var(0, ddof=1) * self.long.samples
+
+    def pace(self, seconds: float, bias: float, weights: Any) -> Pace:
+        """With the variance of the long run."""
         variance = noise(self.long.batches, weights) * self.long.samples_per_pixel
-        return Efficiency(variance * per_sample, bias)
+        return Pace(variance, seconds, bias)
 
-    def shows_lamp(self) -> Any:
-        """Pixels [H, W] in which an emitter, as a baked lamp, is seen directly, or next to one."""
-        emitted = self._render(SEEN_SAMPLES, 0, max_depth=1).max(axis=2)
-        return binary_dilation(emitted > 0, iterations=2)
+
+def shows_lamp(baked: Any) -> Floats:
+    """Mask [H, W, 1] of pixels in which the box of the lamp is seen, or next to one."""
+    import drjit as dr
+    import mitsuba as mi
+
+    sensor = baked.sensors()[0]
+    width, height = sensor.film().size()
+    random = mi.PCG32(width * height * SEEN_RAYS)
+    index = dr.arange(mi.UInt32, width * height * SEEN_RAYS) // SEEN_RAYS
+    pixel = mi.Point2f(index % width, index // width)
+    position = (pixel + mi.Point2f(random.next_float32(), random.next_float32())) / mi.Point2f(
+        width, height
+    )
+    ray, _ = sensor.sample_ray(0, 0, position, mi.Point2f(0.5))
+    hit = baked.ray_intersect_preliminary(ray)
+    seen = np.array(hit.is_valid() & (hit.shape.emitter() != None))  # noqa: E711
+    seen = seen.reshape(height, width, SEEN_RAYS).any(axis=2)
+    return binary_dilation(seen, iterations=2)[..., None]
 
 
 def explicit_integrator(luminaire: Any) -> str:
@@ -158,57 +186,26 @@ def code_digest() -> str:
     return digest(*sorted(file for part in _SOURCES for file in (package / part).glob("*.py")))
 
 
-@dataclasses.dataclass(frozen=True)
-class Lit:
-    """Readings over the pixels that do not show the lamp itself.
+def reading(
+    explicit: Method, baked: Method, seconds: list[float], counts: list[int], weights: Any
+) -> dict:
+    """Expected errors, weighted, and what bounds them.
 
-    Attributes:
-        share: of all pixels.
-        levels: as `expected_levels` makes them.
-        variance_ratio: of the explicit lamp's variance a sample to the baked one's.
-        bias: mean squared error of the bake.
-        floor: mean squared error of the reference.
+    Args:
+        seconds: a sample of each method takes.
+        counts: samples a pixel of the baked lamp.
+        weights: [H, W, 3] of squared errors.
     """
-
-    share: float
-    levels: list[dict]
-    variance_ratio: float
-    bias: Estimate
-    floor: Estimate
-
-    @staticmethod
-    def of(explicit: Method, baked: Method, rows: dict, clock: str) -> "Lit":
-        """Of two methods that have spent their time."""
-        lit = ~baked.shows_lamp()[..., None]
-        weights = lit / lit.mean()
-        bias = squared_difference(baked.long.batches, explicit.long.batches, weights)
-        floor = noise(explicit.long.batches, weights)
-        both = (
-            explicit.efficiency(clock, 0.0, weights),
-            baked.efficiency(clock, bias.value, weights),
-        )
-        variances = [
-            noise(method.long.batches, weights).value * method.long.samples_per_pixel
-            for method in (explicit, baked)
-        ]
-        return Lit(
-            share=float(lit.mean()),
-            levels=expected_levels(rows["explicit"], rows["baked"], *both, floor.value),
-            variance_ratio=variances[0] / variances[1],
-            bias=bias,
-            floor=floor,
-        )
-
-    def summary(self) -> dict:
-        """For the report."""
-        return {
-            "share": self.share,
-            "levels": self.levels,
-            "variance_ratio": self.variance_ratio,
-            "bake_mse": self.bias.value,
-            "bake_mse_error": self.bias.error,
-            "reference_rmse": float(np.sqrt(self.floor.value)),
-        }
+    bias = squared_difference(baked.long.batches, explicit.long.batches, weights)
+    floor = noise(explicit.long.batches, weights)
+    paces = explicit.pace(seconds[0], 0.0, weights), baked.pace(seconds[1], bias.value, weights)
+    return {
+        "levels": expected_levels(counts, *paces, floor.value),
+        "variance_ratio": paces[0].variance.value / paces[1].variance.value,
+        "bake_mse": bias.value,
+        "bake_mse_error": bias.error,
+        "reference_rmse": float(np.sqrt(floor.value)),
+    }
 
 
 def compare(pair: Pair, explicit: Method, baked: Method, clock: str) -> dict:
@@ -219,26 +216,40 @@ def compare(pair: Pair, explicit: Method, baked: Method, clock: str) -> dict:
         name: rung_rows(method.rungs, reference, clock)
         for name, method in (("explicit", explicit), ("baked", baked))
     }
-    efficiency = explicit.efficiency(clock), baked.efficiency(clock, bias.value)
-    readings = levels(rows["explicit"], rows["baked"], *efficiency, reference)
+    seconds = [each[clock] for each in pace([explicit.render, baked.render])]
+    paces = explicit.pace(seconds[0], 0.0, 1.0), baked.pace(seconds[1], bias.value, 1.0)
+    readings = levels(rows["explicit"], rows["baked"], paces, reference)
     best = headline(readings)
-    lit = Lit.of(explicit, baked, rows, clock)
+    lit = 1.0 - shows_lamp(baked.scene)
+    relative = relative_weights(reference.picture)
+    noisy = [method.variance() * relative * lit for method in (explicit, baked)]
+    counts = [rung["spp"] for rung in rows["baked"]]
+    parts = {
+        name: reading(explicit, baked, seconds, counts, weights)
+        for name, weights in (
+            ("lit", lit / lit.mean()),
+            ("lit_robust", relative * lit * trimming(*noisy)),
+        )
+    }
     saved = (best["explicit_seconds"] or 0.0) - best["baked_seconds"]
     means = ratio_of_means(baked.long.batches, explicit.long.batches)
-    relative = squared_difference(baked.long.batches, explicit.long.batches, reference.weights)
+    rel_mse = squared_difference(baked.long.batches, explicit.long.batches, reference.weights)
+    headlines = {name: readable(part["levels"]) for name, part in parts.items()}
     return {
         "luminaire": pair.lamp_name,
         "room": Path(pair.room).resolve().parent.name,
         "speedup": best["speedup"],
         "speedup_error": best["speedup_error"],
-        "speedup_lit": readable(lit.levels)["speedup"],
-        "speedup_lit_error": readable(lit.levels)["speedup_error"],
-        "speedup_lit_spp": readable(lit.levels)["baked_spp"],
+        **{f"speedup_{name}": row["speedup"] for name, row in headlines.items()},
+        **{f"speedup_{name}_error": row["speedup_error"] for name, row in headlines.items()},
+        **{f"speedup_{name}_spp": row["baked_spp"] for name, row in headlines.items()},
         "speedup_measured": best["speedup_measured"],
         "speedup_robust": best["speedup_robust"],
         "at_paper_samples": best,
         "levels": readings,
-        "lit": lit.summary(),
+        "seconds_per_sample": dict(zip(("explicit", "baked"), seconds, strict=True)),
+        "lit_share": float(lit.mean()),
+        **parts,
         "at": pair.at,
         "size": pair.size,
         "resolution": list(reference.picture.shape[1::-1]),
@@ -250,8 +261,8 @@ def compare(pair: Pair, explicit: Method, baked: Method, clock: str) -> dict:
             "mse": bias.value,
             "mse_error": bias.error,
             "rmse": float(np.sqrt(max(bias.value, 0.0))),
-            "rel_mse": relative.value,
-            "rel_mse_error": relative.error,
+            "rel_mse": rel_mse.value,
+            "rel_mse_error": rel_mse.error,
             "mean_ratio": means.value,
             "mean_ratio_error": means.error,
             "spp": baked.long.samples_per_pixel,
@@ -312,7 +323,8 @@ def write(rows: list[dict], output: Path, facts: dict) -> None:
     notes = "".join(f"* {key}: {value}\n" for key, value in facts.items())
     text = f"# Time at equal error\n\n{table(rows)}\n{notes}\n"
     text += f"## Speed-up at the RMSE of the baked lamp's samples\n\n{level_table(rows)}\n"
-    text += f"## The same where the lamp itself is not seen\n\n{level_table(rows, 'lit')}"
+    text += f"## The same where the lamp itself is not seen\n\n{level_table(rows, 'lit')}\n"
+    text += f"## There, by relMSE without the noisiest 0.1 %\n\n{level_table(rows, 'lit_robust')}"
     (output / "equal_quality.md").write_text(text)
 
 

@@ -19,7 +19,10 @@ _HEADS = (
     "explicit: spp",
     "time",
     "speedup",
+    "s a sample: explicit",
+    "baked",
     "lit",
+    "lit, robust",
     "measured",
     "robust",
     "bake's RMSE",
@@ -43,7 +46,10 @@ def table(rows: list[dict]) -> str:
             _number(at["explicit_spp"]),
             _seconds(at["explicit_seconds"]),
             _times(at["speedup"], at["speedup_error"]),
-            _lit(row) if "lit" in row else "",
+            f"{row['seconds_per_sample']['explicit']:.3f}",
+            f"{row['seconds_per_sample']['baked']:.3f}",
+            _part(row, "lit"),
+            _part(row, "lit_robust"),
             _reading(at, "measured"),
             _reading(at, "robust"),
             f"{bake['rmse']:.2g} (MSE {bake['mse']:.2g} ± {bake['mse_error']:.1g})",
@@ -80,9 +86,9 @@ def _level(level: dict | None) -> str:
     return f"{_times(level['speedup'])} (RMSE {level['rmse']:.2g})"
 
 
-def _lit(row: dict) -> str:
-    value = _times(row["speedup_lit"], row["speedup_lit_error"])
-    return value if row["speedup_lit"] is None else f"{value} ({row['speedup_lit_spp']} spp)"
+def _part(row: dict, part: str) -> str:
+    value = _times(row[f"speedup_{part}"], row[f"speedup_{part}_error"])
+    return value + (f" ({row[f'speedup_{part}_spp']} spp)" if value[0].isdigit() else "")
 
 
 def _reading(at: dict, name: str) -> str:

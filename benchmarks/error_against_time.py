@@ -44,6 +44,16 @@ def relative_weights(reference: Floats) -> Floats:
     return 1 / (local**2 + RELATIVE_FLOOR * reference.mean() ** 2)
 
 
+def trimming(*squares: Floats, share: float = TRIMMED_SHARE) -> Floats:
+    """Mask [H, W, 1] of the pixels that stay without the worst of each picture of squares."""
+    kept = np.ones((*squares[0].shape[:2], 1))
+    for each in squares:
+        pixels = each.mean(axis=-1)
+        worst = np.argsort(pixels, axis=None)[pixels.size - round(share * pixels.size) :]
+        kept.reshape(-1)[worst] = 0
+    return kept
+
+
 def trimmed_mean(squares: Floats, share: float = TRIMMED_SHARE) -> float:
     """Mean of a picture's squared errors [H, W, 3] without its worst pixels.
 
@@ -128,13 +138,15 @@ def time_to_reach(level: float, seconds: Floats, errors: Floats) -> tuple[float,
 
 
 @dataclasses.dataclass(frozen=True)
-class Efficiency:
-    """A method's mean squared error after t seconds, bias + variance_seconds / t.
+class Pace:
+    """A method's mean squared error with n samples a pixel, bias + variance / n, and its speed.
 
     Attributes:
-        variance_seconds: mean squared error by noise times the seconds it took.
+        variance: mean squared error by noise of one sample a pixel.
+        seconds: that one sample a pixel takes.
         bias: mean squared error that no time removes.
     """
 
-    variance_seconds: Estimate
+    variance: Estimate
+    seconds: float
     bias: float = 0.0

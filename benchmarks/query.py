@@ -40,9 +40,9 @@ THRESHOLDS = ((0.0, 1.0), (0.1, 1.0), (0.0, 0.9), (0.1, 0.9))
 def deepened(asset: LuminaireAsset) -> LuminaireAsset:
     """The asset one level deeper, four children for every leaf."""
     from lumitree.direct.estimate import split
-    from lumitree.octree.build import build_children, leaf_cells
+    from lumitree.octree.build import build_children
 
-    cells, levels = leaf_cells(asset.children)
+    cells, levels = asset.leaf_cells()
     # Planes of three orientations in turn.
     axis = np.arange(len(cells)) % 3
     octant = np.arange(8)

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 
 from error_against_time import (
-    Efficiency,
     Estimate,
     Floats,
+    Pace,
     noise,
     relative_weights,
     time_to_reach,
@@ -90,58 +90,44 @@ def rung_rows(rungs: list[dict], reference: Reference, clock: str) -> list[dict]
 
 
 def levels(
-    explicit: list[dict],
-    baked: list[dict],
-    explicit_efficiency: Efficiency,
-    baked_efficiency: Efficiency,
-    reference: Reference,
+    explicit: list[dict], baked: list[dict], paces: tuple[Pace, Pace], reference: Reference
 ) -> list[dict]:
     """One row for each of the baked lamp's rungs: the time either method needs for its error.
 
     The level of `speedup` is the expected RMSE of the rung, with the bake's error in it. It is None
     where that lies below the reference's own error, and so are the other readings.
     """
-    both = explicit_efficiency, baked_efficiency
-    rows = expected_levels(explicit, baked, *both, reference.own.value)
+    rows = expected_levels([rung["spp"] for rung in baked], *paces, reference.own.value)
     for row, rung in zip(rows, baked, strict=True):
         row |= _measured(rung, explicit, "rmse", reference.own.value**0.5, "measured")
         row |= _measured(rung, explicit, "trimmed_rel_mse", reference.own_trimmed, "robust")
     return rows
 
 
-def expected_levels(
-    explicit: list[dict],
-    baked: list[dict],
-    explicit_efficiency: Efficiency,
-    baked_efficiency: Efficiency,
-    floor: float,
-) -> list[dict]:
-    """What `levels` says of expected errors, from the efficiencies and the rungs' times alone.
+def expected_levels(counts: list[int], explicit: Pace, baked: Pace, floor: float) -> list[dict]:
+    """What `levels` says of expected errors, for numbers of samples a pixel of the baked lamp.
 
     Args:
         floor: mean squared error of the reference; nothing is compared below it.
     """
-    top = baked[-1]
-    variance = baked_efficiency.variance_seconds.value * top["spp"] / top["seconds"]
     rows = []
-    for rung in baked:
-        expected = float(np.sqrt(variance / rung["spp"] + max(baked_efficiency.bias, 0.0)))
+    for count in counts:
+        square = baked.variance.value / count + max(baked.bias, 0.0)
         row = {
-            "baked_spp": rung["spp"],
-            "baked_seconds": rung["seconds"],
-            "rmse": expected,
+            "baked_spp": count,
+            "baked_seconds": count * baked.seconds,
+            "rmse": float(np.sqrt(square)),
             "explicit_seconds": None,
             "explicit_spp": None,
             "speedup": None,
             "speedup_error": None,
         }
-        if expected**2 > floor:
-            seconds = explicit_efficiency.variance_seconds * (1 / expected**2)
-            per_sample = explicit[-1]["seconds"] / explicit[-1]["spp"]
-            row["explicit_seconds"] = seconds.value
-            row["explicit_spp"] = seconds.value / per_sample
-            row["speedup"] = seconds.value / rung["seconds"]
-            row["speedup_error"] = seconds.error / rung["seconds"]
+        if square > floor:
+            samples = explicit.variance * (1 / square)
+            speedup = samples * (explicit.seconds / row["baked_seconds"])
+            row["explicit_seconds"] = samples.value * explicit.seconds
+            row["explicit_spp"] = samples.value
+            row["speedup"], row["speedup_error"] = speedup.value, speedup.error
         rows.append(row)
     return rows
 

@@ -89,13 +89,13 @@ def measure_points(asset: str) -> dict:
     field = open_field(asset)
     half = field.asset.half_extents
     start = time.perf_counter()
-    boxes = field.light_boxes
+    leaves = field.light_leaves
     dr.sync_thread()
-    row: dict = {"table_seconds": time.perf_counter() - start, "boxes": int(boxes.count[0])}
+    row: dict = {"table_seconds": time.perf_counter() - start}
     proxy = make_proxy("box", half)
     samplers = {
-        "uniform": EmitterSampler(proxy, half, None),
-        "emission": EmitterSampler(proxy, half, boxes),
+        "uniform": EmitterSampler(proxy, field, None),
+        "emission": EmitterSampler(proxy, field, leaves),
     }
     points = {
         **SHADING_POINTS,
@@ -106,14 +106,14 @@ def measure_points(asset: str) -> dict:
     for name, place in points.items():
         variance = {}
         for kind, sampler in samplers.items():
-            variance[kind], jobs = _measure_point(field, sampler, place)
+            variance[kind], jobs = _measure_point(proxy, sampler, place)
             if name == "below":
                 row |= {f"ns_{job}_{kind}": _nanoseconds(run) for job, run in jobs.items()}
         row[name] = variance["uniform"] / variance["emission"]
     return row
 
 
-def _measure_point(field, sampler, place: tuple[float, ...]) -> tuple[float, dict]:
+def _measure_point(proxy, sampler, place: tuple[float, ...]) -> tuple[float, dict]:
     """Variance of the light that arrives at a point, and the parts of a sample, to be timed."""
     import drjit as dr
     import mitsuba as mi
@@ -122,14 +122,16 @@ def _measure_point(field, sampler, place: tuple[float, ...]) -> tuple[float, dic
     origin = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in place))
     uniform = mi.Point2f(random.next_float32(), random.next_float32())
     dr.eval(uniform)
-    direction, pdf = sampler.sample(origin, uniform)
-    dr.eval(direction, pdf)
-    radiance, _ = field.emission(origin, direction, pdf > 0)
+    direction, reach = sampler.aim(origin, uniform)
+    distance, _, enters = proxy.enter(origin, direction)
+    entry = origin + distance * direction
+    dr.eval(direction, reach, distance, enters, entry)
+    radiance, _, pdf = sampler.look(entry, direction, distance, enters, reach)
     weight = dr.mean(radiance) * dr.select(pdf > 0, dr.rcp(pdf), 0)
     return float(np.array(weight, np.float64).var()), {
-        "sample": lambda: sampler.sample(origin, uniform),
-        "pdf": lambda: sampler.pdf(origin, direction),
-        "query": lambda: field.emission(origin, direction, pdf > 0),
+        "aim": lambda: sampler.aim(origin, uniform),
+        "look": lambda: sampler.look(entry, direction, distance, enters, reach),
+        "pdf": lambda: sampler.pdf(entry, direction, distance, enters),
     }
 
 

@@ -65,6 +65,9 @@ def test_a_pair_from_end_to_end(pair, options):
     assert row["bake"]["mse"] > 5 * row["bake"]["mse_error"] > 0
     assert row["bake"]["rmse"] > row["reference"]["rmse"] > 0
     assert row["speedup"] > 0
+    assert 0.3 < row["lit_share"] < 0.95
+    assert row["speedup_lit"] > 0
+    assert row["speedup_lit_robust"] > 0
     for name in row["pictures"]:
         assert np.ptp(np.array(Image.open(options.output / name))) > 100
     # Once more: the ladders are kept, and so the times are the very same.

@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from error_against_time import (
-    Efficiency,
     Estimate,
+    Pace,
     noise,
     ratio_of_means,
     relative_weights,
     squared_difference,
     time_to_reach,
     trimmed_mean,
+    trimming,
 )
 from readings import Reference, headline, levels, rung_rows
 
@@ -114,8 +115,8 @@ def test_readings_find_the_known_speedup():
     rows = rung_rows(explicit, reference, "wall"), rung_rows(baked, reference, "wall")
     assert rows[0][5]["rmse"] == pytest.approx(4 / np.sqrt(32), rel=0.03)
     assert rows[1][7]["rmse"] == pytest.approx(np.hypot(bias, 1 / np.sqrt(128)), rel=0.03)
-    efficiency = Efficiency(Estimate(16, 0.5)), Efficiency(Estimate(1, 0.1), bias**2)
-    readings = levels(*rows, *efficiency, reference)
+    paces = Pace(Estimate(16, 0.5), 1.0), Pace(Estimate(1, 0.1), 1.0, bias**2)
+    readings = levels(*rows, paces, reference)
     for row in readings:
         expected = 16 / (bias**2 + 1 / row["baked_spp"]) / row["baked_spp"]
         assert row["speedup"] == pytest.approx(expected)
@@ -132,8 +133,8 @@ def test_nothing_is_compared_below_the_references_own_error():
     explicit = [pictures(random, 1 << i, 1.0, truth) for i in range(3)]
     baked = [pictures(random, 1 << i, 0.1, truth) for i in range(3)]
     rows = rung_rows(explicit, reference, "wall"), rung_rows(baked, reference, "wall")
-    efficiency = Efficiency(Estimate(1, 0)), Efficiency(Estimate(0.01, 0))
-    (first, *_) = levels(*rows, *efficiency, reference)
+    paces = Pace(Estimate(1, 0), 1.0), Pace(Estimate(0.01, 0), 1.0)
+    (first, *_) = levels(*rows, paces, reference)
     assert first["speedup"] is None
     assert first["explicit_seconds"] is None
     assert first["speedup_measured"] is None
@@ -146,3 +147,13 @@ def test_the_readable_row_lies_above_the_references_own_error():
     assert readable(rows)["baked_spp"] == 4
     assert readable([row | {"speedup": 1.0} for row in rows])["baked_spp"] == 32
     assert readable([row | {"speedup": None} for row in rows])["speedup"] is None
+
+
+def test_trimming_leaves_out_the_worst_of_each_picture():
+    first, second = np.ones((2, 20, 50, 3))
+    first[3, 4], second[5, 6] = 9.0, 7.0
+    kept = trimming(first, second)
+    assert kept.shape == (20, 50, 1)
+    assert kept.sum() == 998
+    assert not kept[3, 4]
+    assert not kept[5, 6]

@@ -53,11 +53,30 @@ def samplers(mi):
     from lumitree.render.sampling import EmitterSampler
 
     field = Field(lamp())
-    both = (field.light_boxes, None)
+    both = (field.light_leaves, None)
     return field, {
-        kind: tuple(EmitterSampler(make_proxy(kind, HALF), HALF, boxes) for boxes in both)
+        kind: tuple(Drawn(EmitterSampler, make_proxy(kind, HALF), field, each) for each in both)
         for kind in PROXY_KINDS
     }
+
+
+class Drawn:
+    """A sampler asked from points outside the proxy, as the emitter does."""
+
+    def __init__(self, kind, proxy, field, leaves):
+        self.proxy, self.sampler = proxy, kind(proxy, field, leaves)
+
+    def sample(self, origin, sample):
+        """Direction, density and radiance."""
+        direction, reach = self.sampler.aim(origin, sample)
+        distance, _, enters = self.proxy.enter(origin, direction)
+        entry = origin + distance * direction
+        radiance, _, pdf = self.sampler.look(entry, direction, distance, enters, reach)
+        return direction, pdf, radiance
+
+    def pdf(self, origin, direction):
+        distance, _, enters = self.proxy.enter(origin, direction)
+        return self.sampler.pdf(origin + distance * direction, direction, distance, enters)
 
 
 def point(mi, name):
@@ -72,13 +91,11 @@ def uniform_samples(mi, count, seed=0):
     return sampler
 
 
-def estimates(mi, field, sampler, name, count=1 << 17):
+def estimates(mi, sampler, name, count=1 << 17):
     """Mean radiance over density [count] of the directions that `sampler` draws from a point."""
     import drjit as dr
 
-    origin = point(mi, name)
-    direction, pdf = sampler.sample(origin, uniform_samples(mi, count).next_2d())
-    radiance, _ = field.emission(origin, direction, pdf > 0)
+    _, pdf, radiance = sampler.sample(point(mi, name), uniform_samples(mi, count).next_2d())
     return np.array(dr.mean(radiance) * dr.select(pdf > 0, dr.rcp(pdf), 0), np.float64)
 
 
@@ -99,7 +116,7 @@ def test_density_is_that_of_the_samples(mi, samplers, kind, name):
 
     # Coordinates of equal solid angle: 1 - cosine over the cap's, and azimuth.
     def sample(uniform):
-        direction, pdf = sampler.sample(origin, uniform)
+        direction, pdf, _ = sampler.sample(origin, uniform)
         local = frame.to_local(direction)
         one_minus_cos = dr.squared_norm(local - mi.Vector3f(0, 0, 1)) / 2
         azimuth = dr.atan2(local.y, local.x) / dr.two_pi + 0.5
@@ -120,9 +137,9 @@ def test_density_is_that_of_the_samples(mi, samplers, kind, name):
         # The density jumps at the edges of boxes: integrate it finely there.
         res=20,
         ires=128,
-        sample_count=200_000,
+        sample_count=2_000_000,
     )
-    assert test.run(), test.messages
+    assert test.run(test_count=len(POINTS) + len(visible_points("sphere"))), test.messages
 
 
 @pytest.fixture(scope="module")
@@ -151,28 +168,29 @@ def seen(mi, samplers):
 
 @pytest.mark.parametrize("kind", ["box", "sphere"])
 def test_means_are_right_and_variances_lower_than_of_uniform_sampling(mi, samplers, seen, kind):
-    field, by_proxy = samplers
-    by_emission, uniform = by_proxy[kind]
+    by_emission, uniform = samplers[1][kind]
     for name in visible_points(kind):
-        drawn = estimates(mi, field, by_emission, name)
+        drawn = estimates(mi, by_emission, name)
         _, solid_angle, radiance = seen[name]
         plain = radiance * solid_angle
         error = np.sqrt(drawn.var() / len(drawn) + plain.var() / len(plain))
         assert abs(drawn.mean() - plain.mean()) < 4 * error, name
-        assert drawn.var() < estimates(mi, field, uniform, name).var() / 4, name
+        assert drawn.var() < estimates(mi, uniform, name).var() / 4, name
 
 
 @pytest.mark.parametrize("kind", ["box", "sphere"])
-def test_density_integrates_to_one_and_is_positive_where_light_comes_from(mi, samplers, seen, kind):
-    from lumitree.render.sampling import UNIFORM_FRACTION
-
+def test_density_adds_up_to_what_is_not_drawn_in_vain(mi, samplers, seen, kind):
+    sampler = samplers[1][kind][0]
     for name in visible_points(kind):
         direction, solid_angle, radiance = seen[name]
-        pdf = np.array(samplers[1][kind][0].pdf(point(mi, name), direction), np.float64)
-        # Part of the samples is drawn from the cone, and some of these miss the proxy.
-        missed = np.mean(pdf == 0) * UNIFORM_FRACTION
+        pdf = np.array(sampler.pdf(point(mi, name), direction), np.float64)
+        # Some samples miss the proxy, and some would come from leaves that others hide.
+        drawn = sampler.sample(point(mi, name), uniform_samples(mi, 1 << 18).next_2d())[1]
+        kept = np.mean(np.array(drawn) > 0)
         share = pdf * solid_angle
-        assert abs(share.mean() - (1 - missed)) < 4 * share.std() / np.sqrt(len(share)), name
+        error = np.sqrt(share.var() / len(share) + kept * (1 - kept) / (1 << 18))
+        assert abs(share.mean() - kept) < 4 * error, name
+        assert kept > 0.5, name
         assert (radiance > 0).sum() > 100
         assert pdf[radiance > 0].min() > 0, name
 
@@ -184,24 +202,25 @@ def test_no_sample_is_brighter_than_the_bound(mi, samplers, kind):
     field, by_proxy = samplers
     bound = 4 * np.pi * field.asset.max_radiance / UNIFORM_FRACTION
     for name in visible_points(kind):
-        assert estimates(mi, field, by_proxy[kind][0], name, 1 << 19).max() <= bound
+        assert estimates(mi, by_proxy[kind][0], name, 1 << 19).max() <= bound
 
 
 def test_density_of_a_sample_is_that_of_its_direction(mi, samplers):
-    """Where rounding puts a direction past the edge of a box the two may differ."""
+    """Where rounding puts a direction past the edge of a leaf the two may differ."""
     sampler = samplers[1]["box"][0]
     for name in POINTS:
         origin = point(mi, name)
-        direction, pdf = sampler.sample(origin, uniform_samples(mi, 1 << 16).next_2d())
+        direction, pdf, _ = sampler.sample(origin, uniform_samples(mi, 1 << 16).next_2d())
         again = np.array(sampler.pdf(origin, direction))
-        assert (np.abs(again - pdf) > 1e-3 * np.array(pdf)).mean() < 1e-3, name
+        pdf = np.array(pdf)
+        assert (np.abs(again - pdf) > 1e-3 * pdf)[pdf > 0].mean() < 1e-3, name
 
 
 def test_nothing_is_sampled_from_inside(mi, samplers):
     origin = mi.Point3f(0.2, 0.1, -0.3)
     for by_emission, uniform in samplers[1].values():
         for sampler in (by_emission, uniform):
-            _, pdf = sampler.sample(origin, uniform_samples(mi, 1024).next_2d())
+            _, pdf, _ = sampler.sample(origin, uniform_samples(mi, 1024).next_2d())
             assert not np.array(pdf).any()
 
 
@@ -211,21 +230,21 @@ def test_instances_share_one_table(mi, tmp_path):
     place = similarity(rotation([1, 0, 1], 70), 3.0, [5, 0, 0])
     near = mi.load_dict(lumitree.shape(path)).emitter()
     far = mi.load_dict(lumitree.shape(path, place, "sphere")).emitter()
-    assert near.placed.field.light_boxes is far.placed.field.light_boxes
+    assert near.placed.field.light_leaves is far.placed.field.light_leaves
 
 
-def test_dark_field_has_a_density_all_the_same(mi):
-    from lumitree.render.field import Field
-    from lumitree.render.proxy import make_proxy
-    from lumitree.render.sampling import EmitterSampler
+def test_dark_field_is_sampled_uniformly(mi, tmp_path):
+    import drjit as dr
 
     dark = make_asset(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 3, 4)))
-    boxes = Field(dark).light_boxes
-    sampler = EmitterSampler(make_proxy("box", np.ones(3)), np.ones(3), boxes)
-    _, pdf = sampler.sample(mi.Point3f(2, 3, 1), uniform_samples(mi, 4096).next_2d())
-    pdf = np.array(pdf)
-    assert np.isfinite(pdf).all()
-    assert (pdf > 0).mean() > 0.5
+    lumitree.save(dark, tmp_path / "dark.lumitree")
+    emitter = mi.load_dict(lumitree.shape(tmp_path / "dark.lumitree")).emitter()
+    assert emitter.placed.field.light_leaves is None
+    it = dr.zeros(mi.Interaction3f)
+    it.p = mi.Point3f(2, 3, 1)
+    ds, weight = emitter.sample_direction(it, uniform_samples(mi, 4096).next_2d())
+    assert (np.array(ds.pdf) > 0).all()
+    assert not np.array(weight).any()
 
 
 def emitted(mi, shape, count=1 << 19):

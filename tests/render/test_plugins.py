@@ -136,8 +136,8 @@ def test_sample_direction_weight_is_emission_over_pdf(mi, asset_file, proxy):
     pdf = shape.emitter().pdf_direction(it, ds)
     expected_pdf = np.broadcast_to(np.array(ds.pdf), 4096)
     valid = expected_pdf > 0
-    # Of the tenth that is drawn from the bounding sphere's cone some miss the proxy.
-    assert valid.mean() > 0.9
+    # Some miss the proxy, and some are drawn from leaves that others hide.
+    assert valid.mean() > 0.7
     # The sampled point is the one that a ray along the sampled direction meets.
     assert np.abs(np.array(si.t) - np.array(ds.dist))[valid].max() < 1e-4
     pdf = np.broadcast_to(np.array(pdf), 4096)

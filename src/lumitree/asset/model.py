@@ -67,6 +67,26 @@ class LuminaireAsset:
         """Bytes of tree and payload."""
         return self.children.nbytes + self.density.nbytes + self.coefficients.nbytes
 
+    def leaf_cells(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Where the leaves are.
+
+        Returns:
+            Integer coordinates [M, 3] at each leaf's own level, and the levels [M].
+        """
+        octants = np.array([(octant & 1, octant >> 1 & 1, octant >> 2) for octant in range(8)])
+        cells, levels = (
+            np.zeros((self.num_leaves, 3), np.int64),
+            np.zeros(self.num_leaves, np.int64),
+        )
+        nodes, corners, level = np.array([0]), np.zeros((1, 3), np.int64), 1
+        while len(nodes):
+            below = self.children[nodes]
+            places = 2 * corners[:, None] + octants
+            leaf, node = below < 0, below > 0
+            cells[~below[leaf]], levels[~below[leaf]] = places[leaf], level
+            nodes, corners, level = below[node], places[node], level + 1
+        return cells, levels
+
 
 def _expect(condition: Any, message: str) -> None:
     if not condition:

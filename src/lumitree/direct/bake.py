@@ -28,7 +28,7 @@ from lumitree.direct.refine import RefineConfig, Refiner
 from lumitree.direct.stored import StoredRays
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.luminaire import Luminaire
-from lumitree.octree.build import build_children, leaf_cells
+from lumitree.octree.build import build_children
 
 STATE = "state.npz"
 # The statistics are taken at this level at the finest, and the hull of pictures at this one; what
@@ -185,7 +185,7 @@ def refine(
 
     def start() -> tuple[LeafField, float]:
         _radiance_of(source)
-        leaves = leaf_cells(asset.children)
+        leaves = asset.leaf_cells()
         field = _field(config, source, *leaves, asset.density, asset.coefficients)
         return field, asset.max_radiance
 

@@ -49,25 +49,6 @@ def build_children(cells: ArrayLike, levels: ArrayLike) -> NDArray[np.int32]:
     return children
 
 
-def leaf_cells(children: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where an octree's leaves are, the inverse of `build_children`.
-
-    Returns:
-        Integer coordinates [M, 3] at each leaf's own level, and the levels [M].
-    """
-    octants = np.array([(octant & 1, octant >> 1 & 1, octant >> 2) for octant in range(8)])
-    leaves = int((children < 0).sum())
-    cells, levels = np.zeros((leaves, 3), np.int64), np.zeros(leaves, np.int64)
-    nodes, corners, level = np.array([0]), np.zeros((1, 3), np.int64), 1
-    while len(nodes):
-        below = children[nodes]
-        places = 2 * corners[:, None] + octants
-        leaf, node = below < 0, below > 0
-        cells[~below[leaf]], levels[~below[leaf]] = places[leaf], level
-        nodes, corners, level = below[node], places[node], level + 1
-    return cells, levels
-
-
 def _nodes_by_level(
     codes: NDArray[np.int64], levels: NDArray[np.int64], deepest: int
 ) -> list[NDArray[np.int64]]:

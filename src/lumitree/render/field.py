@@ -6,6 +6,7 @@ Symbols
 
 import functools
 import os
+import threading
 import weakref
 from collections.abc import Callable
 from pathlib import Path
@@ -22,11 +23,13 @@ from lumitree.asset.traversal import Octree
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.transmittance import BLOCKED, transmittance
-from lumitree.render.light_boxes import LightBoxes
+from lumitree.render.light_leaves import LightLeaves, leaf_power
 
-Record = Callable[[Any, Any, Any], None]
+# record(recorded, leaf, start, length, active[, emission]) -> recorded: see `Field.integrate`.
+Record = Callable[..., Any]
 # Coefficients that are loaded at once: gathers of single halves take three times as long.
 _PACKET = 8
+_OPENING = threading.Lock()
 _OPEN: "weakref.WeakValueDictionary[tuple[Any, ...], Field]" = weakref.WeakValueDictionary()
 
 
@@ -58,43 +61,75 @@ class Field:
         dr.eval(self._density, self._coefficients)
 
     @functools.cached_property
-    def light_boxes(self) -> LightBoxes:
-        """What emitters are sampled with; made on first use, shared by all instances."""
-        return LightBoxes(self)
+    def light_leaves(self) -> LightLeaves | None:
+        """What directions are drawn with; made on first use, shared by all instances.
 
-    def emission(
-        self, origin: Any, direction: Any, active: Any = True, record: Record | None = None
-    ) -> tuple[Any, Any]:
+        None where nothing shines.
+        """
+        power = leaf_power(self)
+        return LightLeaves(self, power) if power.any() else None
+
+    def emission(self, origin: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
         """Emitted radiance L_e (Eq. 3) and transmittance T (Eq. 4) of the line through the proxy.
 
         Args:
             origin: mi.Point3f, any point of the line, local units.
             direction: mi.Vector3f, unit direction of travel, local frame.
             active: mi.Bool mask.
-            record: told the light of each leaf: called with the distance of the middle of the
-                line's stretch in it, its part of the radiance, and a mask.
 
         Returns:
             mi.Color3f, radiance units of the luminaire's scene; mi.Float in [0, 1].
         """
+        radiance, through, _ = self.integrate(origin, direction, active, _nothing, ())
+        return radiance, through
+
+    def integrate(
+        self, origin: Any, direction: Any, active: Any, record: Record, recorded: Any
+    ) -> tuple[Any, Any, Any]:
+        """As `emission`, and tell of every leaf that is reached.
+
+        Args:
+            record: called with what is recorded, a leaf, the distance at which the line enters it,
+                its length in it, a mask and the leaf's part of the radiance; returns what is
+                recorded then.
+            recorded: tuple of Dr.Jit arrays, what `record` starts with.
+
+        Returns:
+            Radiance, transmittance and what is recorded.
+        """
         y = basis(*towards_viewer(direction), self.asset.l_max)
 
         def shade(state, leaf, start, length, active):
-            radiance, tau, through = state
+            radiance, tau, through, recorded = state
             tau, after = self._cross(tau, leaf, length, active)
             weight = through - after
             lit = active & (weight > 0)
-            emission = weight * self._leaf_emission(leaf, y, lit)
-            radiance = dr.select(lit, radiance + emission, radiance)
-            if record is not None:
-                record(start + length / 2, emission, lit)
-            return radiance, tau, after
+            emission = dr.select(lit, weight * self._leaf_emission(leaf, y, lit), 0)
+            recorded = record(recorded, leaf, start, length, active, emission)
+            return radiance + emission, tau, after, recorded
 
         clear = mi.Float(0), mi.Float(1)
-        (_, through), (radiance, _, _) = self._octree.walk_and_shade(
-            origin, direction, mi.Bool(active), self._visit, clear, shade, (mi.Color3f(0), *clear)
+        (_, through), (radiance, _, _, recorded) = self._octree.walk_and_shade(
+            origin,
+            direction,
+            mi.Bool(active),
+            self._visit,
+            clear,
+            shade,
+            (mi.Color3f(0), *clear, recorded),
         )
-        return radiance, through
+        return radiance, through, recorded
+
+    def cross(self, origin: Any, direction: Any, active: Any, record: Record, recorded: Any) -> Any:
+        """What `integrate` records, where no emission is needed for it, at a lower cost."""
+
+        def visit(state, leaf, start, length, active):
+            passed, recorded = state
+            passed, onwards = self._visit(passed, leaf, start, length, active)
+            return (passed, record(recorded, leaf, start, length, active)), onwards
+
+        state = ((mi.Float(0), mi.Float(1)), recorded)
+        return self._octree.walk(origin, direction, mi.Bool(active), visit, state)[1]
 
     def transmittance(self, origin: Any, direction: Any, active: Any = True) -> Any:
         """Transmittance T (Eq. 4) alone; arguments as for `emission`."""
@@ -127,6 +162,10 @@ class Field:
                 total = dr.fma(flat[channel * count + k], y[k], total)
             channels.append(dr.rcp(1 + dr.exp(-total)))
         return self.asset.max_radiance * mi.Color3f(*channels)
+
+
+def _nothing(recorded, *_):
+    return recorded
 
 
 def _width(l_max: int) -> int:
@@ -163,7 +202,9 @@ def open_field(
         min_density,
         max_opacity,
     )
-    field = _OPEN.get(key)
-    if field is None:
-        field = _OPEN[key] = Field(load(path), min_density, max_opacity)
+    # Mitsuba makes plugins in parallel.
+    with _OPENING:
+        field = _OPEN.get(key)
+        if field is None:
+            field = _OPEN[key] = Field(load(path), min_density, max_opacity)
     return field

@@ -56,6 +56,7 @@ def _trace(settings, scene, sampler, ray, active):
     max_depth = mi.UInt32(settings.max_depth % (1 << 32))  # no limit: the largest number
     sees_null = has_null_surfaces(scene)
     sees_environment = scene.environment() is not None and not settings.hide_emitters
+    sampling_weight = sum(emitter.sampling_weight() for emitter in scene.emitters())
     context = mi.BSDFContext()
 
     radiance, β, η = mi.Color3f(0), mi.Color3f(1), mi.Float(1)
@@ -86,8 +87,11 @@ def _trace(settings, scene, sampler, ray, active):
         if dr.hint(settings.hide_emitters, mode="scalar"):
             seen &= depth > 0
         ds = mi.DirectionSample3f(scene, si, vertex)
-        emitter_pdf = scene.pdf_emitter_direction(vertex, ds, seen & ~delta)
-        emitted, through, proxy = dr.dispatch(ds.emitter, _emitted, si, active)
+        emitted, through, emitter_pdf, proxy = dr.dispatch(ds.emitter, _emitted, si, vertex, active)
+        emitter_pdf *= ds.emitter.sampling_weight() * dr.rcp(sampling_weight)
+        ordinary = seen & ~delta & ~proxy
+        emitter_pdf[ordinary] = scene.pdf_emitter_direction(vertex, ds, ordinary)
+        emitter_pdf[delta] = 0
         radiance[seen] += β * _mis_weight(pdf, emitter_pdf) * emitted
 
         # A proxy is left the way it was entered; every other surface is sampled.
@@ -100,19 +104,21 @@ def _trace(settings, scene, sampler, ray, active):
         sample = sampler.next_2d()
         index, emitter_weight, sample.x = scene.sample_emitter(sample.x, estimates)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index, estimates)
-        ds, weight = dr.dispatch(emitter, _aim, si, sample, estimates)
-        ds.pdf *= dr.rcp(emitter_weight)
-        weight *= emitter_weight
+        ds, weight, reach = dr.dispatch(emitter, _aim, si, sample, estimates)
         estimates &= ds.pdf != 0
         wo = si.to_local(ds.d)
         value, value_pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
             context, si, wo, sampler.next_1d(), sampler.next_2d(), scatters
         )
-        direct = β * value * weight * dr.select(ds.delta, 1, _mis_weight(ds.pdf, value_pdf))
+        direct = β * value
         estimates &= dr.max(direct) > 0
         direct *= _visible(scene, si, ds.p, sees_null, estimates)
         estimates &= dr.max(direct) > 0
-        radiance[estimates] += direct * dr.dispatch(emitter, _sent, si, ds, estimates)
+        weight, ds.pdf = dr.dispatch(emitter, _sent, si, ds, weight, reach, estimates)
+        weight *= emitter_weight
+        ds.pdf *= dr.rcp(emitter_weight)
+        direct *= weight * dr.select(ds.delta, 1, _mis_weight(ds.pdf, value_pdf))
+        radiance[estimates] += direct
 
         # The next ray.
         null = proxy | (scatters & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null))
@@ -140,25 +146,29 @@ def _trace(settings, scene, sampler, ray, active):
     return radiance, valid
 
 
-def _emitted(emitter: Any, si: Any, active: Any) -> tuple[Any, Any, Any]:
-    """Radiance of an emitter that was hit, and of a proxy T and that it is one."""
+def _emitted(emitter: Any, si: Any, vertex: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+    """Radiance of an emitter that was hit, and of a proxy T, its density, and that it is one."""
     if hasattr(emitter, "eval_through"):
-        return *emitter.eval_through(si, active), mi.Bool(True)
-    return emitter.eval(si, active), mi.Float(1), mi.Bool(False)
+        return *emitter.eval_through(si, vertex, active), mi.Bool(True)
+    return emitter.eval(si, active), mi.Float(1), mi.Float(0), mi.Bool(False)
 
 
-def _aim(emitter: Any, it: Any, sample: Any, active: Any) -> tuple[Any, Any]:
-    """Direction sampled towards an emitter, and its weight but for what `_sent` adds."""
+def _aim(emitter: Any, it: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+    """Direction sampled towards an emitter, its weight, and what a baked luminaire's `look` needs.
+
+    Weight and density of a baked luminaire are for `_sent` to find.
+    """
     if hasattr(emitter, "aim"):
-        return emitter.aim(it, sample, active)
-    return emitter.sample_direction(it, sample, active)
+        ds, reach = emitter.aim(it, sample, active)
+        return ds, mi.Color3f(1), reach
+    return *emitter.sample_direction(it, sample, active), mi.Float(0)
 
 
-def _sent(emitter: Any, it: Any, ds: Any, active: Any) -> Any:
-    """Radiance that is sent in a direction of `_aim`, where its weight lacks it."""
-    if hasattr(emitter, "aim"):
-        return emitter.eval_direction(it, ds, active)
-    return mi.Color3f(1)
+def _sent(emitter: Any, it: Any, ds: Any, weight: Any, reach: Any, active: Any) -> tuple[Any, Any]:
+    """Weight and density of a direction of `_aim`."""
+    if hasattr(emitter, "look"):
+        return emitter.look(it, ds, reach, active)
+    return mi.Color3f(weight), mi.Float(ds.pdf)
 
 
 @dr.syntax

@@ -104,32 +104,37 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             placed = self.placed = Placed(props)
-            boxes = placed.field.light_boxes if placed.sampling == "emission" else None
-            half_extents = placed.field.asset.half_extents
-            self.sampler = EmitterSampler(placed.proxy, half_extents, boxes)
+            leaves = placed.field.light_leaves if placed.sampling == "emission" else None
+            self.sampler = EmitterSampler(placed.proxy, placed.field, leaves)
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
         def eval(self, si, active=True):
-            return self.eval_through(si, active)[0]
-
-        def eval_through(self, si, active):
-            """Radiance and transmittance in one traversal, for `lumitree_path`."""
             line = self.placed.local_line(si.p, -si.to_world(si.wi))
             entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-            radiance, through = self.placed.field.emission(*line, entering)
-            return radiance & entering, dr.select(entering, through, 1)
+            return self.placed.field.emission(*line, entering)[0] & entering
+
+        def eval_through(self, si, it, active):
+            """Radiance, T, and the density of `sample_direction` from `it`, in one traversal."""
+            line = self.placed.local_line(si.p, -si.to_world(si.wi))
+            distance = dr.norm(si.p - it.p) / self.placed.scale
+            entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+            radiance, through, pdf = self.sampler.look(*line, distance, entering)
+            return radiance & entering, dr.select(entering, through, 1), pdf
 
         def sample_direction(self, it, sample, active=True):
-            ds, weight = self.aim(it, sample, active)
-            return ds, weight * self.eval_direction(it, ds, active & (ds.pdf > 0))
+            ds, reach = self.aim(it, sample, active)
+            weight, ds.pdf = self.look(it, ds, reach, active & (ds.pdf > 0))
+            return ds, weight
 
         def aim(self, it, sample, active):
-            """As `sample_direction`, but the weight lacks the radiance, which costs a traversal."""
+            """Direction of `sample_direction`, and how far it reaches; its density is for `look`.
+
+            So a shadow ray can be traced before the luminaire is, which costs more.
+            """
             placed = self.placed
             origin = placed.to_local @ it.p
-            direction, pdf = self.sampler.sample(origin, sample, active)
-            active = active & (pdf > 0)
-            distance, n, _ = placed.proxy.enter(origin, direction)
+            direction, reach = self.sampler.aim(origin, sample, active)
+            distance, n, enters = placed.proxy.enter(origin, direction)
             ds = dr.zeros(mi.DirectionSample3f)
             ds.p = placed.to_scene @ mi.Point3f(origin + distance * direction)
             ds.n = dr.normalize(placed.to_scene @ mi.Vector3f(n))
@@ -137,15 +142,23 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             ds.dist = dr.norm(ds.d)
             ds.d /= ds.dist
             ds.time = it.time
-            ds.pdf = dr.select(active, pdf, 0)
+            ds.pdf = dr.select(active & enters, 1, 0)
             ds.delta = False
             ds.emitter = mi.EmitterPtr(self)
-            return ds, mi.Color3f(dr.rcp(pdf)) & active
+            return ds, reach
+
+        def look(self, it, ds, reach, active):
+            """Radiance over density, and density, of a direction that `aim` gave."""
+            entry, direction = self.placed.local_line(ds.p, ds.d)
+            distance = ds.dist / self.placed.scale
+            radiance, _, pdf = self.sampler.look(entry, direction, distance, active, reach)
+            return dr.select(pdf > 0, radiance / pdf, 0), pdf
 
         def pdf_direction(self, it, ds, active=True):
-            line = self.placed.local_line(it.p, ds.d)
+            entry, direction = self.placed.local_line(ds.p, ds.d)
+            distance = dr.norm(ds.p - it.p) / self.placed.scale
             facing = active & (dr.dot(ds.d, ds.n) < 0)
-            return dr.select(facing, self.sampler.pdf(*line, facing), 0)
+            return self.sampler.pdf(entry, direction, distance, facing)
 
         def eval_direction(self, it, ds, active=True):
             line = self.placed.local_line(it.p, ds.d)
@@ -158,8 +171,9 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
 
         def sample_ray(self, time, sample1, sample2, sample3, active=True):
             placed = self.placed
-            p, direction, pdf = self.sampler.sample_line(sample1, sample2, sample3, active)
-            radiance, _ = placed.field.emission(p, -direction, active)
+            p, direction, radiance, pdf = self.sampler.sample_line(
+                sample1, sample2, sample3, active
+            )
             # Where the line leaves the proxy is where its reverse enters.
             distance, n, _ = placed.proxy.enter(p, -direction)
             si = dr.zeros(mi.SurfaceInteraction3f)
@@ -167,7 +181,8 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             si.n = dr.normalize(placed.to_scene @ mi.Vector3f(n))
             si.time = time
             ray = si.spawn_ray(dr.normalize(placed.to_scene @ direction))
-            return ray, (radiance * dr.square(placed.scale) / pdf) & active
+            weight = radiance * dr.square(placed.scale) / pdf
+            return ray, weight & (active & (pdf > 0))
 
         def sample_position(self, time, sample, active=True):
             raise LumitreeError(

@@ -2,6 +2,9 @@
 
 In the luminaire's local frame. The uniform part keeps every density positive where light may come
 from, and every sample's weight below radiance times 4 pi over its fraction, however close it is.
+
+A direction's density is found along its line, together with its radiance. It counts what is drawn
+in vain too (see `light_leaves`), so over all directions it adds up to less than 1.
 """
 
 from typing import Any
@@ -9,9 +12,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
-from lumitree.render.light_boxes import NO_BOX, LightBoxes
+from lumitree.render.field import Field
+from lumitree.render.light_leaves import LightLeaves, is_reached
 from lumitree.render.proxy import Proxy, cone_pdf, point_on_box, projected_areas, sample_cone
 
 SAMPLING_KINDS = ("emission", "uniform")
@@ -20,53 +23,80 @@ UNIFORM_FRACTION = 0.1
 
 
 class EmitterSampler:
-    """Directions towards a field: its boxes mixed with the proxy's uniform sampling.
+    """Directions towards a field: its leaves mixed with uniform ones.
 
     Args:
-        proxy: what is sampled uniformly.
-        half_extents: [3] the box around the field, local units.
-        boxes: None for uniform sampling alone.
+        proxy: what is sampled uniformly where there are no leaves to be drawn.
+        field: what is looked at.
+        leaves: None for uniform sampling alone.
     """
 
-    def __init__(
-        self, proxy: Proxy, half_extents: NDArray[np.float64], boxes: LightBoxes | None
-    ) -> None:
-        self._proxy = proxy
-        self._half = mi.Vector3f(*half_extents.tolist())
-        self._radius = float(np.linalg.norm(half_extents))
-        self._boxes = boxes
+    def __init__(self, proxy: Proxy, field: Field, leaves: LightLeaves | None) -> None:
+        self._proxy, self._field, self._leaves = proxy, field, leaves
+        self._half = mi.Vector3f(*field.asset.half_extents.tolist())
+        self._radius = float(np.linalg.norm(field.asset.half_extents))
 
-    def sample(self, origin: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
-        """Unit direction from `origin` for a sample in the unit square, and its density.
+    def aim(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
+        """Unit direction from `x` for a sample in the unit square, and how far it must reach.
 
         Args:
-            origin: mi.Point3f, local frame.
+            x: mi.Point3f, local frame.
             sample: mi.Point2f.
             active: mi.Bool mask.
 
         Returns:
-            mi.Vector3f; mi.Float per steradian, 0 where there is no valid direction.
+            mi.Vector3f; mi.Float, distance of the point that was drawn, for `look`; -inf if none.
         """
-        if self._boxes is None:
-            direction = self._proxy.sample(origin, sample)
-            return direction, self._proxy.pdf(origin, direction)
+        if self._leaves is None:
+            return self._proxy.sample(x, sample), mi.Float(-dr.inf)
         uniform, rest = _divide_sample(sample.x)
         sample = mi.Point2f(rest, sample.y)
-        aimed, box = self._boxes.sample(origin, sample, active)
-        direction = dr.select(uniform, sample_cone(origin, self._radius, sample), aimed)
-        box = dr.select(uniform, NO_BOX, box)
-        return direction, self._density(origin, direction, active, box)
+        offset = self._leaves.sample(x, sample, active) - x
+        reach = dr.norm(offset)
+        direction = dr.select(uniform, sample_cone(x, self._radius, sample), offset / reach)
+        return direction, dr.select(uniform, -dr.inf, reach)
 
-    def pdf(self, origin: Any, direction: Any, active: Any = True) -> Any:
-        """Density with which `sample` gives `direction` from `origin`, per steradian."""
-        if self._boxes is None:
-            return self._proxy.pdf(origin, direction)
-        return self._density(origin, direction, active, mi.UInt32(NO_BOX))
+    def look(
+        self, entry: Any, direction: Any, distance: Any, active: Any, reach: Any = -dr.inf
+    ) -> tuple[Any, Any, Any]:
+        """What comes from a direction, and with which density `aim` gives it.
+
+        Args:
+            entry: mi.Point3f, where the line enters the proxy.
+            direction: mi.Vector3f, unit direction from the shading point to it.
+            distance: mi.Float, from the shading point to it.
+            active: mi.Bool mask.
+            reach: as `aim` returned it, for a direction that it gave.
+
+        Returns:
+            Radiance (mi.Color3f) and transmittance of the line; mi.Float per steradian, 0 where
+            `active` is false and where the light stops before it has reached far enough.
+        """
+        x = entry - distance * direction
+        if self._leaves is None:
+            radiance, through = self._field.emission(entry, direction, active)
+            return radiance, through, dr.select(active, self._proxy.pdf(x, direction), 0)
+        record = self._leaves.record(x, distance)
+        radiance, through, found = self._field.integrate(entry, direction, active, *record)
+        return radiance, through, self._density(x, distance, reach, found, active)
+
+    def pdf(self, entry: Any, direction: Any, distance: Any, active: Any = True) -> Any:
+        """Density of `look` alone, at about the cost of a transmittance."""
+        x = entry - distance * direction
+        if self._leaves is None:
+            return dr.select(active, self._proxy.pdf(x, direction), 0)
+        found = self._field.cross(entry, direction, active, *self._leaves.record(x, distance))
+        return self._density(x, distance, -dr.inf, found, active)
+
+    def _density(self, x, distance, reach, found, active):
+        aimed, stop = found
+        density = dr.lerp(aimed, cone_pdf(x, self._radius), UNIFORM_FRACTION)
+        return dr.select(active & is_reached(reach - distance, stop), density, 0)
 
     def sample_line(
         self, choice: Any, sample1: Any, sample2: Any, active: Any = True
-    ) -> tuple[Any, Any, Any]:
-        """Line along which light leaves the lamp.
+    ) -> tuple[Any, Any, Any, Any]:
+        """Line along which light leaves the lamp, and what it carries.
 
         Args:
             choice: mi.Float in [0, 1).
@@ -74,28 +104,25 @@ class EmitterSampler:
             active: mi.Bool mask.
 
         Returns:
-            A point of the line inside the proxy, the unit direction of travel, and the density over
-            projected area (local units) and solid angle.
+            A point of the line inside the proxy, the unit direction of travel, the radiance, and
+            the density over projected area (local units) and solid angle, 0 where it is rejected.
         """
         direction = mi.warp.square_to_uniform_sphere(sample1)
         areas = projected_areas(self._half, direction)
         point = point_on_box(self._half, areas, direction, sample2)
-        if self._boxes is None:
-            return mi.Point3f(point), direction, dr.inv_four_pi / dr.sum(areas)
+        if self._leaves is None:
+            radiance, _ = self._field.emission(mi.Point3f(point), -direction, active)
+            return mi.Point3f(point), direction, radiance, dr.inv_four_pi / dr.sum(areas)
         uniform, rest = _divide_sample(choice)
-        aimed_point, aimed = self._boxes.sample_line(rest, sample1, sample2)
-        point = dr.select(uniform, point, aimed_point)
+        aimed_point, aimed = self._leaves.sample_line(rest, sample1, sample2)
+        point = mi.Point3f(dr.select(uniform, point, aimed_point))
         direction = dr.select(uniform, direction, aimed)
-        density = dr.inv_four_pi / dr.sum(projected_areas(self._half, direction))
-        aimed_density = self._boxes.line_pdf(point, direction, active)
-        return mi.Point3f(point), direction, dr.lerp(aimed_density, density, UNIFORM_FRACTION)
-
-    def _density(self, origin, direction, active, box):
-        # Where the proxy's own density is 0 nothing is emitted: from inside, and past it.
-        valid = self._proxy.pdf(origin, direction) > 0
-        aimed = self._boxes.pdf(origin, direction, active & valid, box)
-        uniform = cone_pdf(origin, self._radius)
-        return dr.select(valid, dr.lerp(aimed, uniform, UNIFORM_FRACTION), 0)
+        record = self._leaves.record_line(direction)
+        radiance, _, found = self._field.integrate(point, -direction, active, *record)
+        plain = dr.inv_four_pi / dr.sum(projected_areas(self._half, direction))
+        density = dr.lerp(found[0], plain, UNIFORM_FRACTION)
+        reached = uniform | is_reached(mi.Float(0), found[1])
+        return point, direction, radiance, dr.select(reached, density, 0)
 
 
 def _divide_sample(sample):
