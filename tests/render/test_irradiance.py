@@ -1,4 +1,4 @@
-"""Light that baked lamps bring to surfaces, against area lights of their shape and known answers."""
+"""Light that baked lamps bring to surfaces, against area lights of the shape and known answers."""
 
 import numpy as np
 import pytest
