@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from equal_quality import shows_lamp
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import atomic_path, write_json
 from setting import setting
@@ -52,9 +53,9 @@ def measure_paths(by_kind: dict, path_depth: int) -> dict:
     from lumitree.render.room import render
 
     def integrator(depth):
-        return mi.load_dict({"type": "volpath", "max_depth": depth, "rr_depth": 1000})
+        return mi.load_dict({"type": "lumitree_path", "max_depth": depth, "rr_depth": 1000})
 
-    lamp_seen = render(by_kind["emission"], integrator(1), SAMPLES).max(axis=2) > 0
+    lamp_seen = shows_lamp(by_kind["emission"])[..., 0]
     images: dict = {kind: [] for kind in SAMPLINGS}
     seconds: dict = {kind: [] for kind in SAMPLINGS}
     for index in range(PASSES + 1):
