@@ -22,7 +22,8 @@ again spends its time on making the long runs longer. Readings (one row a pair):
 * lit: the same over the pixels whose rays do not meet the lamp's box. Camera paths find what shines
   in a lamp with little noise, whoever renders it, and filaments are a thousand times brighter than
   the room, so that they decide an RMSE of the whole picture. What a lamp is for is the rest. With
-  fewer samples than 32 where the reference is not good enough for more;
+  fewer samples than 32 where the reference is not good enough for more, and as a bound (>) where
+  one sample is better than the reference;
 * lit, robust: the same pixels by relMSE, without the 0.1 % of them that are noisiest by either
   method: mirror images of filaments, which no sampling of lamps finds;
 * measured: the first by the ladders' RMSE alone, marked ~ where it lies beyond the last rung;
@@ -199,11 +200,25 @@ def reading(
     bias = squared_difference(baked.long.batches, explicit.long.batches, weights)
     floor = noise(explicit.long.batches, weights)
     paces = explicit.pace(seconds[0], 0.0, weights), baked.pace(seconds[1], bias.value, weights)
+    rows = expected_levels(counts, *paces, floor.value)
+    best = readable(rows)
+    # The room's own light, whatever the errors are weighted with.
+    means = ratio_of_means(*(method.long.batches * (weights > 0) for method in (baked, explicit)))
     return {
-        "levels": expected_levels(counts, *paces, floor.value),
+        "speedup": best["speedup"],
+        "speedup_error": best["speedup_error"],
+        "baked_spp": best["baked_spp"],
+        # Where one sample is better than the reference: the time for the reference's own error.
+        "speedup_bound": paces[0].variance.value
+        / floor.value
+        * seconds[0]
+        / rows[0]["baked_seconds"],
+        "levels": rows,
         "variance_ratio": paces[0].variance.value / paces[1].variance.value,
         "bake_mse": bias.value,
         "bake_mse_error": bias.error,
+        "mean_ratio": means.value,
+        "mean_ratio_error": means.error,
         "reference_rmse": float(np.sqrt(floor.value)),
     }
 
@@ -234,15 +249,12 @@ def compare(pair: Pair, explicit: Method, baked: Method, clock: str) -> dict:
     saved = (best["explicit_seconds"] or 0.0) - best["baked_seconds"]
     means = ratio_of_means(baked.long.batches, explicit.long.batches)
     rel_mse = squared_difference(baked.long.batches, explicit.long.batches, reference.weights)
-    headlines = {name: readable(part["levels"]) for name, part in parts.items()}
     return {
         "luminaire": pair.lamp_name,
         "room": Path(pair.room).resolve().parent.name,
         "speedup": best["speedup"],
         "speedup_error": best["speedup_error"],
-        **{f"speedup_{name}": row["speedup"] for name, row in headlines.items()},
-        **{f"speedup_{name}_error": row["speedup_error"] for name, row in headlines.items()},
-        **{f"speedup_{name}_spp": row["baked_spp"] for name, row in headlines.items()},
+        **{f"speedup_{name}": part["speedup"] for name, part in parts.items()},
         "speedup_measured": best["speedup_measured"],
         "speedup_robust": best["speedup_robust"],
         "at_paper_samples": best,

@@ -28,6 +28,7 @@ _HEADS = (
     "bake's RMSE",
     "reference's RMSE",
     "mean, baked / explicit",
+    "where lit",
 )
 _COLOURS = {"explicit": "#b04a2f", "baked": "#2f6fb0"}
 
@@ -55,6 +56,7 @@ def table(rows: list[dict]) -> str:
             f"{bake['rmse']:.2g} (MSE {bake['mse']:.2g} ± {bake['mse_error']:.1g})",
             f"{row['reference']['rmse']:.2g}",
             f"{bake['mean_ratio']:.3f} ± {bake['mean_ratio_error']:.2g}",
+            f"{row['lit']['mean_ratio']:.3f} ± {row['lit']['mean_ratio_error']:.2g}",
         ]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
@@ -87,8 +89,10 @@ def _level(level: dict | None) -> str:
 
 
 def _part(row: dict, part: str) -> str:
-    value = _times(row[f"speedup_{part}"], row[f"speedup_{part}_error"])
-    return value + (f" ({row[f'speedup_{part}_spp']} spp)" if value[0].isdigit() else "")
+    found = row[part]
+    if found["speedup"] is None:
+        return f"> {found['speedup_bound']:.3g}"
+    return f"{_times(found['speedup'], found['speedup_error'])} ({found['baked_spp']} spp)"
 
 
 def _reading(at: dict, name: str) -> str:

@@ -42,6 +42,8 @@ _HULL_OPTICAL_DEPTH, _HULL_RADIANCE = 0.3, 0.01
 _LEAVES = ("cells", "levels", "log_density", "coefficients")
 # Finest cells of which the light is balanced at the end.
 _LAST_BALANCE_LEVEL = 5
+# How many times as long as balancing what follows the descent takes.
+_CLOSING_BALANCES = 1.5
 # Seconds between two looks at the held-out rays, and between two saved states.
 _SCORE_SECONDS, _SAVE_SECONDS = 10.0, 60.0
 
@@ -297,6 +299,8 @@ class _Clock:
     def __init__(self, config: DirectConfig, seconds: float, rays: int) -> None:
         self._config, self._earlier, self.rays = config, seconds, rays
         self._start = time.monotonic()
+        # Seconds of the budget that are kept for what follows the descent.
+        self.reserved = 0.0
 
     @property
     def seconds(self) -> float:
@@ -307,7 +311,7 @@ class _Clock:
         """Share of the budget that is spent, 1 when it is all."""
         shares = [0.0]
         if self._config.seconds is not None:
-            shares.append(self.seconds / self._config.seconds)
+            shares.append((self.seconds + self.reserved) / self._config.seconds)
         if self._config.rays is not None:
             shares.append(self.rays / self._config.rays)
         return min(max(shares), 1.0)
@@ -364,7 +368,9 @@ class _Loop:
         if turn == int(before / _SPLIT_EVERY) or done > _LAST_SPLIT:
             return
         self._refiner.prune()
+        start = time.monotonic()
         self._refiner.balance()
+        self._clock.reserved = _CLOSING_BALANCES * (time.monotonic() - start)
         deepest = int(self._refiner.field.levels.max())
         if deepest < self._config.tree_depth:
             self._refiner.split(deepest + 1)
