@@ -1,12 +1,10 @@
 """Sampling by emission against uniform sampling of the proxy, in the same run.
 
-    python benchmarks/sampling.py --pair ASSET ROOM AT SIZE [--pair ...] [--write]
+    python benchmarks/sampling.py --rooms FOLDER --assets FOLDER --data FOLDER [--write]
 
-ROOM is a scene file, or "demo"; AT is x,y,z and SIZE the lamp's largest side, in the room's units
-(a lamp in the demo's room stands where the demo puts it: AT and SIZE are "-"). Direct and full
-light. Variances are of pixels that do not see the lamp itself, over the square of their mean,
-without the 0.1 % of largest; times are medians of passes, the two samplings taking turns. `--write`
-puts `sampling.md` and `sampling.json` into benchmarks/results/.
+For the pairs of `equal_quality_pairs.toml`. Direct and full light. Variances are of pixels beside the
+lamp, over the square of their mean, without the 0.1 % of largest; times are medians of passes, the
+two samplings taking turns. `--write` puts `sampling.md` and `sampling.json` into benchmarks/results/.
 """
 
 import argparse
@@ -17,12 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from equal_quality import shows_lamp
+from equal_quality import Pair, read_pairs, shows_lamp
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import atomic_path, write_json
 from setting import setting
 
-RESULTS = Path(__file__).parent / "results"
+HERE = Path(__file__).parent
+RESULTS, PAIRS = HERE / "results", HERE / "equal_quality_pairs.toml"
 WIDTH, SAMPLES, PASSES = 64, 16, 8
 PATH_DEPTHS = {"direct": 2, "full": 8}
 SAMPLINGS = ("uniform", "emission")
@@ -31,18 +30,13 @@ SHADING_POINTS = {"below": (0, -6, 0), "far below": (0, -30, 3), "beside": (4, 0
 POINT_SAMPLES = 1 << 17
 
 
-def scenes(asset: str, room: str, at: str, size: str) -> dict:
+def scenes(pair: Pair) -> dict:
     """The room with the lamp in it, by kind of sampling."""
-    from lumitree.render.demo_room import demo_room, lamp
     from lumitree.render.room import Placement, furnish, load_room, set_film_width
 
-    if room == "demo":
-        place, scene = lamp(asset), demo_room(WIDTH)
-    else:
-        x, y, z = (float(word) for word in at.split(","))
-        place = Placement(asset, (x, y, z), float(size))
-        scene, _ = load_room(room)
-        set_film_width(scene, WIDTH)
+    scene, _ = load_room(pair.room)
+    set_film_width(scene, WIDTH)
+    place = Placement(pair.asset, pair.at, pair.size)
     return {kind: furnish(scene, [place], sampling=kind) for kind in SAMPLINGS}
 
 
@@ -151,6 +145,7 @@ def _nanoseconds(job) -> float:
 
 def table(report: dict) -> str:
     lines = [
+        "# Sampling by emission\n",
         f"{report['setting']['device']}, {report['setting']['variant']}, {WIDTH} "
         f"pixels wide, {PASSES} passes of {SAMPLES} samples.",
         "",
@@ -177,27 +172,22 @@ def table(report: dict) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    names = ("ASSET", "ROOM", "AT", "SIZE")
-    parser.add_argument("--pair", nargs=4, action="append", required=True, metavar=names)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
+    parser.add_argument("--pairs", type=Path, default=PAIRS)
+    for name in ("rooms", "assets", "data"):
+        parser.add_argument(f"--{name}", type=Path, required=True, help="see equal_quality.py")
     parser.add_argument("--write", action="store_true")
     arguments = parser.parse_args()
     load_mitsuba()
-
-    from lumitree.asset.file import load
-
-    report: dict = {
-        "setting": setting(),
-        "pairs": [],
-        "points": [],
-    }
-    for asset in dict.fromkeys(pair[0] for pair in arguments.pair):
-        report["points"].append({"luminaire": load(asset).luminaire} | measure_points(asset))
+    pairs = read_pairs(arguments.pairs, arguments.rooms, arguments.assets, arguments.data)
+    report: dict = {"setting": setting(), "pairs": [], "points": []}
+    for pair in pairs:
+        report["points"].append({"luminaire": pair.lamp_name} | measure_points(pair.asset))
         print(report["points"][-1], flush=True)
-    for asset, room, at, size in arguments.pair:
-        by_kind = scenes(asset, room, at, size)
+    for pair in pairs:
+        by_kind = scenes(pair)
         for light, depth in PATH_DEPTHS.items():
-            names = {"luminaire": load(asset).luminaire, "room": Path(room).parent.name or room}
+            names = {"luminaire": pair.lamp_name, "room": Path(pair.room).resolve().parent.name}
             report["pairs"].append(names | {"light": light} | measure_paths(by_kind, depth))
             print(report["pairs"][-1], flush=True)
     print(table(report))
