@@ -2,9 +2,9 @@
 
     python benchmarks/sampling.py --rooms FOLDER --assets FOLDER --data FOLDER [--write]
 
-For the pairs of `equal_quality_pairs.toml`. Direct and full light. Variances are of pixels beside the
-lamp, over the square of their mean, without the 0.1 % of largest; times are medians of passes, the
-two samplings taking turns. `--write` puts `sampling.md` and `sampling.json` into benchmarks/results/.
+For the pairs of `equal_quality_pairs.toml`. Direct and full light. Variances are of pixels beside
+the lamp, over the square of their mean, without the 0.1 % of largest; times are medians of passes,
+the two samplings taking turns. `--write` puts `sampling.md` and `sampling.json` into the results.
 """
 
 import argparse

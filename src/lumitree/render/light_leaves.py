@@ -93,6 +93,7 @@ class LightLeaves:
         _, density = direction_in_bin(dr.arange(mi.UInt32, NUM_BINS), mi.Point2f(0.5))
         power = light[0] / np.array(density)[:, None]
         self._line_choice = mi.DiscreteDistribution(power.ravel())
+        self._line_share = mi.Float((power / power.sum()).ravel())
 
     def _tabulate(self, field):
         """Light [cells, groups] that each group sends to each cell around the lamp."""
@@ -172,20 +173,13 @@ class LightLeaves:
             x: mi.Point3f, the shading point; outside the proxy.
             offset: distance from it to the line's origin.
         """
-        row = self._row(x)
 
-        def add(state, leaf, start, length, active, emission=None):
-            density, stop = state
-            packed = dr.gather(mi.UInt32, self._packed, leaf, active)
-            share = dr.gather(mi.Float, self._share, row + (packed & _GROUP_MASK), active)
-            share *= dr.reinterpret_array(mi.Float, packed & _DIGITS)
+        def part(start, length):
             near = start + offset
             far = near + length
-            cubes = length * (near * near + near * far + far * far)
-            density += dr.select(active, share * cubes, 0)
-            return density, dr.select(active, start + length, stop)
+            return length * (near * near + near * far + far * far)
 
-        return add, (mi.Float(0), mi.Float(-dr.inf))
+        return self._record(self._share, self._row(x), part)
 
     def sample_line(self, choice: Any, sample1: Any, sample2: Any) -> tuple[Any, Any]:
         """Point inside a leaf and direction of travel of a line that leaves the lamp."""
@@ -199,15 +193,22 @@ class LightLeaves:
         Args:
             direction: in which light travels, opposite to the line's own.
         """
-        row = bin_of(direction) * NUM_GROUPS
         of_bin = bin_density(direction)
+
+        def part(_, length):
+            return 3 * length * of_bin
+
+        return self._record(self._line_share, bin_of(direction) * NUM_GROUPS, part)
+
+    def _record(self, shares, row, part):
+        """Record that sums share · p / 3V · part over leaves, and finds the last one's end."""
 
         def add(state, leaf, start, length, active, emission=None):
             density, stop = state
             packed = dr.gather(mi.UInt32, self._packed, leaf, active)
-            share = self._line_choice.eval_pmf_normalized(row + (packed & _GROUP_MASK), active)
+            share = dr.gather(mi.Float, shares, row + (packed & _GROUP_MASK), active)
             share *= dr.reinterpret_array(mi.Float, packed & _DIGITS)
-            density += dr.select(active, share * of_bin * 3 * length, 0)
+            density = density + dr.select(active, share * part(start, length), 0)
             return density, dr.select(active, start + length, stop)
 
         return add, (mi.Float(0), mi.Float(-dr.inf))
