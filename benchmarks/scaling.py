@@ -15,6 +15,7 @@ from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from lumitree import pipeline
 from lumitree.asset.model import MAX_TREE_DEPTH
@@ -68,9 +69,12 @@ def draw(report: dict, path: Path) -> None:
         other.set(ylabel="opacity_rmse", ylim=(0, None))
         if key in ("rays", "leaves"):
             axis.set_xscale("log")
+            axis.xaxis.set_minor_formatter(NullFormatter())
+        else:
+            axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.grid(alpha=0.3)
-        axis.legend(loc="lower right", fontsize=8)
-        other.legend(loc="center right", fontsize=8)
+        axis.legend(loc="lower left", fontsize=8)
+        other.legend(loc="lower right", fontsize=8)
     setting = report["setting"]
     figure.suptitle(
         f"{setting['luminaire']}; where not varied: {setting['seconds']:g} s, depth "
