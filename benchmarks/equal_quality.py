@@ -41,6 +41,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 import lumitree
@@ -148,7 +149,7 @@ class Method:
         return Pace(variance, seconds, bias)
 
 
-def shows_lamp(baked: Any) -> Floats:
+def shows_lamp(baked: Any) -> NDArray[np.bool_]:
     """Mask [H, W, 1] of pixels in which the box of the lamp is seen, or next to one."""
     import drjit as dr
     import mitsuba as mi
@@ -198,9 +199,10 @@ def reading(
         weights: [H, W, 3] of squared errors.
     """
     bias = squared_difference(baked.long.batches, explicit.long.batches, weights)
-    floor = noise(explicit.long.batches, weights)
     paces = explicit.pace(seconds[0], 0.0, weights), baked.pace(seconds[1], bias.value, weights)
-    rows = expected_levels(counts, *paces, floor.value)
+    samples = explicit.long.samples_per_pixel
+    floor = paces[0].variance.value / samples
+    rows = expected_levels(counts, *paces, floor)
     best = readable(rows)
     # The room's own light, whatever the errors are weighted with.
     means = ratio_of_means(*(method.long.batches * (weights > 0) for method in (baked, explicit)))
@@ -209,17 +211,14 @@ def reading(
         "speedup_error": best["speedup_error"],
         "baked_spp": best["baked_spp"],
         # Where one sample is better than the reference: the time for the reference's own error.
-        "speedup_bound": paces[0].variance.value
-        / floor.value
-        * seconds[0]
-        / rows[0]["baked_seconds"],
+        "speedup_bound": samples * seconds[0] / rows[0]["baked_seconds"],
         "levels": rows,
         "variance_ratio": paces[0].variance.value / paces[1].variance.value,
         "bake_mse": bias.value,
         "bake_mse_error": bias.error,
         "mean_ratio": means.value,
         "mean_ratio_error": means.error,
-        "reference_rmse": float(np.sqrt(floor.value)),
+        "reference_rmse": float(np.sqrt(floor)),
     }
 
 

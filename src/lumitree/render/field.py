@@ -66,8 +66,9 @@ class Field:
 
         None where nothing shines.
         """
-        power = leaf_power(self)
-        return LightLeaves(self, power) if power.any() else None
+        cells, levels = self.asset.leaf_cells()
+        power = leaf_power(self, levels)
+        return LightLeaves(self, cells, levels, power) if power.any() else None
 
     def emission(self, origin: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
         """Emitted radiance L_e (Eq. 3) and transmittance T (Eq. 4) of the line through the proxy.
@@ -202,9 +203,11 @@ def open_field(
         min_density,
         max_opacity,
     )
-    # Mitsuba makes plugins in parallel.
-    with _OPENING:
-        field = _OPEN.get(key)
-        if field is None:
-            field = _OPEN[key] = Field(load(path), min_density, max_opacity)
+    field = _OPEN.get(key)
+    if field is None:
+        # Mitsuba makes plugins in parallel, and a thread that waits for the device makes others
+        # meanwhile: so the lock is not held here, and of two that open a file the first is kept.
+        field = Field(load(path), min_density, max_opacity)
+        with _OPENING:
+            field = _OPEN.setdefault(key, field)
     return field

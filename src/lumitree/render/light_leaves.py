@@ -58,13 +58,19 @@ class LightLeaves:
 
     Args:
         field: must emit something.
+        cells, levels: [M, 3], [M] where its leaves are, see `LuminaireAsset.leaf_cells`.
         power: [M] root mean square light of its leaves, see `leaf_power`.
     """
 
-    def __init__(self, field: "Field", power: NDArray[np.float64]) -> None:
+    def __init__(
+        self,
+        field: "Field",
+        cells: NDArray[np.int64],
+        levels: NDArray[np.int64],
+        power: NDArray[np.float64],
+    ) -> None:
         self._radius = float(np.linalg.norm(field.asset.half_extents))
         self._half = mi.Point3f(*field.asset.half_extents.tolist())
-        cells, levels = field.asset.leaf_cells()
         shines = np.flatnonzero(power > 0)
         cells, levels, power = cells[shines], levels[shines], power[shines]
         group = _group(cells, levels, power)
@@ -219,7 +225,7 @@ def is_reached(reach: Any, stop: Any) -> Any:
     return reach <= stop + 1e-5 * (1 + dr.abs(reach))
 
 
-def leaf_power(field: "Field") -> NDArray[np.float64]:
+def leaf_power(field: "Field", levels: NDArray[np.int64]) -> NDArray[np.float64]:
     """Light [M], up to a factor, that leaves the lamp from each leaf: root mean square over lines.
 
     So a leaf that is bright in few directions counts, and one that is hidden does not.
@@ -243,7 +249,7 @@ def leaf_power(field: "Field") -> NDArray[np.float64]:
     dr.eval(field.integrate(origin, direction, True, record, ()), square)
     # The integral of squares is over the leaf's projected area; an estimator's second moment has
     # that area as a factor once more.
-    side = 2.0 / (1 << asset.leaf_cells()[1])
+    side = 2.0 / (1 << levels)
     return np.sqrt(np.array(square, np.float64)[: asset.num_leaves]) * side
 
 

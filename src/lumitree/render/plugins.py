@@ -87,6 +87,13 @@ class Placed:
         # Opaque: moving a luminaire does not compile new kernels.
         dr.make_opaque(self.to_scene, self.to_local, self.scale)
 
+    def entering_line(self, si: Any, active: Any) -> tuple[Any, Any]:
+        """Local line of what looks at an interaction with the proxy, and where it enters there."""
+        import mitsuba as mi
+
+        line = self.local_line(si.p, -si.to_world(si.wi))
+        return line, active & (mi.Frame3f.cos_theta(si.wi) > 0)
+
     def local_line(self, point: Any, direction: Any) -> tuple[Any, Any]:
         """Point and unit direction of travel of a scene line in the local frame."""
         import drjit as dr
@@ -109,15 +116,13 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
         def eval(self, si, active=True):
-            line = self.placed.local_line(si.p, -si.to_world(si.wi))
-            entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+            line, entering = self.placed.entering_line(si, active)
             return self.placed.field.emission(*line, entering)[0] & entering
 
         def eval_through(self, si, it, active):
             """Radiance, T, and the density of `sample_direction` from `it`, in one traversal."""
-            line = self.placed.local_line(si.p, -si.to_world(si.wi))
+            line, entering = self.placed.entering_line(si, active)
             distance = dr.norm(si.p - it.p) / self.placed.scale
-            entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
             radiance, through, pdf = self.sampler.look(*line, distance, entering)
             return radiance & entering, dr.select(entering, through, 1), pdf
 
@@ -221,8 +226,7 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             return mi.Color3f(0), mi.Float(0)
 
         def eval_null_transmission(self, si, active=True):
-            line = self.placed.local_line(si.p, -si.to_world(si.wi))
-            entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+            line, entering = self.placed.entering_line(si, active)
             through = self.placed.field.transmittance(*line, entering)
             return mi.Color3f(dr.select(entering, through, 1))
 
