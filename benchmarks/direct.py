@@ -1,6 +1,6 @@
 """The direct bake on many luminaires: python benchmarks/direct.py --references FOLDER NAME ...
 
-For every luminaire (or dataset of held-out views in FOLDER of the same name): bakes it, with
+For every luminaire (or dataset of held-out views in FOLDER of its row's name): bakes it, with
 `--quality` and `--time`, and by the network where `--network` asks for it, evaluates both on the
 same views, and writes `direct.md` and `direct.json` into benchmarks/results/. Without stored
 views, some are captured, with fewer samples: the table says how many.
@@ -29,19 +29,20 @@ COLUMNS = {
 
 def measure(name: str, method: str, args: argparse.Namespace, folder: Path) -> dict:
     """One row: a bake and what it is worth."""
-    asset = str(args.assets / f"{Path(name).name}-{method}.lumitree")
+    title = label(name)
+    asset = str(args.assets / f"{title}-{method}.lumitree")
     if method == "nerf":
         baked = pipeline.bake_network(name, asset)
     else:
         baked = pipeline.bake(name, asset, quality=args.quality, seconds=args.time)
-    views = args.references / Path(name).name if args.references else Path()
+    views = args.references / title if args.references else Path()
     target = str(views) if (views / MANIFEST).is_file() else name
     report = pipeline.evaluate(asset, target, sheet=str(folder / "sheet.png"), num_views=4)
     metrics = report["metrics"]
     for kind in ("linear", "mulaw"):
         metrics[f"gain_{kind}"] = metrics[f"psnr_{kind}"] - metrics[f"psnr_{kind}_black"]
     return {
-        "luminaire": name,
+        "luminaire": title,
         "method": method,
         "stored_views": target != name,
         "seconds": sum(baked["seconds"].values()),
@@ -51,6 +52,12 @@ def measure(name: str, method: str, args: argparse.Namespace, folder: Path) -> d
         "rays": baked.get("rays"),
         "metrics": metrics,
     }
+
+
+def label(name: str) -> str:
+    """Name of a luminaire's row: a file's is its folder's where the file is `luminaire.xml`."""
+    path = Path(name)
+    return path.parent.name if path.stem == "luminaire" else path.stem
 
 
 def table(rows: list[dict]) -> str:

@@ -16,9 +16,9 @@ def trace_with_stops(rays, count, batch):
 
     Returns:
         Radiance [N, 3], stops [N, 3] in the local frame, whether there is one [N], and directions
-        [N, 3]. A stop is the first event that does not transmit or, where the chain has bent by
-        more than 15° until there, by a coin the first surface or what is abreast of the last place,
-        if that is further along and within the box.
+        [N, 3]. A stop is abreast of the first event that does not transmit or of the last place, if
+        that is further along and within the box; otherwise, and by a coin where the chain has bent
+        by more than 15° until there, it is at the first surface.
     """
     origin, direction = rays.lines(count, batch)
     sampler = mi.load_dict({"type": "independent"})
@@ -56,9 +56,9 @@ def follow(scene, sampler, ray):
         last = dr.select(ends, si.p, ray.o)
         moved = first + straight * dr.dot(last - first, straight)
         further = dr.dot(last - first, straight) > 0
-        fits = coin & further & dr.all((moved >= box.min) & (moved <= box.max))
+        fits = (coin | ~bent) & further & dr.all((moved >= box.min) & (moved <= box.max))
         somewhere = dr.select(fits, moved, first)
-        stop = dr.select(leaves | (ends & bent), somewhere, dr.select(ends, si.p, stop))
+        stop = dr.select(ends | leaves, somewhere, stop)
         stopped |= ends | leaves
         ray = dr.select(hits, si.spawn_ray(si.to_world(sample.wo)), ray)
         events += 1

@@ -63,7 +63,7 @@ def test_score_is_that_of_the_asset_even_where_descent_makes_it_worse(ball, tmp_
     from lumitree.direct.heldout import HeldOut
     from lumitree.direct.rays import TracedRays
 
-    wild = config(refine={"learning_rate": 30.0, "final_rate": 1.0})
+    wild = config(refine={"density_rate": 30.0, "coefficient_rate": 30.0, "final_rate": 1.0})
     result = bake(ball, wild, tmp_path)
     source = TracedRays(ball, 2 / 16)
     # Steps so long leave densities that are too small for a number.

@@ -112,6 +112,24 @@ def test_emission_of_an_opaque_surface_is_its_radiance(lamp, l_max):
     assert emission == pytest.approx(np.tile(RADIANCE, (seen.sum(), 1)), rel=0.02)
 
 
+def test_what_ends_at_the_border_is_as_dense_as_its_mirror_image(lamp):
+    """Plates whose outer faces lie on the proxy box: on the last cells' far border for one."""
+    from lumitree.direct.estimate import estimate, inside_box
+
+    level = 4
+    plates = [cube(f"plate{sign}", (2, 2, 0.04), (0, 0, 0.96 * sign), AREA) for sign in (-1, 1)]
+    rays = source(lamp(*plates))
+    half = rays.subject.half_extents
+    assert half == pytest.approx([1, 1, 0.5])
+    cells = all_cells(level)[inside_box(all_cells(level), level, half)]
+    result = estimate(rays, cells, level, 0, "exponential", 10.0, LINES)
+    inner = ((result.cells[:, :2] > 0) & (result.cells[:, :2] < 15)).all(axis=1)
+    low, high = (result.density[inner & (result.cells[:, 2] == layer)] for layer in (4, 11))
+    assert len(low) == len(high) == 14 * 14
+    assert low.mean() * 2 / (1 << level) > 1
+    assert high.mean() == pytest.approx(low.mean(), rel=0.03)
+
+
 def test_grow_keeps_what_the_surface_touches(lamp):
     from lumitree.direct.estimate import grow
 

@@ -239,14 +239,33 @@ def test_find_leaf_is_the_leaf_whose_box_holds_the_point(mi):
     random = np.random.default_rng(11)
     points = random.uniform(-1.2, 1.2, (2000, 3)).astype(np.float32)
     # Corners belong to the leaf above them, as intervals are half open.
-    points = np.concatenate([points, lower, [[1, 0, 0], [0, -1.0001, 0]]]).astype(np.float32)
+    points = np.concatenate([points, lower, [[0, -1.0001, 0]]]).astype(np.float32)
     holds = ((points[:, None] >= lower) & (points[:, None] < upper)).all(axis=2)
+    holds &= (np.abs(points) <= asset.half_extents).all(axis=1, keepdims=True)
     leaf, found = (
         np.array(value) for value in leaf_field(asset).octree.find_leaf(mi.Point3f(*points.T))
     )
     assert np.array_equal(found, holds.any(axis=1))
     assert np.array_equal(leaf[found], holds.argmax(axis=1)[found])
     assert 0 < found.sum() < len(points)
+
+
+def test_what_lies_on_the_border_is_found_within(mi):
+    """Give or take a rounding, whether or not the border is one of the cells."""
+    half = np.array([1, 0.5, 0.4])
+    cells = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    asset = make_asset(
+        cells, np.full(512, 3), np.ones(512), np.zeros((512, 3, 1)), half_extents=half
+    )
+    octree = leaf_field(asset).octree
+    for axis in range(3):
+        for side in (-1, 1):
+            # Within, about the border, and beyond.
+            points = np.full((5, 3), 0.1, np.float32)
+            points[:, axis] = side * (half[axis] + np.array([-0.01, -1e-6, 0, 1e-6, 1e-3]))
+            leaf, found = octree.find_leaf(mi.Point3f(*points.T))
+            assert np.array(found).tolist() == [True] * 4 + [False]
+            assert (np.array(leaf)[:4] == np.array(leaf)[0]).all()
 
 
 def test_find_leaf_leaves_masked_points_alone(mi):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from lines import CLUTTER, TILE, arrays, fog, source, tile_mean
 
-from lamps import AREA, cube, sphere
+from lamps import AREA, GLASS, cube, sphere
 
 RADIANCE = np.array([3.0, 2.0, 1.0])
 
@@ -148,6 +148,23 @@ def test_paths_stop_on_an_opaque_surface_with_its_radiance(lamp):
     assert distance_to(point[stopped], d[stopped], 0) == pytest.approx(distance[stopped], abs=1e-4)
     assert radiance[stopped] == pytest.approx(np.tile(RADIANCE, (stopped.sum(), 1)), rel=1e-5)
     assert (radiance[~stopped] == 0).all()
+
+
+def test_paths_stop_on_the_line_that_sees_them(lamp):
+    """Through thick glass too, which shows a lamp larger and elsewhere than it is."""
+    ball = sphere("ball", 1, (0, 0, 0), GLASS), sphere("lamp", 0.2, (0.3, 0, 0), AREA)
+    stops = source(lamp(*ball)).stops(1 << 14, 1)
+    o, d, point, radiance = arrays(stops.origin, stops.direction, stops.point, stops.radiance)
+    stopped = np.array(stops.stopped)
+    off = point - o
+    off -= (off * d).sum(axis=1, keepdims=True) * d
+    assert stopped.sum() > 1000
+    assert np.linalg.norm(off[stopped], axis=1).max() < 1e-5
+    # What shows the lamp passes its centre by 1.5 times its radius: the ball is a lens of 1.5.
+    lit = stopped & (radiance.max(axis=1) > 0)
+    passed = distance_to(o, d, np.array([0.3, 0, 0]))[lit]
+    assert lit.sum() > 300
+    assert np.quantile(passed, 0.99) > 0.25
 
 
 def test_paths_stop_in_fog_at_its_rate(lamp):

@@ -240,7 +240,9 @@ def test_leaves_that_answer_for_most_are_split_first(mi):
     start = truth.with_leaves(truth.cells, truth.levels, truth.log_density, coefficients)
     start.tree_depth = 2
     start = start.with_leaves(start.cells, start.levels, start.log_density, start.coefficients)
-    descent = refiner(mi, start, truth, noise=False, max_leaves=15, learning_rate=1e-6)
+    descent = refiner(
+        mi, start, truth, noise=False, max_leaves=15, density_rate=1e-6, coefficient_rate=1e-6
+    )
     descent.advance(0.0)
     descent.split(2)
     assert descent.field.num_leaves == 15
@@ -302,7 +304,8 @@ def test_a_step_that_meets_no_leaf_changes_nothing(mi):
         {"lines": 0},
         {"lines": 100},
         {"epsilon": 0.0},
-        {"learning_rate": -1.0},
+        {"density_rate": -1.0},
+        {"coefficient_rate": 0.0},
         {"final_rate": 0.0},
         {"final_rate": 1.5},
     ],

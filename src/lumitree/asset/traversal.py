@@ -22,6 +22,8 @@ Visit = Callable[[Any, Any, Any, Any, Any], tuple[Any, Any]]
 Shade = Callable[[Any, Any, Any, Any, Any], Any]
 # Leaves of a ray that are put off together.
 _PUT_OFF = 8
+# A point that is so close to the proxy box's border is on it, local units.
+_BORDER = 1e-5
 
 
 class _Ray(NamedTuple):
@@ -167,10 +169,13 @@ class Octree:
         return entry, dr.maximum(t, t_box), ahead, outside | (t_box >= ray.t_end)
 
     def find_leaf(self, point: Any, active: Any = True) -> tuple[Any, Any]:
-        """Index (mi.UInt32) of the leaf that holds a point in local units, and whether one does."""
+        """Index (mi.UInt32) of the leaf that holds a point in the box, and whether one does."""
         size = 1 << self.tree_depth
+        half = mi.Point3f(*self._half_extents.tolist())
+        inside = mi.Bool(active) & dr.all(dr.abs(point) <= half + _BORDER)
+        # What a lamp ends with, a canopy's top say, is on the border: within, not in the next cell.
+        point = dr.clip(point, -half, half - _BORDER)
         cell = mi.Vector3i(dr.floor((point + 1) * (size / 2)))
-        inside = mi.Bool(active) & dr.all((cell >= 0) & (cell < size))
         entry, _ = self._find(cell, inside)
         return _leaf(entry), inside & (entry > 0)
 

@@ -181,10 +181,12 @@ class _Sums:
             channel, k = divmod(index, self._count)
             dr.scatter_add(total, y[k] * stops.radiance[channel], leaf, found)
 
+        stop = dr.select(found, leaf, dr.full(mi.UInt32, 0xFFFFFFFF))
         end = dr.select(stops.stopped, dr.dot(stops.point - stops.origin, stops.direction), dr.inf)
 
         def visit(state, leaf, start, length, active):
-            enters = active & (length > 0)
+            # A leaf that holds the stop is entered; what lies behind it is not seen.
+            enters = active & (length > 0) & ((leaf == stop) | (start + length < end))
             dr.scatter_add(self.entries, mi.Float(1), leaf, enters)
             dr.scatter_add(self.chords, length, leaf, enters)
             return state, start + length < end

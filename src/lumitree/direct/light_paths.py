@@ -155,25 +155,25 @@ def _trace(scene, sampler, path_depth):
 
     bent = dr.dot(ray.d, start_direction) < COSINE_OF_CONE
     at_once = sampler.next_1d() < 0.5
-    stop = dr.select(bent, bent_stop(scene.bbox(), -ray.d, ray.o, start, at_once), start)
+    stop = stop_on_line(scene.bbox(), -ray.d, ray.o, start, bent & at_once)
     return ray.o, ray.d, flux, stop, leaves & ~smooth
 
 
-def bent_stop(box: Any, direction: Any, first: Any, last: Any, at_once: Any) -> Any:
-    """Where a line counts as stopped whose path is bent at `first` and ends at `last`.
+def stop_on_line(box: Any, direction: Any, first: Any, last: Any, at_once: Any) -> Any:
+    """Where a line counts as stopped whose path meets `first` and ends at `last`.
 
-    As often as not abreast of where it ends: what is seen through thick glass seems to be about
-    there, and so it is found by lines of other directions too. Only on the glass itself a few
-    harmonics would have to show its image.
+    On the line, abreast of where the path ends: through thick glass a thing is seen elsewhere than
+    it is, and so lines of other directions see it there too.
 
     Args:
         box: mi.BoundingBox3f of the luminaire; what lies abreast outside it counts as at `first`.
         direction: mi.Vector3f of the line.
-        first: mi.Point3f of the line, where the path leaves it.
+        first: mi.Point3f of the line, the first surface.
         last: mi.Point3f, the end of the path or its last place.
-        at_once: mi.Bool, a fair coin: at `first`.
+        at_once: mi.Bool, at `first` in any case: as often as not where the path is bent, so that
+            glass hides what is behind it.
     """
     along = dr.dot(last - first, direction)
     abreast = first + along * direction
     inside = dr.all((abreast >= box.min) & (abreast <= box.max))
-    return dr.select(at_once | (along <= 0) | ~inside, first, abreast)
+    return mi.Point3f(dr.select(at_once | (along <= 0) | ~inside, first, abreast))

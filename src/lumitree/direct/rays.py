@@ -10,8 +10,8 @@ Symbols
                 measure in which flux is the integral of radiance
     light       integral of radiance over lines; a path from an emitter carries some of it
     stop        where a line ends that cannot be followed straight through: at the surface or in
-                the medium that reflects, scatters or absorbs it; where it was bent on the way, by a
-                coin at the first surface or abreast of that end (`light_paths.bent_stop`)
+                the medium that reflects, scatters or absorbs it, or on the line abreast of that;
+                where it was bent on the way, by a coin at the first surface (`stop_on_line`)
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.direct.light_paths import LightPaths, bent_stop, trace_light
+from lumitree.direct.light_paths import LightPaths, stop_on_line, trace_light
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.luminaires.straight_through import (
     COSINE_OF_CONE,
@@ -367,14 +367,16 @@ class TracedRays:
             ends = collides | (hits & (~transmits | (dr.max(throughput) <= 0)))
             bent = dr.dot(ray.d, straight) < COSINE_OF_CONE
             place = dr.select(collides, ray(dr.select(collides, flight, 0)), si.p)
-            halt = bent_stop(scene.bbox(), straight, first, place, at_once)
-            stop = dr.select(ends, dr.select(bent, halt, place), stop)
+            halt = stop_on_line(scene.bbox(), straight, first, place, bent & at_once)
+            stop = dr.select(ends, halt, stop)
             stopped |= ends
 
             leaves = active & ~collides & ~si.is_valid()
             # What leaves in another direction was stopped on its way.
             missed = leaves & bent & (crossings > 0)
-            stop = dr.select(missed, bent_stop(scene.bbox(), straight, first, ray.o, at_once), stop)
+            stop = dr.select(
+                missed, stop_on_line(scene.bbox(), straight, first, ray.o, at_once), stop
+            )
             stopped |= missed
 
             medium = dr.select(

@@ -32,6 +32,8 @@ from lumitree.errors import LumitreeError
 _BETA_1, _BETA_2 = 0.9, 0.98
 # Lines of which the blame is found, before leaves are split.
 _BLAME_LINES, _BLAME_BATCHES = 1 << 20, 4
+# Beside light that is wrong by all of itself: an opacity wrong by 0.045 counts as much.
+_OPACITY_BLAME = 500.0
 # Lines followed straight alone, for each line whose light is asked for too: they cost a third.
 _STRAIGHT_LINES = 4
 # Leaves thinner than this (optical depth across) are dropped.
@@ -46,23 +48,27 @@ class RefineConfig:
         lines: lines drawn for a step; those that meet no leaf cost little.
         epsilon: of the loss, in units of L_max.
         opacity_weight: of the loss.
-        learning_rate: first step of Adam for coefficients and log density.
-        final_rate: last step over first; the rate falls exponentially with the budget spent.
+        density_rate, coefficient_rate: first steps of Adam for log density and coefficients.
+        final_rate: last step over first; the rates fall exponentially with the budget spent.
         max_leaves: no more are made by splitting.
     """
 
     lines: int = 1 << 15
     epsilon: float = 0.001
-    opacity_weight: float = 500.0
-    learning_rate: float = 0.15
-    final_rate: float = 0.02
+    opacity_weight: float = 5.0
+    density_rate: float = 0.15
+    coefficient_rate: float = 0.06
+    final_rate: float = 0.05
     max_leaves: int = 3_000_000
 
     def __post_init__(self) -> None:
         if self.lines < TILE_LINES or self.lines % TILE_LINES:
             raise LumitreeError(f"lines is {self.lines}; expected a multiple of {TILE_LINES}")
-        if not (self.epsilon > 0 and self.learning_rate > 0 and 0 < self.final_rate <= 1):
-            raise LumitreeError("epsilon, learning_rate and final_rate must be above 0")
+        for name in ("epsilon", "density_rate", "coefficient_rate", "final_rate"):
+            if not getattr(self, name) > 0:
+                raise LumitreeError(f"{name} is {getattr(self, name)}; expected more than 0")
+        if self.final_rate > 1:
+            raise LumitreeError(f"final_rate is {self.final_rate}; expected at most 1")
 
 
 class Refiner:
@@ -116,12 +122,13 @@ class Refiner:
         d_depth = share * self._by_depth(through, straight[2])
         dr.eval(d_depth)
         field.scatter_depth_gradient(*straight[:2], d_depth, d_density)
-        rate = config.learning_rate * config.final_rate ** min(progress, 1.0)
+        fallen = config.final_rate ** min(progress, 1.0)
         field.log_density = dr.minimum(
-            self._density_adam.descend(field.log_density, d_density, rate), self._densest()
+            self._density_adam.descend(field.log_density, d_density, fallen * config.density_rate),
+            self._densest(),
         )
         field.coefficients = self._coefficient_adam.descend(
-            field.coefficients, d_coefficients, rate
+            field.coefficients, d_coefficients, fallen * config.coefficient_rate
         )
         dr.eval(field.log_density, field.coefficients)
         return count
@@ -181,7 +188,7 @@ class Refiner:
             # Without bias, so that noise takes no part.
             square = (radiance - pairs.first * scale) * (radiance - pairs.second * scale)
             loss = dr.sum(square * dr.rcp(dr.square(radiance + config.epsilon)))
-            loss += config.opacity_weight * dr.square(through - pairs.transmittance)
+            loss += _OPACITY_BLAME * dr.square(through - pairs.transmittance)
             dr.eval(loss)
             field.share_out(pairs.origin, pairs.direction, loss, blame)
         return np.maximum(np.array(blame), 0)
