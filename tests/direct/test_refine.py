@@ -94,9 +94,9 @@ def refiner(mi, start, truth, *, noise=True, split=False, **options):
     return Refiner(start, rays, 1.0, RefineConfig(lines=LINES, **options))
 
 
-def truth_and_start(law, seed=3):
+def truth_and_start(law, seed=3, l_max=1):
     """A field with radiance below 0.5, and one of the same leaves that is all wrong."""
-    asset = random_asset(seed, tree_depth=3, l_max=1, law=law, max_radiance=1)
+    asset = random_asset(seed, tree_depth=3, l_max=l_max, law=law, max_radiance=1)
     random = np.random.default_rng(seed)
     coefficients = 0.5 * asset.coefficients.astype(float)
     coefficients[..., 0] -= 5
@@ -184,15 +184,17 @@ def test_equal_seeds_give_equal_fields(mi):
     assert np.abs(moved).max() > 0.1
 
 
-def test_restored_state_continues_as_if_never_interrupted(mi):
-    truth, start = truth_and_start("linear")
+@pytest.mark.parametrize("l_max", [1, 2])
+def test_restored_state_continues_as_if_never_interrupted(mi, l_max):
+    """With coefficients that fill their rows, and with some that do not."""
+    truth, start = truth_and_start("linear", l_max=l_max)
     whole, first = (refiner(mi, start.copy(), truth) for _ in range(2))
     for step in range(20):
         whole.advance(step / 20)
         if step < 8:
             first.advance(step / 20)
     state = first.state()
-    second = refiner(mi, truth_and_start("linear", seed=5)[1], truth)
+    second = refiner(mi, truth_and_start("linear", seed=5, l_max=l_max)[1], truth)
     second.restore(state)
     assert second.step == 8
     for name, value in second.state().items():

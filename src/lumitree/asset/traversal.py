@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.wide_nodes import LEAF, wide_levels, wide_nodes
+from lumitree.core.device import on_device
 
 # visit(state, leaf, start, length, active) -> state, active; shade(state, leaf, start, length,
 # active) -> state: see `Octree.walk`.
@@ -65,7 +66,8 @@ class Octree:
         self._half_extents = half_extents
         # Device arrays cannot be empty: a level without nodes gets one that nothing refers to.
         self._nodes = [
-            mi.Int32(level if len(level) else [0]) for level in wide_nodes(children, tree_depth)
+            on_device(mi.Int32, level if len(level) else [0])
+            for level in wide_nodes(children, tree_depth)
         ]
         dr.eval(self._nodes)
 

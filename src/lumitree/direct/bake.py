@@ -21,7 +21,7 @@ from lumitree.core.progress import progress
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.direct.balance import BALANCE_ROUNDS, balance, light_left_over
 from lumitree.direct.estimate import estimate, grow
-from lumitree.direct.field import LeafField
+from lumitree.direct.field import LEAVES, LeafField
 from lumitree.direct.heldout import HeldOut, Score
 from lumitree.direct.rays import RaySource, Subject, TracedRays
 from lumitree.direct.refine import RefineConfig, Refiner
@@ -38,8 +38,6 @@ _ESTIMATE_DEPTH, _HULL_DEPTH = 8, 6
 _SPLIT_EVERY, _LAST_SPLIT = 0.15, 0.65
 # Optical depth across a leaf of the hull, and its radiance / L_max, before anything is known.
 _HULL_OPTICAL_DEPTH, _HULL_RADIANCE = 0.3, 0.01
-# What makes up a field.
-_LEAVES = ("cells", "levels", "log_density", "coefficients")
 # Finest cells of which the light is balanced at the end.
 _LAST_BALANCE_LEVEL = 5
 # How many times as long as balancing what follows the descent takes.
@@ -233,7 +231,7 @@ def _run(
     held_out = HeldOut.trace(source, max_radiance)
     loop = _Loop(refiner, held_out, clock, config, folder, record, max_radiance)
     if saved is not None:
-        loop.keep_better(field.with_leaves(*(saved[f"best_{name}"] for name in _LEAVES)))
+        loop.keep_better(field.with_leaves(*(saved[f"best_{name}"] for name in LEAVES)))
     interrupted = loop.run(f"{verb} {source.subject.name}")
     # The descent leaves what is small and bright a few percent too bright; and what the sigmoid has
     # no room for is made up by the rest.
@@ -387,10 +385,7 @@ class _Loop:
         state["seconds"] = np.array(self._clock.seconds)
         state["rays"] = np.array(self._clock.rays)
         state["record"] = np.array(self._record)
-        best = (getattr(self.best, name) for name in _LEAVES)
-        state |= {
-            f"best_{name}": np.array(value) for name, value in zip(_LEAVES, best, strict=True)
-        }
+        state |= {f"best_{name}": value for name, value in self.best.arrays().items()}
         with atomic_path(self._folder / STATE) as temporary:
             np.savez(temporary, **state)  # type: ignore[arg-type]
 

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.traversal import Octree
+from lumitree.core.device import on_device
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, basis_array, num_coefficients
 from lumitree.core.sampling import halton_direction
@@ -126,7 +127,7 @@ def _parents(sums: "_Sums", cells: NDArray[np.int64], level: int) -> list[list[A
     if level <= _START_LEVEL:
         return None
     parents, index = np.unique(cells >> 1, axis=0, return_inverse=True)
-    index = mi.UInt32(index.ravel())
+    index = on_device(mi.UInt32, index)
     above = sums.sum_into(index, len(parents))
     fit = above.solve(_parents(above, parents, level - 1))
     return [[dr.gather(mi.Float, value, index) for value in channel] for channel in fit]

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.traversal import Octree
+from lumitree.core.device import on_device
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.transmittance import BLOCKED, Law, transmittance
@@ -25,6 +26,10 @@ from lumitree.octree.build import build_children
 
 # Leaves that show less than this of themselves get no gradient for their coefficients.
 _MIN_WEIGHT = 1e-4
+
+
+# What makes up a field, as `LeafField.arrays` names it.
+LEAVES = ("cells", "levels", "log_density", "coefficients")
 
 
 class LeafField:
@@ -52,7 +57,7 @@ class LeafField:
     ) -> None:
         self.cells, self.levels = cells, levels
         self.tree_depth, self.l_max, self.law = tree_depth, l_max, law
-        self.log_density, self.coefficients = mi.Float(log_density), self._padded(coefficients)
+        self.log_density, self.coefficients = _floats(log_density), self._padded(coefficients)
         self.half_extents = half_extents
         self.octree = Octree(build_children(cells, levels), tree_depth, half_extents)
         self._blocked = 0.0 if law == "linear" else BLOCKED
@@ -97,16 +102,21 @@ class LeafField:
         rows = np.array(self.coefficients).reshape(self.num_leaves, self.width)
         return rows[:, : 3 * count].reshape(-1, 3, count)
 
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What `LEAVES` names, as `with_leaves` takes it."""
+        values = self.cells, self.levels, np.array(self.log_density), self.coefficient_array()
+        return dict(zip(LEAVES, values, strict=True))
+
     def set_coefficients(self, coefficients: NDArray[np.floating]) -> None:
         """Replace the coefficients by others [M, 3, K]."""
         self.coefficients = self._padded(coefficients)
 
     def _padded(self, coefficients: Any) -> Any:
         if not isinstance(coefficients, np.ndarray):
-            return mi.Float(coefficients)
+            return coefficients
         count = 3 * num_coefficients(self.l_max)
         rows = coefficients.astype(np.float32).reshape(self.num_leaves, count)
-        return mi.Float(np.pad(rows, ((0, 0), (0, self.width - rows.shape[1]))).ravel())
+        return _floats(np.pad(rows, ((0, 0), (0, self.width - rows.shape[1]))))
 
     def meets(self, origin: Any, direction: Any) -> Any:
         """Whether a line crosses any leaf (mi.Bool)."""
@@ -273,6 +283,10 @@ class LeafField:
                 total = dr.fma(flat[channel * count + k], y[k], total)
             channels.append(dr.rcp(1 + dr.exp(-total)))
         return mi.Color3f(*channels)
+
+
+def _floats(values: Any) -> Any:
+    return on_device(mi.Float, values) if isinstance(values, np.ndarray) else values
 
 
 def _add(target: Any, value: Any, index: Any, active: Any) -> None:

@@ -364,20 +364,14 @@ class TracedRays:
             smooth &= is_smooth(sample.sampled_type)
             onwards = si.spawn_ray(si.to_world(sample.wo))
 
-            ends = collides | (hits & (~transmits | (dr.max(throughput) <= 0)))
             bent = dr.dot(ray.d, straight) < COSINE_OF_CONE
-            place = dr.select(collides, ray(dr.select(collides, flight, 0)), si.p)
-            halt = stop_on_line(scene.bbox(), straight, first, place, bent & at_once)
+            # What leaves in another direction was stopped on its way.
+            missed = active & ~collides & ~si.is_valid() & bent & (crossings > 0)
+            ends = missed | collides | (hits & (~transmits | (dr.max(throughput) <= 0)))
+            last = dr.select(collides, ray(flight), dr.select(missed, ray.o, si.p))
+            halt = stop_on_line(scene.bbox(), straight, first, last, bent & at_once)
             stop = dr.select(ends, halt, stop)
             stopped |= ends
-
-            leaves = active & ~collides & ~si.is_valid()
-            # What leaves in another direction was stopped on its way.
-            missed = leaves & bent & (crossings > 0)
-            stop = dr.select(
-                missed, stop_on_line(scene.bbox(), straight, first, ray.o, at_once), stop
-            )
-            stopped |= missed
 
             medium = dr.select(
                 transmits & si.is_medium_transition(), si.target_medium(onwards.d), medium

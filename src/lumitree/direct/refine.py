@@ -23,9 +23,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.device import on_device
 from lumitree.direct.balance import balance
 from lumitree.direct.estimate import OPAQUE, split
-from lumitree.direct.field import LeafField
+from lumitree.direct.field import LEAVES, LeafField
 from lumitree.direct.rays import BLAME_BATCH, STRAIGHT_BATCH, TILE_LINES, RaySource
 from lumitree.errors import LumitreeError
 
@@ -141,7 +142,7 @@ class Refiner:
 
     def _densest(self) -> Any:
         """Log density [M] at which each leaf is opaque."""
-        level = mi.Float(self.field.levels.astype(np.float32))
+        level = on_device(mi.Float, self.field.levels)
         return math.log(OPAQUE / 2) + level * math.log(2)
 
     def prune(self) -> None:
@@ -197,7 +198,7 @@ class Refiner:
         self, origin: NDArray[np.int64], cells: NDArray[np.int64], levels: NDArray[np.int64]
     ) -> None:
         """Make a field of new leaves; leaf i continues what leaf `origin[i]` was."""
-        index = mi.UInt32(origin)
+        index = on_device(mi.UInt32, origin)
         width = self.field.width
         wide = dr.repeat(index, width) * width + dr.tile(dr.arange(mi.UInt32, width), len(origin))
         self.field = self.field.with_leaves(
@@ -212,11 +213,7 @@ class Refiner:
     def state(self) -> dict[str, NDArray[Any]]:
         """All that `restore` needs to go on, as arrays."""
         field, density, coefficients = self.field, self._density_adam, self._coefficient_adam
-        return {
-            "cells": field.cells,
-            "levels": field.levels,
-            "log_density": np.array(field.log_density),
-            "coefficients": np.array(field.coefficients),
+        return field.arrays() | {
             "density_mean": np.array(density.mean),
             "density_square": np.array(density.square),
             "coefficient_mean": np.array(coefficients.mean),
@@ -226,14 +223,12 @@ class Refiner:
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Continue from what `state` returned."""
-        self.field = self.field.with_leaves(
-            state["cells"], state["levels"], state["log_density"], state["coefficients"]
-        )
+        self.field = self.field.with_leaves(*(state[name] for name in LEAVES))
         density, coefficients = self._density_adam, self._coefficient_adam
-        density.mean = mi.Float(state["density_mean"])
-        density.square = mi.Float(state["density_square"])
-        coefficients.mean = mi.Float(state["coefficient_mean"])
-        coefficients.square = mi.Float(state["coefficient_square"])
+        density.mean = on_device(mi.Float, state["density_mean"])
+        density.square = on_device(mi.Float, state["density_square"])
+        coefficients.mean = on_device(mi.Float, state["coefficient_mean"])
+        coefficients.square = on_device(mi.Float, state["coefficient_square"])
         self.step = int(state["steps"][0])
         density.steps = coefficients.steps = int(state["steps"][1])
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.dataset import Dataset, View
+from lumitree.core.device import on_device
 from lumitree.core.sampling import orthographic_rays
 from lumitree.core.visual_hull import visual_hull
 from lumitree.direct.estimate import inside_box
@@ -115,10 +116,14 @@ class StoredRays:
             middle = manifest.resolution / 2
             corners.append(centres[0, 0] - middle * (columns[-1] + rows[-1]))
             directions.append(direction)
-        vectors = [mi.Vector3f(*np.array(each).T) for each in (corners, columns, rows, directions)]
+        vectors = [
+            mi.Vector3f(*_channels(np.array(each))) for each in (corners, columns, rows, directions)
+        ]
         radiance = np.concatenate([view.radiance.reshape(-1, 3) for view in views])
         through = 1 - np.concatenate([view.straight_through.ravel() for view in views])
-        pictures = _Pictures(*vectors, mi.Color3f(*radiance.T), mi.Float(through), len(views))
+        pictures = _Pictures(
+            *vectors, mi.Color3f(*_channels(radiance)), on_device(mi.Float, through), len(views)
+        )
         dr.eval(vectors, pictures.radiance, pictures.through)
         return pictures
 
@@ -149,6 +154,10 @@ class StoredRays:
             dr.gather(mi.Color3f, pictures.radiance, flat),
             dr.gather(mi.Float, pictures.through, flat),
         )
+
+
+def _channels(rows: NDArray[np.floating]) -> list[Any]:
+    return [on_device(mi.Float, channel) for channel in rows.T]
 
 
 @dataclasses.dataclass

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from lumitree.asset.file import load
 from lumitree.asset.model import LuminaireAsset
 from lumitree.asset.traversal import Octree
+from lumitree.core.device import on_device
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.transmittance import BLOCKED, transmittance
@@ -56,8 +57,8 @@ class Field:
             children = np.where((children < 0) & thin[~children.clip(max=-1)], 0, children)
         self._octree = Octree(children, asset.tree_depth, asset.half_extents)
         # Device arrays cannot be empty: an asset without leaves gets one that nothing refers to.
-        self._density = mi.Float(asset.density if asset.num_leaves else [0.0])
-        self._coefficients = mi.UInt32(_packets(asset))
+        self._density = on_device(mi.Float, asset.density if asset.num_leaves else [0.0])
+        self._coefficients = on_device(mi.UInt32, _packets(asset))
         dr.eval(self._density, self._coefficients)
 
     @functools.cached_property

@@ -27,6 +27,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.device import on_device
 from lumitree.render.octahedral import NUM_BINS, bin_density, bin_of, direction_in_bin
 from lumitree.render.proxy import point_on_box, projected_areas
 
@@ -76,14 +77,14 @@ class LightLeaves:
         group = _group(cells, levels, power)
         places = _places(power, group)
         order = np.argsort(group, kind="stable")
-        self._list = mi.UInt32(np.repeat(_keys(cells, levels)[order], places[order]))
+        self._list = on_device(mi.UInt32, np.repeat(_keys(cells, levels)[order], places[order]))
         lengths = np.bincount(group, places, NUM_GROUPS).astype(np.uint32)
         starts = np.cumsum(lengths) - lengths
-        self._ranges = mi.UInt32(np.stack([starts, lengths], axis=1).ravel())
+        self._ranges = on_device(mi.UInt32, np.stack([starts, lengths], axis=1))
         third = places / lengths[group] / (3 * _volumes(cells, levels, field.asset.half_extents))
         packed = np.zeros(field.asset.num_leaves, np.uint32)
         packed[shines] = (third.astype(np.float32).view(np.uint32) & _DIGITS) | group
-        self._packed = mi.UInt32(packed)
+        self._packed = on_device(mi.UInt32, packed)
         # To begin with the groups have the same parts everywhere.
         everywhere = np.bincount(group, power, NUM_GROUPS)
         self._set_table(np.tile(everywhere, (_NUM_CELLS, 1)))
@@ -94,12 +95,12 @@ class LightLeaves:
         light = light.reshape(_NUM_SHELLS, NUM_BINS, NUM_GROUPS)
         light = np.maximum(light, _FLOOR * light.mean(axis=1, keepdims=True))
         shares = light / light.sum(axis=2, keepdims=True)
-        self._share = mi.Float(shares.ravel())
-        self._cumulated = mi.Float(np.cumsum(shares, axis=2).ravel())
+        self._share = on_device(mi.Float, shares)
+        self._cumulated = on_device(mi.Float, np.cumsum(shares, axis=2))
         _, density = direction_in_bin(dr.arange(mi.UInt32, NUM_BINS), mi.Point2f(0.5))
         power = light[0] / np.array(density)[:, None]
-        self._line_choice = mi.DiscreteDistribution(power.ravel())
-        self._line_share = mi.Float((power / power.sum()).ravel())
+        self._line_choice = mi.DiscreteDistribution(on_device(mi.Float, power))
+        self._line_share = on_device(mi.Float, power / power.sum())
 
     def _tabulate(self, field):
         """Light [cells, groups] that each group sends to each cell around the lamp."""
