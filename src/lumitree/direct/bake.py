@@ -107,7 +107,8 @@ _HEADROOM = 2.0
 QUALITIES: dict[str, DirectConfig] = {
     "preview": DirectConfig(tree_depth=7, estimate_lines=1 << 22, seconds=60.0),
     "standard": DirectConfig(),
-    "high": DirectConfig(tree_depth=10, seconds=1740.0),
+    # With ten times as many leaves, a step with as few lines would tell most of them nothing.
+    "high": DirectConfig(tree_depth=10, seconds=1740.0, refine=RefineConfig(lines=1 << 17)),
 }
 
 
