@@ -25,7 +25,7 @@ from lumitree.direct.rays import BALANCE_BATCH, RaySource
 
 BALANCE_ROUNDS, _LINES = 4, 1 << 18
 # The prior of a cell's ratio is as good as this many paths that agree with the field.
-_PRIOR_PATHS = 8.0
+_PRIOR_PATHS = 30.0
 _COARSEST_LEVEL = 3
 _LARGEST_SHIFT = 2.0
 

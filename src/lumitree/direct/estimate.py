@@ -40,7 +40,7 @@ _NUM_DIRECTIONS = 32
 _DARKEST, _BRIGHTEST = 1e-5, 0.99
 # A leaf's fit is drawn to its parent's as if by this many paths that saw the parent's fit, and
 # band l by l² times the second number more.
-_PRIOR_PATHS, _PRIOR_BAND = 1.0, 10.0
+_PRIOR_PATHS, _PRIOR_BAND = 4.0, 40.0
 # Optical depth across a leaf that counts as opaque, and the opacity from which a leaf is.
 OPAQUE = 10.0
 _SOLID = 0.9
