@@ -160,7 +160,7 @@ def test_paths_stop_on_the_line_that_sees_them(lamp):
     off -= (off * d).sum(axis=1, keepdims=True) * d
     assert stopped.sum() > 1000
     assert np.linalg.norm(off[stopped], axis=1).max() < 1e-5
-    # What shows the lamp passes its centre by 1.5 times its radius: the ball is a lens of 1.5.
+    # The ball is a lens: it shows the lamp, of radius 0.2, to lines that pass beside it.
     lit = stopped & (radiance.max(axis=1) > 0)
     passed = distance_to(o, d, np.array([0.3, 0, 0]))[lit]
     assert lit.sum() > 300

@@ -18,7 +18,7 @@ def on_device(kind: Any, values: ArrayLike) -> Any:
 
     Args:
         kind: type of the result, such as `mi.Float`.
-        values: at least one.
+        values: numbers.
     """
     flat = np.ravel(values)
     padded = np.empty(len(flat) + _PACKET, np.dtype(dr.type_v(kind).name.lower()))

@@ -173,21 +173,21 @@ class _Sums:
 
     def add(self, octree: Octree, stops: Stops) -> None:
         """Count lines in."""
-        leaf, found = octree.find_leaf(stops.point, stops.stopped)
-        dr.scatter_add(self.stops, mi.Float(1), leaf, found)
+        stop, found = octree.find_leaf(stops.point, stops.stopped)
+        dr.scatter_add(self.stops, mi.Float(1), stop, found)
         y = basis(*towards_viewer(stops.direction), self.l_max)
         for total, (i, j) in zip(self._a, self._pairs, strict=True):
-            dr.scatter_add(total, y[i] * y[j], leaf, found)
+            dr.scatter_add(total, y[i] * y[j], stop, found)
         for index, total in enumerate(self._b):
             channel, k = divmod(index, self._count)
-            dr.scatter_add(total, y[k] * stops.radiance[channel], leaf, found)
+            dr.scatter_add(total, y[k] * stops.radiance[channel], stop, found)
 
-        stop = dr.select(found, leaf, dr.full(mi.UInt32, 0xFFFFFFFF))
         end = dr.select(stops.stopped, dr.dot(stops.point - stops.origin, stops.direction), dr.inf)
 
         def visit(state, leaf, start, length, active):
             # A leaf that holds the stop is entered; what lies behind it is not seen.
-            enters = active & (length > 0) & ((leaf == stop) | (start + length < end))
+            stops_here = found & (leaf == stop)
+            enters = active & (length > 0) & (stops_here | (start + length < end))
             dr.scatter_add(self.entries, mi.Float(1), leaf, enters)
             dr.scatter_add(self.chords, length, leaf, enters)
             return state, start + length < end

@@ -10,6 +10,7 @@ Symbols
 """
 
 import copy
+import functools
 from typing import Any
 
 import drjit as dr
@@ -26,8 +27,6 @@ from lumitree.octree.build import build_children
 
 # Leaves that show less than this of themselves get no gradient for their coefficients.
 _MIN_WEIGHT = 1e-4
-
-
 # What makes up a field, as `LeafField.arrays` names it.
 LEAVES = ("cells", "levels", "log_density", "coefficients")
 
@@ -57,7 +56,9 @@ class LeafField:
     ) -> None:
         self.cells, self.levels = cells, levels
         self.tree_depth, self.l_max, self.law = tree_depth, l_max, law
-        self.log_density, self.coefficients = _floats(log_density), self._padded(coefficients)
+        if isinstance(log_density, np.ndarray):
+            log_density = on_device(mi.Float, log_density)
+        self.log_density, self.coefficients = log_density, self._padded(coefficients)
         self.half_extents = half_extents
         self.octree = Octree(build_children(cells, levels), tree_depth, half_extents)
         self._blocked = 0.0 if law == "linear" else BLOCKED
@@ -91,6 +92,11 @@ class LeafField:
         """Number of leaves, M."""
         return len(self.cells)
 
+    @functools.cached_property
+    def device_levels(self) -> Any:
+        """The levels as mi.Float [M]."""
+        return on_device(mi.Float, self.levels)
+
     @property
     def width(self) -> int:
         """Coefficients of a leaf with their padding."""
@@ -116,7 +122,7 @@ class LeafField:
             return coefficients
         count = 3 * num_coefficients(self.l_max)
         rows = coefficients.astype(np.float32).reshape(self.num_leaves, count)
-        return _floats(np.pad(rows, ((0, 0), (0, self.width - rows.shape[1]))))
+        return on_device(mi.Float, np.pad(rows, ((0, 0), (0, self.width - rows.shape[1]))))
 
     def meets(self, origin: Any, direction: Any) -> Any:
         """Whether a line crosses any leaf (mi.Bool)."""
@@ -283,10 +289,6 @@ class LeafField:
                 total = dr.fma(flat[channel * count + k], y[k], total)
             channels.append(dr.rcp(1 + dr.exp(-total)))
         return mi.Color3f(*channels)
-
-
-def _floats(values: Any) -> Any:
-    return on_device(mi.Float, values) if isinstance(values, np.ndarray) else values
 
 
 def _add(target: Any, value: Any, index: Any, active: Any) -> None:

@@ -142,8 +142,7 @@ class Refiner:
 
     def _densest(self) -> Any:
         """Log density [M] at which each leaf is opaque."""
-        level = on_device(mi.Float, self.field.levels)
-        return math.log(OPAQUE / 2) + level * math.log(2)
+        return math.log(OPAQUE / 2) + self.field.device_levels * math.log(2)
 
     def prune(self) -> None:
         """Drop the leaves that hide next to nothing, wherever they are seen from."""
