@@ -274,3 +274,49 @@ def test_find_leaf_leaves_masked_points_alone(mi):
     octree = leaf_field(asset).octree
     _, found = octree.find_leaf(mi.Point3f(*centre.T), mi.Bool([True, False]))
     assert np.array(found).tolist() == [True, False]
+
+
+def neighbours(asset):
+    """Leaf [M, 6] across the middle of each face, -1 where there is none: the slow twin."""
+    lower, upper = reference.leaf_boxes(asset)
+    finest = 2.0 ** (1 - asset.tree_depth)
+    found = np.full((len(lower), 6), -1)
+    for i in range(len(lower)):
+        for face in range(6):
+            axis, above = divmod(face, 2)
+            # The finest cell that touches the middle from beyond, and above.
+            point = (lower[i] + upper[i] + finest) / 2
+            if (upper - lower)[i, 0] == finest:
+                point = (lower[i] + upper[i]) / 2
+            point[axis] = (upper[i] if above else lower[i])[axis] + (above - 0.5) * finest
+            holds = np.flatnonzero(((point > lower) & (point < upper)).all(axis=1))
+            if len(holds):
+                found[i, face] = holds[0]
+    return found
+
+
+def test_neighbours_are_the_leaves_beyond_the_faces(mi):
+    asset = random_asset(12, tree_depth=3)
+    expected = neighbours(asset)
+    for face, (leaf, there) in enumerate(leaf_field(asset).neighbours):
+        leaf, there = np.array(leaf), np.array(there)
+        assert np.array_equal(there, expected[:, face] >= 0)
+        assert np.array_equal(leaf[there], expected[there, face])
+    assert 0.1 < (expected >= 0).mean() < 0.9
+
+
+@pytest.mark.parametrize("l_max", [0, 1, 2])
+def test_smoothing_draws_leaves_to_the_mean_of_their_neighbours(mi, l_max):
+    """A leaf that has none stays as it is."""
+    asset = random_asset(12, tree_depth=3, l_max=l_max)
+    index = neighbours(asset)
+    there = index >= 0
+    field = leaf_field(asset)
+    before = field.coefficient_array()
+    field.smooth(0.3)
+    mean = np.where(there[..., None, None], before[index], 0).sum(axis=1)
+    mean /= np.maximum(there.sum(axis=1), 1)[:, None, None]
+    alone = ~there.any(axis=1)
+    expected = np.where(alone[:, None, None], before, 0.7 * before + 0.3 * mean)
+    assert field.coefficient_array() == pytest.approx(expected, abs=1e-5)
+    assert np.abs(field.coefficient_array() - before).max() > 0.1

@@ -177,7 +177,11 @@ class Octree:
         inside = mi.Bool(active) & dr.all(dr.abs(point) <= half + _BORDER)
         # What a lamp ends with, a canopy's top say, is on the border: within, not in the next cell.
         point = dr.clip(point, -half, half - _BORDER)
-        cell = mi.Vector3i(dr.floor((point + 1) * (size / 2)))
+        return self.leaf_at(mi.Vector3i(dr.floor((point + 1) * (size / 2))), inside)
+
+    def leaf_at(self, cell: Any, active: Any = True) -> tuple[Any, Any]:
+        """As `find_leaf` for a cell of the grid (mi.Vector3i), which may be outside it."""
+        inside = mi.Bool(active) & dr.all((cell >= 0) & (cell < 1 << self.tree_depth))
         entry, _ = self._find(cell, inside)
         return _leaf(entry), inside & (entry > 0)
 

@@ -19,7 +19,7 @@ from lumitree.core.harmonics import MAX_L, Y_00, num_coefficients
 from lumitree.core.interrupt import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.core.transmittance import LAWS, Law
-from lumitree.direct.balance import BALANCE_ROUNDS, balance, light_left_over
+from lumitree.direct.balance import BALANCE_DRAWS, balance, light_left_over
 from lumitree.direct.estimate import estimate, grow
 from lumitree.direct.field import LEAVES, LeafField
 from lumitree.direct.heldout import HeldOut, Score
@@ -38,8 +38,6 @@ _ESTIMATE_DEPTH, _HULL_DEPTH = 8, 6
 _SPLIT_EVERY, _LAST_SPLIT = 0.15, 0.65
 # Optical depth across a leaf of the hull, and its radiance / L_max, before anything is known.
 _HULL_OPTICAL_DEPTH, _HULL_RADIANCE = 0.3, 0.01
-# Finest cells of which the light is balanced at the end.
-_LAST_BALANCE_LEVEL = 5
 # How many times as long as balancing what follows the descent takes.
 _CLOSING_BALANCES = 1.5
 # Seconds between two looks at the held-out rays, and between two saved states.
@@ -236,8 +234,8 @@ def _run(
     interrupted = loop.run(f"{verb} {source.subject.name}")
     # The descent leaves what is small and bright a few percent too bright; and what the sigmoid has
     # no room for is made up by the rest.
-    balance(loop.best, source, max_radiance, refiner.step, _LAST_BALANCE_LEVEL)
-    factor = light_left_over(loop.best, source, max_radiance, refiner.step + BALANCE_ROUNDS)
+    balance(loop.best, source, max_radiance, refiner.step)
+    factor = light_left_over(loop.best, source, max_radiance, refiner.step + BALANCE_DRAWS)
     score = held_out.rescaled(factor).score(loop.best)
     asset = make_asset(loop.best, source.subject, factor * max_radiance)
     return DirectResult(asset, score, clock.rays, clock.seconds, interrupted)

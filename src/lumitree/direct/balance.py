@@ -4,11 +4,12 @@ The first estimate is wrong in the same way over whole regions, of which single 
 little to learn it. Expectation maximisation for emission (Shepp and Vardi 1982) multiplies a
 leaf's emission by the light that is ascribed to it over the light it gives, and keeps the sum of
 all light. Here the ratio is taken from coarse cells to fine, each drawn to 1 by a prior, so that
-cells with few paths follow their neighbours.
+cells with few paths follow their neighbours. How much few is, two halves of the rays tell by how
+far they are apart.
 
 Symbols
     N, D        light ascribed to a leaf, sum of light · w Phi / L over rays; and what it gives,
-                sum of share · w Phi
+                sum of share · w Phi; n and d are those of a cell
 """
 
 from typing import Any
@@ -18,45 +19,48 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.model import MAX_TREE_DEPTH
 from lumitree.core.harmonics import Y_00
 from lumitree.direct.field import LeafField
 from lumitree.direct.rays import BALANCE_BATCH, RaySource
 
-BALANCE_ROUNDS, _LINES = 4, 1 << 18
-# The prior of a cell's ratio is as good as this many paths that agree with the field.
-_PRIOR_PATHS = 30.0
+_ROUNDS, _LINES = 4, 1 << 17
+# Draws of rays that either function makes.
+BALANCE_DRAWS = 2 * _ROUNDS
+# The prior of a cell's ratio is as good as this many paths that agree with the field. What a path
+# brings is taken from cells this many levels up: of one cell alone it is too uncertain.
+_PRIOR_PATHS, _REGION = 300.0, 3
 _COARSEST_LEVEL = 3
 _LARGEST_SHIFT = 2.0
+_TINY = 1e-30
 
 
-def balance(
-    field: LeafField,
-    source: RaySource,
-    max_radiance: float,
-    batch: int = 0,
-    finest_level: int = MAX_TREE_DEPTH,
-) -> None:
+def balance(field: LeafField, source: RaySource, max_radiance: float, batch: int = 0) -> None:
     """Scale the emission of a field's leaves, channel by channel, in place.
 
     Args:
         batch: number that sets the rays apart from those of other calls.
-        finest_level: cells below this level follow those above; few rays tell less of small ones
-            than a descent has learned.
     """
-    levels = range(_COARSEST_LEVEL, min(finest_level, field.tree_depth) + 1)
-    parents = [_parents(field, level) for level in levels]
-    for step in range(BALANCE_ROUNDS):
-        sums, path = _light(field, source, max_radiance, BALANCE_BATCH + batch + step)
-        ascribed, given, slope = sums
+    levels = range(_COARSEST_LEVEL, max(_COARSEST_LEVEL, field.tree_depth) + 1)
+    cells = [(_cells(field, level), _cells(field, level - _REGION)) for level in levels]
+    for step in range(_ROUNDS):
+        first, second = (
+            _light(field, source, max_radiance, batch + 2 * step + half) for half in range(2)
+        )
+        ascribed, given, slope = first + second
+        apart = first - second
         factor = np.ones_like(given)
-        prior = _PRIOR_PATHS * path
-        for index, count in parents:
-            n, d = (_sum(values, index, count) for values in (ascribed, given * factor))
-            factor *= ((n + prior) / (d + prior))[index]
+        for (cell, count), (region, regions) in cells:
+            n, d = (_sum(values, cell, count) for values in (ascribed, given * factor))
+            around = np.empty(count, np.int64)
+            around[cell] = region
+            # Variance over mean of n - d: of equal paths, the light of one.
+            noise = _sum(_sum(apart[0] - apart[1] * factor, cell, count) ** 2, around, regions)
+            path = noise / np.maximum(_sum(d, around, regions), _TINY)
+            prior = _PRIOR_PATHS * path[around] + _TINY
+            factor *= ((n + prior) / (d + prior))[cell]
         # To first order the shift that multiplies what the leaf gives by the factor: near L_max the
         # sigmoid hardly moves.
-        shift = np.log(factor) * given / np.maximum(slope, 1e-3 * given + 1e-30)
+        shift = np.log(factor) * given / np.maximum(slope, 1e-3 * given + _TINY)
         coefficients = field.coefficient_array()
         coefficients[:, :, 0] += shift.clip(-_LARGEST_SHIFT, _LARGEST_SHIFT) / Y_00
         field.set_coefficients(coefficients)
@@ -69,7 +73,7 @@ def light_left_over(field: LeafField, source: RaySource, max_radiance: float, ba
         batch: as for `balance`.
     """
     seen, given = 0.0, 0.0
-    for step in range(BALANCE_ROUNDS):
+    for step in range(BALANCE_DRAWS):
         rays = source.draw(_LINES, BALANCE_BATCH + batch + step, _all_lines)
         radiance, _, _ = field.integrate(rays.origin, rays.direction)
         seen += float(dr.sum(rays.light, axis=None)[0]) / max_radiance
@@ -83,21 +87,19 @@ def _all_lines(origin: Any, direction: Any) -> Any:
 
 def _light(
     field: LeafField, source: RaySource, max_radiance: float, batch: int
-) -> tuple[NDArray[np.float64], float]:
-    """N, D and the derivative of D by the logit [3, M, 3], and the light of a typical path."""
-    rays = source.draw(_LINES, batch, field.meets)
+) -> NDArray[np.float64]:
+    """N, D and the derivative of D by the logit [3, M, 3]."""
+    rays = source.draw(_LINES, BALANCE_BATCH + batch, field.meets)
     light = rays.light * dr.opaque(mi.Float, 1 / max_radiance)
     radiance, _, _ = field.integrate(rays.origin, rays.direction)
     ratio = light / dr.maximum(radiance, 1e-6)
     sums = dr.zeros(mi.Float, 12 * field.num_leaves)
     dr.eval(ratio)
     field.scatter_emission(rays.origin, rays.direction, ratio, rays.share, sums)
-    rows = np.array(sums, np.float64).reshape(-1, 3, 4)[:, :, :3]
-    carried = np.array(light)
-    return rows.transpose(1, 0, 2), float(carried.sum() / max(1, np.count_nonzero(carried)))
+    return np.array(sums, np.float64).reshape(-1, 3, 4)[:, :, :3].transpose(1, 0, 2)
 
 
-def _parents(field: LeafField, level: int) -> tuple[NDArray[np.int64], int]:
+def _cells(field: LeafField, level: int) -> tuple[NDArray[np.int64], int]:
     """Index of each leaf's cell of `level`, or of its own level where that is coarser."""
     shift = np.maximum(field.levels - level, 0)
     keys = np.column_stack([field.cells >> shift[:, None], field.levels - shift])

@@ -38,9 +38,9 @@ _BATCH = 1 << 20
 _NUM_DIRECTIONS = 32
 # Fitted radiance is kept within these bounds, in units of L_max, where the sigmoid can follow.
 _DARKEST, _BRIGHTEST = 1e-5, 0.99
-# A leaf's fit is drawn to its parent's as if by this many paths that saw the parent's fit, and
-# band l by l² times the second number more.
-_PRIOR_PATHS, _PRIOR_BAND = 4.0, 40.0
+# A leaf's fit is drawn to its parent's, or to black where it has none, as if by this many paths
+# that saw the parent's fit, and band l by l² times the second number more.
+_PRIOR_PATHS, _PRIOR_BAND = 20.0, 200.0
 # Optical depth across a leaf that counts as opaque, and the opacity from which a leaf is.
 OPAQUE = 10.0
 _SOLID = 0.9

@@ -97,6 +97,22 @@ class LeafField:
         """The levels as mi.Float [M]."""
         return on_device(mi.Float, self.levels)
 
+    @functools.cached_property
+    def neighbours(self) -> list[tuple[Any, Any]]:
+        """Leaf across the middle of each of the six faces (mi.UInt32 [M]), and whether there is."""
+        side = 1 << (self.tree_depth - self.levels)
+        corner = self.cells * side[:, None]
+        found = []
+        for axis in range(3):
+            for steps in (-1, side):
+                cell = corner + (side // 2)[:, None]
+                cell[:, axis] = corner[:, axis] + steps
+                found.append(
+                    self.octree.leaf_at(mi.Vector3i(*(on_device(mi.Int, c) for c in cell.T)))
+                )
+        dr.eval(found)
+        return found
+
     @property
     def width(self) -> int:
         """Coefficients of a leaf with their padding."""
@@ -116,6 +132,23 @@ class LeafField:
     def set_coefficients(self, coefficients: NDArray[np.floating]) -> None:
         """Replace the coefficients by others [M, 3, K]."""
         self.coefficients = self._padded(coefficients)
+
+    def smooth(self, share: float) -> None:
+        """Draw every leaf's coefficients to the mean of its neighbours' by `share` of the way."""
+        quads = self.width // 4
+        row = dr.arange(mi.UInt32, quads * self.num_leaves)
+        leaf = row // quads
+        column = row - leaf * quads
+        total, count = mi.Vector4f(0), mi.Float(0)
+        for neighbours, present in self.neighbours:
+            there = dr.gather(mi.Bool, present, leaf)
+            other = dr.gather(mi.UInt32, neighbours, leaf) * quads + column
+            total += dr.gather(mi.Vector4f, self.coefficients, other, there)
+            count += dr.select(there, mi.Float(1), 0)
+        own = dr.gather(mi.Vector4f, self.coefficients, row)
+        drawn = dr.select(count > 0, dr.opaque(mi.Float, share), 0)
+        self.coefficients = dr.ravel(own + drawn * (total / dr.maximum(count, 1) - own))
+        dr.eval(self.coefficients)
 
     def _padded(self, coefficients: Any) -> Any:
         if not isinstance(coefficients, np.ndarray):

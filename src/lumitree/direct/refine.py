@@ -37,6 +37,8 @@ _BLAME_LINES, _BLAME_BATCHES = 1 << 20, 4
 _OPACITY_BLAME = 500.0
 # Lines followed straight alone, for each line whose light is asked for too: they cost a third.
 _STRAIGHT_LINES = 4
+# The steps between two times at which the coefficients are smoothed.
+_SMOOTH_EVERY = 8
 # Leaves thinner than this (optical depth across) are dropped.
 _MIN_DEPTH = 2e-3
 
@@ -50,7 +52,10 @@ class RefineConfig:
         epsilon: of the loss, in units of L_max.
         opacity_weight: of the loss.
         density_rate, coefficient_rate: first steps of Adam for log density and coefficients.
-        final_rate: last step over first; the rates fall exponentially with the budget spent.
+        smoothing: part of the way from a leaf's coefficients to the mean of its neighbours' that
+            they are drawn at first, once in so many steps as `_SMOOTH_EVERY` says.
+        final_rate: last step over first; the rates fall exponentially with the budget spent, and
+            the smoothing with them.
         max_leaves: no more are made by splitting.
     """
 
@@ -58,7 +63,8 @@ class RefineConfig:
     epsilon: float = 0.001
     opacity_weight: float = 5.0
     density_rate: float = 0.15
-    coefficient_rate: float = 0.06
+    coefficient_rate: float = 0.03
+    smoothing: float = 0.5
     final_rate: float = 0.05
     max_leaves: int = 3_000_000
 
@@ -70,6 +76,8 @@ class RefineConfig:
                 raise LumitreeError(f"{name} is {getattr(self, name)}; expected more than 0")
         if self.final_rate > 1:
             raise LumitreeError(f"final_rate is {self.final_rate}; expected at most 1")
+        if not 0 <= self.smoothing <= 1:
+            raise LumitreeError(f"smoothing is {self.smoothing}; expected 0 to 1")
 
 
 class Refiner:
@@ -132,6 +140,8 @@ class Refiner:
             field.coefficients, d_coefficients, fallen * config.coefficient_rate
         )
         dr.eval(field.log_density, field.coefficients)
+        if self.step % _SMOOTH_EVERY == 0:
+            field.smooth(fallen * config.smoothing)
         return count
 
     def _by_depth(self, through: Any, wanted: Any) -> Any:

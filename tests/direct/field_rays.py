@@ -1,0 +1,97 @@
+"""Rays of a field that is known, for tests of what learns from rays."""
+
+import numpy as np
+
+from fields import leaf_field, random_asset
+
+
+def random_lines(mi, count, seed):
+    """Lines through the ball of radius 1.2, uniform."""
+    random = np.random.default_rng(seed)
+    direction = random.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    origin = random.normal(size=(count, 3))
+    origin -= (origin * direction).sum(axis=1, keepdims=True) * direction
+    origin *= 1.2 * np.sqrt(random.random((count, 1))) / np.linalg.norm(origin, axis=1)[:, None]
+    origin -= 2 * direction
+    return mi.Point3f(*origin.T), mi.Vector3f(*direction.T)
+
+
+class FieldRays:
+    """Noisy rays of a known field: all or nothing half the time, so that the mean is right.
+
+    `split` gives half of the light as rays that stand for no line, as paths from emitters do.
+    """
+
+    def __init__(self, mi, truth, noise=True, split=False):
+        self._mi, self._truth, self._noise, self._split = mi, truth, noise, split
+
+    def draw(self, count, batch, wanted):
+        import drjit as dr
+
+        from lumitree.direct.rays import Rays
+
+        mi = self._mi
+        origin, direction = random_lines(mi, count, batch)
+        chosen = dr.compress(wanted(origin, direction))
+        lines = dr.width(chosen)
+        origin = dr.gather(mi.Point3f, origin, chosen)
+        direction = dr.gather(mi.Vector3f, direction, chosen)
+        dr.eval(origin, direction)
+        if not lines:
+            return Rays(origin, direction, mi.Float(), mi.Color3f(mi.Float()), mi.Float())
+        radiance, through, _ = self._truth.integrate(origin, direction)
+        # Opaque, or every step would compile kernels of its own.
+        part = dr.opaque(mi.Float, 1 / lines)
+        share = part * dr.ones(mi.Float, lines)
+        light = self._noisy(radiance, batch) * part
+        if not self._split:
+            return Rays(origin, direction, share, light, through)
+        # Lines of their own, the unwanted among them.
+        other = random_lines(mi, count, batch + 10**5)
+        brought = self._noisy(self._truth.integrate(*other)[0], batch + 10**5) * part
+        none = dr.zeros(mi.Float, count)
+        return Rays(
+            mi.Point3f(*np.hstack([np.array(origin), np.array(other[0])])),
+            mi.Vector3f(*np.hstack([np.array(direction), np.array(other[1])])),
+            dr.concat([share, none]),
+            mi.Color3f(*(np.hstack([np.array(light), np.array(brought)]) / 2)),
+            dr.concat([through, none]),
+        )
+
+    def straight(self, count, batch, wanted):
+        rays = FieldRays(self._mi, self._truth, noise=False).draw(count, batch, wanted)
+        return rays.origin, rays.direction, rays.transmittance
+
+    def pairs(self, count, batch, paths):
+        from lumitree.direct.rays import Pairs
+
+        origin, direction = random_lines(self._mi, count, batch)
+        radiance, through, _ = self._truth.integrate(origin, direction)
+        noisy = [self._noisy(radiance, [batch, half]) for half in range(2)]
+        return Pairs(origin, direction, *noisy, through)
+
+    def _noisy(self, radiance, seed):
+        if not self._noise:
+            return radiance
+        random = np.random.default_rng([7, *np.atleast_1d(seed)])
+        return radiance * self._mi.Float(2.0 * (random.random(radiance.shape[1]) < 0.5))
+
+
+def truth_and_start(law, seed=3, l_max=1):
+    """A field with radiance below 0.5, and one of the same leaves that is all wrong."""
+    asset = random_asset(seed, tree_depth=3, l_max=l_max, law=law, max_radiance=1)
+    random = np.random.default_rng(seed)
+    coefficients = 0.5 * asset.coefficients.astype(float)
+    coefficients[..., 0] -= 5
+    truth, start = leaf_field(asset), leaf_field(asset)
+    truth = truth.with_leaves(
+        truth.cells, truth.levels, truth.log_density, coefficients.astype(np.float32).ravel()
+    )
+    start = start.with_leaves(
+        start.cells,
+        start.levels,
+        np.array(start.log_density) + random.choice([-1.0, 1.0], start.num_leaves),
+        np.zeros(coefficients.size, np.float32),
+    )
+    return truth, start
