@@ -49,6 +49,26 @@ def test_a_wrong_start_becomes_the_truth(mi, law, split):
     assert opacity_after < opacity_before / 2
 
 
+def test_smoothing_keeps_noise_out_of_what_is_smooth(mi):
+    """A descent that starts at the truth, of which all leaves show the same."""
+    cells = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    coefficients = np.zeros((512, 3, 4))
+    coefficients[..., 0] = -5
+    truth = leaf_field(
+        make_asset(
+            cells, np.full(512, 3), np.ones(512), coefficients, tree_depth=3, law="exponential"
+        )
+    )
+    noise = []
+    for smoothing in (0.0, 0.5):
+        descent = refiner(mi, truth.copy(), truth, smoothing=smoothing, final_rate=1.0)
+        for _ in range(40):
+            descent.advance(0.0)
+        noise.append(np.std(descent.field.coefficient_array() - truth.coefficient_array()))
+    assert noise[0] > 0.05
+    assert noise[1] < noise[0] / 2
+
+
 def parameters(descent):
     return {name: np.array(value, np.float64) for name, value in descent.state().items()}
 
@@ -198,6 +218,8 @@ def test_a_step_that_meets_no_leaf_changes_nothing(mi):
         {"coefficient_rate": 0.0},
         {"final_rate": 0.0},
         {"final_rate": 1.5},
+        {"smoothing": -0.1},
+        {"smoothing": 1.1},
     ],
 )
 def test_wrong_settings_are_refused(mi, settings):

@@ -29,7 +29,6 @@ BALANCE_DRAWS = 2 * _ROUNDS
 # The prior of a cell's ratio is as good as this many paths that agree with the field. What a path
 # brings is taken from cells this many levels up: of one cell alone it is too uncertain.
 _PRIOR_PATHS, _REGION = 300.0, 3
-_COARSEST_LEVEL = 3
 _LARGEST_SHIFT = 2.0
 _TINY = 1e-30
 
@@ -40,8 +39,7 @@ def balance(field: LeafField, source: RaySource, max_radiance: float, batch: int
     Args:
         batch: number that sets the rays apart from those of other calls.
     """
-    levels = range(_COARSEST_LEVEL, max(_COARSEST_LEVEL, field.tree_depth) + 1)
-    cells = [(_cells(field, level), _cells(field, level - _REGION)) for level in levels]
+    cells = [_cells(field, level) for level in range(max(_REGION, field.tree_depth) + 1)]
     for step in range(_ROUNDS):
         first, second = (
             _light(field, source, max_radiance, batch + 2 * step + half) for half in range(2)
@@ -49,7 +47,7 @@ def balance(field: LeafField, source: RaySource, max_radiance: float, batch: int
         ascribed, given, slope = first + second
         apart = first - second
         factor = np.ones_like(given)
-        for (cell, count), (region, regions) in cells:
+        for (region, regions), (cell, count) in zip(cells, cells[_REGION:], strict=False):
             n, d = (_sum(values, cell, count) for values in (ascribed, given * factor))
             around = np.empty(count, np.int64)
             around[cell] = region
@@ -101,10 +99,11 @@ def _light(
 
 def _cells(field: LeafField, level: int) -> tuple[NDArray[np.int64], int]:
     """Index of each leaf's cell of `level`, or of its own level where that is coarser."""
-    shift = np.maximum(field.levels - level, 0)
-    keys = np.column_stack([field.cells >> shift[:, None], field.levels - shift])
-    cells, index = np.unique(keys, axis=0, return_inverse=True)
-    return index.ravel(), len(cells)
+    own = np.minimum(field.levels, level)
+    x, y, z = (field.cells >> (field.levels - own)[:, None]).T
+    # One number a cell: sorting rows takes ten times as long.
+    _, index = np.unique(((own << 16 | x) << 16 | y) << 16 | z, return_inverse=True)
+    return index, int(index.max(initial=-1)) + 1
 
 
 def _sum(values: Any, index: NDArray[np.int64], count: int) -> NDArray[np.float64]:
