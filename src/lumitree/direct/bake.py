@@ -38,6 +38,8 @@ _ESTIMATE_DEPTH, _HULL_DEPTH = 8, 6
 _SPLIT_EVERY, _LAST_SPLIT = 0.15, 0.65
 # Optical depth across a leaf of the hull, and its radiance / L_max, before anything is known.
 _HULL_OPTICAL_DEPTH, _HULL_RADIANCE = 0.3, 0.01
+# From there the way is longer than from an estimate: so are the coefficients' steps, by this much.
+_HULL_STEPS = 2.0
 # How many times as long as balancing what follows the descent takes.
 _CLOSING_BALANCES = 1.5
 # Seconds between two looks at the held-out rays, and between two saved states.
@@ -138,6 +140,9 @@ def bake_stored(dataset: Dataset, config: DirectConfig, folder: Path) -> DirectR
             the state of another bake.
     """
     source = StoredRays(dataset, config.seed)
+    rate = _HULL_STEPS * config.refine.coefficient_rate
+    descent = dataclasses.replace(config.refine, coefficient_rate=rate)
+    config = dataclasses.replace(config, refine=descent)
 
     def start() -> tuple[LeafField, float]:
         level = min(config.tree_depth, _HULL_DEPTH)
