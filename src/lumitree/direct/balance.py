@@ -101,7 +101,7 @@ def _cells(field: LeafField, level: int) -> tuple[NDArray[np.int64], int]:
     """Index of each leaf's cell of `level`, or of its own level where that is coarser."""
     own = np.minimum(field.levels, level)
     x, y, z = (field.cells >> (field.levels - own)[:, None]).T
-    # One number a cell: sorting rows takes ten times as long.
+    # One number a cell: sorting rows takes twenty times as long.
     _, index = np.unique(((own << 16 | x) << 16 | y) << 16 | z, return_inverse=True)
     return index, int(index.max(initial=-1)) + 1
 
