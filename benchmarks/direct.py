@@ -1,14 +1,16 @@
-"""The direct bake on many luminaires: python benchmarks/direct.py --references FOLDER NAME ...
+"""What bakes are worth, luminaire by luminaire: python benchmarks/direct.py NAME ...
 
-For every luminaire (or dataset of held-out views in FOLDER of its row's name): bakes it, with
-`--quality` and `--time`, and by the network where `--network` asks for it, evaluates both on the
-same views, and writes `direct.md` and `direct.json` into benchmarks/results/. Without stored
-views, some are captured, with fewer samples: the table says how many.
+Bakes every luminaire by each `--method`, evaluates it on the views of its name in the folder of
+`--references`, and puts the row into `direct.md` and `direct.json` in benchmarks/results/, in place
+of an earlier row of the same luminaire and method; all others stay, with the commit they were
+measured at. Without stored views, some are captured, with fewer samples: the table says how many.
 """
 
 import argparse
 import json
 import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 from lumitree import pipeline
@@ -27,14 +29,17 @@ COLUMNS = {
 }
 
 
+NETWORK = "network"
+
+
 def measure(name: str, method: str, args: argparse.Namespace, folder: Path) -> dict:
     """One row: a bake and what it is worth."""
     title = label(name)
     asset = str(args.assets / f"{title}-{method}.lumitree")
-    if method == "nerf":
+    if method == NETWORK:
         baked = pipeline.bake_network(name, asset)
     else:
-        baked = pipeline.bake(name, asset, quality=args.quality, seconds=args.time)
+        baked = pipeline.bake(name, asset, quality=method)
     views = args.references / title if args.references else Path()
     target = str(views) if (views / MANIFEST).is_file() else name
     report = pipeline.evaluate(asset, target, sheet=str(folder / "sheet.png"), num_views=4)
@@ -44,6 +49,7 @@ def measure(name: str, method: str, args: argparse.Namespace, folder: Path) -> d
     return {
         "luminaire": title,
         "method": method,
+        "setting": setting(),
         "stored_views": target != name,
         "seconds": sum(baked["seconds"].values()),
         "peak_memory_bytes": baked["peak_memory_bytes"],
@@ -62,16 +68,18 @@ def label(name: str) -> str:
 
 def table(rows: list[dict]) -> str:
     """The rows in Markdown."""
-    heads = ["luminaire", "method", "s", "leaves", "MB", *COLUMNS]
+    heads = ["luminaire", "method", "s", "peak GB", "leaves", "MB", *COLUMNS, "commit"]
     lines = ["| " + " | ".join(heads) + " |", "|---|---" + "|---:" * (len(heads) - 2) + "|"]
     for row in rows:
         cells = [
             row["luminaire"] + ("" if row["stored_views"] else " *"),
             row["method"],
             f"{row['seconds']:.0f}",
+            f"{row['peak_memory_bytes'] / 1e9:.1f}" if row["peak_memory_bytes"] else "",
             f"{row['leaves']:,}",
             f"{row['bytes'] / 1e6:.1f}",
             *(f"{row['metrics'][name]:.{digits}f}" for name, digits in COLUMNS.items()),
+            row["setting"]["commit"],
         ]
         lines.append("| " + " | ".join(cells) + " |")
     note = "A star after the name: on 4 views of 256² captured with 256 samples a pixel.\n"
@@ -79,32 +87,52 @@ def table(rows: list[dict]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="The direct bake on many luminaires.")
+    parser = argparse.ArgumentParser(description="What bakes are worth, luminaire by luminaire.")
     parser.add_argument("luminaires", metavar="NAME", nargs="+")
     parser.add_argument("--references", metavar="FOLDER", type=Path)
     parser.add_argument(
         "--assets", metavar="FOLDER", type=Path, default=Path(tempfile.gettempdir())
     )
-    parser.add_argument("--quality", default="standard")
-    parser.add_argument("--time", type=float, metavar="S")
-    parser.add_argument("--network", action="store_true")
+    parser.add_argument(
+        "--method",
+        action="append",
+        choices=["preview", "standard", "high", NETWORK],
+        help="quality of the direct bake, or the network; may be repeated (default: standard)",
+    )
     args = parser.parse_args()
-    facts = setting(quality=args.quality, seconds=args.time)
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
+    # A process for each: the peak of memory is the bake's own.
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as process,
+    ):
         for name in args.luminaires:
-            for method in ("direct", "nerf") if args.network else ("direct",):
-                rows.append(measure(name, method, args, Path(folder)))
-                write(rows, facts)
+            for method in args.method or ["standard"]:
+                write(process.submit(measure, name, method, args, Path(folder)).result())
 
 
-def write(rows: list[dict], facts: dict) -> None:
-    """Both files, after every row."""
+def write(row: dict) -> None:
+    """Both files, with this row in place of an earlier one."""
     RESULTS.mkdir(exist_ok=True)
-    text = json.dumps({"setting": facts, "rows": rows}, indent=1)
-    (RESULTS / "direct.json").write_text(text + "\n")
-    note = "\n".join(f"* {key}: {value}" for key, value in facts.items())
-    (RESULTS / "direct.md").write_text(f"# The direct bake\n\n{table(rows)}\n{note}\n")
+    stored = RESULTS / "direct.json"
+    rows = {key(row): row for row in json.loads(stored.read_text())} if stored.is_file() else {}
+    rows[key(row)] = row
+    ordered = [rows[name] for name in sorted(rows)]
+    stored.write_text(json.dumps(ordered, indent=1) + "\n")
+    settings = {json.dumps(row["setting"] | {"commit": ""}): row["setting"] for row in ordered}
+    notes = [
+        f"* {name}: {value}"
+        for each in settings.values()
+        for name, value in each.items()
+        if name != "commit"
+    ]
+    (RESULTS / "direct.md").write_text(
+        "# What bakes are worth\n\n" + table(ordered) + "\n" + "\n".join(notes) + "\n"
+    )
+
+
+def key(row: dict) -> tuple[str, str]:
+    """What tells rows apart."""
+    return row["luminaire"], row["method"]
 
 
 if __name__ == "__main__":
