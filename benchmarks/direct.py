@@ -32,7 +32,7 @@ COLUMNS = {
 NETWORK = "network"
 
 
-def measure(name: str, method: str, args: argparse.Namespace, folder: Path) -> dict:
+def measure(name: str, method: str, facts: dict, args: argparse.Namespace, folder: Path) -> dict:
     """One row: a bake and what it is worth."""
     title = label(name)
     asset = str(args.assets / f"{title}-{method}.lumitree")
@@ -49,7 +49,7 @@ def measure(name: str, method: str, args: argparse.Namespace, folder: Path) -> d
     return {
         "luminaire": title,
         "method": method,
-        "setting": setting(),
+        "setting": facts,
         "stored_views": target != name,
         "seconds": sum(baked["seconds"].values()),
         "peak_memory_bytes": baked["peak_memory_bytes"],
@@ -100,6 +100,7 @@ def main() -> None:
         help="quality of the direct bake, or the network; may be repeated (default: standard)",
     )
     args = parser.parse_args()
+    facts = setting()
     # A process for each: the peak of memory is the bake's own.
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -107,7 +108,7 @@ def main() -> None:
     ):
         for name in args.luminaires:
             for method in args.method or ["standard"]:
-                write(process.submit(measure, name, method, args, Path(folder)).result())
+                write(process.submit(measure, name, method, facts, args, Path(folder)).result())
 
 
 def write(row: dict) -> None:
