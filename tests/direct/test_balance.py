@@ -87,18 +87,16 @@ def test_moments_are_those_of_cells_seen_alone(mi):
         coefficients = truth.coefficient_array()
         coefficients[:, :, 0] += np.where(chosen, step, -60)[:, None] / Y_00
         field = truth.with_leaves(truth.cells, truth.levels, truth.log_density, coefficients)
-        return np.array(field.integrate(origin, direction)[0])
+        return np.array(field.integrate(origin, direction)[0], np.float64)
 
     products = np.stack([y[:, j] * y[:, k] for j in range(4) for k in range(j + 1)], -1)
     for index in range(3):
-        shown = seen(cell == index)
-        slope = (seen(cell == index, 0.01) - seen(cell == index, -0.01)) / 0.02
-        expected = [
-            (shown * light) @ y,
-            (shown * share) @ products,
-            (slope * share).sum(1)[:, None],
-        ]
-        np.testing.assert_allclose(moments[index], np.hstack(expected), rtol=2e-3, atol=1e-4)
+        below, shown, over = (seen(cell == index, step) for step in (-0.1, 0.0, 0.1))
+        # Phi' = Phi (1 - Phi) and Phi'' = Phi' (1 - 2 Phi); products want half of their sum.
+        slope, bend = (over - below) / 0.2, (over + below - 2 * shown) / 0.01
+        expected = [(slope * (light - share)) @ y, ((slope + bend) / 2 * share) @ products]
+        scale = np.abs(moments[index]).max()
+        np.testing.assert_allclose(moments[index], np.hstack(expected), atol=0.02 * scale)
 
 
 def test_balancing_what_is_right_adds_little_noise(mi):

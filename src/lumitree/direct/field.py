@@ -266,13 +266,13 @@ class LeafField:
 
         Returns:
             [C, 3, ...] for cell and channel the sums over rays and leaves of
-            w Phi · light · Y_k; w Phi · share · Y_j Y_k, lower triangle by rows; and the derivative
-            of w Phi · share by what is before the sigmoid.
+            g (light - share) Y_k and g (1 - Phi) share Y_j Y_k, lower triangle by rows, where
+            g = w Phi (1 - Phi) is the derivative of w Phi by what is before the sigmoid.
         """
         y = basis(*towards_viewer(direction), self.l_max)
         first = y[:harmonics]
         products = [first[j] * first[k] for j in range(harmonics) for k in range(j + 1)]
-        count = harmonics + len(products) + 1
+        count = harmonics + len(products)
         quads = -(-count // 4)
         cells = int(dr.max(cell)[0]) + 1
         sums = dr.zeros(mi.Float, cells * 3 * 4 * quads)
@@ -282,11 +282,11 @@ class LeafField:
             emission = self._emission(leaf, y, active)
             row = 3 * dr.gather(mi.UInt32, cell, leaf, active)
             for channel in range(3):
-                shown = (state[1] - after) * emission[channel]
-                given = shown * share
-                flat = [shown * light[channel] * value for value in first]
-                flat += [given * value for value in products]
-                flat += [given * (1 - emission[channel])] + [mi.Float(0)] * (-count % 4)
+                rest = 1 - emission[channel]
+                slope = (state[1] - after) * emission[channel] * rest
+                flat = [slope * (light[channel] - share) * value for value in first]
+                flat += [slope * rest * share * value for value in products]
+                flat += [mi.Float(0)] * (-count % 4)
                 for quad in range(quads):
                     values = mi.Vector4f(*flat[4 * quad : 4 * quad + 4])
                     _add(sums, values, (row + channel) * quads + quad, active)
