@@ -15,6 +15,7 @@ from pathlib import Path
 
 from lumitree import pipeline
 from lumitree.core.dataset import MANIFEST
+from lumitree.core.files import write_json
 from setting import setting
 
 RESULTS = Path(__file__).parent / "results"
@@ -27,8 +28,6 @@ COLUMNS = {
     "opacity_rmse": 4,
     "flux_error": 3,
 }
-
-
 NETWORK = "network"
 
 
@@ -118,7 +117,7 @@ def write(row: dict) -> None:
     rows = {key(row): row for row in json.loads(stored.read_text())} if stored.is_file() else {}
     rows[key(row)] = row
     ordered = [rows[name] for name in sorted(rows)]
-    stored.write_text(json.dumps(ordered, indent=1) + "\n")
+    write_json(stored, ordered)
     settings = {json.dumps(row["setting"] | {"commit": ""}): row["setting"] for row in ordered}
     notes = [
         f"* {name}: {value}"
