@@ -254,30 +254,47 @@ class LeafField:
         self._shade(origin, direction, shade, (mi.Float(0),))
         dr.eval(density_gradient)
 
-    def scatter_emission(
-        self, origin: Any, direction: Any, light: Any, share: Any, sums: Any
-    ) -> None:
-        """Add to `sums` (mi.Float [M · 12]) what each leaf shows, for `balance`.
-
-        Every leaf has three rows of R, G, B and an unused number: w Phi · light, w Phi · share, and
-        the derivative of the second by all of the leaf's values before the sigmoid.
+    def emission_moments(
+        self, origin: Any, direction: Any, light: Any, share: Any, cell: Any, harmonics: int
+    ) -> NDArray[np.float64]:
+        """What the leaves of each cell show along the first `harmonics` Y_k, for `balance`.
 
         Args:
             light: mi.Color3f of each ray.
             share: mi.Float of each ray.
+            cell: mi.UInt32 [M], the leaves' cells, of which each has some.
+
+        Returns:
+            [C, 3, ...] for cell and channel the sums over rays and leaves of
+            g (light - share) Y_k and g (1 - Phi) share Y_j Y_k, lower triangle by rows, where
+            g = w Phi (1 - Phi) is the derivative of w Phi by what is before the sigmoid.
         """
         y = basis(*towards_viewer(direction), self.l_max)
+        first = y[:harmonics]
+        products = [first[j] * first[k] for j in range(harmonics) for k in range(j + 1)]
+        count = harmonics + len(products)
+        quads = -(-count // 4)
+        cells = int(dr.max(cell)[0]) + 1
+        sums = dr.zeros(mi.Float, cells * 3 * 4 * quads)
 
         def shade(state, leaf, start, length, active):
             _, tau, after = self._cross(state[0], leaf, length, active)
             emission = self._emission(leaf, y, active)
-            shown = (state[1] - after) * emission
-            for row, value in enumerate((light, share, share * (1 - emission))):
-                _add(sums, mi.Vector4f(*(shown * value), 0), 3 * leaf + row, active)
+            row = 3 * dr.gather(mi.UInt32, cell, leaf, active)
+            for channel in range(3):
+                rest = 1 - emission[channel]
+                slope = (state[1] - after) * emission[channel] * rest
+                flat = [slope * (light[channel] - share) * value for value in first]
+                flat += [slope * rest * share * value for value in products]
+                flat += [mi.Float(0)] * (-count % 4)
+                for quad in range(quads):
+                    values = mi.Vector4f(*flat[4 * quad : 4 * quad + 4])
+                    _add(sums, values, (row + channel) * quads + quad, active)
             return tau, after
 
         self._shade(origin, direction, shade, (mi.Float(0), mi.Float(1)))
         dr.eval(sums)
+        return np.array(sums, np.float64).reshape(cells, 3, -1)[..., :count]
 
     def share_out(self, origin: Any, direction: Any, value: Any, total: Any) -> None:
         """Add a value (mi.Float) of each ray to `total` (mi.Float [M]) by the leaves' weights."""
