@@ -102,7 +102,7 @@ class DirectResult:
 
 # The sigmoid's end over the radiance that pixels reach (D9): a thin filament outshines its pixel,
 # in a leaf that hides only part of it.
-_HEADROOM = 2.0
+_HEADROOM = 4.0
 # What `--quality` names: minutes on two CPU cores.
 QUALITIES: dict[str, DirectConfig] = {
     "preview": DirectConfig(tree_depth=7, estimate_lines=1 << 22, seconds=60.0),
