@@ -13,9 +13,8 @@ from lumitree.core.backend import load_mitsuba
 def setting(**details: object) -> dict[str, object]:
     """Commit, device and versions, followed by the benchmark's own details."""
     mi = load_mitsuba()
-    describe = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
     return {
-        "commit": subprocess.run(describe, capture_output=True, text=True).stdout.strip(),
+        "commit": commit(),
         "device": processor(),
         "variant": mi.variant(),
         "lumitree": lumitree.__version__,
@@ -24,6 +23,19 @@ def setting(**details: object) -> dict[str, object]:
         "python": platform.python_version(),
         **details,
     }
+
+
+def commit() -> str:
+    """The commit that is checked out, "-dirty" where anything but results was changed since."""
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!results")
+    return git("describe", "--always") + ("-dirty" if changed else "")
+
+
+def git(*command: str) -> str:
+    """What git prints, run in this folder."""
+    folder = str(Path(__file__).parent)
+    run = subprocess.run(["git", "-C", folder, *command], capture_output=True, text=True)
+    return run.stdout.strip()
 
 
 def processor() -> str:
