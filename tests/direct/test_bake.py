@@ -42,7 +42,7 @@ def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     assert result.seconds > 0
     asset = result.asset
     assert (asset.tree_depth, asset.l_max, asset.law) == (4, 1, law)
-    assert asset.max_radiance == pytest.approx(2 * 3, rel=0.1)
+    assert asset.max_radiance == pytest.approx(4 * 3, rel=0.1)
     assert np.array_equal(asset.world_from_proxy, ball.world_from_proxy)
 
     lines = TracedRays(ball, 1 / 64, seed=77)
