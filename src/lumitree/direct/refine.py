@@ -60,7 +60,7 @@ class RefineConfig:
     """
 
     lines: int = 1 << 15
-    epsilon: float = 0.001
+    epsilon: float = 0.0005
     opacity_weight: float = 5.0
     density_rate: float = 0.15
     coefficient_rate: float = 0.03
