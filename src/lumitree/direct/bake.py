@@ -24,7 +24,7 @@ from lumitree.direct.estimate import estimate, grow
 from lumitree.direct.field import LEAVES, LeafField
 from lumitree.direct.heldout import HeldOut, Score
 from lumitree.direct.rays import RaySource, Subject, TracedRays
-from lumitree.direct.refine import RefineConfig, Refiner
+from lumitree.direct.refine import HEADROOM, RefineConfig, Refiner
 from lumitree.direct.stored import StoredRays
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.luminaire import Luminaire
@@ -39,7 +39,7 @@ _SPLIT_EVERY, _LAST_SPLIT = 0.15, 0.65
 # Optical depth across a leaf of the hull, and its radiance / L_max, before anything is known.
 _HULL_OPTICAL_DEPTH, _HULL_RADIANCE = 0.3, 0.01
 # From there the way is longer than from an estimate: so are the coefficients' steps, by this much.
-_HULL_STEPS = 2.0
+_HULL_STEPS = 4.0
 # How many times as long as balancing what follows the descent takes.
 _CLOSING_BALANCES = 1.5
 # Seconds between two looks at the held-out rays, and between two saved states.
@@ -100,9 +100,6 @@ class DirectResult:
     interrupted: bool
 
 
-# The sigmoid's end over the radiance that pixels reach (D9): a thin filament outshines its pixel,
-# in a leaf that hides only part of it.
-_HEADROOM = 4.0
 # What `--quality` names: minutes on two CPU cores.
 QUALITIES: dict[str, DirectConfig] = {
     "preview": DirectConfig(tree_depth=7, estimate_lines=1 << 22, seconds=60.0),
@@ -126,7 +123,7 @@ def bake(luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResu
     source = _source(luminaire, config)
 
     def start() -> tuple[LeafField, float]:
-        max_radiance = _HEADROOM * _radiance_of(source)
+        max_radiance = HEADROOM * _radiance_of(source)
         return _first_field(source, config, max_radiance), max_radiance
 
     return _run(source, config, folder, "bake", start)
@@ -154,7 +151,7 @@ def bake_stored(dataset: Dataset, config: DirectConfig, folder: Path) -> DirectR
         density = np.full(len(cells), _HULL_OPTICAL_DEPTH * (1 << level) / 2)
         levels = np.full(len(cells), level)
         field = _field(config, source, cells, levels, density, coefficients)
-        return field, _HEADROOM * source.max_radiance()
+        return field, HEADROOM * source.max_radiance()
 
     return _run(source, config, folder, "bake", start)
 

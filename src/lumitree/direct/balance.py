@@ -42,7 +42,7 @@ _TINY = 1e-30
 
 
 def balance(field: LeafField, source: RaySource, max_radiance: float, batch: int = 0) -> None:
-    """Scale the emission of a field's leaves, channel by channel, in place.
+    """Scale the emission of a field's leaves, by channel, region and side, in place.
 
     Args:
         batch: number that sets the rays apart from those of other calls.

@@ -30,6 +30,9 @@ from lumitree.direct.field import LEAVES, LeafField
 from lumitree.direct.rays import BLAME_BATCH, STRAIGHT_BATCH, TILE_LINES, RaySource
 from lumitree.errors import LumitreeError
 
+# L_max of a bake, where the sigmoid ends, over the radiance that pixels reach (D9): a thin filament
+# outshines its pixel, in a leaf that hides only part of it.
+HEADROOM = 4.0
 _BETA_1, _BETA_2 = 0.9, 0.98
 # Lines of which the blame is found, before leaves are split.
 _BLAME_LINES, _BLAME_BATCHES = 1 << 20, 4
@@ -60,7 +63,7 @@ class RefineConfig:
     """
 
     lines: int = 1 << 15
-    epsilon: float = 0.0005
+    epsilon: float = 0.002 / HEADROOM
     opacity_weight: float = 5.0
     density_rate: float = 0.15
     coefficient_rate: float = 0.03
@@ -162,7 +165,7 @@ class Refiner:
             self._rebuild(kept, self.field.cells[kept], self.field.levels[kept])
 
     def balance(self) -> None:
-        """Scale the emission of regions to the light they send, see `balance`."""
+        """Scale the emission of regions to the light they send to each side, see `balance`."""
         balance(self.field, self._source, self._max_radiance, self.step)
 
     def split(self, deepest: int) -> None:
