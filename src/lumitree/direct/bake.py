@@ -34,6 +34,9 @@ STATE = "state.npz"
 # The statistics are taken at this level at the finest, and the hull of pictures at this one; what
 # is finer comes from splitting.
 _ESTIMATE_DEPTH, _HULL_DEPTH = 8, 6
+# Neighbouring lines are as far apart as leaves of this level: closer they tell a leaf of too few
+# directions, farther they are slower to follow.
+_LINE_DEPTH = 6
 # Shares of the budget: between two times at which leaves are split, and after which none are.
 _SPLIT_EVERY, _LAST_SPLIT = 0.15, 0.65
 # Optical depth across a leaf of the hull, and its radiance / L_max, before anything is known.
@@ -123,7 +126,7 @@ def bake(luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResu
     source = _source(luminaire, config)
 
     def start() -> tuple[LeafField, float]:
-        max_radiance = HEADROOM * _radiance_of(source)
+        max_radiance = HEADROOM * _radiance_of(source, config)
         return _first_field(source, config, max_radiance), max_radiance
 
     return _run(source, config, folder, "bake", start)
@@ -185,7 +188,7 @@ def refine(
     source = _source(luminaire, config)
 
     def start() -> tuple[LeafField, float]:
-        _radiance_of(source)
+        _radiance_of(source, config)
         leaves = asset.leaf_cells()
         field = _field(config, source, *leaves, asset.density, asset.coefficients)
         return field, asset.max_radiance
@@ -194,12 +197,13 @@ def refine(
 
 
 def _source(luminaire: Luminaire, config: DirectConfig) -> TracedRays:
-    return TracedRays(luminaire, spacing=2 / (1 << config.tree_depth), seed=config.seed)
+    level = min(config.tree_depth, _LINE_DEPTH)
+    return TracedRays(luminaire, spacing=2 / (1 << level), seed=config.seed)
 
 
-def _radiance_of(source: TracedRays) -> float:
-    """Radiance that next to nothing of what the source shows exceeds (D9)."""
-    max_radiance = source.max_radiance()
+def _radiance_of(source: TracedRays, config: DirectConfig) -> float:
+    """Radiance that next to nothing exceeds in pixels as wide as the smallest leaves (D9)."""
+    max_radiance = source.max_radiance(2 / (1 << config.tree_depth))
     if not max_radiance > 0:
         raise LumitreeError(
             f"{source.subject.name} sends no light out of its bounding box; a luminaire needs an "

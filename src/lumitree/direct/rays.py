@@ -15,6 +15,7 @@ Symbols
 """
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -35,7 +36,7 @@ from lumitree.luminaires.straight_through import (
 from lumitree.luminaires.tracing import PATH_DEPTH, path_integrator
 
 # Lines come in tiles of so many neighbours a side, so that the lanes of a vector unit walk the same
-# leaves; lines of a tile see nearly the same.
+# part of the tree.
 TILE = 4
 TILE_LINES = TILE**2
 # Batch numbers that no other use of a source reaches.
@@ -159,8 +160,10 @@ class TracedRays:
     ) -> None:
         self.luminaire, self.spacing = luminaire, spacing
         self._light_share = light_share
-        self._reach = 1.01 * float(np.linalg.norm(luminaire.half_extents)) + 4 * spacing
-        self._half = luminaire.half_extents
+        # Tiles pass through a box that is larger by as far as a line is from its tile's middle: of
+        # the proxy itself, the rim would get fewer lines, since their tiles miss it.
+        self._half = luminaire.half_extents + TILE / math.sqrt(2) * spacing
+        self._reach = 1.01 * float(np.linalg.norm(self._half)) + TILE * spacing
         self._seed = seed
         self._sampler = mi.load_dict({"type": "independent"})
         self._integrator = path_integrator(luminaire, PATH_DEPTH)
@@ -176,15 +179,15 @@ class TracedRays:
 
     @property
     def measure(self) -> float:
-        """Integral of dA cos(theta) domega over all lines, local units squared times sr."""
+        """Integral of dA cos(theta) domega over the tiles, local units squared times sr."""
         x, y, z = self._half
         return float(np.pi * 8 * (x * y + y * z + z * x))
 
     def lines(self, count: int, batch: int) -> tuple[Any, Any]:
         """Random lines of batch number `batch`: origins and directions in the local frame.
 
-        Lines of a tile are parallel, `spacing` apart and jittered; the tiles are uniform. Lines at
-        the border of a tile may miss the box.
+        Lines of a tile are parallel, `spacing` apart and jittered. Those that meet the proxy are
+        uniform; some miss it.
 
         Args:
             count: number of lines, a multiple of `TILE_LINES`.
@@ -292,20 +295,23 @@ class TracedRays:
         dr.eval(found)
         return found
 
-    def max_radiance(self) -> float:
+    def max_radiance(self, pixel: float) -> float:
         """L_max (D9): 99.99th percentile of radiance over the pixels of views all around.
 
-        Lines of a tile average to a pixel as wide as `spacing`; views also hold pixels beside the
-        box, which lines do not visit.
+        Lines of a tile average to a pixel; views also hold pixels beside the box, which lines do
+        not visit.
+
+        Args:
+            pixel: its width, local units.
         """
         count = 1 << 21
-        near = TracedRays(self.luminaire, self.spacing / 4, seed=self._seed)
+        near = TracedRays(self.luminaire, pixel / TILE, seed=self._seed)
         origin, direction = near.lines(count, _MAX_RADIANCE_BATCH)
         radiance, _ = near.trace(origin, direction, _MAX_RADIANCE_BATCH, 2)
         tiles = [np.array(dr.block_sum(value, TILE_LINES)) for value in radiance]
         pixels = np.stack(tiles) / TILE_LINES
         views = 4 * np.pi * np.pi * self.luminaire.bounding_radius**2
-        brightest = max(1, round(1e-4 * 3 * (count // TILE_LINES) * views / self.measure))
+        brightest = max(1, round(1e-4 * 3 * (count // TILE_LINES) * views / near.measure))
         values = np.sort(pixels.ravel())
         return float(values[-min(brightest, len(values))])
 
