@@ -160,8 +160,8 @@ class TracedRays:
     ) -> None:
         self.luminaire, self.spacing = luminaire, spacing
         self._light_share = light_share
-        # Tiles pass through a box that is larger by as far as a line is from its tile's middle: of
-        # the proxy itself, the rim would get fewer lines, since their tiles miss it.
+        # The middles of tiles pass through a box that is larger by half a tile's diagonal: were it
+        # the proxy itself, its rim would get fewer lines, since the middles of theirs may miss it.
         self._half = luminaire.half_extents + TILE / math.sqrt(2) * spacing
         self._reach = 1.01 * float(np.linalg.norm(self._half)) + TILE * spacing
         self._seed = seed
@@ -179,7 +179,7 @@ class TracedRays:
 
     @property
     def measure(self) -> float:
-        """Integral of dA cos(theta) domega over the tiles, local units squared times sr."""
+        """Integral of dA cos(theta) domega over all that `lines` draws from, local units² sr."""
         x, y, z = self._half
         return float(np.pi * 8 * (x * y + y * z + z * x))
 
