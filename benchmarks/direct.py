@@ -1,9 +1,11 @@
-"""What bakes are worth, luminaire by luminaire: python benchmarks/direct.py NAME ...
+"""What bakes are worth, luminaire by luminaire: python benchmarks/direct.py
 
-Bakes every luminaire by each `--method`, evaluates it on the views of its name in the folder of
-`--references`, and puts the row into `direct.md` and `direct.json` in benchmarks/results/, in place
-of an earlier row of the same luminaire and method; all others stay, with the commit they were
-measured at. Without stored views, some are captured, with fewer samples: the table says how many.
+    python benchmarks/direct.py NAME ... --references FOLDER ... [--method high]
+
+Bakes every luminaire by each `--method`, evaluates it on the views of its name in each folder of
+`--references` (see `lumitree capture --split test`), and puts the rows into `direct.md` and
+`direct.json` in benchmarks/results/, in place of earlier rows of the same luminaire, method and
+resolution; all others stay, with the commit they were measured at.
 """
 
 import argparse
@@ -14,7 +16,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from lumitree import pipeline
-from lumitree.core.dataset import MANIFEST
+from lumitree.core.dataset import Dataset
 from lumitree.core.files import write_json
 from setting import setting
 
@@ -31,30 +33,40 @@ COLUMNS = {
 NETWORK = "network"
 
 
-def measure(name: str, method: str, facts: dict, args: argparse.Namespace, folder: Path) -> dict:
-    """One row: a bake and what it is worth."""
+def measure(
+    name: str, method: str, facts: dict, args: argparse.Namespace, folder: Path
+) -> list[dict]:
+    """A bake and what it is worth: a row for each set of views."""
     title = label(name)
     asset = str(args.assets / f"{title}-{method}.lumitree")
     if method == NETWORK:
         baked = pipeline.bake_network(name, asset)
     else:
         baked = pipeline.bake(name, asset, quality=method)
-    views = args.references / title if args.references else Path()
-    target = str(views) if (views / MANIFEST).is_file() else name
-    report = pipeline.evaluate(asset, target, sheet=str(folder / "sheet.png"), num_views=4)
-    metrics = report["metrics"]
-    for kind in ("linear", "mulaw"):
-        metrics[f"gain_{kind}"] = metrics[f"psnr_{kind}"] - metrics[f"psnr_{kind}_black"]
-    return {
+    bake = {
         "luminaire": title,
         "method": method,
         "setting": facts,
-        "stored_views": target != name,
         "seconds": sum(baked["seconds"].values()),
         "peak_memory_bytes": baked["peak_memory_bytes"],
         "leaves": baked["asset"]["leaves"],
         "bytes": Path(asset).stat().st_size,
         "rays": baked.get("rays"),
+    }
+    sheet = str(folder / "sheet.png")
+    return [bake | worth(asset, references / title, sheet) for references in args.references]
+
+
+def worth(asset: str, folder: Path, sheet: str) -> dict:
+    """Metrics of an asset on stored views, and what these are."""
+    views = Dataset.open(str(folder)).manifest
+    metrics = pipeline.evaluate(asset, str(folder), sheet=sheet)["metrics"]
+    for kind in ("linear", "mulaw"):
+        metrics[f"gain_{kind}"] = metrics[f"psnr_{kind}"] - metrics[f"psnr_{kind}_black"]
+    return {
+        "resolution": views.resolution,
+        "views": len(views.frames),
+        "samples_per_pixel": views.samples_per_pixel,
         "metrics": metrics,
     }
 
@@ -67,12 +79,13 @@ def label(name: str) -> str:
 
 def table(rows: list[dict]) -> str:
     """The rows in Markdown."""
-    heads = ["luminaire", "method", "s", "peak GB", "leaves", "MB", *COLUMNS, "commit"]
-    lines = ["| " + " | ".join(heads) + " |", "|---|---" + "|---:" * (len(heads) - 2) + "|"]
+    heads = ["luminaire", "method", "views", "s", "peak GB", "leaves", "MB", *COLUMNS, "commit"]
+    lines = ["| " + " | ".join(heads) + " |", "|---|---|---" + "|---:" * (len(heads) - 3) + "|"]
     for row in rows:
         cells = [
-            row["luminaire"] + ("" if row["stored_views"] else " *"),
+            row["luminaire"],
             row["method"],
+            f"{row['views']} of {row['resolution']}², {row['samples_per_pixel']} spp",
             f"{row['seconds']:.0f}",
             f"{row['peak_memory_bytes'] / 1e9:.1f}" if row["peak_memory_bytes"] else "",
             f"{row['leaves']:,}",
@@ -81,14 +94,13 @@ def table(rows: list[dict]) -> str:
             row["setting"]["commit"],
         ]
         lines.append("| " + " | ".join(cells) + " |")
-    note = "A star after the name: on 4 views of 256² captured with 256 samples a pixel.\n"
-    return "\n".join(lines) + "\n\n" + note
+    return "\n".join(lines) + "\n"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="What bakes are worth, luminaire by luminaire.")
     parser.add_argument("luminaires", metavar="NAME", nargs="+")
-    parser.add_argument("--references", metavar="FOLDER", type=Path)
+    parser.add_argument("--references", metavar="FOLDER", type=Path, nargs="+", required=True)
     parser.add_argument(
         "--assets", metavar="FOLDER", type=Path, default=Path(tempfile.gettempdir())
     )
@@ -99,6 +111,9 @@ def main() -> None:
         help="quality of the direct bake, or the network; may be repeated (default: standard)",
     )
     args = parser.parse_args()
+    for name in args.luminaires:
+        for references in args.references:
+            Dataset.open(str(references / label(name)))  # before an hour of bakes, not after
     facts = setting()
     # A process for each: the peak of memory is the bake's own.
     with (
@@ -110,12 +125,12 @@ def main() -> None:
                 write(process.submit(measure, name, method, facts, args, Path(folder)).result())
 
 
-def write(row: dict) -> None:
-    """Both files, with this row in place of an earlier one."""
+def write(new: list[dict]) -> None:
+    """Both files, with these rows in place of earlier ones."""
     RESULTS.mkdir(exist_ok=True)
     stored = RESULTS / "direct.json"
     rows = {key(row): row for row in json.loads(stored.read_text())} if stored.is_file() else {}
-    rows[key(row)] = row
+    rows |= {key(row): row for row in new}
     ordered = [rows[name] for name in sorted(rows)]
     write_json(stored, ordered)
     settings = {json.dumps(row["setting"] | {"commit": ""}): row["setting"] for row in ordered}
@@ -130,9 +145,9 @@ def write(row: dict) -> None:
     )
 
 
-def key(row: dict) -> tuple[str, str]:
+def key(row: dict) -> tuple[str, str, int]:
     """What tells rows apart."""
-    return row["luminaire"], row["method"]
+    return row["luminaire"], row["method"], row["resolution"]
 
 
 if __name__ == "__main__":
