@@ -429,8 +429,8 @@ def _add_budget(parser: argparse.ArgumentParser) -> None:
         "--time",
         type=_duration,
         metavar="T",
-        help="budget such as 90s, 5m or 1h (default: the quality's); the first estimate, of some 20 "
-        "seconds, is always made",
+        help="budget such as 90s, 5m or 1h (default: the quality's); a first estimate, of some 20 "
+        "seconds, is always made where there is none",
     )
     parser.add_argument(
         "--rays", type=int, metavar="N", help="budget of refinement rays, besides or without --time"
