@@ -53,11 +53,13 @@ def fails(capsys, *arguments):
     assert main(list(arguments)) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert captured.err.startswith("lumitree: error: ")
-    assert captured.err.count("\n") == 1
-    assert "Traceback" not in captured.err
+    *progress, error = captured.err.splitlines(keepends=True)
+    assert error.startswith("lumitree: error: ")
+    assert error.endswith("\n")
+    # Where the machine is slow, work shows progress before it fails.
+    assert all(line.endswith("s left\n") for line in progress)
     assert [name for name in os.listdir() if name.startswith(".")] == []
-    return captured.err, set(os.listdir()) - set(before)
+    return error, set(os.listdir()) - set(before)
 
 
 @pytest.mark.parametrize(
