@@ -1,6 +1,4 @@
-"""What bakes are worth, luminaire by luminaire: python benchmarks/direct.py
-
-    python benchmarks/direct.py NAME ... --references FOLDER ... [--method high]
+"""What bakes are worth: python benchmarks/direct.py NAME ... --references FOLDER
 
 Bakes every luminaire by each `--method`, evaluates it on the views of its name in each folder of
 `--references` (see `lumitree capture --split test`), and puts the rows into `direct.md` and
@@ -100,7 +98,14 @@ def table(rows: list[dict]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description="What bakes are worth, luminaire by luminaire.")
     parser.add_argument("luminaires", metavar="NAME", nargs="+")
-    parser.add_argument("--references", metavar="FOLDER", type=Path, nargs="+", required=True)
+    parser.add_argument(
+        "--references",
+        metavar="FOLDER",
+        type=Path,
+        action="append",
+        required=True,
+        help="holds a folder of views for each NAME; may be repeated",
+    )
     parser.add_argument(
         "--assets", metavar="FOLDER", type=Path, default=Path(tempfile.gettempdir())
     )
