@@ -26,7 +26,7 @@ class FieldRays:
     def __init__(self, mi, truth, noise=True, split=False):
         self._mi, self._truth, self._noise, self._split = mi, truth, noise, split
 
-    def draw(self, count, batch, wanted):
+    def draw(self, count, batch, wanted, light_share=None):
         import drjit as dr
 
         from lumitree.direct.rays import Rays

@@ -35,7 +35,10 @@ def source(luminaire, spacing=1 / 64, seed=0, **options):
 
 
 def tile_mean(values):
-    """Mean of a line's values [N, ...] and its standard error; tiles are independent, lines not."""
+    """Mean of a line's values [N, ...] and its standard error, as if tiles were independent.
+
+    They are spread more evenly than that, so that the error is rather smaller.
+    """
     tiles = values.reshape(-1, TILE, *values.shape[1:]).mean(axis=1)
     return tiles.mean(axis=0), tiles.std(axis=0, ddof=1) / np.sqrt(len(tiles))
 

@@ -53,7 +53,7 @@ def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     assert expected == pytest.approx(KNOWN, rel=0.015)
     # Cells of an eighth of the radius: some of a channel's light may go astray, but not of all.
     assert flux == pytest.approx(expected, rel=0.02)
-    # The correction's million tiled lines tell it to about half a percent.
+    # The correction's eight million lines tell it to about half a percent, and the million above.
     assert flux.sum() == pytest.approx(expected.sum(), rel=0.015)
 
 

@@ -57,6 +57,17 @@ def test_corners_of_the_box_get_as_many_lines_as_its_middle(lamp):
         assert error < 0.03 * share
 
 
+def test_tiles_are_spread_more_evenly_than_random_ones(box):
+    """By the variance, from batch to batch, of how many lines meet a ball."""
+    shares, variances = [], []
+    for batch in range(40):
+        o, d = arrays(*box.lines(1 << 16, batch))
+        share, error = tile_mean((distance_to(o, d, (0.4, 0.1, 0)) < 0.3).astype(float))
+        shares.append(share)
+        variances.append(error**2)
+    assert np.var(shares, ddof=1) < 0.25 * np.mean(variances)
+
+
 def test_lines_of_a_tile_are_close_and_parallel(box):
     o, d = arrays(*box.lines(1 << 12, 1))
     assert np.linalg.norm(d, axis=1) == pytest.approx(1, abs=1e-5)
@@ -286,7 +297,9 @@ def test_drawn_rays_integrate_any_function_of_wanted_lines(lamp, wanted):
     mean, error = tile_mean(products)
     part = chosen.mean()
 
-    drawn = [rays.draw(1 << 15, batch, wanted) for batch in range(2, 34)]
+    # However many paths from the emitters there are for a line.
+    light_share = [0.5, 0.25]
+    drawn = [rays.draw(1 << 15, batch, wanted, light_share[batch % 2]) for batch in range(2, 34)]
     sums, shares = [], []
     for batch in drawn:
         f = functions(batch.origin, batch.direction)

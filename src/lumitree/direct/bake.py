@@ -44,7 +44,7 @@ _HULL_OPTICAL_DEPTH, _HULL_RADIANCE = 0.3, 0.01
 # From there the way is longer than from an estimate: so are the coefficients' steps, by this much.
 _HULL_STEPS = 4.0
 # How many times as long as balancing what follows the descent takes.
-_CLOSING_BALANCES = 1.5
+_CLOSING_BALANCES = 2.5
 # Seconds between two looks at the held-out rays, and between two saved states.
 _SCORE_SECONDS, _SAVE_SECONDS = 10.0, 60.0
 

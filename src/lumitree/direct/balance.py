@@ -27,8 +27,10 @@ from lumitree.direct.field import LeafField
 from lumitree.direct.rays import BALANCE_BATCH, RaySource
 
 _ROUNDS, _LINES = 4, 1 << 17
-# Draws of rays that either function makes.
+# Draws of rays that `balance` makes.
 BALANCE_DRAWS = 2 * _ROUNDS
+# Light in all is told to half a percent. Its noise is that of the lines, not of emitted paths.
+_TOTAL_DRAWS, _TOTAL_LINES, _TOTAL_LIGHT_SHARE = 8, 1 << 20, 1 / 16
 # Levels of the cells: finer ones see too little, and coarser ones are most of the lamp.
 _COARSEST, _FINEST = 3, 5
 # Harmonics of a shift: bands 0 and 1.
@@ -77,8 +79,10 @@ def light_left_over(field: LeafField, source: RaySource, max_radiance: float, ba
         batch: as for `balance`.
     """
     seen, given = 0.0, 0.0
-    for step in range(BALANCE_DRAWS):
-        rays = source.draw(_LINES, BALANCE_BATCH + batch + step, _all_lines)
+    for step in range(_TOTAL_DRAWS):
+        rays = source.draw(
+            _TOTAL_LINES, BALANCE_BATCH + batch + step, _all_lines, _TOTAL_LIGHT_SHARE
+        )
         radiance, _, _ = field.integrate(rays.origin, rays.direction)
         seen += float(dr.sum(rays.light, axis=None)[0]) / max_radiance
         given += float(dr.sum(rays.share * radiance, axis=None)[0])

@@ -39,6 +39,8 @@ from lumitree.luminaires.tracing import PATH_DEPTH, path_integrator
 # part of the tree.
 TILE = 4
 TILE_LINES = TILE**2
+# Paths from the emitters for each line, where not said otherwise.
+LIGHT_SHARE = 0.5
 # Batch numbers that no other use of a source reaches.
 _MAX_RADIANCE_BATCH = 1 << 30
 HELD_OUT_BATCH = _MAX_RADIANCE_BATCH + 1
@@ -132,8 +134,14 @@ class RaySource(Protocol):
         """What the rays show."""
         ...
 
-    def draw(self, count: int, batch: int, wanted: Wanted) -> Rays:
-        """Of `count` random lines those that are wanted, and light from the emitters."""
+    def draw(
+        self, count: int, batch: int, wanted: Wanted, light_share: float = LIGHT_SHARE
+    ) -> Rays:
+        """Of `count` random lines those that are wanted, and light from the emitters.
+
+        Args:
+            light_share: paths traced from the emitters for each of the lines.
+        """
         ...
 
     def straight(self, count: int, batch: int, wanted: Wanted) -> tuple[Any, Any, Any]:
@@ -151,15 +159,11 @@ class TracedRays:
     Args:
         luminaire: what is traced.
         spacing: distance of neighbouring lines, local units.
-        light_share: paths traced from the emitters for each line of `draw`.
         seed: of all random numbers.
     """
 
-    def __init__(
-        self, luminaire: Luminaire, spacing: float, light_share: float = 0.5, seed: int = 0
-    ) -> None:
+    def __init__(self, luminaire: Luminaire, spacing: float, seed: int = 0) -> None:
         self.luminaire, self.spacing = luminaire, spacing
-        self._light_share = light_share
         # The middles of tiles pass through a box that is larger by half a tile's diagonal: were it
         # the proxy itself, its rim would get fewer lines, since the middles of theirs may miss it.
         self._half = luminaire.half_extents + TILE / math.sqrt(2) * spacing
@@ -186,22 +190,23 @@ class TracedRays:
     def lines(self, count: int, batch: int) -> tuple[Any, Any]:
         """Random lines of batch number `batch`: origins and directions in the local frame.
 
-        Lines of a tile are parallel, `spacing` apart and jittered. Those that meet the proxy are
-        uniform; some miss it.
+        Lines of a tile are parallel, `spacing` apart and jittered; the tiles are spread evenly.
+        Those that meet the proxy are uniform; some miss it.
 
         Args:
             count: number of lines, a multiple of `TILE_LINES`.
         """
-        self._sampler.seed(seed_of(self._seed, batch, 0), count // TILE_LINES)
+        middles = _lattice(count // TILE_LINES, 6, seed_of(self._seed, batch, 0))
+        face, turn, *places = middles
         x, y, z = self._half
         areas = np.array([y * z, z * x, x * y])
         split = np.cumsum(areas / areas.sum())
-        u = self._sampler.next_1d()
+        side = dr.select(face < 0.5, mi.Float(-1), 1)
+        u = 2 * face - dr.select(face < 0.5, mi.Float(0), 1)
         axis = dr.select(u < split[0], 0, dr.select(u < split[1], 1, mi.UInt32(2)))
-        side = dr.select(self._sampler.next_1d() < 0.5, mi.Float(-1), 1)
-        place = 2 * self._sampler.next_2d() - 1
-        towards = mi.warp.square_to_cosine_hemisphere(self._sampler.next_2d())
-        turn = 2 * np.pi * self._sampler.next_1d()
+        place = 2 * mi.Point2f(*places[:2]) - 1
+        towards = mi.warp.square_to_cosine_hemisphere(mi.Point2f(*places[2:]))
+        turn = 2 * np.pi * turn
         centre = _on_axis(axis, place.x, place.y, side) * mi.Vector3f(*self._half.tolist())
         direction = _on_axis(axis, towards.x, towards.y, -side * towards.z)
         s, t = mi.coordinate_system(direction)
@@ -221,15 +226,21 @@ class TracedRays:
         )
         return mi.Point3f(origin), dr.gather(mi.Vector3f, direction, tile)
 
-    def draw(self, count: int, batch: int, wanted: Wanted) -> Rays:
-        """Of `count` random lines, those that are wanted, and light from the emitters."""
+    def draw(
+        self, count: int, batch: int, wanted: Wanted, light_share: float = LIGHT_SHARE
+    ) -> Rays:
+        """Of `count` random lines those that are wanted, and light from the emitters.
+
+        Args:
+            light_share: paths traced from the emitters for each of the lines.
+        """
         origin, direction = self._wanted_lines(count, batch, wanted)
         lines = dr.width(origin)
         if not lines:
             none = mi.Float()
             return Rays(origin, direction, none, mi.Color3f(none), none)
         through, seen = self._follow_smooth(origin, direction, batch)
-        paths = self.light(round(self._light_share * count), batch)
+        paths = self.light(round(light_share * count), batch)
         share = dr.opaque(mi.Float, 1 / lines)
         # The measure of the wanted lines is that part of all.
         scale = dr.opaque(mi.Float, count / (lines * self.measure))
@@ -387,6 +398,28 @@ class TracedRays:
             active = transmits & (crossings < PATH_DEPTH) & (dr.max(throughput) > 0)
 
         return stop, stopped, radiance
+
+
+def _lattice(count: int, dimensions: int, seed: int) -> list[Any]:
+    """`count` points of a Kronecker sequence, shifted at random: `dimensions` mi.Float in [0, 1).
+
+    Each point is uniform, and together they are spread more evenly than random ones.
+    """
+    shift = np.random.default_rng(seed).integers(1 << 32, size=dimensions)
+    index = dr.arange(mi.UInt32, count)
+    return [
+        # Wraps at 1, by its 32 bits; a Float holds 24 of them.
+        mi.Float((index * mi.UInt32(step) + dr.opaque(mi.UInt32, int(first))) >> 8) * 2**-24
+        for step, first in zip(_lattice_steps(dimensions), shift, strict=True)
+    ]
+
+
+def _lattice_steps(dimensions: int) -> list[int]:
+    """Steps of 2^-32: powers of 1/g, where g^(d + 1) = g + 1 (Roberts' R sequence)."""
+    root = 1.0
+    for _ in range(64):
+        root = (1 + root) ** (1 / (dimensions + 1))
+    return [round(2**32 * root ** -(j + 1)) for j in range(dimensions)]
 
 
 def _join(first: Any, second: Any) -> Any:

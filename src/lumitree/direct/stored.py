@@ -15,6 +15,7 @@ from lumitree.core.visual_hull import visual_hull
 from lumitree.direct.estimate import inside_box
 from lumitree.direct.rays import (
     HELD_OUT_BATCH,
+    LIGHT_SHARE,
     TILE,
     TILE_LINES,
     Pairs,
@@ -65,8 +66,13 @@ class StoredRays:
         """L_max (D9)."""
         return self._max_radiance
 
-    def draw(self, count: int, batch: int, wanted: Wanted) -> Rays:
-        """Of rays through `count` random pixels of the training views, those that are wanted."""
+    def draw(
+        self, count: int, batch: int, wanted: Wanted, light_share: float = LIGHT_SHARE
+    ) -> Rays:
+        """Of rays through `count` random pixels of the training views, those that are wanted.
+
+        Their light is all that there is; `light_share` is ignored.
+        """
         origin, direction, radiance, through = self._pixels(self._training, count, batch)
         chosen = dr.compress(wanted(origin, direction))
         origin = dr.gather(mi.Point3f, origin, chosen)
