@@ -27,11 +27,11 @@ def arrays(*values):
     return [np.array(value, np.float64).T for value in values]
 
 
-def source(luminaire, spacing=1 / 64, seed=0, **options):
+def source(luminaire, spacing=1 / 64, seed=0):
     """Endless rays of a luminaire."""
     from lumitree.direct.rays import TracedRays
 
-    return TracedRays(luminaire, spacing, seed=seed, **options)
+    return TracedRays(luminaire, spacing, seed=seed)
 
 
 def tile_mean(values):

@@ -39,6 +39,8 @@ from lumitree.luminaires.tracing import PATH_DEPTH, path_integrator
 # part of the tree.
 TILE = 4
 TILE_LINES = TILE**2
+# Steps of Roberts' R sequence in six dimensions, in 2^-32: powers of 1/g, where g^7 = g + 1.
+_LATTICE_STEPS = [round(2**32 * 1.1127756842787055**-power) for power in range(1, 7)]
 # Paths from the emitters for each line, where not said otherwise.
 LIGHT_SHARE = 0.5
 # Batch numbers that no other use of a source reaches.
@@ -196,21 +198,19 @@ class TracedRays:
         Args:
             count: number of lines, a multiple of `TILE_LINES`.
         """
-        middles = _lattice(count // TILE_LINES, 6, seed_of(self._seed, batch, 0))
-        face, turn, *places = middles
+        face, turn, *places = _lattice(count // TILE_LINES, seed_of(self._seed, batch, 0))
         x, y, z = self._half
         areas = np.array([y * z, z * x, x * y])
         split = np.cumsum(areas / areas.sum())
         side = dr.select(face < 0.5, mi.Float(-1), 1)
-        u = 2 * face - dr.select(face < 0.5, mi.Float(0), 1)
+        u = dr.select(face < 0.5, 2 * face, 2 * face - 1)
         axis = dr.select(u < split[0], 0, dr.select(u < split[1], 1, mi.UInt32(2)))
         place = 2 * mi.Point2f(*places[:2]) - 1
         towards = mi.warp.square_to_cosine_hemisphere(mi.Point2f(*places[2:]))
-        turn = 2 * np.pi * turn
         centre = _on_axis(axis, place.x, place.y, side) * mi.Vector3f(*self._half.tolist())
         direction = _on_axis(axis, towards.x, towards.y, -side * towards.z)
         s, t = mi.coordinate_system(direction)
-        sine, cosine = dr.sincos(turn)
+        sine, cosine = dr.sincos(2 * np.pi * turn)
         right, up = cosine * s + sine * t, cosine * t - sine * s
         dr.eval(centre, direction, right, up)
 
@@ -400,26 +400,18 @@ class TracedRays:
         return stop, stopped, radiance
 
 
-def _lattice(count: int, dimensions: int, seed: int) -> list[Any]:
-    """`count` points of a Kronecker sequence, shifted at random: `dimensions` mi.Float in [0, 1).
+def _lattice(count: int, seed: int) -> list[Any]:
+    """`count` points of a Kronecker sequence, shifted at random: six mi.Float in [0, 1).
 
     Each point is uniform, and together they are spread more evenly than random ones.
     """
-    shift = np.random.default_rng(seed).integers(1 << 32, size=dimensions)
+    shift = np.random.default_rng(seed).integers(1 << 32, size=len(_LATTICE_STEPS))
     index = dr.arange(mi.UInt32, count)
     return [
         # Wraps at 1, by its 32 bits; a Float holds 24 of them.
         mi.Float((index * mi.UInt32(step) + dr.opaque(mi.UInt32, int(first))) >> 8) * 2**-24
-        for step, first in zip(_lattice_steps(dimensions), shift, strict=True)
+        for step, first in zip(_LATTICE_STEPS, shift, strict=True)
     ]
-
-
-def _lattice_steps(dimensions: int) -> list[int]:
-    """Steps of 2^-32: powers of 1/g, where g^(d + 1) = g + 1 (Roberts' R sequence)."""
-    root = 1.0
-    for _ in range(64):
-        root = (1 + root) ** (1 / (dimensions + 1))
-    return [round(2**32 * root ** -(j + 1)) for j in range(dimensions)]
 
 
 def _join(first: Any, second: Any) -> Any:
