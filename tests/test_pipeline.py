@@ -8,6 +8,7 @@ import pytest
 
 from lumitree import demo, pipeline
 from lumitree.core.images import read_exr
+from lumitree.core.work_folder import WorkFolder
 from lumitree.nerf.config import PRESETS
 
 LAMP = """<scene version="3.0.0">
@@ -123,7 +124,7 @@ def test_an_interrupted_network_bake_continues(mi, tiny_network, tmp_path, monke
     views = tmp_path / "lamp.work" / "dataset" / "view_000001.exr"
     before = views.stat().st_mtime_ns
     with monkeypatch.context() as patch:
-        patch.setattr("shutil.rmtree", lambda *args, **kwargs: None)
+        patch.setattr(WorkFolder, "remove", lambda *_: None)
         report = pipeline.bake_network("lamp.xml", "lamp.lumitree")
     assert (tmp_path / "lamp.lumitree").exists()
     assert views.stat().st_mtime_ns == before

@@ -2,70 +2,96 @@
 
 import argparse
 import importlib
+import math
 import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
-from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.core.interrupt import Interrupted, interruptible
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 Report = dict[str, Any]
 # Their values may begin with a minus sign, which argparse would take for an option.
 _VECTOR_OPTIONS = ("--at", "--rotate")
 DEBUG = "LUMITREE_DEBUG"
+_LONGEST_LINE = 1000
 _LUMINAIRE = "built-in name, Mitsuba 3 scene (.xml) or model (.obj, .gltf, .glb)"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status: 0, 2 for bad input, 130 when interrupted."""
-    arguments = _join_vectors(list(sys.argv[1:] if argv is None else argv))
-    warnings.showwarning = _show_warning
-    warnings.simplefilter("always", LumitreeWarning)
-    try:
-        args = _parser().parse_args(arguments)
-        report = args.run(args)
-        if args.json:
-            from lumitree.core.files import write_json
+    """Run one command.
 
-            write_json(args.json, report)
-        args.show(report)
-        return 0
-    except BrokenPipeError:
-        # The reader of our output (a pager, head) has gone.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except (Exception, KeyboardInterrupt) as error:
-        return _explain(error)
+    Returns:
+        The exit status: 0; 1 for an error in lumitree; 2 for bad input; 128 and the signal's number
+        where a signal ended it.
+    """
+    arguments = _join_vectors(list(sys.argv[1:] if argv is None else argv))
+    if not arguments:
+        arguments = ["--help"]
+    with warnings.catch_warnings(), interruptible():
+        warnings.showwarning = _show_warning
+        warnings.simplefilter("always", LumitreeWarning)
+        try:
+            args = _parser().parse_args(arguments)
+            _check_json_output(args.json)
+            report = args.run(args)
+            if args.json:
+                from lumitree.core.files import write_json
+
+                write_json(args.json, report)
+            args.show(report)
+            return 0
+        except BrokenPipeError:
+            # The reader of our output (a pager, head) has gone.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        except (Exception, KeyboardInterrupt) as error:
+            return _explain(error)
+
+
+def _check_json_output(path: str | None) -> None:
+    """Refuse a file for results that could not be written at the end; makes no folder for it."""
+    if path is None:
+        return
+    from lumitree.core.files import check_writable
+
+    folder = os.path.dirname(path) or "."
+    if not os.path.isdir(folder):
+        raise LumitreeError(f"--json: no folder {shown(folder, 300)}; make it, or name another")
+    check_writable(path)
 
 
 def _explain(error: BaseException) -> int:
-    """Tell what went wrong in one line; returns the exit status."""
-    if _is_interrupt(error):
-        return _fail("interrupted; the same command continues where that is possible", 130)
-    if isinstance(error, LumitreeError):
-        return _fail(str(error), 2)
+    """Print what went wrong in one line; returns the exit status."""
+    interrupted = _interruption(error)
+    if interrupted is not None:
+        done = str(interrupted) or "the same command continues where that is possible"
+        return _fail(f"interrupted; {done}", 128 + interrupted.number)
     if os.environ.get(DEBUG):
         raise error
+    if isinstance(error, LumitreeError):
+        return _fail(str(error), 2)
     reason = " ".join(str(error).split()) or "no details"
     return _fail(
         f"unexpected {type(error).__name__}: {reason} (set {DEBUG}=1 for the traceback)", 1
     )
 
 
-def _is_interrupt(error: BaseException | None) -> bool:
-    """Whether Ctrl-C caused the error; Dr.Jit wraps what is raised while it traces a loop."""
+def _interruption(error: BaseException | None) -> Interrupted | None:
+    """The signal behind an error; Dr.Jit wraps what is raised while it traces a loop."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
-    return error is not None
+    return error if error is None or isinstance(error, Interrupted) else Interrupted()
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(f"lumitree: warning: {message}", file=sys.stderr)
+    print(f"lumitree: warning: {shown(message, _LONGEST_LINE)}", file=sys.stderr)
 
 
 def _fail(message: str, status: int) -> int:
-    print(f"lumitree: error: {message}", file=sys.stderr)
+    print(f"lumitree: error: {shown(message, _LONGEST_LINE)}", file=sys.stderr)
     return status
 
 
@@ -103,7 +129,7 @@ def _vector(count: int) -> Callable[[str], tuple[float, ...]]:
             values = tuple(float(part) for part in text.split(","))
         except ValueError:
             values = ()
-        if len(values) != count or not all(abs(value) < float("inf") for value in values):
+        if len(values) != count or not all(math.isfinite(value) for value in values):
             raise argparse.ArgumentTypeError(f"{text!r} is not {count} numbers separated by commas")
         return values
 
@@ -613,7 +639,7 @@ def _demo(args: argparse.Namespace) -> Report:
 
 def _print_lines(values: Report) -> None:
     for name, value in values.items():
-        print(f"{name:>20}  {value}")
+        print(f"{name:>20}  {shown(value, _LONGEST_LINE)}")
 
 
 def _show_results(report: Report) -> None:
@@ -682,14 +708,17 @@ def _show_preview(report: Report) -> None:
 def _show_evaluation(report: Report) -> None:
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=f"{report['asset']['luminaire']}: {len(report['views'])} held-out views")
+    name = shown(report["asset"]["luminaire"])
+    # Text: a name may hold what rich takes for markup.
+    table = Table(title=Text(f"{name}: {len(report['views'])} held-out views"))
     table.add_column("metric")
     table.add_column("mean", justify="right")
     for name, value in report["metrics"].items():
         table.add_row(name, f"{value:.4f}")
     Console().print(table)
-    print(f"contact sheet: {report['sheet']}")
+    print(f"contact sheet: {shown(report['sheet'], _LONGEST_LINE)}")
 
 
 def _show_demo(report: Report) -> None:

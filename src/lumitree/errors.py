@@ -1,4 +1,11 @@
-"""The one exception that lumitree raises for its users, and its warning."""
+"""The one exception that lumitree raises for its users, its warning, and how both are made."""
+
+import functools
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class LumitreeError(Exception):
@@ -14,3 +21,48 @@ class LumitreeWarning(UserWarning):
 
     The command line prints it and goes on; Python callers may filter it.
     """
+
+
+def shown(text: object, limit: int = 80) -> str:
+    """Text from outside as it may be printed: on one line, without control characters, cut."""
+    whole = str(text)
+    part = whole[: limit + 1]
+    escaped = "".join(
+        char if char.isprintable() else char.encode("unicode_escape").decode() for char in part
+    )
+    return escaped if len(escaped) <= limit else escaped[: limit - 1] + "…"
+
+
+def explained(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorator: what the machine or a file is to blame for becomes a `LumitreeError`.
+
+    Readers say what is wrong with a file where they know; this is for what they did not foresee.
+    """
+
+    @functools.wraps(function)
+    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except OSError as error:
+            name = f"{shown(error.filename, 200)}: " if error.filename is not None else ""
+            reason = name + shown(error.strerror or error, 200)
+        except MemoryError:
+            reason = "not enough memory; choose smaller sizes, or close other programs"
+        except RecursionError:
+            reason = "a file is nested too deeply to be read"
+        except UnicodeError as error:
+            reason = f"a name or a file is not valid UTF-8: {shown(error, 200)}"
+        except OverflowError as error:
+            reason = f"a number is too large: {shown(error, 200)}"
+        except RuntimeError as error:
+            if not _is_out_of_memory(error):
+                raise
+            reason = f"not enough memory: {shown(error, 200)}; choose smaller sizes"
+        raise LumitreeError(reason)
+
+    return run
+
+
+def _is_out_of_memory(error: RuntimeError) -> bool:
+    text = str(error).lower()
+    return "out of memory" in text or "bad_alloc" in text or "could not allocate" in text

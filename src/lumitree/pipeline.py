@@ -8,20 +8,34 @@ import contextlib
 import dataclasses
 import math
 import resource
-import shutil
 import sys
-import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from lumitree.asset.model import MAX_TREE_DEPTH
+from lumitree.core.arguments import (
+    MAX_RAYS,
+    MAX_SAMPLES,
+    MAX_SECONDS,
+    MAX_SEED,
+    check_asset_output,
+    check_choice,
+    check_image_settings,
+    check_range,
+    check_sheet_output,
+)
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.dataset import MANIFEST, Dataset, Split
-from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Dataset, Split
+from lumitree.core.files import check_writable
+from lumitree.core.frames import check_placement
+from lumitree.core.interrupt import Interrupted
+from lumitree.core.work_folder import WorkFolder, scratch_folder
+from lumitree.errors import LumitreeError, LumitreeWarning, explained
 from lumitree.nerf.config import PRESETS, TrainConfig
 
 if TYPE_CHECKING:
@@ -84,6 +98,7 @@ def peak_memory_bytes() -> int:
     return peak if sys.platform == "darwin" else peak * 1024
 
 
+@explained
 def list_luminaires() -> Report:
     """Built-in luminaires: what they are, and their figures."""
     from lumitree.luminaires.builtin.registry import BUILTIN
@@ -97,6 +112,7 @@ def list_luminaires() -> Report:
     }
 
 
+@explained
 def preview(
     source: "str | LuminaireSource",
     sheet: str,
@@ -113,16 +129,14 @@ def preview(
         resolution, samples_per_pixel: of each view.
         bounces: also measure what paths of 32, 64 and 128 bounces miss.
     """
+    check_sheet_output(sheet)
+    check_image_settings(resolution=resolution, spp=samples_per_pixel)
     load_mitsuba(variant)
-    from lumitree.capture.camera import check_settings
     from lumitree.capture.flux import estimate_flux, missed_by_depth
     from lumitree.core.images import max_radiance
     from lumitree.evaluation.preview import take_preview, write_preview
-    from lumitree.evaluation.tiles import check_sheet_name
     from lumitree.luminaires.luminaire import load_luminaire
 
-    check_sheet_name(sheet)
-    check_settings(resolution=resolution, spp=samples_per_pixel)
     watch = Stopwatch()
     with watch.stage("load"):
         luminaire = load_luminaire(source)
@@ -190,6 +204,7 @@ def _diagnose(luminaire: "Luminaire") -> list[str]:
     return faults
 
 
+@explained
 def capture(
     source: "str | LuminaireSource",
     output: str,
@@ -201,6 +216,10 @@ def capture(
     variant: str | None = None,
 ) -> Report:
     """Capture a dataset; continues one that was interrupted."""
+    check_range("views", num_views, 1, MAX_VIEWS)
+    check_image_settings(resolution=resolution, spp=samples_per_pixel)
+    check_choice("split", split, get_args(Split))
+    check_writable(Path(output) / MANIFEST)
     load_mitsuba(variant)
     from lumitree.capture.views import capture as capture_views
     from lumitree.luminaires.luminaire import load_luminaire
@@ -226,8 +245,11 @@ def capture(
     }
 
 
+@explained
 def train(dataset: str, output: str, *, preset: str = "preview", resume: bool = False) -> Report:
     """Train the network on a dataset; `resume` continues a run bit for bit."""
+    check_choice("preset", preset, PRESETS)
+    check_writable(Path(output) / MANIFEST)
     from lumitree.nerf.train import train as train_network
 
     watch = Stopwatch()
@@ -241,14 +263,17 @@ def train(dataset: str, output: str, *, preset: str = "preview", resume: bool = 
     }
 
 
+@explained
 def extract(run: str, output: str, *, tree_depth: int = 8, samples_per_leaf: int = 256) -> Report:
     """Distil a trained network into an asset."""
+    check_asset_output(output)
+    check_range("tree depth", tree_depth, 1, MAX_TREE_DEPTH)
+    check_range("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
     from lumitree.asset.file import save
     from lumitree.asset.model import LuminaireAsset
     from lumitree.nerf.field import load_field
     from lumitree.octree.extract import extract as extract_octree
 
-    _check_asset_name(output)
     watch = Stopwatch()
     with watch.stage("extract"):
         field = load_field(run)
@@ -276,6 +301,7 @@ def extract(run: str, output: str, *, tree_depth: int = 8, samples_per_leaf: int
     }
 
 
+@explained
 def bake(
     source: "str | LuminaireSource",
     output: str,
@@ -301,12 +327,14 @@ def bake(
         seconds, rays: budget instead of the quality's; rays alone means no limit of time.
         tree_depth, l_max, law: instead of the quality's.
     """
+    check_asset_output(output)
+    _check_budget(seconds, rays, seed)
     load_mitsuba(variant)
     from lumitree.direct import bake as direct
     from lumitree.luminaires.luminaire import load_luminaire
     from lumitree.luminaires.source import as_source
 
-    _check_asset_name(output)
+    check_choice("quality", quality, direct.QUALITIES)
     changes = {"tree_depth": tree_depth, "l_max": l_max, "law": law}
     config = dataclasses.replace(
         _budgeted(direct.QUALITIES[quality], seconds, rays),
@@ -314,14 +342,18 @@ def bake(
         **{name: value for name, value in changes.items() if value is not None},
     )
     folder = as_source(source).name
-    if (Path(folder) / MANIFEST).is_file():
-        dataset = Dataset.open(folder)
-        return _finish_direct(output, work, lambda at: direct.bake_stored(dataset, config, at))
-    luminaire = load_luminaire(source)
-    _diagnose(luminaire)
-    return _finish_direct(output, work, lambda folder: direct.bake(luminaire, config, folder))
+    with _work_folder(output, work) as at:
+        if (Path(folder) / MANIFEST).is_file():
+            dataset = Dataset.open(folder)
+            return _finish_direct(
+                output, work, at, lambda: direct.bake_stored(dataset, config, at.path)
+            )
+        luminaire = load_luminaire(source)
+        _diagnose(luminaire)
+        return _finish_direct(output, work, at, lambda: direct.bake(luminaire, config, at.path))
 
 
+@explained
 def refine(
     path: str,
     source: "str | LuminaireSource",
@@ -334,17 +366,28 @@ def refine(
     variant: str | None = None,
 ) -> Report:
     """Improve an asset, however it was baked, with traced rays; budget and state as for `bake`."""
+    check_asset_output(output)
+    _check_budget(seconds, rays, seed)
     load_mitsuba(variant)
     from lumitree.asset.file import load
     from lumitree.direct import bake as direct
     from lumitree.luminaires.luminaire import load_luminaire
 
-    _check_asset_name(output)
     config = dataclasses.replace(_budgeted(direct.QUALITIES["standard"], seconds, rays), seed=seed)
-    asset, luminaire = load(path), load_luminaire(source)
-    return _finish_direct(
-        output, work, lambda folder: direct.refine(asset, luminaire, config, folder)
-    )
+    asset = load(path)
+    with _work_folder(output, work) as at:
+        luminaire = load_luminaire(source)
+        return _finish_direct(
+            output, work, at, lambda: direct.refine(asset, luminaire, config, at.path)
+        )
+
+
+def _check_budget(seconds: float | None, rays: int | None, seed: int) -> None:
+    if seconds is not None:
+        check_range("time", seconds, 1e-3, MAX_SECONDS, "seconds")
+    if rays is not None:
+        check_range("rays", rays, 1, MAX_RAYS)
+    check_range("seed", seed, 0, MAX_SEED)
 
 
 def _budgeted(config: "DirectConfig", seconds: float | None, rays: int | None) -> "DirectConfig":
@@ -353,19 +396,28 @@ def _budgeted(config: "DirectConfig", seconds: float | None, rays: int | None) -
     return dataclasses.replace(config, seconds=seconds, rays=rays)
 
 
-def _finish_direct(output: str, work: str | None, job: "Callable[[Path], DirectResult]") -> Report:
-    """Run a direct bake, write its asset and clear its state."""
-    from lumitree.asset.file import save
+def _work_folder(output: str, work: str | None) -> WorkFolder:
+    """The folder of a bake's state: `work`, or one beside the asset."""
+    return WorkFolder(work or Path(output).with_suffix(".work"))
 
-    folder = Path(work) if work else Path(output).with_suffix(".work")
+
+def _finish_direct(
+    output: str, work: str | None, folder: WorkFolder, job: "Callable[[], DirectResult]"
+) -> Report:
+    """Run a direct bake, write its asset and, where `work` does not name it, clear its state."""
+    from lumitree.asset.file import save
+    from lumitree.direct.bake import STATE
+
     watch = Stopwatch()
     with watch.stage("bake"):
-        result = job(folder)
+        result = job()
         save(result.asset, output)
-    if result.interrupted:
-        raise KeyboardInterrupt
+    if result.stopped_by is not None:
+        raise Interrupted(
+            f"the best asset so far is in {output}; the same command continues", result.stopped_by
+        )
     if work is None:
-        shutil.rmtree(folder, ignore_errors=True)
+        folder.remove([STATE])
     return {
         "asset": describe_asset(result.asset, output),
         "held_out_psnr": round(result.score.psnr, 3),
@@ -376,6 +428,7 @@ def _finish_direct(output: str, work: str | None, job: "Callable[[Path], DirectR
     }
 
 
+@explained
 def bake_network(
     source: "str | LuminaireSource",
     output: str,
@@ -390,33 +443,30 @@ def bake_network(
     Intermediate results live in `work` (default: a folder beside the asset, removed at the
     end); an interrupted bake that is started again continues from them.
     """
-    from lumitree.nerf.run import has_checkpoint
-
-    _check_asset_name(output)
+    check_asset_output(output)
+    check_choice("preset", preset, BAKE_PRESETS)
     settings = BAKE_PRESETS[preset]
-    folder = Path(work) if work else Path(output).with_suffix(".work")
-    captured = capture(
-        source,
-        str(folder / "dataset"),
-        num_views=settings.num_views,
-        resolution=settings.resolution,
-        samples_per_pixel=settings.samples_per_pixel,
-        variant=variant,
-    )
-    run = folder / "run"
-    resume = has_checkpoint(run)
-    if not resume:
-        # What an interruption before the first checkpoint left behind.
-        shutil.rmtree(run, ignore_errors=True)
-    trained = train(captured["dataset"], str(run), preset=preset, resume=resume)
-    extracted = extract(
-        str(run),
-        output,
-        tree_depth=settings.tree_depth if tree_depth is None else tree_depth,
-        samples_per_leaf=settings.samples_per_leaf,
-    )
-    if work is None:
-        shutil.rmtree(folder)
+    tree_depth = settings.tree_depth if tree_depth is None else tree_depth
+    check_range("tree depth", tree_depth, 1, MAX_TREE_DEPTH)
+    with _work_folder(output, work) as folder:
+        captured = capture(
+            source,
+            str(folder.path / "dataset"),
+            num_views=settings.num_views,
+            resolution=settings.resolution,
+            samples_per_pixel=settings.samples_per_pixel,
+            variant=variant,
+        )
+        from lumitree.nerf.run import RUN_FILES
+
+        run = folder.path / "run"
+        trained = train(captured["dataset"], str(run), preset=preset, resume=run.exists())
+        extracted = extract(
+            str(run), output, tree_depth=tree_depth, samples_per_leaf=settings.samples_per_leaf
+        )
+        if work is None:
+            names = [f"dataset/{name}" for name in DATASET_FILES]
+            folder.remove([*names, *(f"run/{name}" for name in RUN_FILES)])
     seconds = captured["seconds"] | trained["seconds"] | extracted["seconds"]
     return {**extracted, "seconds": seconds, "peak_memory_bytes": peak_memory_bytes()}
 
@@ -438,6 +488,7 @@ def describe_asset(asset: "LuminaireAsset", path: str) -> Report:
     }
 
 
+@explained
 def info(path: str) -> Report:
     """Describe an asset."""
     from lumitree.asset.file import load
@@ -445,6 +496,7 @@ def info(path: str) -> Report:
     return {"asset": describe_asset(load(path), path)}
 
 
+@explained
 def evaluate(
     path: str,
     target: "str | LuminaireSource",
@@ -463,20 +515,23 @@ def evaluate(
         sheet: where the contact sheet goes; default: the asset's name with `-evaluation.png`.
         num_views, resolution, samples_per_pixel: of the views captured from a LUMINAIRE.
     """
+    sheet = sheet or str(Path(path).with_suffix("")) + "-evaluation.png"
+    check_sheet_output(sheet)
+    check_range("views", num_views, 1, MAX_VIEWS)
+    check_image_settings(resolution=resolution, spp=samples_per_pixel)
     load_mitsuba(variant)
     from lumitree.asset.file import load
     from lumitree.evaluation.evaluate import evaluate_views
     from lumitree.evaluation.sheet import write_sheet
 
     asset = load(path)
-    sheet = sheet or str(Path(path).with_suffix("")) + "-evaluation.png"
     watch = Stopwatch()
     with contextlib.ExitStack() as stack:
         if (Path(str(target)) / MANIFEST).exists():
             _check_plain(target)
             dataset = Dataset.open(str(target))
         else:
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lumitree-views-"))
+            folder = str(stack.enter_context(scratch_folder()))
             with watch.stage("references"):
                 capture(
                     target,
@@ -500,6 +555,7 @@ def evaluate(
     }
 
 
+@explained
 def render(
     scene_path: str,
     output: str,
@@ -515,11 +571,16 @@ def render(
     Args:
         placements: arguments of `render.room.Placement`.
     """
-    load_mitsuba(variant)
     from lumitree.core.images import check_image_name, write_image
-    from lumitree.render import room as rooms
 
     check_image_name(output)
+    check_writable(output)
+    check_image_settings(spp=samples_per_pixel, **({} if width is None else {"width": width}))
+    for item in placements:
+        check_placement(**{name: value for name, value in item.items() if name != "source"})
+    load_mitsuba(variant)
+    from lumitree.render import room as rooms
+
     watch = Stopwatch()
     with watch.stage("load"):
         items = [rooms.Placement(**item) for item in placements]
@@ -547,8 +608,3 @@ def _check_plain(target: "str | LuminaireSource") -> None:
             f"{target} is a dataset, which --materials, --keep and --drop cannot change; give the "
             "luminaire itself"
         )
-
-
-def _check_asset_name(path: str) -> None:
-    if Path(path).suffix != ".lumitree":
-        raise LumitreeError(f"asset name {path!r} does not end in .lumitree; choose one that does")

@@ -6,6 +6,7 @@ from lumitree.core import progress as module
 
 
 def test_plain_lines_with_time_left(monkeypatch, capsys):
+    monkeypatch.setattr(module, "_QUIET_SECONDS", 2.0)
     clock = itertools.count(0, 10)
     monkeypatch.setattr(module.time, "monotonic", lambda: next(clock))
     with module.progress("bake", 4) as advance:
@@ -16,7 +17,10 @@ def test_plain_lines_with_time_left(monkeypatch, capsys):
     assert lines[-1] == "bake: 100 %, 0 s left, note"
 
 
-def test_short_work_is_silent(capsys):
+def test_short_work_is_silent(monkeypatch, capsys):
+    clock = itertools.count(0, 0.1)
+    monkeypatch.setattr(module, "_QUIET_SECONDS", 2.0)
+    monkeypatch.setattr(module.time, "monotonic", lambda: next(clock))
     with module.progress("bake", 2) as advance:
         advance(2)
     assert capsys.readouterr().err == ""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from lumitree.core.files import write_json
 from lumitree.core.frames import similarity_scale
 from lumitree.core.images import max_radiance, read_exr, write_exr
+from lumitree.core.sampling import FIRST_TEST_INDEX
 from lumitree.errors import LumitreeError
 
 Split = Literal["train", "test"]
@@ -27,6 +28,10 @@ OpacityKind = Literal["straight_through", "geometric"]
 OPACITY_KINDS: tuple[OpacityKind, ...] = get_args(OpacityKind)
 VERSION = 1
 MANIFEST = "manifest.json"
+# What a dataset's folder holds, as patterns.
+DATASET_FILES = (MANIFEST, "view_*.exr")
+# As many as keep the Halton indices of training views below those of test views.
+MAX_VIEWS = FIRST_TEST_INDEX - 1
 
 
 @dataclasses.dataclass(frozen=True)

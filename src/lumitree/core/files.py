@@ -1,8 +1,11 @@
 """Writing files so that nothing half-written is ever left under the final name."""
 
 import contextlib
+import errno
+import fcntl
 import json
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,12 +13,16 @@ from typing import Any
 
 from lumitree.errors import LumitreeError
 
+# Between a file's own name and the random part of its temporary one.
+_TEMPORARY = ".lumitree-"
+
 
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary name beside `path`; rename it to `path` if the block succeeds.
 
-    The temporary file is flushed to disk before the rename and removed if the block fails.
+    The temporary file is flushed to disk before the rename and removed if the block fails. What a
+    killed process left of an earlier attempt at the same file is removed too.
 
     Raises:
         LumitreeError: the folder cannot be written, or the disk is full.
@@ -23,14 +30,16 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        _remove_abandoned(path)
         handle, name = tempfile.mkstemp(
-            prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent
+            prefix=f".{path.stem}{_TEMPORARY}", suffix=path.suffix, dir=path.parent
         )
-        os.close(handle)
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise _write_error(path, error) from error
     temporary = Path(name)
     try:
+        # Held while this process lives: it tells others that the file is not abandoned.
+        lock(handle)
         yield temporary
         with open(temporary, "rb+") as file:
             os.fsync(file.fileno())
@@ -42,7 +51,50 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         raise _write_error(path, error) from error
     finally:
+        os.close(handle)
         temporary.unlink(missing_ok=True)
+
+
+def lock(handle: int) -> bool | None:
+    """Lock an open file for this process.
+
+    Returns:
+        True, or False where another process holds it; None where the file system has no locks.
+    """
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return False if error.errno in (errno.EWOULDBLOCK, errno.EACCES) else None
+    return True
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Refuse an output that cannot be written, before any work is done; creates nothing.
+
+    Folders that are missing are made when the file is written.
+
+    Raises:
+        LumitreeError: `path` is a folder, or its folder cannot be made or written.
+    """
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise LumitreeError(f"cannot write {path}: it is a folder; choose a file with -o")
+        folder = path.parent
+        while not folder.exists() and folder != folder.parent:
+            folder = folder.parent
+        _check_name(path.name, folder)
+        if not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, f"{folder} is not a folder")
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except (OSError, ValueError) as error:
+        raise _write_error(path, error) from error
+
+
+def is_empty(folder: Path) -> bool:
+    """Whether a folder holds nothing, or nothing but what a killed `atomic_path` left."""
+    return all(_TEMPORARY in name and name.startswith(".") for name in os.listdir(folder))
 
 
 def write_json(path: str | os.PathLike[str], value: Any) -> None:
@@ -51,8 +103,31 @@ def write_json(path: str | os.PathLike[str], value: Any) -> None:
         temporary.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _write_error(path: Path, error: OSError) -> LumitreeError:
-    reason = error.strerror or str(error)
+def _check_name(name: str, folder: Path) -> None:
+    """Refuse a name that leaves no room for its temporary one."""
+    longest = os.pathconf(folder, "PC_NAME_MAX") - len(f".{_TEMPORARY}") - 8
+    if len(os.fsencode(name)) > longest:
+        raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove temporary files of `path` that no living process holds."""
+    start, end = re.escape(f".{path.stem}{_TEMPORARY}"), re.escape(path.suffix)
+    pattern = re.compile(f"{start}[a-z0-9_]{{8}}{end}")
+    for entry in path.parent.iterdir():
+        if not pattern.fullmatch(entry.name):
+            continue
+        with contextlib.suppress(OSError):
+            handle = os.open(entry, os.O_RDONLY)
+            try:
+                if lock(handle):
+                    entry.unlink()
+            finally:
+                os.close(handle)
+
+
+def _write_error(path: Path, error: OSError | ValueError) -> LumitreeError:
+    reason = getattr(error, "strerror", None) or str(error)
     return LumitreeError(
         f"cannot write {path}: {reason}; free some space or choose another output with -o"
     )

@@ -18,6 +18,9 @@ Vector = TypeVar("Vector")
 
 # A box this thin (local units) still has an inside that a ray can cross.
 MIN_HALF_EXTENT = 1e-3
+# Largest coordinate and range of sizes of what is placed in a scene, scene units: their squares and
+# cubes stay within single precision.
+MAX_COORDINATE, MIN_SIZE, MAX_SIZE = 1e9, 1e-9, 1e9
 
 
 def towards_viewer(direction: Vector) -> Vector:
@@ -106,6 +109,23 @@ def similarity_scale(matrix: ArrayLike, what: str = "transform") -> float:
     return scale
 
 
+def check_placement(
+    at: ArrayLike | None = None, size: float | None = None, rotate: ArrayLike = (0, 1, 0, 0)
+) -> None:
+    """Refuse a placement, as for `placement`, whose numbers are out of range."""
+    if size is not None and not MIN_SIZE <= size <= MAX_SIZE:
+        raise LumitreeError(
+            f"size {size} is not a length of {MIN_SIZE:g} to {MAX_SIZE:g} scene units"
+        )
+    for name, values, count in (("at", at, 3), ("rotate", rotate, 4)):
+        numbers = np.asarray([0.0] * count if values is None else values, np.float64)
+        if numbers.shape != (count,) or not (np.abs(numbers) <= MAX_COORDINATE).all():
+            raise LumitreeError(
+                f"{name} {numbers.tolist()} is not {count} numbers of up to {MAX_COORDINATE:g}"
+            )
+    rotation(np.asarray(rotate, np.float64)[:3], 0)
+
+
 def placement(
     world_from_proxy: ArrayLike,
     *,
@@ -121,10 +141,9 @@ def placement(
         size: largest side of the bounding box, scene units.
         rotate: [4] axis x, y, z and angle in degrees, about the centre.
     """
+    check_placement(at, size, rotate)
     own = np.asarray(world_from_proxy, np.float64)
     rotate = np.asarray(rotate, np.float64)
-    if size is not None and not (np.isfinite(size) and size > 0):
-        raise LumitreeError(f"size {size} is not a positive length in scene units")
     scale = similarity_scale(own) if size is None else size / 2
     turn = rotation(rotate[:3], rotate[3]) @ (own[:3, :3] / similarity_scale(own))
     return similarity(turn, scale, own[:3, 3] if at is None else at)

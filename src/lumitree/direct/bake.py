@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import time
+import warnings
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,7 +17,7 @@ from lumitree.asset.model import MAX_TREE_DEPTH, LuminaireAsset
 from lumitree.core.dataset import Dataset
 from lumitree.core.files import atomic_path
 from lumitree.core.harmonics import MAX_L, Y_00, num_coefficients
-from lumitree.core.interrupt import deferred_interrupt
+from lumitree.core.interrupt import Interruption, deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.direct.balance import BALANCE_DRAWS, balance, light_left_over
@@ -26,7 +27,7 @@ from lumitree.direct.heldout import HeldOut, Score
 from lumitree.direct.rays import RaySource, Subject, TracedRays
 from lumitree.direct.refine import HEADROOM, RefineConfig, Refiner
 from lumitree.direct.stored import StoredRays
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.octree.build import build_children
 
@@ -45,8 +46,11 @@ _HULL_OPTICAL_DEPTH, _HULL_RADIANCE = 0.3, 0.01
 _HULL_STEPS = 4.0
 # How many times as long as balancing what follows the descent takes.
 _CLOSING_BALANCES = 2.5
-# Seconds between two looks at the held-out rays, and between two saved states.
-_SCORE_SECONDS, _SAVE_SECONDS = 10.0, 60.0
+# Share of the budget between two scores on the held-out rays. Not a time, so that with a budget of
+# rays alone the field that is kept does not depend on the machine's speed.
+_SCORE_EVERY = 0.04
+# Seconds between two saved states: at least these, and so many times what the last one took.
+_SAVE_SECONDS, _SAVE_RARELY = 10.0, 50.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,13 +98,17 @@ class DirectConfig:
 
 @dataclasses.dataclass(frozen=True)
 class DirectResult:
-    """What came out: the asset, its held-out score, rays and seconds spent, in all."""
+    """What came out: the asset, its held-out score, rays and seconds spent, in all.
+
+    Attributes:
+        stopped_by: number of the signal that ended the bake early; None if none did.
+    """
 
     asset: LuminaireAsset
     score: Score
     rays: int
     seconds: float
-    interrupted: bool
+    stopped_by: int | None
 
 
 # What `--quality` names: minutes on two CPU cores.
@@ -237,14 +245,24 @@ def _run(
     loop = _Loop(refiner, held_out, clock, config, folder, record, max_radiance)
     if saved is not None:
         loop.keep_better(field.with_leaves(*(saved[f"best_{name}"] for name in LEAVES)))
-    interrupted = loop.run(f"{verb} {source.subject.name}")
-    # The descent leaves what is small and bright a few percent too bright; and what the sigmoid has
-    # no room for is made up by the rest.
-    balance(loop.best, source, max_radiance, refiner.step)
-    factor = light_left_over(loop.best, source, max_radiance, refiner.step + BALANCE_DRAWS)
-    score = held_out.rescaled(factor).score(loop.best)
+    with deferred_interrupt() as stop:
+        # A first state at once: an estimate takes longer than most of what can go wrong.
+        loop.save()
+        loop.run(f"{verb} {source.subject.name}", stop)
+        # And one here: what follows can be repeated, the descent cannot.
+        loop.save()
+        with progress(f"calibrate {source.subject.name}", 2) as advance:
+            # The descent leaves what is small and bright a few percent too bright; and what the
+            # sigmoid has no room for is made up by the rest.
+            balance(loop.best, source, max_radiance, refiner.step, stop)
+            advance(1)
+            factor = light_left_over(
+                loop.best, source, max_radiance, refiner.step + BALANCE_DRAWS, stop
+            )
+            advance(1)
+        score = held_out.rescaled(factor).score(loop.best)
     asset = make_asset(loop.best, source.subject, factor * max_radiance)
-    return DirectResult(asset, score, clock.rays, clock.seconds, interrupted)
+    return DirectResult(asset, score, clock.rays, clock.seconds, stop.number)
 
 
 def make_asset(field: LeafField, subject: Subject, max_radiance: float) -> LuminaireAsset:
@@ -337,33 +355,28 @@ class _Loop:
         self._config, self._folder, self._record = config, folder, record
         self._max_radiance = max_radiance
         self.best, self.best_score = refiner.field.copy(), held_out.score(refiner.field)
+        self._can_save = True
 
-    def run(self, name: str) -> bool:
-        """Refine; returns whether Ctrl-C ended it."""
+    def run(self, name: str, stop: Interruption) -> None:
+        """Refine until the budget is spent or `stop` is set."""
         done = self._clock.progress
-        scored = saved = time.monotonic()
-        with (
-            deferred_interrupt() as interrupted,
-            progress(name, 1.0, done) as advance,
-        ):
-            while done < 1 and not interrupted.is_set():
+        saved, saving = time.monotonic(), 0.0
+        with progress(name, 1.0, done) as advance:
+            while done < 1 and not stop:
                 self._clock.rays += self._refiner.advance(done)
                 before, done = done, self._clock.progress
                 self._split(before, done)
-                now = time.monotonic()
-                if now - scored >= _SCORE_SECONDS or done >= 1:
-                    scored = now
+                if int(done / _SCORE_EVERY) > int(before / _SCORE_EVERY):
                     self.keep_better(self._refiner.field)
-                if now - saved >= _SAVE_SECONDS:
-                    saved = now
-                    self._save()
+                if time.monotonic() - saved >= max(_SAVE_SECONDS, _SAVE_RARELY * saving):
+                    start = time.monotonic()
+                    self.save()
+                    saved = time.monotonic()
+                    saving = saved - start
                 advance(
                     done - before, f"{self.best_score}, {self._refiner.field.num_leaves} leaves"
                 )
-            if interrupted.is_set():
-                self.keep_better(self._refiner.field)
-                self._save()
-        return interrupted.is_set()
+        self.keep_better(self._refiner.field)
 
     def _split(self, before: float, done: float) -> None:
         """Prune now and then, and make the leaves one level deeper until they are deep enough."""
@@ -384,15 +397,26 @@ class _Loop:
         if score.rank >= self.best_score.rank:
             self.best, self.best_score = field.copy(), score
 
-    def _save(self) -> None:
+    def save(self) -> None:
+        """Save the state; warns, once, where that fails: the bake itself can go on."""
         state = self._refiner.state()
         state["max_radiance"] = np.array(self._max_radiance)
         state["seconds"] = np.array(self._clock.seconds)
         state["rays"] = np.array(self._clock.rays)
         state["record"] = np.array(self._record)
         state |= {f"best_{name}": value for name, value in self.best.arrays().items()}
-        with atomic_path(self._folder / STATE) as temporary:
-            np.savez(temporary, **state)  # type: ignore[arg-type]
+        try:
+            with atomic_path(self._folder / STATE) as temporary:
+                np.savez(temporary, **state)  # type: ignore[arg-type]
+            self._can_save = True
+        except LumitreeError as error:
+            if self._can_save:
+                self._can_save = False
+                warnings.warn(
+                    f"{error}; the bake goes on, but cannot be continued if it is killed",
+                    LumitreeWarning,
+                    stacklevel=2,
+                )
 
 
 def _record(subject: Subject, config: DirectConfig) -> str:

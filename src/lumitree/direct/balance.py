@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
 from lumitree.core.harmonics import Y_00, num_coefficients
+from lumitree.core.interrupt import Interruption
 from lumitree.direct.field import LeafField
 from lumitree.direct.rays import BALANCE_BATCH, RaySource
 
@@ -43,11 +44,18 @@ _SMALLEST_FACTOR, _LARGEST_SHIFT = 0.1, 2.0
 _TINY = 1e-30
 
 
-def balance(field: LeafField, source: RaySource, max_radiance: float, batch: int = 0) -> None:
+def balance(
+    field: LeafField,
+    source: RaySource,
+    max_radiance: float,
+    batch: int = 0,
+    stop: Interruption | None = None,
+) -> None:
     """Scale the emission of a field's leaves, by channel, region and side, in place.
 
     Args:
         batch: number that sets the rays apart from those of other calls.
+        stop: no further round begins once it is set; every round improves the field.
     """
     levels = [_cells(field, level) for level in range(_FINEST + 1)]
     cell = levels[_FINEST]
@@ -55,6 +63,8 @@ def balance(field: LeafField, source: RaySource, max_radiance: float, batch: int
     above = [index[member] for index in levels]
     harmonics = min(_HARMONICS, num_coefficients(field.l_max))
     for step in range(_ROUNDS):
+        if stop:
+            return
         halves = [
             _moments(field, source, max_radiance, batch + 2 * step + half, cell, harmonics)
             for half in range(2)
@@ -72,14 +82,23 @@ def balance(field: LeafField, source: RaySource, max_radiance: float, batch: int
         field.set_coefficients(coefficients)
 
 
-def light_left_over(field: LeafField, source: RaySource, max_radiance: float, batch: int) -> float:
+def light_left_over(
+    field: LeafField,
+    source: RaySource,
+    max_radiance: float,
+    batch: int,
+    stop: Interruption | None = None,
+) -> float:
     """All light of the source over all that the field gives; 1 where either is nothing.
 
     Args:
         batch: as for `balance`.
+        stop: one draw is enough once it is set: estimated to ±1.5 % instead of ±0.5 %.
     """
     seen, given = 0.0, 0.0
     for step in range(_TOTAL_DRAWS):
+        if stop and step:
+            break
         rays = source.draw(
             _TOTAL_LINES, BALANCE_BATCH + batch + step, _all_lines, _TOTAL_LIGHT_SHARE
         )

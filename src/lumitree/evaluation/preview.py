@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.capture.camera import Camera, Picture
+from lumitree.core.arguments import check_sheet_output
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.core.progress import progress
 from lumitree.core.sampling import pose_towards
-from lumitree.evaluation.tiles import DARK, Layout, TileSheet, check_sheet_name, grey
+from lumitree.evaluation.tiles import DARK, Layout, TileSheet, grey
 from lumitree.luminaires.luminaire import Luminaire
 
 # Where the camera stands and what is upwards in its picture, in the luminaire's frame (y up).
@@ -98,7 +99,7 @@ def write_preview(
     Raises:
         LumitreeError: the path is no PNG or cannot be written.
     """
-    check_sheet_name(path)
+    check_sheet_output(path)
     _draw(preview, title, facts).save(path)
 
 

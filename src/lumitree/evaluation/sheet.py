@@ -9,9 +9,10 @@ from matplotlib import colormaps
 from matplotlib.colors import LogNorm, Normalize
 from numpy.typing import NDArray
 
+from lumitree.core.arguments import check_sheet_output
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.errors import LumitreeError
-from lumitree.evaluation.tiles import Layout, TileSheet, check_sheet_name, grey
+from lumitree.evaluation.tiles import Layout, TileSheet, grey
 
 MAX_ROWS = 6
 COLUMNS = ("Reference", "Baked", "Error", "Reference opacity", "Baked opacity")
@@ -58,7 +59,7 @@ def write_sheet(
         LumitreeError: no or too many rows, images whose shapes do not belong together or that
             are not finite, a missing metric, or a path that is no PNG or cannot be written.
     """
-    check_sheet_name(path)
+    check_sheet_output(path)
     if not 1 <= len(rows) <= MAX_ROWS:
         raise LumitreeError(f"a sheet holds 1 to {MAX_ROWS} views, not {len(rows)}; choose some")
     if not (np.isfinite(max_radiance) and max_radiance > 0):

@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lumitree.core.files import atomic_path
-from lumitree.errors import LumitreeError
 
 _DPI = 100
 _BAR_HEIGHT = 12
@@ -159,12 +157,6 @@ class TileSheet:
             width / full_width,
             height / full_height,
         )
-
-
-def check_sheet_name(path: str | os.PathLike[str]) -> None:
-    """Refuse a sheet that is no PNG, before any work is done."""
-    if Path(path).suffix.lower() != ".png":
-        raise LumitreeError(f"sheet name {str(path)!r} does not end in .png")
 
 
 def grey(opacity: NDArray[np.floating]) -> NDArray[np.float64]:

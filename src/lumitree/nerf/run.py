@@ -25,6 +25,8 @@ RECORD = "run.json"
 OCCUPANCY = "occupancy.npz"
 HISTORY = "history.json"
 CHECKPOINTS = "checkpoints"
+# What a run's folder holds, as patterns; a checkpoint is a folder named after its step.
+RUN_FILES = (RECORD, OCCUPANCY, HISTORY, f"{CHECKPOINTS}/[0-9]*")
 VERSION = 1
 
 

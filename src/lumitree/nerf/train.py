@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import time
+import warnings
 from pathlib import Path
 
 import jax
@@ -13,10 +14,10 @@ import orbax.checkpoint as ocp
 from flax import nnx
 
 from lumitree.core.dataset import Dataset
-from lumitree.core.files import write_json
-from lumitree.core.interrupt import deferred_interrupt
+from lumitree.core.files import is_empty, write_json
+from lumitree.core.interrupt import Interrupted, deferred_interrupt
 from lumitree.core.progress import progress
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.nerf.config import TrainConfig
 from lumitree.nerf.losses import psnr
 from lumitree.nerf.occupancy import Occupancy, save_occupancy
@@ -24,7 +25,9 @@ from lumitree.nerf.rays import Batch, RaySet, load_rays
 from lumitree.nerf.run import (
     HISTORY,
     OCCUPANCY,
+    RECORD,
     RunRecord,
+    has_checkpoint,
     open_checkpoints,
     restore_checkpoint,
     save_checkpoint,
@@ -67,18 +70,21 @@ def train(
 
     Args:
         dataset_path: folder made by `lumitree capture`.
-        run_path: folder of the run, new or empty unless `resume`.
+        run_path: folder of the run: new, empty, or of a run that has no checkpoint yet, which is
+            started again; of any run if `resume`.
         config: settings; those of the run if `resume`.
-        resume: continue from the newest checkpoint; same result as without the interruption.
+        resume: continue from the newest checkpoint, if there is one; same result as without the
+            interruption.
         stop_after: stop and save after so many steps of this call.
 
     Raises:
         LumitreeError: unusable dataset or folder, another config, nothing to resume, or a
             loss that is not finite.
-        KeyboardInterrupt: Ctrl-C, after the state was saved.
+        Interrupted: by a stop signal, after the state was saved.
     """
     dataset, folder = Dataset.open(dataset_path), Path(run_path)
     _check_folder(folder, config, resume)
+    resume = resume and has_checkpoint(folder)
     rays, occupancy = load_rays(dataset, config.opacity_kind, config.skip_empty)
     manifest = dataset.manifest
     record = RunRecord(
@@ -138,7 +144,7 @@ class _Loop:
             progress("train", self.config.num_steps, done) as advance,
         ):
             note = ""
-            while done < last and not interrupted.is_set():
+            while done < last and not interrupted:
                 state, loss, norm = self.step(state, self._draw(done), self.occupancy)
                 self.pending.append((loss, norm))
                 done += 1
@@ -152,12 +158,12 @@ class _Loop:
                         note = self._report(done, shown, state, speed)
                     if now - saved >= _CHECKPOINT_SECONDS:
                         saved = now
-                        self._save(done, state)
+                        self._save_or_warn(done, state)
                 advance(1, note)
             self._check(done)
             self._save(done, state)
-            if interrupted.is_set():
-                raise KeyboardInterrupt
+            if interrupted.number is not None:
+                raise Interrupted(number=interrupted.number)
         rate = (done - first) * self.config.rays_per_batch / max(self.seconds - self.earlier, 1e-9)
         black = psnr(jnp.zeros(3), self.held_out.radiance, self.rays.max_radiance)
         quality = float(self.evaluate(state.params, self.held_out, self.occupancy))
@@ -185,6 +191,13 @@ class _Loop:
         self.history.append({"step": done, "seconds": seconds, "loss": loss, "psnr": quality})
         return f"loss {loss:.3g}, PSNR {quality:.2f} dB, {rate / 1000:.1f} k rays/s"
 
+    def _save_or_warn(self, done: int, state: TrainState) -> None:
+        """A checkpoint on the way; training can go on without."""
+        try:
+            self._save(done, state)
+        except LumitreeError as error:
+            warnings.warn(f"{error}; the training goes on", LumitreeWarning, stacklevel=2)
+
     def _save(self, done: int, state: TrainState) -> None:
         save_checkpoint(self.checkpoints, done, state)
         write_json(self.folder / HISTORY, self.history)
@@ -192,14 +205,18 @@ class _Loop:
 
 def _check_folder(folder: Path, config: TrainConfig, resume: bool) -> None:
     """Refuse, before any work, a folder that cannot be used."""
-    if not resume:
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise LumitreeError(
-                f"{folder} is not empty; continue it with --resume or choose another output with -o"
-            )
-        return
-    if not folder.is_dir():
+    if not folder.exists() and resume:
         raise LumitreeError(f"{folder} does not exist: nothing to resume")
+    if folder.exists() and not folder.is_dir():
+        raise LumitreeError(f"{folder} is not a folder; choose another output with -o")
+    if not folder.exists() or is_empty(folder):
+        return
+    if not resume and (has_checkpoint(folder) or not (folder / RECORD).is_file()):
+        raise LumitreeError(
+            f"{folder} is not empty; continue it with --resume or choose another output with -o"
+        )
+    if not resume:
+        return
     found, wanted = dataclasses.asdict(RunRecord.load(folder).config), dataclasses.asdict(config)
     changed = [f"{key} {found[key]} -> {wanted[key]}" for key in found if found[key] != wanted[key]]
     if changed:

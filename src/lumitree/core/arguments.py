@@ -1,0 +1,60 @@
+"""Checks of what a caller asks for, made before any work is done."""
+
+import os
+from collections.abc import Collection
+from pathlib import Path
+
+from lumitree.core.files import check_writable
+from lumitree.errors import LumitreeError, shown
+
+# Largest image side, paths or samples a pixel, and seed.
+MAX_PIXELS_A_SIDE = 1 << 14
+MAX_SAMPLES = 1 << 20
+MAX_SEED = (1 << 31) - 1
+# Rays of a bake, and seconds: a year.
+MAX_RAYS, MAX_SECONDS = 1 << 50, 365 * 24 * 3600.0
+
+
+def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
+    """Refuse a number that is outside of [low, high], or is none.
+
+    Args:
+        name: of the option.
+        unit: of the number, for the message.
+    """
+    if not (isinstance(value, int | float) and low <= value <= high):
+        expected = f"expected {low:,} to {high:,}{unit and ' ' + unit}"
+        raise LumitreeError(f"{name} is {shown(value, 40)}; {expected}")
+
+
+def check_choice(name: str, value: str, choices: Collection[str]) -> None:
+    """Refuse a name that is not among the choices."""
+    if value not in choices:
+        raise LumitreeError(f"{name} is {shown(repr(value), 60)}; expected {', '.join(choices)}")
+
+
+def check_image_settings(**settings: int) -> None:
+    """Refuse a resolution, a width or a number of samples that is out of range.
+
+    Args:
+        settings: `resolution` and `width` in pixels, `spp` in samples.
+    """
+    for name, value in settings.items():
+        check_range(name, value, 1, MAX_SAMPLES if name == "spp" else MAX_PIXELS_A_SIDE)
+
+
+def check_asset_output(path: str | os.PathLike[str]) -> None:
+    """Refuse an asset's name that does not end in .lumitree, or cannot be written."""
+    if Path(path).suffix != ".lumitree":
+        raise LumitreeError(
+            f"asset name {shown(repr(str(path)), 300)} does not end in .lumitree; choose one that "
+            "does"
+        )
+    check_writable(path)
+
+
+def check_sheet_output(path: str | os.PathLike[str]) -> None:
+    """Refuse a contact sheet whose name does not end in .png, or that cannot be written."""
+    if Path(path).suffix.lower() != ".png":
+        raise LumitreeError(f"sheet name {shown(repr(str(path)), 300)} does not end in .png")
+    check_writable(path)

@@ -1,0 +1,146 @@
+"""Folders that lumitree owns: of intermediate results, and for what lasts as long as a process.
+
+Only these classes delete anything but single files, and only what lumitree has written.
+"""
+
+import contextlib
+import os
+import re
+import shutil
+import tempfile
+import warnings
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from lumitree.core.files import lock
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
+
+MARKER = ".lumitree-work"
+_MARKER_TEXT = (
+    "This folder holds intermediate results of lumitree. It is removed when they are not needed\n"
+    "any more, except for files that lumitree did not write.\n"
+)
+_SCRATCH = "lumitree-scratch-"
+
+
+class WorkFolder:
+    """A folder of intermediate results, claimed by this process while the object is open.
+
+    A file named `MARKER` tells that the folder is lumitree's. A folder that holds anything else
+    without that file is never taken.
+
+    Args:
+        path: the folder; made if it is missing.
+
+    Raises:
+        LumitreeError: it is somebody else's, cannot be written, or another process works in it.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        try:
+            self._made = not self.path.exists()
+            self.path.mkdir(parents=True, exist_ok=True)
+            marker = self.path / MARKER
+            if not marker.exists() and (found := sorted(os.listdir(self.path))):
+                raise LumitreeError(
+                    f"{self.path} holds what lumitree did not write ({shown(found[0])}); choose an "
+                    "empty or a new folder with --work, or move it away"
+                )
+            self._handle = os.open(marker, os.O_RDWR | os.O_CREAT, 0o666)
+            if lock(self._handle) is False:
+                os.close(self._handle)
+                raise LumitreeError(
+                    f"another process works in {self.path}; wait for it, or choose another folder "
+                    "with --work"
+                )
+            if not os.fstat(self._handle).st_size:
+                os.write(self._handle, _MARKER_TEXT.encode())
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise LumitreeError(
+                f"cannot write the work folder {self.path}: {reason}; choose another with --work"
+            ) from error
+
+    def __enter__(self) -> "WorkFolder":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(OSError):
+            os.close(self._handle)
+            if os.listdir(self.path) == [MARKER]:
+                # Nothing came of it: not even a state to continue from.
+                (self.path / MARKER).unlink()
+                if self._made:
+                    self.path.rmdir()
+
+    def remove(self, names: Iterable[str]) -> None:
+        """Remove what lumitree wrote, and the folder if nothing else is in it.
+
+        Args:
+            names: patterns of files, and of folders that are lumitree's with all they hold,
+                relative to the work folder, as for `pathlib.Path.glob`.
+        """
+        kept = [MARKER]
+        try:
+            for name in names:
+                for path in self.path.glob(name):
+                    if path.is_dir() and not path.is_symlink():
+                        shutil.rmtree(path)
+                    else:
+                        path.unlink()
+            for folder, _, _ in os.walk(self.path, topdown=False):
+                if folder != str(self.path) and not os.listdir(folder):
+                    os.rmdir(folder)
+            kept = [entry for entry in sorted(os.listdir(self.path)) if entry != MARKER]
+            if not kept:
+                (self.path / MARKER).unlink()
+                self.path.rmdir()
+        except OSError as error:
+            kept = [error.strerror or str(error)]
+        if kept:
+            warnings.warn(
+                f"{self.path} stays: it holds other things too ({shown(kept[0])})",
+                LumitreeWarning,
+                stacklevel=2,
+            )
+
+
+@contextlib.contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """A temporary folder for the block; those that killed processes left are removed.
+
+    Raises:
+        LumitreeError: there is no folder for temporary files that can be written.
+    """
+    try:
+        root = Path(tempfile.gettempdir())
+        _remove_abandoned(root)
+        folder = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=root))
+        handle = os.open(folder / MARKER, os.O_RDWR | os.O_CREAT, 0o600)
+    except OSError as error:
+        raise LumitreeError(
+            f"no folder for temporary files can be made: {error.strerror or error}; free some "
+            "space or name another with TMPDIR"
+        ) from error
+    lock(handle)
+    try:
+        yield folder
+    finally:
+        os.close(handle)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _remove_abandoned(root: Path) -> None:
+    """Remove scratch folders that no living process holds."""
+    for folder in root.iterdir():
+        if not re.fullmatch(f"{_SCRATCH}[a-z0-9_]{{8}}", folder.name):
+            continue
+        # Somebody else's, or one that is being made or removed just now.
+        with contextlib.suppress(OSError):
+            handle = os.open(folder / MARKER, os.O_RDWR)
+            try:
+                if lock(handle):
+                    shutil.rmtree(folder)
+            finally:
+                os.close(handle)
