@@ -1,11 +1,11 @@
 """From a luminaire to a picture, end to end, as small as it can be."""
 
-import dataclasses
 import json
 import signal
 
 import pytest
 
+import tiny_bakes
 from lumitree import demo, pipeline
 from lumitree.core.images import read_exr
 from lumitree.core.work_folder import WorkFolder
@@ -18,20 +18,10 @@ LAMP = """<scene version="3.0.0">
 <bsdf type="diffuse"/></shape></scene>"""
 
 
-# Refinement rays of a direct bake, and lines of its first estimate.
-RAYS, LINES = 1 << 19, 1 << 20
-
-
 @pytest.fixture
 def tiny(mi, monkeypatch):
     """A direct bake of seconds."""
-    from lumitree.direct.bake import DirectConfig
-    from lumitree.direct.refine import RefineConfig
-
-    config = DirectConfig(
-        tree_depth=5, l_max=1, estimate_lines=LINES, seconds=None, rays=RAYS,
-        refine=RefineConfig(lines=1 << 14),
-    )  # fmt: skip
+    config = tiny_bakes.direct_config()
     monkeypatch.setattr("lumitree.direct.bake.QUALITIES", {"preview": config, "standard": config})
     return config
 
@@ -39,14 +29,9 @@ def tiny(mi, monkeypatch):
 @pytest.fixture
 def tiny_network(monkeypatch):
     """A network's bake of seconds: few views, a small network."""
-    train = dataclasses.replace(
-        PRESETS["preview"], width=32, output_width=16, num_coarse=16, num_fine=16,
-        rays_per_batch=512, num_steps=250,
-    )  # fmt: skip
-    monkeypatch.setitem(PRESETS, "preview", train)
-    monkeypatch.setitem(
-        pipeline.BAKE_PRESETS, "preview", pipeline.BakePreset(16, 48, 32, train, tree_depth=5)
-    )
+    preset = tiny_bakes.network_preset()
+    monkeypatch.setitem(PRESETS, "preview", preset.train)
+    monkeypatch.setitem(pipeline.BAKE_PRESETS, "preview", preset)
 
 
 def test_bake_evaluate_render(mi, tiny, tmp_path, monkeypatch):
@@ -55,7 +40,7 @@ def test_bake_evaluate_render(mi, tiny, tmp_path, monkeypatch):
     baked = pipeline.bake("lamp.xml", "lamp.lumitree")
     assert baked["asset"]["leaves"] > 50
     assert baked["asset"]["tree_depth"] == 5
-    assert RAYS <= baked["rays"] < RAYS + 6 * (1 << 14)
+    assert tiny_bakes.RAYS <= baked["rays"] < tiny_bakes.RAYS + 6 * (1 << 14)
     assert set(baked["seconds"]) == {"bake"}
     assert not (tmp_path / "lamp.work").exists()
     json.dumps(baked, allow_nan=False)
@@ -105,7 +90,7 @@ def test_an_interrupted_bake_keeps_its_best_and_continues(mi, tiny, tmp_path, mo
     assert (tmp_path / "lamp.work").exists()
     report = pipeline.bake("lamp.xml", "lamp.lumitree")
     assert steps == list(range(1, len(steps) + 1))
-    assert report["rays"] >= RAYS
+    assert report["rays"] >= tiny_bakes.RAYS
     assert not (tmp_path / "lamp.work").exists()
 
 

@@ -2,11 +2,14 @@
 
 import contextlib
 import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lumitree.core.files import atomic_path, write_json
+from lumitree.core.files import atomic_path, check_writable, write_json
 from lumitree.core.images import read_exr, tonemap, write_exr, write_image
 from lumitree.errors import LumitreeError
 
@@ -76,3 +79,50 @@ def test_image_names(tmp_path):
     assert (read_exr(tmp_path / "a.exr")["RGB"] == 0.5).all()
     with pytest.raises(LumitreeError, match=r"neither \.exr"):
         write_image(tmp_path / "a.jpg", image)
+
+
+def test_what_a_killed_process_left_is_removed(tmp_path):
+    """And nothing else: neither what a living process writes nor files of like names."""
+    code = (
+        "import sys, time\n"
+        "from lumitree.core.files import atomic_path\n"
+        "with atomic_path(sys.argv[1]) as temporary:\n"
+        "    print(temporary, flush=True)\n"
+        "    time.sleep(600)\n"
+    )
+    target = tmp_path / "a.txt"
+    processes = [
+        subprocess.Popen([sys.executable, "-c", code, str(target)], stdout=subprocess.PIPE)
+        for _ in range(2)
+    ]
+    killed, living = (Path(process.stdout.readline().decode().strip()) for process in processes)
+    others = [tmp_path / ".a.lumitree-notes.txt", tmp_path / ".b.lumitree-12345678.txt"]
+    for other in others:
+        other.write_text("mine")
+    try:
+        processes[0].kill()
+        processes[0].wait()
+        assert killed.exists()
+        with atomic_path(target) as temporary:
+            temporary.write_text("whole")
+        assert sorted(tmp_path.iterdir()) == sorted([target, living, *others])
+    finally:
+        processes[1].kill()
+        for process in processes:
+            process.communicate()
+
+
+def test_outputs_that_cannot_be_written_are_refused_before(tmp_path):
+    (tmp_path / "file").write_text("")
+    for name, message in (
+        ("file/a.txt", "Not a directory"),
+        ("file/b/a.txt", "Not a directory"),
+        (".", "it is a folder"),
+        ("x" * 250 + ".txt", "File name too long"),
+        ("a\0b.txt", "null"),
+    ):
+        with pytest.raises(LumitreeError, match=message):
+            check_writable(tmp_path / name)
+    check_writable(tmp_path / "new" / "a.txt")
+    check_writable(tmp_path / "file")
+    assert os.listdir(tmp_path) == ["file"]

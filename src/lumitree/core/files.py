@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 
 # Between a file's own name and the random part of its temporary one.
 _TEMPORARY = ".lumitree-"
@@ -78,6 +78,8 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     """
     path = Path(path)
     try:
+        if "\0" in str(path):
+            raise ValueError("the name holds a null character")
         if path.is_dir():
             raise LumitreeError(f"cannot write {path}: it is a folder; choose a file with -o")
         folder = path.parent
@@ -85,7 +87,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
             folder = folder.parent
         _check_name(path.name, folder)
         if not folder.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, f"{folder} is not a folder")
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
         if not os.access(folder, os.W_OK | os.X_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except (OSError, ValueError) as error:
@@ -128,6 +130,8 @@ def _remove_abandoned(path: Path) -> None:
 
 def _write_error(path: Path, error: OSError | ValueError) -> LumitreeError:
     reason = getattr(error, "strerror", None) or str(error)
+    full = getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    remedy = "free some space or choose" if full else "choose"
     return LumitreeError(
-        f"cannot write {path}: {reason}; free some space or choose another output with -o"
+        f"cannot write {shown(path, 400)}: {reason}; {remedy} another output with -o"
     )

@@ -1,0 +1,281 @@
+"""Jobs that are killed or asked to stop at any moment, and full disks: nothing done is lost."""
+
+import dataclasses
+import errno
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+import lumitree
+import tiny_bakes
+from fields import random_asset
+from lumitree.cli import main
+from lumitree.core.work_folder import MARKER
+from lumitree.errors import LumitreeError
+from lumitree.nerf.config import PRESETS
+
+LAMP = (
+    '<scene version="3.0.0"><shape type="sphere"><emitter type="area">'
+    '<rgb name="radiance" value="3,2,1"/></emitter></shape></scene>'
+)
+BAKE = ("bake", "lamp.xml", "-o", "out/lamp.lumitree")
+COMMANDS = {
+    "direct": BAKE,
+    "network": (*BAKE, "--method", "nerf"),
+    "refine": ("refine", "rough.lumitree", "lamp.xml", "-o", "out/lamp.lumitree",
+               "--rays", "500000"),
+    "evaluate": ("evaluate", "rough.lumitree", "lamp.xml", "-o", "out/sheet.png", "--views", "3",
+                 "--resolution", "64", "--spp", "64"),
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch, mi):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lamp.xml").write_text(LAMP)
+    (tmp_path / "scratch").mkdir()
+    lumitree.save(random_asset(0), tmp_path / "rough.lumitree")
+    return tmp_path
+
+
+def start(command, **options):
+    script = str(Path(tiny_bakes.__file__))
+    environment = os.environ | {"TMPDIR": str(Path("scratch").resolve())}
+    return subprocess.Popen(
+        [sys.executable, script, *command], stderr=subprocess.PIPE, text=True, env=environment,
+        stdout=subprocess.DEVNULL, **options,
+    )  # fmt: skip
+
+
+def left():
+    """Files below the current folder, without what was there at first."""
+    return sorted(
+        str(path)
+        for path in Path().rglob("*")
+        if path.is_file() and path.name not in ("lamp.xml", "rough.lumitree")
+    )
+
+
+def check_stopped(process, number):
+    """What must hold however far a process came before the signal."""
+    _, err = process.communicate(timeout=300)
+    assert process.returncode in (0, -number, 128 + number)
+    assert "Traceback" not in err
+    if process.returncode == 128 + number:
+        assert "lumitree: stopping ..." in err
+        assert re.fullmatch(r"lumitree: error: interrupted; .*", err.splitlines()[-1])
+    asset = Path("out/lamp.lumitree")
+    if asset.exists():
+        lumitree.load(asset)
+        if process.returncode == 128 + number:
+            assert "the best asset so far is in out/lamp.lumitree" in err
+    return process.returncode
+
+
+def stop_and_finish(name, number, moment):
+    """Stop a command after so many seconds, then run it to its end."""
+    process = start(COMMANDS[name])
+    time.sleep(moment)
+    process.send_signal(number)
+    check_stopped(process, number)
+    again = start(COMMANDS[name])
+    _, err = again.communicate(timeout=600)
+    assert again.returncode == 0, err
+    result = "out/sheet.png" if name == "evaluate" else "out/lamp.lumitree"
+    assert left() == [result]
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "moment"),
+    [
+        ("direct", signal.SIGKILL, 4.0),
+        ("direct", signal.SIGTERM, 7.0),
+        ("network", signal.SIGKILL, 8.0),
+        ("refine", signal.SIGHUP, 6.0),
+        ("evaluate", signal.SIGKILL, 5.0),
+    ],
+)
+def test_stopped_commands_leave_nothing_broken_and_can_be_finished(name, number, moment):
+    stop_and_finish(name, number, moment)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(50))
+def test_stops_at_random_moments(seed):
+    choice = random.Random(seed)
+    number = choice.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+    stop_and_finish(choice.choice(list(COMMANDS)), number, choice.uniform(0.5, 15.0))
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    monkeypatch.setattr("lumitree.direct.bake.QUALITIES", {"standard": tiny_bakes.direct_config()})
+
+
+@pytest.fixture
+def steps(monkeypatch):
+    """The steps of the descent that are begun; `steps.before[n]` is called before step n."""
+    from lumitree.direct.refine import Refiner
+
+    class Steps(list):
+        before: ClassVar[dict[int, Callable[[], None]]] = {}
+
+    advance, done = Refiner.advance, Steps()
+    done.before.clear()
+
+    def counted(self, progress):
+        done.append(self.step + 1)
+        done.before.pop(self.step + 1, lambda: None)()
+        return advance(self, progress)
+
+    monkeypatch.setattr(Refiner, "advance", counted)
+    return done
+
+
+def die(*_, **__):
+    """As good as a kill: nothing of lumitree's handles it."""
+    raise ZeroDivisionError
+
+
+def run_out_of_disk(*_, **__):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+UNFINISHED = [f"out/lamp.work/{MARKER}", "out/lamp.work/state.npz"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_stopped_bake_writes_its_best_and_continues(tiny, steps, capfd, number):
+    steps.before[3] = lambda: signal.raise_signal(number)
+    assert main(list(BAKE)) == 128 + number
+    lines = capfd.readouterr().err.splitlines()
+    assert lines[0] == "lumitree: stopping ...; a second signal ends at once"
+    assert "the best asset so far is in out/lamp.lumitree; the same command" in lines[-1]
+    assert steps == [1, 2, 3]
+    assert lumitree.load("out/lamp.lumitree").num_leaves > 50
+    assert left() == ["out/lamp.lumitree", *UNFINISHED]
+    assert main(list(BAKE)) == 0
+    assert steps == list(range(1, len(steps) + 1))
+    assert left() == ["out/lamp.lumitree"]
+
+
+def test_a_bake_killed_in_its_first_step_continues_from_the_estimate(tiny, steps, monkeypatch):
+    steps.before[1] = die
+    assert main(list(BAKE)) == 1
+    assert left() == UNFINISHED
+    monkeypatch.setattr("lumitree.direct.bake._first_field", die)
+    assert main(list(BAKE)) == 0
+    assert left() == ["out/lamp.lumitree"]
+
+
+def test_a_bake_killed_while_it_calibrates_continues_there(tiny, steps, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr("lumitree.direct.bake.light_left_over", die)
+        assert main(list(BAKE)) == 1
+    done = list(steps)
+    assert len(done) > 5
+    assert main(list(BAKE)) == 0
+    assert steps == done
+    assert left() == ["out/lamp.lumitree"]
+
+
+@pytest.mark.parametrize("command", [BAKE, COMMANDS["refine"]])
+def test_a_full_work_disk_is_warned_of_once_and_the_bake_goes_on(
+    tiny, steps, monkeypatch, capsys, command
+):
+    monkeypatch.setattr("lumitree.direct.bake._SAVE_SECONDS", 0.0)
+    monkeypatch.setattr("lumitree.direct.bake._SAVE_RARELY", 0.0)
+    monkeypatch.setattr(np, "savez", run_out_of_disk)
+    assert main([*command, "--work", "full"]) == 0
+    err = capsys.readouterr().err
+    assert err.count("No space left on device") == 1
+    assert "the bake goes on" in err
+    assert len(steps) > 5
+    assert left() == ["out/lamp.lumitree"]
+
+
+def test_a_full_disk_at_the_end_loses_no_work(tiny, steps, monkeypatch, capsys):
+    with monkeypatch.context() as patch:
+        patch.setattr("safetensors.numpy.save_file", run_out_of_disk)
+        assert main(list(BAKE)) == 2
+    assert "cannot write out/lamp.lumitree: No space left on device" in capsys.readouterr().err
+    done = list(steps)
+    assert left() == UNFINISHED
+    assert main(list(BAKE)) == 0
+    assert steps == done
+    assert left() == ["out/lamp.lumitree"]
+
+
+@pytest.mark.parametrize("name", ["precious.txt", "run/precious.txt"])
+@pytest.mark.parametrize("option", [[], ["--work", "proj"]])
+@pytest.mark.parametrize("method", ["direct", "nerf"])
+def test_a_folder_of_others_is_neither_used_nor_removed(tiny, capsys, name, option, method):
+    path = Path("proj" if option else "out/lamp.work") / name
+    path.parent.mkdir(parents=True)
+    path.write_text("mine")
+    assert main([*BAKE, *option, "--method", method]) == 2
+    assert "holds what lumitree did not write" in capsys.readouterr().err
+    assert left() == [str(path)]
+
+
+def test_a_named_work_folder_stays(tiny, steps, capsys):
+    assert main([*BAKE, "--work", "w"]) == 0
+    assert left() == ["out/lamp.lumitree", f"w/{MARKER}", "w/state.npz"]
+
+
+def test_pictures_are_baked_too(tiny, capsys):
+    assert main(["capture", "lamp.xml", "-o", "d", "--views", "12", "--resolution", "32",
+                 "--spp", "16"]) == 0  # fmt: skip
+    before = left()
+    assert main(["bake", "d", "-o", "out/lamp.lumitree"]) == 0
+    assert left() == [*before, "out/lamp.lumitree"]
+    assert lumitree.load("out/lamp.lumitree").num_leaves > 50
+
+
+def test_training_that_was_killed_before_its_first_checkpoint_starts_again(monkeypatch, capsys):
+    train = dataclasses.replace(tiny_bakes.network_preset().train, num_steps=20)
+    monkeypatch.setitem(PRESETS, "preview", train)
+    assert main(["capture", "lamp.xml", "-o", "d", "--views", "8", "--resolution", "32",
+                 "--spp", "16"]) == 0  # fmt: skip
+    command = ["train", "d", "-o", "run"]
+    for again in (command, [*command, "--resume"]):
+        with monkeypatch.context() as patch:
+            patch.setattr("lumitree.nerf.train._Loop.run", die)
+            assert main(again) == 1
+        assert Path("run/run.json").exists()
+    assert main([*command, "--resume"]) == 0
+    capsys.readouterr()
+    assert main(command) == 2
+    assert "run is not empty; continue it with --resume" in capsys.readouterr().err
+
+
+def test_training_goes_on_where_a_checkpoint_cannot_be_written(monkeypatch, capsys):
+    from lumitree.nerf import train as training
+
+    train = dataclasses.replace(tiny_bakes.network_preset().train, num_steps=20)
+    monkeypatch.setitem(PRESETS, "preview", train)
+    assert main(["capture", "lamp.xml", "-o", "d", "--views", "8", "--resolution", "32",
+                 "--spp", "16"]) == 0  # fmt: skip
+    save, failed = training.save_checkpoint, []
+
+    def fail_at_first(*args):
+        if not failed:
+            failed.append(1)
+            raise LumitreeError("cannot write a checkpoint")
+        return save(*args)
+
+    monkeypatch.setattr(training, "save_checkpoint", fail_at_first)
+    monkeypatch.setattr(training, "_CHECKPOINT_SECONDS", 0.0)
+    assert main(["train", "d", "-o", "run"]) == 0
+    assert "the training goes on" in capsys.readouterr().err
+    assert Path("run/checkpoints").is_dir()
