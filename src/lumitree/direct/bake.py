@@ -413,7 +413,8 @@ class _Loop:
             if self._can_save:
                 self._can_save = False
                 warnings.warn(
-                    f"{error}; the bake goes on, but cannot be continued if it is killed",
+                    f"cannot save the state of the bake: {error.__cause__}; the bake goes on, but "
+                    "cannot be continued if it is killed",
                     LumitreeWarning,
                     stacklevel=2,
                 )
