@@ -4,33 +4,111 @@ Import lumitree before mitsuba: it then names a working libLLVM to Mitsuba (see
 `lumitree.core.backend`).
 """
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from lumitree.core.backend import select_llvm
-from lumitree.errors import LumitreeError
+from lumitree.core.interrupt import Interrupted
+from lumitree.core.progress import Progress, show_progress
+from lumitree.errors import LumitreeError, LumitreeWarning
 
 if TYPE_CHECKING:
+    from lumitree.api.baking import bake, bake_network, capture, extract, refine, train
+    from lumitree.api.luminaires import builtin_luminaires, load_luminaire
+    from lumitree.api.results import (
+        BakeResult,
+        CaptureResult,
+        EvaluateResult,
+        PreviewResult,
+        RenderResult,
+        Result,
+        TrainResult,
+    )
+    from lumitree.api.viewing import evaluate, preview, render
     from lumitree.asset.file import load, save
-    from lumitree.render.plugins import register
-    from lumitree.render.shape import shape
+    from lumitree.asset.model import Asset, AssetInfo
+    from lumitree.luminaire.luminaire import Luminaire
+    from lumitree.luminaire.source import LuminaireSource
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.plugins import register
+    from lumitree.rendering.shape import shape
 
 __version__ = "0.1.0"
-__all__ = ["LumitreeError", "load", "register", "save", "shape"]
 
+# Where each public name is defined; imported on first use, so that `lumitree --help` answers at
+# once.
 _HOMES = {
-    "load": "lumitree.asset.file",
-    "save": "lumitree.asset.file",
-    "register": "lumitree.render.plugins",
-    "shape": "lumitree.render.shape",
+    "Asset": "asset.model",
+    "AssetInfo": "asset.model",
+    "BakeResult": "api.results",
+    "CaptureResult": "api.results",
+    "EvaluateResult": "api.results",
+    "Luminaire": "luminaire.luminaire",
+    "LuminaireSource": "luminaire.source",
+    "Placement": "rendering.placement",
+    "PreviewResult": "api.results",
+    "RenderResult": "api.results",
+    "Result": "api.results",
+    "TrainResult": "api.results",
+    "bake": "api.baking",
+    "bake_network": "api.baking",
+    "builtin_luminaires": "api.luminaires",
+    "capture": "api.baking",
+    "evaluate": "api.viewing",
+    "extract": "api.baking",
+    "load": "asset.file",
+    "load_luminaire": "api.luminaires",
+    "preview": "api.viewing",
+    "refine": "api.baking",
+    "register": "rendering.plugins",
+    "render": "api.viewing",
+    "save": "asset.file",
+    "shape": "rendering.shape",
+    "train": "api.baking",
 }
+__all__ = [
+    "Asset",
+    "AssetInfo",
+    "BakeResult",
+    "CaptureResult",
+    "EvaluateResult",
+    "Interrupted",
+    "Luminaire",
+    "LuminaireSource",
+    "LumitreeError",
+    "LumitreeWarning",
+    "Placement",
+    "PreviewResult",
+    "Progress",
+    "RenderResult",
+    "Result",
+    "TrainResult",
+    "bake",
+    "bake_network",
+    "builtin_luminaires",
+    "capture",
+    "evaluate",
+    "extract",
+    "load",
+    "load_luminaire",
+    "preview",
+    "refine",
+    "register",
+    "render",
+    "save",
+    "shape",
+    "show_progress",
+    "train",
+]
 
 select_llvm()
 
 
 def __getattr__(name: str) -> Any:
-    # Lazy, so that `lumitree --help` answers at once.
     if name in _HOMES:
-        import importlib
-
-        return getattr(importlib.import_module(_HOMES[name]), name)
+        return getattr(importlib.import_module(f"lumitree.{_HOMES[name]}"), name)
     raise AttributeError(f"module 'lumitree' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

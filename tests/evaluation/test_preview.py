@@ -61,10 +61,10 @@ def test_tiles_show_pixels_one_to_one_where_legible(resolution, side):
 
 
 def test_sheet_shows_radiance_twice_and_both_opacities(preview, tmp_path):
-    from lumitree.evaluation.preview import preview_layout, write_preview
+    from lumitree.evaluation.preview import preview_layout, draw_preview
 
     taken = preview(sphere("lamp", 1, inside=AREA))
-    write_preview(tmp_path / "sheet.png", taken, "lamp", ["1 emitter"])
+    draw_preview(taken, "lamp", ["1 emitter"]).save(tmp_path / "sheet.png")
     layout = preview_layout(48)
     with Image.open(tmp_path / "sheet.png") as image:
         assert image.size == layout.size
@@ -120,7 +120,7 @@ def test_the_brighter_row_brings_what_is_lit_to_middle_grey():
 
 
 def test_other_formats_are_refused(preview, tmp_path):
-    from lumitree.evaluation.preview import write_preview
+    from lumitree.evaluation.preview import draw_preview
 
     with pytest.raises(LumitreeError, match=r"does not end in \.png"):
-        write_preview(tmp_path / "sheet.exr", preview(sphere("a", 1, inside=AREA)), "a", [])
+        draw_preview(preview(sphere("a", 1, inside=AREA)), "a", []).save(tmp_path / "sheet.exr")

@@ -10,7 +10,7 @@ from PIL import Image
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.errors import LumitreeError
 from lumitree.evaluation import sheet, tiles
-from lumitree.evaluation.sheet import SheetRow, relative_error, sheet_layout, write_sheet
+from lumitree.evaluation.sheet import SheetRow, relative_error, sheet_layout, draw_sheet
 
 METRICS = {"psnr_linear": 31.234, "opacity_rmse": 0.0123}
 
@@ -31,7 +31,7 @@ def cell(image, column):
 
 @pytest.mark.parametrize("num_rows", range(1, sheet.MAX_ROWS + 1))
 def test_size(tmp_path, num_rows):
-    write_sheet(tmp_path / "sheet.png", [row()] * num_rows, 1.0, "title")
+    draw_sheet([row()] * num_rows, 1.0, "title").save(tmp_path / "sheet.png")
     with Image.open(tmp_path / "sheet.png") as image:
         assert image.format == "PNG"
         assert image.size == sheet_layout(num_rows).size
@@ -46,7 +46,7 @@ def test_cells_show_what_they_say(tmp_path):
         reference_opacity=np.full((16, 16), 1.0),
         baked_opacity=np.full((16, 16), 0.4),
     )
-    write_sheet(tmp_path / "sheet.png", [view], 4.0, "title")
+    draw_sheet([view], 4.0, "title").save(tmp_path / "sheet.png")
     with Image.open(tmp_path / "sheet.png") as image:
         shown = [cell(image, column).reshape(-1, 3) for column in range(5)]
     exposure = auto_exposure(reference)
@@ -70,7 +70,7 @@ def test_relative_error():
 @pytest.mark.parametrize("shape", [(20, 40), (40, 20), (1, 1)])
 def test_images_keep_their_proportions(tmp_path, shape):
     white = row(*shape, reference_opacity=np.ones(shape))
-    write_sheet(tmp_path / "sheet.png", [white], 1.0, "title")
+    draw_sheet([white], 1.0, "title").save(tmp_path / "sheet.png")
     with Image.open(tmp_path / "sheet.png") as image:
         covered = (cell(image, 3)[..., 0] > 128).mean()
     assert covered == pytest.approx(min(shape) / max(shape), abs=0.02)
@@ -80,26 +80,26 @@ def test_black_and_overflowing_views(tmp_path):
     black = np.zeros((16, 16, 3))
     dark = row(16, 16, reference=black, baked=black)
     bright = row(16, 16, baked=np.full((16, 16, 3), 1e9))
-    write_sheet(tmp_path / "sheet.png", [dark, bright], 1.0, "title")
+    draw_sheet([dark, bright], 1.0, "title").save(tmp_path / "sheet.png")
     assert (tmp_path / "sheet.png").exists()
 
 
 def test_text_is_taken_literally(tmp_path):
-    write_sheet(tmp_path / "sheet.png", [row(name=r"a$b_{")], 1.0, r"lamp $\frac{ 100%")
+    draw_sheet([row(name=r"a$b_{")], 1.0, r"lamp $\frac{ 100%").save(tmp_path / "sheet.png")
     assert (tmp_path / "sheet.png").exists()
 
 
 def test_same_input_gives_same_bytes_whatever_the_users_settings(tmp_path):
-    write_sheet(tmp_path / "one.png", [row()], 1.0, "title")
+    draw_sheet([row()], 1.0, "title").save(tmp_path / "one.png")
     with mpl.rc_context({"savefig.dpi": 30, "savefig.bbox": "tight", "figure.dpi": 50}):
-        write_sheet(tmp_path / "two.png", [row()], 1.0, "title")
+        draw_sheet([row()], 1.0, "title").save(tmp_path / "two.png")
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
 
 
 def test_leaves_pyplot_alone(tmp_path):
     if "matplotlib.pyplot" in sys.modules:
         pytest.skip("another test has loaded pyplot")
-    write_sheet(tmp_path / "sheet.png", [row()], 1.0, "title")
+    draw_sheet([row()], 1.0, "title").save(tmp_path / "sheet.png")
     assert "matplotlib.pyplot" not in sys.modules
 
 
@@ -121,7 +121,7 @@ def test_caption_says_what_black_scores():
 )
 def test_bad_rows(tmp_path, changes, message):
     with pytest.raises(LumitreeError, match=message) as caught:
-        write_sheet(tmp_path / "sheet.png", [row(), row(**changes)], 1.0, "title")
+        draw_sheet([row(), row(**changes)], 1.0, "title").save(tmp_path / "sheet.png")
     assert "\n" not in str(caught.value)
     assert not list(tmp_path.iterdir())
 
@@ -129,18 +129,18 @@ def test_bad_rows(tmp_path, changes, message):
 @pytest.mark.parametrize("num_rows", [0, 7])
 def test_number_of_rows(tmp_path, num_rows):
     with pytest.raises(LumitreeError, match="1 to 6 views"):
-        write_sheet(tmp_path / "sheet.png", [row()] * num_rows, 1.0, "title")
+        draw_sheet([row()] * num_rows, 1.0, "title").save(tmp_path / "sheet.png")
 
 
 @pytest.mark.parametrize("max_radiance", [0.0, -1.0, math.nan])
 def test_l_max(tmp_path, max_radiance):
     with pytest.raises(LumitreeError, match="L_max"):
-        write_sheet(tmp_path / "sheet.png", [row()], max_radiance, "title")
+        draw_sheet([row()], max_radiance, "title").save(tmp_path / "sheet.png")
 
 
 def test_other_formats_are_refused(tmp_path):
     with pytest.raises(LumitreeError, match=r"does not end in \.png"):
-        write_sheet(tmp_path / "sheet.jpg", [row()], 1.0, "title")
+        draw_sheet([row()], 1.0, "title").save(tmp_path / "sheet.jpg")
 
 
 def test_leaves_nothing_behind_when_writing_fails(tmp_path, monkeypatch):
@@ -151,7 +151,7 @@ def test_leaves_nothing_behind_when_writing_fails(tmp_path, monkeypatch):
     (tmp_path / "sheet.png").write_bytes(b"old")
     monkeypatch.setattr(tiles.FigureCanvasAgg, "print_png", fail)
     with pytest.raises(LumitreeError, match="No space left on device"):
-        write_sheet(tmp_path / "sheet.png", [row()], 1.0, "title")
+        draw_sheet([row()], 1.0, "title").save(tmp_path / "sheet.png")
     assert [path.name for path in tmp_path.iterdir()] == ["sheet.png"]
     assert (tmp_path / "sheet.png").read_bytes() == b"old"
 
@@ -159,4 +159,4 @@ def test_leaves_nothing_behind_when_writing_fails(tmp_path, monkeypatch):
 def test_folder_that_cannot_be_made(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(LumitreeError, match="cannot write"):
-        write_sheet(tmp_path / "file" / "sheet.png", [row()], 1.0, "title")
+        draw_sheet([row()], 1.0, "title").save(tmp_path / "file" / "sheet.png")

@@ -99,6 +99,12 @@ def is_empty(folder: Path) -> bool:
     return all(_TEMPORARY in name and name.startswith(".") for name in os.listdir(folder))
 
 
+def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
+    """Write a file, atomically."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
 def write_json(path: str | os.PathLike[str], value: Any) -> None:
     """Write `value` as indented JSON, atomically."""
     with atomic_path(path) as temporary:

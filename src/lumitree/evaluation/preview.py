@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import os
 import time
 from collections.abc import Sequence
 
@@ -10,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.capture.camera import Camera, Picture
-from lumitree.core.arguments import check_sheet_output
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.core.progress import progress
 from lumitree.core.sampling import pose_towards
@@ -86,24 +84,13 @@ def preview_layout(resolution: int) -> Layout:
     return Layout(len(VIEWS), NUM_ROWS, tile, title=60, caption=6, side=30)
 
 
-def write_preview(
-    path: str | os.PathLike[str], preview: Preview, title: str, facts: Sequence[str]
-) -> None:
-    """Write the sheet: a column for each view, rows for radiance at two exposures and opacities.
+def draw_preview(preview: Preview, title: str, facts: Sequence[str]) -> TileSheet:
+    """Draw the sheet: a column for each view, rows for radiance at two exposures and opacities.
 
     Args:
-        path: the PNG to write, atomically.
         title: name of the luminaire.
         facts: short ones, for the line below the title.
-
-    Raises:
-        LumitreeError: the path is no PNG or cannot be written.
     """
-    check_sheet_output(path)
-    _draw(preview, title, facts).save(path)
-
-
-def _draw(preview: Preview, title: str, facts: Sequence[str]) -> TileSheet:
     exposure, stops = preview.exposure, preview.more_stops
     sheet = TileSheet(preview_layout(preview.radiance.shape[1]), DARK)
     sheet.title(title, "   ·   ".join([*facts, f"exposure {exposure:.3g} in all views"]))

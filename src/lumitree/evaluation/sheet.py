@@ -1,7 +1,6 @@
 """Contact sheet: baked views beside their references, for the eye (decision D9)."""
 
 import dataclasses
-import os
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -9,7 +8,6 @@ from matplotlib import colormaps
 from matplotlib.colors import LogNorm, Normalize
 from numpy.typing import NDArray
 
-from lumitree.core.arguments import check_sheet_output
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.errors import LumitreeError
 from lumitree.evaluation.tiles import Layout, TileSheet, grey
@@ -41,32 +39,28 @@ class SheetRow:
     metrics: Mapping[str, float]
 
 
-def write_sheet(
-    path: str | os.PathLike[str], rows: Sequence[SheetRow], max_radiance: float, title: str
-) -> None:
-    """Write a contact sheet of up to six views as PNG, atomically.
+def draw_sheet(rows: Sequence[SheetRow], max_radiance: float, title: str) -> TileSheet:
+    """Draw a contact sheet of up to six views.
 
     Columns: reference and baked radiance (sRGB, both at the reference's `auto_exposure`), their
     `relative_error` in false colour, reference and baked opacity in grey.
 
     Args:
-        path: the PNG to write.
         rows: 1 to 6 views, shown in this order.
         max_radiance: L_max, radiance unit, positive.
         title: one line above the sheet, e.g. luminaire and asset.
 
     Raises:
         LumitreeError: no or too many rows, images whose shapes do not belong together or that
-            are not finite, a missing metric, or a path that is no PNG or cannot be written.
+            are not finite, or a missing metric.
     """
-    check_sheet_output(path)
     if not 1 <= len(rows) <= MAX_ROWS:
         raise LumitreeError(f"a sheet holds 1 to {MAX_ROWS} views, not {len(rows)}; choose some")
     if not (np.isfinite(max_radiance) and max_radiance > 0):
         raise LumitreeError(f"L_max is {max_radiance}; expected a positive radiance")
     for row in rows:
         _check_row(row)
-    _draw(rows, max_radiance, title).save(path)
+    return _draw(rows, max_radiance, title)
 
 
 def sheet_layout(num_rows: int) -> Layout:

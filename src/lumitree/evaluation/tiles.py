@@ -1,6 +1,7 @@
 """Sheets of labelled square tiles, laid out in pixels, written as PNG."""
 
 import dataclasses
+import io
 import os
 from typing import Any
 
@@ -11,7 +12,8 @@ from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from lumitree.core.files import atomic_path
+from lumitree.core.arguments import check_sheet_output
+from lumitree.core.files import write_bytes
 
 _DPI = 100
 _BAR_HEIGHT = 12
@@ -134,11 +136,17 @@ class TileSheet:
         """Everything written on the sheet, but for the colour bars."""
         return [text.get_text() for text in self._figure.texts]
 
+    def png(self) -> bytes:
+        """The sheet as a PNG file; the same sheet gives the same bytes."""
+        stream = io.BytesIO()
+        # Not `savefig`: its result depends on the user's matplotlibrc.
+        FigureCanvasAgg(self._figure).print_png(stream, metadata={"Software": None})
+        return stream.getvalue()
+
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the PNG, atomically; the same sheet gives the same bytes."""
-        with atomic_path(path) as temporary:
-            # Not `savefig`: its result depends on the user's matplotlibrc.
-            FigureCanvasAgg(self._figure).print_png(temporary, metadata={"Software": None})
+        """Write the PNG, atomically."""
+        check_sheet_output(path)
+        write_bytes(path, self.png())
 
     def _text(self, left: float, middle: float, text: str, **style: Any) -> None:
         x, y, _, _ = self._box(left, middle, 0, 0)

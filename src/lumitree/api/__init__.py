@@ -1,0 +1,1 @@
+"""The functions of `lumitree`: typed arguments in, frozen results out."""

@@ -1,0 +1,8 @@
+"""`python -m lumitree.cli`."""
+
+import sys
+
+from lumitree.cli.app import main
+
+if __name__ == "__main__":
+    sys.exit(main())

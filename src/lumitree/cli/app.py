@@ -1,0 +1,153 @@
+"""The program `lumitree`: arguments in, one command, its errors in one line."""
+
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+from lumitree.cli import (
+    bake,
+    capture,
+    demo,
+    evaluate,
+    extract,
+    info,
+    list_luminaires,
+    preview,
+    refine,
+    render,
+    train,
+)
+from lumitree.cli.options import Parser
+from lumitree.cli.output import LONGEST_LINE
+from lumitree.core.interrupt import Interrupted, interruptible
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
+
+DEBUG = "LUMITREE_DEBUG"
+# Their values may begin with a minus sign, which argparse would take for an option.
+_VECTOR_OPTIONS = ("--at", "--rotate")
+_COMMANDS = (
+    list_luminaires,
+    preview,
+    capture,
+    train,
+    extract,
+    bake,
+    refine,
+    info,
+    evaluate,
+    render,
+    demo,
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Returns:
+        The exit status: 0; 1 for an error in lumitree; 2 for bad input; 128 and the signal's number
+        where a signal ended it.
+    """
+    arguments = _join_vectors(list(sys.argv[1:] if argv is None else argv))
+    if not arguments:
+        arguments = ["--help"]
+    with warnings.catch_warnings(), interruptible():
+        warnings.showwarning = _show_warning
+        warnings.simplefilter("always", LumitreeWarning)
+        try:
+            args = _parser().parse_args(arguments)
+            _check_json_output(args.json)
+            result = args.run(args)
+            if args.json:
+                from lumitree.core.files import write_json
+
+                write_json(args.json, result if isinstance(result, dict) else result.to_json())
+            return _status(result)
+        except BrokenPipeError:
+            # The reader of our output (a pager, head) has gone.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        except (Exception, KeyboardInterrupt) as error:
+            return _explain(error)
+
+
+def _status(result: Any) -> int:
+    """Exit status of a command that has returned; says so where a signal ended it early."""
+    number = getattr(result, "stopped_by", None)
+    if number is None:
+        return 0
+    path = getattr(result, "path", None)
+    best = f"the best asset so far is in {path}; " if path is not None else ""
+    return _fail(f"interrupted; {best}the same command continues", 128 + number)
+
+
+def _check_json_output(path: str | None) -> None:
+    """Refuse a file for results that could not be written at the end; makes no folder for it."""
+    if path is None:
+        return
+    from lumitree.core.files import check_writable
+
+    folder = os.path.dirname(path) or "."
+    if not os.path.isdir(folder):
+        raise LumitreeError(f"--json: no folder {shown(folder, 300)}; make it, or name another")
+    check_writable(path)
+
+
+def _explain(error: BaseException) -> int:
+    """Print what went wrong in one line; returns the exit status."""
+    interrupted = _interruption(error)
+    if interrupted is not None:
+        done = str(interrupted) or "the same command continues where that is possible"
+        return _fail(f"interrupted; {done}", 128 + interrupted.number)
+    if os.environ.get(DEBUG):
+        raise error
+    if isinstance(error, LumitreeError):
+        return _fail(str(error), 2)
+    reason = " ".join(str(error).split()) or "no details"
+    return _fail(
+        f"unexpected {type(error).__name__}: {reason} (set {DEBUG}=1 for the traceback)", 1
+    )
+
+
+def _interruption(error: BaseException | None) -> Interrupted | None:
+    """The signal behind an error; Dr.Jit wraps what is raised while it traces a loop."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error if error is None or isinstance(error, Interrupted) else Interrupted()
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    print(f"lumitree: warning: {shown(message, LONGEST_LINE)}", file=sys.stderr)
+
+
+def _fail(message: str, status: int) -> int:
+    print(f"lumitree: error: {shown(message, LONGEST_LINE)}", file=sys.stderr)
+    return status
+
+
+def _join_vectors(arguments: list[str]) -> list[str]:
+    joined: list[str] = []
+    for argument in arguments:
+        if joined and joined[-1] in _VECTOR_OPTIONS:
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="lumitree",
+        description="Bake a complex luminaire once; light Mitsuba 3 scenes with it ever after.",
+        epilog="LUMINAIRE is a built-in name (see 'lumitree list'), a Mitsuba 3 scene (.xml), or a "
+        "model (.obj, .gltf, .glb) with an optional .toml of the same name beside it; see "
+        "docs/bring-your-own-lamp.md.",
+    )
+    from lumitree import __version__
+
+    parser.add_argument("--version", action="version", version=f"lumitree {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
+    for command in _COMMANDS:
+        command.add(commands)
+    return parser

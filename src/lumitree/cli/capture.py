@@ -1,0 +1,35 @@
+"""`lumitree capture`."""
+
+import argparse
+from typing import Any
+
+from lumitree.cli import options
+from lumitree.cli.output import print_result
+
+
+def add(commands: Any) -> None:
+    text = "render views of a luminaire: radiance and opacity"
+    parser = options.command(commands, "capture", text, run)
+    options.add_luminaire(parser)
+    options.add_output(parser, "DATASET", "folder for the views; run again to continue")
+    parser.add_argument(
+        "--split", choices=("train", "test"), default="train", help="which directions"
+    )
+    options.add_views(parser, 100, 256, 128)
+    options.add_variant(parser)
+
+
+def run(args: argparse.Namespace) -> Any:
+    import lumitree
+
+    result = lumitree.capture(
+        options.luminaire(args, args.luminaire),
+        args.output,
+        num_views=args.views,
+        resolution=args.resolution,
+        samples_per_pixel=args.spp,
+        split=args.split,
+        variant=args.variant,
+    )
+    print_result(result)
+    return result

@@ -1,0 +1,35 @@
+"""`lumitree demo`."""
+
+import argparse
+from typing import Any
+
+from lumitree.cli import options
+from lumitree.cli.output import print_metrics, print_report
+
+
+def add(commands: Any) -> None:
+    text = "bake the built-in lamp and hang it in a room"
+    parser = options.command(commands, "demo", text, run)
+    parser.add_argument(
+        "-o",
+        dest="output",
+        metavar="DIR",
+        default="demo-output",
+        help="folder for images, report and asset",
+    )
+    options.add_variant(parser)
+
+
+def run(args: argparse.Namespace) -> Any:
+    from lumitree import demo
+
+    report = demo.run(args.output, args.variant)
+    evaluation = report["evaluate"]
+    print_metrics(evaluation)
+    metrics = evaluation["metrics"]
+    linear = metrics["psnr_linear"] - metrics["psnr_linear_black"]
+    mulaw = metrics["psnr_mulaw"] - metrics["psnr_mulaw_black"]
+    print(f"gain over black: {linear:.1f} dB linear, {mulaw:.1f} dB mu-law")
+    print_report({name: report[name] for name in ("seconds", "peak_memory_bytes")})
+    print(f"written: {', '.join(report['files'])}")
+    return report

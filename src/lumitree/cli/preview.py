@@ -1,0 +1,52 @@
+"""`lumitree preview`."""
+
+import argparse
+from typing import Any
+
+from lumitree.cli import options
+from lumitree.cli.output import print_lines
+
+
+def add(commands: Any) -> None:
+    text = "look at a luminaire from six sides, and print its figures"
+    parser = options.command(commands, "preview", text, run)
+    options.add_luminaire(parser)
+    options.add_output(parser, "SHEET", "contact sheet (.png)")
+    options.add_pixels(parser, 256, 64)
+    parser.add_argument(
+        "--bounces",
+        action="store_true",
+        help="also measure what paths of 32, 64 and 128 bounces miss",
+    )
+    options.add_variant(parser)
+
+
+def run(args: argparse.Namespace) -> Any:
+    import lumitree
+
+    result = lumitree.preview(
+        options.luminaire(args, args.luminaire),
+        args.output,
+        resolution=args.resolution,
+        samples_per_pixel=args.spp,
+        bounces=args.bounces,
+        variant=args.variant,
+    )
+    watts = ", ".join(f"{value:.4g}" for value in result.flux.watts)
+    errors = ", ".join(f"{value:.2g}" for value in result.flux.watts_error)
+    lines = {
+        "luminaire": result.luminaire,
+        "triangles": f"{result.triangles:,}",
+        "emitters": result.emitters,
+        "L_max": f"{result.max_radiance:.4g} W/(m² sr)",
+        "size": " x ".join(f"{side:.4g}" for side in result.size),
+        "media": "yes" if result.has_media else "no",
+        "flux": f"{result.flux} (lengths taken as metres)",
+        "flux R, G, B": f"{watts} ± {errors} W",
+        "paths a second": f"{result.paths_per_second:,.0f}",
+    }
+    for item in result.bounces or ():
+        name = f"beyond {item.path_depth} bounces"
+        lines[name] = f"{100 * item.share:.2g} ± {100 * item.error:.1g} % of the flux"
+    print_lines(lines | {"sheet": result.sheet})
+    return result

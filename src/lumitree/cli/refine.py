@@ -1,0 +1,35 @@
+"""`lumitree refine`."""
+
+import argparse
+from typing import Any
+
+from lumitree.cli import options
+from lumitree.cli.output import print_result
+
+
+def add(commands: Any) -> None:
+    text = "improve an asset with rays traced through its luminaire"
+    parser = options.command(commands, "refine", text, run)
+    parser.add_argument("asset", metavar="ASSET", help="a .lumitree file, from either method")
+    options.add_luminaire(parser)
+    options.add_output(parser, "ASSET", "the improved .lumitree file; run again to continue")
+    options.add_budget(parser)
+    options.add_work(parser)
+    options.add_variant(parser)
+
+
+def run(args: argparse.Namespace) -> Any:
+    import lumitree
+
+    result = lumitree.refine(
+        args.asset,
+        options.luminaire(args, args.luminaire),
+        args.output,
+        time=args.time,
+        rays=args.rays,
+        seed=args.seed,
+        work=args.work,
+        variant=args.variant,
+    )
+    print_result(result)
+    return result

@@ -1,0 +1,98 @@
+"""`lumitree render`."""
+
+import argparse
+import math
+from collections.abc import Callable
+from typing import Any
+
+from lumitree.cli import options
+from lumitree.cli.output import print_result
+
+
+class _Place(argparse.Action):
+    """`--place` starts a placement; `--at`, `--size` and `--rotate` describe the latest one."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        if self.dest == "place":
+            namespace.place = [*(namespace.place or []), {"source": values}]
+        elif not namespace.place:
+            parser.error(f"{option_string} comes before any --place")
+        elif self.dest in namespace.place[-1]:
+            parser.error(f"{option_string} is given twice for {namespace.place[-1]['source']}")
+        else:
+            namespace.place[-1][self.dest] = values
+
+
+def add(commands: Any) -> None:
+    text = "render a Mitsuba scene with luminaires placed in it"
+    parser = options.command(commands, "render", text, run)
+    parser.add_argument("scene", metavar="SCENE.xml", help="a Mitsuba 3 scene with a camera")
+    options.add_output(parser, "IMAGE", ".exr (linear) or .png (tone-mapped)")
+    parser.add_argument(
+        "--place",
+        action=_Place,
+        metavar="ASSET",
+        help="a .lumitree file, or a LUMINAIRE for its explicit geometry; "
+        "may be repeated, each with its own --at, --size and --rotate",
+    )
+    parser.add_argument(
+        "--at",
+        action=_Place,
+        type=_vector(3),
+        metavar="X,Y,Z",
+        help="centre of its bounding box, scene units (default: its own)",
+    )
+    parser.add_argument(
+        "--size",
+        action=_Place,
+        type=float,
+        metavar="S",
+        help="largest side of its bounding box, scene units (default: its own)",
+    )
+    parser.add_argument(
+        "--rotate",
+        action=_Place,
+        type=_vector(4),
+        metavar="AX,AY,AZ,DEG",
+        help="turn about its centre: axis, degrees",
+    )
+    parser.add_argument("--spp", type=int, metavar="N", default=64, help="samples a pixel")
+    parser.add_argument(
+        "--width",
+        type=int,
+        metavar="W",
+        help="image width in pixels (default: the scene's)",
+    )
+    parser.add_argument(
+        "--proxy", choices=("box", "sphere"), default="box", help="surface that carries the field"
+    )
+    options.add_variant(parser)
+
+
+def run(args: argparse.Namespace) -> Any:
+    import lumitree
+
+    result = lumitree.render(
+        args.scene,
+        [lumitree.Placement(**placement) for placement in args.place or ()],
+        args.output,
+        samples_per_pixel=args.spp,
+        width=args.width,
+        proxy=args.proxy,
+        variant=args.variant,
+    )
+    print_result(result)
+    return result
+
+
+def _vector(count: int) -> Callable[[str], tuple[float, ...]]:
+    def parse(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) != count or not all(math.isfinite(value) for value in values):
+            raise argparse.ArgumentTypeError(f"{text!r} is not {count} numbers separated by commas")
+        return values
+
+    return parse

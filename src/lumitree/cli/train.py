@@ -1,0 +1,24 @@
+"""`lumitree train`."""
+
+import argparse
+from typing import Any
+
+from lumitree.cli import options
+from lumitree.cli.output import print_result
+
+
+def add(commands: Any) -> None:
+    text = "train the radiance-field network on a dataset"
+    parser = options.command(commands, "train", text, run)
+    parser.add_argument("dataset", metavar="DATASET", help="folder made by 'lumitree capture'")
+    options.add_output(parser, "RUN", "folder for checkpoints and history")
+    options.add_preset(parser)
+    parser.add_argument("--resume", action="store_true", help="continue an interrupted run")
+
+
+def run(args: argparse.Namespace) -> Any:
+    import lumitree
+
+    result = lumitree.train(args.dataset, args.output, preset=args.preset, resume=args.resume)
+    print_result(result)
+    return result
