@@ -199,7 +199,7 @@ def open_field(
     stamp = path.stat() if path.exists() else None
     key = (
         path,
-        stamp and (stamp.st_mtime_ns, stamp.st_size),
+        stamp and (stamp.st_mtime_ns, stamp.st_size, stamp.st_ino),
         mi.variant(),
         min_density,
         max_opacity,
