@@ -211,7 +211,7 @@ def _warn_far(item: Placement) -> None:
         warnings.warn(
             f"{item.source}: at coordinates of {coordinate:.4g} volpath starts rays {offset:.2g} "
             f"from surfaces, for a luminaire of size {size:.2g}; surfaces near it are lit wrongly "
-            f"by about {0.11 * offset / size:.0%}; place it nearer the origin, or use smaller units",
+            f"by about {0.11 * offset / size:.0%}; place it nearer the origin or use smaller units",
             LumitreeWarning,
             stacklevel=3,
         )
