@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
+from lumitree.core.backend import quieten
 from lumitree.core.interrupt import Interrupted, interruptible
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
@@ -30,6 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _join_vectors(list(sys.argv[1:] if argv is None else argv))
     if not arguments:
         arguments = ["--help"]
+    quieten()
     with warnings.catch_warnings(), interruptible():
         warnings.showwarning = _show_warning
         warnings.simplefilter("always", LumitreeWarning)

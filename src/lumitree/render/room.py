@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.frames import placement
 from lumitree.core.progress import progress
-from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.luminaires.luminaire import Luminaire, load_luminaire, place_shapes
 from lumitree.luminaires.scene_file import SceneFile
 from lumitree.render.field import Field, open_field
@@ -107,8 +107,16 @@ def furnish(
         objects["environment"] = room.environment()
     distant = [e for e in room.emitters() if e.get_shape() is None and not e.is_environment()]
     objects |= {f"emitter_{i}": item for i, item in enumerate(distant)}
+    places: list[tuple[str, bytes]] = []
     for index, item in enumerate(placements):
         scene_from_world, box = item.scene_from_world()
+        place = (item.source, scene_from_world.tobytes())
+        if place in places:
+            raise LumitreeError(
+                f"{shown(item.source, 200)} is placed twice in the same place; give each its own "
+                "--at"
+            )
+        places.append(place)
         if item.baked:
             _warn_inside(room, item, box)
         shapes = item.shapes(proxy, scene_from_world, sampling)
