@@ -7,6 +7,7 @@ from lumitree.capture.camera import Camera, check_settings
 from lumitree.core.dataset import MANIFEST, Dataset, Frame, Manifest, Split, View
 from lumitree.core.progress import progress
 from lumitree.core.sampling import FIRST_TEST_INDEX, view_pose
+from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.luminaires.tracing import PATH_DEPTH
@@ -36,7 +37,7 @@ def capture(
     done = len(manifest.frames) - len(missing)
     with progress(f"capture {luminaire.name}", len(manifest.frames), done) as advance:
         for frame in missing:
-            picture = camera.take(frame.pose, frame.halton_index)
+            picture = camera.take(frame.pose, SeedStream(Purpose.CAPTURE, frame.halton_index))
             dataset.write(View(frame, **vars(picture)))
             advance(1)
     return dataset

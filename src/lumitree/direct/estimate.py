@@ -26,6 +26,7 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, basis_array, num_coefficients
 from lumitree.core.sampling import halton_direction
+from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.core.transmittance import Law
 from lumitree.direct.light_paths import LightPaths
 from lumitree.direct.rays import Stops, TracedRays
@@ -72,7 +73,7 @@ def grow(rays: TracedRays, tree_depth: int, lines_a_level: int) -> NDArray[np.in
     while level < tree_depth:
         octree = _tree(cells, level, half)
         lines = max(_BATCH, lines_a_level >> (2 * (tree_depth - 1 - level)))
-        stops = _count_stops(rays, octree, len(cells), lines, first_batch=level << 20)
+        stops = _count_stops(rays, octree, len(cells), lines, level)
         cells = split(cells[stops > 0])
         level += 1
         cells = cells[inside_box(cells, level, half)]
@@ -107,9 +108,10 @@ def estimate(
     octree = _tree(cells, tree_depth, half)
     sums = _Sums(len(cells), l_max)
     for batch in range(-(-num_lines // _BATCH)):
-        sums.add(octree, rays.stops(_BATCH, batch))
+        stream = SeedStream(Purpose.ESTIMATE, batch)
+        sums.add(octree, rays.stops(_BATCH, stream))
         # Flux in units of the radiance of one of the lines.
-        sums.add_light(octree, rays.light(_BATCH // 2, batch), _BATCH / rays.measure)
+        sums.add_light(octree, rays.light(_BATCH // 2, stream), _BATCH / rays.measure)
     # What no path crosses lies inside something: it is kept too, and made opaque.
     kept = dr.compress((sums.stops > 0) | (sums.entries == 0))
     cells = cells[np.array(kept)]
@@ -147,11 +149,11 @@ def _tree(cells: NDArray[np.int64], level: int, half_extents: NDArray[np.float64
 
 
 def _count_stops(
-    rays: TracedRays, octree: Octree, num_cells: int, lines: int, first_batch: int
+    rays: TracedRays, octree: Octree, num_cells: int, lines: int, level: int
 ) -> NDArray[np.float32]:
     count = dr.zeros(mi.Float, num_cells)
     for batch in range(-(-lines // _BATCH)):
-        stops = rays.stops(_BATCH, first_batch + batch)
+        stops = rays.stops(_BATCH, SeedStream(Purpose.GROWTH, level, batch))
         leaf, found = octree.find_leaf(stops.point, stops.stopped)
         dr.scatter_add(count, mi.Float(1), leaf, found)
         dr.eval(count)
