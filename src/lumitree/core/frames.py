@@ -18,6 +18,8 @@ Vector = TypeVar("Vector")
 
 # A box this thin (local units) still has an inside that a ray can cross.
 MIN_HALF_EXTENT = 1e-3
+# Scales and distances whose squares and cubes are finite in float32.
+MIN_SCALE, MAX_SCALE = 1e-12, 1e12
 
 
 def towards_viewer(direction: Vector) -> Vector:
@@ -104,6 +106,29 @@ def similarity_scale(matrix: ArrayLike, what: str = "transform") -> float:
             "use rotation, translation and uniform scale only"
         )
     return scale
+
+
+def check_local_frame(half_extents: ArrayLike, world_from_proxy: ArrayLike) -> None:
+    """Refuse what is no local frame (D8), or none that single precision can hold.
+
+    Args:
+        half_extents: [3] the proxy box in local units: at least 1e-3, and the longest 1.
+        world_from_proxy: [4, 4] a similarity with a scale of 1e-12 to 1e12, which moves the box
+            by at most as much along each axis.
+    """
+    half = np.asarray(half_extents, np.float64)
+    if half.shape != (3,) or not (half >= MIN_HALF_EXTENT).all() or not abs(half.max() - 1) < 1e-6:
+        raise LumitreeError(
+            f"half_extents are {half.tolist()}; expected 3 lengths of {MIN_HALF_EXTENT} or more, "
+            "the longest 1"
+        )
+    matrix = np.asarray(world_from_proxy, np.float64)
+    # Before the determinant is taken, which might overflow.
+    if matrix.shape != (4, 4) or not (np.abs(matrix) <= MAX_SCALE).all():
+        raise LumitreeError(f"world_from_proxy is not 4 x 4 numbers of at most {MAX_SCALE:g}")
+    scale = similarity_scale(matrix, "world_from_proxy")
+    if scale < MIN_SCALE:
+        raise LumitreeError(f"world_from_proxy has the scale {scale:g}; expected {MIN_SCALE:g} up")
 
 
 def placement(
