@@ -1,12 +1,13 @@
 """Files that are missing, unreadable or hostile: one line each."""
 
+import contextlib
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lumitree.core.reading import Record, label, parse_json, read_bytes
+from lumitree.core.reading import Record, label, parse_json, read_arrays, read_bytes
 from lumitree.errors import LumitreeError
 
 
@@ -144,3 +145,38 @@ def test_versions_are_told_apart():
 def test_labels_are_what_files_may_hold(name, kept):
     assert label(name) == kept
     assert record(name=label(name)).label("name") == kept
+
+
+def test_arrays_are_read(tmp_path):
+    np.savez(tmp_path / "a.npz", one=np.arange(3), two=np.array("text"))
+    assert read_arrays(tmp_path / "a.npz").keys() == {"one", "two"}
+    assert read_arrays(tmp_path / "a.npz", "one")["one"].tolist() == [0, 1, 2]
+    assert "damaged (KeyError)" in refusal(read_arrays, tmp_path / "a.npz", "three")
+    assert "missing or no regular file" in refusal(read_arrays, tmp_path / "none.npz")
+    assert "missing or no regular file" in refusal(read_arrays, tmp_path)
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+def test_damaged_archives_are_refused(tmp_path, save):
+    path = tmp_path / "a.npz"
+    save(path, one=np.arange(50), two=np.array("text"), three=np.ones((2, 3)))
+    whole = path.read_bytes()
+    np.save(tmp_path / "array.npy", np.arange(3))
+    np.save(tmp_path / "objects.npy", np.array([{}]), allow_pickle=True)
+    others = [(tmp_path / name).read_bytes() for name in ("array.npy", "objects.npy")]
+    huge = (tmp_path / "array.npy").read_bytes().replace(b"(3,)", b"(9999999999999,)")
+    for content in (b"", b"x", b"text" * 99, whole[:-1], whole[: len(whole) // 2], huge, *others):
+        path.write_bytes(content)
+        refusal(read_arrays, path)
+    loaded = 0
+    random = np.random.default_rng(0)
+    for _ in range(400):
+        content = bytearray(whole)
+        for place in random.integers(len(content), size=random.integers(1, 4)):
+            content[place] = random.integers(256)
+        path.write_bytes(content)
+        with contextlib.suppress(LumitreeError):
+            read_arrays(path)
+            loaded += 1
+    # Most damage is noticed; what is not may only be in the numbers.
+    assert loaded < 200

@@ -6,6 +6,10 @@ Every refusal is one line of printable characters, whatever the file holds.
 import json
 import os
 import stat
+import struct
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -16,6 +20,22 @@ from numpy.typing import NDArray
 from lumitree.errors import LumitreeError
 
 _T = TypeVar("_T", bound=str | int)
+# What NumPy raises for damaged archives; RuntimeError where a flag says that one is encrypted, and
+# TypeError where the file is no archive but one array.
+_DAMAGED_ARCHIVE = (
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    RuntimeError,
+    TypeError,
+    MemoryError,
+    SyntaxError,
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    tokenize.TokenError,
+)
 # Characters of a name that a file keeps.
 MAX_LABEL = 1000
 # Characters of a value that a message shows.
@@ -52,6 +72,21 @@ def read_bytes(path: str | os.PathLike[str], expected: str, max_bytes: int) -> b
     except ValueError:
         name = repr(str(path))[:_SHOWN]
         raise LumitreeError(f"{name} is no file name; expected {expected}") from None
+
+
+def read_arrays(path: str | os.PathLike[str], *names: str) -> dict[str, NDArray[Any]]:
+    """The arrays of an `.npz` archive, or those of some names; no code in it is run.
+
+    Raises:
+        LumitreeError: there is no file, it is damaged, or an array is missing.
+    """
+    if not os.path.isfile(path):
+        raise LumitreeError(f"{path} is missing or no regular file")
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in names or archive.files}
+    except _DAMAGED_ARCHIVE as error:
+        raise LumitreeError(f"{path} is damaged ({type(error).__name__})") from None
 
 
 def label(name: str) -> str:
