@@ -24,12 +24,8 @@ def emission(field):
 
 def weights(mi, field):
     """How much of many rays each leaf makes up [M]."""
-    import drjit as dr
-
-    total = dr.zeros(mi.Float, field.num_leaves)
     origin, direction = random_lines(mi, 1 << 16, 3)
-    field.share_out(origin, direction, mi.Float(1), total)
-    return np.array(total)
+    return np.array(field.share_out(origin, direction, mi.Float(1)))
 
 
 def mean_log_ratio(field, truth, chosen, weight):

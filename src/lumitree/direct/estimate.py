@@ -30,6 +30,7 @@ from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.core.transmittance import Law
 from lumitree.direct.light_paths import LightPaths
 from lumitree.direct.rays import Stops, TracedRays
+from lumitree.direct.sums import ExactSum, total_of
 from lumitree.octree.build import build_children
 
 _START_LEVEL = 5
@@ -178,34 +179,46 @@ class _Sums:
         stop, found = octree.find_leaf(stops.point, stops.stopped)
         dr.scatter_add(self.stops, mi.Float(1), stop, found)
         y = basis(*towards_viewer(stops.direction), self.l_max)
-        for total, (i, j) in zip(self._a, self._pairs, strict=True):
-            dr.scatter_add(total, y[i] * y[j], stop, found)
-        for index, total in enumerate(self._b):
-            channel, k = divmod(index, self._count)
-            dr.scatter_add(total, y[k] * stops.radiance[channel], stop, found)
+        lines = dr.width(stops.origin)
+        self._a = [
+            total + self._sum(y[i] * y[j], stop, found, lines)
+            for total, (i, j) in zip(self._a, self._pairs, strict=True)
+        ]
+        self._add_radiance(y, stops.radiance, stop, found)
 
         end = dr.select(stops.stopped, dr.dot(stops.point - stops.origin, stops.direction), dr.inf)
+        # No chord of a cube of side 2 is as long as 4.
+        chords = ExactSum(dr.width(self.chords), 4.0 * lines)
 
         def visit(state, leaf, start, length, active):
             # A leaf that holds the stop is entered; what lies behind it is not seen.
             stops_here = found & (leaf == stop)
             enters = active & (length > 0) & (stops_here | (start + length < end))
             dr.scatter_add(self.entries, mi.Float(1), leaf, enters)
-            dr.scatter_add(self.chords, length, leaf, enters)
+            chords.add(length, leaf, enters)
             return state, start + length < end
 
         octree.walk(stops.origin, stops.direction, mi.Bool(True), visit, (mi.Float(0),))
+        self.chords += chords.values()
         dr.eval(self.stops, self.entries, self.chords, self._a, self._b)
 
     def add_light(self, octree: Octree, paths: LightPaths, scale: float) -> None:
         """Count light in, its flux times `scale`."""
         leaf, found = octree.find_leaf(paths.stop)
         y = basis(*towards_viewer(paths.direction), self.l_max)
-        flux = paths.flux * dr.opaque(mi.Float, scale)
+        self._add_radiance(y, paths.flux * dr.opaque(mi.Float, scale), leaf, found)
+        dr.eval(self._b)
+
+    def _add_radiance(self, y: list[Any], radiance: Any, leaf: Any, active: Any) -> None:
+        bound = total_of(radiance)
         for index, total in enumerate(self._b):
             channel, k = divmod(index, self._count)
-            dr.scatter_add(total, y[k] * flux[channel], leaf, found)
-        dr.eval(self._b)
+            self._b[index] = total + self._sum(y[k] * radiance[channel], leaf, active, bound)
+
+    def _sum(self, value: Any, leaf: Any, active: Any, bound: float) -> Any:
+        total = ExactSum(dr.width(self.stops), bound)
+        total.add(value, leaf, active)
+        return total.values()
 
     def take(self, leaves: Any) -> "_Sums":
         """Those of some leaves."""
@@ -215,9 +228,9 @@ class _Sums:
         """Sums over the leaves of each parent; `parents` is each leaf's."""
 
         def add_up(values):
-            total = dr.zeros(mi.Float, num_parents)
-            dr.scatter_add(total, values, parents)
-            return total
+            total = ExactSum(num_parents, total_of(values))
+            total.add(values, parents)
+            return total.values()
 
         return self._mapped(num_parents, add_up)
 

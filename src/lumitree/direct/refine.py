@@ -121,22 +121,18 @@ class Refiner:
         light = rays.light * dr.opaque(mi.Float, 1 / self._max_radiance)
         # Lines of both kinds tell of the opacity.
         part = 1 / (1 + _STRAIGHT_LINES)
-        d_density = dr.zeros(mi.Float, field.num_leaves)
-        d_coefficients = dr.zeros(mi.Float, field.num_leaves * field.width)
-        field.scatter_gradients(
+        d_density, d_coefficients = field.gradients(
             rays.origin,
             rays.direction,
             integrated,
             weight * (rays.share * radiance - light),
             part * rays.share * self._by_depth(through, rays.transmittance),
-            d_density,
-            d_coefficients,
         )
         through = field.through(*straight[:2])
         share = dr.opaque(mi.Float, (1 - part) / dr.width(straight[0]))
         d_depth = share * self._by_depth(through, straight[2])
         dr.eval(d_depth)
-        field.scatter_depth_gradient(*straight[:2], d_depth, d_density)
+        d_density += field.depth_gradient(*straight[:2], d_depth)
         fallen = config.final_rate ** min(progress, 1.0)
         field.log_density = dr.minimum(
             self._density_adam.descend(field.log_density, d_density, fallen * config.density_rate),
@@ -208,7 +204,8 @@ class Refiner:
             loss = dr.sum(square * dr.rcp(dr.square(radiance + config.epsilon)))
             loss += _OPACITY_BLAME * dr.square(through - pairs.transmittance)
             dr.eval(loss)
-            field.share_out(pairs.origin, pairs.direction, loss, blame)
+            blame += field.share_out(pairs.origin, pairs.direction, loss)
+            dr.eval(blame)
         return np.maximum(np.array(blame), 0)
 
     def _rebuild(
