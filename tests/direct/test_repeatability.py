@@ -34,19 +34,8 @@ def bulb(lamp):
 
 
 @pytest.fixture
-def small(monkeypatch):
+def small(small_batches):
     """Settings of a bake of all stages that takes seconds."""
-    few = {
-        "bake._ESTIMATE_DEPTH": 4,
-        "estimate._START_LEVEL": 3,
-        "estimate._BATCH": 1 << 15,
-        "balance._LINES": 1 << 12,
-        "balance._TOTAL_LINES": 1 << 12,
-        "heldout._NUM_LINES": 1 << 12,
-        "refine._BLAME_LINES": 1 << 12,
-    }
-    for name, value in few.items():
-        monkeypatch.setattr(f"lumitree.direct.{name}", value)
     return config(tree_depth=5, estimate_lines=1 << 17, rays=1 << 16, refine={"lines": 1 << 11})
 
 
