@@ -183,6 +183,9 @@ def test_a_value_is_shared_out_by_weight(mi, law, density):
     through = np.maximum(1 - tau, 0) if law == "linear" else np.exp(-tau)
     expected = 2 * -np.diff(through)
     assert np.array(total) == pytest.approx(expected, rel=1e-4)
+    # One value for all rays.
+    total = field.share_out(*on_device(mi, origins, directions), mi.Float(1.0))
+    assert np.array(total) == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize("law", ["linear", "exponential"])

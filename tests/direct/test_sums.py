@@ -19,7 +19,7 @@ def summed(mi, values, index, bound=None):
     from lumitree.direct.sums import ExactSum, total_of
 
     values, index = mi.Float(values), mi.UInt32(index)
-    total = ExactSum(SUMS, total_of(values) if bound is None else bound)
+    total = ExactSum(SUMS, total_of(COUNT, values) if bound is None else bound)
     total.add(values, index)
     return np.array(total.values())
 
@@ -75,3 +75,11 @@ def test_nothing_sums_to_nothing(mi):
 def test_what_is_not_finite_is_refused(mi, bound):
     with pytest.raises(LumitreeError, match="NaN or infinity"):
         summed(mi, np.ones(COUNT), np.zeros(COUNT, int), bound)
+
+
+def test_the_bound_counts_a_value_that_all_rays_share(mi):
+    from lumitree.direct.sums import total_of
+
+    assert total_of(4, mi.Float([1, -2, 3, 4])) == 10
+    assert total_of(4, mi.Float(-2)) == 8
+    assert total_of(4, mi.Color3f(1, -2, 3), mi.Float([1, 0, 0, -1])) == 26

@@ -210,7 +210,7 @@ class _Sums:
         dr.eval(self._b)
 
     def _add_radiance(self, y: list[Any], radiance: Any, leaf: Any, active: Any) -> None:
-        bound = total_of(radiance)
+        bound = total_of(dr.width(leaf), radiance)
         for index, total in enumerate(self._b):
             channel, k = divmod(index, self._count)
             self._b[index] = total + self._sum(y[k] * radiance[channel], leaf, active, bound)
@@ -228,7 +228,7 @@ class _Sums:
         """Sums over the leaves of each parent; `parents` is each leaf's."""
 
         def add_up(values):
-            total = ExactSum(num_parents, total_of(values))
+            total = ExactSum(num_parents, total_of(dr.width(parents), values))
             total.add(values, parents)
             return total.values()
 

@@ -212,7 +212,7 @@ class LeafField:
         total, _, last = integrated
         quads = self.width // 4
         # Differences of emission are at most 1, and harmonics of l <= 4 at most 0.85.
-        bound = total_of(d_radiance, d_depth)
+        bound = total_of(dr.width(origin), d_radiance, d_depth)
         by_density = ExactSum(self.num_leaves, _MAX_DEPTH * bound)
         by_coefficient = ExactSum(self.num_leaves * self.width, bound)
 
@@ -248,7 +248,7 @@ class LeafField:
 
     def depth_gradient(self, origin: Any, direction: Any, d_depth: Any) -> Any:
         """By log density, as `gradients`, where the loss depends on the rays' depth alone."""
-        by_density = ExactSum(self.num_leaves, _MAX_DEPTH * total_of(d_depth))
+        by_density = ExactSum(self.num_leaves, _MAX_DEPTH * total_of(dr.width(origin), d_depth))
 
         def shade(state, leaf, start, length, active):
             depth, _, _ = self._cross(state[0], leaf, length, active)
@@ -279,7 +279,7 @@ class LeafField:
         count = harmonics + len(products)
         quads = -(-count // 4)
         cells = int(dr.max(cell)[0]) + 1
-        sums = ExactSum(cells * 3 * 4 * quads, total_of(light, share))
+        sums = ExactSum(cells * 3 * 4 * quads, total_of(dr.width(origin), light, share))
 
         def shade(state, leaf, start, length, active):
             _, tau, after = self._cross(state[0], leaf, length, active)
@@ -301,7 +301,7 @@ class LeafField:
 
     def share_out(self, origin: Any, direction: Any, value: Any) -> Any:
         """Sums (mi.Float [M]) of a value (mi.Float) of each ray by the leaves' weights in it."""
-        total = ExactSum(self.num_leaves, total_of(value))
+        total = ExactSum(self.num_leaves, total_of(dr.width(origin), value))
 
         def shade(state, leaf, start, length, active):
             _, tau, after = self._cross(state[0], leaf, length, active)

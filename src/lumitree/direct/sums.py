@@ -57,9 +57,14 @@ class ExactSum:
         return mi.Float(self._total) * dr.opaque(mi.Float, 1 / self._scale)
 
 
-def total_of(*values: Any) -> float:
-    """Sum of the absolute values of arrays (mi.Float or mi.Color3f): a bound for `ExactSum`."""
+def total_of(count: int, *values: Any) -> float:
+    """A bound for `ExactSum`: the sum of absolute values over `count` rays.
+
+    Args:
+        values: mi.Float or mi.Color3f, of each ray, or one for all.
+    """
     total = 0.0
     for value in values:
-        total += float(dr.sum(dr.abs(value), axis=None)[0])
+        copies = count if dr.width(value) == 1 else 1
+        total += copies * float(dr.sum(dr.abs(value), axis=None)[0])
     return total
