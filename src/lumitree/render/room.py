@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.frames import placement
 from lumitree.core.progress import progress
+from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.luminaires.luminaire import Luminaire, load_luminaire, place_shapes
 from lumitree.luminaires.scene_file import SceneFile
@@ -199,7 +200,11 @@ def render(
         while done < samples_per_pixel:
             count = min(batch, samples_per_pixel - done)
             image = mi.render(
-                scene, sensor=sensor, integrator=integrator, spp=count, seed=(seed << 16) + done
+                scene,
+                sensor=sensor,
+                integrator=integrator,
+                spp=count,
+                seed=SeedStream(Purpose.RENDER, done).seed(seed),
             )
             image = np.array(image)[..., :3] * count
             total = image if total is None else total + image
