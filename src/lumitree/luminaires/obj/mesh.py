@@ -59,10 +59,9 @@ def _cut(
         own = file.corners[starts[polygons][:, None] + np.arange(size)]
         first = _first_of_each(np.sort(rough_places[own[..., 0]], axis=1))
         own, polygons = own[first], polygons[first]
-        pick = triangulate(file.positions[own[..., 0]])
-        cut = np.take_along_axis(own[:, None], pick[..., None], axis=2)
-        corners.append(cut.reshape(-1, 3, 3))
-        groups.append(np.repeat(file.smoothing[polygons], int(size) - 2))
+        pick, polygon = triangulate(file.positions[own[..., 0]])
+        corners.append(own[polygon[:, None], pick])
+        groups.append(file.smoothing[polygons[polygon]])
     every = _Triangles(np.concatenate(corners), np.concatenate(groups))
     ends = places[every.corners[..., 0]]
     proper = (ends != np.roll(ends, 1, axis=1)).all(axis=1)
