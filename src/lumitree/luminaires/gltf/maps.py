@@ -129,13 +129,18 @@ class Textures:
         return Map(table[pixels], sampler, uv_transform(info))
 
     def colour(self, source: Map) -> RGB | Texture:
-        """R, G and B: a texture of encoded colours, or of floats where values exceed 1."""
+        """R, G and B in [0, 1]."""
         if (flat := _flat(source)) is not None:
             red, green, blue = flat
             return (red, green, blue)
-        if source.values.max() > 1:
-            return self._texture(source, source.values.astype(np.float32), False)
         return self._texture(source, _bytes(_encode(source.values)), True)
+
+    def radiance(self, source: Map) -> RGB | Texture:
+        """R, G and B, at least 0 and without an upper limit."""
+        if (flat := _flat(source)) is not None:
+            red, green, blue = flat
+            return (red, green, blue)
+        return self._texture(source, source.values.astype(np.float32), False)
 
     def value(self, source: Map) -> float | Texture:
         """One channel of linear data."""

@@ -23,6 +23,7 @@ from lumitree.luminaires.model import (
     Texture,
     VertexColour,
 )
+from lumitree.luminaires.photometry import LUMENS_PER_WATT
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,7 +127,7 @@ class Materials:
         material = Material(
             self._names.unique(layers.name),
             surface,
-            None if radiance.black() else self._textures.colour(radiance),
+            None if radiance.black() else self._textures.radiance(radiance),
             self._textures.value(opacity),
             self._normal_map(layers, use.mirrored),
             item.flag("doubleSided"),
@@ -188,11 +189,14 @@ def _opacity(layers: Layers, base: Base) -> Map:
 
 
 def _radiance(layers: Layers, opacity: Map) -> Map:
-    """Emitted radiance: Mitsuba's emitters shine where the surface is masked out, too."""
+    """Emitted radiance, W/(m² sr), from the file's cd/m².
+
+    It is multiplied by the opacity, since Mitsuba's emitters also emit where the surface is masked.
+    """
     extension = layers.item.extension("KHR_materials_emissive_strength")
     strength = 1.0 if extension is None else extension.number("emissiveStrength", 1.0, 0.0)
     emitted = layers.colour(layers.item, "emissive", (0.0, 0.0, 0.0), np.inf)
-    emitted = emitted.scaled(strength)
+    emitted = emitted.scaled(strength / LUMENS_PER_WATT)
     if emitted.black() or (opacity.constant and opacity.mean() == (1.0,)):
         return emitted
     return layers.combined(np.multiply, emitted, opacity)

@@ -1,8 +1,7 @@
 """Reading a lamp from a glTF 2.0 file.
 
-Lengths are metres and y is up, as in every glTF file. Emissive factors times strengths are taken
-as radiances in W/(m² sr), and intensities of lights as W/sr: both stand for photometric units
-(cd/m² and cd) in glTF, so that their ratio is kept, and renderers use them as they are, too.
+Lengths are metres and y is up, as in every glTF file. Emissive factors times strengths are
+luminances in cd/m², and intensities of lights are in cd; both are divided by 683 lm/W.
 """
 
 import os
