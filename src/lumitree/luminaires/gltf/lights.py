@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from lumitree.errors import shown
 from lumitree.luminaires.geometry import Floats, Mesh, lathe
 from lumitree.luminaires.gltf.item import Item
 from lumitree.luminaires.gltf.notes import Notes
@@ -32,7 +33,7 @@ def light_part(light: Item, world: Floats, name: str, notes: Notes) -> tuple[Par
     colour = light.numbers("color", (1.0, 1.0, 1.0), 0.0)
     intensity = light.number("intensity", 1.0, 0.0)
     if kind not in ("point", "spot", "directional"):
-        raise light.error(f"is of type {kind[:20]!r}; expected point, spot or directional")
+        raise light.error(f"is of type {shown(kind, 20)!r}; expected point, spot or directional")
     if kind == "directional":
         notes.file("a directional light (it belongs to a room, not to a lamp)")
         return None
