@@ -15,6 +15,7 @@ from lumitree.luminaires.overrides import select_names
 
 # Extinction that a medium's clearest channel has at least, as a share of its densest one's.
 _CLEAR = 1e-5
+_EXTINCTION = "sigma_t.value.value"
 
 
 class SceneFile:
@@ -141,16 +142,27 @@ class SceneFile:
             raise LumitreeError(f"{self.path} cannot be loaded: {reason}") from None
 
 
+def media(scene: Any) -> list[Any]:
+    """Every mi.Medium inside or around a shape of a mi.Scene."""
+    found = []
+    for shape in scene.shapes():
+        if shape.is_medium_transition():
+            found += [shape.interior_medium(), shape.exterior_medium()]
+    return [medium for medium in found if medium is not None]
+
+
 def _keep_clear_channels(scene: Any) -> None:
     """Lift extinctions of 0: there `volpath` divides 0 by 0, and `volpathmis` loses scattering."""
     mi = load_mitsuba()
-    parameters = mi.traverse(scene)
-    for key in [key for key in parameters.keys() if key.endswith("sigma_t.value.value")]:  # noqa: SIM118
-        extinction = np.ravel(parameters[key])
-        lifted = np.maximum(extinction, _CLEAR * extinction.max())
-        if (lifted > extinction).any():
-            parameters[key] = mi.Color3f(*lifted.tolist())
-    parameters.update()
+    for medium in media(scene):
+        parameters = mi.traverse(medium)
+        # Of a medium that varies, or that is grey, there is no such parameter.
+        if _EXTINCTION in parameters:
+            extinction = np.ravel(parameters[_EXTINCTION])
+            lifted = np.maximum(extinction, _CLEAR * extinction.max())
+            if (lifted > extinction).any():
+                parameters[_EXTINCTION] = mi.Color3f(*lifted.tolist())
+                parameters.update()
 
 
 def _is_reference(props: Any, key: str) -> bool:
