@@ -1,11 +1,12 @@
 """A luminaire: a lamp from whatever file as a Mitsuba scene, and its local frame."""
 
+import atexit
+import contextlib
 import dataclasses
 import functools
 import hashlib
 import importlib
 import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.frames import proxy_box, similarity_scale
+from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, shown
 from lumitree.luminaires.builtin.registry import BUILTIN
 from lumitree.luminaires.model import Model
@@ -216,13 +218,11 @@ def _stamp(path: Path) -> tuple[str, int, int]:
 @functools.lru_cache(maxsize=64)
 def _written(source: LuminaireSource, stamps: tuple[tuple[str, int, int], ...]) -> Path:
     """Scene written for a source whose files look as `stamps` say."""
-    folder = tempfile.TemporaryDirectory(prefix=f"lumitree-{Path(source.name).stem}-")
-    _temporary_folders.append(folder)
-    return write_scene(read_model(source), folder.name)
+    return write_scene(read_model(source), _until_exit.enter_context(scratch_folder()))
 
 
-# Held until the process ends, when each removes itself.
-_temporary_folders: list[tempfile.TemporaryDirectory[str]] = []
+_until_exit = contextlib.ExitStack()
+atexit.register(_until_exit.close)
 
 
 def _open(source: LuminaireSource) -> SceneFile:
