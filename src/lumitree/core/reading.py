@@ -131,7 +131,7 @@ class Record:
         self._members, self._what = value, what
 
     def expect_version(self, version: int) -> None:
-        """Refuse an object whose member "version" is another; to be asked before its keys."""
+        """Refuse an object whose member "version" is another; to be called before `expect_keys`."""
         found = self._members.get("version")
         if type(found) is not int or found != version:
             raise LumitreeError(

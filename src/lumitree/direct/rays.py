@@ -138,8 +138,8 @@ class _Part(enum.IntEnum):
 class RaySource(Protocol):
     """Where a bake gets its rays from.
 
-    Rays depend on the source's own root seed and on the `SeedStream` that they are asked for with,
-    not on what was drawn before: so a bake that was interrupted continues with the same rays.
+    Rays depend on the source's own root seed and on the `SeedStream` argument, not on what was
+    drawn before: so a bake that was interrupted continues with the same rays.
     """
 
     @property
@@ -209,7 +209,7 @@ class TracedRays:
         Args:
             count: number of lines, a multiple of `TILE_LINES`.
         """
-        face, turn, *places = _lattice(count // TILE_LINES, self._seed_of(stream, _Part.TILES))
+        face, turn, *places = _lattice(count // TILE_LINES, stream.seed(self._seed, _Part.TILES))
         x, y, z = self._half
         areas = np.array([y * z, z * x, x * y])
         split = np.cumsum(areas / areas.sum())
@@ -225,7 +225,7 @@ class TracedRays:
         right, up = cosine * s + sine * t, cosine * t - sine * s
         dr.eval(centre, direction, right, up)
 
-        self._sampler.seed(self._seed_of(stream, _Part.LINES), count)
+        self._sampler.seed(stream.seed(self._seed, _Part.LINES), count)
         index = dr.arange(mi.UInt32, count)
         tile, within = index // TILE_LINES, index % TILE_LINES
         place = mi.Point2f(within % TILE, within // TILE) - TILE / 2
@@ -283,19 +283,19 @@ class TracedRays:
 
     def light(self, count: int, stream: SeedStream) -> LightPaths:
         """What comes out of `count` paths from the emitters, all but what lines see smoothly."""
-        self._sampler.seed(self._seed_of(stream, _Part.LIGHT_PATHS), count)
+        self._sampler.seed(stream.seed(self._seed, _Part.LIGHT_PATHS), count)
         return trace_light(self.luminaire, self._sampler, count, PATH_DEPTH)
 
     def pairs(self, count: int, stream: SeedStream, paths: int) -> Pairs:
         """`count` random lines, and two independent means of `paths` camera paths for each."""
         origin, direction = self.lines(count, stream)
         first, through = self.trace(origin, direction, stream, paths)
-        second = self._trace(origin, direction, self._seed_of(stream, _Part.SECOND_PATHS), paths)
+        second = self._trace(origin, direction, stream.seed(self._seed, _Part.SECOND_PATHS), paths)
         return Pairs(origin, direction, first, second, through)
 
     def trace(self, origin: Any, direction: Any, stream: SeedStream, paths: int) -> tuple[Any, Any]:
         """All radiance (mi.Color3f) of lines, mean of some camera paths, and transmittance."""
-        seed = self._seed_of(stream, _Part.CAMERA_PATHS)
+        seed = stream.seed(self._seed, _Part.CAMERA_PATHS)
         radiance = self._trace(origin, direction, seed, paths)
         return radiance, self._follow_smooth(origin, direction, stream)[0]
 
@@ -313,7 +313,7 @@ class TracedRays:
         return radiance
 
     def _follow_smooth(self, origin: Any, direction: Any, stream: SeedStream) -> tuple[Any, Any]:
-        self._sampler.seed(self._seed_of(stream, _Part.STRAIGHT_THROUGH), dr.width(origin))
+        self._sampler.seed(stream.seed(self._seed, _Part.STRAIGHT_THROUGH), dr.width(origin))
         ray = self._world_ray(origin, direction)
         found = straight_through(self.luminaire.scene, self._sampler, ray, PATH_DEPTH)
         dr.eval(found)
@@ -346,9 +346,6 @@ class TracedRays:
         stops = Stops(origin, direction, self._to_local @ point, stopped, radiance)
         dr.eval(stops.origin, stops.direction, stops.point, stops.stopped, stops.radiance)
         return stops
-
-    def _seed_of(self, stream: SeedStream, part: "_Part") -> int:
-        return stream.seed(self._seed, part)
 
     def _world_ray(self, origin, direction):
         # From outside the bounding sphere, so that nothing is missed.
