@@ -9,7 +9,7 @@ cross it with the transmittance that its BSDF states. Participating media are no
 Mitsuba starts a ray 9e-5 (1 + |p|) away from the surface point p. Where a lamp is small, or far
 from the origin, that is no longer small beside it: 0.9 units at a coordinate of 10,000. Meshes and
 rectangles are hit with an error of a few units in the last place, so rays leave them from as near
-(`_spawn`); curved shapes, whose hits are less precise, keep Mitsuba's distance.
+(`_spawn`); curved shapes and instances, whose hits are less precise, keep Mitsuba's distance.
 
 Symbols
     β, η    throughput of the path, product of its relative indices of refraction
@@ -226,21 +226,23 @@ def _spawn_to(si, ds, margin, extent, active):
     return ray, active & left
 
 
-def _extent(scene: Any) -> float:
-    """Half the diagonal of the scene's bounding box."""
+def _extent(scene: Any) -> Any:
+    """Half the diagonal of the scene's bounding box (mi.Float)."""
     box = scene.bbox()
-    return float(dr.norm(box.extents())) / 2 if box.valid() else 0.0
+    # Opaque: moving an object does not compile new kernels.
+    return dr.opaque(mi.Float, float(dr.norm(box.extents())) / 2 if box.valid() else 0.0)
 
 
-def _offset(si: Any, extent: float) -> Any:
+def _offset(si: Any, extent: Any) -> Any:
     """Distance from a surface at which a ray leaves it."""
     coordinate = dr.max(dr.abs(si.p))
     standard = (1 + coordinate) * mi.math.RayEpsilon
     flat = dr.minimum(standard, (coordinate + extent) * _FLAT_OFFSET)
-    return dr.select(si.shape.is_mesh(), flat, standard)
+    precise = si.shape.is_mesh() & (si.instance == None)  # noqa: E711
+    return dr.select(precise, flat, standard)
 
 
-def _spawn(si: Any, direction: Any, extent: float) -> Any:
+def _spawn(si: Any, direction: Any, extent: Any) -> Any:
     """Ray from a surface, on the side of it that the direction points to."""
     offset = dr.mulsign(_offset(si, extent), dr.dot(si.n, direction))
     return mi.Ray3f(dr.fma(offset, si.n, si.p), direction, si.time, si.wavelengths)
