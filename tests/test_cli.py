@@ -128,7 +128,7 @@ def fails(capsys, *arguments):
         (["render", "room.xml", "-o", "a.png", "--spp", "1" + 20 * "0"],
          "expected 1 to 1,048,576"),
         (["render", "room.xml", "-o", "a.png", "--spp", 5000 * "9"], "invalid int value"),
-        (["render", "x" * 300 + ".xml", "-o", "a.png"], "File name too long"),
+        (["render", "x" * 300 + ".xml", "-o", "a.png"], "does not exist"),
         (["render", "room.xml", "-o", "x" * 300 + ".png"], "File name too long"),
         (["render", "room.xml", "-o", "room.xml/a.png"], "cannot write room.xml/a.png"),
         (["render", "room.xml", "-o", "a.png", "--json", "no/such/x.json"], "no folder no/such"),

@@ -132,7 +132,7 @@ def test_outputs_that_cannot_be_written_are_refused_before(tmp_path):
 def test_a_full_disk_is_told_alike_by_mitsuba(mi, tmp_path):
     """Its streams raise RuntimeError with a line of its own."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    mesh = mi.load_dict({"type": "cube"})
+    mesh = mi.Mesh("many", vertex_count=100_000, face_count=1)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
     try:
         with (

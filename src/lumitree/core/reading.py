@@ -17,7 +17,7 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 
 _T = TypeVar("_T", bound=str | int)
 # What NumPy raises for damaged archives; RuntimeError where a flag says that one is encrypted, and
@@ -54,23 +54,22 @@ def read_bytes(path: str | os.PathLike[str], expected: str, max_bytes: int) -> b
         LumitreeError: there is no file, it is a folder, pipe or device, it cannot be read, or it
             is too long.
     """
-    path = Path(path)
+    path, name = Path(path), shown(path, 300)
     try:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode):
-            raise LumitreeError(f"{path} is not a regular file; expected {expected}")
+            raise LumitreeError(f"{name} is not a regular file; expected {expected}")
         if found.st_size > max_bytes:
             raise LumitreeError(
-                f"{path} has {found.st_size} bytes; expected {expected} of at most {max_bytes}"
+                f"{name} has {found.st_size} bytes; expected {expected} of at most {max_bytes}"
             )
         return path.read_bytes()
     except FileNotFoundError:
-        raise LumitreeError(f"{path} does not exist; expected {expected}") from None
+        raise LumitreeError(f"{name} does not exist; expected {expected}") from None
     except OSError as error:
         reason = error.strerror or type(error).__name__
-        raise LumitreeError(f"cannot read {path}: {reason}; expected {expected}") from None
+        raise LumitreeError(f"cannot read {name}: {reason}; expected {expected}") from None
     except ValueError:
-        name = repr(str(path))[:_SHOWN]
         raise LumitreeError(f"{name} is no file name; expected {expected}") from None
 
 
@@ -158,6 +157,10 @@ class Record:
     def record(self, key: str) -> "Record":
         """A member that is an object."""
         return Record(self._members.get(key), f"{key} of {self._what}")
+
+    def members(self, key: str) -> dict[str, Any]:
+        """The members of a member that is an object, as they are."""
+        return self.record(key)._members
 
     def text(self, key: str, max_length: int) -> str:
         """A member that is printable text."""

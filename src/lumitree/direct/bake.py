@@ -5,7 +5,6 @@ import json
 import math
 import time
 import warnings
-import zipfile
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -20,6 +19,7 @@ from lumitree.core.files import atomic_path
 from lumitree.core.harmonics import MAX_L, Y_00, num_coefficients
 from lumitree.core.interrupt import Interruption, deferred_interrupt
 from lumitree.core.progress import progress
+from lumitree.core.reading import read_arrays
 from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream, check_seed
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.direct.balance import balance, light_left_over
@@ -34,6 +34,7 @@ from lumitree.luminaires.luminaire import Luminaire
 from lumitree.octree.build import build_children
 
 STATE = "state.npz"
+_STATE_VERSION = 1
 # The statistics are taken at this level at the finest, and the hull of pictures at this one; what
 # is finer comes from splitting.
 _ESTIMATE_DEPTH, _HULL_DEPTH = 8, 6
@@ -437,20 +438,20 @@ def _record(subject: Subject, config: DirectConfig) -> str:
     """What must agree for a state to be continued; a budget may be raised."""
     fields = dataclasses.asdict(config)
     del fields["seconds"], fields["rays"]
-    return json.dumps({"fingerprint": subject.fingerprint, **fields}, sort_keys=True)
+    return json.dumps(
+        {"version": _STATE_VERSION, "fingerprint": subject.fingerprint, **fields}, sort_keys=True
+    )
 
 
 def _load(path: Path, record: str) -> Mapping[str, NDArray[Any]] | None:
     if not path.exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            state = {name: archive[name] for name in archive.files}
+        state = read_arrays(path)
         found = str(state["record"])
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise LumitreeError(
-            f"{path} is damaged ({type(error).__name__}); remove its folder to start again"
-        ) from None
+    except (LumitreeError, KeyError) as error:
+        reason = str(error) if isinstance(error, LumitreeError) else f"{path} is no state of a bake"
+        raise LumitreeError(f"{reason}; remove its folder to start again") from None
     if found != record:
         raise LumitreeError(
             f"{path.parent} holds the unfinished bake of another luminaire or with other "
