@@ -62,12 +62,14 @@ def throughput(luminaire) -> float:
     """Paths a second of a capture: radiance and both opacities."""
     from lumitree.capture.camera import Camera
     from lumitree.core.sampling import view_pose
+    from lumitree.core.seeds import Purpose, SeedStream
 
     camera = Camera(luminaire, RESOLUTION, SAMPLES)
     seconds = []
     for index in range(1, ROUNDS + 2):
         start = time.perf_counter()
-        camera.take(view_pose(index, 2 * luminaire.bounding_radius), index)
+        pose = view_pose(index, 2 * luminaire.bounding_radius)
+        camera.take(pose, SeedStream(Purpose.CAPTURE, index))
         seconds.append(time.perf_counter() - start)
     return RESOLUTION**2 * SAMPLES / statistics.median(seconds[1:])
 

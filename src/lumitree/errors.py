@@ -1,11 +1,13 @@
 """The one exception that lumitree raises for its users, its warning, and how both are made."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+_SHOWN_NAMES, _SHOWN_CHARACTERS = 12, 40
 
 
 class LumitreeError(Exception):
@@ -24,13 +26,26 @@ class LumitreeWarning(UserWarning):
 
 
 def shown(text: object, limit: int = 80) -> str:
-    """Text from outside as it may be printed: on one line, without control characters, cut."""
-    whole = str(text)
-    part = whole[: limit + 1]
-    escaped = "".join(
-        char if char.isprintable() else char.encode("unicode_escape").decode() for char in part
-    )
-    return escaped if len(escaped) <= limit else escaped[: limit - 1] + "…"
+    """Text that came from a file, as it may stand in a message.
+
+    Args:
+        text: of any length, with any characters.
+        limit: characters of the result.
+
+    Returns:
+        Its beginning in one line, with `?` for what cannot be printed, and … where it was cut.
+    """
+    text = str(text)
+    start = text if len(text) <= limit else text[: limit - 1] + "…"
+    return "".join(char if char.isprintable() else "?" for char in start)
+
+
+def shown_names(names: Iterable[str]) -> str:
+    """Names that came from a file, for a message; not all of them where there are many."""
+    names = list(names)
+    more = f" and {len(names) - _SHOWN_NAMES} more" if len(names) > _SHOWN_NAMES else ""
+    listed = ", ".join(shown(name, _SHOWN_CHARACTERS) for name in names[:_SHOWN_NAMES])
+    return listed + more if names else "none with a name"
 
 
 def explained(function: Callable[P, R]) -> Callable[P, R]:

@@ -22,7 +22,6 @@ from lumitree.core.arguments import (
     MAX_RAYS,
     MAX_SAMPLES,
     MAX_SECONDS,
-    MAX_SEED,
     check_asset_output,
     check_choice,
     check_image_settings,
@@ -34,6 +33,7 @@ from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Dataset, S
 from lumitree.core.files import check_writable
 from lumitree.core.frames import check_placement
 from lumitree.core.interrupt import Interrupted
+from lumitree.core.seeds import check_seed
 from lumitree.core.work_folder import WorkFolder, scratch_folder
 from lumitree.errors import LumitreeError, LumitreeWarning, explained
 from lumitree.nerf.config import PRESETS, TrainConfig
@@ -387,7 +387,7 @@ def _check_budget(seconds: float | None, rays: int | None, seed: int) -> None:
         check_range("time", seconds, 1e-3, MAX_SECONDS, "seconds")
     if rays is not None:
         check_range("rays", rays, 1, MAX_RAYS)
-    check_range("seed", seed, 0, MAX_SEED)
+    check_seed(seed)
 
 
 def _budgeted(config: "DirectConfig", seconds: float | None, rays: int | None) -> "DirectConfig":

@@ -218,3 +218,28 @@ def test_missing_files_and_wrong_formats(mi, tmp_path):
     (tmp_path / "half.xml").write_text('<scene version="3.0.0"><shape')
     with pytest.raises(LumitreeError, match="Error parsing start element"):
         load_luminaire(tmp_path / "half.xml")
+
+
+@pytest.mark.parametrize(("resolution", "samples"), [(1500, 128), (64, 1 << 12)])
+def test_every_batch_of_a_view_has_random_numbers_of_its_own(
+    luminaire, monkeypatch, resolution, samples
+):
+    """Above 1024² a batch has fewer than eight samples a pixel; seeds used to repeat."""
+    from lumitree.capture.camera import Camera
+    from lumitree.core.seeds import Purpose, SeedStream
+
+    batches = []
+
+    def trace(self, pose, samples, seed):
+        batches.append((samples, seed))
+        return 0.0
+
+    monkeypatch.setattr(Camera, "_trace", trace)
+    camera = Camera(luminaire(SPHERE.format(AREA)), resolution, samples)
+    for index in (1, 2):
+        camera.take(np.eye(4), SeedStream(Purpose.CAPTURE, index))
+    assert sum(count for count, _ in batches) == 2 * samples
+    assert len({seed for _, seed in batches}) == len(batches)
+    first = batches[: len(batches) // 2]
+    camera.take(np.eye(4), SeedStream(Purpose.CAPTURE, 1))
+    assert batches[-len(first) :] == first

@@ -56,3 +56,83 @@ def test_users_choice_is_respected():
         DRJIT_LIBLLVM_PATH="/mine.so",
     )
     assert result.stdout.strip() == "/mine.so"
+
+
+def succeeds(code):
+    result = run(code)
+    assert result.returncode == 0, result.stderr
+    return result.stdout.split()
+
+
+def test_the_log_is_left_as_it_is():
+    code = (
+        "import lumitree, mitsuba as mi; mi.set_variant('llvm_ad_rgb');"
+        "mi.set_log_level(mi.LogLevel.Info); lumitree.register(); print(mi.log_level().name)"
+    )
+    assert succeeds(code) == ["Info"]
+
+
+def test_a_program_may_let_errors_alone_be_logged():
+    code = (
+        "from lumitree.core import backend; backend.quieten();"
+        "mi = backend.load_mitsuba('llvm_ad_rgb'); print(mi.log_level().name)"
+    )
+    assert succeeds(code) == ["Error"]
+
+
+def test_mitsuba_may_be_imported_first():
+    """Its libLLVM is the system's then: it is used where it can be, and refused in one line."""
+    code = (
+        "import mitsuba as mi\n"
+        "try:\n"
+        "    mi.set_variant('llvm_ad_rgb')\n"
+        "except ImportError:\n"
+        "    pass\n"
+        "import lumitree\n"
+        "try:\n"
+        "    lumitree.register()\n"
+        "    print('registered', mi.variant())\n"
+        "except lumitree.LumitreeError as error:\n"
+        "    assert '\\n' not in str(error)\n"
+        "    assert 'libLLVM' in str(error), error\n"
+        "    print('refused')\n"
+    )
+    assert succeeds(code) in (["registered", "llvm_ad_rgb"], ["refused"])
+
+
+def test_mitsuba_may_be_imported_first_with_lumitrees_libllvm():
+    path = succeeds("import lumitree, os; print(os.environ['DRJIT_LIBLLVM_PATH'])")[0]
+    code = (
+        "import mitsuba as mi; mi.set_variant('llvm_ad_rgb'); import lumitree;"
+        "lumitree.register(); print(mi.load_dict({'type': 'lumitree_path'}))"
+    )
+    result = run(code, DRJIT_LIBLLVM_PATH=path)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith("LumitreePath")
+
+
+def test_variants_may_be_switched(tmp_path):
+    """Under a scalar variant it says which others it needs, and works again when one is back."""
+    path = str(tmp_path / "lamp.lumitree")
+    code = f"""
+import lumitree, sys
+sys.path.append({os.path.dirname(os.path.dirname(__file__))!r})
+from fields import uniform_asset
+import mitsuba as mi
+lumitree.save(uniform_asset(10.0, [4.0, 2.0, 1.0]), {path!r})
+
+def seen():
+    scene = mi.load_dict({{"type": "scene", "lamp": lumitree.shape({path!r})}})
+    si = scene.ray_intersect(mi.Ray3f(mi.Point3f(0.1, 0.2, 5), mi.Vector3f(0, 0, -1)))
+    return si.emitter(scene).eval(si).x[0]
+
+for variant in ("llvm_ad_rgb", "scalar_rgb", "llvm_ad_rgb"):
+    mi.set_variant(variant)
+    try:
+        lumitree.register()
+        print(round(seen(), 2))
+    except lumitree.LumitreeError as error:
+        assert "choose llvm_ad_rgb or cuda_ad_rgb" in str(error), error
+        print("refused")
+"""
+    assert succeeds(code) == ["4.0", "refused", "4.0"]

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -126,3 +127,19 @@ def test_outputs_that_cannot_be_written_are_refused_before(tmp_path):
     check_writable(tmp_path / "new" / "a.txt")
     check_writable(tmp_path / "file")
     assert os.listdir(tmp_path) == ["file"]
+
+
+def test_a_full_disk_is_told_alike_by_mitsuba(mi, tmp_path):
+    """Its streams raise RuntimeError with a line of its own."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    mesh = mi.Mesh("many", vertex_count=100_000, face_count=1)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+    try:
+        with (
+            pytest.raises(LumitreeError, match=r"cannot write .*/a.ply: File too large; free"),
+            atomic_path(tmp_path / "a.ply") as temporary,
+        ):
+            mesh.write_ply(str(temporary))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert os.listdir(tmp_path) == []

@@ -3,6 +3,7 @@
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from lines import stream
 
 
 def frame(luminaire):
@@ -11,7 +12,7 @@ def frame(luminaire):
     return float(matrix[0, 0]), matrix[:3, 3].tolist()
 
 
-def trace_with_stops(rays, count, batch):
+def trace_with_stops(rays, count, step):
     """Radiance and stop of camera paths along `count` random lines.
 
     Returns:
@@ -20,9 +21,9 @@ def trace_with_stops(rays, count, batch):
         that is further along and within the box; otherwise, and by a coin where the chain has bent
         by more than 15° until there, it is at the first surface.
     """
-    origin, direction = rays.lines(count, batch)
+    origin, direction = rays.lines(count, stream(step))
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(1000 + batch, count)
+    sampler.seed(1000 + step, count)
     scale, centre = frame(rays.luminaire)
     outside = mi.Point3f(origin - 5 * direction)
     ray = mi.Ray3f(outside * scale + mi.Vector3f(centre), direction)

@@ -26,13 +26,13 @@ class FieldRays:
     def __init__(self, mi, truth, noise=True, split=False):
         self._mi, self._truth, self._noise, self._split = mi, truth, noise, split
 
-    def draw(self, count, batch, wanted, light_share=None):
+    def draw(self, count, stream, wanted, light_share=None):
         import drjit as dr
 
         from lumitree.direct.rays import Rays
 
-        mi = self._mi
-        origin, direction = random_lines(mi, count, batch)
+        mi, seed = self._mi, stream.seed(0)
+        origin, direction = random_lines(mi, count, seed)
         chosen = dr.compress(wanted(origin, direction))
         lines = dr.width(chosen)
         origin = dr.gather(mi.Point3f, origin, chosen)
@@ -44,12 +44,13 @@ class FieldRays:
         # Opaque, or every step would compile kernels of its own.
         part = dr.opaque(mi.Float, 1 / lines)
         share = part * dr.ones(mi.Float, lines)
-        light = self._noisy(radiance, batch) * part
+        light = self._noisy(radiance, seed) * part
         if not self._split:
             return Rays(origin, direction, share, light, through)
         # Lines of their own, the unwanted among them.
-        other = random_lines(mi, count, batch + 10**5)
-        brought = self._noisy(self._truth.integrate(*other)[0], batch + 10**5) * part
+        other_seed = stream.seed(0, part=1)
+        other = random_lines(mi, count, other_seed)
+        brought = self._noisy(self._truth.integrate(*other)[0], other_seed) * part
         none = dr.zeros(mi.Float, count)
         return Rays(
             mi.Point3f(*np.hstack([np.array(origin), np.array(other[0])])),
@@ -59,22 +60,22 @@ class FieldRays:
             dr.concat([through, none]),
         )
 
-    def straight(self, count, batch, wanted):
-        rays = FieldRays(self._mi, self._truth, noise=False).draw(count, batch, wanted)
+    def straight(self, count, stream, wanted):
+        rays = FieldRays(self._mi, self._truth, noise=False).draw(count, stream, wanted)
         return rays.origin, rays.direction, rays.transmittance
 
-    def pairs(self, count, batch, paths):
+    def pairs(self, count, stream, paths):
         from lumitree.direct.rays import Pairs
 
-        origin, direction = random_lines(self._mi, count, batch)
+        origin, direction = random_lines(self._mi, count, stream.seed(0))
         radiance, through, _ = self._truth.integrate(origin, direction)
-        noisy = [self._noisy(radiance, [batch, half]) for half in range(2)]
+        noisy = [self._noisy(radiance, stream.seed(0, part)) for part in (1, 2)]
         return Pairs(origin, direction, *noisy, through)
 
     def _noisy(self, radiance, seed):
         if not self._noise:
             return radiance
-        random = np.random.default_rng([7, *np.atleast_1d(seed)])
+        random = np.random.default_rng([7, seed])
         return radiance * self._mi.Float(2.0 * (random.random(radiance.shape[1]) < 0.5))
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from lamps import AREA, GLASS, sphere
+from lumitree.core.seeds import Purpose, SeedStream
 
 TILE = 16
 DIFFUSE = '<bsdf type="diffuse"><rgb name="reflectance" value="0.8"/></bsdf>'
@@ -32,6 +33,11 @@ def source(luminaire, spacing=1 / 64, seed=0):
     from lumitree.direct.rays import TracedRays
 
     return TracedRays(luminaire, spacing, seed=seed)
+
+
+def stream(step):
+    """Random numbers of a step."""
+    return SeedStream(Purpose.REFINEMENT, step)
 
 
 def tile_mean(values):

@@ -5,6 +5,7 @@ import signal
 
 import numpy as np
 import pytest
+from lines import stream
 
 from fields import leaf_field
 from lamps import AREA, cube, sphere
@@ -18,7 +19,7 @@ def config(**options):
     from lumitree.direct.bake import DirectConfig
     from lumitree.direct.refine import RefineConfig
 
-    refine = RefineConfig(lines=1 << 14, **options.pop("refine", {}))
+    refine = RefineConfig(**{"lines": 1 << 14, **options.pop("refine", {})})
     settings = {"tree_depth": 4, "l_max": 1, "estimate_lines": 1 << 20, "seconds": None}
     return DirectConfig(**{**settings, "rays": RAYS, "refine": refine, **options})
 
@@ -46,9 +47,9 @@ def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     assert np.array_equal(asset.world_from_proxy, ball.world_from_proxy)
 
     lines = TracedRays(ball, 1 / 64, seed=77)
-    origin, direction = lines.lines(1 << 20, 1)
+    origin, direction = lines.lines(1 << 20, stream(1))
     radiance = np.array(Field(asset).emission(origin, direction)[0])
-    traced = np.array(lines.trace(origin, direction, 1, 1)[0])
+    traced = np.array(lines.trace(origin, direction, stream(1), 1)[0])
     flux, expected = (lines.measure * values.mean(axis=1) for values in (radiance, traced))
     assert expected == pytest.approx(KNOWN, rel=0.015)
     # Cells of an eighth of the radius: some of a channel's light may go astray, but not of all.

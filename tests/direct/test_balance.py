@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from field_rays import FieldRays, random_lines, truth_and_start
+from lines import stream
 
 
 def shifted(field, shift):
@@ -23,12 +24,8 @@ def emission(field):
 
 def weights(mi, field):
     """How much of many rays each leaf makes up [M]."""
-    import drjit as dr
-
-    total = dr.zeros(mi.Float, field.num_leaves)
     origin, direction = random_lines(mi, 1 << 16, 3)
-    field.share_out(origin, direction, mi.Float(1), total)
-    return np.array(total)
+    return np.array(field.share_out(origin, direction, mi.Float(1)))
 
 
 def mean_log_ratio(field, truth, chosen, weight):
@@ -47,7 +44,7 @@ def test_a_region_that_is_too_bright_is_found(mi, law, l_max, split):
     right = (truth.cells[:, 0] + 0.5) * side > 1
     field = shifted(truth, np.where(right, np.log(2), -np.log(1.5)))
     weight = weights(mi, truth)
-    balance(field, FieldRays(mi, truth, split=split), 1.0)
+    balance(field, FieldRays(mi, truth, split=split), 1.0, stream(0))
     assert mean_log_ratio(field, truth, right, weight) == pytest.approx(0, abs=0.1)
     assert mean_log_ratio(field, truth, ~right, weight) == pytest.approx(0, abs=0.1)
 
@@ -59,7 +56,7 @@ def test_a_field_far_too_dark_gets_there(mi, split):
 
     truth, _ = truth_and_start("exponential")
     field = shifted(truth, np.full(truth.num_leaves, -np.log(30)))
-    balance(field, FieldRays(mi, truth, split=split), 1.0)
+    balance(field, FieldRays(mi, truth, split=split), 1.0, stream(0))
     left = mean_log_ratio(field, truth, slice(None), weights(mi, truth))
     assert left == pytest.approx(0, abs=0.15)
 
@@ -74,7 +71,7 @@ def test_light_sent_to_the_wrong_side_is_found(mi, law):
     wrong = truth.coefficient_array() + tilt.astype(np.float32)
     field = truth.with_leaves(truth.cells, truth.levels, truth.log_density, wrong)
     weight = weights(mi, truth)
-    balance(field, FieldRays(mi, truth, split=True), 1.0)
+    balance(field, FieldRays(mi, truth, split=True), 1.0, stream(0))
     left = (field.coefficient_array() - truth.coefficient_array()).mean(axis=1)
     assert np.average(left, axis=0, weights=weight) == pytest.approx(0, abs=0.1)
 
@@ -116,7 +113,7 @@ def test_balancing_what_is_right_adds_little_noise(mi):
 
     truth, _ = truth_and_start("exponential")
     field = truth.copy()
-    balance(field, FieldRays(mi, truth, split=True), 1.0)
+    balance(field, FieldRays(mi, truth, split=True), 1.0, stream(0))
     weight = weights(mi, truth)
     ratio = np.log(emission(field) / emission(truth))
     spread = np.sqrt(np.average((ratio**2).mean(axis=1), weights=weight))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from lines import stream
 
 from fields import uniform_asset
 from lamps import AREA, sphere
@@ -98,7 +99,7 @@ def test_lines_are_those_of_no_step(mi, lamp):
     assert np.array_equal(first, second)
     held = {tuple(direction) for direction in np.array(held_out.direction).T[::TILE].tolist()}
     for batch in range(3):
-        _, direction = source.lines(1 << 12, batch)
+        _, direction = source.lines(1 << 12, stream(batch))
         assert held.isdisjoint(map(tuple, np.array(direction).T[::TILE].tolist()))
 
 

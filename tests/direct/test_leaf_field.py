@@ -42,20 +42,15 @@ def unpadded(field, coefficients):
 
 def adjoint(mi, field, origins, directions, d_radiance, d_depth):
     """Gradients by log density [M] and coefficients [M, 3 K]."""
-    import drjit as dr
 
     o, d = on_device(mi, origins, directions)
     integrated = field.integrate(o, d)
-    density = dr.zeros(mi.Float, field.num_leaves)
-    coefficients = dr.zeros(mi.Float, field.num_leaves * field.width)
-    field.scatter_gradients(
+    density, coefficients = field.gradients(
         o,
         d,
         integrated,
         mi.Color3f(*np.asarray(d_radiance, np.float32).T),
         mi.Float(np.asarray(d_depth, np.float32)),
-        density,
-        coefficients,
     )
     return np.array(density), unpadded(field, coefficients)
 
@@ -104,7 +99,6 @@ class Twin:
 @pytest.mark.parametrize("l_max", [0, 1, 2])
 def test_adjoint_is_the_derivative(mi, law, l_max, monkeypatch):
     density_scale = {"linear": 1.0, "exponential": 1.5}[law]
-    import drjit as dr
 
     asset = random_asset(
         40 + l_max, tree_depth=2, l_max=l_max, law=law, density_scale=density_scale, max_radiance=1
@@ -123,9 +117,8 @@ def test_adjoint_is_the_derivative(mi, law, l_max, monkeypatch):
     d_depth = by_depth(field, through, d_through)
     density, coefficients = adjoint(mi, field, origins, directions, d_radiance, d_depth)
     # The same by the walk for opacity alone.
-    alone = dr.zeros(mi.Float, field.num_leaves)
     device = on_device(mi, origins, directions)
-    field.scatter_depth_gradient(*device, mi.Float(d_depth.astype(np.float32)), alone)
+    alone = field.depth_gradient(*device, mi.Float(d_depth.astype(np.float32)))
     assert np.array(alone) == pytest.approx(
         twin.gradient(twin.log_density, 0 * d_radiance, d_through), abs=2e-3
     )
@@ -184,12 +177,14 @@ def test_leaves_too_thin_to_be_seen_still_know_their_emission(mi, law):
 def test_a_value_is_shared_out_by_weight(mi, law, density):
     """Of several rays, and added to what is there; what is behind an opaque leaf gets nothing."""
     field = leaf_field(column(density, [0.5] * 4, law))
-    total = mi.Float([1.0, 2.0, 3.0, 4.0])
     origins, directions = (np.repeat(values, 2, axis=0) for values in ALONG_X)
-    field.share_out(*on_device(mi, origins, directions), mi.Float([3.0, -1.0]), total)
+    total = field.share_out(*on_device(mi, origins, directions), mi.Float([3.0, -1.0]))
     tau = np.concatenate([[0], np.cumsum(np.array(density) / 2)])
     through = np.maximum(1 - tau, 0) if law == "linear" else np.exp(-tau)
-    expected = np.array([1, 2, 3, 4]) + 2 * -np.diff(through)
+    expected = 2 * -np.diff(through)
+    assert np.array(total) == pytest.approx(expected, rel=1e-4)
+    # One value for all rays.
+    total = field.share_out(*on_device(mi, origins, directions), mi.Float(1.0))
     assert np.array(total) == pytest.approx(expected, rel=1e-4)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lines import CLUTTER, TILE, arrays, fog, source, tile_mean
+from lines import CLUTTER, TILE, arrays, fog, source, stream, tile_mean
 
 from lamps import AREA, GLASS, cube, sphere
 
@@ -22,7 +22,7 @@ def box(lamp):
 
 
 def test_lines_meet_convex_bodies_in_proportion_to_their_surface(box):
-    o, d = arrays(*box.lines(1 << 20, 1))
+    o, d = arrays(*box.lines(1 << 20, stream(1)))
     # Of a box that is larger by half a tile's diagonal.
     x, y, z = np.array([1, 0.5, 0.4]) + 2 * np.sqrt(2) * box.spacing
     surface = 8 * (x * y + y * z + z * x)
@@ -49,7 +49,7 @@ def test_lines_meet_convex_bodies_in_proportion_to_their_surface(box):
 def test_corners_of_the_box_get_as_many_lines_as_its_middle(lamp):
     """Also where tiles are so wide that many that reach into a corner have their middle outside."""
     box = source(lamp(cube("box", (2, 1, 0.8), (3, 0, 0), AREA)), spacing=1 / 16)
-    o, d = arrays(*box.lines(1 << 20, 1))
+    o, d = arrays(*box.lines(1 << 20, stream(1)))
     radius = 0.08
     for centre in ((0, 0, 0), (0.92, -0.42, 0.32), (-0.92, 0.42, 0.32)):
         share, error = tile_mean((distance_to(o, d, centre) < radius).astype(float))
@@ -61,7 +61,7 @@ def test_tiles_are_spread_more_evenly_than_random_ones(box):
     """By the variance, from batch to batch, of how many lines meet a ball."""
     shares, variances = [], []
     for batch in range(40):
-        o, d = arrays(*box.lines(1 << 16, batch))
+        o, d = arrays(*box.lines(1 << 16, stream(batch)))
         share, error = tile_mean((distance_to(o, d, (0.4, 0.1, 0)) < 0.3).astype(float))
         shares.append(share)
         variances.append(error**2)
@@ -69,7 +69,7 @@ def test_tiles_are_spread_more_evenly_than_random_ones(box):
 
 
 def test_lines_of_a_tile_are_close_and_parallel(box):
-    o, d = arrays(*box.lines(1 << 12, 1))
+    o, d = arrays(*box.lines(1 << 12, stream(1)))
     assert np.linalg.norm(d, axis=1) == pytest.approx(1, abs=1e-5)
     tiles, directions = o.reshape(-1, TILE, 3), d.reshape(-1, TILE, 3)
     assert (directions == directions[:, :1]).all()
@@ -86,7 +86,7 @@ def test_equal_seeds_give_equal_rays_and_other_batches_do_not(lamp):
     luminaire = lamp(cube("box", 1, (3, 0, 0), AREA), sphere("ball", 0.3, (3, 0, 1.4)))
 
     def drawn(seed, batch):
-        rays = source(luminaire, seed=seed).draw(1 << 12, batch, lambda o, d: d.z < 0)
+        rays = source(luminaire, seed=seed).draw(1 << 12, stream(batch), lambda o, d: d.z < 0)
         share = np.array(rays.share)
         assert np.array_equal(np.sort(share), share[::-1])
         all_of_it = arrays(rays.origin, rays.direction, rays.light, rays.transmittance)
@@ -104,16 +104,16 @@ def test_equal_seeds_give_equal_rays_and_other_batches_do_not(lamp):
 
 def test_order_of_batches_does_not_matter(box):
     """A batch is the same whatever was drawn before: what resuming relies on."""
-    first = arrays(*box.lines(1 << 10, 5))
-    box.stops(1 << 10, 9)
-    for one, two in zip(first, arrays(*box.lines(1 << 10, 5)), strict=True):
+    first = arrays(*box.lines(1 << 10, stream(5)))
+    box.stops(1 << 10, stream(9))
+    for one, two in zip(first, arrays(*box.lines(1 << 10, stream(5))), strict=True):
         assert np.array_equal(one, two)
 
 
 @pytest.mark.parametrize("paths", [1, 3])
 def test_mean_radiance_is_the_flux(lamp, paths):
     rays = source(lamp(sphere("lamp", 2.0, (5, 1, 0), AREA)))
-    radiance, through = arrays(*rays.trace(*rays.lines(1 << 19, 3), 3, paths))
+    radiance, through = arrays(*rays.trace(*rays.lines(1 << 19, stream(3)), stream(3), paths))
     flux, error = tile_mean(radiance)
     assert rays.measure * flux == pytest.approx(4 * np.pi**2 * RADIANCE, rel=0.02)
     assert (np.abs(rays.measure * flux - 4 * np.pi**2 * RADIANCE) < 4 * rays.measure * error).all()
@@ -153,7 +153,7 @@ def test_transmittance_of_a_pane_is_fresnels(mi, lamp, kind, degrees):
     scale, centre = luminaire.world_from_proxy[0, 0], luminaire.world_from_proxy[:3, 3]
     inside_pane = (np.array([0, 0, 0.5]) - centre) / scale
     rays = source(luminaire)
-    _, through = rays.trace(mi.Point3f(inside_pane.tolist()), mi.Vector3f(direction), 1, 4)
+    _, through = rays.trace(mi.Point3f(inside_pane.tolist()), mi.Vector3f(direction), stream(1), 4)
     f = fresnel(np.cos(angle), 1.5)
     expected = {"thin": (1 - f) / (1 + f), "solid": (1 - f) ** 2}[kind]
     assert np.array(through) == pytest.approx(expected, abs=1e-5)
@@ -161,7 +161,7 @@ def test_transmittance_of_a_pane_is_fresnels(mi, lamp, kind, degrees):
 
 def test_paths_stop_on_an_opaque_surface_with_its_radiance(lamp):
     rays = source(lamp(sphere("lamp", 2.0, (5, 1, 0), AREA)))
-    stops = rays.stops(1 << 14, 1)
+    stops = rays.stops(1 << 14, stream(1))
     o, d, point, radiance = arrays(stops.origin, stops.direction, stops.point, stops.radiance)
     stopped = np.array(stops.stopped)
     distance = distance_to(o, d, 0)
@@ -177,7 +177,7 @@ def test_paths_stop_on_an_opaque_surface_with_its_radiance(lamp):
 def test_paths_stop_on_the_line_that_sees_them(lamp):
     """Through thick glass too, which shows a lamp larger and elsewhere than it is."""
     ball = sphere("ball", 1, (0, 0, 0), GLASS), sphere("lamp", 0.2, (0.3, 0, 0), AREA)
-    stops = source(lamp(*ball)).stops(1 << 14, 1)
+    stops = source(lamp(*ball)).stops(1 << 14, stream(1))
     o, d, point, radiance = arrays(stops.origin, stops.direction, stops.point, stops.radiance)
     stopped = np.array(stops.stopped)
     off = point - o
@@ -196,7 +196,7 @@ def test_paths_stop_in_fog_at_its_rate(lamp):
     radius, sigma = 2.0, 0.75
     ball = sphere("fog", radius, inside=fog(sigma))
     rays = source(lamp(ball, sphere("lamp", 0.01, inside=AREA)))
-    stops = rays.stops(1 << 17, 1)
+    stops = rays.stops(1 << 17, stream(1))
     o, d, point = arrays(stops.origin, stops.direction, stops.point)
     stopped = np.array(stops.stopped)
     distance = distance_to(o, d, 0)
@@ -214,7 +214,7 @@ def test_paths_stop_in_fog_at_its_rate(lamp):
         count = (crosses & stopped & (end >= low) & (end < high)).sum()
         assert abs(count - rate * length) < 4 * np.sqrt(rate * length)
         assert count > 1000
-    through = np.array(rays.trace(stops.origin, stops.direction, 1, 1)[1])
+    through = np.array(rays.trace(stops.origin, stops.direction, stream(1), 1)[1])
     # Mitsuba starts rays a little off a surface, which shortens grazing chords.
     steep = crosses & (distance < 0.9)
     assert through[steep] == pytest.approx(np.exp(-rate * 2 * half_chord)[steep], abs=2e-3)
@@ -223,7 +223,7 @@ def test_paths_stop_in_fog_at_its_rate(lamp):
 def test_paths_stop_at_a_pane_as_often_as_it_reflects(lamp):
     luminaire = lamp(pane("thin", 1), cube("lamp", (1, 1, 0.1), (0, 0, 0), AREA))
     rays = source(luminaire)
-    stops = rays.stops(1 << 16, 1)
+    stops = rays.stops(1 << 16, stream(1))
     o, d, point, radiance = arrays(stops.origin, stops.direction, stops.point, stops.radiance)
     centre = luminaire.world_from_proxy[:3, 3]
     world_point = point * luminaire.world_from_proxy[0, 0] + centre
@@ -265,8 +265,8 @@ def test_stops_hide_and_show_what_smooth_transmission_does(lamp, extra):
     assert luminaire.has_media == bool(extra)
     rays = source(luminaire)
     count = 1 << 18
-    stops = rays.stops(count, 1)
-    drawn = rays.draw(count, 1, everywhere)
+    stops = rays.stops(count, stream(1))
+    drawn = rays.draw(count, stream(1), everywhere)
     origin, light = arrays(drawn.origin, drawn.light)
     assert np.array_equal(origin[:count], arrays(stops.origin)[0])
     seen = count * light[:count]
@@ -289,9 +289,9 @@ def test_drawn_rays_integrate_any_function_of_wanted_lines(lamp, wanted):
         value = [np.ones(len(d)), d[:, 0] > 0, centre[:, 1], np.exp(-9 * (centre**2).sum(axis=1))]
         return np.array(wanted(origin, direction))[:, None] * np.stack(value, axis=1)
 
-    origin, direction = rays.lines(1 << 19, 1)
+    origin, direction = rays.lines(1 << 19, stream(1))
     chosen = np.array(wanted(origin, direction))
-    radiance, _ = rays.trace(origin, direction, 1, 2)
+    radiance, _ = rays.trace(origin, direction, stream(1), 2)
     f = functions(origin, direction)
     products = f[:, :, None] * np.array(radiance, np.float64).T[:, None]
     mean, error = tile_mean(products)
@@ -299,7 +299,9 @@ def test_drawn_rays_integrate_any_function_of_wanted_lines(lamp, wanted):
 
     # However many paths from the emitters there are for a line.
     light_share = [0.5, 0.25]
-    drawn = [rays.draw(1 << 15, batch, wanted, light_share[batch % 2]) for batch in range(2, 34)]
+    drawn = [
+        rays.draw(1 << 15, stream(batch), wanted, light_share[batch % 2]) for batch in range(2, 34)
+    ]
     sums, shares = [], []
     for batch in drawn:
         f = functions(batch.origin, batch.direction)
@@ -324,14 +326,14 @@ def test_drawn_rays_integrate_any_function_of_wanted_lines(lamp, wanted):
 def test_no_wanted_line_gives_no_rays(lamp):
     import drjit as dr
 
-    rays = source(lamp(*CLUTTER)).draw(1 << 10, 1, lambda o, d: d.z > 2)
+    rays = source(lamp(*CLUTTER)).draw(1 << 10, stream(1), lambda o, d: d.z > 2)
     assert dr.width(rays.origin) == dr.width(rays.light) == dr.width(rays.share) == 0
 
 
 def test_pairs_are_independent_means_of_the_same_lines(lamp):
     rays = source(lamp(*CLUTTER))
-    pairs = rays.pairs(1 << 17, 1, 2)
-    origin, direction = rays.lines(1 << 17, 1)
+    pairs = rays.pairs(1 << 17, stream(1), 2)
+    origin, direction = rays.lines(1 << 17, stream(1))
     assert np.array_equal(np.array(pairs.origin), np.array(origin))
     assert np.array_equal(np.array(pairs.direction), np.array(direction))
     first, second = arrays(pairs.first, pairs.second)
@@ -339,7 +341,7 @@ def test_pairs_are_independent_means_of_the_same_lines(lamp):
     difference, error = tile_mean(first - second)
     assert (np.abs(difference) < 4 * error).all()
     # Their noise is not shared: with a third mean c, (a - c)(b - c) and (a - c)² know how much.
-    third, through = arrays(*rays.trace(origin, direction, 2, 2))
+    third, through = arrays(*rays.trace(origin, direction, stream(2), 2))
     shared, error = tile_mean((first - third) * (second - third) - (first - third) ** 2 / 2)
     assert (np.abs(shared) < 4 * error).all()
     assert ((first - second) ** 2).mean() > 10 * error.max()
@@ -354,7 +356,7 @@ def test_absorbing_glass_stops_what_it_absorbs(lamp):
         '<rgb name="specular_transmittance" value="0"/></bsdf></shape>'
     )
     rays = source(lamp(black, sphere("lamp", 0.05, (0, 0, 0.9), AREA)))
-    stops = rays.stops(1 << 14, 1)
+    stops = rays.stops(1 << 14, stream(1))
     o, d, point = arrays(stops.origin, stops.direction, stops.point)
     luminaire = rays.luminaire
     height = -luminaire.world_from_proxy[2, 3] / luminaire.world_from_proxy[0, 0]

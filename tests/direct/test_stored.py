@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from lines import stream
 
 from lamps import AREA, cube, sphere
 from lumitree.errors import LumitreeError
@@ -39,7 +40,7 @@ def test_rays_show_their_pixels(mi, dataset):
     """Every ray, projected into the view it is of, lies in a pixel of its value."""
     from lumitree.direct.stored import StoredRays
 
-    rays = StoredRays(dataset).draw(1 << 12, 3, everything)
+    rays = StoredRays(dataset).draw(1 << 12, stream(3), everything)
     origin, direction = np.array(rays.origin).T, np.array(rays.direction).T
     light, share = np.array(rays.light).T, np.array(rays.share)
     assert share.sum() == pytest.approx(1, rel=1e-4)
@@ -65,13 +66,16 @@ def test_rays_show_their_pixels(mi, dataset):
 
 
 def test_held_out_views_are_others(mi, dataset):
-    from lumitree.direct.rays import HELD_OUT_BATCH
+    from lumitree.core.seeds import Purpose, SeedStream
     from lumitree.direct.stored import StoredRays
 
     source = StoredRays(dataset)
     kinds = [
-        {tuple(np.round(row, 4)) for row in np.array(source.pairs(1 << 12, batch, 1).direction).T}
-        for batch in (1, HELD_OUT_BATCH)
+        {
+            tuple(np.round(row, 4))
+            for row in np.array(source.pairs(1 << 12, SeedStream(purpose), 1).direction).T
+        }
+        for purpose in (Purpose.ERROR_INDICATOR, Purpose.HELD_OUT)
     ]
     assert len(kinds[0]) == VIEWS - 2
     assert len(kinds[1]) == 2

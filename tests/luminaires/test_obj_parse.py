@@ -104,6 +104,9 @@ def test_free_form_surfaces_are_told(parsed):
         (TRIANGLE + "\n\nf 1 2 3\nf 0 1 2", "line 7: corner '0'"),
         (TRIANGLE + "f -4 -2 -1", "line 4: corner '-4'"),
         (TRIANGLE + "f -99999999999999999999 2 3", "line 4: corner"),
+        (TRIANGLE + "f -9223372036854775808 1 2", "line 4: corner '-9223372036854775808'"),
+        (TRIANGLE + "f 1 2 9223372036854775808", "line 4: corner"),
+        (TRIANGLE + "f \x1b[31m 1 2", r"corner '\?\[31m'"),
         (TRIANGLE + "f 1 2 99999999999999999999999", "line 4: corner"),
         (TRIANGLE + "f 1/1 2/1 3/1", "line 4: corner '1/1'.* 0 texture"),
         (TRIANGLE + "f 1//1 2//1 3//1", "0 normals"),
@@ -151,7 +154,7 @@ def test_large_files_are_refused(tmp_path):
     with pytest.raises(LumitreeError, match="larger than"):
         read_limited(path, 1000)
     assert len(read_limited(path, 1001)) == 1001
-    with pytest.raises(LumitreeError, match="does not exist or is not a file"):
+    with pytest.raises(LumitreeError, match="is a folder; expected a file"):
         parse_obj(tmp_path)
 
 

@@ -8,9 +8,11 @@ import trimesh
 from PIL import Image
 
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.luminaires import model_folder
+from lumitree.luminaires import images
+from lumitree.luminaires import model as model_module
 from lumitree.luminaires.mesh_repair import closed_share
 from lumitree.luminaires.model import Diffuse, Glass, Metal, Principled, Texture
+from lumitree.luminaires.obj import mesh, reader
 from lumitree.luminaires.obj.reader import read_obj
 
 QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
@@ -286,6 +288,67 @@ def test_links_out_of_the_folder_are_refused(model, tmp_path, tmp_path_factory):
         model(QUAD + "usemtl a\nf 1 2 3", "newmtl a\nmap_Kd images/a.png")
 
 
+@pytest.mark.parametrize("name", ["x" * 300 + ".mtl", "a/" * 3000 + "b.mtl", "\x1b[31m.mtl"])
+@pytest.mark.parametrize("where", ["mtllib", "map_Kd"])
+def test_odd_names_are_not_there(model, name, where):
+    obj, mtl = QUAD + "usemtl a\nf 1 2 3", f"newmtl a\n{where} {name}"
+    if where == "mtllib":
+        obj, mtl = f"mtllib {name}\n" + obj, None
+    with pytest.warns(LumitreeWarning, match="is not there|no MTL file") as caught:
+        model(obj, mtl)
+    for entry in caught:
+        assert str(entry.message).isprintable()
+        assert len(str(entry.message)) < 600
+
+
+def test_a_library_is_read_once_however_it_is_named(model, tmp_path, monkeypatch):
+    read = []
+    monkeypatch.setattr(reader, "parse_mtl", lambda path: read.append(path) or {})
+    (tmp_path / "a.mtl").write_text("newmtl a\n")
+    with pytest.warns(LumitreeWarning, match="no MTL"):
+        model("mtllib a.mtl\nmtllib ./a.mtl\nmtllib .//a.mtl\n" + QUAD + "usemtl a\nf 1 2 3")
+    assert len(read) == 1
+
+
+def test_number_of_materials_is_limited(model, monkeypatch):
+    monkeypatch.setattr(model_module, "MAX_SHAPES", 3)
+    text = QUAD + "".join(f"usemtl {name}\nf 1 2 3\n" for name in "abcd")
+    with pytest.raises(LumitreeError, match="4 shapes; at most 3"):
+        model(text)
+
+
+def test_materials_share_the_textures_of_an_image(model, tmp_path, monkeypatch):
+    pixels = np.random.default_rng(0).integers(0, 255, (8, 8, 3))
+    image(tmp_path / "a.png", pixels)
+    # Decoded once, and one texture of it.
+    monkeypatch.setattr(images, "MAX_TOTAL_BYTES", 8 * 8 * (4 + 12))
+    text = QUAD + "".join(f"usemtl {name}\nf 1/1 2/2 3/3\n" for name in "abc")
+    library = "".join(f"newmtl {name}\nmap_Kd a.png\n" for name in "abc")
+    first, *others = model(text, library).materials
+    for other in others:
+        assert other.surface.reflectance.pixels is first.surface.reflectance.pixels
+    with pytest.raises(LumitreeError, match=r"a\.png brings the model's images .* at most"):
+        model(text, library + "map_Ke a.png\n")
+
+
+def test_work_on_a_material_does_not_grow_with_the_others(model, monkeypatch):
+    """Arrays of one material's mesh, where the file holds a hundred more."""
+    sizes = []
+    original = mesh.outward
+
+    def recorded(positions, faces, pieces, name):
+        sizes.append(len(positions))
+        return original(positions, faces, pieces, name)
+
+    monkeypatch.setattr(mesh, "outward", recorded)
+    lines = []
+    for at in range(100):
+        lines.append(f"v {at} 0 0\nv {at} 1 0\nv {at} 0 1\nusemtl m{at}\nf -3 -2 -1\n")
+    with pytest.warns(LumitreeWarning, match="no MTL"):
+        model("".join(lines))
+    assert sizes == [3] * 100
+
+
 def test_what_is_no_regular_file_is_not_opened(model, tmp_path):
     os.mkfifo(tmp_path / "pipe.png")
     with pytest.warns(LumitreeWarning, match="'pipe.png', which is not there"):
@@ -300,20 +363,20 @@ def test_bad_images_are_refused(model, tmp_path, monkeypatch):
         return model(QUAD + "usemtl a\nf 1/1 2/2 3/3", "newmtl a\nmap_Kd a.png")
 
     (tmp_path / "a.png").write_bytes(b"not an image")
-    with pytest.raises(LumitreeError, match=r"a\.png is not a readable image"):
+    with pytest.raises(LumitreeError, match=r"a\.png is no image that can be read"):
         read()
     image(tmp_path / "a.png", np.random.default_rng(0).integers(0, 255, (64, 64, 3)))
     data = (tmp_path / "a.png").read_bytes()
     (tmp_path / "a.png").write_bytes(data[:2000])
-    with pytest.raises(LumitreeError, match=r"a\.png is a damaged image"):
+    with pytest.raises(LumitreeError, match=r"a\.png is no image that can be read"):
         read()
     # PostScript would be run by an interpreter.
     (tmp_path / "a.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n")
-    with pytest.raises(LumitreeError, match=r"a\.png is not a readable image"):
+    with pytest.raises(LumitreeError, match=r"a\.png is no image that can be read"):
         read()
     (tmp_path / "a.png").write_bytes(data)
-    monkeypatch.setattr(model_folder, "MAX_IMAGE_PIXELS", 64 * 63)
-    with pytest.raises(LumitreeError, match="has 64 x 64 pixels; at most 4032"):
+    monkeypatch.setattr(images, "MAX_IMAGE_PIXELS", 64 * 63)
+    with pytest.raises(LumitreeError, match=r"has 64 x 64 pixels; at most 16384 .* 4032"):
         read()
 
 

@@ -190,7 +190,7 @@ def test_every_conductor_is_known_to_mitsuba(mi):
         ("up = ['y']", "up is"),
         ("variant = 3", "variant is '3'; expected a text"),
         ("material = 3", "material is '3'; expected"),
-        ("material.a = 3", "material.a is 3; expected a table"),
+        ("material.a = 3", "material.a is '3'; expected a table"),
         ("[material.a]\nglas = {}", "unknown key 'material.a.glas'"),
         ("[material.a]\nglass = 1", "material.a.glass is '1'; expected a table"),
         ("[material.a]\nglass = { ior = 1 }", "glass.ior is '1'; expected a number above 1"),

@@ -285,5 +285,5 @@ def test_unknown_formats_and_names(mi, tmp_path):
     with pytest.raises(LumitreeError, match=r"\.xml .*\.obj, \.gltf, \.glb, or a built-in name"):
         load_luminaire(tmp_path / "lamp.fbx")
     (tmp_path / "folder.obj").mkdir()
-    with pytest.raises(LumitreeError, match="is not a file"):
+    with pytest.raises(LumitreeError, match="is a folder; expected a file"):
         load_luminaire(tmp_path / "folder.obj")

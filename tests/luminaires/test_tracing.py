@@ -57,6 +57,22 @@ def test_integrator_suits_the_media(mi, tmp_path, sigma_t, albedo, expected):
     assert str(integrator).startswith(expected)
 
 
+def test_media_are_not_told_by_names(mi, tmp_path):
+    """A coloured surface whose id reads like the parameter of a medium."""
+    slab = (
+        '<shape type="cube" id="interior_medium.albedo.x"><bsdf type="null"/>'
+        '<medium type="homogeneous" name="interior">'
+        '<rgb name="sigma_t" value="0.5, 0.2, 0.1"/><rgb name="albedo" value="0"/></medium></shape>'
+    )
+    surface = (
+        '<shape type="sphere" id="a_medium.albedo."><bsdf type="diffuse">'
+        '<rgb name="reflectance" value="0.5"/></bsdf></shape>'
+    )
+    (tmp_path / "lamp.xml").write_text(scene(slab, surface, LAMP))
+    integrator = path_integrator(load_luminaire(tmp_path / "lamp.xml"), 32)
+    assert str(integrator).startswith("VolumetricMisPath")
+
+
 def test_strongly_coloured_slab_follows_beer_without_fireflies(mi, tmp_path):
     radiance = looked_through(mi, tmp_path, load(tmp_path, "1, 0.2, 0", scale=5))
     noise = radiance.std(axis=1) / np.sqrt(radiance.shape[1])

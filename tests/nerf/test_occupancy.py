@@ -82,6 +82,34 @@ def test_occupancy_round_trip(tmp_path):
         load_occupancy(tmp_path / "grid.npz")
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"shape": np.array([5, 7, 4], np.int32)},
+        {"shape": np.array([5, 7, -3], np.int32)},
+        {"shape": np.array([2**20, 2**20, 2**20], np.int32)},
+        {"shape": np.array([5, 7], np.int32)},
+        {"shape": np.array(["5", "7", "3"])},
+        {"bits": np.zeros(14)},
+        {"bits": np.zeros(3, np.uint8)},
+        {"half_extents": np.array(["1", "1", "1"])},
+        {"half_extents": np.ones(2, np.float32)},
+        {"half_extents": np.ones(3, complex)},
+    ],
+)
+def test_wrong_arrays_are_no_occupancy(tmp_path, change):
+    arrays = {
+        "bits": np.zeros(14, np.uint8),
+        "shape": np.array([5, 7, 3], np.int32),
+        "half_extents": np.ones(3, np.float32),
+    }
+    np.savez(tmp_path / "grid.npz", **arrays)
+    load_occupancy(tmp_path / "grid.npz")
+    np.savez(tmp_path / "grid.npz", **(arrays | change))
+    with pytest.raises(LumitreeError, match="not a readable occupancy grid"):
+        load_occupancy(tmp_path / "grid.npz")
+
+
 def test_dropped_rays_are_background(tmp_path):
     dataset = sphere_dataset(tmp_path, num_views=6, resolution=32)
     everything, _ = load_rays(dataset, "geometric", skip_empty=False)

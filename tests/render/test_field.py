@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fields import random_asset
+from fields import make_asset, random_asset
 from lumitree.octree.reference import integrate_ray
 
 
@@ -111,12 +111,37 @@ def test_missing_and_degenerate_rays_see_nothing(mi):
 
 
 def test_empty_asset_is_clear(mi):
-    from fields import make_asset
-
     asset = make_asset(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 3, 9)))
     radiance, through = trace(mi, asset, [[0, 0, -2]], [[0, 0, 1]])
     assert (radiance == 0).all()
     assert through == [1]
+
+
+def test_coefficients_that_are_denormal_in_half_precision_count(mi, tmp_path):
+    """Of either sign, in a kernel that traces rays; which may take denormals for 0."""
+    import lumitree
+    from lumitree.asset.file import save
+
+    def rendered(coefficient):
+        octants = np.array([(o & 1, o >> 1 & 1, o >> 2) for o in range(8)])
+        coefficients = np.full((8, 3, 1), coefficient)
+        asset = make_asset(octants, np.ones(8), np.full(8, 1e4), coefficients, tree_depth=1)
+        save(asset, tmp_path / "lamp.lumitree")
+        film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
+        look = mi.ScalarTransform4f().look_at([0, 0.2, 5], [0, 0, 0], [0, 1, 0])
+        sensor = {"type": "perspective", "fov": 5, "to_world": look, "film": film}
+        scene = {
+            "type": "scene",
+            "sensor": sensor,
+            "lamp": lumitree.shape(tmp_path / "lamp.lumitree"),
+        }
+        integrator = mi.load_dict({"type": "lumitree_path", "max_depth": 2})
+        image = np.array(mi.render(mi.load_dict(scene), integrator=integrator, spp=4), np.float64)
+        expected, _ = integrate_ray(asset, np.array([0.1, 0.2, 5]), np.array([0, 0, -1.0]))
+        return image.mean(), np.mean(expected)
+
+    (bright, expected_bright), (dark, expected_dark) = rendered(5.9e-5), rendered(-5.9e-5)
+    assert bright - dark == pytest.approx(expected_bright - expected_dark, rel=0.1)
 
 
 def test_thresholds_of_the_paper_change_little(mi):

@@ -142,8 +142,10 @@ def test_without_luminaires_it_is_path(mi, name, options):
         {"max_depth": 3, "hide_emitters": True},
     ],
 )
-def test_without_null_surfaces_it_follows_path_number_by_number(mi, options):
+def test_without_null_surfaces_it_follows_path_number_by_number(mi, monkeypatch, options):
     """The same random numbers in the same places: depth, roulette and hiding cannot differ."""
+    # Rays leave flat surfaces as far away as Mitsuba's, else a few pass an edge on the other side.
+    monkeypatch.setattr("lumitree.render.integrator._FLAT_OFFSET", np.inf)
     scene = view(window=window(), ball=ball("dielectric"), sky=sky(), point=POINT)
     ours = passes(scene, "lumitree_path", 256, **options)
     assert ours == pytest.approx(passes(scene, "path", 256, **options), rel=1e-3, abs=1e-4)

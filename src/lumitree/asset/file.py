@@ -4,7 +4,6 @@ import hashlib
 import json
 import os
 import struct
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,12 +13,29 @@ from numpy.typing import NDArray
 
 from lumitree.asset.model import LuminaireAsset
 from lumitree.core.files import atomic_path
+from lumitree.core.reading import Record, parse_json, read_bytes
+from lumitree.core.transmittance import LAWS
 from lumitree.errors import LumitreeError
 
 FORMAT = "lumitree"
 VERSION = 1
+ACTIVATION = "sigmoid"
 _MAX_HEADER_BYTES = 1 << 20
+# Three million leaves, the most that a bake makes, take at most 0.6 GB.
+MAX_BYTES = 1 << 32
 _TENSORS = {"children": "I32", "density": "F32", "coefficients": "F16"}
+_KEYS = (
+    "format",
+    "version",
+    "luminaire",
+    "tree_depth",
+    "l_max",
+    "law",
+    "activation",
+    "max_radiance",
+    "half_extents",
+    "world_from_proxy",
+)
 
 
 def save(asset: LuminaireAsset, path: str | os.PathLike[str]) -> None:
@@ -36,7 +52,7 @@ def save(asset: LuminaireAsset, path: str | os.PathLike[str]) -> None:
         "tree_depth": asset.tree_depth,
         "l_max": asset.l_max,
         "law": asset.law,
-        "activation": "sigmoid",
+        "activation": ACTIVATION,
         "max_radiance": asset.max_radiance,
         "half_extents": asset.half_extents.tolist(),
         "world_from_proxy": asset.world_from_proxy.tolist(),
@@ -61,59 +77,59 @@ def load(path: str | os.PathLike[str]) -> LuminaireAsset:
     Raises:
         LumitreeError: the file is missing, is no asset, is damaged or breaks an invariant.
     """
-    path = Path(path)
-    _check_header(path)
+    content = read_bytes(path, "a .lumitree asset", MAX_BYTES)
     try:
-        with safetensors.safe_open(path, framework="np") as file:
-            metadata = file.metadata() or {}
-            found = {name: file.get_slice(name).get_dtype() for name in file.keys()}  # noqa: SIM118
-            if found != _TENSORS:
-                raise _damaged(path, f"tensors {found}, expected {_TENSORS}")
-            tensors = {name: file.get_tensor(name) for name in _TENSORS}
-        digest, _, text = metadata["lumitree"].partition(" ")
+        digest, _, text = _read_header(content).partition(" ")
+        tensors = safetensors.numpy.load(content)
         if digest != _digest(text, tensors):
-            raise _damaged(path, "the checksum does not match its content")
-        return _build(json.loads(text), tensors)
-    except (safetensors.SafetensorError, ValueError, KeyError, TypeError) as error:
-        raise _damaged(path, f"{type(error).__name__}: {error}") from None
-    except LumitreeError as error:
-        if str(path) in str(error):
-            raise
-        raise LumitreeError(f"{path}: {error}") from None
+            raise LumitreeError("the checksum does not match its content")
+        return _build(parse_json(text), tensors)
+    except (safetensors.SafetensorError, LumitreeError) as error:
+        raise _damaged(path, str(error)) from None
 
 
-def _build(description: dict[str, Any], tensors: dict[str, NDArray[Any]]) -> LuminaireAsset:
-    if description["format"] != FORMAT or description["version"] != VERSION:
-        raise LumitreeError(
-            f"format {description['format']!r} version {description['version']!r}; this lumitree "
-            f"reads {FORMAT!r} version {VERSION}"
-        )
-    if description["activation"] != "sigmoid":
-        raise LumitreeError(f"activation {description['activation']!r}, expected 'sigmoid'")
+def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> LuminaireAsset:
+    description = Record(value, "the description")
+    # First: another version may have other members.
+    description.choice("format", (FORMAT,))
+    description.expect_version(VERSION)
+    description.expect_keys(*_KEYS)
+    description.choice("activation", (ACTIVATION,))
     return LuminaireAsset(
         **tensors,
-        tree_depth=description["tree_depth"],
-        l_max=description["l_max"],
-        law=description["law"],
-        max_radiance=float(description["max_radiance"]),
-        half_extents=np.asarray(description["half_extents"], np.float64),
-        world_from_proxy=np.asarray(description["world_from_proxy"], np.float64),
-        luminaire=str(description["luminaire"]),
+        tree_depth=description.integer("tree_depth"),
+        l_max=description.integer("l_max"),
+        law=description.choice("law", LAWS),
+        max_radiance=description.number("max_radiance"),
+        half_extents=description.array("half_extents", 3),
+        world_from_proxy=description.array("world_from_proxy", 4, 4),
+        luminaire=description.label("luminaire"),
     )
 
 
-def _check_header(path: Path) -> None:
-    """Refuse a file whose header could not be one of ours, before a parser sees it."""
-    if not path.is_file():
-        raise LumitreeError(f"{path} does not exist; expected a .lumitree asset")
-    size = path.stat().st_size
-    with open(path, "rb") as file:
-        start = file.read(8)
-    header = struct.unpack("<Q", start)[0] if len(start) == 8 else size
-    if header > min(_MAX_HEADER_BYTES, size - 8):
-        raise _damaged(
-            path, f"a header of {header} bytes in a file of {size} (limit {_MAX_HEADER_BYTES})"
+def _read_header(content: bytes) -> str:
+    """The metadata of a file; refuses every header that is not one of ours.
+
+    safetensors itself takes the last of two members of one name.
+    """
+    size = len(content)
+    length = struct.unpack("<Q", content[:8])[0] if size >= 8 else size
+    if length > min(_MAX_HEADER_BYTES, size - 8):
+        raise LumitreeError(
+            f"a header of {length} bytes in a file of {size} (limit {_MAX_HEADER_BYTES})"
         )
+    header = Record(parse_json(content[8 : 8 + length]), "the header")
+    header.expect_keys("__metadata__", *_TENSORS)
+    for name, dtype in _TENSORS.items():
+        tensor = header.record(name)
+        tensor.expect_keys("dtype", "shape", "data_offsets")
+        tensor.choice("dtype", (dtype,))
+        # What these say, and whether they fit the file, safetensors checks.
+        for key in ("shape", "data_offsets"):
+            tensor.integers(key)
+    metadata = header.record("__metadata__")
+    metadata.expect_keys("lumitree")
+    return metadata.text("lumitree", _MAX_HEADER_BYTES)
 
 
 def _digest(text: str, tensors: dict[str, NDArray[Any]]) -> str:
@@ -126,5 +142,5 @@ def _digest(text: str, tensors: dict[str, NDArray[Any]]) -> str:
     return digest.hexdigest()
 
 
-def _damaged(path: Path, reason: str) -> LumitreeError:
+def _damaged(path: str | os.PathLike[str], reason: str) -> LumitreeError:
     return LumitreeError(f"{path} is not a valid .lumitree asset: {reason}; bake it again")

@@ -11,12 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.frames import similarity_scale
+from lumitree.core.frames import check_local_frame
 from lumitree.core.harmonics import MAX_L, num_coefficients
+from lumitree.core.reading import label
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.errors import LumitreeError
 
 MAX_TREE_DEPTH = 10
+# What a renderer computes from values within these bounds is finite in float32, squares included.
+MIN_RADIANCE, MAX_RADIANCE = 1e-15, 1e15
+MAX_DENSITY = 1e15
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -29,15 +33,17 @@ class LuminaireAsset:
     Attributes:
         children: int32 [N, 8], by octant: 0 empty, n > 0 interior node n, c < 0 leaf ~c.
             Node 0 is the root; a node's children come after it.
-        density: float32 [M], at least 0, per local unit of length.
+        density: float32 [M], 0 to 1e15, per local unit of length.
         coefficients: float16 [M, 3, K], spherical-harmonics coefficients before the sigmoid.
         tree_depth: level of the smallest possible leaf, whose side is 2 / 2**tree_depth.
         l_max: highest spherical-harmonics band, 0 to 4.
         law: transmittance law the field was made for.
-        max_radiance: L_max, the sigmoid's end; radiance units of the luminaire's own scene.
-        half_extents: float [3], the proxy box in local units; the longest is 1.
-        world_from_proxy: float [4, 4], the luminaire's own frame: local to its file's units.
-        luminaire: where the field came from, for people.
+        max_radiance: L_max, the sigmoid's end, 1e-15 to 1e15; radiance units of the luminaire's
+            own scene.
+        half_extents: float [3], the proxy box in local units, at least 1e-3; the longest is 1.
+        world_from_proxy: float [4, 4], the luminaire's own frame: local to its file's units. Its
+            scale is 1e-12 to 1e12, and so far is it moved at most.
+        luminaire: where the field came from, for people; kept as a `core.reading.label`.
     """
 
     children: NDArray[np.int32]
@@ -53,6 +59,7 @@ class LuminaireAsset:
 
     def __post_init__(self) -> None:
         """Refuse anything that a renderer could not traverse safely."""
+        object.__setattr__(self, "luminaire", label(self.luminaire))
         _check_scalars(self)
         _check_payload(self)
         _check_tree(self.children, len(self.density), self.tree_depth)
@@ -104,15 +111,13 @@ def _check_scalars(asset: LuminaireAsset) -> None:
     )
     _expect(asset.law in LAWS, f"transmittance law {asset.law!r}, expected one of {LAWS}")
     _expect(
-        np.isfinite(asset.max_radiance) and asset.max_radiance > 0,
-        f"maximum radiance {asset.max_radiance!r}, expected a positive number",
+        MIN_RADIANCE <= asset.max_radiance <= MAX_RADIANCE,
+        f"maximum radiance {asset.max_radiance!r}, expected {MIN_RADIANCE} to {MAX_RADIANCE}",
     )
-    half = asset.half_extents
-    _expect(
-        half.shape == (3,) and (half > 0).all() and abs(half.max() - 1) < 1e-6,
-        f"half extents {half.tolist()}, expected 3 positive lengths, the longest 1",
-    )
-    similarity_scale(asset.world_from_proxy, "invalid asset: world_from_proxy")
+    try:
+        check_local_frame(asset.half_extents, asset.world_from_proxy)
+    except LumitreeError as error:
+        raise LumitreeError(f"invalid asset: {error}") from None
 
 
 def _check_payload(asset: LuminaireAsset) -> None:
@@ -132,8 +137,8 @@ def _check_payload(asset: LuminaireAsset) -> None:
             f"{name} is {array.dtype} {array.shape}, expected {np.dtype(dtype)} {shape}",
         )
     _expect(
-        np.isfinite(asset.density).all() and (asset.density >= 0).all(),
-        "density holds NaN, infinity or negative values",
+        ((asset.density >= 0) & (asset.density <= MAX_DENSITY)).all(),
+        f"density holds NaN, negative values or values above {MAX_DENSITY}",
     )
     _expect(np.isfinite(asset.coefficients).all(), "coefficients hold NaN or infinity")
 

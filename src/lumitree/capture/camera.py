@@ -8,11 +8,14 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.seeds import SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.luminaires.straight_through import straight_through
 from lumitree.luminaires.tracing import PATH_DEPTH, path_integrator
 
+# Equal settings give equal images: no option changes this.
+_ROOT_SEED = 0
 # Paths in flight at once: bounds memory to about 1 GiB.
 _MAX_PATHS = 1 << 23
 
@@ -24,13 +27,6 @@ class Picture:
     radiance: NDArray[np.float32]
     geometric: NDArray[np.float32]
     straight_through: NDArray[np.float32]
-
-
-def check_settings(**settings: int) -> None:
-    """Refuse counts below 1, naming the option."""
-    for name, value in settings.items():
-        if value < 1:
-            raise LumitreeError(f"{name} is {value}; expected at least 1")
 
 
 def check_finite(luminaire: Luminaire, values: NDArray[np.floating]) -> None:
@@ -61,12 +57,12 @@ class Camera:
         self._integrator = path_integrator(luminaire, path_depth)
         self._sampler = mi.load_dict({"type": "independent"})
 
-    def take(self, pose: NDArray[np.float64], seed: int) -> Picture:
+    def take(self, pose: NDArray[np.float64], stream: SeedStream) -> Picture:
         """Take one picture.
 
         Args:
             pose: `proxy_from_camera` [4, 4], outside the bounding sphere (see `core.sampling`).
-            seed: below 2**20; pictures with different seeds are independent.
+            stream: pictures with different streams are independent.
 
         Raises:
             LumitreeError: a pixel is NaN or infinite.
@@ -77,8 +73,7 @@ class Camera:
         done = 0
         while done < total:
             count = min(batch, total - done)
-            # Distinct for all pictures and batches: `done` is below 2**20 samples.
-            sums += self._trace(pose, count, (seed << 12) ^ (done >> 3))
+            sums += self._trace(pose, count, stream.seed(_ROOT_SEED, part=done))
             done += count
         image = (sums / total).astype(np.float32).reshape(resolution, resolution, 5)
         check_finite(self._luminaire, image)

@@ -1,7 +1,7 @@
 """The light that leaves a luminaire, integrated over all positions and directions by tracing."""
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.capture.camera import check_finite
+from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.luminaires.photometry import luminance
 from lumitree.luminaires.tracing import PATH_DEPTH, path_integrator
@@ -45,14 +46,14 @@ def estimate_flux(
     Args:
         num_paths: independent paths, rounded up to whole batches of 2**20.
         path_depth: longest path, bounces.
-        seed: estimates with different seeds are independent.
+        seed: root seed; estimates with different seeds are independent.
 
     Raises:
         LumitreeError: a path's radiance is NaN or infinite.
     """
     integrator = path_integrator(luminaire, path_depth)
     moments = _Moments(4)
-    for batch_seed in _batch_seeds(num_paths, seed):
+    for batch_seed in _batch_seeds(num_paths, Purpose.FLUX, seed):
         radiance = _trace(luminaire, integrator, batch_seed)
         moments.add(np.column_stack([radiance, luminance(radiance)]))
     mean, error = (_measure(luminaire) * value for value in moments.mean_and_error())
@@ -91,7 +92,7 @@ def missed_by_depth(
     depths = (reference_depth, *path_depths)
     integrators = [path_integrator(luminaire, depth, **_NO_ROULETTE) for depth in depths]
     moments = _Moments(len(depths))
-    for batch_seed in _batch_seeds(num_paths, seed):
+    for batch_seed in _batch_seeds(num_paths, Purpose.LONG_PATHS, seed):
         flux = [luminance(_trace(luminaire, each, batch_seed)) for each in integrators]
         moments.add(np.column_stack([flux[0], *(flux[0] - short for short in flux[1:])]))
     mean, error = moments.mean_and_error()
@@ -121,8 +122,8 @@ class _Moments:
         return mean, np.sqrt(variance / (self.count - 1))
 
 
-def _batch_seeds(num_paths: int, seed: int) -> Iterator[int]:
-    return iter(range(seed << 12, (seed << 12) + -(-num_paths // _BATCH)))
+def _batch_seeds(num_paths: int, purpose: Purpose, seed: int) -> list[int]:
+    return [SeedStream(purpose, batch).seed(seed) for batch in range(-(-num_paths // _BATCH))]
 
 
 def _measure(luminaire: Luminaire) -> float:

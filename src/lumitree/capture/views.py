@@ -3,10 +3,12 @@
 import os
 from pathlib import Path
 
-from lumitree.capture.camera import Camera, check_settings
-from lumitree.core.dataset import MANIFEST, Dataset, Frame, Manifest, Split, View
+from lumitree.capture.camera import Camera
+from lumitree.core.arguments import check_image_settings, check_range
+from lumitree.core.dataset import MANIFEST, MAX_VIEWS, Dataset, Frame, Manifest, Split, View
 from lumitree.core.progress import progress
 from lumitree.core.sampling import FIRST_TEST_INDEX, view_pose
+from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.luminaires.tracing import PATH_DEPTH
@@ -36,7 +38,7 @@ def capture(
     done = len(manifest.frames) - len(missing)
     with progress(f"capture {luminaire.name}", len(manifest.frames), done) as advance:
         for frame in missing:
-            picture = camera.take(frame.pose, frame.halton_index)
+            picture = camera.take(frame.pose, SeedStream(Purpose.CAPTURE, frame.halton_index))
             dataset.write(View(frame, **vars(picture)))
             advance(1)
     return dataset
@@ -45,7 +47,8 @@ def capture(
 def _plan(
     luminaire: Luminaire, num_views: int, resolution: int, samples_per_pixel: int, split: Split
 ) -> Manifest:
-    check_settings(views=num_views, resolution=resolution, spp=samples_per_pixel)
+    check_range("views", num_views, 1, MAX_VIEWS)
+    check_image_settings(resolution=resolution, spp=samples_per_pixel)
     first = 1 if split == "train" else FIRST_TEST_INDEX
     # Cameras stand clear of the bounding sphere.
     distance = 2 * luminaire.bounding_radius

@@ -21,6 +21,7 @@ from lumitree.cli import (
 )
 from lumitree.cli.options import Parser
 from lumitree.cli.output import LONGEST_LINE
+from lumitree.core.backend import quieten
 from lumitree.core.interrupt import Interrupted, interruptible
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
@@ -52,6 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _join_vectors(list(sys.argv[1:] if argv is None else argv))
     if not arguments:
         arguments = ["--help"]
+    quieten()
     with warnings.catch_warnings(), interruptible():
         warnings.showwarning = _show_warning
         warnings.simplefilter("always", LumitreeWarning)

@@ -7,10 +7,9 @@ from pathlib import Path
 from lumitree.core.files import check_writable
 from lumitree.errors import LumitreeError, shown
 
-# Largest image side, paths or samples a pixel, and seed.
+# Largest image side, and paths or samples a pixel.
 MAX_PIXELS_A_SIDE = 1 << 14
 MAX_SAMPLES = 1 << 20
-MAX_SEED = (1 << 31) - 1
 # Rays of a bake, and seconds: a year.
 MAX_RAYS, MAX_SECONDS = 1 << 50, 365 * 24 * 3600.0
 

@@ -19,6 +19,8 @@ CPU_VARIANT = "llvm_ad_rgb"
 GPU_VARIANT = "cuda_ad_rgb"
 # 17 is the first whose AVX-512 back end can select the `fminimum` that Dr.Jit emits.
 MIN_LLVM = 17
+# Whether `quieten` was called.
+_quiet = False
 _REMEDY = "unset DRJIT_LIBLLVM_PATH to use the one that comes with lumitree"
 
 
@@ -65,8 +67,18 @@ def load_mitsuba(variant: str | None = None) -> Any:
             raise LumitreeError(
                 f"Mitsuba variant {variant} cannot start: {str(error).splitlines()[0]}"
             ) from error
-    mi.set_log_level(mi.LogLevel.Error)
+    if _quiet:
+        mi.set_log_level(mi.LogLevel.Error)
     return mi
+
+
+def quieten() -> None:
+    """Let Mitsuba log errors alone, from when it is loaded; for the command line.
+
+    A library leaves the log to its user.
+    """
+    global _quiet
+    _quiet = True
 
 
 def check_llvm(version: tuple[int, ...] | None, path: str | None) -> None:

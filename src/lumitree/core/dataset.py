@@ -8,7 +8,6 @@ frame (D8); cameras are orthographic, square, and share one width.
 """
 
 import dataclasses
-import json
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -17,9 +16,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.arguments import MAX_PIXELS_A_SIDE
 from lumitree.core.files import write_json
-from lumitree.core.frames import similarity_scale
+from lumitree.core.frames import MAX_SCALE, check_local_frame
 from lumitree.core.images import max_radiance, read_exr, write_exr
+from lumitree.core.reading import Record, label, parse_json, read_bytes
 from lumitree.core.sampling import FIRST_TEST_INDEX
 from lumitree.errors import LumitreeError
 
@@ -32,6 +33,8 @@ MANIFEST = "manifest.json"
 DATASET_FILES = (MANIFEST, "view_*.exr")
 # As many as keep the Halton indices of training views below those of test views.
 MAX_VIEWS = FIRST_TEST_INDEX - 1
+# A view takes about 600 bytes.
+_MAX_MANIFEST_BYTES = 1 << 28
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,10 +56,10 @@ class Manifest:
     """What a dataset shows and how it was captured.
 
     Attributes:
-        luminaire: name or file name of the luminaire.
+        luminaire: name or file name of the luminaire; kept as a `core.reading.label`.
         fingerprint: identifies the luminaire's content; a capture resumes only if it matches.
         split: "train" or "test".
-        resolution: pixels a side.
+        resolution: pixels a side, at most 16384.
         samples_per_pixel: paths a pixel.
         path_depth: longest path, bounces.
         half_width: half the side of every view, local units.
@@ -78,17 +81,24 @@ class Manifest:
     version: int = VERSION
 
     def __post_init__(self) -> None:
-        similarity_scale(self.world_from_proxy, "world_from_proxy")
-        half = np.asarray(self.half_extents, np.float64)
-        if half.shape != (3,) or not (half > 0).all() or abs(half.max() - 1) > 1e-6:
-            raise LumitreeError(f"half_extents {self.half_extents} are not 3 lengths, longest 1")
-        if self.resolution < 1 or not self.half_width > 0 or not self.frames:
-            raise LumitreeError("a dataset needs at least one view of at least one pixel")
+        object.__setattr__(self, "luminaire", label(self.luminaire))
+        check_local_frame(self.half_extents, self.world_from_proxy)
+        if not 1 <= self.resolution <= MAX_PIXELS_A_SIDE:
+            raise LumitreeError(
+                f"resolution is {self.resolution}; expected 1 to {MAX_PIXELS_A_SIDE} pixels a side"
+            )
+        if not 0 < self.half_width <= MAX_SCALE:
+            raise LumitreeError(f"half_width is {self.half_width}; expected a positive length")
+        files = {frame.file for frame in self.frames}
+        if not files or len(files) < len(self.frames):
+            raise LumitreeError("a dataset needs at least one view, and a file for each")
         for frame in self.frames:
-            if frame.pose.shape != (4, 4) or not np.isfinite(frame.pose).all():
-                raise LumitreeError(f"pose of {frame.file} is not a finite 4 x 4 matrix")
-            if Path(frame.file).name != frame.file:
+            if frame.file in ("", "..") or Path(frame.file).name != frame.file:
                 raise LumitreeError(f"view {frame.file!r} lies outside the dataset's folder")
+            if frame.pose.shape != (4, 4) or not (np.abs(frame.pose) <= MAX_SCALE).all():
+                raise LumitreeError(
+                    f"pose of {frame.file} is not 4 x 4 numbers of at most {MAX_SCALE:g}"
+                )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,16 +131,16 @@ class Dataset:
         """
         folder = Path(folder)
         path = folder / MANIFEST
-        if not path.is_file():
+        if not os.path.isfile(path):
             raise LumitreeError(
                 f"{folder} holds no {MANIFEST}; expected a dataset made by 'lumitree capture'"
             )
+        content = read_bytes(path, "a manifest", _MAX_MANIFEST_BYTES)
         try:
-            return Dataset(folder, _parse(json.loads(path.read_text(encoding="utf-8"))))
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            return Dataset(folder, _parse(parse_json(content)))
+        except LumitreeError as error:
             raise LumitreeError(
-                f"{path} is not a valid manifest ({type(error).__name__}: {error}); "
-                "capture the dataset again"
+                f"{path} is not a valid manifest: {error}; capture the dataset again"
             ) from None
 
     def save_manifest(self) -> None:
@@ -191,17 +201,34 @@ class Dataset:
         return View(frame, planes["RGB"], planes["geometric"], planes["straight_through"])
 
 
-def _parse(data: dict[str, Any]) -> Manifest:
-    if data.get("version") != VERSION:
-        raise ValueError(f"version {data.get('version')}, this lumitree reads {VERSION}")
-    frames = tuple(
-        Frame(str(frame["file"]), int(frame["halton_index"]), _rows(frame["proxy_from_camera"]))
-        for frame in data.pop("frames")
+def _parse(value: Any) -> Manifest:
+    record = Record(value, "the manifest")
+    # First: another version may have other members.
+    record.expect_version(VERSION)
+    record.expect_keys(*(field.name for field in dataclasses.fields(Manifest)))
+    return Manifest(
+        luminaire=record.label("luminaire"),
+        fingerprint=record.label("fingerprint"),
+        split=record.choice("split", get_args(Split)),
+        resolution=record.integer("resolution"),
+        samples_per_pixel=record.integer("samples_per_pixel"),
+        path_depth=record.integer("path_depth"),
+        half_width=record.number("half_width"),
+        half_extents=tuple(record.array("half_extents", 3).tolist()),
+        world_from_proxy=_rows(record, "world_from_proxy"),
+        frames=tuple(_parse_frame(frame) for frame in record.items("frames")),
     )
-    data["world_from_proxy"] = _rows(data["world_from_proxy"])
-    data["half_extents"] = tuple(float(value) for value in data["half_extents"])
-    return Manifest(frames=frames, **data)
 
 
-def _rows(matrix: Any) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(float(value) for value in row) for row in matrix)
+def _parse_frame(value: Any) -> Frame:
+    record = Record(value, "a frame")
+    record.expect_keys(*(field.name for field in dataclasses.fields(Frame)))
+    return Frame(
+        file=record.label("file"),
+        halton_index=record.integer("halton_index"),
+        proxy_from_camera=_rows(record, "proxy_from_camera"),
+    )
+
+
+def _rows(record: Record, key: str) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, record.array(key, 4, 4).tolist()))

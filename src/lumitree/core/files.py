@@ -50,6 +50,13 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.replace(temporary, path)
     except OSError as error:
         raise _write_error(path, error) from error
+    except RuntimeError as error:
+        # What Mitsuba's streams raise names the temporary file; the reason comes last.
+        _, failed, reason = str(error).partition("I/O error")
+        if not failed:
+            raise
+        full = OSError(errno.ENOSPC, reason.rpartition(": ")[2])
+        raise _write_error(path, full) from error
     finally:
         os.close(handle)
         temporary.unlink(missing_ok=True)

@@ -18,9 +18,8 @@ Vector = TypeVar("Vector")
 
 # A box this thin (local units) still has an inside that a ray can cross.
 MIN_HALF_EXTENT = 1e-3
-# Largest coordinate and range of sizes of what is placed in a scene, scene units: their squares and
-# cubes stay within single precision.
-MAX_COORDINATE, MIN_SIZE, MAX_SIZE = 1e9, 1e-9, 1e9
+# Scales, sizes and coordinates whose squares and cubes are finite in float32.
+MIN_SCALE, MAX_SCALE = 1e-12, 1e12
 
 
 def towards_viewer(direction: Vector) -> Vector:
@@ -113,17 +112,40 @@ def check_placement(
     at: ArrayLike | None = None, size: float | None = None, rotate: ArrayLike = (0, 1, 0, 0)
 ) -> None:
     """Refuse a placement, as for `placement`, whose numbers are out of range."""
-    if size is not None and not MIN_SIZE <= size <= MAX_SIZE:
+    if size is not None and not MIN_SCALE <= size <= MAX_SCALE:
         raise LumitreeError(
-            f"size {size} is not a length of {MIN_SIZE:g} to {MAX_SIZE:g} scene units"
+            f"size {size} is not a length of {MIN_SCALE:g} to {MAX_SCALE:g} scene units"
         )
     for name, values, count in (("at", at, 3), ("rotate", rotate, 4)):
         numbers = np.asarray([0.0] * count if values is None else values, np.float64)
-        if numbers.shape != (count,) or not (np.abs(numbers) <= MAX_COORDINATE).all():
+        if numbers.shape != (count,) or not (np.abs(numbers) <= MAX_SCALE).all():
             raise LumitreeError(
-                f"{name} {numbers.tolist()} is not {count} numbers of up to {MAX_COORDINATE:g}"
+                f"{name} {numbers.tolist()} is not {count} numbers of up to {MAX_SCALE:g}"
             )
     rotation(np.asarray(rotate, np.float64)[:3], 0)
+
+
+def check_local_frame(half_extents: ArrayLike, world_from_proxy: ArrayLike) -> None:
+    """Refuse what is no local frame (D8), or none that single precision can hold.
+
+    Args:
+        half_extents: [3] the proxy box in local units: at least 1e-3, and the longest 1.
+        world_from_proxy: [4, 4] a similarity with a scale of 1e-12 to 1e12, which moves the box
+            by at most as much along each axis.
+    """
+    half = np.asarray(half_extents, np.float64)
+    if half.shape != (3,) or not (half >= MIN_HALF_EXTENT).all() or not abs(half.max() - 1) < 1e-6:
+        raise LumitreeError(
+            f"half_extents are {half.tolist()}; expected 3 lengths of {MIN_HALF_EXTENT} or more, "
+            "the longest 1"
+        )
+    matrix = np.asarray(world_from_proxy, np.float64)
+    # Before the determinant is taken, which might overflow.
+    if matrix.shape != (4, 4) or not (np.abs(matrix) <= MAX_SCALE).all():
+        raise LumitreeError(f"world_from_proxy is not 4 x 4 numbers of at most {MAX_SCALE:g}")
+    scale = similarity_scale(matrix, "world_from_proxy")
+    if scale < MIN_SCALE:
+        raise LumitreeError(f"world_from_proxy has the scale {scale:g}; expected {MIN_SCALE:g} up")
 
 
 def placement(

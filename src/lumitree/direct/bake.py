@@ -5,7 +5,7 @@ import json
 import math
 import time
 import warnings
-import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,10 @@ from lumitree.core.files import atomic_path
 from lumitree.core.harmonics import MAX_L, Y_00, num_coefficients
 from lumitree.core.interrupt import Interruption, deferred_interrupt
 from lumitree.core.progress import progress
+from lumitree.core.reading import read_arrays
+from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream, check_seed
 from lumitree.core.transmittance import LAWS, Law
-from lumitree.direct.balance import BALANCE_DRAWS, balance, light_left_over
+from lumitree.direct.balance import balance, light_left_over
 from lumitree.direct.estimate import estimate, grow
 from lumitree.direct.field import LEAVES, LeafField
 from lumitree.direct.heldout import HeldOut, Score
@@ -32,6 +34,7 @@ from lumitree.luminaires.luminaire import Luminaire
 from lumitree.octree.build import build_children
 
 STATE = "state.npz"
+_STATE_VERSION = 1
 # The statistics are taken at this level at the finest, and the hull of pictures at this one; what
 # is finer comes from splitting.
 _ESTIMATE_DEPTH, _HULL_DEPTH = 8, 6
@@ -64,7 +67,7 @@ class DirectConfig:
         estimate_lines: lines traced for the first estimate.
         seconds: budget of time; None for no limit.
         rays: budget of refinement rays; None for no limit.
-        seed: of all random numbers.
+        seed: root seed of all random numbers, 0 to 2**31 - 1.
         refine: the descent.
     """
 
@@ -84,6 +87,7 @@ class DirectConfig:
             )
         if not 0 <= self.l_max <= MAX_L:
             raise LumitreeError(f"l_max {self.l_max} is out of range; choose 0 to {MAX_L}")
+        check_seed(self.seed)
         if self.law not in LAWS:
             raise LumitreeError(f"law {self.law!r} is unknown; choose {' or '.join(LAWS)}")
         if self.estimate_lines < 1:
@@ -175,7 +179,8 @@ def refine(
     Args:
         asset: where to start; its law and l_max stay, its leaves may be split.
         luminaire: what it shows.
-        config: how; its depth, l_max and law are replaced by the asset's.
+        config: how; its depth, l_max and law are replaced by the asset's. The rays depend on its
+            seed and on the asset, so that they are not those that the asset was made with.
         folder: where the state is kept while it runs.
 
     Raises:
@@ -191,7 +196,11 @@ def refine(
             "refine an asset with its own luminaire"
         )
     config = dataclasses.replace(
-        config, tree_depth=asset.tree_depth, l_max=asset.l_max, law=asset.law
+        config,
+        tree_depth=asset.tree_depth,
+        l_max=asset.l_max,
+        law=asset.law,
+        seed=_continued_seed(asset, config.seed),
     )
     source = _source(luminaire, config)
 
@@ -207,6 +216,12 @@ def refine(
 def _source(luminaire: Luminaire, config: DirectConfig) -> TracedRays:
     level = min(config.tree_depth, _LINE_DEPTH)
     return TracedRays(luminaire, spacing=2 / (1 << level), seed=config.seed)
+
+
+def _continued_seed(asset: LuminaireAsset, seed: int) -> int:
+    """Root seed for refining an asset: not the one of the rays that it was made with."""
+    checksum = zlib.crc32(asset.coefficients.tobytes(), zlib.crc32(asset.density.tobytes()))
+    return SeedStream(Purpose.CONTINUATION, checksum).seed(seed) & MAX_SEED
 
 
 def _radiance_of(source: TracedRays, config: DirectConfig) -> float:
@@ -254,11 +269,10 @@ def _run(
         with progress(f"calibrate {source.subject.name}", 2) as advance:
             # The descent leaves what is small and bright a few percent too bright; and what the
             # sigmoid has no room for is made up by the rest.
-            balance(loop.best, source, max_radiance, refiner.step, stop)
+            closing = SeedStream(Purpose.CLOSING_CALIBRATION, refiner.step)
+            balance(loop.best, source, max_radiance, closing, stop)
             advance(1)
-            factor = light_left_over(
-                loop.best, source, max_radiance, refiner.step + BALANCE_DRAWS, stop
-            )
+            factor = light_left_over(loop.best, source, max_radiance, refiner.step, stop)
             advance(1)
         score = held_out.rescaled(factor).score(loop.best)
     asset = make_asset(loop.best, source.subject, factor * max_radiance)
@@ -290,7 +304,7 @@ def _first_field(source: TracedRays, config: DirectConfig, max_radiance: float) 
     )
     levels = np.full(len(first.cells), level)
     field = _field(config, source, first.cells, levels, first.density, first.coefficients)
-    balance(field, source, max_radiance)
+    balance(field, source, max_radiance, SeedStream(Purpose.CALIBRATION))
     return field
 
 
@@ -424,20 +438,20 @@ def _record(subject: Subject, config: DirectConfig) -> str:
     """What must agree for a state to be continued; a budget may be raised."""
     fields = dataclasses.asdict(config)
     del fields["seconds"], fields["rays"]
-    return json.dumps({"fingerprint": subject.fingerprint, **fields}, sort_keys=True)
+    return json.dumps(
+        {"version": _STATE_VERSION, "fingerprint": subject.fingerprint, **fields}, sort_keys=True
+    )
 
 
 def _load(path: Path, record: str) -> Mapping[str, NDArray[Any]] | None:
     if not path.exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            state = {name: archive[name] for name in archive.files}
+        state = read_arrays(path)
         found = str(state["record"])
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise LumitreeError(
-            f"{path} is damaged ({type(error).__name__}); remove its folder to start again"
-        ) from None
+    except (LumitreeError, KeyError) as error:
+        reason = str(error) if isinstance(error, LumitreeError) else f"{path} is no state of a bake"
+        raise LumitreeError(f"{reason}; remove its folder to start again") from None
     if found != record:
         raise LumitreeError(
             f"{path.parent} holds the unfinished bake of another luminaire or with other "

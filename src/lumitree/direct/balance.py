@@ -14,6 +14,7 @@ Symbols
     x           (M + prior) x = r
 """
 
+import dataclasses
 from typing import Any
 
 import drjit as dr
@@ -24,12 +25,11 @@ from numpy.typing import NDArray
 from lumitree.core.device import on_device
 from lumitree.core.harmonics import Y_00, num_coefficients
 from lumitree.core.interrupt import Interruption
+from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.direct.field import LeafField
-from lumitree.direct.rays import BALANCE_BATCH, RaySource
+from lumitree.direct.rays import RaySource
 
 _ROUNDS, _LINES = 4, 1 << 17
-# Draws of rays that `balance` makes.
-BALANCE_DRAWS = 2 * _ROUNDS
 # Light in all is told to half a percent. Its noise is that of the lines, not of emitted paths.
 _TOTAL_DRAWS, _TOTAL_LINES, _TOTAL_LIGHT_SHARE = 8, 1 << 20, 1 / 16
 # Levels of the cells: finer ones see too little, and coarser ones are most of the lamp.
@@ -48,13 +48,13 @@ def balance(
     field: LeafField,
     source: RaySource,
     max_radiance: float,
-    batch: int = 0,
+    stream: SeedStream,
     stop: Interruption | None = None,
 ) -> None:
     """Scale the emission of a field's leaves, by channel, region and side, in place.
 
     Args:
-        batch: number that sets the rays apart from those of other calls.
+        stream: purpose and step of the rays; its draws are all used.
         stop: no further round begins once it is set; every round improves the field.
     """
     levels = [_cells(field, level) for level in range(_FINEST + 1)]
@@ -62,20 +62,18 @@ def balance(
     member = np.unique(cell, return_index=True)[1]
     above = [index[member] for index in levels]
     harmonics = min(_HARMONICS, num_coefficients(field.l_max))
-    for step in range(_ROUNDS):
+    for turn in range(_ROUNDS):
         if stop:
             return
-        halves = [
-            _moments(field, source, max_radiance, batch + 2 * step + half, cell, harmonics)
-            for half in range(2)
-        ]
+        streams = [dataclasses.replace(stream, draw=2 * turn + half) for half in range(2)]
+        halves = [_moments(field, source, max_radiance, each, cell, harmonics) for each in streams]
         (first, one), (second, other) = halves
         found = _shift(first + second, one + other, first[..., 0] - second[..., 0], above)
         # What multiplies by 1 + x Y adds log(1 + x Y).
         mean = np.maximum(1 + Y_00 * found[..., :1], _SMALLEST_FACTOR)
         shift = np.concatenate([np.log(mean) / Y_00, found[..., 1:] / mean], axis=-1)
         # Less from round to round, so that the noise of all rounds but the first averages out.
-        shift *= 1 / max(1, step)
+        shift *= 1 / max(1, turn)
         coefficients = field.coefficient_array()
         limit = _LARGEST_SHIFT / Y_00
         coefficients[:, :, :harmonics] += shift.clip(-limit, limit)[cell]
@@ -86,22 +84,21 @@ def light_left_over(
     field: LeafField,
     source: RaySource,
     max_radiance: float,
-    batch: int,
+    step: int,
     stop: Interruption | None = None,
 ) -> float:
     """All light of the source over all that the field gives; 1 where either is nothing.
 
     Args:
-        batch: as for `balance`.
+        step: steps of descent that made the field.
         stop: one draw is enough once it is set: estimated to ±1.5 % instead of ±0.5 %.
     """
     seen, given = 0.0, 0.0
-    for step in range(_TOTAL_DRAWS):
-        if stop and step:
+    for draw in range(_TOTAL_DRAWS):
+        if stop and draw:
             break
-        rays = source.draw(
-            _TOTAL_LINES, BALANCE_BATCH + batch + step, _all_lines, _TOTAL_LIGHT_SHARE
-        )
+        stream = SeedStream(Purpose.FLUX_CORRECTION, step, draw)
+        rays = source.draw(_TOTAL_LINES, stream, _all_lines, _TOTAL_LIGHT_SHARE)
         radiance, _, _ = field.integrate(rays.origin, rays.direction)
         seen += float(dr.sum(rays.light, axis=None)[0]) / max_radiance
         given += float(dr.sum(rays.share * radiance, axis=None)[0])
@@ -148,12 +145,12 @@ def _moments(
     field: LeafField,
     source: RaySource,
     max_radiance: float,
-    batch: int,
+    stream: SeedStream,
     cell: NDArray[np.int64],
     harmonics: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """r [C, 3, K] and M [C, 3, K, K] of the cells of the leaves ([M]), by new rays."""
-    rays = source.draw(_LINES, BALANCE_BATCH + batch, field.meets)
+    rays = source.draw(_LINES, stream, field.meets)
     light = rays.light * dr.opaque(mi.Float, 1 / max_radiance)
     radiance, _, _ = field.integrate(rays.origin, rays.direction)
     ratio = light / dr.maximum(radiance, 1e-6)

@@ -26,9 +26,11 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, basis_array, num_coefficients
 from lumitree.core.sampling import halton_direction
+from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.core.transmittance import Law
 from lumitree.direct.light_paths import LightPaths
 from lumitree.direct.rays import Stops, TracedRays
+from lumitree.direct.sums import ExactSum, total_of
 from lumitree.octree.build import build_children
 
 _START_LEVEL = 5
@@ -72,7 +74,7 @@ def grow(rays: TracedRays, tree_depth: int, lines_a_level: int) -> NDArray[np.in
     while level < tree_depth:
         octree = _tree(cells, level, half)
         lines = max(_BATCH, lines_a_level >> (2 * (tree_depth - 1 - level)))
-        stops = _count_stops(rays, octree, len(cells), lines, first_batch=level << 20)
+        stops = _count_stops(rays, octree, len(cells), lines, level)
         cells = split(cells[stops > 0])
         level += 1
         cells = cells[inside_box(cells, level, half)]
@@ -107,9 +109,10 @@ def estimate(
     octree = _tree(cells, tree_depth, half)
     sums = _Sums(len(cells), l_max)
     for batch in range(-(-num_lines // _BATCH)):
-        sums.add(octree, rays.stops(_BATCH, batch))
+        stream = SeedStream(Purpose.ESTIMATE, batch)
+        sums.add(octree, rays.stops(_BATCH, stream))
         # Flux in units of the radiance of one of the lines.
-        sums.add_light(octree, rays.light(_BATCH // 2, batch), _BATCH / rays.measure)
+        sums.add_light(octree, rays.light(_BATCH // 2, stream), _BATCH / rays.measure)
     # What no path crosses lies inside something: it is kept too, and made opaque.
     kept = dr.compress((sums.stops > 0) | (sums.entries == 0))
     cells = cells[np.array(kept)]
@@ -147,11 +150,11 @@ def _tree(cells: NDArray[np.int64], level: int, half_extents: NDArray[np.float64
 
 
 def _count_stops(
-    rays: TracedRays, octree: Octree, num_cells: int, lines: int, first_batch: int
+    rays: TracedRays, octree: Octree, num_cells: int, lines: int, level: int
 ) -> NDArray[np.float32]:
     count = dr.zeros(mi.Float, num_cells)
     for batch in range(-(-lines // _BATCH)):
-        stops = rays.stops(_BATCH, first_batch + batch)
+        stops = rays.stops(_BATCH, SeedStream(Purpose.GROWTH, level, batch))
         leaf, found = octree.find_leaf(stops.point, stops.stopped)
         dr.scatter_add(count, mi.Float(1), leaf, found)
         dr.eval(count)
@@ -176,34 +179,46 @@ class _Sums:
         stop, found = octree.find_leaf(stops.point, stops.stopped)
         dr.scatter_add(self.stops, mi.Float(1), stop, found)
         y = basis(*towards_viewer(stops.direction), self.l_max)
-        for total, (i, j) in zip(self._a, self._pairs, strict=True):
-            dr.scatter_add(total, y[i] * y[j], stop, found)
-        for index, total in enumerate(self._b):
-            channel, k = divmod(index, self._count)
-            dr.scatter_add(total, y[k] * stops.radiance[channel], stop, found)
+        lines = dr.width(stops.origin)
+        self._a = [
+            total + self._sum(y[i] * y[j], stop, found, lines)
+            for total, (i, j) in zip(self._a, self._pairs, strict=True)
+        ]
+        self._add_radiance(y, stops.radiance, stop, found)
 
         end = dr.select(stops.stopped, dr.dot(stops.point - stops.origin, stops.direction), dr.inf)
+        # No chord of a cube of side 2 is as long as 4.
+        chords = ExactSum(dr.width(self.chords), 4.0 * lines)
 
         def visit(state, leaf, start, length, active):
             # A leaf that holds the stop is entered; what lies behind it is not seen.
             stops_here = found & (leaf == stop)
             enters = active & (length > 0) & (stops_here | (start + length < end))
             dr.scatter_add(self.entries, mi.Float(1), leaf, enters)
-            dr.scatter_add(self.chords, length, leaf, enters)
+            chords.add(length, leaf, enters)
             return state, start + length < end
 
         octree.walk(stops.origin, stops.direction, mi.Bool(True), visit, (mi.Float(0),))
+        self.chords += chords.values()
         dr.eval(self.stops, self.entries, self.chords, self._a, self._b)
 
     def add_light(self, octree: Octree, paths: LightPaths, scale: float) -> None:
         """Count light in, its flux times `scale`."""
         leaf, found = octree.find_leaf(paths.stop)
         y = basis(*towards_viewer(paths.direction), self.l_max)
-        flux = paths.flux * dr.opaque(mi.Float, scale)
+        self._add_radiance(y, paths.flux * dr.opaque(mi.Float, scale), leaf, found)
+        dr.eval(self._b)
+
+    def _add_radiance(self, y: list[Any], radiance: Any, leaf: Any, active: Any) -> None:
+        bound = total_of(dr.width(leaf), radiance)
         for index, total in enumerate(self._b):
             channel, k = divmod(index, self._count)
-            dr.scatter_add(total, y[k] * flux[channel], leaf, found)
-        dr.eval(self._b)
+            self._b[index] = total + self._sum(y[k] * radiance[channel], leaf, active, bound)
+
+    def _sum(self, value: Any, leaf: Any, active: Any, bound: float) -> Any:
+        total = ExactSum(dr.width(self.stops), bound)
+        total.add(value, leaf, active)
+        return total.values()
 
     def take(self, leaves: Any) -> "_Sums":
         """Those of some leaves."""
@@ -213,9 +228,9 @@ class _Sums:
         """Sums over the leaves of each parent; `parents` is each leaf's."""
 
         def add_up(values):
-            total = dr.zeros(mi.Float, num_parents)
-            dr.scatter_add(total, values, parents)
-            return total
+            total = ExactSum(num_parents, total_of(dr.width(parents), values))
+            total.add(values, parents)
+            return total.values()
 
         return self._mapped(num_parents, add_up)
 

@@ -23,10 +23,14 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.transmittance import BLOCKED, Law, transmittance
+from lumitree.direct.sums import ExactSum, total_of
 from lumitree.octree.build import build_children
 
 # Leaves that show less than this of themselves get no gradient for their coefficients.
 _MIN_WEIGHT = 1e-4
+# Optical depth of a leaf that counts at most in gradients: those of leaves that a bake makes are
+# below 18, but others' assets may hold more.
+_MAX_DEPTH = 32.0
 # What makes up a field, as `LeafField.arrays` names it.
 LEAVES = ("cells", "levels", "log_density", "coefficients")
 
@@ -184,17 +188,15 @@ class LeafField:
         through, (radiance, _, _, last) = self._shade(origin, direction, shade, state)
         return radiance, through, last
 
-    def scatter_gradients(
+    def gradients(
         self,
         origin: Any,
         direction: Any,
         integrated: tuple[Any, Any, Any],
         d_radiance: Any,
         d_depth: Any,
-        density_gradient: Any,
-        coefficient_gradient: Any,
-    ) -> None:
-        """Add the loss's derivatives by log density and coefficients, in a second walk.
+    ) -> tuple[Any, Any]:
+        """The loss's derivatives by log density and coefficients (mi.Float), in a second walk.
 
         With T = law(tau), L = Phi_1 + sum_i T_i (Phi_{i+1} - Phi_i), so that
         dL/ds_j = sum_{i >= j} law'(tau_i) (Phi_{i+1} - Phi_i):
@@ -205,11 +207,14 @@ class LeafField:
             integrated: what `integrate` returned for the same rays.
             d_radiance: dL of each ray (mi.Color3f, by L / L_max).
             d_depth: the loss's derivative by the optical depth of the whole ray (mi.Float).
-            density_gradient, coefficient_gradient: mi.Float, added to.
         """
         y = basis(*towards_viewer(direction), self.l_max)
         total, _, last = integrated
         quads = self.width // 4
+        # Differences of emission are at most 1, and harmonics of l <= 4 at most 0.85.
+        bound = total_of(dr.width(origin), d_radiance, d_depth)
+        by_density = ExactSum(self.num_leaves, _MAX_DEPTH * bound)
+        by_coefficient = ExactSum(self.num_leaves * self.width, bound)
 
         def shade(state, leaf, start, length, active):
             seen, tau, through = state
@@ -224,35 +229,34 @@ class LeafField:
             else:
                 slope = after * emission - (total - seen)
             d_tau = dr.dot(d_radiance, slope) + d_depth
-            _add(density_gradient, d_tau * depth, leaf, active)
+            by_density.add(d_tau * dr.minimum(depth, _MAX_DEPTH), leaf, active)
             by_emission = weight * d_radiance * emission * (1 - emission)
             flat = [by_emission[channel] * value for channel in range(3) for value in y]
             flat += [mi.Float(0)] * (-len(flat) % 4)
             for quad in range(quads):
                 values = mi.Vector4f(*flat[4 * quad : 4 * quad + 4])
-                _add(coefficient_gradient, values, leaf * quads + quad, lit)
+                by_coefficient.add(values, leaf * quads + quad, lit)
             return seen, tau, after
 
         self._shade(origin, direction, shade, (mi.Color3f(0), mi.Float(0), mi.Float(1)))
-        dr.eval(density_gradient, coefficient_gradient)
+        return by_density.values(), by_coefficient.values()
 
     def through(self, origin: Any, direction: Any) -> Any:
         """T of rays (mi.Float), alone."""
         clear = mi.Float(0), mi.Float(1)
         return self.octree.walk(origin, direction, mi.Bool(True), self._visit, clear)[1]
 
-    def scatter_depth_gradient(
-        self, origin: Any, direction: Any, d_depth: Any, density_gradient: Any
-    ) -> None:
-        """As `scatter_gradients` where the loss depends on the rays' optical depth alone."""
+    def depth_gradient(self, origin: Any, direction: Any, d_depth: Any) -> Any:
+        """By log density, as `gradients`, where the loss depends on the rays' depth alone."""
+        by_density = ExactSum(self.num_leaves, _MAX_DEPTH * total_of(dr.width(origin), d_depth))
 
         def shade(state, leaf, start, length, active):
             depth, _, _ = self._cross(state[0], leaf, length, active)
-            _add(density_gradient, d_depth * depth, leaf, active)
+            by_density.add(d_depth * dr.minimum(depth, _MAX_DEPTH), leaf, active)
             return state
 
         self._shade(origin, direction, shade, (mi.Float(0),))
-        dr.eval(density_gradient)
+        return by_density.values()
 
     def emission_moments(
         self, origin: Any, direction: Any, light: Any, share: Any, cell: Any, harmonics: int
@@ -275,7 +279,7 @@ class LeafField:
         count = harmonics + len(products)
         quads = -(-count // 4)
         cells = int(dr.max(cell)[0]) + 1
-        sums = dr.zeros(mi.Float, cells * 3 * 4 * quads)
+        sums = ExactSum(cells * 3 * 4 * quads, total_of(dr.width(origin), light, share))
 
         def shade(state, leaf, start, length, active):
             _, tau, after = self._cross(state[0], leaf, length, active)
@@ -289,23 +293,23 @@ class LeafField:
                 flat += [mi.Float(0)] * (-count % 4)
                 for quad in range(quads):
                     values = mi.Vector4f(*flat[4 * quad : 4 * quad + 4])
-                    _add(sums, values, (row + channel) * quads + quad, active)
+                    sums.add(values, (row + channel) * quads + quad, active)
             return tau, after
 
         self._shade(origin, direction, shade, (mi.Float(0), mi.Float(1)))
-        dr.eval(sums)
-        return np.array(sums, np.float64).reshape(cells, 3, -1)[..., :count]
+        return np.array(sums.values(), np.float64).reshape(cells, 3, -1)[..., :count]
 
-    def share_out(self, origin: Any, direction: Any, value: Any, total: Any) -> None:
-        """Add a value (mi.Float) of each ray to `total` (mi.Float [M]) by the leaves' weights."""
+    def share_out(self, origin: Any, direction: Any, value: Any) -> Any:
+        """Sums (mi.Float [M]) of a value (mi.Float) of each ray by the leaves' weights in it."""
+        total = ExactSum(self.num_leaves, total_of(dr.width(origin), value))
 
         def shade(state, leaf, start, length, active):
             _, tau, after = self._cross(state[0], leaf, length, active)
-            _add(total, (state[1] - after) * value, leaf, active)
+            total.add((state[1] - after) * value, leaf, active)
             return tau, after
 
         self._shade(origin, direction, shade, (mi.Float(0), mi.Float(1)))
-        dr.eval(total)
+        return total.values()
 
     def _shade(self, origin, direction, shade, shaded):
         """T of rays, and the last state of `shade`, see `Octree.walk_and_shade`."""
@@ -339,8 +343,3 @@ class LeafField:
                 total = dr.fma(flat[channel * count + k], y[k], total)
             channels.append(dr.rcp(1 + dr.exp(-total)))
         return mi.Color3f(*channels)
-
-
-def _add(target: Any, value: Any, index: Any, active: Any) -> None:
-    # Rays of a packet are neighbours but seldom in one leaf: looking for that costs more.
-    dr.scatter_reduce(dr.ReduceOp.Add, target, value, index, active, mode=dr.ReduceMode.Direct)

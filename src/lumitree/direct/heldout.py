@@ -6,8 +6,9 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.direct.field import LeafField
-from lumitree.direct.rays import HELD_OUT_BATCH, TILE_LINES, RaySource
+from lumitree.direct.rays import TILE_LINES, RaySource
 
 _NUM_LINES = 1 << 17
 _PATHS = 8
@@ -53,7 +54,7 @@ class HeldOut:
     @staticmethod
     def trace(source: RaySource, max_radiance: float) -> "HeldOut":
         """Lines that no step of a bake draws."""
-        pairs = source.pairs(_NUM_LINES, HELD_OUT_BATCH, _PATHS)
+        pairs = source.pairs(_NUM_LINES, SeedStream(Purpose.HELD_OUT), _PATHS)
         scale = 1 / max_radiance
         a, b = (dr.minimum(value * scale, 1) for value in (pairs.first, pairs.second))
         return HeldOut(pairs.origin, pairs.direction, a, b, pairs.transmittance)

@@ -15,6 +15,7 @@ Symbols
 """
 
 import dataclasses
+import enum
 import math
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -24,6 +25,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.direct.light_paths import LightPaths, stop_on_line, trace_light
 from lumitree.luminaires.luminaire import Luminaire
 from lumitree.luminaires.straight_through import (
@@ -43,12 +45,6 @@ TILE_LINES = TILE**2
 _LATTICE_STEPS = [round(2**32 * 1.1127756842787055**-power) for power in range(1, 7)]
 # Paths from the emitters for each line, where not said otherwise.
 LIGHT_SHARE = 0.5
-# Batch numbers that no other use of a source reaches.
-_MAX_RADIANCE_BATCH = 1 << 30
-HELD_OUT_BATCH = _MAX_RADIANCE_BATCH + 1
-STRAIGHT_BATCH = 1 << 29
-BALANCE_BATCH = HELD_OUT_BATCH + (1 << 24)
-BLAME_BATCH = BALANCE_BATCH + (1 << 24)
 # Which lines (origin, direction, local frame) are worth tracing: mi.Bool.
 Wanted = Callable[[Any, Any], Any]
 
@@ -128,8 +124,23 @@ class Subject:
     world_from_proxy: NDArray[np.float64]
 
 
+class _Part(enum.IntEnum):
+    """Parts of a draw of `TracedRays` that have random numbers of their own."""
+
+    TILES = 0
+    LINES = 1
+    STRAIGHT_THROUGH = 2
+    LIGHT_PATHS = 3
+    CAMERA_PATHS = 4
+    SECOND_PATHS = 5
+
+
 class RaySource(Protocol):
-    """Where a bake gets its rays from."""
+    """Where a bake gets its rays from.
+
+    Rays depend on the source's own root seed and on the `SeedStream` argument, not on what was
+    drawn before: so a bake that was interrupted continues with the same rays.
+    """
 
     @property
     def subject(self) -> Subject:
@@ -137,7 +148,7 @@ class RaySource(Protocol):
         ...
 
     def draw(
-        self, count: int, batch: int, wanted: Wanted, light_share: float = LIGHT_SHARE
+        self, count: int, stream: SeedStream, wanted: Wanted, light_share: float = LIGHT_SHARE
     ) -> Rays:
         """Of `count` random lines those that are wanted, and light from the emitters.
 
@@ -146,22 +157,22 @@ class RaySource(Protocol):
         """
         ...
 
-    def straight(self, count: int, batch: int, wanted: Wanted) -> tuple[Any, Any, Any]:
+    def straight(self, count: int, stream: SeedStream, wanted: Wanted) -> tuple[Any, Any, Any]:
         """Origin, direction and transmittance of those of `count` random lines that are wanted."""
         ...
 
-    def pairs(self, count: int, batch: int, paths: int) -> Pairs:
-        """`count` random lines of batch number `batch`, two means of `paths` paths for each."""
+    def pairs(self, count: int, stream: SeedStream, paths: int) -> Pairs:
+        """`count` random lines, and two independent means of `paths` camera paths for each."""
         ...
 
 
 class TracedRays:
-    """Endless rays of a luminaire; equal seeds give equal rays.
+    """Endless rays of a luminaire; equal root seeds and streams give equal rays.
 
     Args:
         luminaire: what is traced.
         spacing: distance of neighbouring lines, local units.
-        seed: of all random numbers.
+        seed: root seed of all random numbers, see `core.seeds`.
     """
 
     def __init__(self, luminaire: Luminaire, spacing: float, seed: int = 0) -> None:
@@ -189,8 +200,8 @@ class TracedRays:
         x, y, z = self._half
         return float(np.pi * 8 * (x * y + y * z + z * x))
 
-    def lines(self, count: int, batch: int) -> tuple[Any, Any]:
-        """Random lines of batch number `batch`: origins and directions in the local frame.
+    def lines(self, count: int, stream: SeedStream) -> tuple[Any, Any]:
+        """Random lines: origins and directions in the local frame.
 
         Lines of a tile are parallel, `spacing` apart and jittered; the tiles are spread evenly.
         Those that meet the proxy are uniform; some miss it.
@@ -198,7 +209,7 @@ class TracedRays:
         Args:
             count: number of lines, a multiple of `TILE_LINES`.
         """
-        face, turn, *places = _lattice(count // TILE_LINES, seed_of(self._seed, batch, 0))
+        face, turn, *places = _lattice(count // TILE_LINES, stream.seed(self._seed, _Part.TILES))
         x, y, z = self._half
         areas = np.array([y * z, z * x, x * y])
         split = np.cumsum(areas / areas.sum())
@@ -214,7 +225,7 @@ class TracedRays:
         right, up = cosine * s + sine * t, cosine * t - sine * s
         dr.eval(centre, direction, right, up)
 
-        self._sampler.seed(seed_of(self._seed, batch, 1), count)
+        self._sampler.seed(stream.seed(self._seed, _Part.LINES), count)
         index = dr.arange(mi.UInt32, count)
         tile, within = index // TILE_LINES, index % TILE_LINES
         place = mi.Point2f(within % TILE, within // TILE) - TILE / 2
@@ -227,20 +238,20 @@ class TracedRays:
         return mi.Point3f(origin), dr.gather(mi.Vector3f, direction, tile)
 
     def draw(
-        self, count: int, batch: int, wanted: Wanted, light_share: float = LIGHT_SHARE
+        self, count: int, stream: SeedStream, wanted: Wanted, light_share: float = LIGHT_SHARE
     ) -> Rays:
         """Of `count` random lines those that are wanted, and light from the emitters.
 
         Args:
             light_share: paths traced from the emitters for each of the lines.
         """
-        origin, direction = self._wanted_lines(count, batch, wanted)
+        origin, direction = self._wanted_lines(count, stream, wanted)
         lines = dr.width(origin)
         if not lines:
             none = mi.Float()
             return Rays(origin, direction, none, mi.Color3f(none), none)
-        through, seen = self._follow_smooth(origin, direction, batch)
-        paths = self.light(round(light_share * count), batch)
+        through, seen = self._follow_smooth(origin, direction, stream)
+        paths = self.light(round(light_share * count), stream)
         share = dr.opaque(mi.Float, 1 / lines)
         # The measure of the wanted lines is that part of all.
         scale = dr.opaque(mi.Float, count / (lines * self.measure))
@@ -255,52 +266,54 @@ class TracedRays:
         dr.eval(rays.origin, rays.direction, rays.share, rays.light, rays.transmittance)
         return rays
 
-    def straight(self, count: int, batch: int, wanted: Wanted) -> tuple[Any, Any, Any]:
+    def straight(self, count: int, stream: SeedStream, wanted: Wanted) -> tuple[Any, Any, Any]:
         """Origin, direction and transmittance of those of `count` random lines that are wanted."""
-        line = self._wanted_lines(count, batch, wanted)
+        line = self._wanted_lines(count, stream, wanted)
         if not dr.width(line[0]):
             return *line, mi.Float()
-        return *line, self._follow_smooth(*line, batch)[0]
+        return *line, self._follow_smooth(*line, stream)[0]
 
-    def _wanted_lines(self, count: int, batch: int, wanted: Wanted) -> tuple[Any, Any]:
-        origin, direction = self.lines(count, batch)
+    def _wanted_lines(self, count: int, stream: SeedStream, wanted: Wanted) -> tuple[Any, Any]:
+        origin, direction = self.lines(count, stream)
         chosen = dr.compress(wanted(origin, direction))
         origin = dr.gather(mi.Point3f, origin, chosen)
         direction = dr.gather(mi.Vector3f, direction, chosen)
         dr.eval(origin, direction)
         return origin, direction
 
-    def light(self, count: int, batch: int) -> LightPaths:
+    def light(self, count: int, stream: SeedStream) -> LightPaths:
         """What comes out of `count` paths from the emitters, all but what lines see smoothly."""
-        self._sampler.seed(seed_of(self._seed, batch, 4), count)
+        self._sampler.seed(stream.seed(self._seed, _Part.LIGHT_PATHS), count)
         return trace_light(self.luminaire, self._sampler, count, PATH_DEPTH)
 
-    def pairs(self, count: int, batch: int, paths: int) -> Pairs:
-        """`count` random lines of batch number `batch`, two means of `paths` paths for each."""
-        origin, direction = self.lines(count, batch)
-        first, through = self.trace(origin, direction, batch, paths)
-        second, _ = self.trace(origin, direction, batch, paths, half=1)
+    def pairs(self, count: int, stream: SeedStream, paths: int) -> Pairs:
+        """`count` random lines, and two independent means of `paths` camera paths for each."""
+        origin, direction = self.lines(count, stream)
+        first, through = self.trace(origin, direction, stream, paths)
+        second = self._trace(origin, direction, stream.seed(self._seed, _Part.SECOND_PATHS), paths)
         return Pairs(origin, direction, first, second, through)
 
-    def trace(
-        self, origin: Any, direction: Any, batch: int, paths: int, half: int = 0
-    ) -> tuple[Any, Any]:
+    def trace(self, origin: Any, direction: Any, stream: SeedStream, paths: int) -> tuple[Any, Any]:
         """All radiance (mi.Color3f) of lines, mean of some camera paths, and transmittance."""
+        seed = stream.seed(self._seed, _Part.CAMERA_PATHS)
+        radiance = self._trace(origin, direction, seed, paths)
+        return radiance, self._follow_smooth(origin, direction, stream)[0]
+
+    def _trace(self, origin: Any, direction: Any, seed: int, paths: int) -> Any:
         count, scene = dr.width(origin), self.luminaire.scene
         index = dr.arange(mi.UInt32, count * paths) // paths
         copies = dr.gather(mi.Point3f, origin, index), dr.gather(mi.Vector3f, direction, index)
-        self._sampler.seed(seed_of(self._seed, batch, 5 + half), count * paths)
+        self._sampler.seed(seed, count * paths)
         ray = mi.RayDifferential3f(self._world_ray(*copies))
         radiance, _, _ = self._integrator.sample(scene, self._sampler, ray)
         # A block sum evaluates what it sums: without this, every channel would be traced again.
         dr.eval(radiance)
         radiance = mi.Color3f(*(dr.block_sum(value, paths) / paths for value in radiance))
-        through, _ = self._follow_smooth(origin, direction, batch)
-        dr.eval(radiance, through)
-        return radiance, through
+        dr.eval(radiance)
+        return radiance
 
-    def _follow_smooth(self, origin: Any, direction: Any, batch: int) -> tuple[Any, Any]:
-        self._sampler.seed(seed_of(self._seed, batch, 3), dr.width(origin))
+    def _follow_smooth(self, origin: Any, direction: Any, stream: SeedStream) -> tuple[Any, Any]:
+        self._sampler.seed(stream.seed(self._seed, _Part.STRAIGHT_THROUGH), dr.width(origin))
         ray = self._world_ray(origin, direction)
         found = straight_through(self.luminaire.scene, self._sampler, ray, PATH_DEPTH)
         dr.eval(found)
@@ -317,8 +330,8 @@ class TracedRays:
         """
         count = 1 << 21
         near = TracedRays(self.luminaire, pixel / TILE, seed=self._seed)
-        origin, direction = near.lines(count, _MAX_RADIANCE_BATCH)
-        radiance, _ = near.trace(origin, direction, _MAX_RADIANCE_BATCH, 2)
+        stream = SeedStream(Purpose.MAX_RADIANCE)
+        radiance, _ = near.trace(*near.lines(count, stream), stream, 2)
         tiles = [np.array(dr.block_sum(value, TILE_LINES)) for value in radiance]
         pixels = np.stack(tiles) / TILE_LINES
         views = 4 * np.pi * np.pi * self.luminaire.bounding_radius**2
@@ -326,9 +339,9 @@ class TracedRays:
         values = np.sort(pixels.ravel())
         return float(values[-min(brightest, len(values))])
 
-    def stops(self, count: int, batch: int) -> Stops:
+    def stops(self, count: int, stream: SeedStream) -> Stops:
         """Random lines with the place where each one's straight part ends."""
-        origin, direction = self.lines(count, batch)
+        origin, direction = self.lines(count, stream)
         point, stopped, radiance = self._follow(self._world_ray(origin, direction))
         stops = Stops(origin, direction, self._to_local @ point, stopped, radiance)
         dr.eval(stops.origin, stops.direction, stops.point, stops.stopped, stops.radiance)
@@ -426,8 +439,3 @@ def _on_axis(axis: Any, a: Any, b: Any, n: Any) -> Any:
         dr.select(axis == 0, a, dr.select(axis == 1, n, b)),
         dr.select(axis == 0, b, dr.select(axis == 1, a, n)),
     )
-
-
-def seed_of(seed: int, batch: int, use: int) -> int:
-    """Seed of one use of one batch; distinct for all of them."""
-    return int(np.random.SeedSequence([seed, batch, use]).generate_state(1)[0])

@@ -24,10 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
+from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.direct.balance import balance
 from lumitree.direct.estimate import OPAQUE, split
 from lumitree.direct.field import LEAVES, LeafField
-from lumitree.direct.rays import BLAME_BATCH, STRAIGHT_BATCH, TILE_LINES, RaySource
+from lumitree.direct.rays import TILE_LINES, RaySource
 from lumitree.errors import LumitreeError
 
 # L_max of a bake, where the sigmoid ends, over the radiance that pixels reach (D9): a thin filament
@@ -104,9 +105,11 @@ class Refiner:
         """One step at `progress` in [0, 1] of the budget; returns the number of rays used."""
         field, config = self.field, self._config
         self.step += 1
-        rays = self._source.draw(config.lines, self.step, field.meets)
+        rays = self._source.draw(
+            config.lines, SeedStream(Purpose.REFINEMENT, self.step), field.meets
+        )
         straight = self._source.straight(
-            _STRAIGHT_LINES * config.lines, STRAIGHT_BATCH + self.step, field.meets
+            _STRAIGHT_LINES * config.lines, SeedStream(Purpose.STRAIGHT, self.step), field.meets
         )
         count = dr.width(rays.origin) + dr.width(straight[0])
         if dr.width(rays.origin) == 0 or dr.width(straight[0]) == 0:
@@ -118,22 +121,18 @@ class Refiner:
         light = rays.light * dr.opaque(mi.Float, 1 / self._max_radiance)
         # Lines of both kinds tell of the opacity.
         part = 1 / (1 + _STRAIGHT_LINES)
-        d_density = dr.zeros(mi.Float, field.num_leaves)
-        d_coefficients = dr.zeros(mi.Float, field.num_leaves * field.width)
-        field.scatter_gradients(
+        d_density, d_coefficients = field.gradients(
             rays.origin,
             rays.direction,
             integrated,
             weight * (rays.share * radiance - light),
             part * rays.share * self._by_depth(through, rays.transmittance),
-            d_density,
-            d_coefficients,
         )
         through = field.through(*straight[:2])
         share = dr.opaque(mi.Float, (1 - part) / dr.width(straight[0]))
         d_depth = share * self._by_depth(through, straight[2])
         dr.eval(d_depth)
-        field.scatter_depth_gradient(*straight[:2], d_depth, d_density)
+        d_density += field.depth_gradient(*straight[:2], d_depth)
         fallen = config.final_rate ** min(progress, 1.0)
         field.log_density = dr.minimum(
             self._density_adam.descend(field.log_density, d_density, fallen * config.density_rate),
@@ -166,7 +165,8 @@ class Refiner:
 
     def balance(self) -> None:
         """Scale the emission of regions to the light they send to each side, see `balance`."""
-        balance(self.field, self._source, self._max_radiance, self.step)
+        stream = SeedStream(Purpose.CALIBRATION, self.step)
+        balance(self.field, self._source, self._max_radiance, stream)
 
     def split(self, deepest: int) -> None:
         """Split the leaves above level `deepest` that answer for most of the loss.
@@ -195,7 +195,8 @@ class Refiner:
         field, config = self.field, self._config
         blame = dr.zeros(mi.Float, field.num_leaves)
         for batch in range(_BLAME_BATCHES):
-            pairs = self._source.pairs(_BLAME_LINES, BLAME_BATCH + self.step + batch, 1)
+            stream = SeedStream(Purpose.ERROR_INDICATOR, self.step, batch)
+            pairs = self._source.pairs(_BLAME_LINES, stream, 1)
             radiance, through, _ = field.integrate(pairs.origin, pairs.direction)
             scale = dr.opaque(mi.Float, 1 / self._max_radiance)
             # Without bias, so that noise takes no part.
@@ -203,7 +204,8 @@ class Refiner:
             loss = dr.sum(square * dr.rcp(dr.square(radiance + config.epsilon)))
             loss += _OPACITY_BLAME * dr.square(through - pairs.transmittance)
             dr.eval(loss)
-            field.share_out(pairs.origin, pairs.direction, loss, blame)
+            blame += field.share_out(pairs.origin, pairs.direction, loss)
+            dr.eval(blame)
         return np.maximum(np.array(blame), 0)
 
     def _rebuild(

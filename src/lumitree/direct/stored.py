@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from lumitree.core.dataset import Dataset, View
 from lumitree.core.device import on_device
 from lumitree.core.sampling import orthographic_rays
+from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.core.visual_hull import visual_hull
 from lumitree.direct.estimate import inside_box
 from lumitree.direct.rays import (
-    HELD_OUT_BATCH,
     LIGHT_SHARE,
     TILE,
     TILE_LINES,
@@ -22,7 +22,6 @@ from lumitree.direct.rays import (
     Rays,
     Subject,
     Wanted,
-    seed_of,
 )
 from lumitree.errors import LumitreeError
 
@@ -37,7 +36,7 @@ class StoredRays:
 
     Args:
         dataset: views with radiance and straight-through opacity.
-        seed: of all random numbers.
+        seed: root seed of all random numbers, see `core.seeds`.
 
     Raises:
         LumitreeError: there are fewer than two views, or they are black.
@@ -67,13 +66,13 @@ class StoredRays:
         return self._max_radiance
 
     def draw(
-        self, count: int, batch: int, wanted: Wanted, light_share: float = LIGHT_SHARE
+        self, count: int, stream: SeedStream, wanted: Wanted, light_share: float = LIGHT_SHARE
     ) -> Rays:
         """Of rays through `count` random pixels of the training views, those that are wanted.
 
         Their light is all that there is; `light_share` is ignored.
         """
-        origin, direction, radiance, through = self._pixels(self._training, count, batch)
+        origin, direction, radiance, through = self._pixels(self._training, count, stream)
         chosen = dr.compress(wanted(origin, direction))
         origin = dr.gather(mi.Point3f, origin, chosen)
         direction = dr.gather(mi.Vector3f, direction, chosen)
@@ -84,18 +83,18 @@ class StoredRays:
         dr.eval(origin, direction, share, light, through)
         return Rays(origin, direction, share, light, through)
 
-    def straight(self, count: int, batch: int, wanted: Wanted) -> tuple[Any, Any, Any]:
+    def straight(self, count: int, stream: SeedStream, wanted: Wanted) -> tuple[Any, Any, Any]:
         """Origin, direction and transmittance of wanted rays of the training views."""
-        rays = self.draw(count, batch, wanted)
+        rays = self.draw(count, stream, wanted)
         return rays.origin, rays.direction, rays.transmittance
 
-    def pairs(self, count: int, batch: int, paths: int) -> Pairs:
-        """Rays of the views kept apart, or of the others for other batches.
+    def pairs(self, count: int, stream: SeedStream, paths: int) -> Pairs:
+        """Rays of the views kept apart, or of the others for other purposes.
 
         A picture has one value for a pixel, whose noise is taken for error; `paths` is ignored.
         """
-        pictures = self._held_out if batch == HELD_OUT_BATCH else self._training
-        origin, direction, radiance, through = self._pixels(pictures, count, batch)
+        pictures = self._held_out if stream.purpose is Purpose.HELD_OUT else self._training
+        origin, direction, radiance, through = self._pixels(pictures, count, stream)
         return Pairs(origin, direction, radiance, radiance, through)
 
     def hull(self, level: int) -> NDArray[np.int64]:
@@ -133,15 +132,15 @@ class StoredRays:
         dr.eval(vectors, pictures.radiance, pictures.through)
         return pictures
 
-    def _pixels(self, pictures: "_Pictures", count: int, batch: int):
+    def _pixels(self, pictures: "_Pictures", count: int, stream: SeedStream):
         """Origin, direction, radiance and transmittance of rays through random pixels."""
         resolution, tiles = self._manifest.resolution, count // TILE_LINES
-        self._sampler.seed(seed_of(self._seed, batch, 0), tiles)
+        self._sampler.seed(stream.seed(self._seed, 0), tiles)
         view = mi.UInt32(dr.minimum(self._sampler.next_1d() * pictures.count, pictures.count - 1))
         free = max(1, resolution - TILE + 1)
         corner = mi.Point2i(dr.floor(self._sampler.next_2d() * free))
         dr.eval(view, corner)
-        self._sampler.seed(seed_of(self._seed, batch, 1), count)
+        self._sampler.seed(stream.seed(self._seed, 1), count)
         index = dr.arange(mi.UInt32, count)
         tile, within = index // TILE_LINES, mi.Int32(index % TILE_LINES)
         view = dr.gather(mi.UInt32, view, tile)

@@ -12,6 +12,7 @@ from lumitree.capture.camera import Camera, Picture
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.core.progress import progress
 from lumitree.core.sampling import pose_towards
+from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.evaluation.tiles import DARK, Layout, TileSheet, grey
 from lumitree.luminaires.luminaire import Luminaire
 
@@ -27,8 +28,6 @@ VIEWS = {
 NUM_ROWS = 4
 _MIN_STOPS = 2
 _MIN_TILE, _MAX_TILE = 192, 640
-# Seeds that no Halton view of a dataset has.
-_FIRST_SEED = 900_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +69,7 @@ def take_preview(luminaire: Luminaire, resolution: int, samples_per_pixel: int) 
         for number, (name, (backward, up)) in enumerate(VIEWS.items()):
             start = time.perf_counter()
             pose = pose_towards(backward, up, 2 * luminaire.bounding_radius)
-            pictures[name] = camera.take(pose, _FIRST_SEED + number)
+            pictures[name] = camera.take(pose, SeedStream(Purpose.PREVIEW, number))
             seconds.append(time.perf_counter() - start)
             advance(1)
     # The first view also compiles.

@@ -1,10 +1,12 @@
 """A luminaire: a lamp from whatever file as a Mitsuba scene, and its local frame."""
 
+import atexit
+import contextlib
 import dataclasses
 import functools
 import hashlib
 import importlib
-import tempfile
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,9 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.frames import proxy_box, similarity_scale
-from lumitree.errors import LumitreeError
+from lumitree.core.work_folder import scratch_folder
+from lumitree.errors import LumitreeError, shown
 from lumitree.luminaires.builtin.registry import BUILTIN
 from lumitree.luminaires.model import Model
+from lumitree.luminaires.model_folder import read_limited
 from lumitree.luminaires.overrides import Overrides, apply_overrides, check_emits, select_parts
 from lumitree.luminaires.overrides_file import read_overrides
 from lumitree.luminaires.scene_file import SceneFile
@@ -24,6 +28,7 @@ from lumitree.luminaires.scene_writer import write_scene
 from lumitree.luminaires.source import LuminaireSource, Source, as_source
 
 _ENVIRONMENTS = ("constant", "envmap", "sky", "sunsky", "directional")
+_MAX_FILE_BYTES = 2**40
 _INVISIBLE = ("point", "spot", "projector", "directionalarea")
 
 
@@ -114,15 +119,15 @@ def luminaire_path(source: Source) -> Path:
     source = as_source(source)
     path = Path(source.name)
     builtin = source.name in BUILTIN
-    if not builtin and not path.exists():
+    if not builtin and not os.path.exists(path):
         raise LumitreeError(
-            f"no luminaire {source.name!r}: neither a file nor built in "
+            f"no luminaire {shown(source.name, 300)!r}: neither a file nor built in "
             f"({', '.join(BUILTIN)}); see 'lumitree list'"
         )
     kind = path.suffix.lower()
     if not builtin and kind not in (".xml", *_READERS):
         raise LumitreeError(
-            f"{path} is in no format that is read; expected .xml (a Mitsuba 3 scene), "
+            f"{shown(path, 300)} is in no format that is read; expected .xml (a Mitsuba 3 scene), "
             f"{', '.join(_READERS)}, or a built-in name"
         )
     if kind == ".xml" and not builtin:
@@ -202,24 +207,22 @@ def _overrides_path(source: LuminaireSource) -> Path | None:
     if source.materials is not None:
         return Path(source.materials)
     beside = Path(source.name).with_suffix(".toml")
-    return beside if beside.is_file() else None
+    return beside if os.path.isfile(beside) else None
 
 
 def _stamp(path: Path) -> tuple[str, int, int]:
-    status = path.stat() if path.exists() else None
+    status = path.stat() if os.path.exists(path) else None
     return (str(path), status.st_mtime_ns, status.st_size) if status else (str(path), 0, 0)
 
 
 @functools.lru_cache(maxsize=64)
 def _written(source: LuminaireSource, stamps: tuple[tuple[str, int, int], ...]) -> Path:
     """Scene written for a source whose files look as `stamps` say."""
-    folder = tempfile.TemporaryDirectory(prefix=f"lumitree-{Path(source.name).stem}-")
-    _temporary_folders.append(folder)
-    return write_scene(read_model(source), folder.name)
+    return write_scene(read_model(source), _until_exit.enter_context(scratch_folder()))
 
 
-# Held until the process ends, when each removes itself.
-_temporary_folders: list[tempfile.TemporaryDirectory[str]] = []
+_until_exit = contextlib.ExitStack()
+atexit.register(_until_exit.close)
 
 
 def _open(source: LuminaireSource) -> SceneFile:
@@ -261,11 +264,11 @@ def _check_emitters(file: SceneFile) -> None:
 
 def _fingerprint(file: SceneFile, source: LuminaireSource) -> str:
     """SHA-256 of the scene and its files; a model's overrides and selection are already in them."""
-    digest = hashlib.sha256(file.path.read_bytes())
+    digest = hashlib.sha256(read_limited(file.path))
     if file.path == Path(source.name) and (source.keep or source.drop):
         digest.update(repr((source.keep, source.drop)).encode())
     for path in file.references():
-        digest.update(path.read_bytes() if path.is_file() else b"")
+        digest.update(read_limited(path, _MAX_FILE_BYTES) if os.path.isfile(path) else b"")
     return digest.hexdigest()
 
 

@@ -10,7 +10,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.errors import LumitreeError
 from lumitree.luminaires.geometry import Floats, Mesh
+
+# Every shape costs milliseconds, however small it is.
+MAX_SHAPES = 5000
 
 RGB = tuple[float, float, float]
 WHITE: RGB = (1.0, 1.0, 1.0)
@@ -167,6 +171,19 @@ class Part:
     mesh: Mesh
     material: str
     places: tuple[Floats, ...] = (np.eye(4),)
+
+
+def check_shapes(count: int, where: str) -> None:
+    """Refuse more shapes than are sensible; every place of every part is one.
+
+    Args:
+        where: what brings the number to `count`, for the message.
+    """
+    if count > MAX_SHAPES:
+        raise LumitreeError(
+            f"{where} brings the model to {count} shapes; at most {MAX_SHAPES} are read: join "
+            "meshes of one material"
+        )
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,13 +8,11 @@ from typing import Literal
 
 import numpy as np
 
-from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.luminaires.geometry import Floats
 from lumitree.luminaires.mesh_repair import closed_share
 from lumitree.luminaires.model import RGB, WHITE, Glass, Material, Model, Part, Surface
 from lumitree.luminaires.photometry import radiance_from_flux
-
-_SHOWN_NAMES = 12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,11 +70,11 @@ def apply_overrides(model: Model, overrides: Overrides) -> Model:
         LumitreeError: the overrides name a material that the model lacks, or give a luminous flux
             to one without any area.
     """
-    known = [material.name for material in model.materials]
+    known = dict.fromkeys(material.name for material in model.materials)
     for name in overrides.materials:
         if name not in known:
             raise LumitreeError(
-                f"{overrides.file}: no material is called {name!r}; the model has "
+                f"{overrides.file}: no material is called {shown(name)!r}; the model has "
                 f"{shown_names(known)}"
             )
     model = _in_metres(model, overrides)
@@ -122,7 +120,7 @@ def select_names(
             option = "--keep" if pattern in keep else "--drop"
             known = shown_names(dict.fromkeys(name for own in names for name in own if name))
             raise LumitreeError(
-                f"{file}: {option} {pattern!r} matches no {kind}; there are {known}"
+                f"{file}: {option} {shown(pattern)!r} matches no {kind}; there are {known}"
             )
     kept = [
         (not keep or any(matched[pattern][at] for pattern in keep))
@@ -144,19 +142,12 @@ def check_emits(model: Model, file: str, overrides_name: str) -> None:
     used = {part.material for part in model.parts}
     if not any(item.radiance is not None for item in model.materials if item.name in used):
         known = [item.name for item in model.materials if item.name in used]
-        example = known[0].replace("\\", "\\\\").replace('"', '\\"') if known else "bulb"
+        example = shown(known[0]).replace("\\", "\\\\").replace('"', '\\"') if known else "bulb"
         raise LumitreeError(
             f"{file} has no emitter (materials: {shown_names(known)}); name one in "
             f'{overrides_name}: material."{example}".emitter = '
             "{ lumens = 800, temperature = 2700 }"
         )
-
-
-def shown_names(names: Sequence[str] | Mapping[str, object]) -> str:
-    """Names for a message, not all of them where there are many."""
-    names = list(names)
-    more = f" and {len(names) - _SHOWN_NAMES} more" if len(names) > _SHOWN_NAMES else ""
-    return ", ".join(names[:_SHOWN_NAMES]) + more if names else "none with a name"
 
 
 def material_area(model: Model, material: str) -> float:
@@ -237,16 +228,16 @@ def _settled(model: Model, material: str, change: MaterialOverride) -> Surface:
         return surface
     if not change.guess_thin:
         warnings.warn(
-            f"material {material!r} is solid glass, but only {closed} of its {pieces} pieces are "
-            "closed; light that enters the others never leaves the glass",
+            f"material {shown(material)!r} is solid glass, but only {closed} of its {pieces} "
+            "pieces are closed; light that enters the others never leaves the glass",
             LumitreeWarning,
             stacklevel=3,
         )
         return surface
     if closed:
         warnings.warn(
-            f"material {material!r}: {closed} of {pieces} pieces are closed, the others are not; "
-            "all are taken to be thin sheets; write thin = true or false",
+            f"material {shown(material)!r}: {closed} of {pieces} pieces are closed, the others are "
+            "not; all are taken to be thin sheets; write thin = true or false",
             LumitreeWarning,
             stacklevel=3,
         )
@@ -261,5 +252,5 @@ def _radiance(model: Model, material: str, emission: Emission, file: str) -> RGB
         return None
     area = material_area(model, material)
     if area <= 0:
-        raise LumitreeError(f"{file}: material {material!r} has no area to emit lumens from")
+        raise LumitreeError(f"{file}: material {shown(material)!r} has no area to emit lumens from")
     return radiance_from_flux(emission.lumens, area, emission.colour)

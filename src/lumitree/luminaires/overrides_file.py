@@ -5,12 +5,13 @@ Whatever is wrong in it is told with the file's name and the key's.
 
 import dataclasses
 import math
+import reprlib
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, NoReturn, TypeGuard, TypeVar
 
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 from lumitree.luminaires.model import (
     RGB,
     WHITE,
@@ -50,8 +51,9 @@ def read_overrides(path: Path) -> Overrides:
     try:
         table = tomllib.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise LumitreeError(f"{path} is not valid TOML: {reason}") from None
+        raise LumitreeError(
+            f"{shown(path, 300)} is not valid TOML in UTF-8: {shown(error, 200)}"
+        ) from None
     top = _Table(path, "", table)
     materials = top.take("material", _dictionary("[material.NAME] tables")) or {}
     result = Overrides(
@@ -60,7 +62,7 @@ def read_overrides(path: Path) -> Overrides:
         up=top.take("up", _up) or "y",
         variant=top.take("variant", _text),
         materials={
-            name: _material(_Table(path, f"material.{name}", _as_table(path, name, value)))
+            name: _material(_Table(path, shown(f"material.{name}"), _as_table(path, name, value)))
             for name, value in materials.items()
         },
     )
@@ -88,9 +90,7 @@ class _Table:
         try:
             return read(value)
         except _UnexpectedError as wrong:
-            shown = str(value)
-            shown = shown if len(shown) <= 60 else shown[:57] + "..."
-            self.fail(f"{self._full(key)} is {shown!r}; expected {wrong}")
+            self.fail(f"{self._full(key)} is {_shown(value)}; expected {wrong}")
 
     def table(self, key: str) -> "_Table | None":
         """The table of a key; None where the key is absent."""
@@ -103,15 +103,22 @@ class _Table:
             self.fail(f"unknown key {self._full(key)!r}; known here: {', '.join(self._known)}")
 
     def fail(self, message: str) -> NoReturn:
-        raise LumitreeError(f"{self._path}: {' '.join(message.split())}")
+        raise LumitreeError(f"{shown(self._path, 300)}: {' '.join(message.split())}")
 
     def _full(self, key: str) -> str:
-        return f"{self._name}.{key}" if self._name else key
+        return shown(f"{self._name}.{key}" if self._name else key)
+
+
+def _shown(value: Any) -> str:
+    # A list may be of any length and depth.
+    return repr(shown(value if isinstance(value, str) else reprlib.repr(value), 60))
 
 
 def _as_table(path: Path, name: str, value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise LumitreeError(f"{path}: material.{name} is {value!r}; expected a table")
+        raise LumitreeError(
+            f"{shown(path, 300)}: material.{shown(name)} is {_shown(value)}; expected a table"
+        )
     return value
 
 

@@ -1,5 +1,8 @@
 """Cutting planar polygons into triangles."""
 
+from collections import Counter
+
+import mapbox_earcut
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,28 +10,37 @@ from lumitree.luminaires.geometry import Floats
 
 Indices = NDArray[np.int64]
 MAX_CORNERS = 2000
+# Factor by which an exchange of diagonals has to raise the lower height; with less, long combs
+# take a quadratic number of exchanges.
+_GAIN = 1.5
 
 
-def triangulate(points: Floats) -> Indices:
+def triangulate(points: Floats) -> tuple[Indices, Indices]:
     """Triangles of many polygons with the same number of corners.
 
+    The outline of a polygon's triangles is the polygon, edge by edge: also a corner on the line
+    between its neighbours is used, since another polygon may end there.
+
     Args:
-        points: [P, N, 3] corners in order, N from 3 to `MAX_CORNERS`; roughly planar. Concave
-            polygons are cut by their ears; those that cross themselves are cut somehow.
+        points: [P, N, 3] corners in order, N from 3 to `MAX_CORNERS`; roughly planar. Polygons
+            that cross themselves get triangles that overlap.
 
     Returns:
-        [P, N - 2, 3] corner numbers in 0 .. N - 1, wound as the polygons are.
+        [T, 3] corner numbers in 0 .. N - 1, wound as the polygons are, and [T] the number of each
+        triangle's polygon, ascending.
     """
     count, corners = points.shape[:2]
-    fan = np.stack(
-        [np.zeros(corners - 2), np.arange(1, corners - 1), np.arange(2, corners)], axis=1
-    ).astype(np.int64)
-    triangles = np.broadcast_to(fan, (count, *fan.shape)).copy()
-    if corners == 3:
-        return triangles
-    for index in np.flatnonzero(~_strictly_convex(points)):
-        triangles[index] = _cut_ears(_flattened(points[index]))
-    return triangles
+    ahead = np.arange(1, corners - 1)
+    fan = np.stack([np.zeros_like(ahead), ahead, ahead + 1], axis=1)
+    concave = np.zeros(count, bool) if corners == 3 else ~_strictly_convex(points)
+    convex = np.flatnonzero(~concave)
+    triangles, polygon = [np.tile(fan, (len(convex), 1))], [np.repeat(convex, len(fan))]
+    for at in np.flatnonzero(concave):
+        triangles.append(_cut(_flattened(points[at])))
+        polygon.append(np.full(len(triangles[-1]), at))
+    owner = np.concatenate(polygon)
+    order = np.argsort(owner, kind="stable")
+    return np.concatenate(triangles)[order], owner[order]
 
 
 def _newell(points: Floats) -> Floats:
@@ -61,49 +73,91 @@ def _flattened(points: Floats) -> Floats:
     return (points - points.mean(axis=0)) @ np.stack([side, np.cross(normal, side)], axis=1)
 
 
-def _cut_ears(points: Floats) -> Indices:
-    """Triangles [N - 2, 3] of one counter-clockwise polygon [N, 2]; the best-shaped ear first."""
-    left = list(range(len(points)))
-    quality = [_shape(points[[left[i - 1], left[i], left[(i + 1) % len(left)]]]) for i in left]
-    triangles: list[tuple[int, int, int]] = []
-    while len(left) > 3:
-        at = _best_ear(points, left, quality)
-        size = len(left)
-        triangles.append((left[at - 1], left[at], left[(at + 1) % size]))
-        del left[at], quality[at]
-        size -= 1
-        for near in ((at - 1) % size, at % size):
-            corners = [left[near - 1], left[near], left[(near + 1) % size]]
-            quality[near] = _shape(points[corners])
-    return np.array([*triangles, left], np.int64)
+def _cut(points: Floats) -> Indices:
+    """Triangles [T, 3] of one counter-clockwise polygon [N, 2]."""
+    size = len(points)
+    ends = np.array([size], np.uint32)
+    triangles = mapbox_earcut.triangulate_float64(points, ends).astype(np.int64).reshape(-1, 3)
+    # Of a polygon without clear area earcut may choose the other way round.
+    steps = (np.roll(triangles, -1, axis=1) - triangles) % size
+    if (steps == size - 1).sum() > (steps == 1).sum():
+        triangles = triangles[:, ::-1]
+    found = [tuple(triangle) for triangle in triangles[(steps != 0).all(axis=1)].tolist()]
+    found += _left_out(found, size)
+    return np.array(_flipped(points, found), np.int64)
 
 
-def _best_ear(points: Floats, left: list[int], quality: list[float]) -> int:
-    """Position in `left` of the best-shaped ear; where there is none, of the best corner."""
-    order = sorted(range(len(left)), key=quality.__getitem__, reverse=True)
-    outline = points[left]
-    for at in order:
-        if quality[at] <= 0:
-            break
-        corners = points[[left[at - 1], left[at], left[(at + 1) % len(left)]]]
-        if not _any_inside(outline, corners):
-            return at
-    return order[0]
+def _left_out(triangles: list[tuple[int, ...]], size: int) -> list[tuple[int, ...]]:
+    """Triangles between the polygon's outline and that of `triangles`.
+
+    earcut drops corners that turn by nothing; they would be missed where a neighbour's edge
+    ends in them. What lies between is closed loops, nearly always without area.
+    """
+    missing = Counter((at, (at + 1) % size) for at in range(size))
+    for a, b, c in triangles:
+        for start, stop in ((a, b), (b, c), (c, a)):
+            if missing[start, stop] > 0:
+                missing[start, stop] -= 1
+            else:
+                missing[stop, start] += 1
+    ahead: dict[int, list[int]] = {}
+    for (start, stop), times in missing.items():
+        ahead.setdefault(start, []).extend([stop] * times)
+    found: list[tuple[int, ...]] = []
+    for start in ahead:
+        path, at = [start], {start: 0}
+        while ahead[path[-1]]:
+            stop = ahead[path[-1]].pop()
+            if stop in at:
+                loop = path[at[stop] :]
+                del path[at[stop] + 1 :]
+                for corner in loop[1:]:
+                    del at[corner]
+                found += [(loop[0], loop[k], loop[k + 1]) for k in range(1, len(loop) - 1)]
+            else:
+                at[stop] = len(path)
+                path.append(stop)
+    return found
 
 
-def _shape(corners: Floats) -> float:
-    """Twice the signed area of a triangle [3, 2] over its longest side squared."""
-    (ax, ay), (bx, by), (cx, cy) = corners.tolist()
+def _flipped(points: Floats, triangles: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
+    """The triangles, with diagonals exchanged wherever the thinner of two then is clearly thicker.
+
+    Each exchange raises the lower of two heights, so that it comes to an end.
+    """
+    triangles = list(triangles)
+    owner = {edge: at for at, triangle in enumerate(triangles) for edge in _edges(triangle)}
+    waiting = list(range(len(triangles)))
+    while waiting:
+        at = waiting.pop()
+        for start, stop in _edges(triangles[at]):
+            other = owner.get((stop, start))
+            # What has been exchanged leaves its edges behind.
+            if other is None or (stop, start) not in _edges(triangles[other]):
+                continue
+            (apex,) = {*triangles[at]} - {start, stop}
+            (beyond,) = {*triangles[other]} - {start, stop}
+            pair = (apex, start, beyond), (beyond, stop, apex)
+            before = min(_height(points, triangles[place]) for place in (at, other))
+            after = min(_height(points, new) for new in pair)
+            if apex != beyond and after > _GAIN * max(before, 0.0):
+                for place, new in zip((at, other), pair, strict=True):
+                    triangles[place] = new
+                    owner.update(dict.fromkeys(_edges(new), place))
+                waiting += (at, other)
+                break
+    return triangles
+
+
+def _edges(triangle: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
+    a, b, c = triangle
+    return (a, b), (b, c), (c, a)
+
+
+def _height(points: Floats, triangle: tuple[int, ...]) -> float:
+    """Height of a triangle over its longest side, in units of that side; below 0 if clockwise."""
+    (ax, ay), (bx, by), (cx, cy) = points[list(triangle)].tolist()
     area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     sides = ((bx - ax, by - ay), (cx - bx, cy - by), (ax - cx, ay - cy))
     longest = max(x * x + y * y for x, y in sides)
     return area / longest if longest > 0 else 0.0
-
-
-def _any_inside(points: Floats, corners: Floats) -> bool:
-    """Whether a point [N, 2] lies in or on a triangle [3, 2], its corners' own places excepted."""
-    edges = np.roll(corners, -1, axis=0) - corners
-    towards = points[:, None] - corners
-    inside = (edges[:, 0] * towards[..., 1] - edges[:, 1] * towards[..., 0] >= 0).all(axis=1)
-    inside &= (towards != 0).any(axis=-1).all(axis=1)
-    return bool(inside.any())

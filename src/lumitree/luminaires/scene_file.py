@@ -6,15 +6,20 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from xml.parsers import expat
 
 import numpy as np
 
 from lumitree.core.backend import load_mitsuba
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
+from lumitree.luminaires.model_folder import read_limited
 from lumitree.luminaires.overrides import select_names
 
 # Extinction that a medium's clearest channel has at least, as a share of its densest one's.
 _CLEAR = 1e-5
+# A luminaire's elements are nested about 8 deep, its objects about 6.
+_MAX_ELEMENTS, _MAX_OBJECTS = 64, 16
+_EXTINCTION = "sigma_t.value.value"
 
 
 class SceneFile:
@@ -38,8 +43,8 @@ class SceneFile:
                 shape.
         """
         self.path = Path(path)
-        if not self.path.is_file():
-            raise LumitreeError(f"{path} does not exist; expected a Mitsuba 3 scene (.xml)")
+        self._name = shown(path, 300)
+        self._check_text(read_limited(self.path))
         mi = load_mitsuba()
         self._config = mi.parser.ParserConfig(mi.variant())
         # Shapes stay as the file names them, and unused parameters are the file's own business.
@@ -48,8 +53,55 @@ class SceneFile:
         with self._readable():
             self._state = mi.parser.parse_file(self._config, str(self.path))
             mi.parser.transform_all(self._config, self._state)
+        self._check_nesting()
         if keep or drop:
             self._select(keep, drop)
+
+    def _check_text(self, data: bytes) -> None:
+        """Refuse what Mitsuba's parser would run out of stack on, or pass on as damaged text."""
+        depth = 0
+
+        def opened(name: str, attributes: dict[str, str]) -> None:
+            nonlocal depth
+            depth += 1
+            if depth > _MAX_ELEMENTS:
+                raise LumitreeError(
+                    f"{self._name} holds elements nested more than {_MAX_ELEMENTS} deep; "
+                    "expected a Mitsuba 3 scene"
+                )
+
+        def closed(name: str) -> None:
+            nonlocal depth
+            depth -= 1
+
+        parser = expat.ParserCreate()
+        parser.StartElementHandler, parser.EndElementHandler = opened, closed
+        try:
+            parser.Parse(data, True)
+        except (expat.ExpatError, ValueError) as error:
+            raise LumitreeError(
+                f"{self._name} cannot be loaded: {shown(error)}; expected XML in UTF-8, or with "
+                "its encoding in the first line"
+            ) from None
+
+    def _check_nesting(self) -> None:
+        """Refuse objects nested so deeply that creating them takes exponential time.
+
+        A two-sided BSDF is built from two copies of the one that it holds.
+        """
+        depth = {0: 0}
+        waiting = [0]
+        while waiting:
+            index = waiting.pop()
+            for inner in _references(self._state.nodes[index].props):
+                if depth[index] >= depth.get(inner, 0):
+                    depth[inner] = depth[index] + 1
+                    waiting.append(inner)
+            if depth[index] > _MAX_OBJECTS:
+                raise LumitreeError(
+                    f"{self._name} holds objects nested more than {_MAX_OBJECTS} deep; expected a "
+                    "luminaire's shapes, materials and emitters"
+                )
 
     def _select(self, keep: Sequence[str], drop: Sequence[str]) -> None:
         shape = load_mitsuba().ObjectType.Shape
@@ -110,7 +162,7 @@ class SceneFile:
         with self._searching(), self._readable():
             scene = mi.parser.instantiate(self._config, self._state)
         if not isinstance(scene, mi.Scene):
-            raise LumitreeError(f"{self.path} does not hold a <scene>; found {type(scene)}")
+            raise LumitreeError(f"{self._name} does not hold a <scene>; found {type(scene)}")
         if has_media:
             _keep_clear_channels(scene)
         return scene
@@ -132,25 +184,36 @@ class SceneFile:
     def _readable(self) -> Iterator[None]:
         try:
             yield
-        except RuntimeError as error:
+        except (RuntimeError, UnicodeError) as error:
             # What our own plugins raise arrives inside a traceback; Mitsuba's own messages begin
             # with a place in its source.
             own = re.search(r"LumitreeError: (.*)", str(error))
             reason = own.group(1) if own else " ".join(str(error).split())
             reason = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", reason)
-            raise LumitreeError(f"{self.path} cannot be loaded: {reason}") from None
+            raise LumitreeError(f"{self._name} cannot be loaded: {shown(reason, 400)}") from None
+
+
+def media(scene: Any) -> list[Any]:
+    """Every mi.Medium inside or around a shape of a mi.Scene."""
+    found = []
+    for shape in scene.shapes():
+        if shape.is_medium_transition():
+            found += [shape.interior_medium(), shape.exterior_medium()]
+    return [medium for medium in found if medium is not None]
 
 
 def _keep_clear_channels(scene: Any) -> None:
     """Lift extinctions of 0: there `volpath` divides 0 by 0, and `volpathmis` loses scattering."""
     mi = load_mitsuba()
-    parameters = mi.traverse(scene)
-    for key in [key for key in parameters.keys() if key.endswith("sigma_t.value.value")]:  # noqa: SIM118
-        extinction = np.ravel(parameters[key])
-        lifted = np.maximum(extinction, _CLEAR * extinction.max())
-        if (lifted > extinction).any():
-            parameters[key] = mi.Color3f(*lifted.tolist())
-    parameters.update()
+    for medium in media(scene):
+        parameters = mi.traverse(medium)
+        # Of a medium that varies, or that is grey, there is no such parameter.
+        if _EXTINCTION in parameters:
+            extinction = np.ravel(parameters[_EXTINCTION])
+            lifted = np.maximum(extinction, _CLEAR * extinction.max())
+            if (lifted > extinction).any():
+                parameters[_EXTINCTION] = mi.Color3f(*lifted.tolist())
+                parameters.update()
 
 
 def _is_reference(props: Any, key: str) -> bool:

@@ -2,10 +2,12 @@
 
 from typing import Any
 
+import drjit as dr
 import numpy as np
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.luminaires.luminaire import Luminaire
+from lumitree.luminaires.scene_file import media
 
 # Longest path: of opal glass, 8 % of the light takes more than 32 bounces.
 PATH_DEPTH = 128
@@ -35,11 +37,12 @@ def integrator_kind(luminaire: Luminaire) -> str:
 
 def _only_colours(luminaire: Luminaire) -> bool:
     """Whether some medium takes more of one channel than of another, and none scatters."""
-    parameters = load_mitsuba().traverse(luminaire.scene)
-    media = {"sigma_t": [], "albedo": []}
-    for key, value in parameters:
-        for name, values in media.items():
-            if f".{name}." in key and "_medium." in key:
-                values.append(np.ravel(value))
-    coloured = any(np.ptp(extinction) > 0 for extinction in media["sigma_t"])
-    return coloured and not any(albedo.max() > 0 for albedo in media["albedo"])
+    # Media of a luminaire are homogeneous: any point will do.
+    anywhere = dr.zeros(load_mitsuba().MediumInteraction3f)
+    coloured = False
+    for medium in media(luminaire.scene):
+        scattering, _, extinction = medium.get_scattering_coefficients(anywhere)
+        if np.ravel(scattering).max() > 0:
+            return False
+        coloured |= bool(np.ptp(np.ravel(extinction)) > 0)
+    return coloured

@@ -5,9 +5,9 @@ Symbols
     bin          one of K equal pieces of a ray's chord through the box, occupied or not
 """
 
+import math
 import os
 from collections.abc import Iterable
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.files import atomic_path
+from lumitree.core.reading import read_arrays
 from lumitree.core.visual_hull import visual_hull
 from lumitree.errors import LumitreeError
 
@@ -115,15 +116,21 @@ def load_occupancy(path: str | os.PathLike[str]) -> Occupancy:
         LumitreeError: the file is missing or damaged.
     """
     try:
-        with np.load(Path(path), allow_pickle=False) as file:
-            shape = tuple(int(count) for count in file["shape"])
-            count = int(np.prod(shape))
-            cells = np.unpackbits(file["bits"], count=count).astype(bool).reshape(shape)
-            return Occupancy(cells, file["half_extents"].astype(np.float32))
-    except Exception as error:
-        raise LumitreeError(
-            f"{path} is not a readable occupancy grid ({type(error).__name__}); train again"
-        ) from None
+        arrays = read_arrays(path, "bits", "shape", "half_extents")
+    except LumitreeError as error:
+        raise LumitreeError(f"not a readable occupancy grid: {error}; train again") from None
+    bits, shape, half_extents = arrays.values()
+    # Sizes in Python's integers, which do not overflow.
+    count = math.prod(shape.tolist()) if shape.dtype == np.int32 and shape.shape == (3,) else 0
+    if (
+        not (count > 0 and min(shape) > 0 and bits.shape == (-(-count // 8),))
+        or bits.dtype != np.uint8
+        or half_extents.dtype.kind != "f"
+        or half_extents.shape != (3,)
+    ):
+        raise LumitreeError(f"{path} is not a readable occupancy grid; train again")
+    cells = np.unpackbits(bits, count=count).astype(bool).reshape(shape)
+    return Occupancy(cells, half_extents.astype(np.float32))
 
 
 def _dilate(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:

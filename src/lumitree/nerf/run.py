@@ -7,7 +7,6 @@ RUN/checkpoints/    Orbax; the last two are kept
 """
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +16,8 @@ import jax
 import orbax.checkpoint as ocp
 
 from lumitree.core.files import write_json
-from lumitree.core.frames import similarity_scale
+from lumitree.core.frames import check_local_frame
+from lumitree.core.reading import Record, label, parse_json, read_bytes
 from lumitree.errors import LumitreeError
 from lumitree.nerf.config import TrainConfig
 
@@ -28,6 +28,7 @@ CHECKPOINTS = "checkpoints"
 # What a run's folder holds, as patterns; a checkpoint is a folder named after its step.
 RUN_FILES = (RECORD, OCCUPANCY, HISTORY, f"{CHECKPOINTS}/[0-9]*")
 VERSION = 1
+_MAX_RECORD_BYTES, _MAX_PATH = 1 << 20, 1 << 14
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,9 +55,8 @@ class RunRecord:
     version: int = VERSION
 
     def __post_init__(self) -> None:
-        similarity_scale(self.world_from_proxy, "world_from_proxy")
-        if len(self.half_extents) != 3 or not all(half > 0 for half in self.half_extents):
-            raise LumitreeError(f"half_extents {self.half_extents} are not 3 positive lengths")
+        object.__setattr__(self, "luminaire", label(self.luminaire))
+        check_local_frame(self.half_extents, self.world_from_proxy)
         if not 0 < self.max_radiance < float("inf"):
             raise LumitreeError(f"max_radiance is {self.max_radiance}; expected a positive number")
 
@@ -72,22 +72,34 @@ class RunRecord:
             LumitreeError: there is none, or it is damaged.
         """
         path = folder / RECORD
-        if not path.is_file():
+        if not path.exists():
             raise LumitreeError(
                 f"{folder} holds no {RECORD}; expected a run made by 'lumitree train'"
             )
+        text = read_bytes(path, "a run made by 'lumitree train'", _MAX_RECORD_BYTES)
         try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-            if data.get("version") != VERSION:
-                raise ValueError(f"version {data.get('version')}, this lumitree reads {VERSION}")
-            data["config"] = TrainConfig(**data["config"])
-            data["half_extents"] = tuple(float(half) for half in data["half_extents"])
-            data["world_from_proxy"] = tuple(
-                tuple(float(value) for value in row) for row in data["world_from_proxy"]
-            )
-            return RunRecord(**data)
-        except (LumitreeError, ValueError, TypeError, KeyError, AttributeError) as error:
+            return _parse(Record(parse_json(text), "the run"))
+        except LumitreeError as error:
             raise LumitreeError(f"{path} is damaged ({error}); train again") from None
+
+
+def _parse(data: Record) -> RunRecord:
+    data.expect_version(VERSION)
+    names = {field.name for field in dataclasses.fields(RunRecord)}
+    data.expect_keys(*names)
+    try:
+        config = TrainConfig(**data.members("config"))
+    except TypeError as error:
+        raise LumitreeError(f"config: {error}") from None
+    return RunRecord(
+        config=config,
+        dataset=data.text("dataset", _MAX_PATH),
+        fingerprint=data.label("fingerprint"),
+        luminaire=data.label("luminaire"),
+        max_radiance=data.number("max_radiance"),
+        half_extents=tuple(data.array("half_extents", 3).tolist()),
+        world_from_proxy=tuple(map(tuple, data.array("world_from_proxy", 4, 4).tolist())),
+    )
 
 
 @contextmanager

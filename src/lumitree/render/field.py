@@ -30,6 +30,7 @@ from lumitree.render.light_leaves import LightLeaves, leaf_power
 Record = Callable[..., Any]
 # Coefficients that are loaded at once: gathers of single halves take three times as long.
 _PACKET = 8
+_LARGEST_HALF = float(np.finfo(np.float16).max)
 _OPENING = threading.Lock()
 _OPEN: "weakref.WeakValueDictionary[tuple[Any, ...], Field]" = weakref.WeakValueDictionary()
 
@@ -58,7 +59,8 @@ class Field:
         self._octree = Octree(children, asset.tree_depth, asset.half_extents)
         # Device arrays cannot be empty: an asset without leaves gets one that nothing refers to.
         self._density = on_device(mi.Float, asset.density if asset.num_leaves else [0.0])
-        self._coefficients = on_device(mi.UInt32, _packets(asset))
+        packets, self._unit = _packets(asset)
+        self._coefficients = on_device(mi.UInt32, packets)
         dr.eval(self._density, self._coefficients)
 
     @functools.cached_property
@@ -156,7 +158,7 @@ class Field:
         for packet in range(packets):
             index = leaf * packets + packet
             for pair in dr.gather(mi.Vector4u, self._coefficients, index, active):
-                flat += [_from_half(pair << 16), _from_half(pair)]
+                flat += [_from_half(half, self._unit) for half in (pair << 16, pair)]
         channels = []
         for channel in range(3):
             total = mi.Float(0)
@@ -175,20 +177,26 @@ def _width(l_max: int) -> int:
     return -(-3 * num_coefficients(l_max) // _PACKET) * _PACKET
 
 
-def _packets(asset: LuminaireAsset) -> NDArray[np.uint32]:
-    """Coefficients in pairs, each leaf's padded to whole packets."""
+def _packets(asset: LuminaireAsset) -> tuple[NDArray[np.uint32], float]:
+    """Coefficients in pairs, each leaf's padded to whole packets, and the unit they are in.
+
+    Kernels take half-precision denormals for 0. So the unit is the smallest power of two with which
+    the largest coefficient can be stored: others are 0 then only where they do not count beside it.
+    """
+    largest = float(np.abs(asset.coefficients).max(initial=0))
+    exponent = int(np.clip(np.floor(np.log2(_LARGEST_HALF / largest)), 0, 24)) if largest else 0
     rows = np.zeros((max(asset.num_leaves, 1), _width(asset.l_max)), np.float16)
     flat = asset.coefficients.reshape(-1, 3 * num_coefficients(asset.l_max))
-    rows[: len(flat), : flat.shape[1]] = flat
-    return rows.view(np.uint32).ravel()
+    rows[: len(flat), : flat.shape[1]] = np.ldexp(flat, exponent)
+    return rows.view(np.uint32).ravel(), 2.0**-exponent
 
 
-def _from_half(bits):
-    """Value (mi.Float) of the half-precision number in the upper 16 of 32 bits."""
+def _from_half(bits, unit):
+    """Value (mi.Float) of the half-precision number in the upper 16 of 32 bits, times `unit`."""
     # Sign; exponent and mantissa moved to their places; then the difference of the exponents'
     # offsets. There are no infinities in an asset.
     word = (bits & 0x80000000) | ((bits & 0x7FFF0000) >> 3)
-    return dr.reinterpret_array(mi.Float, word) * 2.0**112
+    return dr.reinterpret_array(mi.Float, word) * (2.0**112 * unit)
 
 
 def open_field(
@@ -199,7 +207,7 @@ def open_field(
     stamp = path.stat() if path.exists() else None
     key = (
         path,
-        stamp and (stamp.st_mtime_ns, stamp.st_size),
+        stamp and (stamp.st_mtime_ns, stamp.st_size, stamp.st_ino),
         mi.variant(),
         min_density,
         max_opacity,

@@ -6,6 +6,11 @@ sampling (the vertex before it and the density of the direction sampled there), 
 cross it with the transmittance that its BSDF states. Participating media are not seen, as by
 `path`; scenes with media need `volpath`.
 
+Mitsuba starts a ray 9e-5 (1 + |p|) away from the surface point p. Where a lamp is small, or far
+from the origin, that is no longer small beside it: 0.9 units at a coordinate of 10,000. Meshes and
+rectangles are hit with an error of a few units in the last place, so rays leave them from as near
+(`_spawn`); curved shapes and instances, whose hits are less precise, keep Mitsuba's distance.
+
 Symbols
     β, η    throughput of the path, product of its relative indices of refraction
 """
@@ -18,6 +23,12 @@ import mitsuba as mi
 from lumitree.errors import LumitreeError
 
 _DEFAULT_RR_DEPTH = 5
+# Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
+# ends whatever the geometry.
+_MAX_CROSSINGS = 1024
+# Distance of a ray's origin from a flat surface, relative to the coordinates. An interpolated hit
+# is off by at most 7 √3 · 2⁻²⁴ of them (Pharr et al., Physically Based Rendering, section 6.8).
+_FLAT_OFFSET = 2.0**-20
 
 
 def integrator_class() -> type:
@@ -56,11 +67,12 @@ def _trace(settings, scene, sampler, ray, active):
     max_depth = mi.UInt32(settings.max_depth % (1 << 32))  # no limit: the largest number
     sees_null = has_null_surfaces(scene)
     sees_environment = scene.environment() is not None and not settings.hide_emitters
+    extent = _extent(scene)
     sampling_weight = sum(emitter.sampling_weight() for emitter in scene.emitters())
     context = mi.BSDFContext()
 
     radiance, β, η = mi.Color3f(0), mi.Color3f(1), mi.Float(1)
-    depth = mi.UInt32(0)
+    depth, crossings = mi.UInt32(0), mi.UInt32(0)
     valid = mi.Bool(sees_environment)
     # The last interaction that was not null, the density of the direction sampled there, and
     # whether next-event estimation could not have found that direction.
@@ -75,9 +87,11 @@ def _trace(settings, scene, sampler, ray, active):
             hidden = active & (depth == 0) & pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711
             while hidden:
                 passed = pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
-                ray[hidden] = passed.spawn_ray(ray.d)
+                ray[hidden] = _spawn(passed, ray.d, extent)
                 pi[hidden] = scene.ray_intersect_preliminary(ray, coherent=True, active=hidden)
-                hidden &= pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711
+                crossings[hidden] += 1
+                active &= crossings < _MAX_CROSSINGS
+                hidden &= active & pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711
 
         si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
         bsdf = si.bsdf(ray)
@@ -112,7 +126,7 @@ def _trace(settings, scene, sampler, ray, active):
         )
         direct = β * value
         estimates &= dr.max(direct) > 0
-        direct *= _visible(scene, si, ds.p, sees_null, estimates)
+        direct *= _visible(scene, si, ds, sees_null, extent, estimates)
         estimates &= dr.max(direct) > 0
         weight, ds.pdf = dr.dispatch(emitter, _sent, si, ds, weight, reach, estimates)
         weight *= emitter_weight
@@ -132,7 +146,8 @@ def _trace(settings, scene, sampler, ray, active):
         depth[bounces] += 1
         valid |= bounces | (proxy & seen & (dr.max(emitted) > 0))
         # A null ray keeps its direction to the last bit.
-        ray = si.spawn_ray(dr.select(null, ray.d, si.to_world(bs.wo)))
+        ray = _spawn(si, dr.select(null, ray.d, si.to_world(bs.wo)), extent)
+        crossings[null] += 1
 
         # Russian roulette, as in `path`.
         brightest = dr.max(β)
@@ -140,7 +155,7 @@ def _trace(settings, scene, sampler, ray, active):
         roulette = bounces & (depth >= settings.rr_depth)
         survives = ~roulette | (sampler.next_1d() < survival)
         β[roulette] *= dr.rcp(survival)
-        active = (proxy | scatters) & survives & (brightest != 0)
+        active = (proxy | scatters) & survives & (brightest != 0) & (crossings < _MAX_CROSSINGS)
         pi = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
 
     return radiance, valid
@@ -172,14 +187,17 @@ def _sent(emitter: Any, it: Any, ds: Any, weight: Any, reach: Any, active: Any) 
 
 
 @dr.syntax
-def _visible(scene, si, point, sees_null, active):
-    """Transmittance of the way from a surface to a point: 0 behind what is not null."""
+def _visible(scene, si, ds, sees_null, extent, active):
+    """Transmittance of the way from a surface to a sampled point: 0 behind what is not null."""
     through = mi.Color3f(1)
-    ray = si.spawn_ray_to(point)
+    # Like Mitsuba's, a shadow ray ends before its goal; and by no less than it starts after its
+    # origin, so that rounding does not bring it to the goal.
+    margin = dr.maximum(ds.dist * mi.math.ShadowEpsilon, _offset(si, extent))
+    ray, active = _spawn_to(si, ds, margin, extent, active)
     if dr.hint(not sees_null, mode="scalar"):
         through[scene.ray_test(ray, active)] = 0
     else:
-        active = mi.Bool(active)
+        crossings = mi.UInt32(0)
         while active:
             pi = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
             hit = active & pi.is_valid()
@@ -187,9 +205,47 @@ def _visible(scene, si, point, sees_null, active):
             null = hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
             crossing = pi.compute_surface_interaction(ray, mi.RayFlags.All, null)
             through[hit] *= dr.select(null, bsdf.eval_null_transmission(crossing, null), 0)
-            active = null & (dr.max(through) > 0)
-            ray[active] = crossing.spawn_ray_to(point)
+            crossings += 1
+            through[null & (crossings >= _MAX_CROSSINGS)] = 0
+            null &= dr.max(through) > 0
+            ray[null], active = _spawn_to(crossing, ds, margin, extent, null)
     return through
+
+
+def _spawn_to(si, ds, margin, extent, active):
+    """Ray from a surface towards a sampled point, and whether any of the way is left.
+
+    Where an offset has brought it past the point, a ray that turned round would meet the same
+    surface for ever.
+    """
+    origin = _spawn(si, ds.d, extent).o
+    way = ds.p - origin
+    length = dr.norm(way)
+    left = dr.dot(way, ds.d) > margin
+    ray = mi.Ray3f(origin, way / length, length - margin, si.time, si.wavelengths)
+    return ray, active & left
+
+
+def _extent(scene: Any) -> Any:
+    """Half the diagonal of the scene's bounding box (mi.Float)."""
+    box = scene.bbox()
+    # Opaque: moving an object does not compile new kernels.
+    return dr.opaque(mi.Float, float(dr.norm(box.extents())) / 2 if box.valid() else 0.0)
+
+
+def _offset(si: Any, extent: Any) -> Any:
+    """Distance from a surface at which a ray leaves it."""
+    coordinate = dr.max(dr.abs(si.p))
+    standard = (1 + coordinate) * mi.math.RayEpsilon
+    flat = dr.minimum(standard, (coordinate + extent) * _FLAT_OFFSET)
+    precise = si.shape.is_mesh() & (si.instance == None)  # noqa: E711
+    return dr.select(precise, flat, standard)
+
+
+def _spawn(si: Any, direction: Any, extent: Any) -> Any:
+    """Ray from a surface, on the side of it that the direction points to."""
+    offset = dr.mulsign(_offset(si, extent), dr.dot(si.n, direction))
+    return mi.Ray3f(dr.fma(offset, si.n, si.p), direction, si.time, si.wavelengths)
 
 
 def has_null_surfaces(scene: Any) -> bool:

@@ -81,11 +81,12 @@ class Placed:
         self.proxy = make_proxy(options.get("proxy", "box"), asset.half_extents)
         self.sampling = options.get("sampling", "emission")
         scene_from_proxy = options.get("to_world", np.eye(4)) @ asset.world_from_proxy
-        self.scale = mi.Float(similarity_scale(scene_from_proxy, "to_world"))
-        self.to_scene = mi.Transform4f(scene_from_proxy)
-        self.to_local = mi.Transform4f(np.linalg.inv(scene_from_proxy))
+        scale = similarity_scale(scene_from_proxy, "to_world")
+        self.scale = mi.Float(scale)
+        self._centre = mi.Point3f(scene_from_proxy[:3, 3])
+        self._rotation = mi.Matrix3f(scene_from_proxy[:3, :3] / scale)
         # Opaque: moving a luminaire does not compile new kernels.
-        dr.make_opaque(self.to_scene, self.to_local, self.scale)
+        dr.make_opaque(self.scale, self._centre, self._rotation)
 
     def entering_line(self, si: Any, active: Any) -> tuple[Any, Any]:
         """Local line of what looks at an interaction with the proxy, and where it enters there."""
@@ -95,10 +96,35 @@ class Placed:
         return line, active & (mi.Frame3f.cos_theta(si.wi) > 0)
 
     def local_line(self, point: Any, direction: Any) -> tuple[Any, Any]:
-        """Point and unit direction of travel of a scene line in the local frame."""
+        """A point of a scene line and its unit direction of travel, in the local frame."""
+        return self.local_point(point), self.local_direction(direction)
+
+    def local_point(self, point: Any) -> Any:
+        """A scene point (mi.Point3f) in the local frame."""
+        import mitsuba as mi
+
+        # The centre first: the difference of two points near each other is exact, however far from
+        # the origin they are. A matrix with a translation adds rounded products that cancel.
+        return mi.Point3f(self._rotation.T @ (point - self._centre) / self.scale)
+
+    def local_direction(self, direction: Any) -> Any:
+        """A direction of the scene in the local frame, unit length."""
         import drjit as dr
 
-        return self.to_local @ point, dr.normalize(self.to_local @ direction)
+        return dr.normalize(self._rotation.T @ direction)
+
+    def scene_point(self, point: Any) -> Any:
+        """A point of the local frame in the scene (mi.Point3f)."""
+        import mitsuba as mi
+
+        return self._centre + mi.Point3f(self.scale * (self._rotation @ point))
+
+    def scene_direction(self, direction: Any) -> Any:
+        """A direction of the local frame in the scene (mi.Vector3f), unit length."""
+        import drjit as dr
+        import mitsuba as mi
+
+        return mi.Vector3f(dr.normalize(self._rotation @ direction))
 
 
 def _plugin_classes(mi: Any) -> tuple[type, type]:
@@ -137,15 +163,15 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             So a shadow ray can be traced before the luminaire is, which costs more.
             """
             placed = self.placed
-            origin = placed.to_local @ it.p
+            origin = placed.local_point(it.p)
             direction, reach = self.sampler.aim(origin, sample, active)
             distance, n, enters = placed.proxy.enter(origin, direction)
             ds = dr.zeros(mi.DirectionSample3f)
-            ds.p = placed.to_scene @ mi.Point3f(origin + distance * direction)
-            ds.n = dr.normalize(placed.to_scene @ mi.Vector3f(n))
-            ds.d = ds.p - it.p
-            ds.dist = dr.norm(ds.d)
-            ds.d /= ds.dist
+            ds.p = placed.scene_point(origin + distance * direction)
+            ds.n = placed.scene_direction(n)
+            # Not from the difference of both points: far from the origin they are rounded.
+            ds.d = placed.scene_direction(direction)
+            ds.dist = distance * placed.scale
             ds.time = it.time
             ds.pdf = dr.select(active & enters, 1, 0)
             ds.delta = False
@@ -154,8 +180,9 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
 
         def look(self, it, ds, reach, active):
             """Radiance over density, and density, of a direction that `aim` gave."""
-            entry, direction = self.placed.local_line(ds.p, ds.d)
+            x, direction = self.placed.local_line(it.p, ds.d)
             distance = ds.dist / self.placed.scale
+            entry = x + distance * direction
             radiance, _, pdf = self.sampler.look(entry, direction, distance, active, reach)
             return dr.select(pdf > 0, radiance / pdf, 0), pdf
 
@@ -182,10 +209,10 @@ def _plugin_classes(mi: Any) -> tuple[type, type]:
             # Where the line leaves the proxy is where its reverse enters.
             distance, n, _ = placed.proxy.enter(p, -direction)
             si = dr.zeros(mi.SurfaceInteraction3f)
-            si.p = placed.to_scene @ mi.Point3f(p - distance * direction)
-            si.n = dr.normalize(placed.to_scene @ mi.Vector3f(n))
+            si.p = placed.scene_point(p - distance * direction)
+            si.n = placed.scene_direction(n)
             si.time = time
-            ray = si.spawn_ray(dr.normalize(placed.to_scene @ direction))
+            ray = si.spawn_ray(placed.scene_direction(direction))
             weight = radiance * dr.square(placed.scale) / pdf
             return ray, weight & (active & (pdf > 0))
 

@@ -11,6 +11,12 @@ from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError
 
 
+class _Shape(dict[str, Any]):
+    """A shape dictionary that keeps its field open, so that its plugins need not read it again."""
+
+    field: Any
+
+
 def shape(
     asset: str | os.PathLike[str],
     to_world: ArrayLike | Any | None = None,
@@ -61,9 +67,11 @@ def shape(
         "max_opacity": max_opacity,
         "sampling": sampling,
     }
-    return {
+    description = _Shape(
         **surface.shape,
-        "to_world": mi.ScalarTransform4f(scene_from_shape),
-        "emitter": {"type": "lumitree", **options},
-        "bsdf": {"type": "lumitree_null", **options},
-    }
+        to_world=mi.ScalarTransform4f(scene_from_shape),
+        emitter={"type": "lumitree", **options},
+        bsdf={"type": "lumitree_null", **options},
+    )
+    description.field = field
+    return description

@@ -27,7 +27,7 @@ def textured(uri=None):
 def refused(path, match):
     with pytest.raises(LumitreeError, match=match) as caught:
         read_gltf(path)
-    assert "\n" not in str(caught.value)
+    assert str(caught.value).isprintable()
     assert len(str(caught.value)) < 400
 
 

@@ -11,6 +11,7 @@ from lumitree.luminaires.gltf import read_gltf
 from lumitree.luminaires.gltf.lights import LIGHT_RADIUS
 from lumitree.luminaires.gltf.topology import is_closed, outward
 from lumitree.luminaires.model import Glass, VertexColour
+from lumitree.luminaires.photometry import flux_from_radiance
 
 CLEAR = {
     "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0},
@@ -333,10 +334,18 @@ def test_point_lights_become_small_spheres(tmp_path):
     vertices, _, solid = world_mesh(part)
     np.testing.assert_allclose(np.linalg.norm(vertices - (1, 2, 3), axis=1), LIGHT_RADIUS)
     ideal = 100 / (np.pi * LIGHT_RADIUS**2) * np.array([1, 0.5, 0.25])
-    np.testing.assert_allclose(material.radiance, ideal, rtol=0.02)
+    np.testing.assert_allclose(np.array(material.radiance) * 683, ideal, rtol=0.02)
     # The flux of a light of I in all directions is 4π I; that of a Lambertian surface π L A.
-    flux = np.pi * solid.area * np.array(material.radiance)
+    flux = 683 * np.pi * solid.area * np.array(material.radiance)
     np.testing.assert_allclose(flux, 4 * np.pi * 100 * np.array([1, 0.5, 0.25]), rtol=1e-6)
+
+
+def test_a_point_light_of_15_candela_emits_188_lumens(tmp_path):
+    model = read_gltf(lamp_with_light(tmp_path, {"type": "point", "intensity": 15}))
+    part = next(part for part in model.parts if part.name.startswith("light"))
+    material = next(entry for entry in model.materials if entry.name == part.material)
+    flux = flux_from_radiance(material.radiance, world_mesh(part)[2].area)
+    assert flux == pytest.approx(188.5, abs=0.1)
 
 
 def test_spot_lights_become_small_disks_along_minus_z(tmp_path):
@@ -349,7 +358,7 @@ def test_spot_lights_become_small_disks_along_minus_z(tmp_path):
     _, normals, solid = world_mesh(part)
     np.testing.assert_allclose(normals, [[0, -1, 0]] * len(normals), atol=1e-9)
     np.testing.assert_allclose(solid.face_normals, [[0, -1, 0]] * len(part.mesh.faces), atol=1e-9)
-    np.testing.assert_allclose(np.array(material.radiance) * solid.area, 10, rtol=1e-6)
+    np.testing.assert_allclose(683 * np.array(material.radiance) * solid.area, 10, rtol=1e-6)
 
 
 def test_other_lights(tmp_path):

@@ -12,7 +12,8 @@ from PIL import Image
 from gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf
 from gltf_refusals import quad, refused, refused_json, sparse, textured
 from lumitree.errors import LumitreeWarning
-from lumitree.luminaires.gltf import accessors, images, maps, read_gltf
+from lumitree.luminaires import images, model
+from lumitree.luminaires.gltf import accessors, read_gltf
 
 
 @pytest.mark.parametrize(
@@ -197,43 +198,65 @@ def bomb(width, height):
     return b"\x89PNG\r\n\x1a\n" + body + chunk(b"IEND", b"")
 
 
-@pytest.mark.parametrize("size", [(8193, 8193), (10000, 10000), (60000, 60000), (2**31 - 1, 1)])
+@pytest.mark.parametrize(
+    "size",
+    [(8193, 8193), (10000, 10000), (60000, 60000), (2**31 - 1, 1), (1, 67_000_000), (16385, 2)],
+)
 def test_decompression_bombs(tmp_path, size):
     (tmp_path / "bomb.png").write_bytes(bomb(*size))
     refused(textured("bomb.png").save(tmp_path), "pixels")
 
 
 def test_images_that_are_only_large_together(tmp_path, monkeypatch):
-    monkeypatch.setattr(maps, "MAX_IMAGE_PIXELS", 30)
-    for height, refuse in ((6, True), (5, False)):
-        gltf = Gltf()
-        ramp = np.arange(18).reshape(6, 3) * 10
-        glossy = {
-            "diffuseTexture": gltf.texture(ramp[None]),
-            "specularGlossinessTexture": gltf.texture(
-                np.dstack([ramp[:height, None], ramp[:height, :1]])
-            ),
-        }
-        extension = {"KHR_materials_pbrSpecularGlossiness": glossy}
-        gltf.quad(gltf.material(extensions=extension))
-        path = gltf.save(tmp_path)
-        if refuse:
-            refused(path, "6 x 6 pixels")
-        else:
-            with pytest.warns(LumitreeWarning):
-                assert read_gltf(path).materials[0].surface.base_color.pixels.shape == (5, 6, 3)
+    """A wide image and a high one: 6 pixels each, 36 combined."""
+    monkeypatch.setattr(images, "MAX_TOTAL_BYTES", 500)
+    gltf = Gltf()
+    ramp = np.arange(18).reshape(6, 3) * 10
+    high = np.dstack([ramp[:, None], ramp[:, :1]])
+    glossy = {
+        "diffuseTexture": gltf.texture(ramp[None]),
+        "specularGlossinessTexture": gltf.texture(high),
+    }
+    gltf.quad(gltf.material(extensions={"KHR_materials_pbrSpecularGlossiness": glossy}))
+    refused(gltf.save(tmp_path), "what is computed from them")
+    monkeypatch.setattr(images, "MAX_TOTAL_BYTES", 5000)
+    with pytest.warns(LumitreeWarning):
+        surface = read_gltf(gltf.save(tmp_path)).materials[0].surface
+    assert surface.base_color.pixels.shape == (6, 6, 3)
 
 
-def test_total_of_pixels(tmp_path, monkeypatch):
-    monkeypatch.setattr(images, "MAX_TOTAL_PIXELS", 7)
+def test_total_of_what_is_decoded(tmp_path, monkeypatch):
     gltf = Gltf()
     pixels = np.random.default_rng(0).integers(0, 255, (2, 2, 3))
-    core = {"baseColorTexture": gltf.texture(pixels)}
-    gltf.quad(gltf.material(pbrMetallicRoughness=core, emissiveTexture=core["baseColorTexture"]))
+    core = {"baseColorTexture": gltf.texture(pixels), "metallicFactor": 0}
+    gltf.quad(gltf.material(pbrMetallicRoughness=core))
+    gltf.quad(gltf.material(pbrMetallicRoughness=core | {"roughnessFactor": 0.5}))
+    # 4 bytes of a decoded pixel, 3 of the texture that both materials share.
+    monkeypatch.setattr(images, "MAX_TOTAL_BYTES", 4 * 4 + 4 * 3)
     assert read_gltf(gltf.save(tmp_path)).parts
-    gltf.json["materials"][0]["emissiveTexture"] = gltf.texture(pixels)
-    gltf.json["materials"][0]["emissiveFactor"] = [1, 1, 1]
-    refused(gltf.save(tmp_path), "8 pixels; at most 7")
+    gltf.quad(gltf.material(pbrMetallicRoughness=core | {"baseColorFactor": [1, 1, 0.5, 1]}))
+    refused(gltf.save(tmp_path), "brings the model's images .* at most")
+
+
+def test_what_is_computed_counts(tmp_path, monkeypatch):
+    """A normal map is computed for every scale, however small the file."""
+    gltf = Gltf()
+    texture = gltf.texture(np.full((64, 64, 3), (128, 128, 255)))
+    for scale in range(1, 9):
+        gltf.quad(gltf.material(normalTexture=texture | {"scale": scale}))
+    assert len(read_gltf(gltf.save(tmp_path)).materials) == 8
+    monkeypatch.setattr(images, "MAX_TOTAL_BYTES", 64 * 64 * 100)
+    refused(gltf.save(tmp_path), "what is computed from them")
+
+
+def test_number_of_shapes(tmp_path, monkeypatch):
+    monkeypatch.setattr(model, "MAX_SHAPES", 5)
+    gltf = quad()
+    for _ in range(4):
+        gltf.node(mesh=0)
+    assert read_gltf(gltf.save(tmp_path)).parts
+    gltf.node(mesh=0)
+    refused(gltf.save(tmp_path), "6 shapes; at most 5")
 
 
 def test_damaged_images(tmp_path):

@@ -37,7 +37,7 @@ def loaded(model, folder):
 def test_barn_lamp(tmp_path):
     model, materials = read(BARN, "lamp metal")
     assert sum(len(part.mesh.faces) for part in model.parts) == 10203
-    assert materials["lamp_filament"].radiance == pytest.approx((25, 12.5, 6.25))
+    assert materials["lamp_filament"].radiance == pytest.approx(np.array([25, 12.5, 6.25]) / 683)
     # A single open sheet around the filament, though its volume claims a thickness.
     assert materials["lamp_glass"].surface == Glass(thin=True)
     scene = loaded(model, tmp_path)
@@ -52,7 +52,7 @@ def test_stained_glass_lamp_and_its_variants(tmp_path):
     for name, ior in (("amberbeads", 1.4), ("redgems", 1.52)):
         assert on[name].surface.ior == ior
         assert not on[name].surface.thin
-    assert on["bulbs"].radiance == (1, 1, 1)
+    assert on["bulbs"].radiance == pytest.approx([1 / 683] * 3)
     assert isinstance(on["stainedglass"].surface.transmission, Texture)
     assert isinstance(on["grill"].opacity, Texture)
     again, _ = read(STAINED, "stainedglass", variant="Lamp on")

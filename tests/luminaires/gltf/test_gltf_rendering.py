@@ -5,6 +5,7 @@ import pytest
 
 from gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box
 from lumitree.luminaires.gltf import read_gltf
+from lumitree.luminaires.photometry import luminance
 from lumitree.luminaires.scene_file import SceneFile
 from lumitree.luminaires.scene_writer import write_scene
 
@@ -55,6 +56,12 @@ def transparent(core=None, **extensions):
 SHEET = 2 * 1.5 / (1.5**2 + 1)
 
 
+def unit_radiance():
+    """Fields of a material that emits 1 W/(m² sr), 683 cd/m²."""
+    strength = {"KHR_materials_emissive_strength": {"emissiveStrength": 683}}
+    return {"emissiveFactor": [1, 1, 1], "extensions": strength}
+
+
 def test_emissive_strength(mi, tmp_path):
     seen = []
     for strength in (1, 4, 16):
@@ -63,7 +70,7 @@ def test_emissive_strength(mi, tmp_path):
         factor = [0.5, 0.25, 0.125]
         gltf.quad(gltf.material(emissiveFactor=factor, extensions=extension))
         seen.append(photographed(mi, imported(mi, gltf, tmp_path), 4, "path", background=0))
-    np.testing.assert_allclose(seen[0], (0.5, 0.25, 0.125), rtol=1e-4)
+    np.testing.assert_allclose(np.array(seen[0]) * 683, (0.5, 0.25, 0.125), rtol=1e-4)
     np.testing.assert_allclose(np.array(seen) / seen[0], [[1] * 3, [4] * 3, [16] * 3], rtol=1e-4)
 
 
@@ -77,7 +84,8 @@ def test_emissive_textures_keep_their_values(mi, tmp_path):
     gltf.quad(gltf.material(**fields))
     seen = photographed(mi, imported(mi, gltf, tmp_path), 4, "path", background=0)
     code = np.array([188, 99, 255]) / 255
-    np.testing.assert_allclose(seen, 10 * ((code + 0.055) / 1.055) ** 2.4, rtol=1e-3)
+    expected = 10 * ((code + 0.055) / 1.055) ** 2.4 / 683
+    np.testing.assert_allclose(seen, expected, rtol=1e-3)
 
 
 def test_transmission_of_a_sheet_tints_what_is_behind_it(mi, tmp_path):
@@ -238,7 +246,7 @@ def test_masked_light_shines_only_where_it_is(mi, tmp_path):
     pixels = np.zeros((64, 64, 4))
     pixels[:, 32:, 3] = 255
     core = {"baseColorTexture": gltf.texture(pixels, magFilter=9728)}
-    wears = gltf.material(pbrMetallicRoughness=core, alphaMode="MASK", emissiveFactor=[1, 1, 1])
+    wears = gltf.material(pbrMetallicRoughness=core, alphaMode="MASK", **unit_radiance())
     gltf.quad(wears)
     scene = imported(mi, gltf, tmp_path)
     assert photographed(mi, scene, 64, background=0) == pytest.approx([0.5] * 3, abs=0.01)
@@ -248,7 +256,7 @@ def test_masked_light_shines_only_where_it_is(mi, tmp_path):
 
 def test_copies_and_mirrors_stand_where_the_file_puts_them(mi, tmp_path):
     gltf = Gltf()
-    lit = gltf.material(emissiveFactor=[1, 1, 1])
+    lit = gltf.material(**unit_radiance())
     gltf.quad(lit, scale=[0.25, 0.25, 1], translation=[-0.25, 0, 0])
     gltf.node(mesh=0, scale=[-0.25, 0.25, 1], translation=[0.25, 0, 0])
     # Seen from the front both emit, each over a quarter of the view.
@@ -259,7 +267,7 @@ def test_copies_and_mirrors_stand_where_the_file_puts_them(mi, tmp_path):
 
 
 def test_point_lights_have_their_intensity(mi, tmp_path):
-    """Irradiance I / r² on a white diffuser, whose radiance is that over π."""
+    """Illuminance I / r² on a white diffuser, whose luminance is that over π."""
     gltf = Gltf()
     core = {"metallicFactor": 0, "baseColorFactor": [1, 1, 1, 1]}
     wears = gltf.material(pbrMetallicRoughness=core, extensions={"KHR_materials_unlit": {}})
@@ -271,4 +279,4 @@ def test_point_lights_have_their_intensity(mi, tmp_path):
     with pytest.warns(match="unlit"):
         scene = imported(mi, gltf, tmp_path)
     seen = photographed(mi, scene, 64, background=0)
-    np.testing.assert_allclose(seen, 50 / 10**2 / np.pi, rtol=0.02)
+    np.testing.assert_allclose(luminance(seen), 50 / 10**2 / np.pi, rtol=0.02)

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.errors import shown
 from lumitree.luminaires.gltf.container import Document
 from lumitree.luminaires.gltf.item import MAX_MAGNITUDE, Item
 
@@ -55,7 +56,7 @@ class Accessors:
     def _array(self, index: int, item: Item, lengths: tuple[int, ...]) -> NDArray[np.generic]:
         kind = item.string("type", "none")
         if _LENGTHS.get(kind) not in lengths:
-            raise item.error(f"is of type {kind[:20]!r}; expected {lengths} components")
+            raise item.error(f"is of type {shown(kind, 20)!r}; expected {lengths} components")
         if index not in self._decoded:
             self._decoded[index] = self._decode(item, _LENGTHS[kind])
         return self._decoded[index]

@@ -10,14 +10,14 @@ import base64
 import binascii
 import json
 import os
-import re
 import struct
 from pathlib import Path
 from typing import Any, NoReturn
 from urllib.parse import unquote, unquote_to_bytes
 
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown, shown_names
 from lumitree.luminaires.gltf.item import Item
+from lumitree.luminaires.model_folder import ModelFolder, read_limited
 
 MAX_FILE_BYTES = 2**31
 SUPPORTED_EXTENSIONS = frozenset(
@@ -62,9 +62,9 @@ class Document:
                 lumitree does not know.
         """
         path = Path(path)
-        self.name = path.name
-        self._folder = path.parent.resolve()
-        text, self._binary = _split(path, _read_whole(path, self.name))
+        self.name = shown(path.name)
+        self._folder = ModelFolder(path)
+        text, self._binary = _split(path, self.name, read_limited(path, MAX_FILE_BYTES))
         self.root = Item(_parse(text, self.name), f"{self.name}:")
         self._buffers: dict[int, bytes] = {}
         self._held = len(text) + len(self._binary or b"")
@@ -72,7 +72,7 @@ class Document:
         required = set(self.root.strings("extensionsRequired"))
         if missing := sorted(required - SUPPORTED_EXTENSIONS):
             raise LumitreeError(
-                f"{self.name} requires {', '.join(missing)}, which lumitree cannot read; "
+                f"{self.name} requires {shown_names(missing)}, which lumitree cannot read; "
                 "export it without (no mesh compression, PNG or JPEG textures)"
             )
         self.unknown_extensions = sorted(
@@ -113,12 +113,12 @@ class Document:
         uri = item.string("uri", "")
         if uri.startswith("data:"):
             return _data_uri(uri, item)
-        path = self._beside(uri, item)
-        try:
-            self._hold(path.stat().st_size, item)
-            return path.read_bytes()
-        except OSError as error:
-            raise item.error(f"names {uri!r}, which cannot be read: {error.strerror}") from error
+        path = self._folder.find(unquote(uri), item.where)
+        if path is None:
+            raise item.error(f"names {shown(uri)!r}, which is not in the model's folder")
+        data = read_limited(path, MAX_FILE_BYTES - self._held)
+        self._held += len(data)
+        return data
 
     def _buffer(self, index: int) -> bytes:
         if index not in self._buffers:
@@ -135,62 +135,25 @@ class Document:
             self._buffers[index] = data[:length]
         return self._buffers[index]
 
-    def _beside(self, uri: str, item: Item) -> Path:
-        """File that a relative URI names, which must lie in the model's folder."""
-        name = unquote(uri)
-        if re.match(r"[A-Za-z][A-Za-z0-9+.\-]*:", name):
-            raise item.error(f"names {uri[:60]!r}; only files in the model's folder are read")
-        outside = item.error(
-            f"names {uri[:60]!r}, which lies outside the model's folder; put the file beside it"
-        )
-        if name.startswith("/") or "\\" in name or "\0" in name or ".." in name.split("/"):
-            raise outside
-        try:
-            path = (self._folder / name).resolve()
-        except (OSError, RuntimeError) as error:
-            raise outside from error
-        if not path.is_relative_to(self._folder):
-            raise outside
-        if not path.is_file():
-            raise item.error(f"names {uri[:60]!r}, which is not in the model's folder")
-        return path
-
-    def _hold(self, size: int, item: Item) -> None:
-        """Count bytes before they are read."""
-        self._held += size
-        if self._held > MAX_FILE_BYTES:
-            raise item.error(f"brings the model to {self._held} bytes; at most {MAX_FILE_BYTES}")
-
     def _check_version(self) -> None:
         asset = self.root.item("asset")
         version = asset.string("minVersion", asset.string("version", "none"))
         if not version.startswith("2."):
-            raise LumitreeError(f"{self.name} is glTF version {version[:20]!r}; need 2.0")
+            raise LumitreeError(f"{self.name} is glTF version {shown(version, 20)!r}; need 2.0")
 
 
-def _read_whole(path: Path, name: str) -> bytes:
-    if not path.is_file():
-        raise LumitreeError(f"{path} does not exist; expected a glTF file (.gltf, .glb)")
-    try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise LumitreeError(f"{name} is larger than {MAX_FILE_BYTES} bytes")
-        return path.read_bytes()
-    except OSError as error:
-        raise LumitreeError(f"{path} cannot be read: {error.strerror}") from error
-
-
-def _split(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
+def _split(path: Path, name: str, data: bytes) -> tuple[bytes, bytes | None]:
     """JSON and binary chunk of a file's bytes."""
     if data[:4] != b"glTF":
         if path.suffix.lower() == ".glb":
-            raise LumitreeError(f"{path.name} is not a GLB file: it does not begin with 'glTF'")
+            raise LumitreeError(f"{name} is not a GLB file: it does not begin with 'glTF'")
         return data, None
-    damaged = LumitreeError(f"{path.name} is a damaged GLB file: it is cut off or its lengths lie")
+    damaged = LumitreeError(f"{name} is a damaged GLB file: it is cut off or its lengths lie")
     if len(data) < 12:
         raise damaged
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
-        raise LumitreeError(f"{path.name} is GLB version {version}; need 2")
+        raise LumitreeError(f"{name} is GLB version {version}; need 2")
     if length > len(data):
         raise damaged
     chunks: dict[int, bytes] = {}
@@ -205,7 +168,7 @@ def _split(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
         chunks.setdefault(kind, data[at : at + size])
         at += size
     if _JSON_CHUNK not in chunks:
-        raise LumitreeError(f"{path.name} is a GLB file without a JSON chunk; it is damaged")
+        raise LumitreeError(f"{name} is a GLB file without a JSON chunk; it is damaged")
     return chunks[_JSON_CHUNK], chunks.get(_BINARY_CHUNK)
 
 
@@ -215,8 +178,7 @@ def _parse(text: bytes, name: str) -> Any:
     except RecursionError:
         raise LumitreeError(f"{name} is nested too deeply to be a glTF file") from None
     except ValueError as error:
-        reason = " ".join(str(error).split())[:120]
-        raise LumitreeError(f"{name} is not valid JSON: {reason}") from None
+        raise LumitreeError(f"{name} is not valid JSON: {shown(error, 120)}") from None
 
 
 def _refuse_constant(name: str) -> NoReturn:

@@ -1,19 +1,12 @@
-"""Images of a glTF file, decoded within limits."""
+"""Images of a glTF file, and how they are looked up."""
 
 import dataclasses
-import io
-import warnings
 from typing import Literal
-
-import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
 
 from lumitree.luminaires.gltf.container import Document
 from lumitree.luminaires.gltf.item import Item
+from lumitree.luminaires.images import DecodedImage, Images
 
-MAX_IMAGE_PIXELS = 8192 * 8192
-MAX_TOTAL_PIXELS = 2**28
 _FORMATS = ("PNG", "JPEG", "WEBP")
 _NEAREST = 9728
 _WRAPS: dict[int, Literal["repeat", "mirror", "clamp"]] = {
@@ -36,16 +29,14 @@ class Sampler:
     nearest: bool
 
 
-class Images:
-    """Decodes images, each once."""
+class GltfImages:
+    """The images of a glTF file's textures."""
 
-    def __init__(self, document: Document) -> None:
-        self._document = document
-        self._decoded: dict[int, NDArray[np.uint8]] = {}
-        self._pixels = 0
+    def __init__(self, document: Document, images: Images) -> None:
+        self._document, self._images = document, images
 
-    def texture(self, index: int) -> tuple[NDArray[np.uint8], Sampler]:
-        """Pixels [H, W, 4] of a texture, and how they are looked up.
+    def texture(self, index: int) -> tuple[DecodedImage, Sampler]:
+        """Image of a texture, and how it is looked up.
 
         Raises:
             LumitreeError: missing, outside the model's folder, damaged, or too large.
@@ -56,9 +47,9 @@ class Images:
             source = webp.index("source")
         if source is None:
             raise texture.error("has no PNG, JPEG or WebP image; export it with one")
-        if source not in self._decoded:
-            self._decoded[source] = self._decode(self._document.entry("images", source))
-        return self._decoded[source], self._sampler(texture)
+        item = self._document.entry("images", source)
+        image = self._images.decoded(source, lambda: self._bytes(item), item.where, _FORMATS)
+        return image, self._sampler(texture)
 
     def _sampler(self, texture: Item) -> Sampler:
         index = texture.index("sampler")
@@ -71,38 +62,8 @@ class Images:
         nearest = item.integer("magFilter", 9729) == _NEAREST
         return Sampler((_WRAPS[along_u], _WRAPS[along_v]), nearest)
 
-    def _decode(self, item: Item) -> NDArray[np.uint8]:
+    def _bytes(self, item: Item) -> bytes:
         view = item.index("bufferView")
-        data = self._document.resource(item) if view is None else self._document.view(view)[0]
-        try:
-            with warnings.catch_warnings():
-                # Pillow's own limits warn first; here the size is judged below.
-                warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-                image = Image.open(io.BytesIO(data), formats=_FORMATS)
-            # The header is all that has been read so far.
-            self._allow(image.width * image.height, item)
-            return _rgba(image)
-        except Image.DecompressionBombError:
-            raise item.error(f"has more than {MAX_IMAGE_PIXELS} pixels") from None
-        except (OSError, SyntaxError, ValueError, EOFError, IndexError, KeyError) as error:
-            reason = " ".join(str(error).split())[:80]
-            raise item.error(f"is no PNG, JPEG or WebP image that can be read: {reason}") from error
-
-    def _allow(self, pixels: int, item: Item) -> None:
-        self._pixels += pixels
-        if pixels > MAX_IMAGE_PIXELS:
-            raise item.error(f"has {pixels} pixels; at most {MAX_IMAGE_PIXELS} are read")
-        if self._pixels > MAX_TOTAL_PIXELS:
-            raise item.error(
-                f"brings the model to {self._pixels} pixels; at most {MAX_TOTAL_PIXELS} are read"
-            )
-
-
-def _rgba(image: Image.Image) -> NDArray[np.uint8]:
-    if image.mode.startswith("I"):
-        # 16-bit grey; Pillow's own conversion would clip it at 255.
-        grey = (np.asarray(image).astype(np.int64) * 255 + 32767) // 65535
-        return np.stack([*[grey] * 3, np.full_like(grey, 255)], axis=-1).astype(np.uint8)
-    if image.mode == "CMYK":
-        image = image.convert("RGB")
-    return np.asarray(image.convert("RGBA"))
+        if view is None:
+            return self._document.resource(item)
+        return bytes(self._document.view(view)[0])

@@ -1,9 +1,10 @@
 """JSON objects of a glTF file, read with checks and with errors that say where they stand."""
 
 import math
+import reprlib
 from typing import Any
 
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 
 # Lengths, factors and offsets beyond this are damage; products of two still fit a float.
 MAX_MAGNITUDE = 1e15
@@ -131,5 +132,5 @@ def _range(low: float, high: float) -> str:
 
 
 def _shown(value: Any) -> str:
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 40 else text[:37] + "..."
+    # A list of any length or depth.
+    return shown(reprlib.repr(value), 40)

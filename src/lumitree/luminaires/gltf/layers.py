@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 
 from lumitree.luminaires.gltf.item import Item
-from lumitree.luminaires.gltf.maps import Array, Map, Textures, combined, constant, uv_set
+from lumitree.luminaires.gltf.maps import Array, Map, Textures, constant, uv_set
 from lumitree.luminaires.gltf.notes import Notes
 
 
@@ -53,8 +53,8 @@ class Layers:
         return constant(factor) if found is None else found.scaled(factor)
 
     def combined(self, function: Callable[..., Array], *maps: Map) -> Map:
-        """A function of several maps, point by point."""
-        result, exact = combined(function, *maps)
+        """A function of several channels or maps, point by point."""
+        result, exact = self._textures.combined(function, *maps)
         if not exact:
             self.note("textures that are placed differently (the mean of one is used)")
         return result

@@ -2,10 +2,12 @@
 
 import numpy as np
 
+from lumitree.errors import shown
 from lumitree.luminaires.geometry import Floats, Mesh, lathe
 from lumitree.luminaires.gltf.item import Item
 from lumitree.luminaires.gltf.notes import Notes
 from lumitree.luminaires.model import RGB, Diffuse, Material, Part
+from lumitree.luminaires.photometry import LUMENS_PER_WATT
 
 # A filament's size: small beside any lamp, and not so small that paths cannot find it.
 LIGHT_RADIUS = 0.005
@@ -15,9 +17,8 @@ _SEGMENTS = 32
 def light_part(light: Item, world: Floats, name: str, notes: Notes) -> tuple[Part, Material] | None:
     """A light as a part and its material; None where it gives no light or stands nowhere.
 
-    A point light becomes a sphere, a spot light a disk, of radius LIGHT_RADIUS. Their radiance
-    is that which makes their intensity what the file says: in the units of emissive materials,
-    where a radiance of 1 stands for 1 cd/m², 1 W/sr stands for 1 cd.
+    A point light becomes a sphere, a spot light a disk, of radius LIGHT_RADIUS. Their radiance is
+    that which makes their luminous intensity what the file says, in cd.
 
     Args:
         light: its JSON.
@@ -32,7 +33,7 @@ def light_part(light: Item, world: Floats, name: str, notes: Notes) -> tuple[Par
     colour = light.numbers("color", (1.0, 1.0, 1.0), 0.0)
     intensity = light.number("intensity", 1.0, 0.0)
     if kind not in ("point", "spot", "directional"):
-        raise light.error(f"is of type {kind[:20]!r}; expected point, spot or directional")
+        raise light.error(f"is of type {shown(kind, 20)!r}; expected point, spot or directional")
     if kind == "directional":
         notes.file("a directional light (it belongs to a room, not to a lamp)")
         return None
@@ -46,7 +47,7 @@ def light_part(light: Item, world: Floats, name: str, notes: Notes) -> tuple[Par
         mesh = _disk(world)
         area = _area(mesh)
         notes.file("the cone of a spot light (it shines as a small disk does)")
-    red, green, blue = (intensity / area * channel for channel in colour)
+    red, green, blue = (intensity / area / LUMENS_PER_WATT * channel for channel in colour)
     radiance: RGB = (red, green, blue)
     place = np.eye(4)
     place[:3, 3] = world[:3, 3]

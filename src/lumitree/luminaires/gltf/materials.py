@@ -5,14 +5,16 @@ import re
 
 import numpy as np
 
+from lumitree.errors import shown
 from lumitree.luminaires.gltf.base import Base, read_base
 from lumitree.luminaires.gltf.container import Document
-from lumitree.luminaires.gltf.images import Images
+from lumitree.luminaires.gltf.images import GltfImages
 from lumitree.luminaires.gltf.item import Item
 from lumitree.luminaires.gltf.layers import Layers
 from lumitree.luminaires.gltf.maps import Array, Map, Textures, constant, uv_transform
 from lumitree.luminaires.gltf.notes import Notes
 from lumitree.luminaires.gltf.surfaces import note_ignored, read_surface, read_volume
+from lumitree.luminaires.images import Images
 from lumitree.luminaires.model import (
     RGB,
     Diffuse,
@@ -23,6 +25,8 @@ from lumitree.luminaires.model import (
     Texture,
     VertexColour,
 )
+from lumitree.luminaires.names import Names
+from lumitree.luminaires.photometry import LUMENS_PER_WATT
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,22 +46,9 @@ class Use:
     scale: float = 1.0
 
 
-class Names:
-    """Gives out names that are unique and safe as file names and in XML."""
-
-    def __init__(self) -> None:
-        self._taken: set[str] = set()
-
-    def unique(self, wanted: str) -> str:
-        """`wanted` with odd characters replaced, and a number where it is taken."""
-        stem = re.sub(r"[^A-Za-z0-9]+", "_", wanted).strip("_")[:48] or "unnamed"
-        name, number = stem, 1
-        # Some file systems do not tell upper from lower case.
-        while name.lower() in self._taken:
-            number += 1
-            name = f"{stem}_{number}"
-        self._taken.add(name.lower())
-        return name
+def safe_name(wanted: str) -> str:
+    """`wanted` with what does not fit into file names and XML replaced."""
+    return re.sub(r"[^A-Za-z0-9]+", "_", wanted).strip("_")[:48] or "unnamed"
 
 
 class Materials:
@@ -65,7 +56,8 @@ class Materials:
 
     def __init__(self, document: Document, notes: Notes, names: Names) -> None:
         self._document, self._notes, self._names = document, notes, names
-        self._textures = Textures(Images(document))
+        images = Images()
+        self._textures = Textures(images, GltfImages(document, images))
         self._layers: dict[int | None, Layers] = {}
         self._read: dict[tuple[int | None, Use], tuple[Material, RGB | None]] = {}
 
@@ -124,9 +116,9 @@ class Materials:
         if not radiance.black() and item.flag("doubleSided") and not use.closed:
             layers.note("emission (from the front only)")
         material = Material(
-            self._names.unique(layers.name),
+            self._names.unique(safe_name(layers.name)),
             surface,
-            None if radiance.black() else self._textures.colour(radiance),
+            None if radiance.black() else self._textures.radiance(radiance),
             self._textures.value(opacity),
             self._normal_map(layers, use.mirrored),
             item.flag("doubleSided"),
@@ -159,7 +151,7 @@ class Materials:
             normal /= np.linalg.norm(normal, axis=2, keepdims=True)
             return normal / 2 + 0.5
 
-        return self._textures.data(texture.applied(framed))
+        return self._textures.data(layers.combined(framed, texture))
 
 
 def _painted(layers: Layers, surface: Surface, base: Base) -> tuple[Surface, RGB | None]:
@@ -182,17 +174,22 @@ def _opacity(layers: Layers, base: Base) -> Map:
     if mode == "BLEND":
         return base.alpha.applied(lambda values: np.clip(values, 0, 1))
     if mode != "MASK":
-        raise layers.item.error(f"has alphaMode {mode[:20]!r}; expected OPAQUE, MASK or BLEND")
+        raise layers.item.error(
+            f"has alphaMode {shown(mode, 20)!r}; expected OPAQUE, MASK or BLEND"
+        )
     cutoff = layers.item.number("alphaCutoff", 0.5, 0.0)
     return base.alpha.applied(lambda values: (values >= cutoff).astype(values.dtype))
 
 
 def _radiance(layers: Layers, opacity: Map) -> Map:
-    """Emitted radiance: Mitsuba's emitters shine where the surface is masked out, too."""
+    """Emitted radiance, W/(m² sr), from the file's cd/m².
+
+    It is multiplied by the opacity, since Mitsuba's emitters also emit where the surface is masked.
+    """
     extension = layers.item.extension("KHR_materials_emissive_strength")
     strength = 1.0 if extension is None else extension.number("emissiveStrength", 1.0, 0.0)
     emitted = layers.colour(layers.item, "emissive", (0.0, 0.0, 0.0), np.inf)
-    emitted = emitted.scaled(strength)
+    emitted = emitted.scaled(strength / LUMENS_PER_WATT)
     if emitted.black() or (opacity.constant and opacity.mean() == (1.0,)):
         return emitted
     return layers.combined(np.multiply, emitted, opacity)

@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator
 
+from lumitree.errors import shown
+
 
 class Notes:
     """Collects remarks about a file and about each of its materials."""
@@ -30,4 +32,4 @@ class Notes:
         if self._file:
             yield f"{self._name}: ignored: {'; '.join(self._file)}"
         for name, texts in self._materials.items():
-            yield f"{self._name}: material {name!r} is approximated: {'; '.join(texts)}"
+            yield f"{self._name}: material {shown(name)!r} is approximated: {'; '.join(texts)}"

@@ -1,8 +1,7 @@
 """Reading a lamp from a glTF 2.0 file.
 
-Lengths are metres and y is up, as in every glTF file. Emissive factors times strengths are taken
-as radiances in W/(m² sr), and intensities of lights as W/sr: both stand for photometric units
-(cd/m² and cd) in glTF, so that their ratio is kept, and renderers use them as they are, too.
+Lengths are metres and y is up, as in every glTF file. Emissive factors times strengths are
+luminances in cd/m², and intensities of lights are in cd; both are divided by 683 lm/W.
 """
 
 import os
@@ -11,19 +10,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.errors import LumitreeError, LumitreeWarning, shown_names
 from lumitree.luminaires.geometry import Floats, Mesh
 from lumitree.luminaires.gltf.accessors import Accessors
 from lumitree.luminaires.gltf.container import Document
 from lumitree.luminaires.gltf.item import Item
 from lumitree.luminaires.gltf.lights import light_part
-from lumitree.luminaires.gltf.materials import Materials, Names, Use
+from lumitree.luminaires.gltf.materials import Materials, Use, safe_name
 from lumitree.luminaires.gltf.nodes import Node, scene_nodes
 from lumitree.luminaires.gltf.notes import Notes
 from lumitree.luminaires.gltf.primitives import MAX_TRIANGLES, baked, read_triangles, selected
 from lumitree.luminaires.gltf.topology import is_closed, outward
 from lumitree.luminaires.gltf.variants import Variants
-from lumitree.luminaires.model import Material, Model, Part
+from lumitree.luminaires.model import Material, Model, Part, check_shapes
+from lumitree.luminaires.names import Names
 
 
 def read_gltf(path: str | os.PathLike[str], *, variant: str | None = None) -> Model:
@@ -53,17 +53,18 @@ class _Reader:
     def __init__(self, document: Document, notes: Notes, variant: str | None) -> None:
         self._document, self._notes = document, notes
         self._variants = Variants(document, variant)
+        lights = document.root.extension("KHR_lights_punctual")
+        self._lights = [] if lights is None else lights.items("lights")
         self._accessors = Accessors(document)
-        self._part_names, material_names = Names(), Names()
-        self._material_names = material_names
+        self._part_names, material_names = Names("_"), Names("_")
         self._materials = Materials(document, notes, material_names)
         self._parts: list[Part] = []
         self._light_materials: list[Material] = []
-        self._triangles = 0
+        self._triangles = self._shapes = 0
 
     def read(self) -> Model:
-        for name in self._document.unknown_extensions:
-            self._notes.file(f"extension {name[:60]}")
+        if unknown := self._document.unknown_extensions:
+            self._notes.file(f"extension {shown_names(unknown)}")
         meshes: dict[int, list[Node]] = {}
         for node in scene_nodes(self._document):
             if "skin" in node.item:
@@ -79,12 +80,13 @@ class _Reader:
         return Model(tuple(self._parts), (*self._materials.all, *self._light_materials))
 
     def _light(self, node: Node, index: int) -> None:
-        extension = self._document.root.extension("KHR_lights_punctual")
-        lights = [] if extension is None else extension.items("lights")
-        if index >= len(lights):
-            raise node.item.error(f"names light {index}, but there are {len(lights)}")
-        name = self._part_names.unique("light_" + lights[index].string("name", str(index)))
-        found = light_part(lights[index], node.world, name, self._notes)
+        if index >= len(self._lights):
+            raise node.item.error(f"names light {index}, but there are {len(self._lights)}")
+        self._shapes += 1
+        check_shapes(self._shapes, node.item.where)
+        light = self._lights[index]
+        name = self._part_names.unique(safe_name("light_" + light.string("name", str(index))))
+        found = light_part(light, node.world, name, self._notes)
         if found is not None:
             part, material = found
             self._parts.append(part)
@@ -111,6 +113,8 @@ class _Reader:
         if mesh is None:
             self._notes.file("points, lines and empty meshes")
             return
+        self._shapes += len(worlds)
+        check_shapes(self._shapes, primitive.where)
         self._triangles += len(mesh.faces) * len(worlds)
         if self._triangles > MAX_TRIANGLES:
             raise primitive.error(
@@ -142,7 +146,9 @@ class _Reader:
         if mesh.colours is not None and factor is not None:
             colours = mesh.colours * factor
         mesh = Mesh(mesh.vertices, mesh.normals, mesh.faces, mesh.uv, colours)
-        self._parts.append(Part(self._part_names.unique(name), mesh, material.name, places))
+        self._parts.append(
+            Part(self._part_names.unique(safe_name(name)), mesh, material.name, places)
+        )
 
 
 def _flattened(world: Floats) -> bool:

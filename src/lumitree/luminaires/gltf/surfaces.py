@@ -214,7 +214,7 @@ def _sheen(layers: Layers) -> Map:
     colour = layers.colour(extension, "sheenColor", (0.0, 0.0, 0.0))
     if not colour.black():
         layers.note("sheen (without its colour and roughness)")
-    return colour.applied(lambda values: np.clip(values.max(axis=2, keepdims=True), 0, 1))
+    return layers.combined(lambda values: np.clip(values.max(axis=2, keepdims=True), 0, 1), colour)
 
 
 def _anisotropy(layers: Layers, roughness: Map) -> tuple[Map, Map]:
@@ -246,7 +246,7 @@ def _anisotropy(layers: Layers, roughness: Map) -> tuple[Map, Map]:
         return np.concatenate([mean, anisotropy, lost.astype(mean.dtype)], axis=2)
 
     result = layers.combined(ellipse, roughness, texture)
-    if result.channel(2).values.any():
+    if not result.channel(2).black():
         layers.note("anisotropy (only what lies along the texture coordinates)")
     return result.channel(0), result.channel(1)
 

@@ -1,5 +1,6 @@
 """Material variants (KHR_materials_variants)."""
 
+from lumitree.errors import shown, shown_names
 from lumitree.luminaires.gltf.container import Document
 from lumitree.luminaires.gltf.item import Item
 
@@ -20,8 +21,9 @@ class Variants:
         entries = [] if extension is None else extension.items("variants")
         names = [entry.string("name", "") for entry in entries]
         if variant not in names:
-            known = ", ".join(repr(name[:60]) for name in names) or "none"
-            raise document.root.error(f"no material variant {variant!r}; there are: {known}")
+            raise document.root.error(
+                f"no material variant {shown(variant)!r}; there are: {shown_names(names)}"
+            )
         self._index = names.index(variant)
 
     def material(self, primitive: Item) -> int | None:

@@ -3,7 +3,9 @@
 import dataclasses
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lumitree.errors import shown
 from lumitree.luminaires.geometry import Floats, Mesh
 from lumitree.luminaires.mesh_repair import (
     Indices,
@@ -14,6 +16,7 @@ from lumitree.luminaires.mesh_repair import (
     unit,
     weld,
 )
+from lumitree.luminaires.model import check_shapes
 from lumitree.luminaires.obj.parse import ObjFile
 from lumitree.luminaires.polygons import triangulate
 
@@ -37,14 +40,18 @@ def build_meshes(file: ObjFile) -> dict[int, Mesh]:
     outwards; missing normals are computed; v is 0 at an image's first row.
     """
     places, rough_places = weld(file.positions), weld(file.positions, _REPEATED)
+    # One vertex stands for all those in its place.
+    _, representative = np.unique(places, return_index=True)
+    positions = file.positions[representative]
     starts = np.cumsum(file.sizes) - file.sizes
     order = np.argsort(file.material, kind="stable")
     used, begins = np.unique(file.material[order], return_index=True)
+    check_shapes(len(used), shown(file.path, 300))
     meshes = {}
     for number, chosen in zip(used.tolist(), np.split(order, begins[1:]), strict=True):
         triangles = _cut(file, places, rough_places, chosen, starts)
         if len(triangles.corners):
-            meshes[number] = _mesh(file, places, triangles, file.materials[number])
+            meshes[number] = _mesh(file, places, positions, triangles, file.materials[number])
     return meshes
 
 
@@ -59,10 +66,9 @@ def _cut(
         own = file.corners[starts[polygons][:, None] + np.arange(size)]
         first = _first_of_each(np.sort(rough_places[own[..., 0]], axis=1))
         own, polygons = own[first], polygons[first]
-        pick = triangulate(file.positions[own[..., 0]])
-        cut = np.take_along_axis(own[:, None], pick[..., None], axis=2)
-        corners.append(cut.reshape(-1, 3, 3))
-        groups.append(np.repeat(file.smoothing[polygons], int(size) - 2))
+        pick, polygon = triangulate(file.positions[own[..., 0]])
+        corners.append(own[polygon[:, None], pick])
+        groups.append(file.smoothing[polygons[polygon]])
     every = _Triangles(np.concatenate(corners), np.concatenate(groups))
     ends = places[every.corners[..., 0]]
     proper = (ends != np.roll(ends, 1, axis=1)).all(axis=1)
@@ -79,13 +85,23 @@ def _first_of_each(sets: Indices) -> Indices:
     return np.union1d(order[new], np.flatnonzero(small))
 
 
-def _mesh(file: ObjFile, places: Indices, triangles: _Triangles, name: str) -> Mesh:
-    # One vertex stands for all those in its place.
-    _, representative = np.unique(places, return_index=True)
-    positions = file.positions[representative]
-    corners = _oriented(positions, places, triangles.corners, file.normals, name)
-    faces = places[corners[..., 0]]
-    index, normals = _normals(positions, faces, corners, file.normals, triangles.groups)
+def _mesh(
+    file: ObjFile, places: Indices, positions: Floats, triangles: _Triangles, name: str
+) -> Mesh:
+    """Mesh of one material; `positions` are those of the places.
+
+    Everything is numbered anew first: work on what other materials use would be quadratic.
+    """
+    corners = triangles.corners.copy()
+    used, faces = np.unique(places[corners[..., 0]], return_inverse=True)
+    positions, faces = positions[used], faces.reshape(-1, 3)
+    has_normal = corners[..., 2] >= 0
+    used, index = np.unique(corners[..., 2][has_normal], return_inverse=True)
+    given = file.normals[used]
+    corners[..., 2][has_normal] = index
+    flip = _turned(positions, faces, corners, given, name)
+    faces[flip], corners[flip] = faces[flip][:, ::-1], corners[flip][:, ::-1]
+    index, normals = _normals(positions, faces, corners, given, triangles.groups)
     uv = corners[..., 1].ravel()
     has_uv = bool((uv >= 0).any())
     keys = [corners[..., 0].ravel(), uv, index.ravel()]
@@ -98,11 +114,10 @@ def _mesh(file: ObjFile, places: Indices, triangles: _Triangles, name: str) -> M
     )
 
 
-def _oriented(
-    positions: Floats, places: Indices, corners: Indices, given: Floats, name: str
-) -> Indices:
-    """Corners with every closed piece facing outwards, open pieces as their normals point."""
-    faces = places[corners[..., 0]]
+def _turned(
+    positions: Floats, faces: Indices, corners: Indices, given: Floats, name: str
+) -> NDArray[np.bool_]:
+    """Faces [F] to turn so that closed pieces face outwards, open ones as their normals point."""
     pieces = Pieces(faces)
     out = outward(positions, faces, pieces, name)
     # A turned face is not the same face with its corners in another order of counting.
@@ -113,9 +128,7 @@ def _oriented(
         towards = (face_normals(positions, faces)[:, None] * _looked_up(given, corners)).sum((1, 2))
         against = np.bincount(pieces.label, towards, minlength=len(pieces.closed)) < 0
         flip |= (against & ~pieces.closed)[pieces.label]
-    result = corners.copy()
-    result[flip] = corners[flip][:, ::-1]
-    return result
+    return flip
 
 
 def _normals(

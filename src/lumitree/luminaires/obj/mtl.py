@@ -5,7 +5,7 @@ import math
 import warnings
 from pathlib import Path
 
-from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.luminaires.model_folder import read_limited
 from lumitree.luminaires.obj.parse import readable
 
@@ -111,7 +111,7 @@ def _number(word: str, key: str, where: str) -> float:
     except ValueError:
         value = math.nan
     if not abs(value) <= _MAX_VALUE:
-        raise LumitreeError(f"{where}: {key} has {word[:80]!r}; expected a finite number")
+        raise LumitreeError(f"{where}: {key} has {shown(word)!r}; expected a finite number")
     return value
 
 

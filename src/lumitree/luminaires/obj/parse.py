@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.luminaires.geometry import Floats
 from lumitree.luminaires.mesh_repair import Indices
 from lumitree.luminaires.model_folder import read_limited
@@ -25,6 +25,7 @@ class ObjFile:
     """Everything in an OBJ file that lumitree reads; indices begin at 0.
 
     Attributes:
+        path: of the file.
         positions: [V, 3].
         uv: [T, 2], v = 0 at an image's last row, as the file has it.
         normals: [N, 3], of any length.
@@ -37,6 +38,7 @@ class ObjFile:
         libraries: rest of every `mtllib` line.
     """
 
+    path: Path
     positions: Floats
     uv: Floats
     normals: Floats
@@ -116,9 +118,9 @@ class _Parser:
         try:
             return int(text) % 2**31
         except ValueError:
-            shown = readable(text)[:80]
             raise LumitreeError(
-                f"{self._path}: smoothing group {shown!r} is neither a number nor off"
+                f"{self._path}: smoothing group {shown(readable(text))!r} is neither a number nor "
+                "off"
             ) from None
 
     def _add_face(self, line: bytes) -> None:
@@ -153,6 +155,7 @@ class _Parser:
         normals = self._numbers(b"vn", 3)
         corners, sizes = self._corners((len(positions), len(uv), len(normals)))
         return ObjFile(
+            path=self._path,
             positions=positions,
             uv=uv,
             normals=normals,
@@ -185,8 +188,8 @@ class _Parser:
             values = np.array(list(map(float, words))).reshape(-1, width)
         except ValueError:
             at = _first_failing(words, float)
-            shown = readable(words[at])[:80]
-            raise self._error(key, at // width, f"{shown!r} is not a number") from None
+            word = shown(readable(words[at]))
+            raise self._error(key, at // width, f"{word!r} is not a number") from None
         bad = ~(np.abs(values) <= MAX_COORDINATE).all(axis=1)
         if bad.any():
             raise self._error(
@@ -200,7 +203,7 @@ class _Parser:
         if width == 2 and len(found) == 2:
             found = [*found, b"0"]
         if row[0] != key:
-            raise LumitreeError(f"{self._path}: a line begins with {readable(row[0])[:80]!r}")
+            raise LumitreeError(f"{self._path}: a line begins with {shown(readable(row[0]))!r}")
         if len(found) <= width:
             message = f"{len(found) - 1} numbers after {readable(key)!r}; expected {width}"
             raise self._error(key, at, message)
@@ -224,8 +227,8 @@ class _Parser:
         read, wrong, reason = _read_corners(list(spellings), counts)
         if wrong is not None:
             face = int(np.searchsorted(np.cumsum(sizes), (use == wrong).argmax(), side="right"))
-            shown = readable(list(spellings)[wrong])[:80]
-            raise self._error(b"f", face, f"corner {shown!r} {reason}")
+            word = shown(readable(list(spellings)[wrong]))
+            raise self._error(b"f", face, f"corner {word!r} {reason}")
         return read[use], sizes
 
     def _error(self, key: bytes, index: int, message: str) -> LumitreeError:
@@ -247,9 +250,9 @@ def _read_corners(
     for column in range(3):
         words = [row[column] if len(row) > column else b"" for row in fields]
         try:
-            read[:, column] = [int(word) - 1 if word else -1 for word in words]
+            read[:, column] = [_index(word) for word in words]
         except (ValueError, OverflowError):
-            at = _first_failing(words, lambda word: np.int64(int(word) if word else 0))
+            at = _first_failing(words, _index)
             return read, at, "is not of the form 1, 1/2, 1//3 or 1/2/3"
         given = np.array([bool(word) for word in words])
         wrong = given & ((read[:, column] < 0) | (read[:, column] >= counts[column]))
@@ -265,13 +268,18 @@ def _read_corners(
     return read, too_long[0] if too_long else None, "has more than three indices"
 
 
+def _index(word: bytes) -> np.int64:
+    """Index of a corner, counted from 0; -1 for none."""
+    return np.int64(int(word) - 1 if word else -1)
+
+
 def readable(text: bytes) -> str:
     """Text of a file that does not say how it is encoded, without control characters."""
     try:
         decoded = text.decode("utf-8")
     except UnicodeDecodeError:
         decoded = text.decode("latin-1")
-    return "".join(char if char.isprintable() else "?" for char in decoded)
+    return shown(decoded, len(decoded))
 
 
 def _first_failing(words: Sequence[bytes], convert: Callable[[bytes], object]) -> int:

@@ -6,16 +6,16 @@ import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
-from lumitree.errors import LumitreeWarning
+from lumitree.errors import LumitreeWarning, shown, shown_names
 from lumitree.luminaires.geometry import Mesh
 from lumitree.luminaires.mesh_repair import closed_share
-from lumitree.luminaires.model import Glass, Material, Model, Part
-from lumitree.luminaires.model_folder import ModelFolder
+from lumitree.luminaires.model import Material, Model, Part
+from lumitree.luminaires.names import Names
+from lumitree.luminaires.obj.files import ObjFolder
 from lumitree.luminaires.obj.materials import material, without_mtl
 from lumitree.luminaires.obj.mesh import build_meshes
 from lumitree.luminaires.obj.mtl import MtlMaterial, parse_mtl
 from lumitree.luminaires.obj.parse import ObjFile, parse_obj
-from lumitree.luminaires.overrides import shown_names
 
 _UNNAMED = "default"
 _MAX_NAME = 60
@@ -30,7 +30,7 @@ def read_obj(path: str | os.PathLike[str]) -> Model:
     """
     path = Path(path)
     file = parse_obj(path)
-    folder = ModelFolder(path)
+    folder = ObjFolder(path)
     library = _library(file, folder)
     meshes = build_meshes(file)
     if not meshes:
@@ -39,7 +39,7 @@ def read_obj(path: str | os.PathLike[str]) -> Model:
     missing = [name for name in file.materials if name and name not in library]
     if missing:
         warnings.warn(
-            f"{path}: no MTL file describes {shown_names(missing)}; taken to be grey",
+            f"{shown(path, 300)}: no MTL file describes {shown_names(missing)}; taken to be grey",
             LumitreeWarning,
             stacklevel=2,
         )
@@ -52,43 +52,43 @@ def read_obj(path: str | os.PathLike[str]) -> Model:
     return Model(tuple(parts), tuple(materials))
 
 
-def _material(title: str, source: MtlMaterial | None, mesh: Mesh, folder: ModelFolder) -> Material:
+def _material(title: str, source: MtlMaterial | None, mesh: Mesh, folder: ObjFolder) -> Material:
     if source is None:
         return without_mtl(title)
-    closed, pieces = closed_share(mesh)
-    result = material(title, source, closed == pieces, folder)
-    if isinstance(result.surface, Glass) and 0 < closed < pieces:
-        warnings.warn(
-            f"material {title!r}: {closed} of {pieces} pieces are closed, the others are not; all "
-            "are taken to be thin sheets of glass",
-            LumitreeWarning,
-            stacklevel=2,
-        )
-    return result
+
+    def closed_throughout() -> bool:
+        closed, pieces = closed_share(mesh)
+        if 0 < closed < pieces:
+            warnings.warn(
+                f"material {shown(title)!r}: {closed} of {pieces} pieces are closed, the others "
+                "are not; all are taken to be thin sheets of glass",
+                LumitreeWarning,
+                stacklevel=2,
+            )
+        return closed == pieces
+
+    return material(title, source, closed_throughout, folder)
 
 
-def _library(file: ObjFile, folder: ModelFolder) -> dict[str, MtlMaterial]:
+def _library(file: ObjFile, folder: ObjFolder) -> dict[str, MtlMaterial]:
     """Materials of all `mtllib` lines; the first of a name counts."""
-    found: dict[str, MtlMaterial] = {}
+    paths: dict[Path, None] = {}
     for line in dict.fromkeys(file.libraries):
         # A line may hold several names, or one name with spaces in it.
         whole = line.lower().count(".mtl") <= 1
         for name in [line] if whole else line.split():
             path = folder.find(name, "mtllib")
             if path is not None:
-                found = {**parse_mtl(path), **found}
+                paths[path] = None
+    found: dict[str, MtlMaterial] = {}
+    for path in paths:
+        for name, entry in parse_mtl(path).items():
+            found.setdefault(name, entry)
     return found
 
 
 def part_names(titles: Iterable[str]) -> list[str]:
     """Distinct names, fit for files, made from any text."""
-    names: dict[str, str] = {}
-    for title in titles:
-        base = re.sub(r"[^A-Za-z0-9_-]+", "_", title)[:_MAX_NAME].strip("_") or _UNNAMED
-        name, suffix = base, 1
-        # Some file systems take names that differ in case for one.
-        while name.lower() in names:
-            suffix += 1
-            name = f"{base}-{suffix}"
-        names[name.lower()] = name
-    return list(names.values())
+    names = Names("-")
+    bases = (re.sub(r"[^A-Za-z0-9_-]+", "_", title)[:_MAX_NAME].strip("_") for title in titles)
+    return [names.unique(base or _UNNAMED) for base in bases]

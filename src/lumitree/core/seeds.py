@@ -1,0 +1,78 @@
+"""Seeds of all random numbers that Mitsuba and NumPy draw.
+
+A result depends on one *root seed*, which a user may choose. Every use of random numbers has a
+seed of its own, derived from the root seed by what the numbers are for (`Purpose`), the step of
+that work and the draw within the step. So two uses share random numbers only if their 32-bit seeds
+happen to be equal. Among n seeds that has a probability of about n² / 2³³: 0.01 for the 10,000
+seeds of a long bake. It does no harm: two batches of rays among thousands are then equal.
+"""
+
+import dataclasses
+import enum
+
+import numpy as np
+
+from lumitree.errors import LumitreeError
+
+MAX_SEED = 2**31 - 1
+
+
+class Purpose(enum.IntEnum):
+    """What random numbers are for. A number is part of the seed: append, and never renumber."""
+
+    CAPTURE = 0  # images of a dataset; step: Halton index
+    PREVIEW = 1  # images of a preview; step: view
+    FLUX = 2  # total flux; step: batch
+    LONG_PATHS = 3  # flux of long paths; step: batch
+    MAX_RADIANCE = 4  # L_max of a luminaire
+    HELD_OUT = 5  # rays of the score
+    GROWTH = 6  # which cells of the first octree hold something; step: level, draw: batch
+    ESTIMATE = 7  # statistics of the first octree; step: batch
+    REFINEMENT = 8  # rays of gradient descent; step: its step
+    STRAIGHT = 9  # rays of gradient descent that are followed straight through only; step: its step
+    CALIBRATION = 10  # scale of emission; step: step of the descent
+    CLOSING_CALIBRATION = 11  # the same after the descent; step: steps done
+    FLUX_CORRECTION = 12  # scale of the total flux; step: steps done
+    ERROR_INDICATOR = 13  # which leaves are split; step: step of the descent
+    RENDER = 14  # images of a scene; step: samples done
+    CONTINUATION = 15  # root seed of a bake that goes on with an asset; step: checksum of the asset
+
+
+@dataclasses.dataclass(frozen=True)
+class SeedStream:
+    """The seeds of one draw of random numbers.
+
+    Attributes:
+        purpose: what the random numbers are for.
+        step: of the work, as `Purpose` says; 0 to 2³² - 1.
+        draw: which of the step's draws; 0 to 2³² - 1.
+    """
+
+    purpose: Purpose
+    step: int = 0
+    draw: int = 0
+
+    def seed(self, root: int, part: int = 0) -> int:
+        """The 32-bit seed of one part of the draw.
+
+        Args:
+            root: the user's seed, 0 to 2³¹ - 1.
+            part: which of the draw's independent sets of random numbers.
+
+        Raises:
+            LumitreeError: the root seed is out of range.
+        """
+        key = (int(self.purpose), self.step, self.draw, part)
+        sequence = np.random.SeedSequence(check_seed(root), spawn_key=key)
+        return int(sequence.generate_state(1)[0])
+
+
+def check_seed(seed: int) -> int:
+    """The seed, if it is one.
+
+    Raises:
+        LumitreeError: it is no integer from 0 to 2³¹ - 1.
+    """
+    if type(seed) is not int or not 0 <= seed <= MAX_SEED:
+        raise LumitreeError(f"seed is {seed!r}; expected a whole number from 0 to {MAX_SEED}")
+    return seed

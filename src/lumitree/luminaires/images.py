@@ -1,0 +1,143 @@
+"""Images of a model, decoded within limits, and the arrays that are made of them."""
+
+import dataclasses
+import io
+import warnings
+from collections.abc import Callable, Hashable
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from lumitree.errors import LumitreeError, shown
+
+MAX_SIDE = 16384
+MAX_IMAGE_PIXELS = 8192 * 8192
+# Of everything decoded and computed for one model. Four images of 4096² in every role fit.
+MAX_TOTAL_BYTES = 5 * 2**28
+_BLOCK_PIXELS = 2**20
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DecodedImage:
+    """An image as its file encodes it.
+
+    Attributes:
+        pixels: [H, W, 4] R, G, B and opacity.
+        counts: [4, 256] how many pixels have each value.
+    """
+
+    pixels: NDArray[np.uint8]
+    counts: NDArray[np.int64]
+
+
+class Images:
+    """The images of one model: each is decoded once, and each array of them made once."""
+
+    def __init__(self) -> None:
+        self._decoded: dict[Hashable, DecodedImage] = {}
+        self._made: dict[Hashable, NDArray] = {}
+        self._bytes = 0
+
+    def decoded(
+        self, key: Hashable, read: Callable[[], bytes], where: str, formats: tuple[str, ...]
+    ) -> DecodedImage:
+        """The image of a key.
+
+        Args:
+            key: of the image within the model.
+            read: returns the bytes of its file, where they are needed.
+            where: what the image is, for messages.
+            formats: that are tried, by Pillow's names.
+
+        Raises:
+            LumitreeError: it is damaged, in no such format, or too large.
+        """
+        if key not in self._decoded:
+            self._decoded[key] = self._decode(read(), where, formats)
+        return self._decoded[key]
+
+    def made(self, key: Hashable, size: int, where: str, make: Callable[[], NDArray]) -> NDArray:
+        """The array of a key, computed where it is new; see `spend` for the others."""
+        if key not in self._made:
+            self.spend(size, where)
+            self._made[key] = make()
+        return self._made[key]
+
+    def spend(self, size: int, where: str) -> None:
+        """Count bytes that are about to be held or computed.
+
+        Raises:
+            LumitreeError: they are too many for one model.
+        """
+        self._bytes += size
+        if self._bytes > MAX_TOTAL_BYTES:
+            raise LumitreeError(
+                f"{where} brings the model's images and what is computed from them to "
+                f"{self._bytes // 2**20} MiB; at most {MAX_TOTAL_BYTES // 2**20} MiB: make the "
+                "images smaller"
+            )
+
+    def _decode(self, data: bytes, where: str, formats: tuple[str, ...]) -> DecodedImage:
+        try:
+            with warnings.catch_warnings():
+                # Pillow warns of what is large, or odd; the size is judged below.
+                warnings.simplefilter("ignore")
+                image = Image.open(io.BytesIO(data), formats=formats)
+                # Only the header has been read so far.
+                _check_size(image, where)
+                self.spend(4 * image.width * image.height, where)
+                image = _rgba(image)
+        except Image.DecompressionBombError:
+            raise LumitreeError(f"{where} has too many pixels; make it smaller") from None
+        except LumitreeError:
+            raise
+        except Exception as error:
+            # Pillow's decoders raise whatever damage leads to.
+            reason = shown(" ".join(str(error).split()) or type(error).__name__)
+            raise LumitreeError(
+                f"{where} is no image that can be read ({', '.join(formats)}): {reason}"
+            ) from None
+        counts = np.array(image.histogram(), np.int64).reshape(4, 256)
+        return DecodedImage(np.asarray(image), counts)
+
+
+def by_rows(
+    make: Callable[[slice], NDArray], shape: tuple[int, int, int], dtype: np.dtype | type
+) -> NDArray:
+    """An array [H, W, C], computed block by block so that what it is computed from stays small.
+
+    Args:
+        make: returns the array's rows of a slice.
+    """
+    result = np.empty(shape, dtype)
+    step = max(1, _BLOCK_PIXELS // shape[1])
+    for start in range(0, shape[0], step):
+        rows = slice(start, min(start + step, shape[0]))
+        result[rows] = make(rows)
+    return result
+
+
+def looked_up(levels: NDArray, pixels: NDArray[np.uint8]) -> NDArray:
+    """Values [H, W, C] that a table [256, C] gives to bytes [H, W, C]."""
+    planes = [levels[:, at][pixels[..., at]] for at in range(pixels.shape[2])]
+    return np.stack(planes, axis=-1)
+
+
+def _check_size(image: Image.Image, where: str) -> None:
+    sides = (image.width, image.height)
+    if max(sides) > MAX_SIDE or sides[0] * sides[1] > MAX_IMAGE_PIXELS:
+        raise LumitreeError(
+            f"{where} has {sides[0]} x {sides[1]} pixels; at most {MAX_SIDE} along a side and "
+            f"{MAX_IMAGE_PIXELS} in an image: make it smaller"
+        )
+
+
+def _rgba(image: Image.Image) -> Image.Image:
+    if image.mode.startswith("I"):
+        # 16-bit grey; Pillow's own conversion would clip it at 255.
+        grey = np.asarray(image).clip(0, 65535).astype(np.uint32)
+        image = Image.fromarray(((grey * 255 + 32767) // 65535).astype(np.uint8))
+    elif image.mode == "CMYK":
+        image = image.convert("RGB")
+    return image.convert("RGBA")

@@ -1,0 +1,182 @@
+"""Files that are missing, unreadable or hostile: one line each."""
+
+import contextlib
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lumitree.core.reading import Record, label, parse_json, read_arrays, read_bytes
+from lumitree.errors import LumitreeError
+
+
+def refusal(function, *arguments):
+    with pytest.raises(LumitreeError) as caught:
+        function(*arguments)
+    message = str(caught.value)
+    assert message.isprintable()
+    assert len(message) < 1000
+    return message
+
+
+def test_a_file_is_read(tmp_path):
+    (tmp_path / "a").write_bytes(b"\x00\xffabc")
+    assert read_bytes(tmp_path / "a", "a file", 5) == b"\x00\xffabc"
+    assert read_bytes(str(tmp_path / "a"), "a file", 5) == b"\x00\xffabc"
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    (tmp_path / "file").write_bytes(b"123456")
+    for path, message in (
+        (tmp_path / "none", "does not exist; expected a thing"),
+        (tmp_path, "is not a regular file; expected a thing"),
+        (tmp_path / "pipe", "is not a regular file"),
+        ("/dev/zero", "is not a regular file"),
+        (tmp_path / "loop", "cannot read"),
+        (tmp_path / "file" / "below", "cannot read"),
+        (tmp_path / "file", "has 6 bytes; expected a thing of at most 5"),
+        (tmp_path / ("x" * 300), "cannot read"),
+        ("a\x00b", "is no file name"),
+    ):
+        if not str(path).startswith("/dev") or Path(path).exists():
+            assert message in refusal(read_bytes, path, "a thing", 5)
+
+
+def test_a_file_without_permission_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "a").write_bytes(b"abc")
+
+    def refuse(self):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "read_bytes", refuse)
+    assert "Permission denied; expected a thing" in refusal(
+        read_bytes, tmp_path / "a", "a thing", 5
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no JSON"),
+        ("{", "no JSON"),
+        (b"\xff\xfe{}", "no JSON"),
+        ('{"a": 1, "a": 2}', "two members of one name"),
+        ('{"b": [{"a": 1, "a": 1}]}', "two members of one name"),
+        ("NaN", "holds NaN"),
+        ("[-Infinity]", "holds -Infinity"),
+        ("[" * 100_000, "too deep"),
+        ('{"a":' * 100_000 + "1" + "}" * 100_000, "too deep"),
+        ("1" + 5000 * "0", "no JSON"),
+    ],
+)
+def test_bad_json_is_refused(text, message):
+    assert message in refusal(parse_json, text)
+
+
+def test_json_is_parsed():
+    assert parse_json('{"a": [1, 2.5, "é", null, true]}') == {"a": [1, 2.5, "é", None, True]}
+    assert parse_json('{"é": 1e2}'.encode()) == {"é": 100.0}
+
+
+def record(**members):
+    return Record(members, "the record")
+
+
+@pytest.mark.parametrize("value", [None, [], "x", 1, True])
+def test_only_an_object_is_a_record(value):
+    assert "expected a JSON object" in refusal(Record, value, "the record")
+    assert "expected a JSON object" in refusal(record(a=value).record, "a")
+
+
+def test_members_are_those_expected():
+    record(a=1, b=2).expect_keys("a", "b")
+    assert refusal(record(a=1).expect_keys, "a", "b") == 'the record lacks "b"'
+    message = refusal(record(a=1, **{"\x1b" * 500: 2}).expect_keys, "a")
+    assert message.startswith('the record has the unknown key "\\u001b')
+
+
+@pytest.mark.parametrize(
+    ("read", "arguments", "good", "bad"),
+    [
+        (Record.text, (3,), ["", "abc", "é"], ["abcd", "\n", "\x1b", "\ud800", 1, None, ["a"]]),
+        (Record.integer, (), [0, -5, 10**400], [1.0, True, "1", None, [1]]),
+        (Record.number, (), [0, 1.5, -1e300], [10**400, np.inf, True, "1", None, [1]]),
+        (Record.choice, ((1, 2),), [1, 2], [3, 1.0, True, "1", None, [1]]),
+        (Record.choice, (("a", "b"),), ["a", "b"], ["c", 1, None, ["a"], {}]),
+        (Record.integers, (), [[], [1, 2]], [1, "12", [True], [1.0], [[1]], None]),
+        (Record.items, (), [[], [1, "a"]], [1, "12", {}, None]),
+    ],
+)
+def test_members_are_of_the_type_expected(read, arguments, good, bad):
+    for value in good:
+        assert read(record(a=value), "a", *arguments) == value
+    for value in bad:
+        message = refusal(read, record(a=value), "a", *arguments)
+        assert message.startswith("a of the record is ")
+    assert "a of the record is null" in refusal(read, record(), "a", *arguments)
+
+
+def test_arrays_are_nested_lists_of_numbers():
+    assert np.array_equal(record(a=[1, 2.5]).array("a", 2), [1, 2.5])
+    assert record(a=[[1, 2], [3, 4], [5, 6]]).array("a", 3, 2).tolist() == [[1, 2], [3, 4], [5, 6]]
+    for bad in ([1], [1, 2, 3], [1, "2"], [1, True], [1, [2]], [1, 10**400], "12", 12, None):
+        assert "expected 2 numbers" in refusal(record(a=bad).array, "a", 2)
+    assert "expected 3 x 2 numbers" in refusal(record(a=[[1, 2], [3], [4, 5]]).array, "a", 3, 2)
+
+
+def test_versions_are_told_apart():
+    record(version=1, more=2).expect_version(1)
+    for version in (2, 1.0, "1", True, None):
+        assert "this lumitree reads 1" in refusal(record(version=version).expect_version, 1)
+    assert refusal(record().expect_version, 1).startswith("the record has version null")
+
+
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ("lamps/große Lampe", "lamps/große Lampe"),
+        ("a\nb\x1b[2J\ud800", "a?b?[2J?"),
+        ("x" * 5000, "x" * 1000),
+    ],
+)
+def test_labels_are_what_files_may_hold(name, kept):
+    assert label(name) == kept
+    assert record(name=label(name)).label("name") == kept
+
+
+def test_arrays_are_read(tmp_path):
+    np.savez(tmp_path / "a.npz", one=np.arange(3), two=np.array("text"))
+    assert read_arrays(tmp_path / "a.npz").keys() == {"one", "two"}
+    assert read_arrays(tmp_path / "a.npz", "one")["one"].tolist() == [0, 1, 2]
+    assert "damaged (KeyError)" in refusal(read_arrays, tmp_path / "a.npz", "three")
+    assert "missing or no regular file" in refusal(read_arrays, tmp_path / "none.npz")
+    assert "missing or no regular file" in refusal(read_arrays, tmp_path)
+
+
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
+def test_damaged_archives_are_refused(tmp_path, save):
+    path = tmp_path / "a.npz"
+    save(path, one=np.arange(50), two=np.array("text"), three=np.ones((2, 3)))
+    whole = path.read_bytes()
+    np.save(tmp_path / "array.npy", np.arange(3))
+    np.save(tmp_path / "objects.npy", np.array([{}]), allow_pickle=True)
+    others = [(tmp_path / name).read_bytes() for name in ("array.npy", "objects.npy")]
+    huge = (tmp_path / "array.npy").read_bytes().replace(b"(3,)", b"(9999999999999,)")
+    for content in (b"", b"x", b"text" * 99, whole[:-1], whole[: len(whole) // 2], huge, *others):
+        path.write_bytes(content)
+        refusal(read_arrays, path)
+    loaded = 0
+    random = np.random.default_rng(0)
+    for _ in range(400):
+        content = bytearray(whole)
+        for place in random.integers(len(content), size=random.integers(1, 4)):
+            content[place] = random.integers(256)
+        path.write_bytes(content)
+        with contextlib.suppress(LumitreeError):
+            read_arrays(path)
+            loaded += 1
+    # Most damage is noticed; what is not may only be in the numbers.
+    assert loaded < 200

@@ -1,0 +1,53 @@
+"""Seeded damage to files, and the check that it is refused in a line."""
+
+import warnings
+
+from lumitree.errors import LumitreeError, LumitreeWarning
+
+TOKENS = (
+    b"-1", b"0", b"1e308", b"-1e-308", b"nan", b"inf", b"1e999", b"9" * 30, b"-9223372036854775808",
+    b"9223372036854775807", b"1" * 5000, b"x" * 3000, b"../a", b"/etc/passwd", b"\\", b"/", b"#",
+    b'"', b"'", b"[" * 50, b"{", b"]", b"<", b"&#0;", b"\x00", b"\x1b[31m", b"\xff\xfe", b"\r",
+    b"\xed\xa0\x80", "é".encode(), b"f 1 2 3", b"usemtl", b"-", b"=", b"",
+)  # fmt: skip
+
+
+def damaged(text, rng):
+    """Text with some of its bytes, words or lines changed, dropped, repeated or cut off."""
+    for _ in range(rng.integers(1, 4)):
+        separator = (b"\n", b" ")[rng.integers(2)]
+        pieces = text.split(separator)
+        at = int(rng.integers(len(pieces)))
+        match int(rng.integers(6)):
+            case 0:
+                data = bytearray(text or b" ")
+                data[rng.integers(len(data))] = rng.integers(256)
+                text = bytes(data)
+                continue
+            case 1:
+                text = text[: rng.integers(len(text) + 1)]
+                continue
+            case 2:
+                del pieces[at]
+            case 3:
+                pieces.insert(at, pieces[rng.integers(len(pieces))])
+            case _:
+                pieces[at] = TOKENS[rng.integers(len(TOKENS))]
+        text = separator.join(pieces)
+    return text
+
+
+def refused(read):
+    """Whether it is refused; its messages, and those of its warnings, are short lines."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            read()
+            errors = []
+        except LumitreeError as error:
+            errors = [str(error)]
+    assert all(entry.category is LumitreeWarning for entry in caught), caught
+    for text in errors + [str(entry.message) for entry in caught]:
+        assert text.isprintable()
+        assert len(text) < 1000
+    return bool(errors)
