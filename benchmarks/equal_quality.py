@@ -98,9 +98,9 @@ class Method:
     """One way to render the pair: its long run and its ladder, and how to extend both."""
 
     def __init__(self, pair: Pair, baked: bool, args: argparse.Namespace) -> None:
-        from lumitree.luminaires.luminaire import load_luminaire
-        from lumitree.luminaires.scene_file import SceneFile
-        from lumitree.render.room import Placement, furnish, load_room, render, set_film_width
+        from lumitree.luminaire.luminaire import load_luminaire
+        from lumitree.luminaire.scene_file import SceneFile
+        from lumitree.rendering.scene import Placement, furnish, load_room, render, set_film_width
 
         room, _ = load_room(pair.room)
         set_film_width(room, args.width)
@@ -175,8 +175,8 @@ def explicit_integrator(luminaire: Any) -> str:
     Light that thin glass and alpha masks let through unbent is found by next-event estimation under
     `volpath` alone.
     """
-    from lumitree.luminaires.tracing import integrator_kind
-    from lumitree.render.integrator import has_null_surfaces
+    from lumitree.transport.tracing import integrator_kind
+    from lumitree.rendering.integrator import has_null_surfaces
 
     kind = integrator_kind(luminaire)
     return "volpath" if kind == "path" and has_null_surfaces(luminaire.scene) else kind
@@ -304,7 +304,7 @@ def run(pair: Pair, args: argparse.Namespace) -> dict:
 
 def read_pairs(path: Path, rooms: Path, assets: Path, data: Path) -> list[Pair]:
     """Pairs of a TOML file; heights become sizes by the luminaire's own proportions."""
-    from lumitree.luminaires.luminaire import load_luminaire
+    from lumitree.luminaire.luminaire import load_luminaire
 
     pairs = []
     for entry in tomllib.loads(path.read_text())["pair"]:

@@ -13,8 +13,8 @@ import sys
 import time
 from pathlib import Path
 
-from lumitree.luminaires.builtin.registry import BUILTIN
-from lumitree.luminaires.source import LuminaireSource
+from lumitree.builtin.registry import BUILTIN
+from lumitree.luminaire.source import LuminaireSource
 from setting import setting
 
 HERE = Path(__file__).parent
@@ -37,10 +37,10 @@ DATA = (
 
 def measure(source: LuminaireSource, metres_per_unit: float) -> dict:
     """One row of the table."""
-    from lumitree.capture.flux import estimate_flux, missed_by_depth
+    from lumitree.transport.flux import estimate_flux, missed_by_depth
     from lumitree.core.images import max_radiance
     from lumitree.evaluation.preview import take_preview
-    from lumitree.luminaires.luminaire import load_luminaire
+    from lumitree.luminaire.luminaire import load_luminaire
 
     luminaire = load_luminaire(source)
     flux = estimate_flux(luminaire, FLUX_PATHS)
@@ -60,8 +60,8 @@ def measure(source: LuminaireSource, metres_per_unit: float) -> dict:
 
 def throughput(luminaire) -> float:
     """Paths a second of a capture: radiance and both opacities."""
-    from lumitree.capture.camera import Camera
-    from lumitree.core.sampling import view_pose
+    from lumitree.views.camera import Camera
+    from lumitree.core.directions import view_pose
     from lumitree.core.seeds import Purpose, SeedStream
 
     camera = Camera(luminaire, RESOLUTION, SAMPLES)

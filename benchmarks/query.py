@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from lumitree.asset.file import load
-from lumitree.asset.model import MAX_TREE_DEPTH, LuminaireAsset
+from lumitree.asset.asset import MAX_TREE_DEPTH, LuminaireAsset
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import atomic_path, write_json
 from setting import setting
@@ -136,7 +136,7 @@ def measure_depth(asset: LuminaireAsset) -> dict:
     import drjit as dr
     import mitsuba as mi
 
-    from lumitree.render.field import Field
+    from lumitree.rendering.field import Field
 
     start = time.perf_counter()
     field = Field(asset)
@@ -186,7 +186,7 @@ def measure_depth(asset: LuminaireAsset) -> dict:
 
 def measure_thresholds(asset: LuminaireAsset) -> list[dict]:
     """Time and error of the paper's thresholds."""
-    from lumitree.render.field import Field
+    from lumitree.rendering.field import Field
 
     origin, direction = random_lines(asset)
     fields = {limits: Field(asset, *limits) for limits in THRESHOLDS}

@@ -32,7 +32,7 @@ POINT_SAMPLES = 1 << 17
 
 def scenes(pair: Pair) -> dict:
     """The room with the lamp in it, by kind of sampling."""
-    from lumitree.render.room import Placement, furnish, load_room, set_film_width
+    from lumitree.rendering.scene import Placement, furnish, load_room, set_film_width
 
     scene, _ = load_room(pair.room)
     set_film_width(scene, WIDTH)
@@ -44,7 +44,7 @@ def measure_paths(by_kind: dict, path_depth: int) -> dict:
     """Variance and time of a sample a pixel, by kind of sampling."""
     import mitsuba as mi
 
-    from lumitree.render.room import render
+    from lumitree.rendering.scene import render
 
     def integrator(depth):
         return mi.load_dict({"type": "lumitree_path", "max_depth": depth, "rr_depth": 1000})
@@ -77,9 +77,9 @@ def measure_points(asset: str) -> dict:
     """Without a room: variance ratios from points about the lamp, and time a sample."""
     import drjit as dr
 
-    from lumitree.render.field import open_field
-    from lumitree.render.proxy import make_proxy
-    from lumitree.render.sampling import EmitterSampler
+    from lumitree.rendering.field import open_field
+    from lumitree.rendering.proxy import make_proxy
+    from lumitree.rendering.emitter_sampling import EmitterSampler
 
     field = open_field(asset)
     half = field.asset.half_extents

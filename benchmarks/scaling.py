@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from lumitree import pipeline
-from lumitree.asset.model import MAX_TREE_DEPTH
+from lumitree.asset.asset import MAX_TREE_DEPTH
 from lumitree.core.files import atomic_path, write_json
 from setting import setting
 

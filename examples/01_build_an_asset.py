@@ -3,7 +3,7 @@
 import numpy as np
 
 import lumitree
-from lumitree.asset.model import LuminaireAsset
+from lumitree.asset.asset import LuminaireAsset
 from lumitree.octree.extract import extract
 
 

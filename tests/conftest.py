@@ -17,7 +17,7 @@ def _no_progress(monkeypatch):
 def mi():
     """Mitsuba with the CPU variant and the plugins registered."""
     from lumitree.core.backend import load_mitsuba
-    from lumitree.render.plugins import register
+    from lumitree.rendering.plugins import register
 
     mitsuba = load_mitsuba("llvm_ad_rgb")
     register()

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from lumitree.asset.model import LuminaireAsset
+from lumitree.asset.asset import LuminaireAsset
 from lumitree.core.harmonics import num_coefficients
 from lumitree.octree.build import build_children
-from lumitree.octree.reference import leaf_boxes
+from lumitree.rendering.reference import leaf_boxes
 
 
 def make_asset(cells, levels, density, coefficients, *, tree_depth=4, law="linear", **fields):
@@ -72,7 +72,7 @@ def uniform_asset(density, radiance, *, law="linear", max_radiance=10.0, **field
 
 def leaf_field(asset):
     """Trainable field of an asset; leaf i keeps its index."""
-    from lumitree.direct.field import LeafField
+    from lumitree.direct.leaf_field import LeafField
 
     lower, upper = leaf_boxes(asset)
     side = (upper - lower)[:, :1]

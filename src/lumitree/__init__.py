@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     )
     from lumitree.api.viewing import evaluate, preview, render
     from lumitree.asset.file import load, save
-    from lumitree.asset.model import Asset, AssetInfo
+    from lumitree.asset.asset import Asset, AssetInfo
     from lumitree.luminaire.luminaire import Luminaire
     from lumitree.luminaire.source import LuminaireSource
     from lumitree.rendering.placement import Placement

@@ -48,8 +48,8 @@ def _render_room(output: Path, asset: str, watch: pipeline.Stopwatch) -> pipelin
     load_mitsuba()
     from lumitree.evaluation.metrics import rel_mse
     from lumitree.evaluation.strip import write_strip
-    from lumitree.render.demo_room import demo_room, lamp
-    from lumitree.render.room import default_integrator, furnish, render
+    from lumitree.rendering.demo_room import demo_room, lamp
+    from lumitree.rendering.scene import default_integrator, furnish, render
 
     integrator = default_integrator(12)
     jobs = {

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from lumitree.asset.model import MAX_TREE_DEPTH
+from lumitree.asset.asset import MAX_TREE_DEPTH
 from lumitree.core.arguments import (
     MAX_RAYS,
     MAX_SAMPLES,
@@ -39,11 +39,11 @@ from lumitree.errors import LumitreeError, LumitreeWarning, explained
 from lumitree.nerf.config import PRESETS, TrainConfig
 
 if TYPE_CHECKING:
-    from lumitree.asset.model import LuminaireAsset
+    from lumitree.asset.asset import LuminaireAsset
     from lumitree.core.transmittance import Law
     from lumitree.direct.bake import DirectConfig, DirectResult
-    from lumitree.luminaires.luminaire import Luminaire
-    from lumitree.luminaires.source import LuminaireSource
+    from lumitree.luminaire.luminaire import Luminaire
+    from lumitree.luminaire.source import LuminaireSource
 
 Report = dict[str, Any]
 
@@ -101,8 +101,8 @@ def peak_memory_bytes() -> int:
 @explained
 def list_luminaires() -> Report:
     """Built-in luminaires: what they are, and their figures."""
-    from lumitree.luminaires.builtin.registry import BUILTIN
-    from lumitree.luminaires.figures import figures
+    from lumitree.builtin.registry import BUILTIN
+    from lumitree.model.figures import figures
 
     return {
         "luminaires": {
@@ -132,10 +132,10 @@ def preview(
     check_sheet_output(sheet)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     load_mitsuba(variant)
-    from lumitree.capture.flux import estimate_flux, missed_by_depth
+    from lumitree.transport.flux import estimate_flux, missed_by_depth
     from lumitree.core.images import max_radiance
     from lumitree.evaluation.preview import take_preview, write_preview
-    from lumitree.luminaires.luminaire import load_luminaire
+    from lumitree.luminaire.luminaire import load_luminaire
 
     watch = Stopwatch()
     with watch.stage("load"):
@@ -193,7 +193,7 @@ def describe_lumens(flux: Report) -> str:
 
 def _diagnose(luminaire: "Luminaire") -> list[str]:
     """Warn of glass that cannot be rendered rightly; returns what was said."""
-    from lumitree.luminaires.diagnosis import diagnose
+    from lumitree.luminaire.diagnosis import diagnose
 
     faults = diagnose(luminaire.scene)
     for fault in faults[:MAX_FAULTS]:
@@ -221,8 +221,8 @@ def capture(
     check_choice("split", split, get_args(Split))
     check_writable(Path(output) / MANIFEST)
     load_mitsuba(variant)
-    from lumitree.capture.views import capture as capture_views
-    from lumitree.luminaires.luminaire import load_luminaire
+    from lumitree.views.capture import capture as capture_views
+    from lumitree.luminaire.luminaire import load_luminaire
 
     watch = Stopwatch()
     with watch.stage("capture"):
@@ -270,8 +270,8 @@ def extract(run: str, output: str, *, tree_depth: int = 8, samples_per_leaf: int
     check_range("tree depth", tree_depth, 1, MAX_TREE_DEPTH)
     check_range("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
     from lumitree.asset.file import save
-    from lumitree.asset.model import LuminaireAsset
-    from lumitree.nerf.field import load_field
+    from lumitree.asset.asset import LuminaireAsset
+    from lumitree.nerf.trained_field import load_field
     from lumitree.octree.extract import extract as extract_octree
 
     watch = Stopwatch()
@@ -331,8 +331,8 @@ def bake(
     _check_budget(seconds, rays, seed)
     load_mitsuba(variant)
     from lumitree.direct import bake as direct
-    from lumitree.luminaires.luminaire import load_luminaire
-    from lumitree.luminaires.source import as_source
+    from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.luminaire.source import as_source
 
     check_choice("quality", quality, direct.QUALITIES)
     changes = {"tree_depth": tree_depth, "l_max": l_max, "law": law}
@@ -371,7 +371,7 @@ def refine(
     load_mitsuba(variant)
     from lumitree.asset.file import load
     from lumitree.direct import bake as direct
-    from lumitree.luminaires.luminaire import load_luminaire
+    from lumitree.luminaire.luminaire import load_luminaire
 
     config = dataclasses.replace(_budgeted(direct.QUALITIES["standard"], seconds, rays), seed=seed)
     asset = load(path)

@@ -8,7 +8,7 @@ import pytest
 
 from fields import random_asset
 from lumitree.asset.file import _digest, load, save
-from lumitree.asset.model import (
+from lumitree.asset.asset import (
     MAX_DENSITY,
     MAX_RADIANCE,
     MAX_TREE_DEPTH,
@@ -19,7 +19,7 @@ from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import MAX_LABEL
 from lumitree.core.transmittance import LAWS
 from lumitree.errors import LumitreeError
-from lumitree.octree.reference import leaf_boxes
+from lumitree.rendering.reference import leaf_boxes
 
 ROUNDS = 100
 DEEP = "[" * 100_000 + "]" * 100_000

@@ -11,7 +11,7 @@ import lumitree
 from equal_quality import Pair, explicit_integrator, read_pairs, run, write
 from fields import random_asset
 from lamps import AREA, GLASS, cube, scene, sphere
-from lumitree.luminaires.luminaire import load_luminaire
+from lumitree.luminaire.luminaire import load_luminaire
 
 THIN = '<bsdf type="thindielectric"/>'
 ROOM = (

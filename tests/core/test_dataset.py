@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lumitree.core.dataset import MANIFEST, Dataset, Frame, Manifest
-from lumitree.core.sampling import view_pose
+from lumitree.core.directions import view_pose
 from lumitree.errors import LumitreeError
 
 

@@ -29,7 +29,7 @@ class FieldRays:
     def draw(self, count, stream, wanted, light_share=None):
         import drjit as dr
 
-        from lumitree.direct.rays import Rays
+        from lumitree.direct.ray_source import Rays
 
         mi, seed = self._mi, stream.seed(0)
         origin, direction = random_lines(mi, count, seed)
@@ -65,7 +65,7 @@ class FieldRays:
         return rays.origin, rays.direction, rays.transmittance
 
     def pairs(self, count, stream, paths):
-        from lumitree.direct.rays import Pairs
+        from lumitree.direct.ray_source import Pairs
 
         origin, direction = random_lines(self._mi, count, stream.seed(0))
         radiance, through, _ = self._truth.integrate(origin, direction)

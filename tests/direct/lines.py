@@ -30,7 +30,7 @@ def arrays(*values):
 
 def source(luminaire, spacing=1 / 64, seed=0):
     """Endless rays of a luminaire."""
-    from lumitree.direct.rays import TracedRays
+    from lumitree.direct.ray_source import TracedRays
 
     return TracedRays(luminaire, spacing, seed=seed)
 

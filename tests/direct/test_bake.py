@@ -33,8 +33,8 @@ def ball(lamp):
 @pytest.mark.parametrize("law", ["linear", "exponential"])
 def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     from lumitree.direct.bake import bake
-    from lumitree.direct.rays import TracedRays
-    from lumitree.render.field import Field
+    from lumitree.direct.ray_source import TracedRays
+    from lumitree.rendering.field import Field
 
     result = bake(ball, config(law=law), tmp_path)
     assert not result.interrupted
@@ -62,7 +62,7 @@ def test_score_is_that_of_the_asset_even_where_descent_makes_it_worse(ball, tmp_
     """Steps far too long: what is returned is the field that the score was given to."""
     from lumitree.direct.bake import bake
     from lumitree.direct.heldout import HeldOut
-    from lumitree.direct.rays import TracedRays
+    from lumitree.direct.ray_source import TracedRays
 
     wild = config(refine={"density_rate": 30.0, "coefficient_rate": 30.0, "final_rate": 1.0})
     result = bake(ball, wild, tmp_path)

@@ -10,7 +10,7 @@ LINES = 1 << 20
 
 
 def source(luminaire):
-    from lumitree.direct.rays import TracedRays
+    from lumitree.direct.ray_source import TracedRays
 
     return TracedRays(luminaire, 1 / 64)
 

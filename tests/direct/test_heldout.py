@@ -88,7 +88,7 @@ def test_uncertainty_counts_tiles_not_lines(mi):
 
 def test_lines_are_those_of_no_step(mi, lamp):
     from lumitree.direct.heldout import HeldOut
-    from lumitree.direct.rays import TracedRays
+    from lumitree.direct.ray_source import TracedRays
 
     source = TracedRays(lamp(sphere("lamp", 2.0, inside=AREA)), 1 / 32)
     held_out = HeldOut.trace(source, 10.0)

@@ -44,7 +44,7 @@ def rough(luminaire, l_max=1, law="exponential", **options):
 def score(luminaire, asset):
     """By rays of another seed than those of the refinement."""
     from lumitree.direct.heldout import HeldOut
-    from lumitree.direct.rays import TracedRays
+    from lumitree.direct.ray_source import TracedRays
 
     source = TracedRays(luminaire, 1 / 32, seed=99)
     return HeldOut.trace(source, asset.max_radiance).score(leaf_field(asset))

@@ -7,7 +7,7 @@ from PIL import Image
 from lamps import AREA, cube, scene, sphere
 from lumitree.core.images import tonemap
 from lumitree.errors import LumitreeError
-from lumitree.luminaires.luminaire import load_luminaire
+from lumitree.luminaire.luminaire import load_luminaire
 
 # A lit ball to the right, above and in front of the middle of a box of side 4.
 BALL = (1.0, 0.5, 1.5)
@@ -104,7 +104,7 @@ def test_labels(preview):
 
 
 def test_the_brighter_row_brings_what_is_lit_to_middle_grey():
-    from lumitree.capture.camera import Picture
+    from lumitree.views.camera import Picture
     from lumitree.evaluation.preview import Preview
 
     radiance = np.zeros((10, 10, 3))

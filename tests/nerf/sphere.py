@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from lumitree.core.dataset import Dataset, Frame, Manifest, View
-from lumitree.core.sampling import orthographic_rays, view_pose
+from lumitree.core.directions import orthographic_rays, view_pose
 
 RADIUS = 0.6
 CENTRE = np.array([0.3, 0.1, 0.0])

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from lumitree.core.sampling import orthographic_rays, view_pose
+from lumitree.core.directions import orthographic_rays, view_pose
 from lumitree.errors import LumitreeError
 from lumitree.nerf.occupancy import (
     contains,
@@ -13,7 +13,7 @@ from lumitree.nerf.occupancy import (
     load_occupancy,
     save_occupancy,
 )
-from lumitree.nerf.rays import load_rays
+from lumitree.nerf.ray_set import load_rays
 from sphere import CENTRE, HALF_EXTENTS, HALF_WIDTH, RADIUS, hit_distance, sphere_dataset
 
 

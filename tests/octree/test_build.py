@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from fields import make_asset, random_asset
 from lumitree.errors import LumitreeError
 from lumitree.octree.build import build_children, morton
-from lumitree.octree.reference import integrate_ray, leaf_boxes
+from lumitree.rendering.reference import integrate_ray, leaf_boxes
 
 
 @given(st.lists(st.tuples(*[st.integers(0, 1023)] * 3), min_size=1, max_size=50))

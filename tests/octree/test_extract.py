@@ -5,7 +5,7 @@ import pytest
 
 from lumitree.errors import LumitreeError
 from lumitree.octree.extract import extract
-from lumitree.octree.reference import leaf_boxes
+from lumitree.rendering.reference import leaf_boxes
 
 
 def ball(radius=0.6, density=5.0, num_coefficients=4):
@@ -20,7 +20,7 @@ def ball(radius=0.6, density=5.0, num_coefficients=4):
 
 
 def as_asset(children, density, coefficients, tree_depth):
-    from lumitree.asset.model import LuminaireAsset
+    from lumitree.asset.asset import LuminaireAsset
 
     return LuminaireAsset(
         children=children,

@@ -14,7 +14,7 @@ import numpy as np
 from lumitree.api.measures import Stopwatch, peak_memory_bytes
 from lumitree.api.results import BakeResult, CaptureResult, TrainResult
 from lumitree.asset.file import load, save
-from lumitree.asset.model import MAX_TREE_DEPTH, LuminaireAsset
+from lumitree.asset.asset import MAX_TREE_DEPTH, LuminaireAsset
 from lumitree.core.arguments import (
     MAX_RAYS,
     MAX_SAMPLES,
@@ -38,8 +38,8 @@ from lumitree.nerf.config import PRESETS, TrainConfig
 
 if TYPE_CHECKING:
     from lumitree.direct.bake import DirectConfig, DirectResult
-    from lumitree.luminaires.luminaire import Luminaire
-    from lumitree.luminaires.source import Source
+    from lumitree.luminaire.luminaire import Luminaire
+    from lumitree.luminaire.source import Source
 
 Quality = Literal["preview", "standard", "high"]
 Preset = Literal["preview", "paper"]
@@ -121,8 +121,8 @@ def bake(
     check_choice("quality", quality, get_args(Quality))
     load_mitsuba(variant)
     from lumitree.direct import bake as direct
-    from lumitree.luminaires.luminaire import load_luminaire
-    from lumitree.luminaires.source import as_source
+    from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.luminaire.source import as_source
 
     preset = direct.QUALITIES[quality]
     config = dataclasses.replace(
@@ -167,7 +167,7 @@ def refine(
     _check_bake(output, time, rays, seed)
     load_mitsuba(variant)
     from lumitree.direct import bake as direct
-    from lumitree.luminaires.luminaire import load_luminaire
+    from lumitree.luminaire.luminaire import load_luminaire
 
     config = dataclasses.replace(_budgeted(direct.QUALITIES["standard"], time, rays), seed=seed)
     rough = asset if isinstance(asset, LuminaireAsset) else load(asset)
@@ -273,8 +273,8 @@ def capture(
     check_choice("split", split, get_args(Split))
     check_writable(Path(output) / MANIFEST)
     load_mitsuba(variant)
-    from lumitree.capture.views import capture as capture_views
-    from lumitree.luminaires.luminaire import load_luminaire
+    from lumitree.views.capture import capture as capture_views
+    from lumitree.luminaire.luminaire import load_luminaire
 
     watch = Stopwatch()
     with reporting(progress), watch.stage("capture"):
@@ -360,7 +360,7 @@ def extract(
         check_asset_output(output)
     check_range("tree depth", tree_depth, 1, MAX_TREE_DEPTH)
     check_range("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
-    from lumitree.nerf.field import load_field
+    from lumitree.nerf.trained_field import load_field
     from lumitree.octree.extract import extract as extract_octree
 
     watch = Stopwatch()
@@ -388,7 +388,7 @@ def extract(
 
 def warn_of_faults(luminaire: "Luminaire") -> list[str]:
     """Warn of glass that cannot be rendered correctly; returns what was found."""
-    from lumitree.luminaires.diagnosis import diagnose
+    from lumitree.luminaire.diagnosis import diagnose
 
     faults = diagnose(luminaire.scene)
     for fault in faults[:MAX_FAULTS]:

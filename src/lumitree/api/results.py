@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.model import LuminaireAsset
+from lumitree.asset.asset import LuminaireAsset
 from lumitree.errors import shown
 
 Json = dict[str, Any]

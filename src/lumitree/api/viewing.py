@@ -19,7 +19,7 @@ from lumitree.api.results import (
     asset_json,
 )
 from lumitree.asset.file import load
-from lumitree.asset.model import LuminaireAsset
+from lumitree.asset.asset import LuminaireAsset
 from lumitree.core.arguments import (
     check_image_settings,
     check_range,
@@ -32,12 +32,12 @@ from lumitree.core.images import check_image_name, png_of_radiance, write_image
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained
-from lumitree.luminaires.source import LuminaireSource
+from lumitree.luminaire.source import LuminaireSource
 
 if TYPE_CHECKING:
-    from lumitree.luminaires.source import Source
+    from lumitree.luminaire.source import Source
     from lumitree.render.placement import Placement
-    from lumitree.render.proxy import ProxyKind
+    from lumitree.rendering.proxy import ProxyKind
 
 FilePath = str | os.PathLike[str]
 # Paths of the flux of a preview, and of its statistics of bounces.
@@ -72,10 +72,10 @@ def preview(
         check_sheet_output(sheet)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     load_mitsuba(variant)
-    from lumitree.capture.flux import estimate_flux, missed_by_depth
+    from lumitree.transport.flux import estimate_flux, missed_by_depth
     from lumitree.core.images import max_radiance
     from lumitree.evaluation.preview import draw_preview, take_preview
-    from lumitree.luminaires.luminaire import load_luminaire
+    from lumitree.luminaire.luminaire import load_luminaire
 
     watch = Stopwatch()
     with reporting(progress):
@@ -161,10 +161,10 @@ def evaluate(
     check_range("views", num_views, 1, MAX_VIEWS)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     load_mitsuba(variant)
-    from lumitree.capture.views import capture as capture_views
+    from lumitree.views.capture import capture as capture_views
     from lumitree.evaluation.evaluate import evaluate_views
     from lumitree.evaluation.sheet import draw_sheet
-    from lumitree.luminaires.luminaire import load_luminaire
+    from lumitree.luminaire.luminaire import load_luminaire
 
     path = None if isinstance(asset, LuminaireAsset) else asset
     baked = asset if isinstance(asset, LuminaireAsset) else load(asset)

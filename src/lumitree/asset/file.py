@@ -11,7 +11,7 @@ import safetensors
 import safetensors.numpy
 from numpy.typing import NDArray
 
-from lumitree.asset.model import LuminaireAsset
+from lumitree.asset.asset import LuminaireAsset
 from lumitree.core.files import atomic_path
 from lumitree.core.reading import Record, parse_json, read_bytes
 from lumitree.core.transmittance import LAWS

@@ -80,7 +80,7 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
 
 def luminaire(args: argparse.Namespace, name: str) -> Any:
     """What LUMINAIRE and the options of `add_reading` name."""
-    from lumitree.luminaires.source import LuminaireSource
+    from lumitree.luminaire.source import LuminaireSource
 
     return LuminaireSource(name, args.materials, tuple(args.keep), tuple(args.drop))
 

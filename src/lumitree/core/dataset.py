@@ -21,7 +21,7 @@ from lumitree.core.files import write_json
 from lumitree.core.frames import MAX_SCALE, check_local_frame
 from lumitree.core.images import max_radiance, read_exr, write_exr
 from lumitree.core.reading import Record, label, parse_json, read_bytes
-from lumitree.core.sampling import FIRST_TEST_INDEX
+from lumitree.core.directions import FIRST_TEST_INDEX
 from lumitree.errors import LumitreeError
 
 Split = Literal["train", "test"]

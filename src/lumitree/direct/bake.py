@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.model import MAX_TREE_DEPTH, LuminaireAsset
+from lumitree.asset.asset import MAX_TREE_DEPTH, LuminaireAsset
 from lumitree.core.dataset import Dataset
 from lumitree.core.files import atomic_path
 from lumitree.core.harmonics import MAX_L, Y_00, num_coefficients
@@ -24,13 +24,13 @@ from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream, check_seed
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.direct.balance import balance, light_left_over
 from lumitree.direct.estimate import estimate, grow
-from lumitree.direct.field import LEAVES, LeafField
+from lumitree.direct.leaf_field import LEAVES, LeafField
 from lumitree.direct.heldout import HeldOut, Score
-from lumitree.direct.rays import RaySource, Subject, TracedRays
+from lumitree.direct.ray_source import RaySource, Subject, TracedRays
 from lumitree.direct.refine import HEADROOM, RefineConfig, Refiner
 from lumitree.direct.stored import StoredRays
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.luminaires.luminaire import Luminaire
+from lumitree.luminaire.luminaire import Luminaire
 from lumitree.octree.build import build_children
 
 STATE = "state.npz"

@@ -26,8 +26,8 @@ from lumitree.core.device import on_device
 from lumitree.core.harmonics import Y_00, num_coefficients
 from lumitree.core.interrupt import Interruption
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.direct.field import LeafField
-from lumitree.direct.rays import RaySource
+from lumitree.direct.leaf_field import LeafField
+from lumitree.direct.ray_source import RaySource
 
 _ROUNDS, _LINES = 4, 1 << 17
 # Light in all is told to half a percent. Its noise is that of the lines, not of emitted paths.

@@ -7,8 +7,8 @@ import drjit as dr
 import numpy as np
 
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.direct.field import LeafField
-from lumitree.direct.rays import TILE_LINES, RaySource
+from lumitree.direct.leaf_field import LeafField
+from lumitree.direct.ray_source import TILE_LINES, RaySource
 
 _NUM_LINES = 1 << 17
 _PATHS = 8

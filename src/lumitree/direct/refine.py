@@ -27,8 +27,8 @@ from lumitree.core.device import on_device
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.direct.balance import balance
 from lumitree.direct.estimate import OPAQUE, split
-from lumitree.direct.field import LEAVES, LeafField
-from lumitree.direct.rays import TILE_LINES, RaySource
+from lumitree.direct.leaf_field import LEAVES, LeafField
+from lumitree.direct.ray_source import TILE_LINES, RaySource
 from lumitree.errors import LumitreeError
 
 # L_max of a bake, where the sigmoid ends, over the radiance that pixels reach (D9): a thin filament

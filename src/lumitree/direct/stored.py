@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from lumitree.core.dataset import Dataset, View
 from lumitree.core.device import on_device
-from lumitree.core.sampling import orthographic_rays
+from lumitree.core.directions import orthographic_rays
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.core.visual_hull import visual_hull
 from lumitree.direct.estimate import inside_box
-from lumitree.direct.rays import (
+from lumitree.direct.ray_source import (
     LIGHT_SHARE,
     TILE,
     TILE_LINES,

@@ -3,14 +3,14 @@
 import dataclasses
 from typing import Any
 
-from lumitree.asset.model import LuminaireAsset
+from lumitree.asset.asset import LuminaireAsset
 from lumitree.core.dataset import Dataset
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError
 from lumitree.evaluation.baked import baked_view
 from lumitree.evaluation.metrics import flux_error, mean_metrics, view_metrics
 from lumitree.evaluation.sheet import MAX_ROWS, SheetRow
-from lumitree.render.field import Field
+from lumitree.rendering.field import Field
 
 
 @dataclasses.dataclass(frozen=True)

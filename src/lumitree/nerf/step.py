@@ -16,7 +16,7 @@ from lumitree.nerf.config import TrainConfig
 from lumitree.nerf.losses import psnr, total_loss
 from lumitree.nerf.network import CoarseAndFine
 from lumitree.nerf.occupancy import Occupancy
-from lumitree.nerf.rays import Batch
+from lumitree.nerf.ray_set import Batch
 from lumitree.nerf.volume import render
 
 # Positions evaluated at once on a CPU. Activations of a few thousand stay in its caches, which

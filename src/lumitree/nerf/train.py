@@ -21,7 +21,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.nerf.config import TrainConfig
 from lumitree.nerf.losses import psnr
 from lumitree.nerf.occupancy import Occupancy, save_occupancy
-from lumitree.nerf.rays import Batch, RaySet, load_rays
+from lumitree.nerf.ray_set import Batch, RaySet, load_rays
 from lumitree.nerf.run import (
     HISTORY,
     OCCUPANCY,

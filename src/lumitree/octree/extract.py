@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.model import MAX_TREE_DEPTH
+from lumitree.asset.asset import MAX_TREE_DEPTH
 from lumitree.core.progress import progress
-from lumitree.core.sampling import radical_inverse
+from lumitree.core.directions import radical_inverse
 from lumitree.errors import LumitreeError
 from lumitree.octree.build import build_children
 

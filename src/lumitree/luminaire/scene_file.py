@@ -1,0 +1,225 @@
+"""Reading Mitsuba scene files, with errors that a user can act on."""
+
+import contextlib
+import os
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+
+from lumitree.core.backend import load_mitsuba
+from lumitree.errors import LumitreeError, shown
+from lumitree.importers.model_folder import read_limited
+from lumitree.importers.overrides import select_names
+
+# Extinction that a medium's clearest channel has at least, as a share of its densest one's.
+_CLEAR = 1e-5
+# A luminaire's elements are nested about 8 deep, its objects about 6.
+_MAX_ELEMENTS, _MAX_OBJECTS = 64, 16
+_EXTINCTION = "sigma_t.value.value"
+
+
+class SceneFile:
+    """A parsed Mitsuba 3 scene file whose objects have not been created yet."""
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        keep: Sequence[str] = (),
+        drop: Sequence[str] = (),
+    ) -> None:
+        """Parse `path`.
+
+        Args:
+            keep: patterns with * and ? of the ids of shapes; where there are any, all other
+                shapes and everything else but shapes is left out of the scene.
+            drop: patterns of the ids of shapes that are left out.
+
+        Raises:
+            LumitreeError: the file is missing or is not a Mitsuba scene, or a pattern matches no
+                shape.
+        """
+        self.path = Path(path)
+        self._name = shown(path, 300)
+        self._check_text(read_limited(self.path))
+        mi = load_mitsuba()
+        self._config = mi.parser.ParserConfig(mi.variant())
+        # Shapes stay as the file names them, and unused parameters are the file's own business.
+        self._config.merge_meshes = False
+        self._config.unused_parameters = mi.LogLevel.Debug
+        with self._readable():
+            self._state = mi.parser.parse_file(self._config, str(self.path))
+            mi.parser.transform_all(self._config, self._state)
+        self._check_nesting()
+        if keep or drop:
+            self._select(keep, drop)
+
+    def _check_text(self, data: bytes) -> None:
+        """Refuse what Mitsuba's parser would run out of stack on, or pass on as damaged text."""
+        depth = 0
+
+        def opened(name: str, attributes: dict[str, str]) -> None:
+            nonlocal depth
+            depth += 1
+            if depth > _MAX_ELEMENTS:
+                raise LumitreeError(
+                    f"{self._name} holds elements nested more than {_MAX_ELEMENTS} deep; "
+                    "expected a Mitsuba 3 scene"
+                )
+
+        def closed(name: str) -> None:
+            nonlocal depth
+            depth -= 1
+
+        parser = expat.ParserCreate()
+        parser.StartElementHandler, parser.EndElementHandler = opened, closed
+        try:
+            parser.Parse(data, True)
+        except (expat.ExpatError, ValueError) as error:
+            raise LumitreeError(
+                f"{self._name} cannot be loaded: {shown(error)}; expected XML in UTF-8, or with "
+                "its encoding in the first line"
+            ) from None
+
+    def _check_nesting(self) -> None:
+        """Refuse objects nested so deeply that creating them takes exponential time.
+
+        A two-sided BSDF is built from two copies of the one that it holds.
+        """
+        depth = {0: 0}
+        waiting = [0]
+        while waiting:
+            index = waiting.pop()
+            for inner in _references(self._state.nodes[index].props):
+                if depth[index] >= depth.get(inner, 0):
+                    depth[inner] = depth[index] + 1
+                    waiting.append(inner)
+            if depth[index] > _MAX_OBJECTS:
+                raise LumitreeError(
+                    f"{self._name} holds objects nested more than {_MAX_OBJECTS} deep; expected a "
+                    "luminaire's shapes, materials and emitters"
+                )
+
+    def _select(self, keep: Sequence[str], drop: Sequence[str]) -> None:
+        shape = load_mitsuba().ObjectType.Shape
+        root = self._state.nodes[0].props
+        children = {
+            key: self._state.nodes[root[key].index()]
+            for key in list(root.keys())
+            if _is_reference(root, key)
+        }
+        groups = {
+            key
+            for key, node in children.items()
+            if node.type == shape and node.props.plugin_name() == "shapegroup"
+        }
+        shapes = [key for key, node in children.items() if node.type == shape and key not in groups]
+        names = [(children[key].props.id(),) for key in shapes]
+        chosen = select_names(names, keep, drop, str(self.path), "shape's id")
+        kept = {key for key, wanted in zip(shapes, chosen, strict=True) if wanted}
+        if not keep:
+            kept |= children.keys() - groups - set(shapes)
+        # A group is not seen by itself; it stays as long as an instance shows it.
+        shown = {index for key in kept for index in _references(children[key].props)}
+        kept |= {key for key in groups if root[key].index() in shown}
+        for key in children.keys() - kept:
+            del root[key]
+
+    def nodes(self, kind: str) -> list[Any]:
+        """Nodes of a type of Mitsuba object, such as "Shape" or "Emitter"."""
+        kind = getattr(load_mitsuba().ObjectType, kind)
+        return [node for node in self._used() if node.type == kind]
+
+    def _used(self) -> list[Any]:
+        """Nodes that the scene holds, directly or within others, in the file's order."""
+        found, waiting = {0}, [0]
+        while waiting:
+            inner = _references(self._state.nodes[waiting.pop()].props)
+            waiting += inner - found
+            found |= inner
+        return [self._state.nodes[index] for index in sorted(found)]
+
+    def references(self) -> list[Path]:
+        """Files that the scene names, each where it was found."""
+        names = (
+            node.props["filename"] for node in self._used() if node.props.has_property("filename")
+        )
+        with self._searching() as resolver:
+            return sorted({Path(str(resolver.resolve(name))) for name in names})
+
+    def instantiate(self) -> Any:
+        """Create the scene.
+
+        Raises:
+            LumitreeError: a mesh, texture or plugin it names is missing or damaged.
+        """
+        mi = load_mitsuba()
+        # Creating the scene uses up the nodes.
+        has_media = bool(self.nodes("Medium"))
+        with self._searching(), self._readable():
+            scene = mi.parser.instantiate(self._config, self._state)
+        if not isinstance(scene, mi.Scene):
+            raise LumitreeError(f"{self._name} does not hold a <scene>; found {type(scene)}")
+        if has_media:
+            _keep_clear_channels(scene)
+        return scene
+
+    @contextlib.contextmanager
+    def _searching(self) -> Iterator[Any]:
+        """Resolve relative names against the scene's own folder, only within the block."""
+        mi = load_mitsuba()
+        before = mi.file_resolver()
+        resolver = mi.FileResolver(before)
+        resolver.prepend(mi.filesystem.path(str(self.path.resolve().parent)))
+        mi.set_file_resolver(resolver)
+        try:
+            yield resolver
+        finally:
+            mi.set_file_resolver(before)
+
+    @contextlib.contextmanager
+    def _readable(self) -> Iterator[None]:
+        try:
+            yield
+        except (RuntimeError, UnicodeError) as error:
+            # What our own plugins raise arrives inside a traceback; Mitsuba's own messages begin
+            # with a place in its source.
+            own = re.search(r"LumitreeError: (.*)", str(error))
+            reason = own.group(1) if own else " ".join(str(error).split())
+            reason = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", reason)
+            raise LumitreeError(f"{self._name} cannot be loaded: {shown(reason, 400)}") from None
+
+
+def media(scene: Any) -> list[Any]:
+    """Every mi.Medium inside or around a shape of a mi.Scene."""
+    found = []
+    for shape in scene.shapes():
+        if shape.is_medium_transition():
+            found += [shape.interior_medium(), shape.exterior_medium()]
+    return [medium for medium in found if medium is not None]
+
+
+def _keep_clear_channels(scene: Any) -> None:
+    """Lift extinctions of 0: there `volpath` divides 0 by 0, and `volpathmis` loses scattering."""
+    mi = load_mitsuba()
+    for medium in media(scene):
+        parameters = mi.traverse(medium)
+        # Of a medium that varies, or that is grey, there is no such parameter.
+        if _EXTINCTION in parameters:
+            extinction = np.ravel(parameters[_EXTINCTION])
+            lifted = np.maximum(extinction, _CLEAR * extinction.max())
+            if (lifted > extinction).any():
+                parameters[_EXTINCTION] = mi.Color3f(*lifted.tolist())
+                parameters.update()
+
+
+def _is_reference(props: Any, key: str) -> bool:
+    return props.type(key) == load_mitsuba().Properties.Type.ResolvedReference
+
+
+def _references(props: Any) -> set[int]:
+    """Numbers of the nodes that a node holds."""
+    return {props[key].index() for key in list(props.keys()) if _is_reference(props, key)}

@@ -1,0 +1,1 @@
+"""A lamp as meshes, materials and media: what importers and built-in lamps make."""

@@ -1,0 +1,184 @@
+"""The training set: every captured ray that can meet the luminaire.
+
+Symbols
+    V            views
+    N            rays kept
+    radiance     captured HDR radiance, clipped at max_radiance
+    held out     rays at multiples of a stride, never trained on
+
+Memory: 22 bytes a ray (view 2, pixel 4, radiance 12, opacity 4). A hundred views of 800² are
+64 million pixels, of which about half meet the box: 0.7 to 1.4 GB.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.dataset import Dataset, OpacityKind
+from lumitree.core.directions import orthographic_rays
+from lumitree.errors import LumitreeError
+from lumitree.nerf.occupancy import Occupancy, dilated_hull, full_occupancy, occupied_bins
+
+NUM_HELD_OUT = 4096
+
+
+class Batch(NamedTuple):
+    """R rays: origins and unit directions of travel [R, 3], radiance [R, 3], opacity [R]."""
+
+    origins: jax.Array
+    directions: jax.Array
+    radiance: jax.Array
+    opacity: jax.Array
+
+
+@dataclasses.dataclass(frozen=True)
+class RaySet:
+    """All rays of a dataset that cross an occupied part of the proxy box.
+
+    Attributes:
+        corners: [V, 3] origin of the first pixel's ray, local frame.
+        column_steps, row_steps: [V, 3] from a pixel to the next in its row, in its column.
+        directions: [V, 3] direction of travel of a view.
+        resolution: pixels a side of a view.
+        view: [N] uint16 index of a ray's view.
+        pixel: [N] uint32 index of its pixel, row by row.
+        radiance: [N, 3] clipped at `max_radiance`.
+        opacity: [N] in [0, 1].
+        max_radiance: L_max, > 0.
+    """
+
+    corners: NDArray[np.float32]
+    column_steps: NDArray[np.float32]
+    row_steps: NDArray[np.float32]
+    directions: NDArray[np.float32]
+    resolution: int
+    view: NDArray[np.uint16]
+    pixel: NDArray[np.uint32]
+    radiance: NDArray[np.float32]
+    opacity: NDArray[np.float32]
+    max_radiance: float
+
+    def batch(self, index: NDArray[np.integer]) -> Batch:
+        """The rays at `index` [R]."""
+        view = self.view[index]
+        row, column = np.divmod(self.pixel[index].astype(np.int64), self.resolution)
+        origins = (
+            self.corners[view]
+            + column[:, None].astype(np.float32) * self.column_steps[view]
+            + row[:, None].astype(np.float32) * self.row_steps[view]
+        )
+        rays = (origins, self.directions[view], self.radiance[index], self.opacity[index])
+        return Batch(*map(jnp.asarray, rays))
+
+    def draw(self, seed: int, step: int, count: int) -> Batch:
+        """The random batch of a step: a function of its arguments alone, so runs can resume."""
+        stride = self._held_out_stride
+        # Numbers that are no multiple of the stride, in order.
+        num_trained = len(self.view) - -(-len(self.view) // stride)
+        drawn = np.random.default_rng((seed, step)).integers(0, num_trained, count)
+        return self.batch(drawn + 1 + drawn // (stride - 1))
+
+    @property
+    def typical_part(self) -> float:
+        """Geometric mean of the lit rays' channels as a part of `max_radiance`, 1e-4 to 0.5."""
+        sample = self.radiance[:: max(1, len(self.radiance) // 1_000_000)]
+        lit = sample[sample > 0] / self.max_radiance
+        mean = float(np.exp(np.log(lit).mean())) if lit.size else 1e-4
+        return min(max(mean, 1e-4), 0.5)
+
+    def held_out(self) -> Batch:
+        """At most NUM_HELD_OUT rays (a half of a tiny set) that `draw` never returns."""
+        return self.batch(np.arange(0, len(self.view), self._held_out_stride)[:NUM_HELD_OUT])
+
+    @property
+    def _held_out_stride(self) -> int:
+        return max(2, len(self.view) // NUM_HELD_OUT)
+
+
+def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[RaySet, Occupancy]:
+    """Read all views and keep the rays that cross an occupied part of the box.
+
+    The rays left out have radiance 0 and opacity 0 exactly, and so has the field along them.
+
+    Args:
+        dataset: training views.
+        kind: which opacity supervises (D7).
+        skip_empty: carve the visual hull; else the whole box counts as occupied.
+
+    Raises:
+        LumitreeError: views are missing or damaged, or all of them are black.
+    """
+    manifest = dataset.manifest
+    if len(manifest.frames) > np.iinfo(np.uint16).max:
+        raise LumitreeError(f"{len(manifest.frames)} views are too many; capture at most 65535")
+    views = list(dataset.views())
+    highest = dataset.max_radiance(views)
+    if skip_empty:
+        masks = ((view.frame.pose, view.geometric > 0) for view in views)
+        occupancy = dilated_hull(masks, manifest.half_width, manifest.half_extents)
+    else:
+        occupancy = full_occupancy(manifest.half_extents)
+    geometry, kept = [], []
+    for view in views:
+        origins, direction = orthographic_rays(
+            view.frame.pose, manifest.half_width, manifest.resolution
+        )
+        geometry.append(_view_geometry(origins, direction))
+        kept.append(np.flatnonzero(_crossing(occupancy, origins, direction)))
+    if not any(len(pixels) for pixels in kept):
+        raise LumitreeError(f"no ray of {dataset.folder} meets the luminaire; capture it again")
+    corners, column_steps, row_steps, directions = (
+        np.stack(x) for x in zip(*geometry, strict=True)
+    )
+    rays = RaySet(
+        corners,
+        column_steps,
+        row_steps,
+        directions,
+        manifest.resolution,
+        view=np.repeat(np.arange(len(views), dtype=np.uint16), [len(p) for p in kept]),
+        pixel=np.concatenate(kept).astype(np.uint32),
+        radiance=_gather([view.radiance.reshape(-1, 3) for view in views], kept, highest),
+        opacity=_gather([view.opacity(kind).ravel() for view in views], kept, 1.0),
+        max_radiance=highest,
+    )
+    return rays, occupancy
+
+
+def _view_geometry(
+    origins: NDArray[np.float32], direction: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], ...]:
+    """Corner, step to the next column, step to the next row and direction of one view."""
+    steps = max(origins.shape[0] - 1, 1)
+    column_step = (origins[0, -1] - origins[0, 0]) / steps
+    row_step = (origins[-1, 0] - origins[0, 0]) / steps
+    return origins[0, 0], column_step, row_step, direction
+
+
+def _crossing(
+    occupancy: Occupancy, origins: NDArray[np.float32], direction: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Whether each ray of a view [H, H, 3] crosses an occupied part of the box: [H H]."""
+    # Row by row: a whole view's bins would need gigabytes.
+    return np.asarray(_crossing_rows(occupancy, jnp.asarray(origins), jnp.asarray(direction)))
+
+
+@jax.jit
+def _crossing_rows(occupancy: Occupancy, origins: jax.Array, direction: jax.Array) -> jax.Array:
+    def row(row_origins: jax.Array) -> jax.Array:
+        directions = jnp.broadcast_to(direction, row_origins.shape)
+        return jnp.any(occupied_bins(occupancy, row_origins, directions)[0], axis=-1)
+
+    return jax.lax.map(row, origins).ravel()
+
+
+def _gather(
+    values: list[NDArray[np.float32]], kept: list[NDArray[np.intp]], limit: float
+) -> NDArray[np.float32]:
+    """Kept rows of all views, in [0, limit]."""
+    rows = [value[pixels] for value, pixels in zip(values, kept, strict=True)]
+    return np.clip(np.concatenate(rows), 0, limit)

@@ -1,0 +1,222 @@
+"""A baked field on the device, and the exact integral of Eq. 3 along a ray.
+
+Symbols
+    tau, T      optical depth and transmittance so far
+"""
+
+import functools
+import os
+import threading
+import weakref
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.file import load
+from lumitree.asset.asset import LuminaireAsset
+from lumitree.octree.traversal import Octree
+from lumitree.core.device import on_device
+from lumitree.core.frames import towards_viewer
+from lumitree.core.harmonics import basis, num_coefficients
+from lumitree.core.transmittance import BLOCKED, transmittance
+from lumitree.rendering.light_leaves import LightLeaves, leaf_power
+
+# record(recorded, leaf, start, length, active[, emission]) -> recorded: see `Field.integrate`.
+Record = Callable[..., Any]
+# Coefficients that are loaded at once: gathers of single halves take three times as long.
+_PACKET = 8
+_LARGEST_HALF = float(np.finfo(np.float16).max)
+_OPENING = threading.Lock()
+_OPEN: "weakref.WeakValueDictionary[tuple[Any, ...], Field]" = weakref.WeakValueDictionary()
+
+
+class Field:
+    """Device copy of an asset's octree.
+
+    The integral is exact by default: it stops only where the linear law's transmittance is 0 or
+    the exponential law's is below 1e-3.
+
+    Args:
+        asset: what to render.
+        min_density: leaves below this density (per local unit) count as empty; the paper: 0.1.
+        max_opacity: rays stop at this opacity; the paper: 0.9.
+    """
+
+    def __init__(
+        self, asset: LuminaireAsset, min_density: float = 0.0, max_opacity: float = 1.0
+    ) -> None:
+        self.asset = asset
+        self._blocked = max(1.0 - max_opacity, 0.0 if asset.law == "linear" else BLOCKED)
+        children = asset.children
+        if min_density > 0:
+            thin = np.append(asset.density < min_density, False)
+            children = np.where((children < 0) & thin[~children.clip(max=-1)], 0, children)
+        self._octree = Octree(children, asset.tree_depth, asset.half_extents)
+        # Device arrays cannot be empty: an asset without leaves gets one that nothing refers to.
+        self._density = on_device(mi.Float, asset.density if asset.num_leaves else [0.0])
+        packets, self._unit = _packets(asset)
+        self._coefficients = on_device(mi.UInt32, packets)
+        dr.eval(self._density, self._coefficients)
+
+    @functools.cached_property
+    def light_leaves(self) -> LightLeaves | None:
+        """What directions are drawn with; made on first use, shared by all instances.
+
+        None where nothing shines.
+        """
+        cells, levels = self.asset.leaf_cells()
+        power = leaf_power(self, levels)
+        return LightLeaves(self, cells, levels, power) if power.any() else None
+
+    def emission(self, origin: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
+        """Emitted radiance L_e (Eq. 3) and transmittance T (Eq. 4) of the line through the proxy.
+
+        Args:
+            origin: mi.Point3f, any point of the line, local units.
+            direction: mi.Vector3f, unit direction of travel, local frame.
+            active: mi.Bool mask.
+
+        Returns:
+            mi.Color3f, radiance units of the luminaire's scene; mi.Float in [0, 1].
+        """
+        radiance, through, _ = self.integrate(origin, direction, active, _nothing, ())
+        return radiance, through
+
+    def integrate(
+        self, origin: Any, direction: Any, active: Any, record: Record, recorded: Any
+    ) -> tuple[Any, Any, Any]:
+        """As `emission`, and tell of every leaf that is reached.
+
+        Args:
+            record: called with what is recorded, a leaf, the distance at which the line enters it,
+                its length in it, a mask and the leaf's part of the radiance; returns what is
+                recorded then.
+            recorded: tuple of Dr.Jit arrays, what `record` starts with.
+
+        Returns:
+            Radiance, transmittance and what is recorded.
+        """
+        y = basis(*towards_viewer(direction), self.asset.l_max)
+
+        def shade(state, leaf, start, length, active):
+            radiance, tau, through, recorded = state
+            tau, after = self._cross(tau, leaf, length, active)
+            weight = through - after
+            lit = active & (weight > 0)
+            emission = dr.select(lit, weight * self._leaf_emission(leaf, y, lit), 0)
+            recorded = record(recorded, leaf, start, length, active, emission)
+            return radiance + emission, tau, after, recorded
+
+        clear = mi.Float(0), mi.Float(1)
+        (_, through), (radiance, _, _, recorded) = self._octree.walk_and_shade(
+            origin,
+            direction,
+            mi.Bool(active),
+            self._visit,
+            clear,
+            shade,
+            (mi.Color3f(0), *clear, recorded),
+        )
+        return radiance, through, recorded
+
+    def cross(self, origin: Any, direction: Any, active: Any, record: Record, recorded: Any) -> Any:
+        """What `integrate` records, where no emission is needed for it, at a lower cost."""
+
+        def visit(state, leaf, start, length, active):
+            passed, recorded = state
+            passed, onwards = self._visit(passed, leaf, start, length, active)
+            return (passed, record(recorded, leaf, start, length, active)), onwards
+
+        state = ((mi.Float(0), mi.Float(1)), recorded)
+        return self._octree.walk(origin, direction, mi.Bool(active), visit, state)[1]
+
+    def transmittance(self, origin: Any, direction: Any, active: Any = True) -> Any:
+        """Transmittance T (Eq. 4) alone; arguments as for `emission`."""
+        state = (mi.Float(0), mi.Float(1))
+        walk = self._octree.walk
+        return walk(origin, direction, mi.Bool(active), self._visit, state)[1]
+
+    def _visit(self, state, leaf, start, length, active):
+        tau, through = self._cross(state[0], leaf, length, active)
+        return (tau, through), through > self._blocked
+
+    def _cross(self, tau, leaf, length, active):
+        """Optical depth and transmittance after a leaf."""
+        density = dr.gather(mi.Float, self._density, leaf, active)
+        tau = tau + dr.select(active, density * length, 0)
+        return tau, mi.Float(transmittance(tau, self.asset.law, dr))
+
+    def _leaf_emission(self, leaf, y, active):
+        """Φ of Eq. 6 for leaves [index], with the basis values `y` of the ray."""
+        count, packets = len(y), _width(self.asset.l_max) // _PACKET
+        flat = []
+        for packet in range(packets):
+            index = leaf * packets + packet
+            for pair in dr.gather(mi.Vector4u, self._coefficients, index, active):
+                flat += [_from_half(half, self._unit) for half in (pair << 16, pair)]
+        channels = []
+        for channel in range(3):
+            total = mi.Float(0)
+            for k in range(count):
+                total = dr.fma(flat[channel * count + k], y[k], total)
+            channels.append(dr.rcp(1 + dr.exp(-total)))
+        return self.asset.max_radiance * mi.Color3f(*channels)
+
+
+def _nothing(recorded, *_):
+    return recorded
+
+
+def _width(l_max: int) -> int:
+    """Coefficients of a leaf with their padding."""
+    return -(-3 * num_coefficients(l_max) // _PACKET) * _PACKET
+
+
+def _packets(asset: LuminaireAsset) -> tuple[NDArray[np.uint32], float]:
+    """Coefficients in pairs, each leaf's padded to whole packets, and the unit they are in.
+
+    Kernels take half-precision denormals for 0. So the unit is the smallest power of two with which
+    the largest coefficient can be stored: others are 0 then only where they do not count beside it.
+    """
+    largest = float(np.abs(asset.coefficients).max(initial=0))
+    exponent = int(np.clip(np.floor(np.log2(_LARGEST_HALF / largest)), 0, 24)) if largest else 0
+    rows = np.zeros((max(asset.num_leaves, 1), _width(asset.l_max)), np.float16)
+    flat = asset.coefficients.reshape(-1, 3 * num_coefficients(asset.l_max))
+    rows[: len(flat), : flat.shape[1]] = np.ldexp(flat, exponent)
+    return rows.view(np.uint32).ravel(), 2.0**-exponent
+
+
+def _from_half(bits, unit):
+    """Value (mi.Float) of the half-precision number in the upper 16 of 32 bits, times `unit`."""
+    # Sign; exponent and mantissa moved to their places; then the difference of the exponents'
+    # offsets. There are no infinities in an asset.
+    word = (bits & 0x80000000) | ((bits & 0x7FFF0000) >> 3)
+    return dr.reinterpret_array(mi.Float, word) * (2.0**112 * unit)
+
+
+def open_field(
+    path: str | os.PathLike[str], min_density: float = 0.0, max_opacity: float = 1.0
+) -> Field:
+    """Field of an asset file; instances that are alive at the same time share one copy."""
+    path = Path(path).resolve()
+    stamp = path.stat() if path.exists() else None
+    key = (
+        path,
+        stamp and (stamp.st_mtime_ns, stamp.st_size, stamp.st_ino),
+        mi.variant(),
+        min_density,
+        max_opacity,
+    )
+    field = _OPEN.get(key)
+    if field is None:
+        # Mitsuba makes plugins in parallel, and a thread that waits for the device makes others
+        # meanwhile: so the lock is not held here, and of two that open a file the first is kept.
+        field = Field(load(path), min_density, max_opacity)
+        with _OPENING:
+            field = _OPEN.setdefault(key, field)
+    return field

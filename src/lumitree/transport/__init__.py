@@ -1,0 +1,1 @@
+"""Rays and paths through a luminaire."""

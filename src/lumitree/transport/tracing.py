@@ -1,0 +1,48 @@
+"""The integrator that traces a luminaire's paths, for everything that measures its light."""
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from lumitree.core.backend import load_mitsuba
+from lumitree.luminaire.luminaire import Luminaire
+from lumitree.luminaire.scene_file import media
+
+# Longest path: of opal glass, 8 % of the light takes more than 32 bounces.
+PATH_DEPTH = 128
+
+
+def path_integrator(luminaire: Luminaire, path_depth: int, **options: Any) -> Any:
+    """The mi.Integrator that traces this luminaire's paths: `path` where there are no media.
+
+    `volpath` samples distances by one channel's extinction, so that in coloured media the weights
+    of the others have no bound; `volpathmis` weighs all three. But where media scatter that has
+    rare paths that are not a number, and where they are grey it is only slower.
+
+    Args:
+        path_depth: longest path, bounces.
+        options: more of the integrator's parameters, such as `rr_depth`.
+    """
+    kind = integrator_kind(luminaire)
+    return load_mitsuba().load_dict({"type": kind, "max_depth": path_depth, **options})
+
+
+def integrator_kind(luminaire: Luminaire) -> str:
+    """Name of the Mitsuba integrator of `path_integrator`."""
+    if not luminaire.has_media:
+        return "path"
+    return "volpathmis" if _only_colours(luminaire) else "volpath"
+
+
+def _only_colours(luminaire: Luminaire) -> bool:
+    """Whether some medium takes more of one channel than of another, and none scatters."""
+    # Media of a luminaire are homogeneous: any point will do.
+    anywhere = dr.zeros(load_mitsuba().MediumInteraction3f)
+    coloured = False
+    for medium in media(luminaire.scene):
+        scattering, _, extinction = medium.get_scattering_coefficients(anywhere)
+        if np.ravel(scattering).max() > 0:
+            return False
+        coloured |= bool(np.ptp(np.ravel(extinction)) > 0)
+    return coloured

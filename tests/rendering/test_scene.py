@@ -1,0 +1,129 @@
+"""Scenes with luminaires placed in them: what is read, when it stops, and what is warned of."""
+
+import signal
+import warnings
+
+import numpy as np
+import pytest
+
+import lumitree
+from fields import random_asset
+from lamps import sphere
+from lumitree.errors import LumitreeWarning
+
+ROOM = '<scene version="3.0.0"><integrator type="{}"/><sensor type="perspective"/>{}</scene>'
+
+
+@pytest.fixture
+def loads(monkeypatch):
+    """Paths of the assets that were read."""
+    from lumitree.render import field
+
+    read, load = [], field.load
+
+    def counting(path):
+        read.append(path)
+        return load(path)
+
+    monkeypatch.setattr(field, "load", counting)
+    return read
+
+
+@pytest.fixture
+def asset(mi, tmp_path):
+    lumitree.save(random_asset(3), tmp_path / "lamp.lumitree")
+    return str(tmp_path / "lamp.lumitree")
+
+
+def empty_room(mi, width=8):
+    film = {"type": "hdrfilm", "width": width, "height": width, "rfilter": {"type": "box"}}
+    look = mi.ScalarTransform4f().look_at([0, 0, 9], [0, 0, 0], [0, 1, 0])
+    sensor = {"type": "perspective", "to_world": look, "film": film}
+    return mi.load_dict({"type": "scene", "sensor": sensor})
+
+
+@pytest.mark.parametrize("places", [[(0, 0, 0)], [(-2, 0, 0), (2, 0, 0)]])
+def test_an_asset_is_read_once_however_often_it_is_placed(mi, asset, loads, places):
+    from lumitree.rendering.scene import Placement, furnish
+
+    items = [Placement(asset, at=at) for at in places]
+    scene = furnish(empty_room(mi), items)
+    assert len(scene.emitters()) == len(places)
+    assert len(loads) == 1
+
+
+def test_a_shape_is_read_once(mi, asset, loads):
+    scene = mi.load_dict({"type": "scene", "lamp": lumitree.shape(asset)})
+    assert len(scene.emitters()) == 1
+    assert len(loads) == 1
+
+
+def test_a_scene_file_reads_its_asset_once(mi, asset, loads, tmp_path):
+    (tmp_path / "room.xml").write_text(
+        '<scene version="3.0.0"><shape type="lumitree_proxy">'
+        f'<string name="filename" value="{asset}"/></shape></scene>'
+    )
+    assert len(mi.load_file(str(tmp_path / "room.xml")).emitters()) == 1
+    assert len(loads) == 1
+
+
+def test_an_asset_that_has_changed_is_read_again(mi, asset, loads):
+    first = lumitree.shape(asset)
+    lumitree.save(random_asset(4), asset)
+    second = lumitree.shape(asset)
+    assert len(loads) == 2
+    assert first.field is not second.field
+
+
+def test_an_interrupt_ends_a_render_after_the_pass(mi, monkeypatch):
+    from lumitree.render import room
+
+    rendered, render = [], mi.render
+
+    def interrupted(*args, **options):
+        image = render(*args, **options)
+        rendered.append(options["spp"])
+        signal.raise_signal(signal.SIGINT)
+        return image
+
+    monkeypatch.setattr(room.mi, "render", interrupted)
+    monkeypatch.setattr(room, "_SAMPLES_PER_PASS", dict.fromkeys(room._SAMPLES_PER_PASS, 4 * 64))
+    with pytest.raises(KeyboardInterrupt):
+        room.render(empty_room(mi), room.default_integrator(), 12)
+    assert rendered == [4]
+
+
+@pytest.mark.parametrize(
+    ("integrator", "at", "size", "warned"),
+    [
+        ("volpath", (0, 0, 0), 1.0, False),
+        ("volpath", (0, 3e3, 0), 1.0, True),
+        ("volpath", (0, 3e3, 0), 500.0, False),
+        ("volpathmis", (0, 0, 0), 1e-4, True),
+        ("path", (0, 3e3, 0), 1.0, False),
+    ],
+)
+def test_a_lamp_too_far_or_too_small_for_volpath_is_warned_of(
+    mi, asset, tmp_path, integrator, at, size, warned
+):
+    from lumitree.rendering.scene import Placement, load_room
+
+    path = tmp_path / "room.xml"
+    path.write_text(ROOM.format(integrator, sphere("a", 1)))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", LumitreeWarning)
+        load_room(str(path), [Placement(asset, at=at, size=size)])
+    messages = [str(each.message) for each in caught]
+    assert any("volpath starts rays" in message for message in messages) == warned
+
+
+def test_volpath_is_off_where_it_is_warned_of(mi, asset):
+    """Light on a floor below a lamp that is 3,000 times its size from the origin."""
+    from test_coordinates import mean_radiance
+
+    def lamp(place):
+        return lumitree.shape(asset, place)
+
+    near, _ = mean_radiance(mi, lamp, "floor", [0, 0, 0], 1, "volpath")
+    far, _ = mean_radiance(mi, lamp, "floor", [3e3] * 3, 1, "volpath")
+    assert (np.abs(far / near - 1) > 0.01).all()
