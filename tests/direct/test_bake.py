@@ -37,7 +37,7 @@ def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     from lumitree.rendering.field import Field
 
     result = bake(ball, config(law=law), tmp_path)
-    assert not result.interrupted
+    assert result.stopped_by is None
     # A step's lines of both kinds, and its paths, at the most.
     assert RAYS <= result.rays < RAYS + 6 * (1 << 14)
     assert result.seconds > 0
@@ -96,7 +96,7 @@ def test_interrupted_bake_continues(ball, tmp_path, monkeypatch):
 
     steps = interrupt_after(monkeypatch, 5)
     first = bake(ball, config(), tmp_path)
-    assert first.interrupted
+    assert first.stopped_by == signal.SIGINT
     assert steps == [1, 2, 3, 4, 5]
     assert 0 < first.rays < RAYS
     assert (tmp_path / STATE).exists()
@@ -106,12 +106,12 @@ def test_interrupted_bake_continues(ball, tmp_path, monkeypatch):
 
     monkeypatch.setattr("lumitree.direct.bake._first_field", refuse)
     second = bake(ball, config(), tmp_path)
-    assert not second.interrupted
+    assert second.stopped_by is None
     assert steps == list(range(1, len(steps) + 1))
     assert second.rays >= RAYS
     assert second.seconds > first.seconds
-    # But for the last correction, which is of either's own field.
-    assert second.asset.max_radiance == pytest.approx(first.asset.max_radiance, rel=0.02)
+    # But for the closing calibration, which a stopped bake does without.
+    assert second.asset.max_radiance == pytest.approx(first.asset.max_radiance, rel=0.1)
     # As if it had never been interrupted.
     monkeypatch.undo()
     whole = bake(ball, config(), tmp_path / "whole")

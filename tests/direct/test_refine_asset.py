@@ -1,6 +1,7 @@
 """Going on with an asset: better, of the same kind, within the budget, and resumable."""
 
 import dataclasses
+import signal
 
 import numpy as np
 import pytest
@@ -69,7 +70,7 @@ def test_a_rough_asset_becomes_better(ball, tmp_path, law, l_max):
     assert after.opacity_psnr > before.opacity_psnr + 5
     # A step's lines of both kinds, and its paths, at the most.
     assert RAYS <= result.rays < RAYS + 6 * LINES
-    assert not result.interrupted
+    assert result.stopped_by is None
 
 
 def test_the_asset_that_is_refined_stays_as_it_was(ball, tmp_path):
@@ -114,7 +115,7 @@ def test_an_interrupted_refinement_continues(ball, tmp_path, monkeypatch):
     asset = rough(ball)
     steps = interrupt_after(monkeypatch, 5)
     first = refine(asset, ball, settings(), tmp_path / "folder")
-    assert first.interrupted
+    assert first.stopped_by == signal.SIGINT
     assert 0 < first.rays < RAYS
     # Not with another asset, even if it only differs in its numbers, nor with another seed.
     darker = dataclasses.replace(asset, coefficients=asset.coefficients - np.float16(1))
@@ -122,7 +123,7 @@ def test_an_interrupted_refinement_continues(ball, tmp_path, monkeypatch):
         with pytest.raises(LumitreeError, match="unfinished bake of another"):
             refine(other, ball, settings(**options), tmp_path / "folder")
     second = refine(asset, ball, settings(), tmp_path / "folder")
-    assert not second.interrupted
+    assert second.stopped_by is None
     assert steps == list(range(1, len(steps) + 1))
     assert second.rays >= RAYS
     # As if it had never been interrupted, to the last bit.
