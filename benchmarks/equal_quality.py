@@ -175,8 +175,8 @@ def explicit_integrator(luminaire: Any) -> str:
     Light that thin glass and alpha masks let through unbent is found by next-event estimation under
     `volpath` alone.
     """
-    from lumitree.transport.tracing import integrator_kind
     from lumitree.rendering.integrator import has_null_surfaces
+    from lumitree.transport.tracing import integrator_kind
 
     kind = integrator_kind(luminaire)
     return "volpath" if kind == "path" and has_null_surfaces(luminaire.scene) else kind

@@ -37,10 +37,10 @@ DATA = (
 
 def measure(source: LuminaireSource, metres_per_unit: float) -> dict:
     """One row of the table."""
-    from lumitree.transport.flux import estimate_flux, missed_by_depth
     from lumitree.core.images import max_radiance
     from lumitree.evaluation.preview import take_preview
     from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.transport.flux import estimate_flux, missed_by_depth
 
     luminaire = load_luminaire(source)
     flux = estimate_flux(luminaire, FLUX_PATHS)
@@ -60,9 +60,9 @@ def measure(source: LuminaireSource, metres_per_unit: float) -> dict:
 
 def throughput(luminaire) -> float:
     """Paths a second of a capture: radiance and both opacities."""
-    from lumitree.views.camera import Camera
     from lumitree.core.directions import view_pose
     from lumitree.core.seeds import Purpose, SeedStream
+    from lumitree.views.camera import Camera
 
     camera = Camera(luminaire, RESOLUTION, SAMPLES)
     seconds = []

@@ -24,10 +24,11 @@ from typing import Any
 
 import numpy as np
 
+from lumitree.asset.asset import Asset
 from lumitree.asset.file import load
-from lumitree.asset.asset import MAX_TREE_DEPTH, LuminaireAsset
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import atomic_path, write_json
+from lumitree.octree.build import MAX_TREE_DEPTH
 from setting import setting
 
 RESULTS = Path(__file__).parent / "results"
@@ -37,12 +38,13 @@ ROUNDS = 7
 THRESHOLDS = ((0.0, 1.0), (0.1, 1.0), (0.0, 0.9), (0.1, 0.9))
 
 
-def deepened(asset: LuminaireAsset) -> LuminaireAsset:
+def deepened(asset: Asset) -> Asset:
     """The asset one level deeper, four children for every leaf."""
     from lumitree.direct.estimate import split
     from lumitree.octree.build import build_children
+    from lumitree.octree.leaves import leaf_cells
 
-    cells, levels = asset.leaf_cells()
+    cells, levels = leaf_cells(asset.children, asset.num_leaves)
     # Planes of three orientations in turn.
     axis = np.arange(len(cells)) % 3
     octant = np.arange(8)
@@ -57,7 +59,7 @@ def deepened(asset: LuminaireAsset) -> LuminaireAsset:
     )
 
 
-def random_lines(asset: LuminaireAsset) -> tuple[Any, Any]:
+def random_lines(asset: Asset) -> tuple[Any, Any]:
     """Origins and directions of lines through the proxy box."""
     import mitsuba as mi
 
@@ -131,12 +133,12 @@ def loads(field: Any, cells: float, leaves: float) -> Callable[[], Any]:
     return job
 
 
-def measure_depth(asset: LuminaireAsset) -> dict:
+def measure_depth(asset: Asset) -> dict:
     """One row of the table by depth."""
     import drjit as dr
     import mitsuba as mi
 
-    from lumitree.rendering.field import Field
+    from lumitree.octree.field import Field
 
     start = time.perf_counter()
     field = Field(asset)
@@ -184,9 +186,9 @@ def measure_depth(asset: LuminaireAsset) -> dict:
     }
 
 
-def measure_thresholds(asset: LuminaireAsset) -> list[dict]:
+def measure_thresholds(asset: Asset) -> list[dict]:
     """Time and error of the paper's thresholds."""
-    from lumitree.rendering.field import Field
+    from lumitree.octree.field import Field
 
     origin, direction = random_lines(asset)
     fields = {limits: Field(asset, *limits) for limits in THRESHOLDS}

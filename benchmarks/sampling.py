@@ -77,14 +77,15 @@ def measure_points(asset: str) -> dict:
     """Without a room: variance ratios from points about the lamp, and time a sample."""
     import drjit as dr
 
-    from lumitree.rendering.field import open_field
-    from lumitree.rendering.proxy import make_proxy
     from lumitree.rendering.emitter_sampling import EmitterSampler
+    from lumitree.rendering.light_leaves import light_leaves
+    from lumitree.rendering.opened import open_field
+    from lumitree.rendering.proxy import make_proxy
 
     field = open_field(asset)
     half = field.asset.half_extents
     start = time.perf_counter()
-    leaves = field.light_leaves
+    leaves = light_leaves(field)
     dr.sync_thread()
     row: dict = {"table_seconds": time.perf_counter() - start}
     proxy = make_proxy("box", half)

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from lumitree import pipeline
-from lumitree.asset.asset import MAX_TREE_DEPTH
 from lumitree.core.files import atomic_path, write_json
+from lumitree.octree.build import MAX_TREE_DEPTH
 from setting import setting
 
 RESULTS = Path(__file__).parent / "results"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lumitree.asset.asset import LuminaireAsset
+from lumitree.asset.asset import Asset
 from lumitree.core.harmonics import num_coefficients
 from lumitree.octree.build import build_children
 from lumitree.rendering.reference import leaf_boxes
@@ -19,7 +19,7 @@ def make_asset(cells, levels, density, coefficients, *, tree_depth=4, law="linea
         "luminaire": "test",
         **fields,
     }
-    return LuminaireAsset(
+    return Asset(
         children=build_children(cells, levels),
         density=np.asarray(density, np.float32),
         coefficients=coefficients,

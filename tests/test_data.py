@@ -94,8 +94,8 @@ def model_source(folder):
 @pytest.mark.parametrize("folder", MODELS)
 def test_obj_models_are_repaired_as_by_hand(mi, folder):
     """Concave polygons, repeated bulbs and pieces wound inwards all come out right."""
-    from lumitree.luminaire.luminaire import read_model
     from lumitree.importers.mesh_repair import closed_share
+    from lumitree.luminaire.luminaire import read_model
 
     meshes = {part.name: part.mesh for part in read_model(model_source(folder)).parts}
     for name, expected in MODELS[folder][1].items():
@@ -103,8 +103,8 @@ def test_obj_models_are_repaired_as_by_hand(mi, folder):
 
 
 def test_obj_and_hand_made_scene_give_the_same_light(mi, tmp_path):
-    from lumitree.views.capture import capture
     from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.views.capture import capture
 
     hand_made = DATA / "luminaires" / "scopia_chandelier" / "luminaire.xml"
     means = []
@@ -140,11 +140,11 @@ FILES = {
 @pytest.mark.filterwarnings("ignore::lumitree.errors.LumitreeWarning")
 @pytest.mark.parametrize("file", FILES)
 def test_models_load_with_their_overrides_and_shine(mi, file):
-    from lumitree.transport.flux import estimate_flux
-    from lumitree.luminaire.luminaire import load_luminaire, read_model
     from lumitree.importers.overrides import material_area
-    from lumitree.model.photometry import flux_from_radiance
+    from lumitree.luminaire.luminaire import load_luminaire, read_model
     from lumitree.luminaire.source import LuminaireSource
+    from lumitree.model.photometry import flux_from_radiance
+    from lumitree.transport.flux import estimate_flux
 
     name, emitting, width = FILES[file]
     overrides = Path(__file__).parents[1] / "examples" / "overrides"

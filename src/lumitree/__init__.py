@@ -25,13 +25,12 @@ if TYPE_CHECKING:
         TrainResult,
     )
     from lumitree.api.viewing import evaluate, preview, render
-    from lumitree.asset.file import load, save
     from lumitree.asset.asset import Asset, AssetInfo
+    from lumitree.asset.file import load, save
     from lumitree.luminaire.luminaire import Luminaire
     from lumitree.luminaire.source import LuminaireSource
     from lumitree.rendering.placement import Placement
-    from lumitree.rendering.plugins import register
-    from lumitree.rendering.shape import shape
+    from lumitree.rendering.plugins import register, shape
 
 __version__ = "0.1.0"
 

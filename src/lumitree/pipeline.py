@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from lumitree.asset.asset import MAX_TREE_DEPTH
 from lumitree.core.arguments import (
     MAX_RAYS,
     MAX_SAMPLES,
@@ -37,9 +36,10 @@ from lumitree.core.seeds import check_seed
 from lumitree.core.work_folder import WorkFolder, scratch_folder
 from lumitree.errors import LumitreeError, LumitreeWarning, explained
 from lumitree.nerf.config import PRESETS, TrainConfig
+from lumitree.octree.build import MAX_TREE_DEPTH
 
 if TYPE_CHECKING:
-    from lumitree.asset.asset import LuminaireAsset
+    from lumitree.asset.asset import Asset
     from lumitree.core.transmittance import Law
     from lumitree.direct.bake import DirectConfig, DirectResult
     from lumitree.luminaire.luminaire import Luminaire
@@ -132,10 +132,10 @@ def preview(
     check_sheet_output(sheet)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     load_mitsuba(variant)
-    from lumitree.transport.flux import estimate_flux, missed_by_depth
     from lumitree.core.images import max_radiance
     from lumitree.evaluation.preview import take_preview, write_preview
     from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.transport.flux import estimate_flux, missed_by_depth
 
     watch = Stopwatch()
     with watch.stage("load"):
@@ -221,8 +221,8 @@ def capture(
     check_choice("split", split, get_args(Split))
     check_writable(Path(output) / MANIFEST)
     load_mitsuba(variant)
-    from lumitree.views.capture import capture as capture_views
     from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.views.capture import capture as capture_views
 
     watch = Stopwatch()
     with watch.stage("capture"):
@@ -269,8 +269,8 @@ def extract(run: str, output: str, *, tree_depth: int = 8, samples_per_leaf: int
     check_asset_output(output)
     check_range("tree depth", tree_depth, 1, MAX_TREE_DEPTH)
     check_range("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
+    from lumitree.asset.asset import Asset
     from lumitree.asset.file import save
-    from lumitree.asset.asset import LuminaireAsset
     from lumitree.nerf.trained_field import load_field
     from lumitree.octree.extract import extract as extract_octree
 
@@ -281,7 +281,7 @@ def extract(run: str, output: str, *, tree_depth: int = 8, samples_per_leaf: int
         children, density, coefficients = extract_octree(
             field.query, half_extents, tree_depth, samples_per_leaf=samples_per_leaf
         )
-        asset = LuminaireAsset(
+        asset = Asset(
             children=children,
             density=density,
             coefficients=coefficients,
@@ -471,7 +471,7 @@ def bake_network(
     return {**extracted, "seconds": seconds, "peak_memory_bytes": peak_memory_bytes()}
 
 
-def describe_asset(asset: "LuminaireAsset", path: str) -> Report:
+def describe_asset(asset: "Asset", path: str) -> Report:
     """What `info` prints about an asset."""
     return {
         "file": str(path),

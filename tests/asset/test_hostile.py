@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from fields import random_asset
-from lumitree.asset.file import _digest, load, save
 from lumitree.asset.asset import (
     MAX_DENSITY,
     MAX_RADIANCE,
     MAX_TREE_DEPTH,
     MIN_RADIANCE,
 )
+from lumitree.asset.file import _digest, load, save
 from lumitree.core.frames import MAX_SCALE, MIN_HALF_EXTENT, MIN_SCALE, similarity_scale
 from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import MAX_LABEL

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from lumitree.views.capture import capture
-from lumitree.errors import LumitreeError
 from lumitree.builtin.registry import BUILTIN
-from lumitree.model.geometry import coil, frames, lathe, offset, smooth, sweep
+from lumitree.errors import LumitreeError
 from lumitree.luminaire.luminaire import load_luminaire, luminaire_path
-from lumitree.model.model import Glass
 from lumitree.luminaire.scene_writer import SCENE_FILE, write_scene
+from lumitree.model.geometry import coil, frames, lathe, offset, smooth, sweep
+from lumitree.model.model import Glass
 from lumitree.transport.tracing import PATH_DEPTH
+from lumitree.views.capture import capture
 
 
 @pytest.fixture(scope="module")

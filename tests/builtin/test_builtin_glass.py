@@ -8,9 +8,9 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from lumitree.builtin.registry import BUILTIN
+from lumitree.luminaire.scene_writer import write_scene
 from lumitree.model.geometry import join, moved
 from lumitree.model.model import Glass, Model, Part
-from lumitree.luminaire.scene_writer import write_scene
 
 CLEARANCE = 2e-4  # metres
 

@@ -34,7 +34,7 @@ def ball(lamp):
 def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     from lumitree.direct.bake import bake
     from lumitree.direct.ray_source import TracedRays
-    from lumitree.rendering.field import Field
+    from lumitree.octree.field import Field
 
     result = bake(ball, config(law=law), tmp_path)
     assert result.stopped_by is None

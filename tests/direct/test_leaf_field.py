@@ -191,7 +191,7 @@ def test_a_value_is_shared_out_by_weight(mi, law, density):
 @pytest.mark.parametrize("law", ["linear", "exponential"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_integral_agrees_with_renderer_and_reference(mi, law, seed):
-    from lumitree.rendering.field import Field
+    from lumitree.octree.field import Field
 
     half = np.array([1.0, 0.61, 0.37]) if seed == 1 else np.ones(3)
     asset = random_asset(seed, l_max=seed - 1, law=law, density_scale=0.7, half_extents=half)

@@ -13,8 +13,8 @@ VIEWS, RESOLUTION = 17, 64
 @pytest.fixture(scope="module")
 def dataset(mi, tmp_path_factory):
     """A glowing sphere beside a grey cube."""
-    from lumitree.views.capture import capture
     from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.views.capture import capture
 
     folder = tmp_path_factory.mktemp("stored")
     grey = '<bsdf type="diffuse"/>'
@@ -119,8 +119,8 @@ def test_bake_from_pictures(mi, dataset, tmp_path):
 
 
 def test_one_view_is_refused(mi, lamp, tmp_path):
-    from lumitree.views.capture import capture
     from lumitree.direct.stored import StoredRays
+    from lumitree.views.capture import capture
 
     glowing = lamp(sphere("lamp", 1, inside=AREA))
     one = capture(

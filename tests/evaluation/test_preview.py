@@ -61,7 +61,7 @@ def test_tiles_show_pixels_one_to_one_where_legible(resolution, side):
 
 
 def test_sheet_shows_radiance_twice_and_both_opacities(preview, tmp_path):
-    from lumitree.evaluation.preview import preview_layout, draw_preview
+    from lumitree.evaluation.preview import draw_preview, preview_layout
 
     taken = preview(sphere("lamp", 1, inside=AREA))
     draw_preview(taken, "lamp", ["1 emitter"]).save(tmp_path / "sheet.png")
@@ -104,8 +104,8 @@ def test_labels(preview):
 
 
 def test_the_brighter_row_brings_what_is_lit_to_middle_grey():
-    from lumitree.views.camera import Picture
     from lumitree.evaluation.preview import Preview
+    from lumitree.views.camera import Picture
 
     radiance = np.zeros((10, 10, 3))
     radiance[:9] = 0.01

@@ -10,7 +10,7 @@ from PIL import Image
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.errors import LumitreeError
 from lumitree.evaluation import sheet, tiles
-from lumitree.evaluation.sheet import SheetRow, relative_error, sheet_layout, draw_sheet
+from lumitree.evaluation.sheet import SheetRow, draw_sheet, relative_error, sheet_layout
 
 METRICS = {"psnr_linear": 31.234, "opacity_rmse": 0.0123}
 

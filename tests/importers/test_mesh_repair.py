@@ -7,8 +7,6 @@ import pytest
 import trimesh
 
 from lumitree.errors import LumitreeWarning
-from lumitree.luminaires import mesh_repair
-from lumitree.model.geometry import Mesh
 from lumitree.importers.mesh_repair import (
     Pieces,
     closed_share,
@@ -17,6 +15,8 @@ from lumitree.importers.mesh_repair import (
     outward,
     weld,
 )
+from lumitree.luminaires import mesh_repair
+from lumitree.model.geometry import Mesh
 
 
 def ball(radius=1.0, centre=(0, 0, 0), inwards=False):

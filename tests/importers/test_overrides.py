@@ -9,6 +9,14 @@ import pytest
 import trimesh
 
 from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.importers.overrides import (
+    Overrides,
+    apply_overrides,
+    check_emits,
+    material_area,
+    select_parts,
+)
+from lumitree.importers.overrides_file import _CONDUCTORS, read_overrides
 from lumitree.model.geometry import Mesh
 from lumitree.model.model import (
     Diffuse,
@@ -20,14 +28,6 @@ from lumitree.model.model import (
     Part,
     Principled,
 )
-from lumitree.importers.overrides import (
-    Overrides,
-    apply_overrides,
-    check_emits,
-    material_area,
-    select_parts,
-)
-from lumitree.importers.overrides_file import _CONDUCTORS, read_overrides
 from lumitree.model.photometry import blackbody_colour, flux_from_radiance
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lumitree.core.backend import load_mitsuba
+from lumitree.luminaire.scene_writer import write_scene
 from lumitree.model.geometry import Mesh
 from lumitree.model.model import (
     Diffuse,
@@ -19,7 +20,6 @@ from lumitree.model.model import (
     Texture,
     VertexColour,
 )
-from lumitree.luminaire.scene_writer import write_scene
 
 # A square that faces +z; v = 0 at its top.
 SQUARE = Mesh(

@@ -7,16 +7,16 @@ import pytest
 import trimesh
 
 from lumitree.errors import LumitreeError
-from lumitree.model.geometry import Mesh
 from lumitree.luminaire.luminaire import (
     load_luminaire,
     luminaire_path,
     place_shapes,
     read_model,
 )
-from lumitree.model.model import Diffuse, Glass, Material, Model, Part
 from lumitree.luminaire.scene_writer import write_scene
 from lumitree.luminaire.source import LuminaireSource
+from lumitree.model.geometry import Mesh
+from lumitree.model.model import Diffuse, Glass, Material, Model, Part
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=5)
 STEM = trimesh.creation.box((1, 1, 20)).apply_translation([0, 0, 15])

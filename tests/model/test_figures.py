@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from lumitree.core.backend import load_mitsuba
 from lumitree.builtin.registry import BUILTIN
+from lumitree.core.backend import load_mitsuba
+from lumitree.luminaire.luminaire import load_luminaire
 from lumitree.model.figures import figures
 from lumitree.model.geometry import Mesh
-from lumitree.luminaire.luminaire import load_luminaire
 from lumitree.model.model import (
     Diffuse,
     Glass,

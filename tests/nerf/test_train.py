@@ -15,10 +15,10 @@ import pytest
 from lumitree.errors import LumitreeError
 from lumitree.nerf import train as training
 from lumitree.nerf.config import PRESETS, TrainConfig
-from lumitree.nerf.trained_field import load_field
 from lumitree.nerf.run import restore_checkpoint
 from lumitree.nerf.step import initial_state
 from lumitree.nerf.train import train
+from lumitree.nerf.trained_field import load_field
 from sphere import CENTRE, RADIUS, sphere_dataset
 
 TINY = dataclasses.replace(

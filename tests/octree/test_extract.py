@@ -20,9 +20,9 @@ def ball(radius=0.6, density=5.0, num_coefficients=4):
 
 
 def as_asset(children, density, coefficients, tree_depth):
-    from lumitree.asset.asset import LuminaireAsset
+    from lumitree.asset.asset import Asset
 
-    return LuminaireAsset(
+    return Asset(
         children=children,
         density=density,
         coefficients=coefficients,

@@ -48,12 +48,13 @@ def lamp(**fields):
 @pytest.fixture(scope="module")
 def samplers(mi):
     """Field, sampler by emission and uniform one, for both proxies."""
-    from lumitree.rendering.field import Field
-    from lumitree.rendering.proxy import PROXY_KINDS, make_proxy
+    from lumitree.octree.field import Field
     from lumitree.rendering.emitter_sampling import EmitterSampler
+    from lumitree.rendering.light_leaves import light_leaves
+    from lumitree.rendering.proxy import PROXY_KINDS, make_proxy
 
     field = Field(lamp())
-    both = (field.light_leaves, None)
+    both = (light_leaves(field), None)
     return field, {
         kind: tuple(Drawn(EmitterSampler, make_proxy(kind, HALF), field, each) for each in both)
         for kind in PROXY_KINDS
@@ -225,21 +226,25 @@ def test_nothing_is_sampled_from_inside(mi, samplers):
 
 
 def test_instances_share_one_table(mi, tmp_path):
+    from lumitree.rendering.light_leaves import light_leaves
+
     path = tmp_path / "lamp.lumitree"
     lumitree.save(lamp(), path)
     place = similarity(rotation([1, 0, 1], 70), 3.0, [5, 0, 0])
     near = mi.load_dict(lumitree.shape(path)).emitter()
     far = mi.load_dict(lumitree.shape(path, place, "sphere")).emitter()
-    assert near.placed.field.light_leaves is far.placed.field.light_leaves
+    assert light_leaves(near.placed.field) is light_leaves(far.placed.field)
 
 
 def test_dark_field_is_sampled_uniformly(mi, tmp_path):
     import drjit as dr
 
+    from lumitree.rendering.light_leaves import light_leaves
+
     dark = make_asset(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 3, 4)))
     lumitree.save(dark, tmp_path / "dark.lumitree")
     emitter = mi.load_dict(lumitree.shape(tmp_path / "dark.lumitree")).emitter()
-    assert emitter.placed.field.light_leaves is None
+    assert light_leaves(emitter.placed.field) is None
     it = dr.zeros(mi.Interaction3f)
     it.p = mi.Point3f(2, 3, 1)
     ds, weight = emitter.sample_direction(it, uniform_samples(mi, 4096).next_2d())

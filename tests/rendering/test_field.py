@@ -10,7 +10,7 @@ from lumitree.rendering.reference import integrate_ray
 
 
 def trace(mi, asset, origins, directions):
-    from lumitree.rendering.field import Field
+    from lumitree.octree.field import Field
 
     field = Field(asset)
     o = mi.Point3f(*np.asarray(origins, np.float32).T)
@@ -145,7 +145,7 @@ def test_coefficients_that_are_denormal_in_half_precision_count(mi, tmp_path):
 
 
 def test_thresholds_of_the_paper_change_little(mi):
-    from lumitree.rendering.field import Field
+    from lumitree.octree.field import Field
 
     asset = random_asset(7)
     random = np.random.default_rng(7)
@@ -161,7 +161,7 @@ def test_thresholds_of_the_paper_change_little(mi):
 
 def test_instances_share_one_field(mi, tmp_path):
     from lumitree.asset.file import save
-    from lumitree.rendering.field import open_field
+    from lumitree.rendering.opened import open_field
 
     save(random_asset(1), tmp_path / "a.lumitree")
     first = open_field(tmp_path / "a.lumitree")

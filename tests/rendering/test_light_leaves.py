@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from fields import make_asset, random_asset
-from lumitree.rendering.light_leaves import NUM_GROUPS, _group, _places
+from lumitree.octree.leaves import leaf_cells
+from lumitree.rendering.light_leaves import NUM_GROUPS, _group, _places, light_leaves
 
 HALF = np.array([1.0, 0.7, 0.4])
 
@@ -14,10 +15,10 @@ def test_leaves_are_drawn_as_often_as_their_density_says(mi, half):
     """The list against the numbers that densities are made of, for leaves cut by the box too."""
     import drjit as dr
 
-    from lumitree.rendering.field import Field
+    from lumitree.octree.field import Field
 
     field = Field(random_asset(0, half_extents=half))
-    leaves, count = field.light_leaves, 1 << 18
+    leaves, count = light_leaves(field), 1 << 18
     x = mi.Point3f(*(dr.opaque(mi.Float, value) for value in (3.0, 2.0, 1.0)))
     random = mi.PCG32(count)
     point = leaves.sample(x, mi.Point2f(random.next_float32(), random.next_float32()), True)
@@ -26,7 +27,7 @@ def test_leaves_are_drawn_as_often_as_their_density_says(mi, half):
     leaf, found = field._octree.find_leaf(point)
     drawn = np.bincount(np.array(leaf)[np.array(found)], minlength=field.asset.num_leaves) / count
     # The density of a stretch of length h at r, seen from far away, is p h r² / V.
-    cells, levels = field.asset.leaf_cells()
+    cells, levels = leaf_cells(field.asset.children, field.asset.num_leaves)
     side = 2.0 / (1 << levels)[:, None]
     lower, upper = np.maximum(cells * side - 1, -half), np.minimum((cells + 1) * side - 1, half)
     volume = np.maximum(upper - lower, 0).prod(axis=1)
@@ -39,7 +40,7 @@ def test_leaves_are_drawn_as_often_as_their_density_says(mi, half):
 
 
 def test_a_leaf_that_is_hidden_or_dark_is_hardly_drawn(mi):
-    from lumitree.rendering.field import Field
+    from lumitree.octree.field import Field
 
     # From below: an opaque dark plate hides a bright cell; beside them a bright one stands free.
     plate = np.array([(x, 2, z) for x in range(2, 5) for z in range(2, 5)])
@@ -50,7 +51,7 @@ def test_a_leaf_that_is_hidden_or_dark_is_hardly_drawn(mi):
     field = Field(asset)
     random = mi.PCG32(1 << 14)
     sample = mi.Point2f(random.next_float32(), random.next_float32())
-    point = field.light_leaves.sample(mi.Point3f(0, -6, 0), sample, True)
+    point = light_leaves(field).sample(mi.Point3f(0, -6, 0), sample, True)
     leaf, _ = field._octree.find_leaf(point)
     drawn = np.bincount(np.array(leaf), minlength=len(cells)) / (1 << 14)
     lowest = np.argsort(cells[:, 1], kind="stable")

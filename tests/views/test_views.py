@@ -225,8 +225,8 @@ def test_every_batch_of_a_view_has_random_numbers_of_its_own(
     luminaire, monkeypatch, resolution, samples
 ):
     """Above 1024² a batch has fewer than eight samples a pixel; seeds used to repeat."""
-    from lumitree.views.camera import Camera
     from lumitree.core.seeds import Purpose, SeedStream
+    from lumitree.views.camera import Camera
 
     batches = []
 

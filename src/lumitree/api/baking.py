@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import os
-import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,13 +12,12 @@ import numpy as np
 
 from lumitree.api.measures import Stopwatch, peak_memory_bytes
 from lumitree.api.results import BakeResult, CaptureResult, TrainResult
+from lumitree.asset.asset import Asset
 from lumitree.asset.file import load, save
-from lumitree.asset.asset import MAX_TREE_DEPTH, LuminaireAsset
 from lumitree.core.arguments import (
     MAX_RAYS,
     MAX_SAMPLES,
     MAX_SECONDS,
-    MAX_SEED,
     check_asset_output,
     check_choice,
     check_image_settings,
@@ -31,15 +29,17 @@ from lumitree.core.files import check_writable
 from lumitree.core.harmonics import MAX_L
 from lumitree.core.interrupt import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.seeds import check_seed
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.core.work_folder import WorkFolder, scratch_folder
-from lumitree.errors import LumitreeError, LumitreeWarning, explained
+from lumitree.errors import LumitreeWarning, explained
 from lumitree.nerf.config import PRESETS, TrainConfig
+from lumitree.octree.build import MAX_TREE_DEPTH
 
 if TYPE_CHECKING:
     from lumitree.direct.bake import DirectConfig, DirectResult
     from lumitree.luminaire.luminaire import Luminaire
-    from lumitree.luminaire.source import Source
+    from lumitree.luminaire.source import LuminaireLike
 
 Quality = Literal["preview", "standard", "high"]
 Preset = Literal["preview", "paper"]
@@ -69,7 +69,7 @@ NETWORK_BAKES: dict[str, NetworkBake] = {
 
 @explained
 def bake(
-    luminaire: "Source",
+    luminaire: "LuminaireLike",
     output: FilePath | None = None,
     *,
     quality: Quality = "standard",
@@ -122,7 +122,7 @@ def bake(
     load_mitsuba(variant)
     from lumitree.direct import bake as direct
     from lumitree.luminaire.luminaire import load_luminaire
-    from lumitree.luminaire.source import as_source
+    from lumitree.luminaire.source import dataset_folder
 
     preset = direct.QUALITIES[quality]
     config = dataclasses.replace(
@@ -132,9 +132,8 @@ def bake(
         law=preset.law if law is None else law,
         seed=seed,
     )
-    folder = as_source(luminaire).name
     with reporting(progress), _work_folder(output, work) as at:
-        if (Path(folder) / MANIFEST).is_file():
+        if (folder := dataset_folder(luminaire)) is not None:
             dataset = Dataset.open(folder)
             return _finish(output, work, at, lambda: direct.bake_stored(dataset, config, at.path))
         lamp = load_luminaire(luminaire)
@@ -144,8 +143,8 @@ def bake(
 
 @explained
 def refine(
-    asset: LuminaireAsset | FilePath,
-    luminaire: "Source",
+    asset: Asset | FilePath,
+    luminaire: "LuminaireLike",
     output: FilePath | None = None,
     *,
     time: float | None = None,
@@ -170,7 +169,7 @@ def refine(
     from lumitree.luminaire.luminaire import load_luminaire
 
     config = dataclasses.replace(_budgeted(direct.QUALITIES["standard"], time, rays), seed=seed)
-    rough = asset if isinstance(asset, LuminaireAsset) else load(asset)
+    rough = asset if isinstance(asset, Asset) else load(asset)
     with reporting(progress), _work_folder(output, work) as at:
         lamp = load_luminaire(luminaire)
         return _finish(output, work, at, lambda: direct.refine(rough, lamp, config, at.path))
@@ -178,7 +177,7 @@ def refine(
 
 @explained
 def bake_network(
-    luminaire: "Source",
+    luminaire: "LuminaireLike",
     output: FilePath,
     *,
     preset: Preset = "preview",
@@ -242,7 +241,7 @@ def bake_network(
 
 @explained
 def capture(
-    luminaire: "Source",
+    luminaire: "LuminaireLike",
     output: FilePath,
     *,
     num_views: int = 100,
@@ -273,8 +272,8 @@ def capture(
     check_choice("split", split, get_args(Split))
     check_writable(Path(output) / MANIFEST)
     load_mitsuba(variant)
-    from lumitree.views.capture import capture as capture_views
     from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.views.capture import capture as capture_views
 
     watch = Stopwatch()
     with reporting(progress), watch.stage("capture"):
@@ -370,7 +369,7 @@ def extract(
         children, density, coefficients = extract_octree(
             field.query, half_extents, tree_depth, samples_per_leaf=samples_per_leaf
         )
-        asset = LuminaireAsset(
+        asset = Asset(
             children=children,
             density=density,
             coefficients=coefficients,
@@ -408,7 +407,7 @@ def _check_bake(
         check_range("time", time, 1e-3, MAX_SECONDS, "seconds")
     if rays is not None:
         check_range("rays", rays, 1, MAX_RAYS)
-    check_range("seed", seed, 0, MAX_SEED)
+    check_seed(seed)
 
 
 def _budgeted(config: "DirectConfig", time: float | None, rays: int | None) -> "DirectConfig":
@@ -454,7 +453,7 @@ def _finish(
     )
 
 
-def _save(asset: LuminaireAsset, output: FilePath | None) -> None:
+def _save(asset: Asset, output: FilePath | None) -> None:
     if output is not None:
         save(asset, output)
 

@@ -1,6 +1,7 @@
 """What the functions of `lumitree` return: frozen, printable, ready for JSON and for notebooks."""
 
 import dataclasses
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -170,6 +171,12 @@ class Flux:
     lumens_error: float
     paths: int
 
+    def __str__(self) -> str:
+        """Luminous flux and its standard error, both to the error's second digit."""
+        error = self.lumens_error
+        digits = max(0, 1 - math.floor(math.log10(error))) if error else 0
+        return f"{self.lumens:,.{digits}f} ± {error:,.{digits}f} lm"
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MissedFlux:
@@ -219,12 +226,14 @@ class PreviewResult(PictureResult):
 
 def asset_json(asset: LuminaireAsset, path: str | os.PathLike[str] | None) -> Json:
     """The figures of an asset, with its file where it has one."""
-    file = {} if path is None else {"file": os.fspath(path), "file_bytes": Path(path).stat().st_size}
-    return file | plain(asset.info)
+    info: Json = plain(asset.info)
+    if path is None:
+        return info
+    return {"file": os.fspath(path), "file_bytes": Path(path).stat().st_size, **info}
 
 
 def plain(value: Any) -> Any:
-    """The value with paths as text, and tuples, arrays and dataclasses as lists and dictionaries."""
+    """The value with paths as text, and all that holds others as lists and dictionaries."""
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, dict):
@@ -234,5 +243,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return plain({field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
+        fields = dataclasses.fields(value)
+        return plain({field.name: getattr(value, field.name) for field in fields})
     return value

@@ -2,11 +2,10 @@
 
 import contextlib
 import dataclasses
-import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lumitree.api.baking import warn_of_faults
 from lumitree.api.measures import Stopwatch
@@ -18,8 +17,8 @@ from lumitree.api.results import (
     RenderResult,
     asset_json,
 )
+from lumitree.asset.asset import Asset
 from lumitree.asset.file import load
-from lumitree.asset.asset import LuminaireAsset
 from lumitree.core.arguments import (
     check_image_settings,
     check_range,
@@ -28,15 +27,16 @@ from lumitree.core.arguments import (
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import MANIFEST, MAX_VIEWS, Dataset
 from lumitree.core.files import check_writable, write_bytes
-from lumitree.core.images import check_image_name, png_of_radiance, write_image
+from lumitree.core.images import check_image_name, encode_png, write_image
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.seeds import check_seed
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained
 from lumitree.luminaire.source import LuminaireSource
 
 if TYPE_CHECKING:
-    from lumitree.luminaire.source import Source
-    from lumitree.render.placement import Placement
+    from lumitree.luminaire.source import LuminaireLike
+    from lumitree.rendering.placement import Placement
     from lumitree.rendering.proxy import ProxyKind
 
 FilePath = str | os.PathLike[str]
@@ -46,7 +46,7 @@ FLUX_PATHS, BOUNCE_PATHS = 1 << 22, 1 << 20
 
 @explained
 def preview(
-    luminaire: "Source",
+    luminaire: "LuminaireLike",
     sheet: FilePath | None = None,
     *,
     resolution: int = 256,
@@ -72,10 +72,10 @@ def preview(
         check_sheet_output(sheet)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     load_mitsuba(variant)
-    from lumitree.transport.flux import estimate_flux, missed_by_depth
     from lumitree.core.images import max_radiance
     from lumitree.evaluation.preview import draw_preview, take_preview
     from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.transport.flux import estimate_flux, missed_by_depth
 
     watch = Stopwatch()
     with reporting(progress):
@@ -133,8 +133,8 @@ def _facts(result: PreviewResult) -> list[str]:
 
 @explained
 def evaluate(
-    asset: LuminaireAsset | FilePath,
-    target: "Source",
+    asset: Asset | FilePath,
+    target: "LuminaireLike",
     sheet: FilePath | None = None,
     *,
     num_views: int = 8,
@@ -161,13 +161,13 @@ def evaluate(
     check_range("views", num_views, 1, MAX_VIEWS)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     load_mitsuba(variant)
-    from lumitree.views.capture import capture as capture_views
     from lumitree.evaluation.evaluate import evaluate_views
     from lumitree.evaluation.sheet import draw_sheet
     from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.views.capture import capture as capture_views
 
-    path = None if isinstance(asset, LuminaireAsset) else asset
-    baked = asset if isinstance(asset, LuminaireAsset) else load(asset)
+    path = None if isinstance(asset, Asset) else asset
+    baked = asset if isinstance(asset, Asset) else load(asset)
     watch = Stopwatch()
     with contextlib.ExitStack() as stack:
         stack.enter_context(reporting(progress))
@@ -221,7 +221,7 @@ def render(
 
     Args:
         scene: a Mitsuba 3 scene with a camera.
-        placements: what is placed, and where.
+        placements: luminaires, and where they go.
         output: the image to write, `.exr` (linear) or `.png` (tone-mapped); None for none.
         samples_per_pixel: of the image.
         width: of the image in pixels, instead of the scene's.
@@ -236,18 +236,26 @@ def render(
         check_image_name(output)
         check_writable(output)
     check_image_settings(spp=samples_per_pixel, **({} if width is None else {"width": width}))
+    check_seed(seed)
     load_mitsuba(variant)
-    from lumitree.render import room as rooms
+    from lumitree.rendering.scene import (
+        PlacedLuminaire,
+        load_scene,
+        place_luminaires,
+        render_scene,
+        set_film_width,
+    )
 
     watch = Stopwatch()
     with reporting(progress):
         with watch.stage("load"):
-            room, integrator = rooms.load_room(str(scene), placements)
+            placed = [PlacedLuminaire(each) for each in placements]
+            loaded, integrator = load_scene(str(scene), placed)
             if width is not None:
-                rooms.set_film_width(room, width)
-            placed = rooms.furnish(room, placements, proxy)
+                set_film_width(loaded, width)
+            whole = place_luminaires(loaded, placed, proxy)
         with watch.stage("render"):
-            pixels = rooms.render(placed, integrator, samples_per_pixel, seed=seed)
+            pixels = render_scene(whole, integrator, samples_per_pixel, seed=seed)
     if output is not None:
         write_image(output, pixels)
     return RenderResult(
@@ -256,12 +264,12 @@ def render(
         resolution=(pixels.shape[1], pixels.shape[0]),
         samples_per_pixel=samples_per_pixel,
         mean_radiance=float(pixels.mean()),
-        png=png_of_radiance(pixels),
+        png=encode_png(pixels),
         **watch.costs(),
     )
 
 
-def _check_plain(target: "Source") -> None:
+def _check_plain(target: "LuminaireLike") -> None:
     """Refuse options for reading a luminaire where its views are stored already."""
     if isinstance(target, LuminaireSource) and (target.materials or target.keep or target.drop):
         raise LumitreeError(

@@ -6,25 +6,27 @@ Symbols
 """
 
 import dataclasses
+import functools
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from lumitree.core.frames import check_local_frame
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.frames import check_local_frame, similarity_scale
 from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import label
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.errors import LumitreeError
+from lumitree.octree.build import MAX_TREE_DEPTH
 
-MAX_TREE_DEPTH = 10
 # What a renderer computes from values within these bounds is finite in float32, squares included.
 MIN_RADIANCE, MAX_RADIANCE = 1e-15, 1e15
 MAX_DENSITY = 1e15
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class LuminaireAsset:
+class Asset:
     """A sparse octree over the cube [-1, 1]³ of the proxy frame.
 
     Inside a leaf density and coefficients are constant. The emission towards a viewer in
@@ -74,25 +76,87 @@ class LuminaireAsset:
         """Bytes of tree and payload."""
         return self.children.nbytes + self.density.nbytes + self.coefficients.nbytes
 
-    def leaf_cells(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Where the leaves are.
+    @property
+    def info(self) -> "AssetInfo":
+        """The asset in figures."""
+        size = 2 * self.half_extents * similarity_scale(self.world_from_proxy)
+        return AssetInfo(
+            luminaire=self.luminaire,
+            tree_depth=self.tree_depth,
+            leaves=self.num_leaves,
+            nodes=len(self.children),
+            l_max=self.l_max,
+            law=self.law,
+            max_radiance=self.max_radiance,
+            size=(float(size[0]), float(size[1]), float(size[2])),
+            centre=tuple(self.world_from_proxy[:3, 3].tolist()),
+        )
+
+    def eval(
+        self, origin: ArrayLike, direction: ArrayLike
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Radiance emitted along lines, and their transmittance (Eq. 3 and 4).
+
+        Args:
+            origin: [N, 3] any point of each line, in the frame and unit of the luminaire's file.
+            direction: [N, 3] directions of travel, of any length but 0.
 
         Returns:
-            Integer coordinates [M, 3] at each leaf's own level, and the levels [M].
+            Radiance [N, 3], W/(m² sr), that reaches a viewer who looks along the line from outside
+            the lamp; and transmittance [N] in [0, 1].
+
+        Raises:
+            LumitreeError: the arrays are not [N, 3] finite numbers, or a direction is 0.
         """
-        octants = np.array([(octant & 1, octant >> 1 & 1, octant >> 2) for octant in range(8)])
-        cells, levels = (
-            np.zeros((self.num_leaves, 3), np.int64),
-            np.zeros(self.num_leaves, np.int64),
-        )
-        nodes, corners, level = np.array([0]), np.zeros((1, 3), np.int64), 1
-        while len(nodes):
-            below = self.children[nodes]
-            places = 2 * corners[:, None] + octants
-            leaf, node = below < 0, below > 0
-            cells[~below[leaf]], levels[~below[leaf]] = places[leaf], level
-            nodes, corners, level = below[node], places[node], level + 1
-        return cells, levels
+        origin, direction = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
+        if origin.shape != direction.shape or origin.ndim != 2 or origin.shape[1] != 3:
+            raise LumitreeError(
+                f"origin is {origin.shape} and direction {direction.shape}; expected [N, 3] both"
+            )
+        length = np.linalg.norm(direction, axis=1, keepdims=True)
+        if not (np.isfinite(origin).all() and np.isfinite(length).all() and (length > 0).all()):
+            raise LumitreeError("lines need finite origins and finite directions other than 0")
+        return self._field.eval_lines(*self._local_lines(origin, direction / length))
+
+    def _local_lines(self, origin, direction):
+        """Lines in the local frame: points [N, 3] and unit directions [N, 3]."""
+        scale = similarity_scale(self.world_from_proxy)
+        rotation = self.world_from_proxy[:3, :3] / scale
+        return (origin - self.world_from_proxy[:3, 3]) @ rotation / scale, direction @ rotation
+
+    @functools.cached_property
+    def _field(self) -> Any:
+        """The asset on the device."""
+        load_mitsuba()
+        from lumitree.octree.field import Field
+
+        return Field(self)
+
+
+@dataclasses.dataclass(frozen=True)
+class AssetInfo:
+    """An asset in figures.
+
+    Attributes:
+        luminaire: where it came from.
+        tree_depth: level of the smallest possible leaf.
+        leaves, nodes: of the octree.
+        l_max: highest spherical-harmonics band.
+        law: transmittance law, "linear" or "exponential".
+        max_radiance: upper end of the emission, W/(m² sr).
+        size: sides of the bounding box, the unit of the luminaire's file.
+        centre: of the bounding box, in the frame of the luminaire's file.
+    """
+
+    luminaire: str
+    tree_depth: int
+    leaves: int
+    nodes: int
+    l_max: int
+    law: Law
+    max_radiance: float
+    size: tuple[float, ...]
+    centre: tuple[float, ...]
 
 
 def _expect(condition: Any, message: str) -> None:
@@ -100,7 +164,7 @@ def _expect(condition: Any, message: str) -> None:
         raise LumitreeError(f"invalid asset: {message}")
 
 
-def _check_scalars(asset: LuminaireAsset) -> None:
+def _check_scalars(asset: Asset) -> None:
     _expect(
         type(asset.tree_depth) is int and 1 <= asset.tree_depth <= MAX_TREE_DEPTH,
         f"tree depth {asset.tree_depth!r}, expected 1 to {MAX_TREE_DEPTH}",
@@ -120,7 +184,7 @@ def _check_scalars(asset: LuminaireAsset) -> None:
         raise LumitreeError(f"invalid asset: {error}") from None
 
 
-def _check_payload(asset: LuminaireAsset) -> None:
+def _check_payload(asset: Asset) -> None:
     leaves = len(asset.density)
     shapes = {
         "children": (asset.children, np.int32, (len(asset.children), 8)),

@@ -11,7 +11,7 @@ import safetensors
 import safetensors.numpy
 from numpy.typing import NDArray
 
-from lumitree.asset.asset import LuminaireAsset
+from lumitree.asset.asset import Asset
 from lumitree.core.files import atomic_path
 from lumitree.core.reading import Record, parse_json, read_bytes
 from lumitree.core.transmittance import LAWS
@@ -38,7 +38,7 @@ _KEYS = (
 )
 
 
-def save(asset: LuminaireAsset, path: str | os.PathLike[str]) -> None:
+def save(asset: Asset, path: str | os.PathLike[str]) -> None:
     """Write `asset` to `path`, atomically; equal assets give equal bytes."""
     tensors = {
         "children": asset.children,
@@ -71,7 +71,7 @@ def save(asset: LuminaireAsset, path: str | os.PathLike[str]) -> None:
             raise OSError(None, str(error)) from error
 
 
-def load(path: str | os.PathLike[str]) -> LuminaireAsset:
+def load(path: str | os.PathLike[str]) -> Asset:
     """Read and check an asset; no code in the file is run.
 
     Raises:
@@ -88,14 +88,14 @@ def load(path: str | os.PathLike[str]) -> LuminaireAsset:
         raise _damaged(path, str(error)) from None
 
 
-def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> LuminaireAsset:
+def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
     description = Record(value, "the description")
     # First: another version may have other members.
     description.choice("format", (FORMAT,))
     description.expect_version(VERSION)
     description.expect_keys(*_KEYS)
     description.choice("activation", (ACTIVATION,))
-    return LuminaireAsset(
+    return Asset(
         **tensors,
         tree_depth=description.integer("tree_depth"),
         l_max=description.integer("l_max"),

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.arguments import MAX_PIXELS_A_SIDE
+from lumitree.core.directions import FIRST_TEST_INDEX
 from lumitree.core.files import write_json
 from lumitree.core.frames import MAX_SCALE, check_local_frame
 from lumitree.core.images import max_radiance, read_exr, write_exr
 from lumitree.core.reading import Record, label, parse_json, read_bytes
-from lumitree.core.directions import FIRST_TEST_INDEX
 from lumitree.errors import LumitreeError
 
 Split = Literal["train", "test"]

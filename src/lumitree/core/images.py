@@ -1,5 +1,6 @@
 """OpenEXR and PNG files."""
 
+import io
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -9,7 +10,7 @@ import OpenEXR
 from numpy.typing import NDArray
 from PIL import Image
 
-from lumitree.core.files import atomic_path
+from lumitree.core.files import atomic_path, write_bytes
 from lumitree.errors import LumitreeError
 
 
@@ -69,10 +70,12 @@ def max_radiance(images: Iterable[NDArray[np.floating]]) -> float:
     return float(np.percentile(largest, 99.99, overwrite_input=True))
 
 
-def write_png(path: str | os.PathLike[str], pixels: NDArray[np.uint8]) -> None:
-    """Write bytes [H, W, 3] as PNG, atomically."""
-    with atomic_path(path) as temporary:
-        Image.fromarray(pixels).save(temporary, format="PNG", optimize=True)
+def encode_png(radiance: NDArray[np.floating], exposure: float | None = None) -> bytes:
+    """A PNG file of linear radiance [H, W, 3], tone-mapped; `exposure` as for `write_image`."""
+    stream = io.BytesIO()
+    pixels = tonemap(radiance, exposure or auto_exposure(radiance))
+    Image.fromarray(pixels).save(stream, format="PNG", optimize=True)
+    return stream.getvalue()
 
 
 def write_image(
@@ -87,7 +90,7 @@ def write_image(
     if Path(path).suffix.lower() == ".exr":
         write_exr(path, {"RGB": np.asarray(radiance, np.float32)})
     else:
-        write_png(path, tonemap(radiance, exposure or auto_exposure(radiance)))
+        write_bytes(path, encode_png(radiance, exposure))
 
 
 def check_image_name(path: str | os.PathLike[str]) -> None:

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.asset import MAX_TREE_DEPTH, LuminaireAsset
+from lumitree.octree.leaves import leaf_cells
+from lumitree.asset.asset import Asset
 from lumitree.core.dataset import Dataset
 from lumitree.core.files import atomic_path
 from lumitree.core.harmonics import MAX_L, Y_00, num_coefficients
@@ -24,14 +25,14 @@ from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream, check_seed
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.direct.balance import balance, light_left_over
 from lumitree.direct.estimate import estimate, grow
-from lumitree.direct.leaf_field import LEAVES, LeafField
 from lumitree.direct.heldout import HeldOut, Score
+from lumitree.direct.leaf_field import LEAVES, LeafField
 from lumitree.direct.ray_source import RaySource, Subject, TracedRays
 from lumitree.direct.refine import HEADROOM, RefineConfig, Refiner
 from lumitree.direct.stored import StoredRays
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaire.luminaire import Luminaire
-from lumitree.octree.build import build_children
+from lumitree.octree.build import MAX_TREE_DEPTH, build_children
 
 STATE = "state.npz"
 _STATE_VERSION = 1
@@ -108,7 +109,7 @@ class DirectResult:
         stopped_by: number of the signal that ended the bake early; None if none did.
     """
 
-    asset: LuminaireAsset
+    asset: Asset
     score: Score
     rays: int
     seconds: float
@@ -172,7 +173,7 @@ def bake_stored(dataset: Dataset, config: DirectConfig, folder: Path) -> DirectR
 
 
 def refine(
-    asset: LuminaireAsset, luminaire: Luminaire, config: DirectConfig, folder: Path
+    asset: Asset, luminaire: Luminaire, config: DirectConfig, folder: Path
 ) -> DirectResult:
     """Go on with an asset, however it was made, with rays of its luminaire.
 
@@ -206,7 +207,7 @@ def refine(
 
     def start() -> tuple[LeafField, float]:
         _radiance_of(source, config)
-        leaves = asset.leaf_cells()
+        leaves = leaf_cells(asset.children, asset.num_leaves)
         field = _field(config, source, *leaves, asset.density, asset.coefficients)
         return field, asset.max_radiance
 
@@ -218,7 +219,7 @@ def _source(luminaire: Luminaire, config: DirectConfig) -> TracedRays:
     return TracedRays(luminaire, spacing=2 / (1 << level), seed=config.seed)
 
 
-def _continued_seed(asset: LuminaireAsset, seed: int) -> int:
+def _continued_seed(asset: Asset, seed: int) -> int:
     """Root seed for refining an asset: not the one of the rays that it was made with."""
     checksum = zlib.crc32(asset.coefficients.tobytes(), zlib.crc32(asset.density.tobytes()))
     return SeedStream(Purpose.CONTINUATION, checksum).seed(seed) & MAX_SEED
@@ -279,10 +280,10 @@ def _run(
     return DirectResult(asset, score, clock.rays, clock.seconds, stop.number)
 
 
-def make_asset(field: LeafField, subject: Subject, max_radiance: float) -> LuminaireAsset:
+def make_asset(field: LeafField, subject: Subject, max_radiance: float) -> Asset:
     """The asset of a field."""
     limit = float(np.finfo(np.float16).max)
-    return LuminaireAsset(
+    return Asset(
         children=build_children(field.cells, field.levels),
         density=np.exp(np.array(field.log_density)).astype(np.float32),
         coefficients=field.coefficient_array().clip(-limit, limit).astype(np.float16),

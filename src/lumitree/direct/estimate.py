@@ -21,17 +21,17 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.octree.traversal import Octree
 from lumitree.core.device import on_device
+from lumitree.core.directions import halton_direction
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, basis_array, num_coefficients
-from lumitree.core.directions import halton_direction
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.core.transmittance import Law
-from lumitree.transport.light_paths import LightPaths
 from lumitree.direct.ray_source import Stops, TracedRays
 from lumitree.direct.sums import ExactSum, total_of
 from lumitree.octree.build import build_children
+from lumitree.octree.traversal import Octree
+from lumitree.transport.light_paths import LightPaths
 
 _START_LEVEL = 5
 # Lines in flight at once; bounds memory.

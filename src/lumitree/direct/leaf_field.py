@@ -18,13 +18,13 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.octree.traversal import Octree
 from lumitree.core.device import on_device
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.transmittance import BLOCKED, Law, transmittance
 from lumitree.direct.sums import ExactSum, total_of
 from lumitree.octree.build import build_children
+from lumitree.octree.traversal import Octree
 
 # Leaves that show less than this of themselves get no gradient for their coefficients.
 _MIN_WEIGHT = 1e-4

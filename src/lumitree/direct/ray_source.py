@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.transport.light_paths import LightPaths, stop_on_line, trace_light
 from lumitree.luminaire.luminaire import Luminaire
+from lumitree.transport.light_paths import LightPaths, stop_on_line, trace_light
 from lumitree.transport.straight_through import (
     COSINE_OF_CONE,
     extinction_at,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.dataset import Frame, Manifest
-from lumitree.rendering.field import Field
+from lumitree.octree.field import Field
 
 # Rays a pixel and side: 4 x 4, stratified, under the box filter that capture uses.
 RAYS_A_SIDE = 4

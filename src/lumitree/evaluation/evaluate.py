@@ -3,14 +3,14 @@
 import dataclasses
 from typing import Any
 
-from lumitree.asset.asset import LuminaireAsset
+from lumitree.asset.asset import Asset
 from lumitree.core.dataset import Dataset
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError
 from lumitree.evaluation.baked import baked_view
 from lumitree.evaluation.metrics import flux_error, mean_metrics, view_metrics
 from lumitree.evaluation.sheet import MAX_ROWS, SheetRow
-from lumitree.rendering.field import Field
+from lumitree.octree.field import Field
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Evaluation:
     rows: list[SheetRow]
 
 
-def evaluate_views(asset: LuminaireAsset, dataset: Dataset) -> Evaluation:
+def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
     """Compare an asset with every view of `dataset`.
 
     The opacity compared is `straight_through`: what the renderer multiplies the light behind

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.views.camera import Camera, Picture
+from lumitree.core.directions import pose_towards
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.core.progress import progress
-from lumitree.core.directions import pose_towards
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.evaluation.tiles import DARK, Layout, TileSheet, grey
 from lumitree.luminaire.luminaire import Luminaire
+from lumitree.views.camera import Camera, Picture
 
 # Where the camera stands and what is upwards in its picture, in the luminaire's frame (y up).
 VIEWS = {

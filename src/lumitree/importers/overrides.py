@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
-from lumitree.model.geometry import Floats
 from lumitree.importers.mesh_repair import closed_share
+from lumitree.model.geometry import Floats
 from lumitree.model.model import RGB, WHITE, Glass, Material, Model, Part, Surface
 from lumitree.model.photometry import radiance_from_flux
 

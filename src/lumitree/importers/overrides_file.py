@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any, Literal, NoReturn, TypeGuard, TypeVar
 
 from lumitree.errors import LumitreeError, shown
+from lumitree.importers.model_folder import read_limited
+from lumitree.importers.overrides import Emission, MaterialOverride, Overrides
 from lumitree.model.model import (
     RGB,
     WHITE,
@@ -22,8 +24,6 @@ from lumitree.model.model import (
     Principled,
     Surface,
 )
-from lumitree.importers.model_folder import read_limited
-from lumitree.importers.overrides import Emission, MaterialOverride, Overrides
 from lumitree.model.photometry import MAX_TEMPERATURE, MIN_TEMPERATURE, blackbody_colour
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}

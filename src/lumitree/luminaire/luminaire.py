@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lumitree.builtin.registry import BUILTIN
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.frames import proxy_box, similarity_scale
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, shown
-from lumitree.builtin.registry import BUILTIN
-from lumitree.model.model import Model
 from lumitree.importers.model_folder import read_limited
 from lumitree.importers.overrides import Overrides, apply_overrides, check_emits, select_parts
 from lumitree.importers.overrides_file import read_overrides
 from lumitree.luminaire.scene_file import SceneFile
 from lumitree.luminaire.scene_writer import write_scene
 from lumitree.luminaire.source import LuminaireSource, Source, as_source
+from lumitree.model.model import Model
 
 _ENVIRONMENTS = ("constant", "envmap", "sky", "sunsky", "directional")
 _MAX_FILE_BYTES = 2**40

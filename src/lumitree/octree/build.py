@@ -5,6 +5,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.errors import LumitreeError
 
+MAX_TREE_DEPTH = 10
+
 
 def morton(cells: ArrayLike) -> NDArray[np.int64]:
     """Morton codes [M] of integer cell coordinates [M, 3] (x in the lowest bit)."""
@@ -24,7 +26,7 @@ def build_children(cells: ArrayLike, levels: ArrayLike) -> NDArray[np.int32]:
         levels: level [M] of each leaf, at least 1; the root is level 0.
 
     Returns:
-        `children` int32 [N, 8] as `LuminaireAsset` defines it; nodes breadth first, in Morton
+        `children` int32 [N, 8] as `Asset` defines it; nodes breadth first, in Morton
         order within a level; leaf i keeps its index.
 
     Raises:

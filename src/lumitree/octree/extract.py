@@ -5,11 +5,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.asset import MAX_TREE_DEPTH
-from lumitree.core.progress import progress
 from lumitree.core.directions import radical_inverse
+from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError
-from lumitree.octree.build import build_children
+from lumitree.octree.build import MAX_TREE_DEPTH, build_children
 
 # positions [N, 3] in local units -> density [N], coefficients [N, 3, K]
 Query = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], NDArray[np.float32]]]
@@ -29,7 +28,7 @@ def extract(
     min_density: float = 0.01,
     samples_per_leaf: int = 256,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float16]]:
-    """Octree of a field: `children`, `density` and `coefficients` as `LuminaireAsset` holds them.
+    """Octree of a field: `children`, `density` and `coefficients` as `Asset` holds them.
 
     Cells are searched coarse to fine; a finest cell becomes a leaf if the density at its centre
     is above `min_density`, and then holds averages over `samples_per_leaf` positions.

@@ -14,8 +14,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.octree.wide_nodes import LEAF, wide_levels, wide_nodes
 from lumitree.core.device import on_device
+from lumitree.octree.wide_nodes import LEAF, wide_levels, wide_nodes
 
 # visit(state, leaf, start, length, active) -> state, active; shade(state, leaf, start, length,
 # active) -> state: see `Octree.walk`.
@@ -51,7 +51,7 @@ class Octree:
     """Device copy of a node table.
 
     Args:
-        children: int32 [N, 8] as `LuminaireAsset` defines it.
+        children: int32 [N, 8] as `Asset` defines it.
         tree_depth: level of the smallest possible leaf.
         half_extents: [3] the proxy box, local units; the walk stays within it.
     """

@@ -36,7 +36,7 @@ def wide_nodes(children: NDArray[np.int32], tree_depth: int) -> list[NDArray[np.
     """Entries of each wide level, x fastest, one node after another.
 
     Args:
-        children: int32 [N, 8] as `LuminaireAsset` defines it.
+        children: int32 [N, 8] as `Asset` defines it.
         tree_depth: level of the smallest possible leaf.
 
     Raises:

@@ -4,7 +4,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from lumitree.rendering.scene import Placement
+from lumitree.rendering.placement import Placement
 
 LAMP_CENTRE = (0.0, 1.72, 0.0)
 LAMP_SIZE = 0.9

@@ -7,17 +7,18 @@ A direction's density is found along its line, together with its radiance. It co
 in vain too (see `light_leaves`), so over all directions it adds up to less than 1.
 """
 
-from typing import Any
+from typing import Any, Literal, get_args
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from lumitree.rendering.field import Field
+from lumitree.octree.field import Field
 from lumitree.rendering.light_leaves import LightLeaves, is_reached
 from lumitree.rendering.proxy import Proxy, cone_pdf, point_on_box, projected_areas, sample_cone
 
-SAMPLING_KINDS = ("emission", "uniform")
+Sampling = Literal["emission", "uniform"]
+SAMPLING_KINDS: tuple[Sampling, ...] = get_args(Sampling)
 # Part of the samples that is taken uniformly.
 UNIFORM_FRACTION = 0.1
 
@@ -36,8 +37,8 @@ class EmitterSampler:
         self._half = mi.Vector3f(*field.asset.half_extents.tolist())
         self._radius = float(np.linalg.norm(field.asset.half_extents))
 
-    def aim(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
-        """Unit direction from `x` for a sample in the unit square, and how far it must reach.
+    def sample(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
+        """Unit direction from `x` for a sample in the unit square, and its target's distance.
 
         Args:
             x: mi.Point3f, local frame.
@@ -45,28 +46,28 @@ class EmitterSampler:
             active: mi.Bool mask.
 
         Returns:
-            mi.Vector3f; mi.Float, distance of the point that was drawn, for `look`; -inf if none.
+            mi.Vector3f; mi.Float, distance of the point that was drawn, for `eval`; -inf if none.
         """
         if self._leaves is None:
             return self._proxy.sample(x, sample), mi.Float(-dr.inf)
         uniform, rest = _divide_sample(sample.x)
         sample = mi.Point2f(rest, sample.y)
         offset = self._leaves.sample(x, sample, active) - x
-        reach = dr.norm(offset)
-        direction = dr.select(uniform, sample_cone(x, self._radius, sample), offset / reach)
-        return direction, dr.select(uniform, -dr.inf, reach)
+        target = dr.norm(offset)
+        direction = dr.select(uniform, sample_cone(x, self._radius, sample), offset / target)
+        return direction, dr.select(uniform, -dr.inf, target)
 
-    def look(
-        self, entry: Any, direction: Any, distance: Any, active: Any, reach: Any = -dr.inf
+    def eval(
+        self, entry: Any, direction: Any, distance: Any, active: Any, target: Any = -dr.inf
     ) -> tuple[Any, Any, Any]:
-        """What comes from a direction, and with which density `aim` gives it.
+        """What comes from a direction, and with which density `sample` gives it.
 
         Args:
             entry: mi.Point3f, where the line enters the proxy.
             direction: mi.Vector3f, unit direction from the shading point to it.
             distance: mi.Float, from the shading point to it.
             active: mi.Bool mask.
-            reach: as `aim` returned it, for a direction that it gave.
+            target: as `sample` returned it, for a direction that it gave.
 
         Returns:
             Radiance (mi.Color3f) and transmittance of the line; mi.Float per steradian, 0 where
@@ -78,20 +79,20 @@ class EmitterSampler:
             return radiance, through, dr.select(active, self._proxy.pdf(x, direction), 0)
         record = self._leaves.record(x, distance)
         radiance, through, found = self._field.integrate(entry, direction, active, *record)
-        return radiance, through, self._density(x, distance, reach, found, active)
+        return radiance, through, self._density(x, distance, target, found, active)
 
     def pdf(self, entry: Any, direction: Any, distance: Any, active: Any = True) -> Any:
-        """Density of `look` alone, at about the cost of a transmittance."""
+        """Density of `eval` alone, at about the cost of a transmittance."""
         x = entry - distance * direction
         if self._leaves is None:
             return dr.select(active, self._proxy.pdf(x, direction), 0)
         found = self._field.cross(entry, direction, active, *self._leaves.record(x, distance))
         return self._density(x, distance, -dr.inf, found, active)
 
-    def _density(self, x, distance, reach, found, active):
+    def _density(self, x, distance, target, found, active):
         aimed, stop = found
         density = dr.lerp(aimed, cone_pdf(x, self._radius), UNIFORM_FRACTION)
-        return dr.select(active & is_reached(reach - distance, stop), density, 0)
+        return dr.select(active & is_reached(target - distance, stop), density, 0)
 
     def sample_line(
         self, choice: Any, sample1: Any, sample2: Any, active: Any = True

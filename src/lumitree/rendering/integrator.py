@@ -21,6 +21,7 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.errors import LumitreeError
+from lumitree.rendering.deferred_emitter import DeferredEmitter
 
 _DEFAULT_RR_DEPTH = 5
 # Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
@@ -118,7 +119,7 @@ def _trace(settings, scene, sampler, ray, active):
         sample = sampler.next_2d()
         index, emitter_weight, sample.x = scene.sample_emitter(sample.x, estimates)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index, estimates)
-        ds, weight, reach = dr.dispatch(emitter, _aim, si, sample, estimates)
+        ds, weight, distance = dr.dispatch(emitter, _sample_target, si, sample, estimates)
         estimates &= ds.pdf != 0
         wo = si.to_local(ds.d)
         value, value_pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
@@ -128,7 +129,9 @@ def _trace(settings, scene, sampler, ray, active):
         estimates &= dr.max(direct) > 0
         direct *= _visible(scene, si, ds, sees_null, extent, estimates)
         estimates &= dr.max(direct) > 0
-        weight, ds.pdf = dr.dispatch(emitter, _sent, si, ds, weight, reach, estimates)
+        weight, ds.pdf = dr.dispatch(
+            emitter, _eval_target, si, ds, weight, distance, estimates
+        )
         weight *= emitter_weight
         ds.pdf *= dr.rcp(emitter_weight)
         direct *= weight * dr.select(ds.delta, 1, _mis_weight(ds.pdf, value_pdf))
@@ -163,26 +166,28 @@ def _trace(settings, scene, sampler, ray, active):
 
 def _emitted(emitter: Any, si: Any, vertex: Any, active: Any) -> tuple[Any, Any, Any, Any]:
     """Radiance of an emitter that was hit, and of a proxy T, its density, and that it is one."""
-    if hasattr(emitter, "eval_through"):
-        return *emitter.eval_through(si, vertex, active), mi.Bool(True)
+    if isinstance(emitter, DeferredEmitter):
+        return *emitter.eval_with_transmittance(si, vertex, active), mi.Bool(True)
     return emitter.eval(si, active), mi.Float(1), mi.Float(0), mi.Bool(False)
 
 
-def _aim(emitter: Any, it: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
-    """Direction sampled towards an emitter, its weight, and what a baked luminaire's `look` needs.
+def _sample_target(emitter: Any, it: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+    """Direction sampled towards an emitter, its weight, and the distance that `_eval_target` takes.
 
-    Weight and density of a baked luminaire are for `_sent` to find.
+    Weight and density of a `DeferredEmitter` are for `_eval_target` to find.
     """
-    if hasattr(emitter, "aim"):
-        ds, reach = emitter.aim(it, sample, active)
-        return ds, mi.Color3f(1), reach
+    if isinstance(emitter, DeferredEmitter):
+        ds, distance = emitter.sample_target(it, sample, active)
+        return ds, mi.Color3f(1), distance
     return *emitter.sample_direction(it, sample, active), mi.Float(0)
 
 
-def _sent(emitter: Any, it: Any, ds: Any, weight: Any, reach: Any, active: Any) -> tuple[Any, Any]:
-    """Weight and density of a direction of `_aim`."""
-    if hasattr(emitter, "look"):
-        return emitter.look(it, ds, reach, active)
+def _eval_target(
+    emitter: Any, it: Any, ds: Any, weight: Any, distance: Any, active: Any
+) -> tuple[Any, Any]:
+    """Weight and density of a direction of `_sample_target`."""
+    if isinstance(emitter, DeferredEmitter):
+        return emitter.eval_target(it, ds, distance, active)
     return mi.Color3f(weight), mi.Float(ds.pdf)
 
 

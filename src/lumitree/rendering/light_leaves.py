@@ -20,7 +20,8 @@ Symbols
     R       radius of the bounding sphere
 """
 
-from typing import TYPE_CHECKING, Any
+import weakref
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -28,11 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
+from lumitree.octree.field import Field
+from lumitree.octree.leaves import leaf_cells
 from lumitree.rendering.octahedral import NUM_BINS, bin_density, bin_of, direction_in_bin
 from lumitree.rendering.proxy import point_on_box, projected_areas
-
-if TYPE_CHECKING:
-    from lumitree.rendering.field import Field
 
 NUM_GROUPS = 64
 # A leaf's number is p / 3V, with its group in place of the last bits.
@@ -54,18 +54,33 @@ _LINES_PER_CELL = 1024
 _FLOOR = 0.05
 
 
+_TABLES: "weakref.WeakKeyDictionary[Field, LightLeaves | None]" = weakref.WeakKeyDictionary()
+
+
+def light_leaves(field: Field) -> "LightLeaves | None":
+    """What directions towards a field are sampled with; made on first use, shared by all instances.
+
+    None where nothing emits.
+    """
+    if field not in _TABLES:
+        cells, levels = leaf_cells(field.asset.children, field.asset.num_leaves)
+        power = leaf_power(field, levels)
+        _TABLES[field] = LightLeaves(field, cells, levels, power) if power.any() else None
+    return _TABLES[field]
+
+
 class LightLeaves:
     """The list of a field's leaves and the table of their groups.
 
     Args:
         field: must emit something.
-        cells, levels: [M, 3], [M] where its leaves are, see `LuminaireAsset.leaf_cells`.
+        cells, levels: [M, 3], [M] where its leaves are, see `leaf_cells`.
         power: [M] root mean square light of its leaves, see `leaf_power`.
     """
 
     def __init__(
         self,
-        field: "Field",
+        field: Field,
         cells: NDArray[np.int64],
         levels: NDArray[np.int64],
         power: NDArray[np.float64],
@@ -226,7 +241,7 @@ def is_reached(reach: Any, stop: Any) -> Any:
     return reach <= stop + 1e-5 * (1 + dr.abs(reach))
 
 
-def leaf_power(field: "Field", levels: NDArray[np.int64]) -> NDArray[np.float64]:
+def leaf_power(field: Field, levels: NDArray[np.int64]) -> NDArray[np.float64]:
     """Light [M], up to a factor, that leaves the lamp from each leaf: root mean square over lines.
 
     So a leaf that is bright in few directions counts, and one that is hidden does not.

@@ -3,13 +3,13 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.asset import LuminaireAsset
+from lumitree.asset.asset import Asset
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis_array
 from lumitree.core.transmittance import transmittance
 
 
-def leaf_boxes(asset: LuminaireAsset) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def leaf_boxes(asset: Asset) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lower and upper corners [M, 3] of all leaves, local units, by leaf index."""
     lower = np.zeros((asset.num_leaves, 3))
     upper = np.zeros((asset.num_leaves, 3))
@@ -27,7 +27,7 @@ def leaf_boxes(asset: LuminaireAsset) -> tuple[NDArray[np.float64], NDArray[np.f
 
 
 def integrate_ray(
-    asset: LuminaireAsset, origin: NDArray[np.float64], direction: NDArray[np.float64]
+    asset: Asset, origin: NDArray[np.float64], direction: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
     """Emission [3] (Eq. 3) and transmittance (Eq. 4) along a whole line through the proxy box.
 

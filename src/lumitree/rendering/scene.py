@@ -1,27 +1,26 @@
 """Scenes with luminaires placed in them."""
 
-import dataclasses
-import functools
 import warnings
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.frames import placement
+from lumitree.core.frames import placement as place
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.errors import LumitreeError, LumitreeWarning, shown
+from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaire.luminaire import Luminaire, load_luminaire, place_shapes
 from lumitree.luminaire.scene_file import SceneFile
-from lumitree.rendering.field import Field, open_field
-from lumitree.rendering.plugins import register
+from lumitree.octree.field import Field
+from lumitree.rendering.emitter_sampling import Sampling
+from lumitree.rendering.opened import open_field
+from lumitree.rendering.placement import Placement
+from lumitree.rendering.plugins import register, shape
 from lumitree.rendering.proxy import ProxyKind
-from lumitree.rendering.shape import shape
 
 # Integrators that ask null surfaces for their transmittance in shadow rays, and see media.
 _SEE_MEDIA = ("volpath", "volpathmis")
@@ -36,100 +35,80 @@ _SAMPLES_PER_PASS = {dr.JitBackend.LLVM: 1 << 19, dr.JitBackend.CUDA: 1 << 23}
 _FAR_FOR_VOLPATH = 0.09
 
 
-@dataclasses.dataclass(frozen=True)
-class Placement:
-    """Where a luminaire goes in a scene.
+class PlacedLuminaire:
+    """A luminaire that has been read, and where it goes."""
 
-    Attributes:
-        source: a `.lumitree` asset, or a LUMINAIRE whose explicit geometry is placed.
-        at: [3] centre of its bounding box, scene units; default: its own file's position.
-        size: largest side of its bounding box, scene units; default: its own size.
-        rotate: axis x, y, z and angle in degrees, about the centre.
-    """
-
-    source: str
-    at: tuple[float, float, float] | None = None
-    size: float | None = None
-    rotate: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 0.0)
-
-    @property
-    def baked(self) -> bool:
-        """Whether `source` is an asset."""
-        return Path(self.source).suffix == ".lumitree"
-
-    @functools.cached_property
-    def _origin(self) -> Field | Luminaire:
-        # The field itself, so that the shape finds it open: a file is read once.
-        return open_field(self.source) if self.baked else load_luminaire(self.source)
+    def __init__(self, placement: Placement) -> None:
+        self.placement = placement
+        self.field: Field | None = None
+        self.luminaire: Luminaire | None = None
+        if placement.is_baked:
+            # The field, not only the asset: the proxy's plugins then find it open.
+            self.field = open_field(cast(Any, placement.source))
+            frame = self.field.asset
+        else:
+            frame = self.luminaire = load_luminaire(cast(Any, placement.source))
+        scene_from_proxy = place(
+            frame.world_from_proxy, at=placement.at, size=placement.size, rotate=placement.rotate
+        )
+        # `scene_from_world` [4, 4] from the luminaire's own frame; `scene_from_box` [4, 4] maps
+        # [-1, 1]³ to the bounding box.
+        self.scene_from_world = scene_from_proxy @ np.linalg.inv(frame.world_from_proxy)
+        self.scene_from_box = scene_from_proxy @ np.diag([*frame.half_extents, 1])
 
     @property
     def has_media(self) -> bool:
         """Whether paths through it cross participating media."""
-        return not self.baked and self._origin.has_media
+        return self.luminaire is not None and self.luminaire.has_media
 
-    def scene_from_world(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Transform from the luminaire's own frame, and its proxy box in the scene.
-
-        Returns:
-            `scene_from_world` [4, 4] and `scene_from_box` [4, 4], which maps [-1, 1]³ to the box.
-        """
-        origin = self._origin.asset if self.baked else self._origin
-        scene_from_proxy = placement(
-            origin.world_from_proxy, at=self.at, size=self.size, rotate=self.rotate
-        )
-        box = scene_from_proxy @ np.diag([*origin.half_extents, 1])
-        return scene_from_proxy @ np.linalg.inv(origin.world_from_proxy), box
-
-    def shapes(
-        self, proxy: ProxyKind, scene_from_world: NDArray[np.float64], sampling: str
-    ) -> dict[str, Any]:
+    def shapes(self, proxy: ProxyKind, sampling: Sampling) -> dict[str, Any]:
         """Shapes for `mitsuba.load_dict`."""
-        if self.baked:
-            return {"proxy": shape(self.source, scene_from_world, proxy, sampling=sampling)}
-        return place_shapes(self.source, scene_from_world)
+        if self.luminaire is not None:
+            return place_shapes(self.luminaire, self.scene_from_world)
+        source = cast(Any, self.placement.source)
+        return {"proxy": shape(source, self.scene_from_world, proxy, sampling=sampling)}
 
 
-def furnish(
-    room: Any,
-    placements: list[Placement],
+def place_luminaires(
+    scene: Any,
+    luminaires: Sequence[PlacedLuminaire],
     proxy: ProxyKind = "box",
-    sampling: str = "emission",
+    sampling: Sampling = "emission",
 ) -> Any:
-    """Scene that holds the room's objects and the placed luminaires.
+    """Scene with the objects of another one and the placed luminaires.
 
     Warns on standard error where an object, or the camera, is inside a proxy: there a baked
-    luminaire neither shades nor lights it rightly (D10).
+    luminaire neither shades nor lights it correctly (D10).
     """
     register()
     objects: dict[str, Any] = {"type": "scene"}
-    objects |= {f"room_{i}": item for i, item in enumerate(room.shapes())}
-    objects |= {f"sensor_{i}": item for i, item in enumerate(room.sensors())}
-    if room.environment() is not None:
-        objects["environment"] = room.environment()
-    distant = [e for e in room.emitters() if e.get_shape() is None and not e.is_environment()]
+    objects |= {f"room_{i}": item for i, item in enumerate(scene.shapes())}
+    objects |= {f"sensor_{i}": item for i, item in enumerate(scene.sensors())}
+    if scene.environment() is not None:
+        objects["environment"] = scene.environment()
+    distant = [e for e in scene.emitters() if e.get_shape() is None and not e.is_environment()]
     objects |= {f"emitter_{i}": item for i, item in enumerate(distant)}
-    places: list[tuple[str, bytes]] = []
-    for index, item in enumerate(placements):
-        scene_from_world, box = item.scene_from_world()
-        place = (item.source, scene_from_world.tobytes())
-        if place in places:
+    taken: list[tuple[str, bytes]] = []
+    for index, placement in enumerate(placements):
+        placed = _Placed(placement)
+        place_taken = (placement.name, placed.scene_from_world.tobytes())
+        if place_taken in taken:
             raise LumitreeError(
-                f"{shown(item.source, 200)} is placed twice in the same place; give each its own "
-                "--at"
+                f"{placement.name} is placed twice in the same place; give each its own --at"
             )
-        places.append(place)
-        if item.baked:
-            _warn_inside(room, item, box)
-        shapes = item.shapes(proxy, scene_from_world, sampling)
+        taken.append(place_taken)
+        if placement.is_baked:
+            _warn_inside(scene, placed)
+        shapes = placed.shapes(proxy, sampling)
         objects |= {f"placed_{index}_{name}": value for name, value in shapes.items()}
     return mi.load_dict(objects)
 
 
-def load_room(path: str, placements: Sequence[Placement] = ()) -> tuple[Any, Any]:
-    """Room and integrator of a scene file; the integrator sees through null surfaces.
+def load_scene(path: str, luminaires: Sequence[PlacedLuminaire] = ()) -> tuple[Any, Any]:
+    """Scene and integrator of a scene file; the integrator sees through null surfaces.
 
-    A `path` integrator becomes `lumitree_path` with the same settings, or `volpath` where the room
-    or an explicit luminaire among `placements` has participating media. Any other that would let
+    A `path` integrator becomes `lumitree_path` with the same settings, or `volpath` where the scene
+    or an explicit one of the `luminaires` has participating media. Any other that would let
     proxies block the light of other lamps is replaced too, which is said on standard error; so is
     a baked luminaire too small, or too far from the origin, for `volpath`.
 
@@ -140,26 +119,26 @@ def load_room(path: str, placements: Sequence[Placement] = ()) -> tuple[Any, Any
     file = SceneFile(path)
     if not file.nodes("Sensor"):
         raise LumitreeError(f"{path} has no sensor; add a camera to the scene")
-    has_media = bool(file.nodes("Medium")) or any(item.has_media for item in placements)
+    has_media = bool(file.nodes("Medium")) or any(item.has_media for item in luminaires)
     integrators = file.nodes("Integrator")
     kinds = [node.props.plugin_name() for node in integrators]
     for node in integrators:
         if node.props.plugin_name() in _PATH_TRACERS:
             node.props.set_plugin_name(_path_tracer(has_media))
-    room = file.instantiate()
+    scene = file.instantiate()
     if has_media or (kinds and kinds[0] in _SEE_MEDIA):
-        for item in placements:
-            if item.baked:
+        for item in luminaires:
+            if item.placement.is_baked:
                 _warn_far(item)
     if kinds and kinds[0] in (*_SEE_MEDIA, *_PATH_TRACERS):
-        return room, room.integrator()
+        return scene, scene.integrator()
     found = f"integrator {kinds[0]!r}" if kinds else "no integrator"
     warnings.warn(
         f"{path} has {found}; using {_path_tracer(has_media)} with max_depth {_DEFAULT_PATH_DEPTH}",
         LumitreeWarning,
         stacklevel=2,
     )
-    return room, default_integrator(has_media=has_media)
+    return scene, default_integrator(has_media=has_media)
 
 
 def default_integrator(path_depth: int = _DEFAULT_PATH_DEPTH, *, has_media: bool = False) -> Any:
@@ -172,9 +151,9 @@ def _path_tracer(has_media: bool) -> str:
     return "volpath" if has_media else "lumitree_path"
 
 
-def set_film_width(room: Any, width: int) -> None:
+def set_film_width(scene: Any, width: int) -> None:
     """Change the film of the scene's first sensor to `width` pixels, keeping its proportions."""
-    film = room.sensors()[0].film()
+    film = scene.sensors()[0].film()
     if width < 1:
         raise LumitreeError(f"width is {width}; expected at least 1 pixel")
     old = film.size()
@@ -186,7 +165,7 @@ def set_film_width(room: Any, width: int) -> None:
     params.update()
 
 
-def render(
+def render_scene(
     scene: Any, integrator: Any, samples_per_pixel: int, *, seed: int = 0, name: str = "render"
 ) -> NDArray[np.float32]:
     """Linear radiance [H, W, 3] of the scene's first sensor, in passes of bounded memory."""
@@ -214,15 +193,15 @@ def render(
     return (total / samples_per_pixel).astype(np.float32)
 
 
-def _warn_far(item: Placement) -> None:
+def _warn_far(placed: PlacedLuminaire) -> None:
     """Tell where `volpath` cannot resolve a baked luminaire."""
-    _, box = item.scene_from_world()
+    box = placed.scene_from_box
     size = 2 * np.linalg.norm(box[:3, :3], axis=0).max()
     coordinate = np.abs(box[:3, 3]).max()
     offset = (1 + coordinate) * mi.math.RayEpsilon
     if offset > _FAR_FOR_VOLPATH * size:
         warnings.warn(
-            f"{item.source}: at coordinates of {coordinate:.4g} volpath starts rays {offset:.2g} "
+            f"{placed.placement.name}: at coordinates of {coordinate:.4g} volpath starts rays {offset:.2g} "
             f"from surfaces, for a luminaire of size {size:.2g}; surfaces near it are lit wrongly "
             f"by about {0.11 * offset / size:.0%}; place it nearer the origin or use smaller units",
             LumitreeWarning,
@@ -230,9 +209,9 @@ def _warn_far(item: Placement) -> None:
         )
 
 
-def _warn_inside(room: Any, item: Placement, box: NDArray[np.float64]) -> None:
+def _warn_inside(scene: Any, placed: PlacedLuminaire) -> None:
     """Look for geometry inside the proxy with random segments, and for the camera."""
-    samples = 1 << 14
+    samples, box = 1 << 14, placed.scene_from_box
     random = np.random.default_rng(0)
     # A little smaller than the box, so that a ceiling it touches does not count.
     start, end = (0.998 * random.uniform(-1, 1, (2, samples, 3))) @ box[:3, :3].T + box[:3, 3]
@@ -241,18 +220,18 @@ def _warn_inside(room: Any, item: Placement, box: NDArray[np.float64]) -> None:
     ray = mi.Ray3f(
         mi.Point3f(*start.T), mi.Vector3f(*(offset.T / length)), mi.Float(length), mi.Float(0), []
     )
-    if dr.any(room.ray_test(ray)):
+    if dr.any(scene.ray_test(ray)):
         warnings.warn(
-            f"{item.source}: an object of the room is inside its proxy; it is not lit or shaded "
-            "rightly there (a baked luminaire is rendered from outside only)",
+            f"{placed.placement.name}: an object of the room is inside its proxy; it is not lit or shaded "
+            "correctly there (a baked luminaire is rendered from outside only)",
             LumitreeWarning,
             stacklevel=2,
         )
-    camera = room.sensors()[0].world_transform().translation()
+    camera = scene.sensors()[0].world_transform().translation()
     local = np.linalg.solve(box[:3, :3], np.ravel(camera) - box[:3, 3])
     if (np.abs(local) < 1).all():
         warnings.warn(
-            f"{item.source}: the camera is inside its proxy; a baked luminaire is rendered from "
+            f"{placed.placement.name}: the camera is inside its proxy; a baked luminaire is rendered from "
             "outside only",
             LumitreeWarning,
             stacklevel=2,

@@ -9,11 +9,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.views.camera import check_finite
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.luminaire.luminaire import Luminaire
 from lumitree.model.photometry import luminance
 from lumitree.transport.tracing import PATH_DEPTH, path_integrator
+from lumitree.views.camera import check_finite
 
 # Paths traced at once.
 _BATCH = 1 << 20

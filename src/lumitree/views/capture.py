@@ -3,15 +3,15 @@
 import os
 from pathlib import Path
 
-from lumitree.views.camera import Camera
 from lumitree.core.arguments import check_image_settings, check_range
 from lumitree.core.dataset import MANIFEST, MAX_VIEWS, Dataset, Frame, Manifest, Split, View
-from lumitree.core.progress import progress
 from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
+from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.luminaire.luminaire import Luminaire
 from lumitree.transport.tracing import PATH_DEPTH
+from lumitree.views.camera import Camera
 
 
 def capture(

@@ -12,8 +12,8 @@ import pytest
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeWarning
 from lumitree.importers.gltf import read_gltf
-from lumitree.model.model import Glass, Texture
 from lumitree.luminaire.scene_writer import write_scene
+from lumitree.model.model import Glass, Texture
 
 DATA = Path(os.environ.get("LUMITREE_DATA", Path(__file__).parents[3].parent / "shared" / "data"))
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no development set at {DATA}")

@@ -5,9 +5,9 @@ import pytest
 
 from gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box
 from lumitree.importers.gltf import read_gltf
-from lumitree.model.photometry import luminance
 from lumitree.luminaire.scene_file import SceneFile
 from lumitree.luminaire.scene_writer import write_scene
+from lumitree.model.photometry import luminance
 
 
 @pytest.fixture(scope="module")

@@ -3,9 +3,9 @@
 import numpy as np
 
 from lumitree.errors import shown
-from lumitree.model.geometry import Floats, Mesh, lathe
 from lumitree.importers.gltf.item import Item
 from lumitree.importers.gltf.notes import Notes
+from lumitree.model.geometry import Floats, Mesh, lathe
 from lumitree.model.model import RGB, Diffuse, Material, Part
 from lumitree.model.photometry import LUMENS_PER_WATT
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from lumitree.model.geometry import Floats
 from lumitree.importers.gltf.images import GltfImages, Sampler
 from lumitree.importers.gltf.item import Item
 from lumitree.importers.images import DecodedImage, Images, by_rows, looked_up
+from lumitree.model.geometry import Floats
 from lumitree.model.model import RGB, Texture
 
 Array = NDArray[np.floating]

@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from lumitree.model.geometry import Floats
 from lumitree.importers.gltf.container import Document
 from lumitree.importers.gltf.item import MAX_MAGNITUDE, Item
+from lumitree.model.geometry import Floats
 
 MAX_DEPTH = 256
 _IDENTITY = tuple(np.eye(4).ravel().tolist())

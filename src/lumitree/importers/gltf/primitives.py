@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.model.geometry import Floats, Mesh
 from lumitree.importers.gltf.accessors import Accessors
 from lumitree.importers.gltf.item import Item
+from lumitree.model.geometry import Floats, Mesh
 
 MAX_TRIANGLES = 20_000_000
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from lumitree.errors import LumitreeError, LumitreeWarning, shown_names
-from lumitree.model.geometry import Floats, Mesh
 from lumitree.importers.gltf.accessors import Accessors
 from lumitree.importers.gltf.container import Document
 from lumitree.importers.gltf.item import Item
@@ -22,6 +21,7 @@ from lumitree.importers.gltf.notes import Notes
 from lumitree.importers.gltf.primitives import MAX_TRIANGLES, baked, read_triangles, selected
 from lumitree.importers.gltf.topology import is_closed, outward
 from lumitree.importers.gltf.variants import Variants
+from lumitree.model.geometry import Floats, Mesh
 from lumitree.model.model import Material, Model, Part, check_shapes
 from lumitree.model.names import Names
 

@@ -6,8 +6,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from lumitree.model.geometry import Floats, Mesh
 from lumitree.importers.gltf.primitives import face_normals
+from lumitree.model.geometry import Floats, Mesh
 
 # Of the bounding box's largest side: vertices nearer than this are one.
 _WELD = 1e-6

@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeWarning, shown
 from lumitree.importers.images import DecodedImage, by_rows, looked_up
+from lumitree.importers.obj.files import ObjFolder
+from lumitree.importers.obj.mtl import MtlMaterial
 from lumitree.model.model import (
     RGB,
     WHITE,
@@ -35,8 +37,6 @@ from lumitree.model.model import (
     Texture,
     Value,
 )
-from lumitree.importers.obj.files import ObjFolder
-from lumitree.importers.obj.mtl import MtlMaterial
 
 GREY = Diffuse((0.5, 0.5, 0.5))
 _GLASS_ILLUM = (4, 6, 7, 9)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.errors import shown
-from lumitree.model.geometry import Floats, Mesh
 from lumitree.importers.mesh_repair import (
     Indices,
     Pieces,
@@ -16,9 +15,10 @@ from lumitree.importers.mesh_repair import (
     unit,
     weld,
 )
-from lumitree.model.model import check_shapes
 from lumitree.importers.obj.parse import ObjFile
 from lumitree.importers.polygons import triangulate
+from lumitree.model.geometry import Floats, Mesh
+from lumitree.model.model import check_shapes
 
 # Of the bounding box's diagonal: faces whose corners are all nearer than this are one face. A
 # copy of a face may have been rounded differently when it was written.

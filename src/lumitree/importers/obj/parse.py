@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
-from lumitree.model.geometry import Floats
 from lumitree.importers.mesh_repair import Indices
 from lumitree.importers.model_folder import read_limited
 from lumitree.importers.polygons import MAX_CORNERS
+from lumitree.model.geometry import Floats
 
 # Beyond this, squares of lengths leave the range of single precision.
 MAX_COORDINATE = 1e9

@@ -7,15 +7,15 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from lumitree.errors import LumitreeWarning, shown, shown_names
-from lumitree.model.geometry import Mesh
 from lumitree.importers.mesh_repair import closed_share
-from lumitree.model.model import Material, Model, Part
-from lumitree.model.names import Names
 from lumitree.importers.obj.files import ObjFolder
 from lumitree.importers.obj.materials import material, without_mtl
 from lumitree.importers.obj.mesh import build_meshes
 from lumitree.importers.obj.mtl import MtlMaterial, parse_mtl
 from lumitree.importers.obj.parse import ObjFile, parse_obj
+from lumitree.model.geometry import Mesh
+from lumitree.model.model import Material, Model, Part
+from lumitree.model.names import Names
 
 _UNNAMED = "default"
 _MAX_NAME = 60

@@ -4,35 +4,48 @@ Symbols
     tau, T      optical depth and transmittance so far
 """
 
-import functools
-import os
-import threading
-import weakref
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.file import load
-from lumitree.asset.asset import LuminaireAsset
-from lumitree.octree.traversal import Octree
 from lumitree.core.device import on_device
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
-from lumitree.core.transmittance import BLOCKED, transmittance
-from lumitree.rendering.light_leaves import LightLeaves, leaf_power
+from lumitree.core.transmittance import BLOCKED, Law, transmittance
+from lumitree.octree.traversal import Octree
 
 # record(recorded, leaf, start, length, active[, emission]) -> recorded: see `Field.integrate`.
 Record = Callable[..., Any]
 # Coefficients that are loaded at once: gathers of single halves take three times as long.
 _PACKET = 8
 _LARGEST_HALF = float(np.finfo(np.float16).max)
-_OPENING = threading.Lock()
-_OPEN: "weakref.WeakValueDictionary[tuple[Any, ...], Field]" = weakref.WeakValueDictionary()
+
+
+class FieldData(Protocol):
+    """What a field is made of; an `Asset` is one, where its members are explained."""
+
+    @property
+    def children(self) -> NDArray[np.int32]: ...
+    @property
+    def density(self) -> NDArray[np.float32]: ...
+    @property
+    def coefficients(self) -> NDArray[np.float16]: ...
+    @property
+    def tree_depth(self) -> int: ...
+    @property
+    def l_max(self) -> int: ...
+    @property
+    def law(self) -> Law: ...
+    @property
+    def max_radiance(self) -> float: ...
+    @property
+    def half_extents(self) -> NDArray[np.float64]: ...
+    @property
+    def num_leaves(self) -> int: ...
 
 
 class Field:
@@ -48,7 +61,7 @@ class Field:
     """
 
     def __init__(
-        self, asset: LuminaireAsset, min_density: float = 0.0, max_opacity: float = 1.0
+        self, asset: FieldData, min_density: float = 0.0, max_opacity: float = 1.0
     ) -> None:
         self.asset = asset
         self._blocked = max(1.0 - max_opacity, 0.0 if asset.law == "linear" else BLOCKED)
@@ -63,16 +76,6 @@ class Field:
         self._coefficients = on_device(mi.UInt32, packets)
         dr.eval(self._density, self._coefficients)
 
-    @functools.cached_property
-    def light_leaves(self) -> LightLeaves | None:
-        """What directions are drawn with; made on first use, shared by all instances.
-
-        None where nothing shines.
-        """
-        cells, levels = self.asset.leaf_cells()
-        power = leaf_power(self, levels)
-        return LightLeaves(self, cells, levels, power) if power.any() else None
-
     def emission(self, origin: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
         """Emitted radiance L_e (Eq. 3) and transmittance T (Eq. 4) of the line through the proxy.
 
@@ -86,6 +89,19 @@ class Field:
         """
         radiance, through, _ = self.integrate(origin, direction, active, _nothing, ())
         return radiance, through
+
+    def eval_lines(
+        self, origin: NDArray[np.floating], direction: NDArray[np.floating]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """As `emission` for arrays: points and unit directions [N, 3] to [N, 3] and [N]."""
+        if not len(origin):
+            return np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
+        point, towards = (
+            [on_device(mi.Float, values) for values in array.T] for array in (origin, direction)
+        )
+        radiance, through = self.emission(mi.Point3f(*point), mi.Vector3f(*towards))
+        dr.eval(radiance, through)
+        return np.stack([np.array(channel) for channel in radiance], axis=-1), np.array(through)
 
     def integrate(
         self, origin: Any, direction: Any, active: Any, record: Record, recorded: Any
@@ -177,7 +193,7 @@ def _width(l_max: int) -> int:
     return -(-3 * num_coefficients(l_max) // _PACKET) * _PACKET
 
 
-def _packets(asset: LuminaireAsset) -> tuple[NDArray[np.uint32], float]:
+def _packets(asset: FieldData) -> tuple[NDArray[np.uint32], float]:
     """Coefficients in pairs, each leaf's padded to whole packets, and the unit they are in.
 
     Kernels take half-precision denormals for 0. So the unit is the smallest power of two with which
@@ -197,26 +213,3 @@ def _from_half(bits, unit):
     # offsets. There are no infinities in an asset.
     word = (bits & 0x80000000) | ((bits & 0x7FFF0000) >> 3)
     return dr.reinterpret_array(mi.Float, word) * (2.0**112 * unit)
-
-
-def open_field(
-    path: str | os.PathLike[str], min_density: float = 0.0, max_opacity: float = 1.0
-) -> Field:
-    """Field of an asset file; instances that are alive at the same time share one copy."""
-    path = Path(path).resolve()
-    stamp = path.stat() if path.exists() else None
-    key = (
-        path,
-        stamp and (stamp.st_mtime_ns, stamp.st_size, stamp.st_ino),
-        mi.variant(),
-        min_density,
-        max_opacity,
-    )
-    field = _OPEN.get(key)
-    if field is None:
-        # Mitsuba makes plugins in parallel, and a thread that waits for the device makes others
-        # meanwhile: so the lock is not held here, and of two that open a file the first is kept.
-        field = Field(load(path), min_density, max_opacity)
-        with _OPENING:
-            field = _OPEN.setdefault(key, field)
-    return field

@@ -1,0 +1,57 @@
+"""What an integrator may ask of an emitter whose radiance is costly."""
+
+from typing import Any, Protocol, runtime_checkable
+
+
+@runtime_checkable
+class DeferredEmitter(Protocol):
+    """An emitter on a see-through proxy, whose radiance and density cost a traversal.
+
+    `mi.Emitter` returns a direction together with its radiance, so that the radiance is computed
+    for directions that turn out to be occluded; and it returns radiance, transmittance and density
+    in three calls that make the same traversal. An integrator that knows this protocol saves both.
+    Emitters that do not follow it are used through `mi.Emitter` alone. All quantities are those of
+    the methods of `mi.Emitter` and `mi.BSDF` that are named.
+    """
+
+    def sample_target(self, it: Any, sample: Any, active: Any) -> tuple[Any, Any]:
+        """First half of `sample_direction`: a direction towards the proxy.
+
+        Args:
+            it: mi.Interaction3f, the reference point.
+            sample: mi.Point2f in the unit square.
+            active: mi.Bool mask.
+
+        Returns:
+            mi.DirectionSample3f, whose `pdf` is 1 where there is a direction and 0 elsewhere; and
+            mi.Float, the distance of the sampled point, for `eval_target`.
+        """
+        ...
+
+    def eval_target(self, it: Any, ds: Any, distance: Any, active: Any) -> tuple[Any, Any]:
+        """Second half of `sample_direction`: what a sampled direction is worth.
+
+        Args:
+            it: as for `sample_target`.
+            ds, distance: what `sample_target` returned.
+            active: mi.Bool mask.
+
+        Returns:
+            mi.Color3f, radiance over density; mi.Float, density per steradian, 0 where the sampled
+            point turns out to be hidden within the luminaire.
+        """
+        ...
+
+    def eval_with_transmittance(self, si: Any, it: Any, active: Any) -> tuple[Any, Any, Any]:
+        """`eval`, `eval_null_transmission` and `pdf_direction` in one traversal.
+
+        Args:
+            si: mi.SurfaceInteraction3f on the proxy.
+            it: mi.Interaction3f, the vertex that the ray comes from.
+            active: mi.Bool mask.
+
+        Returns:
+            mi.Color3f, radiance; mi.Float, transmittance; mi.Float, density with which
+            `sample_direction` gives this direction from `it`.
+        """
+        ...

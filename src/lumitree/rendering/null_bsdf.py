@@ -1,0 +1,53 @@
+"""The BSDF `lumitree_null`: what stands behind a baked luminaire stays visible."""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from lumitree.rendering.placed import Placed
+
+
+def null_bsdf_class() -> type:
+    """Class of the BSDF for the variant of Mitsuba that is set, whose base class it extends.
+
+    Light crosses it unbent, with the transmittance of the whole line through the proxy on the face
+    where the line enters, and 1 on the face where it leaves.
+    """
+
+    class LumitreeNull(mi.BSDF):
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.placed = Placed(props)
+            flags = mi.BSDFFlags.Null | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
+            self.m_flags = flags
+            self.m_components = [flags]
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            enabled = active & ctx.is_enabled(mi.BSDFFlags.Null, 0)
+            bs = dr.zeros(mi.BSDFSample3f)
+            bs.wo = -si.wi
+            bs.sampled_component = 0
+            bs.sampled_type = mi.UInt32(+mi.BSDFFlags.Null)
+            bs.eta = 1
+            bs.pdf = dr.select(enabled, 1, 0)
+            return bs, self.eval_null_transmission(si, enabled) & enabled
+
+        def eval(self, ctx, si, wo, active=True):
+            return mi.Color3f(0)
+
+        def pdf(self, ctx, si, wo, active=True):
+            return mi.Float(0)
+
+        def eval_pdf(self, ctx, si, wo, active=True):
+            return mi.Color3f(0), mi.Float(0)
+
+        def eval_null_transmission(self, si, active=True):
+            line, entering = self.placed.entering_line(si, active)
+            through = self.placed.field.transmittance(*line, entering)
+            return mi.Color3f(dr.select(entering, through, 1))
+
+        def to_string(self) -> str:
+            return f"LumitreeNull[luminaire={self.placed.field.asset.luminaire}]"
+
+    return LumitreeNull

@@ -1,0 +1,75 @@
+"""Where a baked luminaire stands in a scene: what its emitter and its BSDF share."""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from lumitree.core.frames import similarity_scale
+from lumitree.errors import LumitreeError
+from lumitree.rendering.opened import open_field
+from lumitree.rendering.proxy import make_proxy
+
+_OPTIONS = ("min_density", "max_opacity", "proxy", "sampling", "to_world")
+
+
+def plugin_options(props: Any) -> dict[str, Any]:
+    """Arguments of `describe_proxy` from plugin properties.
+
+    Raises:
+        LumitreeError: there is no file name.
+    """
+    options = {name: props[name] for name in _OPTIONS if props.has_property(name)}
+    if "to_world" in options:
+        options["to_world"] = np.array(options["to_world"].matrix)
+    if not props.has_property("filename"):
+        raise LumitreeError("plugin 'lumitree' needs a 'filename': the .lumitree asset")
+    # Looked up relative to the scene file, as Mitsuba does.
+    return {"asset": str(mi.file_resolver().resolve(props["filename"])), **options}
+
+
+class Placed:
+    """What the emitter and the BSDF share: a field, its proxy and where they stand."""
+
+    def __init__(self, props: Any) -> None:
+        options = plugin_options(props)
+        thresholds = {n: options[n] for n in ("min_density", "max_opacity") if n in options}
+        self.field = open_field(options["asset"], **thresholds)
+        asset = self.field.asset
+        self.proxy = make_proxy(options.get("proxy", "box"), asset.half_extents)
+        self.sampling = options.get("sampling", "emission")
+        scene_from_proxy = options.get("to_world", np.eye(4)) @ asset.world_from_proxy
+        scale = similarity_scale(scene_from_proxy, "to_world")
+        self.scale = mi.Float(scale)
+        self._centre = mi.Point3f(scene_from_proxy[:3, 3])
+        self._rotation = mi.Matrix3f(scene_from_proxy[:3, :3] / scale)
+        # Opaque: moving a luminaire does not compile new kernels.
+        dr.make_opaque(self.scale, self._centre, self._rotation)
+
+    def entering_line(self, si: Any, active: Any) -> tuple[Any, Any]:
+        """Local line of what looks at an interaction with the proxy, and where it enters there."""
+        line = self.local_line(si.p, -si.to_world(si.wi))
+        return line, active & (mi.Frame3f.cos_theta(si.wi) > 0)
+
+    def local_line(self, point: Any, direction: Any) -> tuple[Any, Any]:
+        """A point of a scene line and its unit direction of travel, in the local frame."""
+        return self.local_point(point), self.local_direction(direction)
+
+    def local_point(self, point: Any) -> Any:
+        """A scene point (mi.Point3f) in the local frame."""
+        # The centre first: the difference of two points near each other is exact, however far from
+        # the origin they are. A matrix with a translation adds rounded products that cancel.
+        return mi.Point3f(self._rotation.T @ (point - self._centre) / self.scale)
+
+    def local_direction(self, direction: Any) -> Any:
+        """A direction of the scene in the local frame, unit length."""
+        return dr.normalize(self._rotation.T @ direction)
+
+    def scene_point(self, point: Any) -> Any:
+        """A point of the local frame in the scene (mi.Point3f)."""
+        return self._centre + mi.Point3f(self.scale * (self._rotation @ point))
+
+    def scene_direction(self, direction: Any) -> Any:
+        """A direction of the local frame in the scene (mi.Vector3f), unit length."""
+        return mi.Vector3f(dr.normalize(self._rotation @ direction))

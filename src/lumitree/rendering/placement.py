@@ -1,0 +1,51 @@
+"""Where a luminaire goes in a scene."""
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lumitree.asset.asset import Asset
+from lumitree.core.frames import check_placement
+from lumitree.errors import shown
+
+if TYPE_CHECKING:
+    from lumitree.luminaire.source import LuminaireLike
+
+
+@dataclasses.dataclass(frozen=True)
+class Placement:
+    """A luminaire in a scene.
+
+    Attributes:
+        source: an asset or the path of a `.lumitree` file; or a luminaire, as for `lumitree.bake`,
+            whose explicit geometry is placed.
+        at: [3] centre of its bounding box, scene units; default: where its own file has it.
+        size: largest side of its bounding box, scene units; default: its own size.
+        rotate: [4] axis x, y, z and angle in degrees, about the centre.
+
+    Raises:
+        LumitreeError: a number is out of range.
+    """
+
+    source: "Asset | LuminaireLike"
+    at: tuple[float, float, float] | None = None
+    size: float | None = None
+    rotate: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        check_placement(self.at, self.size, self.rotate)
+
+    @property
+    def is_baked(self) -> bool:
+        """Whether `source` is an asset."""
+        if isinstance(self.source, str | os.PathLike):
+            return Path(self.source).suffix == ".lumitree"
+        return isinstance(self.source, Asset)
+
+    @property
+    def name(self) -> str:
+        """What `source` is called in messages."""
+        if isinstance(self.source, Asset):
+            return shown(self.source.luminaire)
+        return shown(getattr(self.source, "name", self.source), 200)
