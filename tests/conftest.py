@@ -1,10 +1,19 @@
 """Fixtures that many tests share."""
 
 import math
+import signal
 
 import pytest
 
 from lumitree.core import progress
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _default_signals():
+    """A shell ignores SIGINT for what it runs in the background, and nohup SIGHUP."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @pytest.fixture(autouse=True)
