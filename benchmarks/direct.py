@@ -13,7 +13,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-from lumitree import pipeline
+import lumitree
 from lumitree.core.dataset import Dataset
 from lumitree.core.files import write_json
 from setting import setting
@@ -38,18 +38,18 @@ def measure(
     title = label(name)
     asset = str(args.assets / f"{title}-{method}.lumitree")
     if method == NETWORK:
-        baked = pipeline.bake_network(name, asset)
+        baked = lumitree.bake_network(name, asset)
     else:
-        baked = pipeline.bake(name, asset, quality=method)
+        baked = lumitree.bake(name, asset, quality=method)
     bake = {
         "luminaire": title,
         "method": method,
         "setting": facts,
-        "seconds": sum(baked["seconds"].values()),
-        "peak_memory_bytes": baked["peak_memory_bytes"],
-        "leaves": baked["asset"]["leaves"],
+        "seconds": sum(baked.seconds.values()),
+        "peak_memory_bytes": baked.peak_memory_bytes,
+        "leaves": baked.asset.num_leaves,
         "bytes": Path(asset).stat().st_size,
-        "rays": baked.get("rays"),
+        "rays": baked.rays,
     }
     sheet = str(folder / "sheet.png")
     return [bake | worth(asset, references / title, sheet) for references in args.references]
@@ -58,7 +58,7 @@ def measure(
 def worth(asset: str, folder: Path, sheet: str) -> dict:
     """Metrics of an asset on stored views, and what these are."""
     views = Dataset.open(str(folder)).manifest
-    metrics = pipeline.evaluate(asset, str(folder), sheet=sheet)["metrics"]
+    metrics = lumitree.evaluate(asset, str(folder), sheet).metrics
     for kind in ("linear", "mulaw"):
         metrics[f"gain_{kind}"] = metrics[f"psnr_{kind}"] - metrics[f"psnr_{kind}_black"]
     return {

@@ -65,7 +65,7 @@ HERE = Path(__file__).parent
 REFERENCE_SHARE, BAKED_SHARE, LADDER_SHARE = 0.5, 0.15, 0.175  # the last one twice
 SEEN_RAYS = 16  # a pixel, to tell which show the lamp
 # What a picture of the baked lamp depends on, besides its asset and the room.
-_SOURCES = ("render", "asset", "core")
+_SOURCES = ("rendering", "octree", "asset", "core")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,12 +100,21 @@ class Method:
     def __init__(self, pair: Pair, baked: bool, args: argparse.Namespace) -> None:
         from lumitree.luminaire.luminaire import load_luminaire
         from lumitree.luminaire.scene_file import SceneFile
-        from lumitree.rendering.scene import Placement, furnish, load_room, render, set_film_width
+        from lumitree.rendering.placement import Placement
+        from lumitree.rendering.scene import (
+            PlacedLuminaire,
+            load_scene,
+            place_luminaires,
+            render_scene,
+            set_film_width,
+        )
 
-        room, _ = load_room(pair.room)
+        room, _ = load_scene(pair.room)
         set_film_width(room, args.width)
         source = pair.asset if baked else pair.luminaire
-        scene = furnish(room, [Placement(source, at=pair.at, size=pair.size)])
+        scene = place_luminaires(
+            room, [PlacedLuminaire(Placement(source, at=pair.at, size=pair.size))]
+        )
         mi = load_mitsuba()
         if baked:
             self.kind = "lumitree_path"
@@ -130,7 +139,9 @@ class Method:
 
         def render_pair(samples: int, seed: int) -> Any:
             integrator = mi.load_dict({"type": self.kind, "max_depth": args.path_depth})
-            return render(scene, integrator, samples, seed=seed, name=f"{pair.name}, {self.kind}")
+            return render_scene(
+                scene, integrator, samples, seed=seed, name=f"{pair.name}, {self.kind}"
+            )
 
         self.render, self.scene = render_pair, scene
 

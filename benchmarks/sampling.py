@@ -32,19 +32,25 @@ POINT_SAMPLES = 1 << 17
 
 def scenes(pair: Pair) -> dict:
     """The room with the lamp in it, by kind of sampling."""
-    from lumitree.rendering.scene import Placement, furnish, load_room, set_film_width
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import (
+        PlacedLuminaire,
+        load_scene,
+        place_luminaires,
+        set_film_width,
+    )
 
-    scene, _ = load_room(pair.room)
+    scene, _ = load_scene(pair.room)
     set_film_width(scene, WIDTH)
-    place = Placement(pair.asset, pair.at, pair.size)
-    return {kind: furnish(scene, [place], sampling=kind) for kind in SAMPLINGS}
+    place = PlacedLuminaire(Placement(pair.asset, pair.at, pair.size))
+    return {kind: place_luminaires(scene, [place], sampling=kind) for kind in SAMPLINGS}
 
 
 def measure_paths(by_kind: dict, path_depth: int) -> dict:
     """Variance and time of a sample a pixel, by kind of sampling."""
     import mitsuba as mi
 
-    from lumitree.rendering.scene import render
+    from lumitree.rendering.scene import render_scene
 
     def integrator(depth):
         return mi.load_dict({"type": "lumitree_path", "max_depth": depth, "rr_depth": 1000})
@@ -55,7 +61,7 @@ def measure_paths(by_kind: dict, path_depth: int) -> dict:
     for index in range(PASSES + 1):
         for kind, scene in by_kind.items():
             start = time.perf_counter()
-            image = render(scene, integrator(path_depth), SAMPLES, seed=1 + index)
+            image = render_scene(scene, integrator(path_depth), SAMPLES, seed=1 + index)
             if index:  # the first compiles
                 seconds[kind].append(time.perf_counter() - start)
                 images[kind].append(image[~lamp_seen].mean(axis=1))

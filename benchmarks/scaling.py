@@ -17,7 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
-from lumitree import pipeline
+import lumitree
 from lumitree.core.files import atomic_path, write_json
 from lumitree.octree.build import MAX_TREE_DEPTH
 from setting import setting
@@ -38,15 +38,15 @@ def measure(name: str, views: str, folder: Path, **how: Any) -> dict:
     """One bake and what it is worth."""
     asset = str(folder / "lamp.lumitree")
     Path(asset).unlink(missing_ok=True)
-    baked = pipeline.bake(name, asset, quality="preview", **how)
+    baked = lumitree.bake(name, asset, quality="preview", **how)
     sheet = str(folder / "sheet.png")
-    metrics = pipeline.evaluate(asset, views, sheet=sheet)["metrics"]
+    metrics = lumitree.evaluate(asset, views, sheet).metrics
     return {
-        "seconds": sum(baked["seconds"].values()),
-        "rays": baked["rays"],
+        "seconds": sum(baked.seconds.values()),
+        "rays": baked.rays,
         "depth": how["tree_depth"],
         "l_max": how["l_max"],
-        "leaves": baked["asset"]["leaves"],
+        "leaves": baked.asset.num_leaves,
         "bytes": Path(asset).stat().st_size,
         "gain_linear": metrics["psnr_linear"] - metrics["psnr_linear_black"],
         "gain_mulaw": metrics["psnr_mulaw"] - metrics["psnr_mulaw_black"],

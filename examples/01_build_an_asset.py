@@ -3,7 +3,6 @@
 import numpy as np
 
 import lumitree
-from lumitree.asset.asset import Asset
 from lumitree.octree.extract import extract
 
 
@@ -18,7 +17,7 @@ def glowing_ball(positions):
 
 
 children, density, coefficients = extract(glowing_ball, np.ones(3), tree_depth=5)
-asset = Asset(
+asset = lumitree.Asset(
     children=children,
     density=density,
     coefficients=coefficients,

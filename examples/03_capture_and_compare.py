@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from lumitree import pipeline
+import lumitree
 
 LUMINAIRE = """
 <scene version="3.0.0">
@@ -18,9 +18,9 @@ if not Path("ball.lumitree").exists():
     raise SystemExit("run 01_build_an_asset.py first")
 
 Path("lamp.xml").write_text(LUMINAIRE)
-pipeline.capture(
+lumitree.capture(
     "lamp.xml", "views", num_views=3, resolution=64, samples_per_pixel=64, split="test"
 )
-report = pipeline.evaluate("ball.lumitree", "views", sheet="comparison.png")
-for name, value in report["metrics"].items():
+result = lumitree.evaluate("ball.lumitree", "views", "comparison.png")
+for name, value in result.metrics.items():
     print(f"{name:>20}  {value:.3f}")

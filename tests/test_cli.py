@@ -16,6 +16,7 @@ import pytest
 
 import lumitree
 from fields import make_asset, random_asset
+from lumitree.api.results import Flux
 from lumitree.cli import main
 
 LAMP = (
@@ -142,7 +143,7 @@ def fails(capsys, *arguments):
         (["capture", "lamp.xml", "-o", "room.xml"], "cannot write room.xml"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--seed", "-1"],
          "seed is -1; expected a whole number from 0 to 2147483647"),
-        (["bake", "lamp.xml", "-o", "a.lumitree", "--depth", "99"], "tree depth 99"),
+        (["bake", "lamp.xml", "-o", "a.lumitree", "--depth", "99"], "tree depth is 99"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--method", "nerf", "--depth", "99"],
          "tree depth is 99; expected 1 to 10"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--rays", "0"], "rays is 0"),
@@ -189,7 +190,8 @@ def test_what_a_command_cannot_do_is_refused_before_it_works(capsys, monkeypatch
     def work(*_, **__):
         raise AssertionError("worked before it refused")
 
-    monkeypatch.setattr("lumitree.pipeline.load_mitsuba", work)
+    monkeypatch.setattr("lumitree.api.baking.load_mitsuba", work)
+    monkeypatch.setattr("lumitree.api.viewing.load_mitsuba", work)
     for arguments in (
         ["bake", "bulbs", "-o", "a.lumitree", "--method", "nerf", "--depth", "99"],
         ["bake", "bulbs", "-o", "a.lumitree", "--seed", "-1"],
@@ -326,8 +328,8 @@ def test_list_tells_the_figures_of_every_lamp(capsys):
 
 
 def test_preview(capsys, monkeypatch):
-    monkeypatch.setattr("lumitree.pipeline.FLUX_PATHS", 1)
-    monkeypatch.setattr("lumitree.pipeline.BOUNCE_PATHS", 1)
+    monkeypatch.setattr("lumitree.api.viewing.FLUX_PATHS", 1)
+    monkeypatch.setattr("lumitree.api.viewing.BOUNCE_PATHS", 1)
     assert main(["preview", "lamp.xml", "-o", "sheet.png", "--resolution", "16", "--spp", "4",
                  "--bounces", "--json", "report.json"]) == 0  # fmt: skip
     captured = capsys.readouterr()
@@ -355,13 +357,12 @@ def test_preview(capsys, monkeypatch):
     ],
 )
 def test_flux_is_told_to_the_second_digit_of_its_error(lumens, error, text):
-    from lumitree.pipeline import describe_lumens
-
-    assert describe_lumens({"lumens": lumens, "lumens_error": error}) == text
+    flux = Flux(watts=(0, 0, 0), watts_error=(0, 0, 0), lumens=lumens, lumens_error=error, paths=1)
+    assert str(flux) == text
 
 
 def test_faults_of_glass_are_warned_of(capsys, folder, monkeypatch):
-    monkeypatch.setattr("lumitree.pipeline.FLUX_PATHS", 1)
+    monkeypatch.setattr("lumitree.api.viewing.FLUX_PATHS", 1)
     sheets = "".join(
         f'<shape type="rectangle" id="pane{i}"><transform name="to_world">'
         f'<translate z="{i + 2}"/></transform><bsdf type="dielectric"/></shape>'
@@ -468,7 +469,7 @@ def test_interrupted_capture_continues():
 
 
 def test_unexpected_errors_are_one_line(capsys, monkeypatch):
-    monkeypatch.setattr("lumitree.pipeline.info", lambda path: 1 / 0)
+    monkeypatch.setattr("lumitree.asset.file.load", lambda path: 1 / 0)
     assert main(["info", "lamp.lumitree"]) == 1
     err = capsys.readouterr().err
     assert "unexpected ZeroDivisionError" in err

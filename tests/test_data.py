@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lumitree import pipeline
+import lumitree
 from lumitree.core.dataset import Dataset
 from lumitree.core.images import read_exr
 from lumitree.errors import LumitreeWarning
@@ -41,7 +41,7 @@ def test_luminaires_are_captured(mi, tmp_path, name):
         else contextlib.nullcontext()
     )
     with expected:
-        pipeline.capture(
+        lumitree.capture(
             str(DATA / "luminaires" / name), str(tmp_path), num_views=2, resolution=48,
             samples_per_pixel=16,
         )  # fmt: skip
@@ -175,13 +175,13 @@ CHANDELIER = str(DATA / "luminaires" / "megeon_chandelier" / "luminaire.xml")
 @pytest.fixture(scope="module")
 def baked(mi, tmp_path_factory):
     asset = str(tmp_path_factory.mktemp("bake") / "lamp.lumitree")
-    pipeline.bake(CHANDELIER, asset)
+    lumitree.bake(CHANDELIER, asset)
     return asset
 
 
 @pytest.mark.slow
 def test_baked_chandelier_shows_on_held_out_views(baked):
-    metrics = pipeline.evaluate(baked, CHANDELIER, num_views=4, resolution=128)["metrics"]
+    metrics = lumitree.evaluate(baked, CHANDELIER, num_views=4, resolution=128).metrics
     assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 4
     assert metrics["opacity_rmse"] < 0.2
 
@@ -190,10 +190,10 @@ def test_baked_chandelier_shows_on_held_out_views(baked):
 @pytest.mark.parametrize("room", PLACES)
 def test_baked_chandelier_lights_every_room(baked, tmp_path, room):
     output = str(tmp_path / "room.exr")
-    pipeline.render(
+    lumitree.render(
         str(DATA / "rooms" / room / "room_night.xml"),
+        [lumitree.Placement(baked, at=PLACES[room], size=0.8)],
         output,
-        [{"source": baked, "at": PLACES[room], "size": 0.8}],
         samples_per_pixel=16,
         width=160,
     )

@@ -3,7 +3,7 @@
 import dataclasses
 import sys
 
-from lumitree import pipeline
+from lumitree.api import baking
 from lumitree.cli import main
 from lumitree.nerf.config import PRESETS
 
@@ -28,7 +28,7 @@ def network_preset():
         PRESETS["preview"], width=32, output_width=16, num_coarse=16, num_fine=16,
         rays_per_batch=512, num_steps=250,
     )  # fmt: skip
-    return pipeline.BakePreset(16, 48, 32, train, tree_depth=5)
+    return baking.NetworkBake(16, 48, 32, 5, train)
 
 
 if __name__ == "__main__":
@@ -38,6 +38,6 @@ if __name__ == "__main__":
     from lumitree.direct import bake
 
     bake.QUALITIES["standard"] = direct_config()
-    pipeline.BAKE_PRESETS["preview"] = network_preset()
-    PRESETS["preview"] = pipeline.BAKE_PRESETS["preview"].train
+    baking.NETWORK_BAKES["preview"] = network_preset()
+    PRESETS["preview"] = baking.NETWORK_BAKES["preview"].train
     sys.exit(main())

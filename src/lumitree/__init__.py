@@ -37,8 +37,8 @@ __version__ = "0.1.0"
 # Where each public name is defined; imported on first use, so that `lumitree --help` answers at
 # once.
 _HOMES = {
-    "Asset": "asset.model",
-    "AssetInfo": "asset.model",
+    "Asset": "asset.asset",
+    "AssetInfo": "asset.asset",
     "BakeResult": "api.results",
     "CaptureResult": "api.results",
     "EvaluateResult": "api.results",
@@ -62,7 +62,7 @@ _HOMES = {
     "register": "rendering.plugins",
     "render": "api.viewing",
     "save": "asset.file",
-    "shape": "rendering.shape",
+    "shape": "rendering.plugins",
     "train": "api.baking",
 }
 __all__ = [

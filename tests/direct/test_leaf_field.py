@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fields import leaf_field, make_asset, random_asset
-from lumitree.octree import reference
+from lumitree.rendering import reference
 
 NUM_RAYS = 16
 

@@ -9,8 +9,8 @@ from test_bake import config, interrupt_after
 
 from fields import leaf_field, make_asset
 from lamps import AREA, cube, sphere
-from lumitree.octree.leaves import leaf_cells
 from lumitree.errors import LumitreeError
+from lumitree.octree.leaves import leaf_cells
 
 pytestmark = pytest.mark.usefixtures("small_batches")
 RAYS, LINES = 1 << 19, 1 << 11

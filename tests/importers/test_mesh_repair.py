@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from lumitree.errors import LumitreeWarning
+from lumitree.importers import mesh_repair
 from lumitree.importers.mesh_repair import (
     Pieces,
     closed_share,
@@ -15,7 +16,6 @@ from lumitree.importers.mesh_repair import (
     outward,
     weld,
 )
-from lumitree.luminaires import mesh_repair
 from lumitree.model.geometry import Mesh
 
 

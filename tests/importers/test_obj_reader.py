@@ -8,11 +8,11 @@ import trimesh
 from PIL import Image
 
 from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.importers import images
 from lumitree.importers.mesh_repair import closed_share
 from lumitree.importers.obj import mesh, reader
 from lumitree.importers.obj.reader import read_obj
-from lumitree.luminaires import images
-from lumitree.luminaires import model as model_module
+from lumitree.model import model as model_module
 from lumitree.model.model import Diffuse, Glass, Metal, Principled, Texture
 
 QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"

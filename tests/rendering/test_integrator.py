@@ -11,7 +11,8 @@ from fields import make_asset, random_asset, uniform_asset
 from lamps import scene as scene_xml
 from lamps import sphere
 from lumitree.core.frames import rotation, similarity
-from lumitree.rendering.scene import Placement, load_room
+from lumitree.rendering.placement import Placement
+from lumitree.rendering.scene import PlacedLuminaire, load_scene
 
 SIDE, PASSES = 16, 16
 
@@ -303,17 +304,17 @@ FOG = (
 
 
 @pytest.mark.parametrize("kind", ["path", "lumitree_path"])
-def test_load_room_takes_lumitree_path_but_where_there_are_media(mi, tmp_path, kind):
+def test_load_scene_takes_lumitree_path_but_where_there_are_media(mi, tmp_path, kind):
     (tmp_path / "room.xml").write_text(ROOM.format(kind, sphere("a", 1)))
-    _, integrator = load_room(str(tmp_path / "room.xml"))
+    _, integrator = load_scene(str(tmp_path / "room.xml"))
     assert str(integrator) == "LumitreePath[max_depth=7, rr_depth=3]"
     (tmp_path / "foggy.xml").write_text(ROOM.format(kind, sphere("a", 1, inside=FOG)))
-    _, integrator = load_room(str(tmp_path / "foggy.xml"))
+    _, integrator = load_scene(str(tmp_path / "foggy.xml"))
     assert "Volumetric" in str(integrator)
     assert "max_depth = 7" in str(integrator)
 
 
-def test_load_room_takes_volpath_for_an_explicit_luminaire_with_media(mi, tmp_path):
+def test_load_scene_takes_volpath_for_an_explicit_luminaire_with_media(mi, tmp_path):
     (tmp_path / "room.xml").write_text(ROOM.format("path", sphere("a", 1)))
     light = '<emitter type="area"><rgb name="radiance" value="3,2,1"/></emitter>'
     (tmp_path / "lamp.xml").write_text(
@@ -321,7 +322,7 @@ def test_load_room_takes_volpath_for_an_explicit_luminaire_with_media(mi, tmp_pa
     )
     (tmp_path / "clear.xml").write_text(scene_xml(sphere("bulb", 0.2, inside=light)))
     room = str(tmp_path / "room.xml")
-    _, integrator = load_room(room, [Placement(str(tmp_path / "clear.xml"))])
+    _, integrator = load_scene(room, [PlacedLuminaire(Placement(str(tmp_path / "clear.xml")))])
     assert "LumitreePath" in str(integrator)
-    _, integrator = load_room(room, [Placement(str(tmp_path / "lamp.xml"))])
+    _, integrator = load_scene(room, [PlacedLuminaire(Placement(str(tmp_path / "lamp.xml")))])
     assert "Volumetric" in str(integrator)

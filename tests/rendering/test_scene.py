@@ -17,7 +17,7 @@ ROOM = '<scene version="3.0.0"><integrator type="{}"/><sensor type="perspective"
 @pytest.fixture
 def loads(monkeypatch):
     """Paths of the assets that were read."""
-    from lumitree.render import field
+    from lumitree.rendering import field
 
     read, load = [], field.load
 
@@ -44,10 +44,11 @@ def empty_room(mi, width=8):
 
 @pytest.mark.parametrize("places", [[(0, 0, 0)], [(-2, 0, 0), (2, 0, 0)]])
 def test_an_asset_is_read_once_however_often_it_is_placed(mi, asset, loads, places):
-    from lumitree.rendering.scene import Placement, furnish
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 
-    items = [Placement(asset, at=at) for at in places]
-    scene = furnish(empty_room(mi), items)
+    items = [PlacedLuminaire(Placement(asset, at=at)) for at in places]
+    scene = place_luminaires(empty_room(mi), items)
     assert len(scene.emitters()) == len(places)
     assert len(loads) == 1
 
@@ -76,7 +77,7 @@ def test_an_asset_that_has_changed_is_read_again(mi, asset, loads):
 
 
 def test_an_interrupt_ends_a_render_after_the_pass(mi, monkeypatch):
-    from lumitree.render import room
+    from lumitree.rendering import room
 
     rendered, render = [], mi.render
 
@@ -106,13 +107,14 @@ def test_an_interrupt_ends_a_render_after_the_pass(mi, monkeypatch):
 def test_a_lamp_too_far_or_too_small_for_volpath_is_warned_of(
     mi, asset, tmp_path, integrator, at, size, warned
 ):
-    from lumitree.rendering.scene import Placement, load_room
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire, load_scene
 
     path = tmp_path / "room.xml"
     path.write_text(ROOM.format(integrator, sphere("a", 1)))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", LumitreeWarning)
-        load_room(str(path), [Placement(asset, at=at, size=size)])
+        load_scene(str(path), [PlacedLuminaire(Placement(asset, at=at, size=size))])
     messages = [str(each.message) for each in caught]
     assert any("volpath starts rays" in message for message in messages) == warned
 

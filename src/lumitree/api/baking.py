@@ -3,13 +3,13 @@
 import contextlib
 import dataclasses
 import os
-import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch, peak_memory_bytes
 from lumitree.api.results import BakeResult, CaptureResult, TrainResult
 from lumitree.asset.asset import Asset
@@ -32,20 +32,17 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.core.work_folder import WorkFolder, scratch_folder
-from lumitree.errors import LumitreeWarning, explained
+from lumitree.errors import explained
 from lumitree.nerf.config import PRESETS, TrainConfig
 from lumitree.octree.build import MAX_TREE_DEPTH
 
 if TYPE_CHECKING:
     from lumitree.direct.bake import DirectConfig, DirectResult
-    from lumitree.luminaire.luminaire import Luminaire
-    from lumitree.luminaire.source import LuminaireLike
+    from lumitree.luminaire.luminaire import LuminaireLike
 
 Quality = Literal["preview", "standard", "high"]
 Preset = Literal["preview", "paper"]
 FilePath = str | os.PathLike[str]
-# A file whose glass is wrong throughout is not to fill the terminal.
-MAX_FAULTS = 5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,8 +86,9 @@ def bake(
     the best asset so far (`BakeResult.stopped_by` is set then); the same call continues it.
 
     Args:
-        luminaire: name of a built-in luminaire, path of a Mitsuba 3 scene or a model, or folder of
-            a dataset that `capture` made.
+        luminaire: name of a built-in luminaire, path of a Mitsuba 3 scene or a model, dictionary as
+            for `mitsuba.load_dict`, `mi.Scene`, what `load_luminaire` returned, or folder of a
+            dataset that `capture` made.
         output: the `.lumitree` file to write; None for none.
         quality: tree depth and budget: "preview" (depth 7, 1 minute on 2 CPU cores), "standard"
             (depth 8, 5 minutes) or "high" (depth 10, 30 minutes).
@@ -122,7 +120,6 @@ def bake(
     load_mitsuba(variant)
     from lumitree.direct import bake as direct
     from lumitree.luminaire.luminaire import load_luminaire
-    from lumitree.luminaire.source import dataset_folder
 
     preset = direct.QUALITIES[quality]
     config = dataclasses.replace(
@@ -385,22 +382,7 @@ def extract(
     return BakeResult(asset=asset, path=_path(output), **watch.costs())
 
 
-def warn_of_faults(luminaire: "Luminaire") -> list[str]:
-    """Warn of glass that cannot be rendered correctly; returns what was found."""
-    from lumitree.luminaire.diagnosis import diagnose
-
-    faults = diagnose(luminaire.scene)
-    for fault in faults[:MAX_FAULTS]:
-        warnings.warn(f"{luminaire.name}: {fault}", LumitreeWarning, stacklevel=3)
-    if len(faults) > MAX_FAULTS:
-        more = f"{luminaire.name}: {len(faults) - MAX_FAULTS} more faults of this kind"
-        warnings.warn(more, LumitreeWarning, stacklevel=3)
-    return faults
-
-
-def _check_bake(
-    output: FilePath | None, time: float | None, rays: int | None, seed: int
-) -> None:
+def _check_bake(output: FilePath | None, time: float | None, rays: int | None, seed: int) -> None:
     if output is not None:
         check_asset_output(output)
     if time is not None:

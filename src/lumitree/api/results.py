@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.asset import LuminaireAsset
+from lumitree.asset.asset import Asset
 from lumitree.errors import shown
 
 Json = dict[str, Any]
@@ -53,7 +53,7 @@ class BakeResult(Result):
             None if none did.
     """
 
-    asset: LuminaireAsset
+    asset: Asset
     path: Path | None
     held_out_psnr: float | None = None
     held_out_psnr_uncertainty: float | None = None
@@ -224,7 +224,7 @@ class PreviewResult(PictureResult):
     bounces: list[MissedFlux] | None = None
 
 
-def asset_json(asset: LuminaireAsset, path: str | os.PathLike[str] | None) -> Json:
+def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
     """The figures of an asset, with its file where it has one."""
     info: Json = plain(asset.info)
     if path is None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lumitree.api.baking import warn_of_faults
+from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
 from lumitree.api.results import (
     EvaluateResult,
@@ -25,17 +25,16 @@ from lumitree.core.arguments import (
     check_sheet_output,
 )
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.dataset import MANIFEST, MAX_VIEWS, Dataset
+from lumitree.core.dataset import MAX_VIEWS, Dataset
 from lumitree.core.files import check_writable, write_bytes
 from lumitree.core.images import check_image_name, encode_png, write_image
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
 from lumitree.core.work_folder import scratch_folder
-from lumitree.errors import LumitreeError, explained
-from lumitree.luminaire.source import LuminaireSource
+from lumitree.errors import explained
 
 if TYPE_CHECKING:
-    from lumitree.luminaire.source import LuminaireLike
+    from lumitree.luminaire.luminaire import LuminaireLike
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.proxy import ProxyKind
 
@@ -171,9 +170,8 @@ def evaluate(
     watch = Stopwatch()
     with contextlib.ExitStack() as stack:
         stack.enter_context(reporting(progress))
-        if (Path(str(target)) / MANIFEST).exists():
-            _check_plain(target)
-            dataset = Dataset.open(str(target))
+        if (stored := dataset_folder(target)) is not None:
+            dataset = Dataset.open(stored)
         else:
             folder = stack.enter_context(scratch_folder())
             with watch.stage("references"):
@@ -267,12 +265,3 @@ def render(
         png=encode_png(pixels),
         **watch.costs(),
     )
-
-
-def _check_plain(target: "LuminaireLike") -> None:
-    """Refuse options for reading a luminaire where its views are stored already."""
-    if isinstance(target, LuminaireSource) and (target.materials or target.keep or target.drop):
-        raise LumitreeError(
-            f"{target} is a dataset, which --materials, --keep and --drop cannot change; give the "
-            "luminaire itself"
-        )

@@ -40,9 +40,7 @@ def command(
     parser = commands.add_parser(
         name, help=text, description=text[0].upper() + text[1:] + ".", formatter_class=Formatter
     )
-    parser.add_argument(
-        "--json", metavar="FILE", help="also write the results as JSON to FILE"
-    )
+    parser.add_argument("--json", metavar="FILE", help="also write the results as JSON to FILE")
     parser.set_defaults(run=run)
     return parser
 
@@ -99,9 +97,7 @@ def add_variant(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_views(
-    parser: argparse.ArgumentParser, views: int, resolution: int, samples: int
-) -> None:
+def add_views(parser: argparse.ArgumentParser, views: int, resolution: int, samples: int) -> None:
     """`--views`, `--resolution` and `--spp`."""
     parser.add_argument("--views", type=int, metavar="N", default=views, help="number of views")
     add_pixels(parser, resolution, samples)

@@ -79,9 +79,7 @@ class _Display:
             )
             self._bar = Bar(*columns, console=Console(stderr=True))
             self._bar.start()
-            self._task = self._bar.add_task(
-                progress.task, total=progress.total, note=progress.note
-            )
+            self._task = self._bar.add_task(progress.task, total=progress.total, note=progress.note)
         self._bar.update(self._task, completed=progress.done, note=progress.note)
 
     def _log(self, progress: Progress) -> None:

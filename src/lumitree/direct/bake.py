@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.octree.leaves import leaf_cells
 from lumitree.asset.asset import Asset
 from lumitree.core.dataset import Dataset
 from lumitree.core.files import atomic_path
@@ -33,6 +32,7 @@ from lumitree.direct.stored import StoredRays
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaire.luminaire import Luminaire
 from lumitree.octree.build import MAX_TREE_DEPTH, build_children
+from lumitree.octree.leaves import leaf_cells
 
 STATE = "state.npz"
 _STATE_VERSION = 1
@@ -172,9 +172,7 @@ def bake_stored(dataset: Dataset, config: DirectConfig, folder: Path) -> DirectR
     return _run(source, config, folder, "bake", start)
 
 
-def refine(
-    asset: Asset, luminaire: Luminaire, config: DirectConfig, folder: Path
-) -> DirectResult:
+def refine(asset: Asset, luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResult:
     """Go on with an asset, however it was made, with rays of its luminaire.
 
     Args:

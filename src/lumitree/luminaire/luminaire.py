@@ -7,7 +7,7 @@ import functools
 import hashlib
 import importlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from lumitree.importers.overrides import Overrides, apply_overrides, check_emits
 from lumitree.importers.overrides_file import read_overrides
 from lumitree.luminaire.scene_file import SceneFile
 from lumitree.luminaire.scene_writer import write_scene
-from lumitree.luminaire.source import LuminaireSource, Source, as_source
+from lumitree.luminaire.source import LuminaireSource, as_source
 from lumitree.model.model import Model
 
 _ENVIRONMENTS = ("constant", "envmap", "sky", "sunsky", "directional")
@@ -38,7 +38,7 @@ class Luminaire:
 
     Attributes:
         name: built-in name, or the file's folder and name.
-        path: its Mitsuba scene.
+        source: what it was loaded from; None for a `mi.Scene`.
         fingerprint: SHA-256 of the scene and every file it names.
         scene: the Mitsuba scene, in the luminaire's own frame and units.
         has_media: whether paths cross participating media.
@@ -49,7 +49,7 @@ class Luminaire:
     """
 
     name: str
-    path: Path
+    source: LuminaireSource | None
     fingerprint: str
     scene: Any
     has_media: bool
@@ -73,41 +73,129 @@ class Luminaire:
         return 2 * self.half_extents * self.world_from_proxy[0, 0]
 
 
-def load_luminaire(source: Source) -> Luminaire:
-    """Load a built-in luminaire by name, or a file that holds one.
+LuminaireLike = str | os.PathLike[str] | LuminaireSource | Luminaire | Mapping[str, Any]
+"""What is taken for a luminaire; a `mi.Scene`, whose class depends on the variant, too."""
+
+
+def load_luminaire(luminaire: "LuminaireLike | Any") -> Luminaire:
+    """Load a luminaire from what stands for one, see `lumitree.load_luminaire`.
 
     Raises:
         LumitreeError: unknown name, unreadable file, or a scene that is no luminaire: without
             geometry, without area emitters, or with lights that cannot be baked.
     """
-    source = as_source(source)
+    if isinstance(luminaire, Luminaire):
+        return luminaire
+    if isinstance(luminaire, load_mitsuba().Scene):
+        return _luminaire_of_scene(luminaire)
+    source = luminaire_source(luminaire)
     file = _open(source)
-    path = file.path
     media = file.nodes("Medium")
-    if any(node.props.plugin_name() != "homogeneous" for node in media):
-        raise LumitreeError(
-            f"{path} holds a heterogeneous medium, whose straight-through opacity is not "
-            "supported; use homogeneous media"
-        )
+    _check_media(str(file.path), {node.props.plugin_name() for node in media})
     # Creating the scene uses up what the file said, the names of other files with it.
     fingerprint = _fingerprint(file, source)
-    scene = file.instantiate()
+    named = source.name in BUILTIN
+    name = source.name if named else _folder_and_name(source.name)
+    if isinstance(luminaire, Mapping):
+        name = str(luminaire.get("id", "dictionary"))
+    return _luminaire(name, source, fingerprint, file.instantiate(), bool(media))
+
+
+def luminaire_source(luminaire: "LuminaireLike") -> LuminaireSource:
+    """The file or the name behind what stands for a luminaire; a dictionary is written as a scene.
+
+    Raises:
+        LumitreeError: it is nothing that can be placed, or a dictionary that is no scene.
+    """
+    if isinstance(luminaire, Luminaire):
+        if luminaire.source is None:
+            raise LumitreeError(
+                f"{luminaire.name} was made from a mi.Scene, whose shapes cannot be moved; give "
+                "its dictionary or its file"
+            )
+        return luminaire.source
+    if isinstance(luminaire, Mapping):
+        return LuminaireSource(str(_written_dictionary(dict(luminaire))))
+    if not isinstance(luminaire, str | os.PathLike | LuminaireSource):
+        kind = type(luminaire).__name__
+        raise LumitreeError(f"a luminaire is a name, path, dictionary or scene, not of type {kind}")
+    return as_source(luminaire)
+
+
+def _luminaire(
+    name: str, source: LuminaireSource | None, fingerprint: str, scene: Any, has_media: bool
+) -> Luminaire:
     world_from_proxy, half_extents = proxy_box(
         np.ravel(scene.bbox().min), np.ravel(scene.bbox().max)
     )
     return Luminaire(
-        name=source.name if source.name in BUILTIN else _folder_and_name(source.name),
-        path=path,
+        name=name,
+        source=source,
         fingerprint=fingerprint,
         scene=scene,
-        has_media=bool(media),
+        has_media=has_media,
         world_from_proxy=world_from_proxy,
         half_extents=half_extents,
         bounding_radius=_bounding_radius(scene, world_from_proxy, half_extents),
     )
 
 
-def luminaire_path(source: Source) -> Path:
+def _luminaire_of_scene(scene: Any) -> Luminaire:
+    """A luminaire of objects that exist already."""
+    what = "the scene"
+    if not scene.shapes():
+        raise LumitreeError(f"{what} holds no shapes; expected a luminaire's geometry")
+    if scene.environment() is not None or any(e.get_shape() is None for e in scene.emitters()):
+        raise LumitreeError(
+            f"{what} holds a light without a surface, which does not belong to a luminaire; remove "
+            "it, or replace it by a small shape with an area emitter"
+        )
+    if not scene.emitters():
+        raise LumitreeError(f"{what} holds no emitter, so there is nothing to bake; add one")
+    media = {
+        medium.class_name()
+        for shape in scene.shapes()
+        for medium in (shape.interior_medium(), shape.exterior_medium())
+        if medium is not None
+    }
+    _check_media(what, {"homogeneous" if "Homogeneous" in name else name for name in media})
+    digest = hashlib.sha256(repr(scene).encode())
+    for key, value in load_mitsuba().traverse(scene):
+        digest.update(key.encode())
+        digest.update(repr(value).encode() if not hasattr(value, "numpy") else _bytes_of(value))
+    return _luminaire("scene", None, digest.hexdigest(), scene, bool(media))
+
+
+def _bytes_of(value: Any) -> bytes:
+    return np.ascontiguousarray(np.array(value)).tobytes()
+
+
+def _check_media(what: str, kinds: set[str]) -> None:
+    if kinds - {"homogeneous"}:
+        raise LumitreeError(
+            f"{what} holds a heterogeneous medium, whose straight-through opacity is not "
+            "supported; use homogeneous media"
+        )
+
+
+def _written_dictionary(description: dict[str, Any]) -> Path:
+    """Mitsuba scene of a dictionary, in a temporary folder."""
+    mi = load_mitsuba()
+    path = _until_exit.enter_context(scratch_folder()) / "scene.xml"
+    config = mi.parser.ParserConfig(mi.variant())
+    config.merge_meshes = config.merge_equivalent = False
+    if description.get("type") != "scene":
+        description = {"type": "scene", "luminaire": description}
+    try:
+        state = mi.parser.parse_dict(config, description)
+        mi.parser.write_file(state, str(path))
+    except (RuntimeError, TypeError, ValueError) as error:
+        reason = shown(" ".join(str(error).split()), 300)
+        raise LumitreeError(f"the dictionary is no Mitsuba scene: {reason}") from None
+    return path
+
+
+def luminaire_path(source: LuminaireLike) -> Path:
     """Mitsuba scene of a LUMINAIRE argument; what is none is written as one to a temporary folder.
 
     The folder lasts as long as the process. A model is read again when it or its overrides have
@@ -116,7 +204,7 @@ def luminaire_path(source: Source) -> Path:
     Raises:
         LumitreeError: unknown name or format, unreadable file, wrong overrides.
     """
-    source = as_source(source)
+    source = luminaire_source(source)
     path = Path(source.name)
     builtin = source.name in BUILTIN
     if not builtin and not os.path.exists(path):
@@ -140,18 +228,18 @@ def luminaire_path(source: Source) -> Path:
     return _written(source, tuple(_stamp(file) for file in files if file is not None))
 
 
-def place_shapes(source: Source, scene_from_world: ArrayLike) -> dict[str, Any]:
+def place_shapes(luminaire: LuminaireLike, scene_from_world: ArrayLike) -> dict[str, Any]:
     """Shapes of an explicit luminaire moved into a scene, for `mitsuba.load_dict`.
 
     Args:
-        source: LUMINAIRE argument.
+        luminaire: what stands for one.
         scene_from_world: [4, 4] similarity from the luminaire's own frame. Interior media get
             denser as the luminaire gets smaller, so that it looks the same at every size.
     """
     mi = load_mitsuba()
     matrix = np.asarray(scene_from_world, np.float64)
     scale = similarity_scale(matrix, "placement")
-    file = _open(as_source(source))
+    file = _open(luminaire_source(luminaire))
     for node in file.nodes("Shape"):
         # The parser keeps transforms in double precision.
         own = node.props.get("to_world", mi.ScalarTransform4d())
@@ -161,7 +249,7 @@ def place_shapes(source: Source, scene_from_world: ArrayLike) -> dict[str, Any]:
     return {f"luminaire_{i}": shape for i, shape in enumerate(file.instantiate().shapes())}
 
 
-def read_model(source: Source) -> Model:
+def read_model(source: str | os.PathLike[str] | LuminaireSource) -> Model:
     """Model of a built-in luminaire or a model file, with its overrides: metres, y up.
 
     Raises:

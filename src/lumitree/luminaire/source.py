@@ -25,9 +25,6 @@ class LuminaireSource:
         return self.name
 
 
-Source = str | os.PathLike[str] | LuminaireSource
-
-
-def as_source(source: Source) -> LuminaireSource:
+def as_source(source: str | os.PathLike[str] | LuminaireSource) -> LuminaireSource:
     """The source itself, or one that names `source` and says nothing more."""
     return source if isinstance(source, LuminaireSource) else LuminaireSource(os.fspath(source))

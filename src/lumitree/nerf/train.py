@@ -15,7 +15,7 @@ from flax import nnx
 
 from lumitree.core.dataset import Dataset
 from lumitree.core.files import is_empty, write_json
-from lumitree.core.interrupt import Interrupted, deferred_interrupt
+from lumitree.core.interrupt import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.nerf.config import TrainConfig
@@ -50,6 +50,7 @@ class TrainResult:
         psnr: of the held-out rays, dB (`losses.psnr`).
         psnr_black: what an all-black prediction scores on them, dB.
         rays_per_second: of this call.
+        stopped_by: number of the signal that ended the call early; None if none did.
     """
 
     steps: int
@@ -57,6 +58,7 @@ class TrainResult:
     psnr: float
     psnr_black: float
     rays_per_second: float
+    stopped_by: int | None
 
 
 def train(
@@ -80,7 +82,6 @@ def train(
     Raises:
         LumitreeError: unusable dataset or folder, another config, nothing to resume, or a
             loss that is not finite.
-        Interrupted: by a stop signal, after the state was saved.
     """
     dataset, folder = Dataset.open(dataset_path), Path(run_path)
     _check_folder(folder, config, resume)
@@ -162,12 +163,10 @@ class _Loop:
                 advance(1, note)
             self._check(done)
             self._save(done, state)
-            if interrupted.number is not None:
-                raise Interrupted(number=interrupted.number)
         rate = (done - first) * self.config.rays_per_batch / max(self.seconds - self.earlier, 1e-9)
         black = psnr(jnp.zeros(3), self.held_out.radiance, self.rays.max_radiance)
         quality = float(self.evaluate(state.params, self.held_out, self.occupancy))
-        return TrainResult(done, self.seconds, quality, float(black), rate)
+        return TrainResult(done, self.seconds, quality, float(black), rate, interrupted.number)
 
     def _draw(self, step: int) -> Batch:
         return self.rays.draw(self.config.seed, step, self.config.rays_per_batch)

@@ -129,9 +129,7 @@ def _trace(settings, scene, sampler, ray, active):
         estimates &= dr.max(direct) > 0
         direct *= _visible(scene, si, ds, sees_null, extent, estimates)
         estimates &= dr.max(direct) > 0
-        weight, ds.pdf = dr.dispatch(
-            emitter, _eval_target, si, ds, weight, distance, estimates
-        )
+        weight, ds.pdf = dr.dispatch(emitter, _eval_target, si, ds, weight, distance, estimates)
         weight *= emitter_weight
         ds.pdf *= dr.rcp(emitter_weight)
         direct *= weight * dr.select(ds.delta, 1, _mis_weight(ds.pdf, value_pdf))

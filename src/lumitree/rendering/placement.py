@@ -10,7 +10,7 @@ from lumitree.core.frames import check_placement
 from lumitree.errors import shown
 
 if TYPE_CHECKING:
-    from lumitree.luminaire.source import LuminaireLike
+    from lumitree.luminaire.luminaire import LuminaireLike
 
 
 @dataclasses.dataclass(frozen=True)

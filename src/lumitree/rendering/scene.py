@@ -89,8 +89,8 @@ def place_luminaires(
     distant = [e for e in scene.emitters() if e.get_shape() is None and not e.is_environment()]
     objects |= {f"emitter_{i}": item for i, item in enumerate(distant)}
     taken: list[tuple[str, bytes]] = []
-    for index, placement in enumerate(placements):
-        placed = _Placed(placement)
+    for index, placed in enumerate(luminaires):
+        placement = placed.placement
         place_taken = (placement.name, placed.scene_from_world.tobytes())
         if place_taken in taken:
             raise LumitreeError(
@@ -195,13 +195,13 @@ def render_scene(
 
 def _warn_far(placed: PlacedLuminaire) -> None:
     """Tell where `volpath` cannot resolve a baked luminaire."""
-    box = placed.scene_from_box
+    box, name = placed.scene_from_box, placed.placement.name
     size = 2 * np.linalg.norm(box[:3, :3], axis=0).max()
     coordinate = np.abs(box[:3, 3]).max()
     offset = (1 + coordinate) * mi.math.RayEpsilon
     if offset > _FAR_FOR_VOLPATH * size:
         warnings.warn(
-            f"{placed.placement.name}: at coordinates of {coordinate:.4g} volpath starts rays {offset:.2g} "
+            f"{name}: at coordinates of {coordinate:.4g} volpath starts rays {offset:.2g} "
             f"from surfaces, for a luminaire of size {size:.2g}; surfaces near it are lit wrongly "
             f"by about {0.11 * offset / size:.0%}; place it nearer the origin or use smaller units",
             LumitreeWarning,
@@ -211,7 +211,8 @@ def _warn_far(placed: PlacedLuminaire) -> None:
 
 def _warn_inside(scene: Any, placed: PlacedLuminaire) -> None:
     """Look for geometry inside the proxy with random segments, and for the camera."""
-    samples, box = 1 << 14, placed.scene_from_box
+    box, name = placed.scene_from_box, placed.placement.name
+    samples = 1 << 14
     random = np.random.default_rng(0)
     # A little smaller than the box, so that a ceiling it touches does not count.
     start, end = (0.998 * random.uniform(-1, 1, (2, samples, 3))) @ box[:3, :3].T + box[:3, 3]
@@ -222,7 +223,7 @@ def _warn_inside(scene: Any, placed: PlacedLuminaire) -> None:
     )
     if dr.any(scene.ray_test(ray)):
         warnings.warn(
-            f"{placed.placement.name}: an object of the room is inside its proxy; it is not lit or shaded "
+            f"{name}: an object of the room is inside its proxy; it is not lit or shaded "
             "correctly there (a baked luminaire is rendered from outside only)",
             LumitreeWarning,
             stacklevel=2,
@@ -231,7 +232,7 @@ def _warn_inside(scene: Any, placed: PlacedLuminaire) -> None:
     local = np.linalg.solve(box[:3, :3], np.ravel(camera) - box[:3, 3])
     if (np.abs(local) < 1).all():
         warnings.warn(
-            f"{placed.placement.name}: the camera is inside its proxy; a baked luminaire is rendered from "
+            f"{name}: the camera is inside its proxy; a baked luminaire is rendered from "
             "outside only",
             LumitreeWarning,
             stacklevel=2,

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.luminaire.luminaire import Luminaire
 from lumitree.model.photometry import luminance
-from lumitree.transport.tracing import PATH_DEPTH, path_integrator
-from lumitree.views.camera import check_finite
+from lumitree.transport.tracing import PATH_DEPTH, check_finite, path_integrator
 
 # Paths traced at once.
 _BATCH = 1 << 20

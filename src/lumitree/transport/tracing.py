@@ -4,8 +4,10 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.core.backend import load_mitsuba
+from lumitree.errors import LumitreeError
 from lumitree.luminaire.luminaire import Luminaire
 from lumitree.luminaire.scene_file import media
 
@@ -46,3 +48,12 @@ def _only_colours(luminaire: Luminaire) -> bool:
             return False
         coloured |= bool(np.ptp(np.ravel(extinction)) > 0)
     return coloured
+
+
+def check_finite(luminaire: Luminaire, values: NDArray[np.floating]) -> None:
+    """Refuse traced radiance that is NaN or infinite."""
+    if not np.isfinite(values).all():
+        raise LumitreeError(
+            f"{luminaire.name} renders as NaN or infinity; look for materials or emitters with "
+            "invalid values"
+        )

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.seeds import SeedStream
-from lumitree.errors import LumitreeError
 from lumitree.luminaire.luminaire import Luminaire
 from lumitree.transport.straight_through import straight_through
-from lumitree.transport.tracing import PATH_DEPTH, path_integrator
+from lumitree.transport.tracing import PATH_DEPTH, check_finite, path_integrator
 
 # Equal settings give equal images: no option changes this.
 _ROOT_SEED = 0
@@ -27,15 +26,6 @@ class Picture:
     radiance: NDArray[np.float32]
     geometric: NDArray[np.float32]
     straight_through: NDArray[np.float32]
-
-
-def check_finite(luminaire: Luminaire, values: NDArray[np.floating]) -> None:
-    """Refuse traced radiance that is NaN or infinite."""
-    if not np.isfinite(values).all():
-        raise LumitreeError(
-            f"{luminaire.name} renders as NaN or infinity; look for materials or emitters with "
-            "invalid values"
-        )
 
 
 class Camera:

@@ -12,8 +12,9 @@ from PIL import Image
 from gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf
 from gltf_refusals import quad, refused, refused_json, sparse, textured
 from lumitree.errors import LumitreeWarning
+from lumitree.importers import images
 from lumitree.importers.gltf import accessors, read_gltf
-from lumitree.luminaires import images, model
+from lumitree.model import model
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,10 @@ import signal
 
 import pytest
 
+import lumitree
 import tiny_bakes
-from lumitree import demo, pipeline
+from lumitree import demo
+from lumitree.api import baking
 from lumitree.core.images import read_exr
 from lumitree.core.work_folder import WorkFolder
 from lumitree.nerf.config import PRESETS
@@ -31,40 +33,40 @@ def tiny_network(monkeypatch):
     """A network's bake of seconds: few views, a small network."""
     preset = tiny_bakes.network_preset()
     monkeypatch.setitem(PRESETS, "preview", preset.train)
-    monkeypatch.setitem(pipeline.BAKE_PRESETS, "preview", preset)
+    monkeypatch.setitem(baking.NETWORK_BAKES, "preview", preset)
 
 
 def test_bake_evaluate_render(mi, tiny, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lamp.xml").write_text(LAMP)
-    baked = pipeline.bake("lamp.xml", "lamp.lumitree")
-    assert baked["asset"]["leaves"] > 50
-    assert baked["asset"]["tree_depth"] == 5
-    assert tiny_bakes.RAYS <= baked["rays"] < tiny_bakes.RAYS + 6 * (1 << 14)
-    assert set(baked["seconds"]) == {"bake"}
+    baked = lumitree.bake("lamp.xml", "lamp.lumitree")
+    assert baked.asset.info.leaves > 50
+    assert baked.asset.tree_depth == 5
+    assert tiny_bakes.RAYS <= baked.rays < tiny_bakes.RAYS + 6 * (1 << 14)
+    assert set(baked.seconds) == {"bake"}
     assert not (tmp_path / "lamp.work").exists()
-    json.dumps(baked, allow_nan=False)
-    report = pipeline.evaluate(
-        "lamp.lumitree", "lamp.xml", num_views=3, resolution=48, samples_per_pixel=64
+    json.dumps(baked.to_json(), allow_nan=False)
+    report = lumitree.evaluate(
+        "lamp.lumitree", "lamp.xml", "sheet.png", num_views=3, resolution=48, samples_per_pixel=64
     )
-    metrics = report["metrics"]
+    metrics = report.metrics
     assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 6
     assert metrics["opacity_rmse"] < 0.2
     assert metrics["flux_error"] < 0.2
-    assert (tmp_path / "lamp-evaluation.png").stat().st_size > 10_000
-    json.dumps(report, allow_nan=False)
+    assert (tmp_path / "sheet.png").stat().st_size > 10_000
+    json.dumps(report.to_json(), allow_nan=False)
 
 
 def test_network_bake_evaluate(mi, tiny_network, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lamp.xml").write_text(LAMP)
-    baked = pipeline.bake_network("lamp.xml", "lamp.lumitree")
-    assert baked["asset"]["leaves"] > 50
-    assert set(baked["seconds"]) == {"capture", "train", "extract"}
+    baked = lumitree.bake_network("lamp.xml", "lamp.lumitree")
+    assert baked.asset.info.leaves > 50
+    assert set(baked.seconds) == {"capture", "train", "extract"}
     assert not (tmp_path / "lamp.work").exists()
-    metrics = pipeline.evaluate(
+    metrics = lumitree.evaluate(
         "lamp.lumitree", "lamp.xml", num_views=3, resolution=48, samples_per_pixel=64
-    )["metrics"]
+    ).metrics
     assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 6
 
 
@@ -83,14 +85,14 @@ def test_an_interrupted_bake_keeps_its_best_and_continues(mi, tiny, tmp_path, mo
         return advance(self, progress)
 
     monkeypatch.setattr(Refiner, "advance", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        pipeline.bake("lamp.xml", "lamp.lumitree")
+    stopped = lumitree.bake("lamp.xml", "lamp.lumitree")
+    assert stopped.stopped_by == signal.SIGINT
     assert steps == [1, 2, 3]
     assert load("lamp.lumitree").num_leaves > 50
     assert (tmp_path / "lamp.work").exists()
-    report = pipeline.bake("lamp.xml", "lamp.lumitree")
+    report = lumitree.bake("lamp.xml", "lamp.lumitree")
     assert steps == list(range(1, len(steps) + 1))
-    assert report["rays"] >= tiny_bakes.RAYS
+    assert report.rays >= tiny_bakes.RAYS
     assert not (tmp_path / "lamp.work").exists()
 
 
@@ -104,16 +106,16 @@ def test_an_interrupted_network_bake_continues(mi, tiny_network, tmp_path, monke
     with monkeypatch.context() as patch:
         patch.setattr("lumitree.octree.extract.extract", interrupt)
         with pytest.raises(KeyboardInterrupt):
-            pipeline.bake_network("lamp.xml", "lamp.lumitree")
+            lumitree.bake_network("lamp.xml", "lamp.lumitree")
     assert not (tmp_path / "lamp.lumitree").exists()
     views = tmp_path / "lamp.work" / "dataset" / "view_000001.exr"
     before = views.stat().st_mtime_ns
     with monkeypatch.context() as patch:
         patch.setattr(WorkFolder, "remove", lambda *_: None)
-        report = pipeline.bake_network("lamp.xml", "lamp.lumitree")
+        report = lumitree.bake_network("lamp.xml", "lamp.lumitree")
     assert (tmp_path / "lamp.lumitree").exists()
     assert views.stat().st_mtime_ns == before
-    assert report["seconds"]["train"] < 20
+    assert report.seconds["train"] < 20
 
 
 def test_demo(mi, tiny, tmp_path, monkeypatch):
