@@ -1,17 +1,24 @@
 """From a luminaire to a picture, end to end, as small as it can be."""
 
+import dataclasses
+import inspect
 import json
+import os
 import signal
 
+import numpy as np
 import pytest
 
 import lumitree
 import tiny_bakes
+from fields import random_asset
 from lumitree import demo
 from lumitree.api import baking
+from lumitree.core.frames import rotation, similarity
 from lumitree.core.images import read_exr
 from lumitree.core.work_folder import WorkFolder
 from lumitree.nerf.config import PRESETS
+from lumitree.rendering.reference import integrate_ray
 
 LAMP = """<scene version="3.0.0">
 <shape type="sphere"><float name="radius" value="0.5"/>
@@ -141,3 +148,123 @@ def test_demo(mi, tiny, tmp_path, monkeypatch):
         image = read_exr(tmp_path / "out" / f"room-{name}.exr")["RGB"]
         assert image.shape == (30, 40, 3)
         assert image.max() > 0.4
+
+
+def test_results_are_readable_and_fit_json(mi, tiny, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lamp.xml").write_text(LAMP)
+    seen = []
+    result = lumitree.bake("lamp.xml", progress=seen.append)
+    assert isinstance(result, lumitree.BakeResult)
+    assert result.path is None
+    assert os.listdir() == ["lamp.xml"]
+    report = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    assert report["asset"]["leaves"] == result.asset.info.leaves
+    assert "file" not in report["asset"]
+    assert "held_out_psnr: " in repr(result)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        result.rays = 0
+    tasks = {each.task.partition(" ")[0] for each in seen}
+    assert tasks == {"bake", "calibrate"}
+    assert all(0 <= each.done <= each.total * (1 + 1e-9) for each in seen)
+    assert seen[-1].finished
+
+
+DICTIONARY = {
+    "type": "scene",
+    "bulb": {
+        "type": "sphere",
+        "radius": 0.5,
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [3, 2, 1]}},
+    },
+    "bar": {"type": "cube", "to_world": np.diag([1, 0.1, 0.1, 1])},
+}
+
+
+def test_dictionaries_and_scenes_are_luminaires(mi, tmp_path):
+    (tmp_path / "lamp.xml").write_text(LAMP)
+    file = lumitree.load_luminaire(tmp_path / "lamp.xml")
+    bar = {**DICTIONARY["bar"], "to_world": mi.ScalarTransform4f(DICTIONARY["bar"]["to_world"])}
+    dictionary = {**DICTIONARY, "bar": bar}
+    for luminaire in (dictionary, mi.load_dict(dictionary)):
+        loaded = lumitree.load_luminaire(luminaire)
+        assert isinstance(loaded, lumitree.Luminaire)
+        np.testing.assert_allclose(loaded.half_extents, file.half_extents)
+        assert (loaded.num_emitters, loaded.has_media) == (1, False)
+        views = [
+            lumitree.preview(each, resolution=16, samples_per_pixel=16, progress=None)
+            for each in (loaded, file)
+        ]
+        assert views[0].max_radiance == pytest.approx(views[1].max_radiance, rel=1e-3)
+        assert views[0].sheet is None
+        assert views[0]._repr_png_().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("luminaire", "message"),
+    [
+        ({"type": "sphere"}, "no emitter"),
+        ({"type": "sphere", "radius": "wide"}, "no Mitsuba scene"),
+        ({"type": "constant"}, "holds no shapes"),
+        (7, "not of type int"),
+    ],
+)
+def test_what_is_no_luminaire_is_refused(mi, luminaire, message):
+    with pytest.raises(lumitree.LumitreeError, match=message) as refusal:
+        lumitree.load_luminaire(luminaire)
+    assert "\n" not in str(refusal.value)
+
+
+def test_scenes_that_are_no_luminaires_are_refused(mi):
+    sphere = {"type": "sphere", "emitter": {"type": "area"}}
+    for scene, message in (
+        ({"type": "scene"}, "holds no shapes"),
+        ({"type": "scene", "a": {"type": "sphere"}}, "holds no emitter"),
+        ({"type": "scene", "a": sphere, "sky": {"type": "constant"}}, "light without a surface"),
+    ):
+        with pytest.raises(lumitree.LumitreeError, match=message):
+            lumitree.load_luminaire(mi.load_dict(scene))
+
+
+def test_an_asset_in_memory_is_placed_and_evaluated(mi, tmp_path):
+    asset = random_asset(4, half_extents=np.array([1.0, 0.5, 0.75]))
+    lumitree.save(asset, tmp_path / "lamp.lumitree")
+    film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
+    look = mi.ScalarTransform4f().look_at([2, 3, 9], [0, 0, 0], [0, 1, 0])
+    sensor = {"type": "perspective", "fov": 20, "to_world": look, "film": film}
+    images = []
+    for lamp in (asset, tmp_path / "lamp.lumitree"):
+        shape = lumitree.shape(lamp)
+        scene = mi.load_dict({"type": "scene", "sensor": sensor, "lamp": shape})
+        integrator = mi.load_dict({"type": "lumitree_path", "max_depth": 2})
+        images.append(np.array(mi.render(scene, integrator=integrator, spp=4)))
+    assert images[0].max() > 0
+    np.testing.assert_array_equal(images[0], images[1])
+
+
+def test_lines_of_an_asset_are_those_of_the_reference(mi):
+    place = similarity(rotation([1, 2, 3], 40), 2.5, [3.0, -1.0, 7.0])
+    asset = random_asset(5, half_extents=np.array([1.0, 0.5, 0.75]), world_from_proxy=place)
+    random = np.random.default_rng(0)
+    local = random.uniform(-0.5, 0.5, (40, 3))
+    towards = random.normal(size=(40, 3))
+    origin = local @ place[:3, :3].T + place[:3, 3]
+    direction = towards @ place[:3, :3].T
+    radiance, through = asset.eval(origin, direction)
+    for index in range(len(local)):
+        unit = towards[index] / np.linalg.norm(towards[index])
+        expected, transmittance = integrate_ray(asset, local[index], unit)
+        np.testing.assert_allclose(radiance[index], expected, rtol=2e-3, atol=1e-4)
+        assert through[index] == pytest.approx(transmittance, abs=1e-3)
+    assert asset.eval(np.zeros((0, 3)), np.zeros((0, 3)))[0].shape == (0, 3)
+    for bad in (np.zeros((4, 3)), np.full((4, 3), np.nan), np.ones((3, 3)), np.ones(3)):
+        with pytest.raises(lumitree.LumitreeError):
+            asset.eval(np.zeros((4, 3)), bad)
+
+
+def test_every_public_name_is_there_and_documented():
+    for name in lumitree.__all__:
+        assert getattr(lumitree, name).__doc__, name
+    signature = inspect.signature(lumitree.bake)
+    assert all(p.annotation is not p.empty for p in signature.parameters.values())
+    assert set(lumitree._HOMES) <= set(lumitree.__all__)

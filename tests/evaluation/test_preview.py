@@ -88,10 +88,10 @@ def test_sheet_shows_radiance_twice_and_both_opacities(preview, tmp_path):
 
 
 def test_labels(preview):
-    from lumitree.evaluation.preview import VIEWS, _draw
+    from lumitree.evaluation.preview import VIEWS, draw_preview
 
     taken = preview(sphere("lamp", 1, inside=AREA), sphere("dark", 0.5, (4, 0, 0)))
-    texts = _draw(taken, r"a $lamp_{", ["2 shapes", "12 lm"]).texts
+    texts = draw_preview(taken, r"a $lamp_{", ["2 shapes", "12 lm"]).texts
     assert texts[0] == r"a $lamp_{"
     assert texts[1] == f"2 shapes   ·   12 lm   ·   exposure {taken.exposure:.3g} in all views"
     assert texts[2:8] == list(VIEWS)

@@ -1,6 +1,7 @@
 import dataclasses
 import math
 import sys
+from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -9,7 +10,7 @@ from PIL import Image
 
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.errors import LumitreeError
-from lumitree.evaluation import sheet, tiles
+from lumitree.evaluation import sheet
 from lumitree.evaluation.sheet import SheetRow, draw_sheet, relative_error, sheet_layout
 
 METRICS = {"psnr_linear": 31.234, "opacity_rmse": 0.0123}
@@ -144,12 +145,13 @@ def test_other_formats_are_refused(tmp_path):
 
 
 def test_leaves_nothing_behind_when_writing_fails(tmp_path, monkeypatch):
-    def fail(self, path, **_):
-        path.write_bytes(b"half")
+    def fail(path, data):
+        write(path, data[: len(data) // 2])
         raise OSError(28, "No space left on device")
 
     (tmp_path / "sheet.png").write_bytes(b"old")
-    monkeypatch.setattr(tiles.FigureCanvasAgg, "print_png", fail)
+    write = Path.write_bytes
+    monkeypatch.setattr(Path, "write_bytes", fail)
     with pytest.raises(LumitreeError, match="No space left on device"):
         draw_sheet([row()], 1.0, "title").save(tmp_path / "sheet.png")
     assert [path.name for path in tmp_path.iterdir()] == ["sheet.png"]

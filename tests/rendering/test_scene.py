@@ -17,15 +17,15 @@ ROOM = '<scene version="3.0.0"><integrator type="{}"/><sensor type="perspective"
 @pytest.fixture
 def loads(monkeypatch):
     """Paths of the assets that were read."""
-    from lumitree.rendering import field
+    from lumitree.rendering import opened
 
-    read, load = [], field.load
+    read, load = [], opened.load
 
     def counting(path):
         read.append(path)
         return load(path)
 
-    monkeypatch.setattr(field, "load", counting)
+    monkeypatch.setattr(opened, "load", counting)
     return read
 
 
@@ -77,7 +77,7 @@ def test_an_asset_that_has_changed_is_read_again(mi, asset, loads):
 
 
 def test_an_interrupt_ends_a_render_after_the_pass(mi, monkeypatch):
-    from lumitree.rendering import room
+    from lumitree.rendering import scene as module
 
     rendered, render = [], mi.render
 
@@ -87,10 +87,11 @@ def test_an_interrupt_ends_a_render_after_the_pass(mi, monkeypatch):
         signal.raise_signal(signal.SIGINT)
         return image
 
-    monkeypatch.setattr(room.mi, "render", interrupted)
-    monkeypatch.setattr(room, "_SAMPLES_PER_PASS", dict.fromkeys(room._SAMPLES_PER_PASS, 4 * 64))
+    monkeypatch.setattr(module.mi, "render", interrupted)
+    passes = dict.fromkeys(module._SAMPLES_PER_PASS, 4 * 64)
+    monkeypatch.setattr(module, "_SAMPLES_PER_PASS", passes)
     with pytest.raises(KeyboardInterrupt):
-        room.render(empty_room(mi), room.default_integrator(), 12)
+        module.render_scene(empty_room(mi), module.default_integrator(), 12)
     assert rendered == [4]
 
 
