@@ -86,7 +86,7 @@ def preview(
             views = take_preview(lamp, resolution, samples_per_pixel)
         with watch.stage("flux"):
             estimate = estimate_flux(lamp, FLUX_PATHS)
-        missed = None
+        missed = []
         if bounces:
             with watch.stage("bounces"):
                 missed = missed_by_depth(lamp, BOUNCE_PATHS)
@@ -107,7 +107,7 @@ def preview(
         paths_per_second=views.paths_per_second,
         exposure=views.exposure,
         faults=faults,
-        bounces=missed and [MissedFlux(**dataclasses.asdict(each)) for each in missed],
+        bounces=[MissedFlux(**dataclasses.asdict(each)) for each in missed] or None,
         sheet=None if sheet is None else Path(sheet),
         png=b"",
         **watch.costs(),

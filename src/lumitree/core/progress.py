@@ -118,18 +118,18 @@ def progress(description: str, total: float, done: float = 0) -> Iterator[Advanc
         done: units that an earlier run has already done.
     """
     callback = _callback.get()
-    start, first, note = time.monotonic(), done, ""
+    start, first, latest = time.monotonic(), done, ""
 
     def report(finished: bool) -> None:
         if callback is None:
             return
         seconds = time.monotonic() - start
         left = (total - done) * seconds / (done - first) if done > first else None
-        callback(Progress(description, done, total, seconds, left, note, finished))
+        callback(Progress(description, done, total, seconds, left, latest, finished))
 
-    def advance(amount: float, remark: str = "") -> None:
-        nonlocal done, note
-        done, note = done + amount, remark
+    def advance(amount: float, note: str = "") -> None:
+        nonlocal done, latest
+        done, latest = done + amount, note
         report(False)
 
     try:
