@@ -1,5 +1,9 @@
 """Sphinx configuration: prose in Markdown (MyST), the API from docstrings. Needs no GPU."""
 
+import re
+import shutil
+from pathlib import Path
+
 import lumitree
 
 project = "lumitree"
@@ -15,7 +19,7 @@ extensions = [
 ]
 templates_path = ["_templates"]
 exclude_patterns = ["_build"]
-source_suffix = {".md": "markdown"}
+source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 
 myst_heading_anchors = 3
 
@@ -27,3 +31,30 @@ napoleon_use_ivar = True
 html_theme = "furo"
 html_title = f"lumitree {release}"
 html_show_sphinx = False
+
+
+# Documents outside docs/ become pages too; their links are relative to the repository's root.
+ROOT = Path(__file__).parent.parent
+GENERATED = Path(__file__).parent / "generated"
+OUTSIDE = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/results/*.md")
+
+
+def copy_outside(app):
+    """Copy the documents outside docs/ to where Sphinx reads them."""
+    for pattern in OUTSIDE:
+        for path in ROOT.glob(pattern):
+            copy = GENERATED / path.relative_to(ROOT)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, copy)
+
+
+def link_outside(app, name, source):
+    """Point links between docs/ and the outside at those copies."""
+    outside = r"\]\((?:\.\./)*(ARCHITECTURE|CHANGELOG|CONTRIBUTING|benchmarks/results/\w+)\.md"
+    text = re.sub(outside, r"](/generated/\1.md", source[0])
+    source[0] = re.sub(r"\]\(docs/", "](/", text)
+
+
+def setup(app):
+    app.connect("builder-inited", copy_outside, priority=1)
+    app.connect("source-read", link_outside)
