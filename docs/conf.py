@@ -4,7 +4,24 @@ import re
 import shutil
 from pathlib import Path
 
-import lumitree
+import numpy.typing
+
+
+class ArrayLike:
+    """Shown by this name, instead of NumPy's union of a dozen types."""
+
+
+class NDArray:
+    """Shown by this name; docstrings state type and shape."""
+
+    def __class_getitem__(cls, _):
+        return cls
+
+
+# Before lumitree is imported, which takes them from there.
+numpy.typing.ArrayLike, numpy.typing.NDArray = ArrayLike, NDArray
+
+import lumitree  # noqa: E402
 
 project = "lumitree"
 author = "lumitree contributors"
@@ -24,13 +41,18 @@ source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 myst_heading_anchors = 3
 
 autodoc_member_order = "bysource"
-autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
+autodoc_typehints_format = "short"
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 
 html_theme = "furo"
 html_title = f"lumitree {release}"
 html_show_sphinx = False
+html_static_path = ["_static"]
+html_css_files = ["tables.css"]
 
 
 # Documents outside docs/ become pages too; their links are relative to the repository's root.
