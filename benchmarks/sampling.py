@@ -124,15 +124,15 @@ def _measure_point(proxy, sampler, place: tuple[float, ...]) -> tuple[float, dic
     origin = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in place))
     uniform = mi.Point2f(random.next_float32(), random.next_float32())
     dr.eval(uniform)
-    direction, reach = sampler.aim(origin, uniform)
+    direction, reach = sampler.sample(origin, uniform)
     distance, _, enters = proxy.enter(origin, direction)
     entry = origin + distance * direction
     dr.eval(direction, reach, distance, enters, entry)
-    radiance, _, pdf = sampler.look(entry, direction, distance, enters, reach)
+    radiance, _, pdf = sampler.eval(entry, direction, distance, enters, reach)
     weight = dr.mean(radiance) * dr.select(pdf > 0, dr.rcp(pdf), 0)
     return float(np.array(weight, np.float64).var()), {
-        "aim": lambda: sampler.aim(origin, uniform),
-        "look": lambda: sampler.look(entry, direction, distance, enters, reach),
+        "sample": lambda: sampler.sample(origin, uniform),
+        "eval": lambda: sampler.eval(entry, direction, distance, enters, reach),
         "pdf": lambda: sampler.pdf(entry, direction, distance, enters),
     }
 

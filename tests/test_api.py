@@ -204,7 +204,7 @@ def test_dictionaries_and_scenes_are_luminaires(mi, tmp_path):
     ("luminaire", "message"),
     [
         ({"type": "sphere"}, "no emitter"),
-        ({"type": "sphere", "radius": "wide"}, "no Mitsuba scene"),
+        ({"type": "sphere", "radius": object()}, "no Mitsuba scene"),
         ({"type": "constant"}, "holds no shapes"),
         (7, "not of type int"),
     ],

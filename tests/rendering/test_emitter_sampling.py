@@ -69,10 +69,10 @@ class Drawn:
 
     def sample(self, origin, sample):
         """Direction, density and radiance."""
-        direction, reach = self.sampler.aim(origin, sample)
+        direction, reach = self.sampler.sample(origin, sample)
         distance, _, enters = self.proxy.enter(origin, direction)
         entry = origin + distance * direction
-        radiance, _, pdf = self.sampler.look(entry, direction, distance, enters, reach)
+        radiance, _, pdf = self.sampler.eval(entry, direction, distance, enters, reach)
         return direction, pdf, radiance
 
     def pdf(self, origin, direction):
