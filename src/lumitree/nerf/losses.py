@@ -16,7 +16,7 @@ def hdr_loss(
 
     As the paper writes it, the error is in [0, 1], that is radiance / L_max, and the denominator
     in radiance units. In radiance units throughout (D6 as first planned) this term is L_max²
-    times larger and drowns the opacity loss; docs/decisions.md has the measurement.
+    times larger and drowns the opacity loss; docs/decisions/0006-hdr-loss.md has the measurement.
 
     Args:
         predicted: [R, 3] radiance, >= 0.
