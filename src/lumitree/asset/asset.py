@@ -27,7 +27,7 @@ MAX_DENSITY = 1e15
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Asset:
-    """A sparse octree over the cube [-1, 1]³ of the proxy frame.
+    """A sparse octree over the cube [-1, 1]³ of the local frame.
 
     Inside a leaf density and coefficients are constant. The emission towards a viewer in
     direction v is Φ = max_radiance · sigmoid(Σ coefficient · Y(v)).
@@ -36,15 +36,15 @@ class Asset:
         children: int32 [N, 8], by octant: 0 empty, n > 0 interior node n, c < 0 leaf ~c.
             Node 0 is the root; a node's children come after it.
         density: float32 [M], 0 to 1e15, per local unit of length.
-        coefficients: float16 [M, 3, K], spherical-harmonics coefficients before the sigmoid.
+        coefficients: float16 [M, 3, K], spherical-harmonics coefficients of the logit.
         tree_depth: level of the smallest possible leaf, whose side is 2 / 2**tree_depth.
         l_max: highest spherical-harmonics band, 0 to 4.
         law: transmittance law the field was made for.
-        max_radiance: L_max, the sigmoid's end, 1e-15 to 1e15; radiance units of the luminaire's
+        max_radiance: L_max, the upper end of the emission, 1e-15 to 1e15; radiance units of the luminaire's
             own scene.
         half_extents: float [3], the proxy box in local units, at least 1e-3; the longest is 1.
-        world_from_proxy: float [4, 4], the luminaire's own frame: local to its file's units. Its
-            scale is 1e-12 to 1e12, and so far is it moved at most.
+        world_from_proxy: float [4, 4], a similarity from the local frame to that of the luminaire's
+            file. Its scale is 1e-12 to 1e12, its translation at most 1e12 along each axis.
         luminaire: where the field came from, for people; kept as a `core.reading.label`.
     """
 

@@ -51,6 +51,9 @@ class _Display:
         self._task: Any = None
         self._logged = 0.0
 
+    def __repr__(self) -> str:
+        return "show_progress"
+
     def __call__(self, progress: Progress) -> None:
         """Show a report; nothing in the first two seconds of a task."""
         if progress.finished:

@@ -1,4 +1,4 @@
-"""The slow, obvious twin of the renderer's traversal: every leaf against every ray, in float64."""
+"""Reference implementation of the field's integral: every leaf and every ray, in float64."""
 
 import numpy as np
 from numpy.typing import NDArray
