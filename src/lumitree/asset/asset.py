@@ -40,8 +40,8 @@ class Asset:
         tree_depth: level of the smallest possible leaf, whose side is 2 / 2**tree_depth.
         l_max: highest spherical-harmonics band, 0 to 4.
         law: transmittance law the field was made for.
-        max_radiance: L_max, the upper end of the emission, 1e-15 to 1e15; radiance units of the luminaire's
-            own scene.
+        max_radiance: L_max, the upper end of the emission, 1e-15 to 1e15; radiance units of the
+            luminaire's own scene.
         half_extents: float [3], the proxy box in local units, at least 1e-3; the longest is 1.
         world_from_proxy: float [4, 4], a similarity from the local frame to that of the luminaire's
             file. Its scale is 1e-12 to 1e12, its translation at most 1e12 along each axis.
