@@ -322,7 +322,7 @@ def test_bad_transforms_are_refused(mi, asset_file, matrix, message):
 
 
 def test_unknown_proxy_and_missing_asset(mi, asset_file, tmp_path):
-    with pytest.raises(LumitreeError, match="unknown proxy 'cone'"):
+    with pytest.raises(LumitreeError, match="proxy is 'cone'"):
         lumitree.shape(asset_file(random_asset(0)), proxy="cone")
     with pytest.raises(LumitreeError, match="does not exist"):
         lumitree.shape(tmp_path / "nothing.lumitree")
