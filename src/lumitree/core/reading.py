@@ -82,7 +82,8 @@ def read_arrays(path: str | os.PathLike[str], *names: str) -> dict[str, NDArray[
     if not os.path.isfile(path):
         raise LumitreeError(f"{path} is missing or no regular file")
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        # Opened here: NumPy leaves a file open that turns out to be damaged.
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
             return {name: archive[name] for name in names or archive.files}
     except _DAMAGED_ARCHIVE as error:
         raise LumitreeError(f"{path} is damaged ({type(error).__name__})") from None
@@ -90,7 +91,7 @@ def read_arrays(path: str | os.PathLike[str], *names: str) -> dict[str, NDArray[
 
 def label(name: str) -> str:
     """A name as files keep it: at most `MAX_LABEL` characters, "?" for unprintable ones."""
-    return "".join(letter if letter.isprintable() else "?" for letter in name[:MAX_LABEL])
+    return shown(name[:MAX_LABEL], MAX_LABEL)
 
 
 def parse_json(text: str | bytes) -> Any:
@@ -258,5 +259,4 @@ def _shown(value: Any) -> str:
         return "an object"
     if isinstance(value, list):
         return f"a list of {len(value)}"
-    text = json.dumps(value)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    return shown(json.dumps(value), _SHOWN)
