@@ -18,6 +18,7 @@ from lumitree.core.frames import rotation, similarity
 from lumitree.core.images import read_exr
 from lumitree.core.work_folder import WorkFolder
 from lumitree.nerf.config import PRESETS
+from lumitree.rendering.opened import open_field
 from lumitree.rendering.reference import integrate_ray
 
 LAMP = """<scene version="3.0.0">
@@ -257,6 +258,8 @@ def test_lines_of_an_asset_are_those_of_the_reference(mi):
         np.testing.assert_allclose(radiance[index], expected, rtol=2e-3, atol=1e-4)
         assert through[index] == pytest.approx(transmittance, abs=1e-3)
     assert asset.eval(np.zeros((0, 3)), np.zeros((0, 3)))[0].shape == (0, 3)
+    # What renders the asset finds the same copy open.
+    assert open_field(asset) is open_field(asset)
     for bad in (np.zeros((4, 3)), np.full((4, 3), np.nan), np.ones((3, 3)), np.ones(3)):
         with pytest.raises(lumitree.LumitreeError):
             asset.eval(np.zeros((4, 3)), bad)

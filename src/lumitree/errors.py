@@ -49,7 +49,7 @@ def shown_names(names: Iterable[str]) -> str:
 
 
 def explained(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator: what the machine or a file is to blame for becomes a `LumitreeError`.
+    """Decorator: errors of the system, of memory and of readers become a `LumitreeError`.
 
     Readers say what is wrong with a file where they know; this is for what they did not foresee.
     """

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lumitree.core.files import atomic_path, check_writable, write_json
+from lumitree.core.files import atomic_path, check_writable, is_empty, write_json
 from lumitree.core.images import read_exr, tonemap, write_exr, write_image
 from lumitree.errors import LumitreeError
 
@@ -111,6 +111,14 @@ def test_what_a_killed_process_left_is_removed(tmp_path):
         processes[1].kill()
         for process in processes:
             process.communicate()
+
+
+def test_only_temporary_files_count_as_nothing(tmp_path):
+    assert is_empty(tmp_path)
+    (tmp_path / ".run.lumitree-a1b2c3_d.json").write_text("")
+    assert is_empty(tmp_path)
+    (tmp_path / ".a.lumitree-notes.txt").write_text("mine")
+    assert not is_empty(tmp_path)
 
 
 def test_outputs_that_cannot_be_written_are_refused_before(tmp_path):

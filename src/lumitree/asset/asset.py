@@ -6,7 +6,6 @@ Symbols
 """
 
 import dataclasses
-import functools
 from typing import Any
 
 import numpy as np
@@ -116,21 +115,18 @@ class Asset:
         length = np.linalg.norm(direction, axis=1, keepdims=True)
         if not (np.isfinite(origin).all() and np.isfinite(length).all() and (length > 0).all()):
             raise LumitreeError("lines need finite origins and finite directions other than 0")
-        return self._field.eval_lines(*self._local_lines(origin, direction / length))
+        load_mitsuba()
+        from lumitree.octree.field import shared_field
+
+        # Held, so that the next call finds it open; by the variant that is set now.
+        self.__dict__["_field"] = field = shared_field(self)
+        return field.eval_lines(*self._local_lines(origin, direction / length))
 
     def _local_lines(self, origin, direction):
         """Lines in the local frame: points [N, 3] and unit directions [N, 3]."""
         scale = similarity_scale(self.world_from_proxy)
         rotation = self.world_from_proxy[:3, :3] / scale
         return (origin - self.world_from_proxy[:3, 3]) @ rotation / scale, direction @ rotation
-
-    @functools.cached_property
-    def _field(self) -> Any:
-        """The asset on the device."""
-        load_mitsuba()
-        from lumitree.octree.field import Field
-
-        return Field(self)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,8 +13,11 @@ from typing import Any
 
 from lumitree.errors import LumitreeError, shown
 
-# Between a file's own name and the random part of its temporary one.
+# Between a file's own name and the random part of its temporary one; all of such a name.
 _TEMPORARY = ".lumitree-"
+_TEMPORARY_NAME = re.compile(
+    r"\.(?P<stem>.*)\.lumitree-[a-z0-9_]{8}(?P<suffix>(\.[^.]*)?)", re.DOTALL
+)
 
 
 @contextlib.contextmanager
@@ -103,7 +106,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 
 def is_empty(folder: Path) -> bool:
     """Whether a folder holds nothing, or nothing but what a killed `atomic_path` left."""
-    return all(_TEMPORARY in name and name.startswith(".") for name in os.listdir(folder))
+    return all(_TEMPORARY_NAME.fullmatch(name) for name in os.listdir(folder))
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
@@ -127,10 +130,9 @@ def _check_name(name: str, folder: Path) -> None:
 
 def _remove_abandoned(path: Path) -> None:
     """Remove temporary files of `path` that no living process holds."""
-    start, end = re.escape(f".{path.stem}{_TEMPORARY}"), re.escape(path.suffix)
-    pattern = re.compile(f"{start}[a-z0-9_]{{8}}{end}")
     for entry in path.parent.iterdir():
-        if not pattern.fullmatch(entry.name):
+        found = _TEMPORARY_NAME.fullmatch(entry.name)
+        if found is None or (found["stem"], found["suffix"]) != (path.stem, path.suffix):
             continue
         with contextlib.suppress(OSError):
             handle = os.open(entry, os.O_RDONLY)

@@ -18,7 +18,6 @@ from contextlib import contextmanager
 from types import FrameType
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_FRESH = "stopping ...; a second signal ends at once"
 
 
 class Interrupted(KeyboardInterrupt):
@@ -66,7 +65,7 @@ def deferred_interrupt() -> Iterator[Interruption]:
     with contextlib.ExitStack() as stack:
 
         def note(number: int, frame: FrameType | None) -> None:
-            _announce(_FRESH, number)
+            _announce("stopping ...; a second signal ends at once", number)
             interruption.number = number
             stack.close()
 

@@ -10,7 +10,7 @@ from lumitree.errors import LumitreeError
 from lumitree.evaluation.baked import baked_view
 from lumitree.evaluation.metrics import flux_error, mean_metrics, view_metrics
 from lumitree.evaluation.sheet import MAX_ROWS, SheetRow
-from lumitree.octree.field import Field
+from lumitree.octree.field import shared_field
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +45,7 @@ def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
             f"the asset ({asset.luminaire}) and {dataset.folder} ({manifest.luminaire}) have "
             "bounding boxes of different proportions; evaluate an asset on its own luminaire"
         )
-    field = Field(asset)
+    field = shared_field(asset)
     # Of the views, so that assets with other bounds are compared on one scale.
     max_radiance = dataset.max_radiance(dataset.views())
     views, rows = [], []

@@ -4,6 +4,8 @@ Symbols
     tau, T      optical depth and transmittance so far
 """
 
+import threading
+import weakref
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -213,3 +215,28 @@ def _from_half(bits, unit):
     # offsets. There are no infinities in an asset.
     word = (bits & 0x80000000) | ((bits & 0x7FFF0000) >> 3)
     return dr.reinterpret_array(mi.Float, word) * (2.0**112 * unit)
+
+
+_LOCK = threading.Lock()
+_SHARED: "weakref.WeakKeyDictionary[FieldData, dict[tuple[object, ...], weakref.ref[Field]]]" = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def shared_field(asset: FieldData, min_density: float = 0.0, max_opacity: float = 1.0) -> Field:
+    """The field of an asset in the variant that is set; one copy for all that use it at a time."""
+    key = (mi.variant(), min_density, max_opacity)
+    with _LOCK:
+        known = _SHARED.setdefault(asset, {}).get(key)
+    field = None if known is None else known()
+    if field is None:
+        # Mitsuba makes plugins in parallel, and a thread that waits for the device makes others
+        # meanwhile: so the lock is not held here, and of two that are made the first is kept.
+        field = Field(asset, min_density, max_opacity)
+        with _LOCK:
+            known = _SHARED[asset].get(key)
+            other = None if known is None else known()
+            if other is not None:
+                return other
+            _SHARED[asset][key] = weakref.ref(field)
+    return field

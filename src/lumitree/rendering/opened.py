@@ -6,11 +6,9 @@ import threading
 import weakref
 from pathlib import Path
 
-import mitsuba as mi
-
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import load
-from lumitree.octree.field import Field
+from lumitree.octree.field import Field, shared_field
 
 # File names that stand for assets in memory.
 _IN_MEMORY = "lumitree-asset-in-memory-"
@@ -18,9 +16,6 @@ _NUMBERS = itertools.count()
 _LOCK = threading.Lock()
 _NAMED: "weakref.WeakValueDictionary[str, Asset]" = weakref.WeakValueDictionary()
 _READ: "weakref.WeakValueDictionary[tuple[object, ...], Asset]" = weakref.WeakValueDictionary()
-_FIELDS: "weakref.WeakKeyDictionary[Asset, dict[tuple[object, ...], weakref.ref[Field]]]" = (
-    weakref.WeakKeyDictionary()
-)
 
 
 def file_name(asset: Asset | str | os.PathLike[str]) -> str:
@@ -51,8 +46,7 @@ def open_asset(asset: Asset | str | os.PathLike[str]) -> Asset:
     key = (path, stamp and (stamp.st_mtime_ns, stamp.st_size, stamp.st_ino))
     found = _READ.get(key)
     if found is None:
-        # Mitsuba makes plugins in parallel, and a thread that waits for the device makes others
-        # meanwhile: so the lock is not held here, and of two that open a file the first is kept.
+        # As in `shared_field`: of two threads that read a file the first's asset is kept.
         found = load(path)
         with _LOCK:
             found = _READ.setdefault(key, found)
@@ -63,17 +57,4 @@ def open_field(
     asset: Asset | str | os.PathLike[str], min_density: float = 0.0, max_opacity: float = 1.0
 ) -> Field:
     """The field of an asset on the device; arguments as for `open_asset` and `Field`."""
-    data = open_asset(asset)
-    key = (mi.variant(), min_density, max_opacity)
-    with _LOCK:
-        known = _FIELDS.setdefault(data, {}).get(key)
-    field = None if known is None else known()
-    if field is None:
-        field = Field(data, min_density, max_opacity)
-        with _LOCK:
-            known = _FIELDS[data].get(key)
-            other = None if known is None else known()
-            if other is not None:
-                return other
-            _FIELDS[data][key] = weakref.ref(field)
-    return field
+    return shared_field(open_asset(asset), min_density, max_opacity)
