@@ -10,7 +10,7 @@ demo: $(VENV)/.installed
 	$(BIN)/lumitree demo -o demo-output
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow

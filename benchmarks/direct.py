@@ -1,24 +1,27 @@
-"""What bakes are worth: python benchmarks/direct.py NAME ... --references FOLDER
+"""Error of bakes on held-out views, as the gain over an all-black image.
+
+    python -m benchmarks direct NAME ... --references FOLDER
 
 Bakes every luminaire by each `--method`, evaluates it on the views of its name in each folder of
 `--references` (see `lumitree capture --split test`), and puts the rows into `direct.md` and
-`direct.json` in benchmarks/results/, in place of earlier rows of the same luminaire, method and
-resolution; all others stay, with the commit they were measured at.
+`direct.json`, in place of earlier rows of the same luminaire, method and resolution; all others
+stay, with the commit they were measured at. The baseline is an all-black image on the same views.
 """
 
 import argparse
-import json
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from typing import cast
 
 import lumitree
+from benchmarks.common.options import add_seed
+from benchmarks.common.results import Results, notes
+from benchmarks.common.tables import Table
+from lumitree.api.baking import Quality
 from lumitree.core.dataset import Dataset
-from lumitree.core.files import write_json
-from setting import setting
 
-RESULTS = Path(__file__).parent / "results"
 COLUMNS = {
     "psnr_linear": 2,
     "gain_linear": 2,
@@ -31,20 +34,19 @@ COLUMNS = {
 NETWORK = "network"
 
 
-def measure(
-    name: str, method: str, facts: dict, args: argparse.Namespace, folder: Path
-) -> list[dict]:
-    """A bake and what it is worth: a row for each set of views."""
+def measure(name: str, method: str, options: argparse.Namespace, folder: Path) -> list[dict]:
+    """A bake and its errors: a row for each set of views."""
     title = label(name)
-    asset = str(args.assets / f"{title}-{method}.lumitree")
+    asset = str(options.assets / f"{title}-{method}.lumitree")
     if method == NETWORK:
-        baked = lumitree.bake_network(name, asset)
+        baked = lumitree.bake_network(name, asset, variant=options.variant)
     else:
-        baked = lumitree.bake(name, asset, quality=method)
+        baked = lumitree.bake(
+            name, asset, quality=cast(Quality, method), seed=options.seed, variant=options.variant
+        )
     bake = {
         "luminaire": title,
         "method": method,
-        "setting": facts,
         "seconds": sum(baked.seconds.values()),
         "peak_memory_bytes": baked.peak_memory_bytes,
         "leaves": baked.asset.num_leaves,
@@ -52,15 +54,13 @@ def measure(
         "rays": baked.rays,
     }
     sheet = str(folder / "sheet.png")
-    return [bake | worth(asset, references / title, sheet) for references in args.references]
+    return [bake | errors(asset, references / title, sheet) for references in options.references]
 
 
-def worth(asset: str, folder: Path, sheet: str) -> dict:
+def errors(asset: str, folder: Path, sheet: str) -> dict:
     """Metrics of an asset on stored views, and what these are."""
     views = Dataset.open(str(folder)).manifest
     metrics = lumitree.evaluate(asset, str(folder), sheet).metrics
-    for kind in ("linear", "mulaw"):
-        metrics[f"gain_{kind}"] = metrics[f"psnr_{kind}"] - metrics[f"psnr_{kind}_black"]
     return {
         "resolution": views.resolution,
         "views": len(views.frames),
@@ -75,12 +75,11 @@ def label(name: str) -> str:
     return path.parent.name if path.stem == "luminaire" else path.stem
 
 
-def table(rows: list[dict]) -> str:
-    """The rows in Markdown."""
+def table(rows: list[dict]) -> Table:
+    """A line for each row."""
     heads = ["luminaire", "method", "views", "s", "peak GB", "leaves", "MB", *COLUMNS, "commit"]
-    lines = ["| " + " | ".join(heads) + " |", "|---|---|---" + "|---:" * (len(heads) - 3) + "|"]
-    for row in rows:
-        cells = [
+    lines = [
+        [
             row["luminaire"],
             row["method"],
             f"{row['views']} of {row['resolution']}², {row['samples_per_pixel']} spp",
@@ -91,12 +90,12 @@ def table(rows: list[dict]) -> str:
             *(f"{row['metrics'][name]:.{digits}f}" for name, digits in COLUMNS.items()),
             row["setting"]["commit"],
         ]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+        for row in rows
+    ]
+    return Table(heads, lines, left=3)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="What bakes are worth, luminaire by luminaire.")
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("luminaires", metavar="NAME", nargs="+")
     parser.add_argument(
         "--references",
@@ -115,45 +114,42 @@ def main() -> None:
         choices=["preview", "standard", "high", NETWORK],
         help="quality of the direct bake, or the network; may be repeated (default: standard)",
     )
-    args = parser.parse_args()
-    for name in args.luminaires:
-        for references in args.references:
+    add_seed(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    for name in options.luminaires:
+        for references in options.references:
             Dataset.open(str(references / label(name)))  # before an hour of bakes, not after
-    facts = setting()
+    results = Results(options)
     # A process for each: the peak of memory is the bake's own.
     with (
         tempfile.TemporaryDirectory() as folder,
         ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as process,
     ):
-        for name in args.luminaires:
-            for method in args.method or ["standard"]:
-                write(process.submit(measure, name, method, facts, args, Path(folder)).result())
+        for name in options.luminaires:
+            for method in options.method or ["standard"]:
+                job = process.submit(measure, name, method, options, Path(folder))
+                rows = [row | {"setting": results.setting()} for row in job.result()]
+                print(table(rows).text(), flush=True)
+                write(rows, results)
 
 
-def write(new: list[dict]) -> None:
+def write(new: list[dict], results: Results) -> None:
     """Both files, with these rows in place of earlier ones."""
-    RESULTS.mkdir(exist_ok=True)
-    stored = RESULTS / "direct.json"
-    rows = {key(row): row for row in json.loads(stored.read_text())} if stored.is_file() else {}
-    rows |= {key(row): row for row in new}
+    rows = {key(row): row for row in [*results.stored([]), *new]}
     ordered = [rows[name] for name in sorted(rows)]
-    write_json(stored, ordered)
-    settings = {json.dumps(row["setting"] | {"commit": ""}): row["setting"] for row in ordered}
-    notes = [
-        f"* {name}: {value}"
-        for each in settings.values()
-        for name, value in each.items()
-        if name != "commit"
+    own = ("commit", "command", "seconds")  # of each row
+    lines = [
+        notes({name: value})
+        for row in ordered
+        for name, value in row["setting"].items()
+        if name not in own
     ]
-    (RESULTS / "direct.md").write_text(
-        "# What bakes are worth\n\n" + table(ordered) + "\n" + "\n".join(notes) + "\n"
-    )
+    text = f"# What bakes are worth\n\n{table(ordered).markdown()}\n{''.join(dict.fromkeys(lines))}"
+    results.write(ordered, text)
 
 
 def key(row: dict) -> tuple[str, str, int]:
     """What tells rows apart."""
     return row["luminaire"], row["method"], row["resolution"]
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Time at equal error of a lamp and of its bake: python benchmarks/equal_quality.py --help
+"""Time at equal error of a lamp and of its bake, in a room.
 
 One pair:   --luminaire bulbs --asset bulbs.lumitree --room room_night.xml --at x y z --size s
 Many pairs: --pairs benchmarks/equal_quality_pairs.toml --rooms FOLDER --assets FOLDER
@@ -30,173 +30,104 @@ again spends its time on making the long runs longer. Readings (one row a pair):
 * robust: the time for equal relMSE of the whole picture without the 0.1 % of the pixels with the
   largest errors, from the ladders as well.
 
-Writes equal_quality.json, equal_quality.md and pictures into `--output`.
+The explicit lamp is the baseline. Writes equal_quality.json, equal_quality.md and pictures.
 """
 
 import argparse
-import dataclasses
-import json
-import tomllib
+import functools
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
-import lumitree
-from batches import LongRun, digest, ladder, pace, remember
-from equal_quality_report import draw_curves, draw_pictures, level_table, table
-from error_against_time import (
-    Floats,
-    Pace,
-    noise,
+from benchmarks.common.results import Results, notes
+from benchmarks.common.timing import ClockName, Job, interleaved
+from benchmarks.equal_error.error_against_time import (
     ratio_of_means,
     relative_weights,
     squared_difference,
     trimming,
 )
-from lumitree.core.backend import load_mitsuba
-from lumitree.core.files import write_json
-from readings import Reference, expected_levels, headline, levels, readable, rung_rows
-from setting import setting
+from benchmarks.equal_error.method import Method
+from benchmarks.equal_error.pairs import Pair, add_folders, read_pairs, shows_lamp
+from benchmarks.equal_error.readings import (
+    Reference,
+    expected_levels,
+    headline,
+    levels,
+    readable,
+    rung_rows,
+)
+from benchmarks.equal_error.report import draw_curves, draw_pictures, level_table, table
+from lumitree.errors import LumitreeError
 
-HERE = Path(__file__).parent
 REFERENCE_SHARE, BAKED_SHARE, LADDER_SHARE = 0.5, 0.15, 0.175  # the last one twice
-SEEN_RAYS = 16  # a pixel, to tell which show the lamp
-# What a picture of the baked lamp depends on, besides its asset and the room.
-_SOURCES = ("rendering", "octree", "asset", "core")
+TIMED_SAMPLES = 8  # a pixel
 
 
-@dataclasses.dataclass(frozen=True)
-class Pair:
-    """A luminaire, its asset and where both hang in a room."""
-
-    luminaire: str
-    asset: str
-    room: str
-    at: tuple[float, float, float]
-    size: float
-    bake_seconds: float | None = None
-
-    @property
-    def lamp_name(self) -> str:
-        """Built-in name, or the folder of a file (and the file's own name where it says more)."""
-        path = Path(self.luminaire)
-        if not path.suffix:
-            return self.luminaire
-        folder = path.resolve().parent.name
-        return folder if path.stem == "luminaire" else f"{folder}-{path.stem}"
-
-    @property
-    def name(self) -> str:
-        """For files."""
-        return f"{self.lamp_name}-{Path(self.room).resolve().parent.name}"
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--luminaire", help="built-in name or file")
+    parser.add_argument("--asset", help="its bake, a .lumitree file")
+    parser.add_argument("--room", help="Mitsuba scene file with a camera")
+    parser.add_argument("--at", nargs=3, type=float, metavar=("X", "Y", "Z"), help="box centre")
+    parser.add_argument("--size", type=float, help="largest side of its box, scene units")
+    parser.add_argument("--bake-seconds", type=float, help="what the bake took, for the break-even")
+    parser.add_argument("--pairs", type=Path, help="TOML file of pairs instead")
+    add_folders(parser)
+    parser.add_argument("--time", type=float, default=240, help="seconds a pair, by the wall")
+    parser.add_argument("--width", type=int, default=240, help="of the pictures, pixels")
+    parser.add_argument("--path-depth", type=int, default=64, help="longest path")
+    parser.add_argument("--explicit", help="the explicit lamp's integrator (default: as it needs)")
+    parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="what times mean")
+    parser.add_argument("--cache", type=Path, default=Path("equal-quality.work"))
 
 
-class Method:
-    """One way to render the pair: its long run and its ladder, and how to extend both."""
-
-    def __init__(self, pair: Pair, baked: bool, args: argparse.Namespace) -> None:
-        from lumitree.luminaire.luminaire import load_luminaire
-        from lumitree.luminaire.scene_file import SceneFile
-        from lumitree.rendering.placement import Placement
-        from lumitree.rendering.scene import (
-            PlacedLuminaire,
-            load_scene,
-            place_luminaires,
-            render_scene,
-            set_film_width,
-        )
-
-        room, _ = load_scene(pair.room)
-        set_film_width(room, args.width)
-        source = pair.asset if baked else pair.luminaire
-        scene = place_luminaires(
-            room, [PlacedLuminaire(Placement(source, at=pair.at, size=pair.size))]
-        )
-        mi = load_mitsuba()
-        if baked:
-            self.kind = "lumitree_path"
-        else:
-            self.kind = args.explicit or explicit_integrator(load_luminaire(source))
-        key = {
-            "room": digest(Path(pair.room), *SceneFile(pair.room).references()),
-            "lamp": digest(Path(source)) if baked else load_luminaire(source).fingerprint,
-            "at": pair.at,
-            "size": pair.size,
-            "integrator": self.kind,
-            "path_depth": args.path_depth,
-            "width": args.width,
-            "mitsuba": mi.__version__,
-            "code": code_digest() if baked or self.kind == "lumitree_path" else "",
-        }
-        self.folder = Path(args.cache) / f"{pair.name}-{digest(key)}"
-        self.folder.mkdir(parents=True, exist_ok=True)
-        remember(self.folder, {"source": source, **key})
-        self.long = LongRun(self.folder / "long.npz")
-        self.rungs: list[dict] = []
-
-        def render_pair(samples: int, seed: int) -> Any:
-            integrator = mi.load_dict({"type": self.kind, "max_depth": args.path_depth})
-            return render_scene(
-                scene, integrator, samples, seed=seed, name=f"{pair.name}, {self.kind}"
-            )
-
-        self.render, self.scene = render_pair, scene
-
-    def spend(self, long_seconds: float, ladder_seconds: float) -> None:
-        """Climb the ladder and extend the long run for so many seconds by the wall."""
-        self.rungs = ladder(self.folder, self.render, ladder_seconds)
-        self.long.extend(self.render, long_seconds)
-
-    def variance(self) -> Floats:
-        """Variance [H, W, 3] of a sample, from the long run."""
-        return self.long.batches.var(0, ddof=1) * self.long.samples
-
-    def pace(self, seconds: float, bias: float, weights: Any) -> Pace:
-        """With the variance of the long run."""
-        variance = noise(self.long.batches, weights) * self.long.samples_per_pixel
-        return Pace(variance, seconds, bias)
-
-
-def shows_lamp(baked: Any) -> NDArray[np.bool_]:
-    """Mask [H, W, 1] of pixels in which the box of the lamp is seen, or next to one."""
-    import drjit as dr
-    import mitsuba as mi
-
-    sensor = baked.sensors()[0]
-    width, height = sensor.film().size()
-    random = mi.PCG32(width * height * SEEN_RAYS)
-    index = dr.arange(mi.UInt32, width * height * SEEN_RAYS) // SEEN_RAYS
-    pixel = mi.Point2f(index % width, index // width)
-    position = (pixel + mi.Point2f(random.next_float32(), random.next_float32())) / mi.Point2f(
-        width, height
+def run(options: argparse.Namespace) -> None:
+    one = (options.luminaire, options.asset, options.room, options.at, options.size)
+    if (options.pairs is None) == any(value is None for value in one):
+        raise LumitreeError("give --pairs, or all of --luminaire --asset --room --at --size")
+    if options.pairs is not None:
+        pairs = read_pairs(options.pairs, options.rooms, options.assets, options.data)
+    else:
+        luminaire, asset, room, at, size = one
+        pairs = [Pair(luminaire, asset, room, tuple(at), size, options.bake_seconds)]
+    results = Results(
+        options,
+        seconds_a_pair=options.time,
+        clock=options.clock,
+        path_depth=options.path_depth,
+        baseline="explicit lamp",
     )
-    ray, _ = sensor.sample_ray(0, 0, position, mi.Point2f(0.5))
-    hit = baked.ray_intersect_preliminary(ray)
-    seen = np.array(hit.is_valid() & (hit.shape.emitter() != None))  # noqa: E711
-    seen = seen.reshape(height, width, SEEN_RAYS).any(axis=2)
-    return binary_dilation(seen, iterations=2)[..., None]
+    for pair in pairs:
+        row = measure(pair, options)
+        write([row], results)
+        print(table([row]).text(), flush=True)
 
 
-def explicit_integrator(luminaire: Any) -> str:
-    """What the explicit lamp needs: `path`, or `volpath` or `volpathmis` for media and thin glass.
+def measure(pair: Pair, options: argparse.Namespace) -> dict:
+    """Render what the budget allows, compare, draw."""
+    explicit, baked = (Method(pair, is_baked, options) for is_baked in (False, True))
+    budget = LADDER_SHARE * options.time
+    explicit.spend(REFERENCE_SHARE * options.time, budget)
+    baked.spend(BAKED_SHARE * options.time, budget)
+    row = compare(pair, explicit, baked, options.clock)
+    folder = Path(options.output) / "equal_quality"
+    folder.mkdir(parents=True, exist_ok=True)
+    row["pictures"] = [f"equal_quality/{pair.name}.png", f"equal_quality/{pair.name}-curves.png"]
+    pictures, curves = (Path(options.output) / name for name in row["pictures"])
+    draw_pictures(pictures, row, explicit.long.mean, explicit.rungs, baked.rungs)
+    draw_curves(curves, row)
+    return row
 
-    Light that thin glass and alpha masks let through unbent is found by next-event estimation under
-    `volpath` alone.
-    """
-    from lumitree.rendering.integrator import has_null_surfaces
-    from lumitree.transport.tracing import integrator_kind
 
-    kind = integrator_kind(luminaire)
-    return "volpath" if kind == "path" and has_null_surfaces(luminaire.scene) else kind
+def seconds_per_sample(methods: dict[str, Method], clock: ClockName) -> dict[str, float]:
+    """Seconds that a sample a pixel takes, by method."""
 
+    def job(method: Method) -> Job:
+        return lambda index: functools.partial(method.render, TIMED_SAMPLES, index)
 
-def code_digest() -> str:
-    """Hash of the package's code that renders a baked lamp."""
-    package = Path(lumitree.__file__).parent
-    return digest(*sorted(file for part in _SOURCES for file in (package / part).glob("*.py")))
+    times = interleaved({name: job(method) for name, method in methods.items()}, clock=clock)
+    return {name: seconds / TIMED_SAMPLES for name, seconds in times.items()}
 
 
 def reading(
@@ -233,7 +164,7 @@ def reading(
     }
 
 
-def compare(pair: Pair, explicit: Method, baked: Method, clock: str) -> dict:
+def compare(pair: Pair, explicit: Method, baked: Method, clock: ClockName) -> dict:
     """The pair's row: every reading."""
     reference = Reference.of(explicit.long.batches)
     bias = squared_difference(baked.long.batches, explicit.long.batches)
@@ -241,7 +172,8 @@ def compare(pair: Pair, explicit: Method, baked: Method, clock: str) -> dict:
         name: rung_rows(method.rungs, reference, clock)
         for name, method in (("explicit", explicit), ("baked", baked))
     }
-    seconds = [each[clock] for each in pace([explicit.render, baked.render])]
+    per_sample = seconds_per_sample({"explicit": explicit, "baked": baked}, clock)
+    seconds = list(per_sample.values())
     paces = explicit.pace(seconds[0], 0.0, 1.0), baked.pace(seconds[1], bias.value, 1.0)
     readings = levels(rows["explicit"], rows["baked"], paces, reference)
     best = headline(readings)
@@ -261,7 +193,7 @@ def compare(pair: Pair, explicit: Method, baked: Method, clock: str) -> dict:
     rel_mse = squared_difference(baked.long.batches, explicit.long.batches, reference.weights)
     return {
         "luminaire": pair.lamp_name,
-        "room": Path(pair.room).resolve().parent.name,
+        "room": pair.room_name,
         "speedup": best["speedup"],
         "speedup_error": best["speedup_error"],
         **{f"speedup_{name}": part["speedup"] for name, part in parts.items()},
@@ -269,7 +201,7 @@ def compare(pair: Pair, explicit: Method, baked: Method, clock: str) -> dict:
         "speedup_robust": best["speedup_robust"],
         "at_paper_samples": best,
         "levels": readings,
-        "seconds_per_sample": dict(zip(("explicit", "baked"), seconds, strict=True)),
+        "seconds_per_sample": per_sample,
         "lit_share": float(lit.mean()),
         **parts,
         "at": pair.at,
@@ -297,103 +229,19 @@ def compare(pair: Pair, explicit: Method, baked: Method, clock: str) -> dict:
     }
 
 
-def run(pair: Pair, args: argparse.Namespace) -> dict:
-    """Render what the budget allows, compare, draw."""
-    explicit, baked = (Method(pair, is_baked, args) for is_baked in (False, True))
-    budget = LADDER_SHARE * args.time
-    explicit.spend(REFERENCE_SHARE * args.time, budget)
-    baked.spend(BAKED_SHARE * args.time, budget)
-    row = compare(pair, explicit, baked, args.clock)
-    folder = Path(args.output) / "equal_quality"
-    folder.mkdir(parents=True, exist_ok=True)
-    row["pictures"] = [f"equal_quality/{pair.name}.png", f"equal_quality/{pair.name}-curves.png"]
-    pictures, curves = (Path(args.output) / name for name in row["pictures"])
-    draw_pictures(pictures, row, explicit.long.mean, explicit.rungs, baked.rungs)
-    draw_curves(curves, row)
-    return row
-
-
-def read_pairs(path: Path, rooms: Path, assets: Path, data: Path) -> list[Pair]:
-    """Pairs of a TOML file; heights become sizes by the luminaire's own proportions."""
-    from lumitree.luminaire.luminaire import load_luminaire
-
-    pairs = []
-    for entry in tomllib.loads(path.read_text())["pair"]:
-        name = entry["luminaire"]
-        source = str(data / name) if name.endswith(".xml") else name
-        size = load_luminaire(source).size
-        pairs.append(
-            Pair(
-                luminaire=source,
-                asset=str(assets / entry["asset"]),
-                room=str(rooms / entry["room"] / "room_night.xml"),
-                at=tuple(entry["at"]),
-                size=float(entry["height"] * size.max() / size[1]),
-                bake_seconds=entry.get("bake_seconds"),
-            )
-        )
-    return pairs
-
-
-def write(rows: list[dict], output: Path, facts: dict) -> None:
+def write(rows: list[dict], results: Results) -> None:
     """Both files; rows of other pairs that are there already stay."""
-    path = output / "equal_quality.json"
-    known = json.loads(path.read_text())["pairs"] if path.exists() else []
+    known = results.stored({"pairs": []})["pairs"]
     names = {(row["luminaire"], row["room"]) for row in rows}
     rows = [row for row in known if (row["luminaire"], row["room"]) not in names] + rows
-    write_json(path, {"setting": facts, "pairs": rows})
-    notes = "".join(f"* {key}: {value}\n" for key, value in facts.items())
-    text = f"# Time at equal error\n\n{table(rows)}\n{notes}\n"
-    text += f"## Speed-up at the RMSE of the baked lamp's samples\n\n{level_table(rows)}\n"
-    text += f"## The same where the lamp itself is not seen\n\n{level_table(rows, 'lit')}\n"
-    text += f"## There, by relMSE without the noisiest 0.1 %\n\n{level_table(rows, 'lit_robust')}"
-    (output / "equal_quality.md").write_text(text)
-
-
-def arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
-    parser.add_argument("--luminaire", help="built-in name or file")
-    parser.add_argument("--asset", help="its bake, a .lumitree file")
-    parser.add_argument("--room", help="Mitsuba scene file with a camera")
-    parser.add_argument("--at", nargs=3, type=float, metavar=("X", "Y", "Z"), help="box centre")
-    parser.add_argument("--size", type=float, help="largest side of its box, scene units")
-    parser.add_argument("--bake-seconds", type=float, help="what the bake took, for the break-even")
-    parser.add_argument("--pairs", type=Path, help="TOML file of pairs instead")
-    parser.add_argument(
-        "--rooms", type=Path, default=Path("rooms"), help="for --pairs: ROOM/room_night.xml"
-    )
-    parser.add_argument(
-        "--data", type=Path, default=Path(), help="for --pairs: folder of luminaires"
-    )
-    parser.add_argument("--assets", type=Path, default=Path(), help="for --pairs: folder of assets")
-    parser.add_argument("--time", type=float, default=240, help="seconds a pair, by the wall (240)")
-    parser.add_argument("--width", type=int, default=240, help="of the pictures, pixels (240)")
-    parser.add_argument("--path-depth", type=int, default=64, help="longest path (64)")
-    parser.add_argument("--explicit", help="the explicit lamp's integrator (default: as it needs)")
-    parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="what times mean")
-    parser.add_argument("--cache", type=Path, default=Path("equal-quality.work"))
-    parser.add_argument("--output", type=Path, default=HERE / "results")
-    args = parser.parse_args()
-    one = (args.luminaire, args.asset, args.room, args.at, args.size)
-    if (args.pairs is None) == any(value is None for value in one):
-        parser.error("give --pairs, or all of --luminaire --asset --room --at --size")
-    return args
-
-
-def main() -> None:
-    args = arguments()
-    load_mitsuba()
-    if args.pairs is not None:
-        pairs = read_pairs(args.pairs, args.rooms, args.assets, args.data)
-    else:
-        at = tuple(args.at)
-        pairs = [Pair(args.luminaire, args.asset, args.room, at, args.size, args.bake_seconds)]
-    facts = setting(seconds_a_pair=args.time, clock=args.clock, path_depth=args.path_depth)
-    for pair in pairs:
-        row = run(pair, args)
-        write([row], args.output, facts)
-        print(table([row]))
-
-
-if __name__ == "__main__":
-    main()
+    facts = results.setting()
+    tables = {
+        "# Time at equal error": f"{table(rows).markdown()}\n{notes(facts)}",
+        "## Speed-up at the RMSE of the baked lamp's samples": level_table(rows).markdown(),
+        "## The same where the lamp itself is not seen": level_table(rows, "lit").markdown(),
+        "## There, by relMSE without the noisiest 0.1 %": level_table(
+            rows, "lit_robust"
+        ).markdown(),
+    }
+    text = "\n".join(f"{heading}\n\n{content}" for heading, content in tables.items())
+    results.write({"setting": facts, "pairs": rows}, text)

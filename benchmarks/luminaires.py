@@ -1,27 +1,35 @@
-"""Luminaires in numbers: python benchmarks/luminaires.py [--data FOLDER] [LUMINAIRE ...]
+"""Figures of luminaires, and the time of a capture against that of a plain emissive cube.
 
-Writes `luminaires.md` and `luminaires.json` into benchmarks/results/: triangles, emitters, L_max
-(of the preview's six views), luminous flux with its standard error, capture throughput (median of 3
-pictures, after one that compiles), and what paths of 32, 64 and 128 bounces miss of the light that
-paths of 256 carry. Without a name, all built-in luminaires; `--data` adds those of a folder.
+    python -m benchmarks luminaires [--data FOLDER] [LUMINAIRE ...]
+
+Writes `luminaires.md` and `luminaires.json`: triangles, emitters, L_max (of the preview's six
+views), luminous flux with its standard error, and what paths of 32, 64 and 128 bounces miss of the
+light that paths of 256 carry. Capture throughput is timed in turns with a plain emissive cube, the
+baseline, under the same camera. Without a name, all built-in luminaires; `--data` adds those of a
+folder.
 """
 
 import argparse
-import json
-import statistics
+import functools
 import sys
-import time
+import tempfile
 from pathlib import Path
+from typing import Any
 
+from benchmarks.common.options import add_pixels, add_seed
+from benchmarks.common.results import Results, notes
+from benchmarks.common.tables import Table
+from benchmarks.common.timing import Job, interleaved, ratios
 from lumitree.builtin.registry import BUILTIN
 from lumitree.luminaire.source import LuminaireSource
-from setting import setting
 
-HERE = Path(__file__).parent
-RESULTS, OVERRIDES = HERE / "results", HERE.parent / "examples" / "overrides"
-RESOLUTION, SAMPLES = 192, 32
-ROUNDS = 3
-FLUX_PATHS, BOUNCE_PATHS = 1 << 20, 1 << 20
+OVERRIDES = Path(__file__).parents[1] / "examples" / "overrides"
+PATHS = 1 << 20  # of the flux, and of what short paths miss
+BASELINE = "plain cube"
+PLAIN_CUBE = (
+    '<scene version="3.0.0"><shape type="cube"><emitter type="area">'
+    '<rgb name="radiance" value="1"/></emitter></shape></scene>'
+)
 PATH_DEPTHS = (32, 64, 128)
 # File, overrides, and metres in a unit of what is loaded.
 DATA = (
@@ -35,106 +43,119 @@ DATA = (
 )
 
 
-def measure(source: LuminaireSource, metres_per_unit: float) -> dict:
-    """One row of the table."""
+def measure(
+    source: LuminaireSource, metres_per_unit: float, baseline: Job, options: argparse.Namespace
+) -> dict:
+    """One row of the table.
+
+    Args:
+        baseline: capture of the plain cube.
+    """
     from lumitree.core.images import max_radiance
     from lumitree.evaluation.preview import take_preview
     from lumitree.luminaire.luminaire import load_luminaire
     from lumitree.transport.flux import estimate_flux, missed_by_depth
 
     luminaire = load_luminaire(source)
-    flux = estimate_flux(luminaire, FLUX_PATHS)
-    missed = missed_by_depth(luminaire, BOUNCE_PATHS, PATH_DEPTHS)
+    flux = estimate_flux(luminaire, PATHS, seed=options.seed)
+    missed = missed_by_depth(luminaire, PATHS, PATH_DEPTHS, seed=options.seed)
+    preview = take_preview(luminaire, options.resolution, options.spp)
+    times = interleaved({BASELINE: baseline, "capture": capture(luminaire, options)})
     return {
         "luminaire": luminaire.name,
         "triangles": luminaire.num_triangles,
         "emitters": luminaire.num_emitters,
-        "max_radiance": max_radiance([take_preview(luminaire, RESOLUTION, SAMPLES).radiance]),
+        "max_radiance": max_radiance([preview.radiance]),
         "metres_per_unit": metres_per_unit,
         "lumens": flux.lumens * metres_per_unit**2,
         "lumens_error": flux.lumens_error * metres_per_unit**2,
-        "paths_per_second": throughput(luminaire),
+        "paths_per_second": options.resolution**2 * options.spp / times["capture"],
+        "time_over_plain_cube": ratios(times, BASELINE)["capture"],
         "missed": {each.path_depth: (each.share, each.error) for each in missed},
     }
 
 
-def throughput(luminaire) -> float:
-    """Paths a second of a capture: radiance and both opacities."""
+def capture(luminaire: Any, options: argparse.Namespace) -> Job:
+    """Job: a view of a capture, with its radiance and both opacities."""
     from lumitree.core.directions import view_pose
     from lumitree.core.seeds import Purpose, SeedStream
     from lumitree.views.camera import Camera
 
-    camera = Camera(luminaire, RESOLUTION, SAMPLES)
-    seconds = []
-    for index in range(1, ROUNDS + 2):
-        start = time.perf_counter()
-        pose = view_pose(index, 2 * luminaire.bounding_radius)
-        camera.take(pose, SeedStream(Purpose.CAPTURE, index))
-        seconds.append(time.perf_counter() - start)
-    return RESOLUTION**2 * SAMPLES / statistics.median(seconds[1:])
+    camera = Camera(luminaire, options.resolution, options.spp)
+
+    def view(index: int) -> Any:
+        pose = view_pose(index + 1, 2 * luminaire.bounding_radius)
+        return functools.partial(camera.take, pose, SeedStream(Purpose.CAPTURE, index + 1))
+
+    return view
 
 
-def table(rows: list[dict]) -> str:
-    """The rows in Markdown."""
+def plain_cube(options: argparse.Namespace) -> Job:
+    """The same of a cube that emits the same radiance everywhere."""
+    from lumitree.luminaire.luminaire import load_luminaire
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "plain_cube.xml"
+        file.write_text(PLAIN_CUBE)
+        return capture(load_luminaire(str(file)), options)
+
+
+def table(rows: list[dict]) -> Table:
+    """A line for each luminaire."""
     heads = ["luminaire", "triangles", "emitters", "L_max", "flux (lm)", "paths/s (million)"]
-    heads += [f"missed at {depth}" for depth in PATH_DEPTHS]
-    lines = ["| " + " | ".join(heads) + " |", "|---" + "|---:" * (len(heads) - 1) + "|"]
-    for row in rows:
-        cells = [
+    heads += ["time / plain cube", *(f"missed at {depth}" for depth in PATH_DEPTHS)]
+    lines = [
+        [
             row["luminaire"],
             f"{row['triangles']:,}",
             str(row["emitters"]),
             f"{row['max_radiance']:.3g}",
             f"{row['lumens']:.4g} ± {row['lumens_error']:.2g}",
             f"{row['paths_per_second'] / 1e6:.2f}",
+            f"{row['time_over_plain_cube']:.1f}",
             *(
                 f"{100 * share:.2g} ± {100 * error:.1g} %"
                 for share, error in row["missed"].values()
             ),
         ]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+        for row in rows
+    ]
+    return Table(heads, lines)
 
 
 def sources(names: list[str], data: Path | None) -> list[tuple[LuminaireSource, float]]:
     """What to measure, and the metres in a unit of each."""
     found = [(LuminaireSource(name), 1.0) for name in names]
-    for file, overrides, unit in DATA if data is not None else ():
+    if data is None:
+        return found
+    for file, overrides, unit in DATA:
         materials = None if overrides is None else str(OVERRIDES / overrides)
         found.append((LuminaireSource(str(data / file), materials=materials), unit))
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Luminaires in numbers.")
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("luminaires", metavar="LUMINAIRE", nargs="*", default=list(BUILTIN))
-    parser.add_argument("--data", metavar="FOLDER", type=Path)
-    args = parser.parse_args()
-    # The folder is the machine's own business.
-    command = "benchmarks/luminaires.py" + " --data FOLDER" * (args.data is not None)
-    facts = setting(
-        command=command,
-        resolution=RESOLUTION,
-        samples_per_pixel=SAMPLES,
-        flux_paths=FLUX_PATHS,
-        bounce_paths=BOUNCE_PATHS,
+    parser.add_argument("--data", metavar="FOLDER", type=Path, help="with the luminaires of others")
+    add_pixels(parser, "--resolution", 192, 32)
+    add_seed(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    results = Results(
+        options,
+        resolution=options.resolution,
+        samples_per_pixel=options.spp,
+        flux_paths=PATHS,
+        bounce_paths=PATHS,
+        baseline=BASELINE,
     )
-    rows = []
-    for source, unit in sources(args.luminaires, args.data):
-        rows.append(measure(source, unit))
-        write(rows, facts)
+    baseline, rows = plain_cube(options), []
+    for source, unit in sources(options.luminaires, options.data):
+        rows.append(measure(source, unit, baseline, options))
+        # After every row: the slowest luminaire takes minutes.
+        facts = results.setting()
+        text = f"# Luminaires in numbers\n\n{table(rows).markdown()}\n{notes(facts)}"
+        results.write({"setting": facts, "rows": rows}, text)
         print(f"measured {source}", file=sys.stderr)
-
-
-def write(rows: list[dict], facts: dict) -> None:
-    """Both files, after every row: the slowest luminaire takes minutes."""
-    RESULTS.mkdir(exist_ok=True)
-    (RESULTS / "luminaires.json").write_text(
-        json.dumps({"setting": facts, "rows": rows}, indent=1) + "\n"
-    )
-    note = "\n".join(f"* {key}: {value}" for key, value in facts.items())
-    (RESULTS / "luminaires.md").write_text(f"# Luminaires in numbers\n\n{table(rows)}\n{note}\n")
-
-
-if __name__ == "__main__":
-    main()
+    print(table(rows).text())

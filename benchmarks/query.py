@@ -1,4 +1,6 @@
-"""Time of a field query: python benchmarks/query.py ASSET [--write]
+"""Time of a field query against that of a plain area light.
+
+    python -m benchmarks query ASSET
 
 Random lines through the proxy box, incoherent on purpose, for the asset and for deeper trees made
 of it: of each leaf's eight children the four on one side of its middle are kept, as a surface would
@@ -8,40 +10,38 @@ keep them. In one run, interleaved, medians:
   intersection and one constant emission: the baseline;
 * transmittance, emission: the queries;
 * loads alone: about as many loads as an emission query makes, of random entries and leaves, without
-  any walk between them: a yardstick.
+  any traversal between them, for comparison.
 
-Then the paper's thresholds, on the asset itself: their time and their error. `--write` puts
-`query.md` and `query.json` into benchmarks/results/.
+Then the paper's thresholds, on the asset itself: their time and their error. Writes `query.md` and
+`query.json`.
 """
 
 import argparse
 import dataclasses
-import statistics
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.common.options import add_seed
+from benchmarks.common.results import Results, notes
+from benchmarks.common.tables import Table
+from benchmarks.common.timing import interleaved, kernel, ratios
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import load
-from lumitree.core.backend import load_mitsuba
-from lumitree.core.files import atomic_path, write_json
 from lumitree.octree.build import MAX_TREE_DEPTH
-from setting import setting
 
-RESULTS = Path(__file__).parent / "results"
 NUM_RAYS = 1 << 19
 ROUNDS = 7
+BASELINE = "area light"
 # min_density and max_opacity of the paper, each alone and both.
 THRESHOLDS = ((0.0, 1.0), (0.1, 1.0), (0.0, 0.9), (0.1, 0.9))
 
 
 def deepened(asset: Asset) -> Asset:
     """The asset one level deeper, four children for every leaf."""
-    from lumitree.direct.estimate import split
-    from lumitree.octree.build import build_children
+    from lumitree.octree.build import build_children, child_cells
     from lumitree.octree.leaves import leaf_cells
 
     cells, levels = leaf_cells(asset.children, asset.num_leaves)
@@ -52,38 +52,28 @@ def deepened(asset: Asset) -> Asset:
     parent = np.repeat(np.arange(len(cells)), 8)[kept.ravel()]
     return dataclasses.replace(
         asset,
-        children=build_children(split(cells)[kept.ravel()], levels[parent] + 1),
+        children=build_children(child_cells(cells)[kept], levels[parent] + 1),
         density=2 * asset.density[parent],
         coefficients=asset.coefficients[parent],
         tree_depth=asset.tree_depth + 1,
     )
 
 
-def random_lines(asset: Asset) -> tuple[Any, Any]:
+def random_lines(asset: Asset, count: int, seed: int) -> tuple[Any, Any]:
     """Origins and directions of lines through the proxy box."""
     import mitsuba as mi
 
-    random = np.random.default_rng(0)
-    d = random.normal(size=(NUM_RAYS, 3))
+    random = np.random.default_rng(seed)
+    d = random.normal(size=(count, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    o = random.uniform(-1, 1, (NUM_RAYS, 3)) * asset.half_extents - 3 * d
+    o = random.uniform(-1, 1, (count, 3)) * asset.frame.half_extents - 3 * d
     return mi.Point3f(o.T), mi.Vector3f(d.T)
 
 
-def measure(jobs: dict[str, Callable[[], Any]]) -> dict[str, float]:
-    """Nanoseconds a ray of each job: medians of interleaved rounds, compilation apart."""
-    import drjit as dr
-
-    times: dict[str, list[float]] = {name: [] for name in jobs}
-    for _ in range(ROUNDS + 1):
-        for name, job in jobs.items():
-            result = job()
-            dr.sync_thread()
-            start = time.perf_counter()
-            dr.eval(result)
-            dr.sync_thread()
-            times[name].append((time.perf_counter() - start) / NUM_RAYS * 1e9)
-    return {name: statistics.median(values[1:]) for name, values in times.items()}
+def nanoseconds(jobs: dict[str, Callable[[], Any]], rays: int) -> dict[str, float]:
+    """Time a ray of each job."""
+    seconds = interleaved({name: kernel(job) for name, job in jobs.items()}, ROUNDS)
+    return {name: each / rays * 1e9 for name, each in seconds.items()}
 
 
 def visits(field: Any, origin: Any, direction: Any) -> tuple[float, float]:
@@ -104,10 +94,11 @@ def visits(field: Any, origin: Any, direction: Any) -> tuple[float, float]:
     octree._step = counted
     dr.eval(field.transmittance(origin, direction), counts)
     del octree._step
-    return float(counts[0]) / NUM_RAYS, float(counts[1]) / NUM_RAYS
+    rays = dr.width(origin)
+    return float(counts[0]) / rays, float(counts[1]) / rays
 
 
-def loads(field: Any, cells: float, leaves: float) -> Callable[[], Any]:
+def loads(field: Any, rays: int, cells: float, leaves: float) -> Callable[[], Any]:
     """Job: the loads of so many cells and leaves a ray at random places."""
     import drjit as dr
     import mitsuba as mi
@@ -116,7 +107,7 @@ def loads(field: Any, cells: float, leaves: float) -> Callable[[], Any]:
     packets = dr.width(coefficients) // dr.width(field._density) // 4
 
     def job():
-        place = dr.arange(mi.UInt32, NUM_RAYS) * 2654435761
+        place = dr.arange(mi.UInt32, rays) * 2654435761
         total = mi.UInt32(0)
         for table in nodes:
             for _ in range(round(cells)):
@@ -133,7 +124,7 @@ def loads(field: Any, cells: float, leaves: float) -> Callable[[], Any]:
     return job
 
 
-def measure_depth(asset: Asset) -> dict:
+def measure_depth(asset: Asset, rays: int, seed: int) -> dict:
     """One row of the table by depth."""
     import drjit as dr
     import mitsuba as mi
@@ -149,25 +140,26 @@ def measure_depth(asset: Asset) -> dict:
             "type": "scene",
             "lamp": {
                 "type": "cube",
-                "to_world": mi.ScalarTransform4f().scale(asset.half_extents.tolist()),
+                "to_world": mi.ScalarTransform4f().scale(asset.frame.half_extents.tolist()),
                 "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 1.0}},
             },
         }
     )
-    origin, direction = random_lines(asset)
+    origin, direction = random_lines(asset, rays, seed)
     cells, leaves = visits(field, origin, direction)
 
     def area_light():
         si = cube.ray_intersect(mi.Ray3f(origin, direction))
         return si.emitter(cube).eval(si)
 
-    times = measure(
+    times = nanoseconds(
         {
-            "area light": area_light,
+            BASELINE: area_light,
             "transmittance": lambda: field.transmittance(origin, direction),
             "emission": lambda: field.emission(origin, direction),
-            "loads alone": loads(field, cells, leaves),
-        }
+            "loads alone": loads(field, rays, cells, leaves),
+        },
+        rays,
     )
     arrays = [*field._octree._nodes, field._density, field._coefficients]
     device = sum(4 * dr.width(array) for array in arrays)
@@ -183,20 +175,22 @@ def measure_depth(asset: Asset) -> dict:
         "device_over_file": device / file,
         "seconds_to_device": loaded,
         "nanoseconds": times,
+        "over_area_light": ratios(times, BASELINE),
     }
 
 
-def measure_thresholds(asset: Asset) -> list[dict]:
+def measure_thresholds(asset: Asset, rays: int, seed: int) -> list[dict]:
     """Time and error of the paper's thresholds."""
     from lumitree.octree.field import Field
 
-    origin, direction = random_lines(asset)
+    origin, direction = random_lines(asset, rays, seed)
     fields = {limits: Field(asset, *limits) for limits in THRESHOLDS}
-    times = measure(
+    times = nanoseconds(
         {
             str(limits): (lambda field=field: field.emission(origin, direction))
             for limits, field in fields.items()
-        }
+        },
+        rays,
     )
     exact = fields[THRESHOLDS[0]].emission(origin, direction)
     rows = []
@@ -216,17 +210,12 @@ def measure_thresholds(asset: Asset) -> list[dict]:
     return rows
 
 
-def table(report: dict) -> str:
-    """Both tables in Markdown."""
-    heads = (
-        "depth, leaves, cells a ray, leaves a ray, bytes a ray, device MB, over file, s to device"
-    )
-    names = list(report["depths"][0]["nanoseconds"])
-    heads = heads.split(", ") + [f"{name}, ns" for name in names] + ["emission / area light"]
-    lines = ["| " + " | ".join(heads) + " |", "|---:" * len(heads) + "|"]
-    for row in report["depths"]:
-        times = row["nanoseconds"]
-        cells = [
+def depth_table(rows: list[dict]) -> Table:
+    """A line for each depth."""
+    heads = ["depth", "leaves", "cells a ray", "leaves a ray", "bytes a ray", "device MB"]
+    heads += ["over file", "s to device", *(f"{name}, ns" for name in rows[0]["nanoseconds"])]
+    lines = [
+        [
             str(row["depth"]),
             f"{row['leaves']:,}",
             f"{row['cells_a_ray']:.1f}",
@@ -235,52 +224,53 @@ def table(report: dict) -> str:
             f"{row['device_bytes'] / 1e6:.1f}",
             f"{row['device_over_file']:.2f}",
             f"{row['seconds_to_device']:.2f}",
-            *(f"{value:.0f}" for value in times.values()),
-            f"{times['emission'] / times['area light']:.1f}",
+            *(f"{value:.0f}" for value in row["nanoseconds"].values()),
+            f"{row['over_area_light']['emission']:.1f}",
         ]
-        lines.append("| " + " | ".join(cells) + " |")
-    heads = [
-        "min_density",
-        "max_opacity",
-        "emission, ns",
-        "light kept",
-        "RMSE / asset's L_max",
-        "opacity RMSE",
+        for row in rows
     ]
-    lines += ["", "| " + " | ".join(heads) + " |", "|---:" * len(heads) + "|"]
-    for row in report["thresholds"]:
-        lines.append(
-            f"| {row['min_density']} | {row['max_opacity']} | {row['nanoseconds']:.0f} | "
-            f"{row['light']:.4f} | {row['rmse_over_max']:.5f} | {row['opacity_rmse']:.4f} |"
-        )
-    return "\n".join(lines) + "\n"
+    return Table([*heads, f"emission / {BASELINE}"], lines, left=0)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
+def threshold_table(rows: list[dict]) -> Table:
+    """A line for each pair of thresholds."""
+    heads = ["min_density", "max_opacity", "emission, ns", "light kept", "RMSE / asset's L_max"]
+    lines = [
+        [
+            str(row["min_density"]),
+            str(row["max_opacity"]),
+            f"{row['nanoseconds']:.0f}",
+            f"{row['light']:.4f}",
+            f"{row['rmse_over_max']:.5f}",
+            f"{row['opacity_rmse']:.4f}",
+        ]
+        for row in rows
+    ]
+    return Table([*heads, "opacity RMSE"], lines, left=0)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("asset", metavar="ASSET")
-    parser.add_argument("--write", action="store_true")
-    arguments = parser.parse_args()
-    load_mitsuba()
-    asset = load(arguments.asset)
-    report: dict = {
-        "setting": setting(luminaire=asset.luminaire),
-        "thresholds": measure_thresholds(asset),
-        "depths": [],
-    }
-    while True:
-        report["depths"].append(measure_depth(asset))
-        print(report["depths"][-1], flush=True)
-        if asset.tree_depth == MAX_TREE_DEPTH:
-            break
+    parser.add_argument("--rays", type=int, metavar="N", default=NUM_RAYS, help="of each query")
+    parser.add_argument(
+        "--depth", type=int, metavar="D", default=MAX_TREE_DEPTH, help="of the deepest tree"
+    )
+    add_seed(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    asset = load(options.asset)
+    results = Results(options, luminaire=asset.luminaire, rays=options.rays, baseline=BASELINE)
+    thresholds = measure_thresholds(asset, options.rays, options.seed)
+    print(threshold_table(thresholds).text(), flush=True)
+    depths = [measure_depth(asset, options.rays, options.seed)]
+    while asset.tree_depth < options.depth:
         asset = deepened(asset)
-    print(table(report))
-    if arguments.write:
-        notes = "".join(f"* {key}: {value}\n" for key, value in report["setting"].items())
-        write_json(RESULTS / "query.json", report)
-        with atomic_path(RESULTS / "query.md") as path:
-            path.write_text(f"# A query\n\n{table(report)}\n{notes}", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+        depths.append(measure_depth(asset, options.rays, options.seed))
+    print(depth_table(depths).text())
+    facts = results.setting()
+    tables = f"{depth_table(depths).markdown()}\n{threshold_table(thresholds).markdown()}"
+    results.write(
+        {"setting": facts, "thresholds": thresholds, "depths": depths},
+        f"# A query\n\n{tables}\n{notes(facts)}",
+    )

@@ -1,36 +1,38 @@
-"""Sampling by emission against uniform sampling of the proxy, in the same run.
+"""Variance and time of sampling by emission against uniform sampling of the proxy.
 
-    python benchmarks/sampling.py --rooms FOLDER --assets FOLDER --data FOLDER [--write]
+    python -m benchmarks sampling --rooms FOLDER --assets FOLDER --data FOLDER
 
 For the pairs of `equal_quality_pairs.toml`. Direct and full light. Variances are of pixels beside
 the lamp, over the square of their mean, without the 0.1 % of largest; times are medians of passes,
-the two samplings taking turns. `--write` puts `sampling.md` and `sampling.json` into the results.
+the two samplings taking turns. Uniform sampling is the baseline. Writes `sampling.md` and
+`sampling.json`.
 """
 
 import argparse
 import math
 import statistics
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from equal_quality import Pair, read_pairs, shows_lamp
-from lumitree.core.backend import load_mitsuba
-from lumitree.core.files import atomic_path, write_json
-from setting import setting
+from benchmarks.common.options import add_pixels, add_seed
+from benchmarks.common.results import Results, notes
+from benchmarks.common.tables import Table
+from benchmarks.common.timing import Job, interleaved, kernel, ratios
+from benchmarks.equal_error.pairs import PAIRS, Pair, add_folders, read_pairs, shows_lamp
 
-HERE = Path(__file__).parent
-RESULTS, PAIRS = HERE / "results", HERE / "equal_quality_pairs.toml"
-WIDTH, SAMPLES, PASSES = 64, 16, 8
 PATH_DEPTHS = {"direct": 2, "full": 8}
-SAMPLINGS = ("uniform", "emission")
+BASELINE = "uniform"
+SAMPLINGS = (BASELINE, "emission")
 TRIMMED = 0.001
 SHADING_POINTS = {"below": (0, -6, 0), "far below": (0, -30, 3), "beside": (4, 0, 0.5)}
 POINT_SAMPLES = 1 << 17
 
 
-def scenes(pair: Pair) -> dict:
+def scenes(pair: Pair, width: int) -> dict:
     """The room with the lamp in it, by kind of sampling."""
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.scene import (
@@ -41,45 +43,47 @@ def scenes(pair: Pair) -> dict:
     )
 
     scene, _ = load_scene(pair.room)
-    set_film_width(scene, WIDTH)
+    set_film_width(scene, width)
     place = PlacedLuminaire(Placement(pair.asset, pair.at, pair.size))
     return {kind: place_luminaires(scene, [place], sampling=kind) for kind in SAMPLINGS}
 
 
-def measure_paths(by_kind: dict, path_depth: int) -> dict:
+def measure_paths(by_kind: dict, path_depth: int, options: argparse.Namespace) -> dict:
     """Variance and time of a sample a pixel, by kind of sampling."""
     import mitsuba as mi
 
     from lumitree.rendering.scene import render_scene
 
-    def integrator(depth):
-        return mi.load_dict({"type": "lumitree_path", "max_depth": depth, "rr_depth": 1000})
+    integrator = {"type": "lumitree_path", "max_depth": path_depth, "rr_depth": 1000}
+    beside = ~shows_lamp(by_kind["emission"])[..., 0]
+    passes: dict = {kind: [] for kind in SAMPLINGS}
 
-    lamp_seen = shows_lamp(by_kind["emission"])[..., 0]
-    images: dict = {kind: [] for kind in SAMPLINGS}
-    seconds: dict = {kind: [] for kind in SAMPLINGS}
-    for index in range(PASSES + 1):
-        for kind, scene in by_kind.items():
-            start = time.perf_counter()
-            image = render_scene(scene, integrator(path_depth), SAMPLES, seed=1 + index)
-            if index:  # the first compiles
-                seconds[kind].append(time.perf_counter() - start)
-                images[kind].append(image[~lamp_seen].mean(axis=1))
+    def job(kind: str) -> Job:
+        def render(index: int) -> None:
+            seed = options.seed + 1 + index
+            image = render_scene(by_kind[kind], mi.load_dict(integrator), options.spp, seed=seed)
+            passes[kind].append(image)
+
+        return lambda index: lambda: render(index)
+
+    times = interleaved({kind: job(kind) for kind in SAMPLINGS}, options.passes)
+    # The first pass compiles, and is not timed.
+    images = {kind: [each[beside].mean(axis=1) for each in passes[kind][1:]] for kind in passes}
     mean = np.mean(images["emission"], axis=0)
     scale = mean**2 + (0.01 * mean.mean()) ** 2
     row = {}
     for kind in SAMPLINGS:
-        relative = np.sort(np.var(images[kind], axis=0, ddof=1) * SAMPLES / scale)
+        relative = np.sort(np.var(images[kind], axis=0, ddof=1) * options.spp / scale)
         kept = relative[: max(1, round(len(relative) * (1 - TRIMMED)))]
         row[f"variance_{kind}"] = float(kept.mean())
-        row[f"seconds_{kind}"] = statistics.median(seconds[kind]) / SAMPLES
+        row[f"seconds_{kind}"] = times[kind] / options.spp
     ratio = row["variance_uniform"] / row["variance_emission"]
-    time_ratio = row["seconds_uniform"] / row["seconds_emission"]
-    row |= {"variance_ratio": ratio, "error_ratio_equal_time": math.sqrt(ratio * time_ratio)}
+    time_ratio = ratios(times, BASELINE)["emission"]
+    row |= {"variance_ratio": ratio, "error_ratio_equal_time": math.sqrt(ratio / time_ratio)}
     return row
 
 
-def measure_points(asset: str) -> dict:
+def measure_points(asset: str, options: argparse.Namespace) -> dict:
     """Without a room: variance ratios from points about the lamp, and time a sample."""
     import drjit as dr
 
@@ -89,7 +93,7 @@ def measure_points(asset: str) -> dict:
     from lumitree.rendering.proxy import make_proxy
 
     field = open_field(asset)
-    half = field.asset.half_extents
+    half = field.asset.frame.half_extents
     start = time.perf_counter()
     leaves = light_leaves(field)
     dr.sync_thread()
@@ -105,22 +109,26 @@ def measure_points(asset: str) -> dict:
         "near": (0.2, -float(half[1]) - 0.2, 0.1),
         "corner": tuple((1.1 * half).tolist()),
     }
+    timed: dict[str, Job] = {}
     for name, place in points.items():
         variance = {}
         for kind, sampler in samplers.items():
-            variance[kind], jobs = _measure_point(proxy, sampler, place)
+            variance[kind], jobs = _measure_point(proxy, sampler, place, options.seed)
             if name == "below":
-                row |= {f"ns_{job}_{kind}": _nanoseconds(run) for job, run in jobs.items()}
-        row[name] = variance["uniform"] / variance["emission"]
-    return row
+                timed |= {f"ns_{job}_{kind}": kernel(record) for job, record in jobs.items()}
+        row[name] = variance[BASELINE] / variance["emission"]
+    times = interleaved(timed)
+    return row | {name: seconds / POINT_SAMPLES * 1e9 for name, seconds in times.items()}
 
 
-def _measure_point(proxy, sampler, place: tuple[float, ...]) -> tuple[float, dict]:
+def _measure_point(
+    proxy: Any, sampler: Any, place: tuple[float, ...], seed: int
+) -> tuple[float, dict[str, Callable[[], Any]]]:
     """Variance of the light that arrives at a point, and the parts of a sample, to be timed."""
     import drjit as dr
     import mitsuba as mi
 
-    random = mi.PCG32(POINT_SAMPLES, 5)
+    random = mi.PCG32(POINT_SAMPLES, 5 + seed)
     origin = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in place))
     uniform = mi.Point2f(random.next_float32(), random.next_float32())
     dr.eval(uniform)
@@ -128,81 +136,79 @@ def _measure_point(proxy, sampler, place: tuple[float, ...]) -> tuple[float, dic
     distance, _, enters = proxy.enter(origin, direction)
     entry = origin + distance * direction
     dr.eval(direction, reach, distance, enters, entry)
-    radiance, _, pdf = sampler.eval(entry, direction, distance, enters, reach)
+    radiance, _, pdf = sampler.eval(origin, entry, direction, distance, enters, reach)
     weight = dr.mean(radiance) * dr.select(pdf > 0, dr.rcp(pdf), 0)
     return float(np.array(weight, np.float64).var()), {
         "sample": lambda: sampler.sample(origin, uniform),
-        "eval": lambda: sampler.eval(entry, direction, distance, enters, reach),
-        "pdf": lambda: sampler.pdf(entry, direction, distance, enters),
+        "eval": lambda: sampler.eval(origin, entry, direction, distance, enters, reach),
+        "pdf": lambda: sampler.pdf(origin, entry, direction, distance, enters),
     }
 
 
-def _nanoseconds(job) -> float:
-    """Time a lane of a kernel, its compilation apart: median of 5."""
-    import drjit as dr
-
-    times = []
-    for _ in range(6):
-        start = time.perf_counter()
-        dr.eval(job())
-        dr.sync_thread()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times[1:]) / POINT_SAMPLES * 1e9
-
-
-def table(report: dict) -> str:
+def path_table(rows: list[dict]) -> Table:
+    """A line for each pair and light."""
+    heads = ["lamp, room", "light", "variance ratio at equal samples"]
+    heads += ["error ratio at equal time", "s a sample, uniform", "by emission"]
     lines = [
-        "# Sampling by emission\n",
-        f"{report['setting']['device']}, {report['setting']['variant']}, {WIDTH} "
-        f"pixels wide, {PASSES} passes of {SAMPLES} samples.",
-        "",
-        "| lamp, room | light | variance ratio at equal samples | error ratio at equal time |"
-        " s a sample, uniform | by emission |",
-        "|---|---|---|---|---|---|",
+        [
+            f"{row['luminaire']}, {row['room']}",
+            row["light"],
+            f"{row['variance_ratio']:.1f}",
+            f"{row['error_ratio_equal_time']:.2f}",
+            f"{row['seconds_uniform']:.3f}",
+            f"{row['seconds_emission']:.3f}",
+        ]
+        for row in rows
     ]
-    for row in report["pairs"]:
-        lines.append(
-            f"| {row['luminaire']}, {row['room']} | {row['light']} | {row['variance_ratio']:.1f} | "
-            f"{row['error_ratio_equal_time']:.2f} | {row['seconds_uniform']:.3f} | "
-            f"{row['seconds_emission']:.3f} |"
-        )
+    return Table(heads, lines, left=2)
+
+
+def point_table(rows: list[dict]) -> Table:
+    """A line for each lamp: variance ratios from points, and times of a sample's parts."""
+    lines = [[v if isinstance(v, str) else f"{v:.3g}" for v in row.values()] for row in rows]
+    return Table(list(rows[0]), lines)
+
+
+def means(rows: list[dict]) -> str:
+    """Geometric means and least values of the ratios, a line each."""
+    lines = []
     for name in ("variance_ratio", "error_ratio_equal_time"):
-        values = [row[name] for row in report["pairs"]]
+        values = [row[name] for row in rows]
         mean = math.exp(statistics.fmean(map(math.log, values)))
-        lines.append(f"\n{name}: geometric mean {mean:.2f}, least {min(values):.2f}")
-    lines += ["", "| from points, " + " | ".join(report["points"][0]) + " |"]
-    lines += ["|---" * (1 + len(report["points"][0])) + "|"]
-    for row in report["points"]:
-        values = (v if isinstance(v, str) else f"{v:.3g}" for v in row.values())
-        lines.append("| | " + " | ".join(values) + " |")
-    return "\n".join(lines) + "\n"
+        lines.append(f"* {name}: geometric mean {mean:.2f}, least {min(values):.2f}\n")
+    return "".join(lines)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
-    parser.add_argument("--pairs", type=Path, default=PAIRS)
-    for name in ("rooms", "assets", "data"):
-        parser.add_argument(f"--{name}", type=Path, required=True, help="see equal_quality.py")
-    parser.add_argument("--write", action="store_true")
-    arguments = parser.parse_args()
-    load_mitsuba()
-    pairs = read_pairs(arguments.pairs, arguments.rooms, arguments.assets, arguments.data)
-    report: dict = {"setting": setting(), "pairs": [], "points": []}
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--pairs", metavar="FILE", type=Path, default=PAIRS, help="of pairs, TOML")
+    add_folders(parser)
+    add_pixels(parser, "--width", 64, 16)
+    parser.add_argument("--passes", type=int, metavar="N", default=8, help="timed, at least 5")
+    add_seed(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    pairs = read_pairs(options.pairs, options.rooms, options.assets, options.data)
+    results = Results(
+        options,
+        width=options.width,
+        samples_per_pixel=options.spp,
+        passes=options.passes,
+        baseline=f"{BASELINE} sampling",
+    )
+    points = []
     for pair in pairs:
-        report["points"].append({"luminaire": pair.lamp_name} | measure_points(pair.asset))
-        print(report["points"][-1], flush=True)
+        points.append({"luminaire": pair.lamp_name} | measure_points(pair.asset, options))
+    print(point_table(points).text(), flush=True)
+    rows = []
     for pair in pairs:
-        by_kind = scenes(pair)
+        by_kind = scenes(pair, options.width)
         for light, depth in PATH_DEPTHS.items():
-            names = {"luminaire": pair.lamp_name, "room": Path(pair.room).resolve().parent.name}
-            report["pairs"].append(names | {"light": light} | measure_paths(by_kind, depth))
-            print(report["pairs"][-1], flush=True)
-    print(table(report))
-    if arguments.write:
-        write_json(RESULTS / "sampling.json", report)
-        with atomic_path(RESULTS / "sampling.md") as path:
-            path.write_text(table(report), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+            names = {"luminaire": pair.lamp_name, "room": pair.room_name, "light": light}
+            rows.append(names | measure_paths(by_kind, depth, options))
+    print(path_table(rows).text())
+    print(means(rows))
+    facts = results.setting()
+    text = f"# Sampling by emission\n\n{path_table(rows).markdown()}\n{means(rows)}\n"
+    text += f"## From points\n\n{point_table(points).markdown()}\n{notes(facts)}"
+    results.write({"setting": facts, "pairs": rows, "points": points}, text)

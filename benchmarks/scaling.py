@@ -1,10 +1,11 @@
-"""What a direct bake gains by time, depth, harmonics and leaves: python benchmarks/scaling.py NAME
+"""Gain over black of a direct bake against its time, depth, harmonics and leaves.
 
-    python benchmarks/scaling.py bulbs --references FOLDER [--time 45] [--depth 7] [--l-max 2]
+    python -m benchmarks scaling bulbs --references FOLDER [--time 45] [--depth 7] [--l-max 2]
 
 Bakes the luminaire once with every value of one setting while the others stay as given, evaluates
 on the views in FOLDER/NAME (see `lumitree capture --split test`), and writes `scaling.json` and
-`scaling.png` into benchmarks/results/. The bakes by depth are shown by their leaves as well.
+`scaling.png`. The bakes by depth are shown by their leaves as well. The baseline is an all-black
+image on the same views.
 """
 
 import argparse
@@ -18,14 +19,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
 import lumitree
-from lumitree.core.files import atomic_path, write_json
+from benchmarks.common.options import add_seed
+from benchmarks.common.results import Results
+from benchmarks.common.tables import Table
+from lumitree.core.files import atomic_path
 from lumitree.octree.build import MAX_TREE_DEPTH
-from setting import setting
 
-RESULTS = Path(__file__).parent / "results"
 TIMES = (0.5, 1.0, 2.0, 4.0)  # times the budget
 DEPTHS = (-2, -1, 0, 1)  # more than the given one
 L_MAX = (0, 1, 2, 3, 4)
+# With the colours of their curves.
+GAINS = {"gain_linear": "#2f6fb0", "gain_mulaw": "#b04a2f"}
 PANELS = {
     "rays": "rays of the refinement",
     "depth": "octree levels",
@@ -35,7 +39,7 @@ PANELS = {
 
 
 def measure(name: str, views: str, folder: Path, **how: Any) -> dict:
-    """One bake and what it is worth."""
+    """One bake and its errors."""
     asset = str(folder / "lamp.lumitree")
     Path(asset).unlink(missing_ok=True)
     baked = lumitree.bake(name, asset, quality="preview", **how)
@@ -48,8 +52,6 @@ def measure(name: str, views: str, folder: Path, **how: Any) -> dict:
         "l_max": how["l_max"],
         "leaves": baked.asset.num_leaves,
         "bytes": Path(asset).stat().st_size,
-        "gain_linear": metrics["psnr_linear"] - metrics["psnr_linear_black"],
-        "gain_mulaw": metrics["psnr_mulaw"] - metrics["psnr_mulaw_black"],
         **metrics,
     }
 
@@ -60,7 +62,7 @@ def draw(report: dict, path: Path) -> None:
     for axis, (key, label) in zip(figure.subplots(2, 2).flat, PANELS.items(), strict=True):
         rows = report["depth" if key == "leaves" else key]
         values = [row[key] for row in rows]
-        for metric, colour in (("gain_linear", "#2f6fb0"), ("gain_mulaw", "#b04a2f")):
+        for metric, colour in GAINS.items():
             axis.plot(values, [row[metric] for row in rows], "o-", color=colour, label=metric)
         other = axis.twinx()
         opacity = [row["opacity_rmse"] for row in rows]
@@ -75,50 +77,74 @@ def draw(report: dict, path: Path) -> None:
         axis.grid(alpha=0.3)
         axis.legend(loc="lower left", fontsize=8)
         other.legend(loc="lower right", fontsize=8)
-    setting = report["setting"]
+    facts = report["setting"]
     figure.suptitle(
-        f"{setting['luminaire']}; where not varied: {setting['seconds']:g} s, depth "
-        f"{setting['tree_depth']}, l_max {setting['l_max']}"
+        f"{facts['luminaire']}; where not varied: {facts['bake_seconds']:g} s, depth "
+        f"{facts['tree_depth']}, l_max {facts['l_max']}"
     )
     FigureCanvasAgg(figure)
     with atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=80, format="png")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
-    parser.add_argument("luminaire", metavar="NAME")
+def table(varied: str, rows: list[dict]) -> Table:
+    """The bakes in which one setting varies."""
+    heads = ["varied", "s", "rays", "depth", "l_max", "leaves", *GAINS, "opacity_rmse"]
+    lines = [
+        [
+            varied,
+            f"{row['seconds']:.0f}",
+            f"{row['rays']:,}",
+            str(row["depth"]),
+            str(row["l_max"]),
+            f"{row['leaves']:,}",
+            *(f"{row[gain]:.2f}" for gain in GAINS),
+            f"{row['opacity_rmse']:.4f}",
+        ]
+        for row in rows
+    ]
+    return Table(heads, lines)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("luminaire", metavar="LUMINAIRE")
     parser.add_argument("--references", metavar="FOLDER", type=Path, required=True)
-    parser.add_argument("--time", type=float, metavar="S", default=45.0)
-    parser.add_argument("--depth", type=int, metavar="D", default=7)
-    parser.add_argument("--l-max", type=int, metavar="L", default=2)
-    args = parser.parse_args()
-    views = str(args.references / args.luminaire)
-    given = {"seconds": args.time, "tree_depth": args.depth, "l_max": args.l_max}
-    runs = {
-        "rays": [{"seconds": factor * args.time} for factor in TIMES],
+    parser.add_argument("--time", type=float, metavar="S", default=45.0, help="of a bake, seconds")
+    parser.add_argument("--depth", type=int, metavar="D", default=7, help="levels of the octree")
+    parser.add_argument("--l-max", type=int, metavar="L", default=2, help="highest harmonics")
+    add_seed(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    views = str(options.references / options.luminaire)
+    given = {"time": options.time, "tree_depth": options.depth, "l_max": options.l_max}
+    settings = {
+        "rays": [{"time": factor * options.time} for factor in TIMES],
         "depth": [
-            {"tree_depth": args.depth + more}
+            {"tree_depth": options.depth + more}
             for more in DEPTHS
-            if 1 <= args.depth + more <= MAX_TREE_DEPTH
+            if 1 <= options.depth + more <= MAX_TREE_DEPTH
         ],
         "l_max": [{"l_max": l_max} for l_max in L_MAX],
     }
-    facts = setting(luminaire=args.luminaire, **given)
-    report: dict = {"setting": facts, **{key: [] for key in runs}}
+    results = Results(
+        options,
+        luminaire=options.luminaire,
+        bake_seconds=options.time,
+        tree_depth=options.depth,
+        l_max=options.l_max,
+    )
+    report: dict = {key: [] for key in settings}
     known: dict[str, dict] = {}
     with tempfile.TemporaryDirectory() as folder:
-        for key, changes in runs.items():
+        for key, changes in settings.items():
             for change in changes:
                 how = given | change
                 text = json.dumps(how)
                 if text not in known:
-                    known[text] = measure(args.luminaire, views, Path(folder), **how)
+                    more = {"seed": options.seed, "variant": options.variant}
+                    known[text] = measure(options.luminaire, views, Path(folder), **how, **more)
                 report[key].append(known[text])
-                print(key, change, {k: report[key][-1][k] for k in ("gain_linear", "gain_mulaw")})
-                write_json(RESULTS / "scaling.json", report)
-    draw(report, RESULTS / "scaling.png")
-
-
-if __name__ == "__main__":
-    main()
+                results.write({"setting": results.setting(), **report})
+            print(table(key, report[key]).text(), flush=True)
+    draw({"setting": results.setting(), **report}, results.json_path.with_suffix(".png"))

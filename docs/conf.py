@@ -1,5 +1,6 @@
 """Sphinx configuration: prose in Markdown (MyST), the API from docstrings. Needs no GPU."""
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -35,8 +36,9 @@ extensions = [
     "sphinx.ext.napoleon",
 ]
 templates_path = ["_templates"]
-exclude_patterns = ["_build"]
-source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+exclude_patterns = ["_build", "**.ipynb_checkpoints"]
+# autosummary takes the first suffix that it does not know as Markdown, so .rst is before .ipynb.
+source_suffix = {".md": "markdown", ".rst": "restructuredtext", ".ipynb": "markdown"}
 
 myst_heading_anchors = 3
 
@@ -70,6 +72,18 @@ def copy_outside(app):
             shutil.copyfile(path, copy)
 
 
+def read_notebook(app, name, source):
+    """Make Markdown of a notebook: its texts, and its code as blocks."""
+    if app.env.doc2path(name).suffix != ".ipynb":
+        return
+    fences = {"markdown": ("", ""), "code": ("```python\n", "\n```")}
+    parts = []
+    for cell in json.loads(source[0])["cells"]:
+        before, after = fences[cell["cell_type"]]
+        parts.append(before + "".join(cell["source"]) + after)
+    source[0] = "\n\n".join(parts)
+
+
 def link_outside(app, name, source):
     """Point links between docs/ and the outside at those copies."""
     outside = r"\]\((?:\.\./)*(ARCHITECTURE|CHANGELOG|CONTRIBUTING|benchmarks/results/\w+)\.md"
@@ -79,4 +93,6 @@ def link_outside(app, name, source):
 
 def setup(app):
     app.connect("builder-inited", copy_outside, priority=1)
+    # In this order: links are those of Markdown.
+    app.connect("source-read", read_notebook, priority=400)
     app.connect("source-read", link_outside)

@@ -25,8 +25,7 @@ asset = lumitree.Asset(
     l_max=0,
     law="linear",
     max_radiance=8.0,
-    half_extents=np.ones(3),
-    world_from_proxy=np.eye(4),
+    frame=lumitree.LocalFrame(np.ones(3), np.eye(4)),
     luminaire="a ball in a halo",
 )
 lumitree.save(asset, "ball.lumitree")

@@ -3,19 +3,31 @@
 import numpy as np
 
 from lumitree.asset.asset import Asset
+from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import num_coefficients
-from lumitree.octree.build import build_children
+from lumitree.octree.build import build_children, child_cells
 from lumitree.rendering.reference import leaf_boxes
 
 
-def make_asset(cells, levels, density, coefficients, *, tree_depth=4, law="linear", **fields):
+def make_asset(
+    cells,
+    levels,
+    density,
+    coefficients,
+    *,
+    tree_depth=4,
+    law="linear",
+    half_extents=(1, 1, 1),
+    world_from_local=None,
+    **fields,
+):
     """Asset with the given leaves; coefficients [M, 3, K]."""
+    world_from_local = np.eye(4) if world_from_local is None else world_from_local
     coefficients = np.asarray(coefficients, np.float16)
     l_max = int(np.sqrt(coefficients.shape[-1])) - 1
     settings = {
         "max_radiance": 10.0,
-        "half_extents": np.ones(3),
-        "world_from_proxy": np.eye(4),
+        "frame": LocalFrame(half_extents, world_from_local),
         "luminaire": "test",
         **fields,
     }
@@ -42,9 +54,7 @@ def random_asset(seed, *, tree_depth=4, l_max=2, law="linear", density_scale=2.0
             cells.append(cell)
             levels.append(level)
         elif level < tree_depth and (level == 0 or kind < 0.6):
-            for octant in range(8):
-                bits = (octant & 1, octant >> 1 & 1, octant >> 2)
-                stack.append((tuple(2 * c + b for c, b in zip(cell, bits, strict=True)), level + 1))
+            stack += [(child, level + 1) for child in child_cells(np.array(cell))]
     density = random.exponential(density_scale, len(cells))
     coefficients = random.normal(0, 1, (len(cells), 3, num_coefficients(l_max)))
     return make_asset(
@@ -54,12 +64,11 @@ def random_asset(seed, *, tree_depth=4, l_max=2, law="linear", density_scale=2.0
 
 def uniform_asset(density, radiance, *, law="linear", max_radiance=10.0, **fields):
     """Asset whose whole cube has one density and emits `radiance` [3] in every direction."""
-    octants = np.array([(o & 1, o >> 1 & 1, o >> 2) for o in range(8)])
     ratio = np.clip(np.asarray(radiance) / max_radiance, 1e-4, 1 - 1e-4)
     dc = np.log(ratio / (1 - ratio)) / 0.28209479177387814
     coefficients = np.tile(dc[None, :, None], (8, 1, 1))
     return make_asset(
-        octants,
+        child_cells(np.zeros(3, int)),
         np.ones(8),
         np.full(8, density),
         coefficients,
@@ -84,5 +93,5 @@ def leaf_field(asset):
         tree_depth=asset.tree_depth,
         l_max=asset.l_max,
         law=asset.law,
-        half_extents=asset.half_extents,
+        half_extents=asset.frame.half_extents,
     )

@@ -94,9 +94,9 @@ def fails(capsys, *arguments):
         (["bake", "lamp.xml", "-o", "a"], "does not end in .lumitree"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--method", "magic"], "invalid choice: 'magic'"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--method", "nerf", "--rays", "9", "--seed", "1"],
-         "--rays, --seed: unknown to --method nerf"),
+         "--rays, --seed: not for --method nerf"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--preset", "paper"],
-         "--preset: unknown to --method direct"),
+         "--preset: not for --method direct"),
         (["info", "no.lumitree"], "no.lumitree does not exist"),
         (["info", "lamp.xml"], "not a valid .lumitree asset"),
         (["evaluate", "no.lumitree", "lamp.xml"], "no.lumitree does not exist"),
@@ -129,13 +129,13 @@ def fails(capsys, *arguments):
         (["render", "room.xml", "-o", "a.png", "--spp", "1" + 20 * "0"],
          "expected 1 to 1,048,576"),
         (["render", "room.xml", "-o", "a.png", "--spp", 5000 * "9"], "invalid int value"),
-        (["render", "x" * 300 + ".xml", "-o", "a.png"], "does not exist"),
+        (["render", "x" * 300 + ".xml", "-o", "a.png"], "File name too long"),
         (["render", "room.xml", "-o", "x" * 300 + ".png"], "File name too long"),
         (["render", "room.xml", "-o", "room.xml/a.png"], "cannot write room.xml/a.png"),
         (["render", "room.xml", "-o", "a.png", "--json", "no/such/x.json"], "no folder no/such"),
         (["info", "lamp.lumitree", "--json", "room.xml/x.json"], "no folder room.xml"),
         (["info", "lamp.lumitree", "--json", "."], "it is a folder"),
-        (["info", "."], "not a regular file"),
+        (["info", "."], "is a folder"),
         (["info", "a\nb"], "a?b does not exist"),
         (["info", "\x1b[31m.lumitree"], "?[31m.lumitree does not exist"),
         (["capture", "lamp.xml", "-o", "d", "--resolution", "10000000"],
@@ -160,7 +160,7 @@ def fails(capsys, *arguments):
         (["render", "room.xml", "-o", "a.png", "--place", "no_lamp"], "neither a file nor"),
         (["demo", "--variant", "cuda_ad_spectral"], "choose llvm_ad_rgb"),
         (["capture", "lamp.fbx", "-o", "d"], "(a Mitsuba 3 scene), .obj, .gltf, .glb"),
-        (["bake", "lamp.lumitree", "-o", "a.lumitree"], "in no format that is read"),
+        (["bake", "lamp.lumitree", "-o", "a.lumitree"], "has an unsupported format"),
         (["capture", "model.obj", "-o", "d"], "has no emitter (materials: glow); name one in"),
         (["capture", "model.obj", "-o", "d", "--materials", "wrong.toml"],
          "wrong.toml: unknown key 'material.glow.emiter'"),
@@ -168,7 +168,7 @@ def fails(capsys, *arguments):
          "no.toml does not exist"),
         (["evaluate", "lamp.lumitree", "model.obj", "--materials", "wrong.toml"], "wrong.toml"),
         (["capture", "lamp.xml", "-o", "d", "--materials", "bright.toml"],
-         "--materials does not change"),
+         "--materials does not apply"),
         (["capture", "bulbs", "-o", "d", "--materials", "bright.toml"], "takes no --materials"),
         (["capture", "model.obj", "-o", "d", "--keep", "x*"], "--keep 'x*' matches no part"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--keep", "bulb"], "matches no shape's id"),
@@ -191,6 +191,7 @@ def test_what_a_command_cannot_do_is_refused_before_it_works(capsys, monkeypatch
         raise AssertionError("worked before it refused")
 
     monkeypatch.setattr("lumitree.api.baking.load_mitsuba", work)
+    monkeypatch.setattr("lumitree.api.network.load_mitsuba", work)
     monkeypatch.setattr("lumitree.api.viewing.load_mitsuba", work)
     for arguments in (
         ["bake", "bulbs", "-o", "a.lumitree", "--method", "nerf", "--depth", "99"],

@@ -31,7 +31,7 @@ def test_luminaires_are_captured(mi, tmp_path, name):
     from lumitree.luminaire.luminaire import load_luminaire
 
     luminaire = load_luminaire(DATA / "luminaires" / name)
-    width = 2 * luminaire.half_extents[0] * luminaire.world_from_proxy[0, 0]
+    width = 2 * luminaire.frame.half_extents[0] * luminaire.frame.world_from_local[0, 0]
     assert width == pytest.approx(LUMINAIRES[name], rel=1e-3)
     assert luminaire.has_media == name.startswith("scopia")
     # The frosted bulb is one open sheet of rough glass, which the file's author knows.
@@ -94,12 +94,12 @@ def model_source(folder):
 @pytest.mark.parametrize("folder", MODELS)
 def test_obj_models_are_repaired_as_by_hand(mi, folder):
     """Concave polygons, repeated bulbs and pieces wound inwards all come out right."""
-    from lumitree.importers.mesh_repair import closed_share
+    from lumitree.importers.topology import count_solids
     from lumitree.luminaire.luminaire import read_model
 
     meshes = {part.name: part.mesh for part in read_model(model_source(folder)).parts}
     for name, expected in MODELS[folder][1].items():
-        assert (len(meshes[name].faces), *closed_share(meshes[name])) == expected, name
+        assert (len(meshes[name].faces), *count_solids(meshes[name])) == expected, name
 
 
 def test_obj_and_hand_made_scene_give_the_same_light(mi, tmp_path):

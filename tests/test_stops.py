@@ -35,7 +35,7 @@ COMMANDS = {
     "refine": ("refine", "rough.lumitree", "lamp.xml", "-o", "out/lamp.lumitree",
                "--rays", "500000"),
     "evaluate": ("evaluate", "rough.lumitree", "lamp.xml", "-o", "out/sheet.png", "--views", "3",
-                 "--resolution", "64", "--spp", "64"),
+                 "--resolution", "64", "--spp", "64", "--irradiance-paths", "65536"),
 }  # fmt: skip
 
 
@@ -91,17 +91,17 @@ def stop_and_finish(name, number, moment):
     again = start(COMMANDS[name])
     _, err = again.communicate(timeout=600)
     assert again.returncode == 0, err
-    result = "out/sheet.png" if name == "evaluate" else "out/lamp.lumitree"
-    assert left() == [result]
+    sheets = ["out/sheet-irradiance.png", "out/sheet.png"]
+    assert left() == (sheets if name == "evaluate" else ["out/lamp.lumitree"])
 
 
 @pytest.mark.parametrize(
     ("name", "number", "moment"),
     [
-        ("direct", signal.SIGKILL, 4.0),
-        ("direct", signal.SIGTERM, 7.0),
+        ("direct", signal.SIGKILL, 3.0),
+        ("direct", signal.SIGTERM, 4.5),
         ("network", signal.SIGKILL, 8.0),
-        ("refine", signal.SIGHUP, 6.0),
+        ("refine", signal.SIGHUP, 3.0),
         ("evaluate", signal.SIGKILL, 5.0),
     ],
 )
@@ -119,7 +119,7 @@ def test_stops_at_random_moments(seed):
 
 @pytest.fixture
 def tiny(monkeypatch):
-    monkeypatch.setattr("lumitree.direct.bake.QUALITIES", {"standard": tiny_bakes.direct_config()})
+    tiny_bakes.set_qualities(monkeypatch.setitem)
 
 
 @pytest.fixture
@@ -151,7 +151,9 @@ def run_out_of_disk(*_, **__):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-UNFINISHED = [f"out/lamp.work/{MARKER}", "out/lamp.work/state.npz"]
+UNFINISHED = [f"out/lamp.work/{name}" for name in (MARKER, "exitant.lumitree", "state.npz")]
+# Of an exitant light field that could not be saved.
+UNSAVED = [UNFINISHED[0], UNFINISHED[2]]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -180,7 +182,7 @@ def test_a_bake_killed_in_its_first_step_continues_from_the_estimate(tiny, steps
 
 def test_a_bake_killed_while_it_calibrates_continues_there(tiny, steps, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("lumitree.direct.bake.light_left_over", die)
+        patch.setattr("lumitree.direct.bake.flux_correction_factor", die)
         assert main(list(BAKE)) == 1
     done = list(steps)
     assert len(done) > 5
@@ -193,24 +195,27 @@ def test_a_bake_killed_while_it_calibrates_continues_there(tiny, steps, monkeypa
 def test_a_full_work_disk_is_warned_of_once_and_the_bake_goes_on(
     tiny, steps, monkeypatch, capsys, command
 ):
-    monkeypatch.setattr("lumitree.direct.bake._SAVE_SECONDS", 0.0)
-    monkeypatch.setattr("lumitree.direct.bake._SAVE_RARELY", 0.0)
+    often = {"save_seconds": 0.0, "save_time_factor": 0.0}
+    tiny_bakes.set_qualities(monkeypatch.setitem, schedule=often)
     monkeypatch.setattr(np, "savez", run_out_of_disk)
     assert main([*command, "--work", "full"]) == 0
     err = capsys.readouterr().err
     assert err.count("No space left on device") == 1
     assert "the bake goes on" in err
     assert len(steps) > 5
-    assert left() == ["out/lamp.lumitree"]
+    kept = [f"full/{MARKER}", "full/exitant.lumitree"] if command is BAKE else []
+    assert left() == [*kept, "out/lamp.lumitree"]
 
 
 def test_a_full_disk_at_the_end_loses_no_work(tiny, steps, monkeypatch, capsys):
     with monkeypatch.context() as patch:
         patch.setattr("safetensors.numpy.save_file", run_out_of_disk)
         assert main(list(BAKE)) == 2
-    assert "cannot write out/lamp.lumitree: No space left on device" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "cannot save the exitant light field" in err
+    assert "cannot write out/lamp.lumitree: No space left on device" in err
     done = list(steps)
-    assert left() == UNFINISHED
+    assert left() == UNSAVED
     assert main(list(BAKE)) == 0
     assert steps == done
     assert left() == ["out/lamp.lumitree"]
@@ -230,7 +235,7 @@ def test_a_folder_of_others_is_neither_used_nor_removed(tiny, capsys, name, opti
 
 def test_a_named_work_folder_stays(tiny, steps, capsys):
     assert main([*BAKE, "--work", "w"]) == 0
-    assert left() == ["out/lamp.lumitree", f"w/{MARKER}", "w/state.npz"]
+    assert left() == ["out/lamp.lumitree", f"w/{MARKER}", "w/exitant.lumitree", "w/state.npz"]
 
 
 def test_pictures_are_baked_too(tiny, capsys):
@@ -277,5 +282,5 @@ def test_training_goes_on_where_a_checkpoint_cannot_be_written(monkeypatch, caps
     monkeypatch.setattr(training, "save_checkpoint", fail_at_first)
     monkeypatch.setattr(training, "_CHECKPOINT_SECONDS", 0.0)
     assert main(["train", "d", "-o", "run"]) == 0
-    assert "the training goes on" in capsys.readouterr().err
+    assert "the training continues" in capsys.readouterr().err
     assert Path("run/checkpoints").is_dir()

@@ -13,8 +13,9 @@ from lumitree.core.progress import Progress, show_progress
 from lumitree.errors import LumitreeError, LumitreeWarning
 
 if TYPE_CHECKING:
-    from lumitree.api.baking import bake, bake_network, capture, extract, refine, train
+    from lumitree.api.baking import bake, refine
     from lumitree.api.luminaires import builtin_luminaires, load_luminaire
+    from lumitree.api.network import bake_network, capture, extract, train
     from lumitree.api.results import (
         BakeResult,
         CaptureResult,
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from lumitree.api.viewing import evaluate, preview, render
     from lumitree.asset.asset import Asset, AssetInfo
     from lumitree.asset.file import load, save
+    from lumitree.core.frames import LocalFrame
     from lumitree.luminaire.luminaire import Luminaire
     from lumitree.luminaire.source import LuminaireSource
     from lumitree.rendering.placement import Placement
@@ -45,6 +47,7 @@ _HOMES = {
     "CaptureResult": "api.results",
     "EvaluateResult": "api.results",
     "Flux": "api.results",
+    "LocalFrame": "core.frames",
     "Luminaire": "luminaire.luminaire",
     "LuminaireSource": "luminaire.source",
     "MissedFlux": "api.results",
@@ -54,11 +57,11 @@ _HOMES = {
     "Result": "api.results",
     "TrainResult": "api.results",
     "bake": "api.baking",
-    "bake_network": "api.baking",
+    "bake_network": "api.network",
     "builtin_luminaires": "api.luminaires",
-    "capture": "api.baking",
+    "capture": "api.network",
     "evaluate": "api.viewing",
-    "extract": "api.baking",
+    "extract": "api.network",
     "load": "asset.file",
     "load_luminaire": "api.luminaires",
     "preview": "api.viewing",
@@ -67,7 +70,7 @@ _HOMES = {
     "render": "api.viewing",
     "save": "asset.file",
     "shape": "rendering.plugins",
-    "train": "api.baking",
+    "train": "api.network",
 }
 __all__ = [
     "Asset",
@@ -77,6 +80,7 @@ __all__ = [
     "EvaluateResult",
     "Flux",
     "Interrupted",
+    "LocalFrame",
     "Luminaire",
     "LuminaireSource",
     "LumitreeError",

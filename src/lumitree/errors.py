@@ -1,39 +1,39 @@
-"""The one exception that lumitree raises for its users, its warning, and how both are made."""
+"""The exception and the warning of lumitree, and functions that format their messages."""
 
 import functools
 from collections.abc import Callable, Iterable
-from typing import ParamSpec, TypeVar
+from typing import Any, TypeVar, cast
 
-P = ParamSpec("P")
-R = TypeVar("R")
+F = TypeVar("F", bound=Callable[..., Any])
 
 _SHOWN_NAMES, _SHOWN_CHARACTERS = 12, 40
 
 
 class LumitreeError(Exception):
-    """Bad input or a failed environment, told in one line.
+    """Invalid input, or a problem of the environment such as a full disk.
 
-    The message says what was found, what was expected and what to do. The command line prints
-    it and exits with status 2; Python callers catch it.
+    The message is one line. It states what was found, what was expected and what to do. The
+    command line prints it and exits with status 2.
     """
 
 
 class LumitreeWarning(UserWarning):
-    """Something was approximated or looks wrong; told in one line.
+    """A result is approximate, or an input is probably wrong.
 
-    The command line prints it and goes on; Python callers may filter it.
+    The message is one line. The command line prints it and continues; Python callers may filter it.
     """
 
 
 def shown(text: object, limit: int = 80) -> str:
-    """Text that came from a file, as it may stand in a message.
+    """Text from a file, made safe for a message.
 
     Args:
-        text: of any length, with any characters.
-        limit: characters of the result.
+        text: text of any length, with any characters.
+        limit: largest number of characters of the result.
 
     Returns:
-        Its beginning in one line, with `?` for what cannot be printed, and … where it was cut.
+        One line: the beginning of the text, with `?` for unprintable characters. It ends in … if
+        the text was cut.
     """
     text = str(text)
     start = text if len(text) <= limit else text[: limit - 1] + "…"
@@ -41,21 +41,22 @@ def shown(text: object, limit: int = 80) -> str:
 
 
 def shown_names(names: Iterable[str]) -> str:
-    """Names that came from a file, for a message; not all of them where there are many."""
+    """Names from a file, for a message; at most 12, and the number of the others."""
     names = list(names)
     more = f" and {len(names) - _SHOWN_NAMES} more" if len(names) > _SHOWN_NAMES else ""
     listed = ", ".join(shown(name, _SHOWN_CHARACTERS) for name in names[:_SHOWN_NAMES])
     return listed + more if names else "none with a name"
 
 
-def explained(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator: errors of the system, of memory and of readers become a `LumitreeError`.
+def explained(function: F) -> F:
+    """Decorator that turns errors of the system, of memory and of readers into a `LumitreeError`.
 
-    Readers say what is wrong with a file where they know; this is for what they did not foresee.
+    It handles the errors for which readers of files have no message of their own. Its type is that
+    of the function itself, so that an editor finds where an argument is passed.
     """
 
     @functools.wraps(function)
-    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+    def run(*args: Any, **kwargs: Any) -> Any:
         try:
             return function(*args, **kwargs)
         except OSError as error:
@@ -75,7 +76,7 @@ def explained(function: Callable[P, R]) -> Callable[P, R]:
             reason = f"not enough memory: {shown(error, 200)}; choose smaller sizes"
         raise LumitreeError(reason)
 
-    return run
+    return cast(F, run)
 
 
 def _is_out_of_memory(error: RuntimeError) -> bool:

@@ -1,7 +1,9 @@
 """The file format: byte-exact, and nothing damaged gets in."""
 
+import base64
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +11,10 @@ import safetensors.numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fields import random_asset
+from exitant_fields import assert_equal_fields, random_exitant
+from fields import make_asset, random_asset
+from lumitree.asset.asset import exitant_asset
+from lumitree.asset.exitant import make_exitant_field
 from lumitree.asset.file import load, save
 from lumitree.errors import LumitreeError
 
@@ -21,25 +26,110 @@ def original(tmp_path_factory):
     return path
 
 
-def test_round_trip_byte_for_byte(original, tmp_path):
-    save(load(original), tmp_path / "again.lumitree")
-    assert (tmp_path / "again.lumitree").read_bytes() == original.read_bytes()
+@pytest.fixture(scope="module")
+def with_exitant(tmp_path_factory):
+    """The same asset with an exitant light field."""
+    path = tmp_path_factory.mktemp("exitant") / "lamp.lumitree"
+    save(replace(random_asset(0, tree_depth=3, l_max=1), exitant=random_exitant(0)), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def exitant_only(tmp_path_factory):
+    """An asset whose field is empty."""
+    path = tmp_path_factory.mktemp("only") / "lamp.lumitree"
+    save(exitant_asset(random_exitant(0), random_asset(0).frame, "test"), path)
+    return path
+
+
+FILES = ("original", "with_exitant", "exitant_only")
+
+
+@pytest.fixture(params=FILES)
+def any_file(request):
+    """A file without an exitant light field, with one, or with nothing else."""
+    return request.getfixturevalue(request.param)
+
+
+def test_round_trip_byte_for_byte(any_file, tmp_path):
+    save(load(any_file), tmp_path / "again.lumitree")
+    assert (tmp_path / "again.lumitree").read_bytes() == any_file.read_bytes()
 
 
 def test_loaded_equals_saved(tmp_path):
     asset = random_asset(3, law="exponential", half_extents=np.array([0.25, 1.0, 0.5]))
     save(asset, tmp_path / "a.lumitree")
     again = load(tmp_path / "a.lumitree")
-    for name in ("children", "density", "coefficients", "half_extents", "world_from_proxy"):
+    for name in ("children", "density", "coefficients", "frame"):
         assert np.array_equal(getattr(asset, name), getattr(again, name))
     for name in ("law", "l_max", "tree_depth", "max_radiance", "luminaire"):
         assert getattr(asset, name) == getattr(again, name)
+    assert again.exitant is None
 
 
-@settings(deadline=None, max_examples=300)
+def test_loaded_exitant_light_field_equals_saved(with_exitant):
+    field, plain = random_exitant(0), random_asset(0, tree_depth=3, l_max=1)
+    found = load(with_exitant)
+    assert_equal_fields(found.exitant, field)
+    assert np.array_equal(found.coefficients, plain.coefficients)
+    assert found.num_bytes == plain.num_bytes + field.num_bytes
+    assert found.info.exitant_cells == len(field.cells) == 5
+    assert plain.info.exitant_cells == 0
+
+
+def test_an_asset_of_an_exitant_light_field_alone(exitant_only):
+    found = load(exitant_only)
+    assert_equal_fields(found.exitant, random_exitant(0))
+    assert found.num_leaves == 0
+    assert (found.info.nodes, found.info.leaves) == (1, 0)
+    assert not found.children.any()
+
+
+def test_equal_assets_give_equal_bytes(with_exitant, tmp_path):
+    """Also if the arrays lie otherwise in memory."""
+    plain, field = random_asset(0, tree_depth=3, l_max=1), random_exitant(0)
+    fortran = replace(field, cells=np.asfortranarray(field.cells), lit=np.asfortranarray(field.lit))
+    save(replace(plain, exitant=fortran), tmp_path / "again.lumitree")
+    assert (tmp_path / "again.lumitree").read_bytes() == with_exitant.read_bytes()
+    save(replace(plain, exitant=random_exitant(1)), tmp_path / "other.lumitree")
+    assert (tmp_path / "other.lumitree").read_bytes() != with_exitant.read_bytes()
+
+
+# Written by lumitree before there were exitant light fields: one leaf, tree depth 1.
+OLD = base64.b64decode(
+    "SAIAAAAAAAB7Il9fbWV0YWRhdGFfXyI6eyJsdW1pdHJlZSI6IjQ2ZGNkMDFmYzk5YjI2NTQzNGE5YzAyMGFiNDA1Yj"
+    "JjZTNhZmU0YjQyZjkzYzM2OTE4ZjQzYjBhNjQ1ZDYyYjgge1wiYWN0aXZhdGlvblwiOlwic2lnbW9pZFwiLFwiZm9y"
+    "bWF0XCI6XCJsdW1pdHJlZVwiLFwiaGFsZl9leHRlbnRzXCI6WzEuMCwxLjAsMS4wXSxcImxfbWF4XCI6MCxcImxhd1"
+    "wiOlwibGluZWFyXCIsXCJsdW1pbmFpcmVcIjpcIm9sZCBsYW1wXCIsXCJtYXhfcmFkaWFuY2VcIjoxMC4wLFwidHJl"
+    "ZV9kZXB0aFwiOjEsXCJ2ZXJzaW9uXCI6MSxcIndvcmxkX2Zyb21fcHJveHlcIjpbWzEuMCwwLjAsMC4wLDAuMF0sWz"
+    "AuMCwxLjAsMC4wLDAuMF0sWzAuMCwwLjAsMS4wLDAuMF0sWzAuMCwwLjAsMC4wLDEuMF1dfSJ9LCJkZW5zaXR5Ijp7"
+    "ImR0eXBlIjoiRjMyIiwic2hhcGUiOlsxXSwiZGF0YV9vZmZzZXRzIjpbMCw0XX0sImNoaWxkcmVuIjp7ImR0eXBlIj"
+    "oiSTMyIiwic2hhcGUiOlsxLDhdLCJkYXRhX29mZnNldHMiOls0LDM2XX0sImNvZWZmaWNpZW50cyI6eyJkdHlwZSI6"
+    "IkYxNiIsInNoYXBlIjpbMSwzLDFdLCJkYXRhX29mZnNldHMiOlszNiw0Ml19fSAgICAgIAAAAD8AAAAAAAAAAAAAAA"
+    "AAAAAAAAAAAP////8AAAAAAAAAAAC0ALQAtA=="
+)
+
+
+def test_a_file_without_an_exitant_light_field_is_still_the_old_one(tmp_path):
+    path = tmp_path / "old.lumitree"
+    path.write_bytes(OLD)
+    found = load(path)
+    assert found.exitant is None
+    assert found.luminaire == "old lamp"
+    assert found.density.tolist() == [0.5]
+    assert found.coefficients.tolist() == [[[-0.25]] * 3]
+    assert found.children.tolist() == [[0, 0, 0, 0, 0, -1, 0, 0]]
+    leaf = {"cells": [[1, 0, 1]], "levels": [1], "density": [0.5]}
+    asset = make_asset(**leaf, coefficients=[[[-0.25]] * 3], tree_depth=1, luminaire="old lamp")
+    save(asset, tmp_path / "new.lumitree")
+    assert (tmp_path / "new.lumitree").read_bytes() == OLD
+
+
+@pytest.mark.parametrize("name", FILES)
+@settings(deadline=None, max_examples=150)
 @given(data=st.data())
-def test_every_flipped_bit_is_noticed(original, tmp_path_factory, data):
-    content = bytearray(original.read_bytes())
+def test_every_flipped_bit_is_noticed(request, tmp_path_factory, name, data):
+    content = bytearray(request.getfixturevalue(name).read_bytes())
     bit = data.draw(st.integers(0, 8 * len(content) - 1))
     content[bit // 8] ^= 1 << bit % 8
     path = tmp_path_factory.getbasetemp() / "flipped.lumitree"
@@ -50,9 +140,9 @@ def test_every_flipped_bit_is_noticed(original, tmp_path_factory, data):
 
 
 @pytest.mark.parametrize("length", [0, 1, 7, 8, 9, 200, -1])
-def test_truncated_files_are_refused(original, tmp_path, length):
+def test_truncated_files_are_refused(any_file, tmp_path, length):
     path = tmp_path / "cut.lumitree"
-    path.write_bytes(original.read_bytes()[:length])
+    path.write_bytes(any_file.read_bytes()[:length])
     with pytest.raises(LumitreeError, match=r"cut.lumitree"):
         load(path)
 
@@ -73,6 +163,8 @@ def rewrite(path, target, change_tensors=lambda t: None, change_text=lambda d: N
     with safetensors.safe_open(path, framework="np") as file:
         description = json.loads(file.metadata()["lumitree"].partition(" ")[2])
     change_tensors(tensors)
+    # safetensors writes memory as it lies.
+    tensors = {name: np.array(array, order="C") for name, array in tensors.items()}
     change_text(description)
     text = json.dumps(description)
     safetensors.numpy.save_file(tensors, target, {"lumitree": f"{_digest(text, tensors)} {text}"})
@@ -99,6 +191,8 @@ def put(name, index, value):
         (lambda t: t.update(density=t["density"][:-1]), "coefficients is"),
         (lambda t: t.update(children=t["children"].reshape(-1, 4)), "children is"),
         (lambda t: t.update(extra=t["density"]), "tensors"),
+        (lambda t: t.update(density=np.float32(1)), r"density is float32 \(\)"),
+        (lambda t: t.update(children=np.int32(0)), r"children is int32 \(\)"),
     ],
 )
 def test_broken_tensors_are_refused(original, tmp_path, change, message):
@@ -110,7 +204,12 @@ def test_broken_tensors_are_refused(original, tmp_path, change, message):
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("version", 2, "version 2, this lumitree reads 1"),
+        ("version", 3, "version 3, this lumitree reads 1 and 2"),
+        ("version", 2, 'lacks "exitant"'),
+        ("version", 0, "version 0, this"),
+        ("version", 1.0, "version 1.0, this"),
+        ("version", True, "version true, this"),
+        ("exitant", {"depth": 1, "resolution": 4, "scale": 1.0}, 'unknown key "exitant"'),
         ("format", "other", "format of the description is"),
         ("activation", "relu", "activation"),
         ("tree_depth", 11, "tree depth 11"),
@@ -132,9 +231,116 @@ def test_broken_descriptions_are_refused(original, tmp_path, key, value, message
     assert "bad.lumitree" in str(caught.value)
 
 
-def test_a_cycle_is_refused():
-    from dataclasses import replace
+def exitant(name, change):
+    """A change of one tensor of the exitant light field."""
 
+    def changed(tensors):
+        tensors["exitant." + name] = change(tensors["exitant." + name])
+
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.pop("exitant.cells"), 'the header has the unknown key "exitant.'),
+        (lambda t: t.pop("exitant.lit"), 'the header lacks "exitant.lit"'),
+        (lambda t: t.pop("exitant.intensity"), 'the header lacks "exitant.intensity"'),
+        (lambda t: t.pop("density"), 'the header lacks "density"'),
+        (lambda t: t.update({"exitant.extra": t["density"]}), 'unknown key "exitant.extra"'),
+        (
+            lambda t: [t.pop(f"exitant.{name}") for name in ("cells", "lit", "intensity")],
+            "the tensors of the exitant light field are missing",
+        ),
+        (exitant("cells", lambda a: a.astype(np.int64)), 'dtype of exitant.cells of .* "I64"'),
+        (exitant("lit", lambda a: a.view(np.int8)), 'dtype of exitant.lit of .* "I8"'),
+        (exitant("intensity", lambda a: a.view(np.int32)), 'dtype of exitant.intensity .* "I32"'),
+        (exitant("intensity", lambda a: a.view(np.float32)), '"F32"; expected "U32"'),
+        (exitant("cells", lambda a: a[0, 0]), r"cells is uint8 \(\)"),
+        (exitant("cells", lambda a: a[:, :2]), r"cells is uint8 \(5, 2\)"),
+        (exitant("cells", lambda a: a[::-1]), "repeated or out of order"),
+        (exitant("cells", lambda a: a + 4), "a cell is outside the grid"),
+        (exitant("cells", lambda a: a[:-1]), "lit is"),
+        (exitant("lit", lambda a: a[0, 0]), r"lit is uint8 \(\)"),
+        (exitant("lit", lambda a: ~a), "intensities for"),
+        (exitant("intensity", lambda a: a[0]), r"intensity is uint32 \(\)"),
+        (exitant("intensity", lambda a: a[:-1]), "intensities for"),
+        (exitant("intensity", lambda a: 0 * a), "an intensity is 0"),
+    ],
+)
+@pytest.mark.parametrize("name", FILES[1:])
+def test_broken_tensors_of_the_exitant_light_field_are_refused(
+    request, tmp_path, name, change, message
+):
+    path = request.getfixturevalue(name)
+    rewrite(path, tmp_path / "bad.lumitree", change_tensors=change)
+    with pytest.raises(LumitreeError, match=message) as caught:
+        load(tmp_path / "bad.lumitree")
+    assert "bad.lumitree" in str(caught.value)
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"depth": 0}, "depth 0, expected 1 to 7"),
+        ({"depth": 8}, "depth 8, expected 1 to 7"),
+        ({"depth": 1}, "a cell is outside the grid"),
+        ({"depth": 2.0}, "depth of exitant of the description is 2.0; expected an integer"),
+        ({"depth": True}, "depth of exitant of the description is true; expected an integer"),
+        ({"resolution": 8}, "lit is"),
+        ({"resolution": 5}, "resolution 5, expected a power of two"),
+        ({"resolution": 256}, "resolution 256"),
+        ({"scale": 0}, "scale 0.0"),
+        ({"scale": "1"}, 'scale of exitant of the description is "1"; expected a number'),
+        ({"scale": 1e16}, "scale 1e"),
+        ({"extra": 1}, 'exitant of the description has the unknown key "extra"'),
+    ],
+)
+def test_broken_descriptions_of_the_exitant_light_field_are_refused(
+    with_exitant, tmp_path, change, message
+):
+    path = tmp_path / "bad.lumitree"
+    rewrite(with_exitant, path, change_text=lambda d: d["exitant"].update(change))
+    with pytest.raises(LumitreeError, match=message):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        # A version 1 that keeps the member, and one that keeps the tensors only.
+        (lambda d: d.update(version=1), 'unknown key "exitant"'),
+        (lambda d: d.update(version=1) or d.pop("exitant"), "version 1 has no exitant light"),
+        (lambda d: d.pop("exitant"), 'lacks "exitant"'),
+        (lambda d: d.update(exitant=None), "exitant of the description is null; expected a JSON"),
+        (lambda d: d.update(exitant=[2, 4, 1.0]), "exitant of the description is a list of 3"),
+        (lambda d: d["exitant"].pop("scale"), 'exitant of the description lacks "scale"'),
+        (lambda d: d.update(version=3), "version 3, this lumitree reads 1 and 2"),
+    ],
+)
+def test_version_and_exitant_light_field_belong_together(with_exitant, tmp_path, change, message):
+    rewrite(with_exitant, tmp_path / "bad.lumitree", change_text=change)
+    with pytest.raises(LumitreeError, match=message):
+        load(tmp_path / "bad.lumitree")
+
+
+def test_version_2_without_the_tensors_is_refused(original, tmp_path):
+    member = {"depth": 1, "resolution": 4, "scale": 1.0}
+    path = tmp_path / "bad.lumitree"
+    rewrite(original, path, change_text=lambda d: d.update(version=2, exitant=member))
+    with pytest.raises(LumitreeError, match="tensors of the exitant light field are missing"):
+        load(path)
+
+
+def test_the_largest_resolution_and_depth_are_kept(tmp_path):
+    intensity = np.ones((1, 128**2, 3))
+    field = make_exitant_field(np.array([[127, 0, 127]]), intensity, 7)
+    save(exitant_asset(field, random_asset(0).frame, "fine"), tmp_path / "fine.lumitree")
+    assert_equal_fields(load(tmp_path / "fine.lumitree").exitant, field)
+
+
+def test_a_cycle_is_refused():
     asset = random_asset(0, tree_depth=4)
     children = asset.children.copy()
     # Exchange two subtrees so that one contains its own parent.

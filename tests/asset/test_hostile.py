@@ -2,17 +2,21 @@
 
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from exitant_fields import assert_equal_fields, random_exitant
 from fields import random_asset
 from lumitree.asset.asset import (
     MAX_DENSITY,
     MAX_RADIANCE,
     MAX_TREE_DEPTH,
     MIN_RADIANCE,
+    exitant_asset,
 )
+from lumitree.asset.exitant import MAX_BINS, MAX_DEPTH, MAX_RESOLUTION, unpack
 from lumitree.asset.file import _digest, load, save
 from lumitree.core.frames import MAX_SCALE, MIN_HALF_EXTENT, MIN_SCALE, similarity_scale
 from lumitree.core.harmonics import MAX_L, num_coefficients
@@ -33,7 +37,11 @@ VALUES = [
     *('"\\ud800"', f'"{100_000 * "x"}"', f'"{1000 * "é"}"', "01", "", "{", '"', "\x00", "é"),
 ]
 DTYPES = {"children": np.int32, "density": np.float32, "coefficients": np.float16}
-SAFETENSORS = {"int32": "I32", "float32": "F32", "float16": "F16", "float64": "F64", "uint8": "U8"}
+EXITANT_DTYPES = {"cells": np.uint8, "lit": np.uint8, "intensity": np.uint32}
+SAFETENSORS = {
+    **{"int32": "I32", "float32": "F32", "float16": "F16", "float64": "F64"},
+    **{"uint8": "U8", "uint32": "U32"},
+}
 
 
 class Draft:
@@ -50,9 +58,20 @@ class Draft:
             ("law", json.dumps(asset.law)),
             ("activation", '"sigmoid"'),
             ("max_radiance", str(asset.max_radiance)),
-            ("half_extents", str(asset.half_extents.tolist())),
-            ("world_from_proxy", str(asset.world_from_proxy.tolist())),
+            ("half_extents", str(asset.frame.half_extents.tolist())),
+            ("world_from_proxy", str(asset.frame.world_from_local.tolist())),
         ]
+        if (field := asset.exitant) is not None:
+            for name in EXITANT_DTYPES:
+                self.tensors[f"exitant.{name}"] = np.array(getattr(field, name))
+            self.members[1] = ("version", "2")
+            scalars = {name: getattr(field, name) for name in ("depth", "resolution", "scale")}
+            self.members.append(("exitant", json.dumps(scalars)))
+
+    @property
+    def full(self):
+        """Names of the tensors that hold numbers."""
+        return [name for name, array in self.tensors.items() if array.size]
 
     def description(self):
         return "{" + ",".join(f'"{key}":{value}' for key, value in self.members) + "}"
@@ -85,7 +104,7 @@ class Draft:
 
 
 def flip_tensor_bits(draft, random):
-    name = random.choice(list(draft.tensors))
+    name = random.choice(draft.full)
     data = bytearray(draft.tensors[name].tobytes())
     for _ in range(random.integers(1, 4)):
         data[random.integers(len(data))] ^= 1 << random.integers(8)
@@ -117,12 +136,18 @@ def replace_values(draft, random):
 
 
 def replace_numbers(draft, random):
-    """A number within the lists of the description."""
-    key = random.choice(["half_extents", "world_from_proxy"])
-    index = [name for name, _ in draft.members].index(key)
-    values = np.array(json.loads(draft.members[index][1])).astype(object)
-    values.flat[random.integers(values.size)] = "@"
-    text = json.dumps(values.tolist()).replace('"@"', VALUES[random.integers(len(VALUES))])
+    """A number within the lists, or within the exitant light field, of the description."""
+    keys = [name for name, _ in draft.members]
+    key = random.choice(["half_extents", "world_from_proxy", "exitant"][: 2 + ("exitant" in keys)])
+    index = keys.index(key)
+    values = json.loads(draft.members[index][1])
+    if key == "exitant":
+        values[random.choice(list(values))] = "@"
+    else:
+        values = np.array(values).astype(object)
+        values.flat[random.integers(values.size)] = "@"
+        values = values.tolist()
+    text = json.dumps(values).replace('"@"', VALUES[random.integers(len(VALUES))])
     draft.members[index] = (key, text)
     return draft.file()
 
@@ -148,7 +173,7 @@ def change_keys(draft, random):
 
 def change_tensors(draft, random):
     """Tensors cut, reshaped, of other types, or with extreme numbers."""
-    name = random.choice(list(draft.tensors))
+    name = random.choice(draft.full)
     array = draft.tensors[name]
     match random.integers(5):
         case 0:
@@ -160,8 +185,10 @@ def change_tensors(draft, random):
         case 3:
             array = array[random.permutation(len(array))]
         case 4:
-            kind = np.iinfo if array.dtype.kind == "i" else np.finfo
-            extremes = [kind(array.dtype).max, kind(array.dtype).min, 0, 1, -1]
+            kind = np.finfo if array.dtype.kind == "f" else np.iinfo
+            extremes = [kind(array.dtype).max, kind(array.dtype).min, 0, 1]
+            if array.dtype.kind != "u":
+                extremes.append(-1)
             if array.dtype.kind == "f":
                 extremes += [np.inf, np.nan, kind(array.dtype).smallest_subnormal]
             value = extremes[random.integers(len(extremes))]
@@ -191,11 +218,11 @@ def assert_sound(asset):
     assert asset.law in LAWS
     assert type(asset.max_radiance) is float
     assert MIN_RADIANCE <= asset.max_radiance <= MAX_RADIANCE
-    assert asset.half_extents.shape == (3,)
-    assert asset.half_extents.min() >= MIN_HALF_EXTENT
-    assert abs(asset.half_extents.max() - 1) < 1e-6
-    assert np.abs(asset.world_from_proxy).max() <= MAX_SCALE
-    assert similarity_scale(asset.world_from_proxy) >= MIN_SCALE
+    assert asset.frame.half_extents.shape == (3,)
+    assert asset.frame.half_extents.min() >= MIN_HALF_EXTENT
+    assert abs(asset.frame.half_extents.max() - 1) < 1e-6
+    assert np.abs(asset.frame.world_from_local).max() <= MAX_SCALE
+    assert similarity_scale(asset.frame.world_from_local) >= MIN_SCALE
     assert type(asset.luminaire) is str
     assert asset.luminaire.isprintable()
     assert len(asset.luminaire) <= MAX_LABEL
@@ -210,11 +237,41 @@ def assert_sound(asset):
     assert sides.max(initial=1) <= asset.tree_depth
     # Leaves do not overlap: together they fill at most the cube.
     assert ((upper - lower) ** 3)[:, 0].sum() <= 8
+    if asset.exitant is not None:
+        assert_sound_field(asset.exitant)
 
 
-@pytest.fixture(scope="module")
-def asset():
-    return random_asset(0, tree_depth=3, l_max=1, half_extents=np.array([1.0, 0.5, 0.25]))
+def assert_sound_field(field):
+    """What the emitter of `rendering` computes with is in range."""
+    assert type(field.depth) is type(field.resolution) is int
+    assert type(field.scale) is float
+    assert 1 <= field.depth <= MAX_DEPTH
+    assert field.resolution in [2**power for power in range(2, 8)]
+    assert field.resolution <= MAX_RESOLUTION
+    for name, dtype in EXITANT_DTYPES.items():
+        assert getattr(field, name).dtype == dtype
+    count, bins = len(field.cells), field.resolution**2
+    assert 0 < count * bins <= MAX_BINS
+    assert field.cells.shape == (count, 3)
+    assert field.cells.max() < 2**field.depth
+    assert len(np.unique(field.cells, axis=0)) == count
+    dense = field.dense(unpack(field.intensity).sum(axis=1))
+    assert dense.shape == (count, bins)
+    assert (dense.sum(axis=1) > 0).all()
+    intensity = (unpack(field.intensity) * field.scale).astype(np.float32)
+    assert np.isfinite(intensity).all()
+    assert (intensity.max(axis=1) > 0).all()
+
+
+@pytest.fixture(scope="module", params=["field", "both", "exitant"])
+def asset(request):
+    """An asset with a radiance field, with an exitant light field too, or with the latter alone."""
+    plain = random_asset(0, tree_depth=3, l_max=1, half_extents=np.array([1.0, 0.5, 0.25]))
+    return {
+        "field": plain,
+        "both": replace(plain, exitant=random_exitant(0)),
+        "exitant": exitant_asset(random_exitant(0), plain.frame, "test"),
+    }[request.param]
 
 
 def test_the_draft_is_the_file(asset, tmp_path):
@@ -256,5 +313,9 @@ def test_mutations_are_sound_or_refused(asset, tmp_path, mutate):
         else:
             assert_sound(mutant)
             save(mutant, again)
-            assert load(again).luminaire == mutant.luminaire
+            loaded = load(again)
+            assert loaded.luminaire == mutant.luminaire
+            assert (loaded.exitant is None) == (mutant.exitant is None)
+            if mutant.exitant is not None:
+                assert_equal_fields(loaded.exitant, mutant.exitant)
     assert refused > ROUNDS // 8

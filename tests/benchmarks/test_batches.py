@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from batches import MAX_BATCHES, LongRun, digest, ladder
+from benchmarks.equal_error.batches import MAX_BATCHES, LongRun, digest, ladder
 
 
 class Renderer:

@@ -8,7 +8,10 @@ import pytest
 from PIL import Image
 
 import lumitree
-from equal_quality import Pair, explicit_integrator, read_pairs, run, write
+from benchmarks.common.results import Results
+from benchmarks.equal_error.method import explicit_integrator
+from benchmarks.equal_error.pairs import Pair, read_pairs
+from benchmarks.equal_quality import measure, write
 from fields import random_asset
 from lamps import AREA, GLASS, cube, scene, sphere
 from lumitree.luminaire.luminaire import load_luminaire
@@ -52,11 +55,13 @@ def options(tmp_path):
         clock="cpu",
         cache=tmp_path / "cache",
         output=tmp_path / "results",
+        benchmark="equal_quality",
+        command="python -m benchmarks equal_quality",
     )
 
 
 def test_a_pair_from_end_to_end(pair, options):
-    row = run(pair, options)
+    row = measure(pair, options)
     assert (row["luminaire"], row["room"]) == ("lantern", "cellar")
     assert row["integrators"] == ["path", "lumitree_path"]
     assert row["resolution"] == [16, 12]
@@ -71,12 +76,12 @@ def test_a_pair_from_end_to_end(pair, options):
     for name in row["pictures"]:
         assert np.ptp(np.array(Image.open(options.output / name))) > 100
     # Once more: the ladders are kept, and so the times are the very same.
-    again = run(pair, options)
+    again = measure(pair, options)
     assert again["ladders"]["baked"][-1]["seconds"] == row["ladders"]["baked"][-1]["seconds"]
 
-    write([row | {"luminaire": "other"}], options.output, {})
-    write([row], options.output, {})
-    write([again], options.output, {"clock": "cpu"})
+    write([row | {"luminaire": "other"}], Results(options))
+    write([row], Results(options))
+    write([again], Results(options, clock="cpu"))
     found = json.loads((options.output / "equal_quality.json").read_text())["pairs"]
     assert [each["luminaire"] for each in found] == ["other", "lantern"]
     text = (options.output / "equal_quality.md").read_text()

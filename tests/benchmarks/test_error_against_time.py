@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from error_against_time import (
+from benchmarks.equal_error.error_against_time import (
     Estimate,
     Pace,
     noise,
@@ -14,7 +14,7 @@ from error_against_time import (
     trimmed_mean,
     trimming,
 )
-from readings import Reference, headline, levels, rung_rows
+from benchmarks.equal_error.readings import Reference, headline, levels, rung_rows
 
 SHAPE = (6, 8, 3)
 
@@ -141,7 +141,7 @@ def test_nothing_is_compared_below_the_references_own_error():
 
 
 def test_the_readable_row_lies_above_the_references_own_error():
-    from readings import readable
+    from benchmarks.equal_error.readings import readable
 
     rows = [{"baked_spp": 1 << i, "speedup": 7.0 if i < 3 else None} for i in range(7)]
     assert readable(rows)["baked_spp"] == 4

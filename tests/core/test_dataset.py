@@ -8,6 +8,7 @@ import pytest
 
 from lumitree.core.dataset import MANIFEST, Dataset, Frame, Manifest
 from lumitree.core.directions import view_pose
+from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
 
 
@@ -26,8 +27,7 @@ def manifest():
         samples_per_pixel=4,
         path_depth=128,
         half_width=1.5,
-        half_extents=(1.0, 0.5, 1e-3),
-        world_from_proxy=rows(np.diag([2, 2, 2, 1])),
+        local_frame=LocalFrame((1.0, 0.5, 1e-3), np.diag([2, 2, 2, 1])),
         frames=frames,
     )
 
@@ -35,6 +35,26 @@ def manifest():
 def test_what_is_saved_opens_again(manifest, tmp_path):
     Dataset(tmp_path, manifest).save_manifest()
     assert Dataset.open(tmp_path).manifest == manifest
+
+
+def test_keys_of_the_file_are_those_of_its_format(manifest, tmp_path):
+    Dataset(tmp_path, manifest).save_manifest()
+    data = json.loads((tmp_path / MANIFEST).read_text())
+    assert list(data) == [
+        "luminaire",
+        "fingerprint",
+        "split",
+        "resolution",
+        "samples_per_pixel",
+        "path_depth",
+        "half_width",
+        "half_extents",
+        "world_from_proxy",
+        "frames",
+        "version",
+    ]
+    assert list(data["frames"][0]) == ["file", "halton_index", "proxy_from_camera"]
+    assert data["world_from_proxy"] == manifest.local_frame.world_from_local.tolist()
 
 
 def test_names_of_any_characters_are_kept_readable(manifest, tmp_path):
@@ -60,7 +80,7 @@ def change(*path, to):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda data: "", "no JSON"),
+        (lambda data: "", "not valid JSON"),
         (lambda data: "[" * 100_000, "too deep"),
         (lambda data: "[]", "expected a JSON object"),
         (lambda data: json.dumps(data)[:-1] + ',"split":"test"}', "two members of one name"),
@@ -94,7 +114,8 @@ def change(*path, to):
     ],
 )
 def test_damaged_manifests_are_refused(manifest, tmp_path, damage, message):
-    data = json.loads(json.dumps(dataclasses.asdict(manifest)))
+    Dataset(tmp_path, manifest).save_manifest()
+    data = json.loads((tmp_path / MANIFEST).read_text())
     (tmp_path / MANIFEST).write_text(damage(data))
     with pytest.raises(LumitreeError, match="is not a valid manifest") as caught:
         Dataset.open(tmp_path)
@@ -109,5 +130,5 @@ def test_what_is_no_dataset_is_refused(tmp_path):
         with pytest.raises(LumitreeError, match=r"holds no manifest\.json"):
             Dataset.open(folder)
     (tmp_path / MANIFEST).write_bytes(b"\xff\xfe{}")
-    with pytest.raises(LumitreeError, match="no JSON"):
+    with pytest.raises(LumitreeError, match="not valid JSON"):
         Dataset.open(tmp_path)

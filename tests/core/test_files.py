@@ -5,11 +5,13 @@ import os
 import resource
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lumitree.core import files
 from lumitree.core.files import atomic_path, check_writable, is_empty, write_json
 from lumitree.core.images import read_exr, tonemap, write_exr, write_image
 from lumitree.errors import LumitreeError
@@ -111,6 +113,25 @@ def test_what_a_killed_process_left_is_removed(tmp_path):
         processes[1].kill()
         for process in processes:
             process.communicate()
+
+
+def test_a_file_that_another_process_takes_for_abandoned_is_made_again(tmp_path, monkeypatch):
+    """Another process may look between the making of a temporary file and its locking."""
+    make, target = tempfile.mkstemp, tmp_path / "a.txt"
+    made = []
+
+    def make_and_be_seen(**options):
+        made.append(make(**options))
+        if len(made) == 1:
+            files._remove_abandoned(target)
+        return made[-1]
+
+    monkeypatch.setattr(tempfile, "mkstemp", make_and_be_seen)
+    with files.atomic_path(target) as temporary:
+        temporary.write_text("whole")
+    assert len(made) == 2
+    assert target.read_text() == "whole"
+    assert list(tmp_path.iterdir()) == [target]
 
 
 def test_only_temporary_files_count_as_nothing(tmp_path):

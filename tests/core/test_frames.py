@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lumitree.core.frames import (
-    placement,
-    proxy_box,
+    LocalFrame,
     rotation,
     similarity,
     similarity_scale,
@@ -39,21 +38,27 @@ def test_similarity_scale_is_read_back(axis, degrees, scale, move):
 
 
 @given(low=vector, size=st.tuples(*[st.floats(1e-2, 50)] * 3))
-def test_proxy_box_has_longest_half_side_one(low, size):
+def test_local_frame_of_a_box_has_longest_half_side_one(low, size):
     low, high = np.array(low), np.array(low) + size
-    world_from_proxy, half = proxy_box(low, high)
+    frame = LocalFrame.of_box(low, high)
+    half = frame.half_extents
     assert half.max() == pytest.approx(1)
-    corners = world_from_proxy @ [[*half, 1], [*-half, 1]][0]
+    corners = frame.world_from_local @ [[*half, 1], [*-half, 1]][0]
     if half.min() > 1e-3:
         assert corners[:3] == pytest.approx(high)
     # There and back again.
     point = np.array([*low, 1])
-    assert world_from_proxy @ np.linalg.inv(world_from_proxy) @ point == pytest.approx(point)
+    assert frame.world_from_local @ frame.local_from_world @ point == pytest.approx(point)
+    assert frame.size[half == 1] == pytest.approx(max(size))
+    assert frame.centre == pytest.approx((low + high) / 2)
+    # Exactly: what is derived from the scale of a box does not depend on its rounding.
+    assert frame.scale == frame.world_from_local[0, 0]
+    assert np.array_equal(frame.rotation, np.eye(3))
 
 
 def test_flat_luminaires_keep_an_inside():
-    _, half = proxy_box([0, 0, 0], [2, 0, 2])
-    assert half.tolist() == [1, 1e-3, 1]
+    frame = LocalFrame.of_box([0, 0, 0], [2, 0, 2])
+    assert frame.half_extents.tolist() == [1, 1e-3, 1]
 
 
 @pytest.mark.parametrize(
@@ -67,23 +72,61 @@ def test_flat_luminaires_keep_an_inside():
 )
 def test_empty_boxes_are_refused(box):
     with pytest.raises(LumitreeError, match="bounding box"):
-        proxy_box(*box)
+        LocalFrame.of_box(*box)
 
 
 def test_placement_puts_the_box_where_it_is_asked():
-    own, half = proxy_box([10, 20, 30], [14, 22, 31])
-    placed = placement(own, at=(1, 2, 3), size=0.5, rotate=(0, 1, 0, 90))
+    own = LocalFrame.of_box([10, 20, 30], [14, 22, 31])
+    placed = own.placed(at=(1, 2, 3), size=0.5, rotate=(0, 1, 0, 90))
     centre = placed @ [0, 0, 0, 1]
-    end = placed @ [half[0], 0, 0, 1]
+    end = placed @ [own.half_extents[0], 0, 0, 1]
     assert centre[:3] == pytest.approx([1, 2, 3])
     assert end[:3] == pytest.approx([1, 2, 3 - 0.25])
-    assert placement(own) == pytest.approx(own)
+    assert own.placed() == pytest.approx(own.world_from_local)
+
+
+def test_scale_and_rotation_of_a_turned_frame():
+    turn = rotation([1, 2, 3], 40)
+    frame = LocalFrame([1, 0.5, 0.25], similarity(turn, 2.5, [3, -1, 7]))
+    assert frame.scale == pytest.approx(2.5)
+    assert frame.rotation == pytest.approx(turn)
+    assert frame.size == pytest.approx([5, 2.5, 1.25])
+
+
+@pytest.mark.parametrize(
+    ("half_extents", "matrix", "message"),
+    [
+        ([1, 1], np.eye(4), "half_extents are"),
+        ([0.5, 0.5, 0.5], np.eye(4), "the longest 1"),
+        ([1, 1, 1e-4], np.eye(4), "0.001 or more"),
+        ([1, 1, np.nan], np.eye(4), "0.001 or more"),
+        ([1, 1, 1], np.eye(3), "4 x 4 numbers"),
+        ([1, 1, 1], np.diag([1e13, 1e13, 1e13, 1]), "at most 1e"),
+        ([1, 1, 1], np.diag([1, 1, -1, 1]), "mirrors"),
+        ([1, 1, 1], np.diag([1, 1, 2, 1]), "shears"),
+        ([1, 1, 1], np.diag([1e-13, 1e-13, 1e-13, 1]), "has the scale 1e-13"),
+    ],
+)
+def test_what_is_no_local_frame_is_refused(half_extents, matrix, message):
+    with pytest.raises(LumitreeError, match=message):
+        LocalFrame(half_extents, matrix)
+
+
+def test_equal_frames_are_equal_and_do_not_change():
+    half, matrix = np.ones(3), np.eye(4)
+    frame = LocalFrame(half, matrix)
+    matrix[0, 3] = 1
+    assert frame == LocalFrame(half, np.eye(4))
+    assert hash(frame) == hash(LocalFrame(half, np.eye(4)))
+    assert frame != LocalFrame(half, matrix)
+    with pytest.raises(ValueError, match="read-only"):
+        frame.world_from_local[0, 3] = 2
 
 
 @pytest.mark.parametrize("size", [0, -1, np.nan, np.inf])
 def test_bad_sizes_are_refused(size):
     with pytest.raises(LumitreeError, match="is not a length"):
-        placement(np.eye(4), size=size)
+        LocalFrame(np.ones(3), np.eye(4)).placed(size=size)
 
 
 def test_rotation_without_axis_is_refused():

@@ -32,14 +32,14 @@ def test_what_is_no_file_is_refused(tmp_path):
     (tmp_path / "file").write_bytes(b"123456")
     for path, message in (
         (tmp_path / "none", "does not exist; expected a thing"),
-        (tmp_path, "is not a regular file; expected a thing"),
+        (tmp_path, "is a folder; expected a thing"),
         (tmp_path / "pipe", "is not a regular file"),
         ("/dev/zero", "is not a regular file"),
         (tmp_path / "loop", "cannot read"),
         (tmp_path / "file" / "below", "cannot read"),
-        (tmp_path / "file", "has 6 bytes; expected a thing of at most 5"),
+        (tmp_path / "file", "is larger than 5 bytes, the limit for a thing"),
         (tmp_path / ("x" * 300), "cannot read"),
-        ("a\x00b", "is no file name"),
+        ("a\x00b", "is not a file name"),
     ):
         if not str(path).startswith("/dev") or Path(path).exists():
             assert message in refusal(read_bytes, path, "a thing", 5)
@@ -48,10 +48,10 @@ def test_what_is_no_file_is_refused(tmp_path):
 def test_a_file_without_permission_is_refused(tmp_path, monkeypatch):
     (tmp_path / "a").write_bytes(b"abc")
 
-    def refuse(self):
+    def refuse(self, mode):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "read_bytes", refuse)
+    monkeypatch.setattr(Path, "open", refuse)
     assert "Permission denied; expected a thing" in refusal(
         read_bytes, tmp_path / "a", "a thing", 5
     )
@@ -60,16 +60,16 @@ def test_a_file_without_permission_is_refused(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no JSON"),
-        ("{", "no JSON"),
-        (b"\xff\xfe{}", "no JSON"),
+        ("", "not valid JSON"),
+        ("{", "not valid JSON"),
+        (b"\xff\xfe{}", "not valid JSON"),
         ('{"a": 1, "a": 2}', "two members of one name"),
         ('{"b": [{"a": 1, "a": 1}]}', "two members of one name"),
         ("NaN", "holds NaN"),
         ("[-Infinity]", "holds -Infinity"),
         ("[" * 100_000, "too deep"),
         ('{"a":' * 100_000 + "1" + "}" * 100_000, "too deep"),
-        ("1" + 5000 * "0", "no JSON"),
+        ("1" + 5000 * "0", "not valid JSON"),
     ],
 )
 def test_bad_json_is_refused(text, message):

@@ -20,19 +20,3 @@ def lamp(mi, tmp_path):
         return load_luminaire(path)
 
     return load
-
-
-@pytest.fixture
-def small_batches(mi, monkeypatch):
-    """Everything in a bake but its own settings takes few rays, so that it takes seconds."""
-    few = {
-        "bake._ESTIMATE_DEPTH": 4,
-        "estimate._START_LEVEL": 3,
-        "estimate._BATCH": 1 << 15,
-        "balance._LINES": 1 << 12,
-        "balance._TOTAL_LINES": 1 << 14,
-        "heldout._NUM_LINES": 1 << 12,
-        "refine._BLAME_LINES": 1 << 12,
-    }
-    for name, value in few.items():
-        monkeypatch.setattr(f"lumitree.direct.{name}", value)

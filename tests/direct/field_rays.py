@@ -1,12 +1,14 @@
-"""Rays of a field that is known, for tests of what learns from rays."""
+"""Rays through fields: known ones with noise to learn from, and some to compare integrals on."""
 
 import numpy as np
 
 from fields import leaf_field, random_asset
 
+NUM_RAYS = 16
 
-def random_lines(mi, count, seed):
-    """Lines through the ball of radius 1.2, uniform."""
+
+def random_rays(mi, count, seed):
+    """Rays through the ball of radius 1.2, uniform."""
     random = np.random.default_rng(seed)
     direction = random.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -18,38 +20,39 @@ def random_lines(mi, count, seed):
 
 
 class FieldRays:
-    """Noisy rays of a known field: all or nothing half the time, so that the mean is right.
+    """Noisy rays of a known field: a radiance is doubled or 0, each with probability ½.
 
-    `split` gives half of the light as rays that stand for no line, as paths from emitters do.
+    Args:
+        split: half of the light comes as light paths, whose share is 0.
     """
 
     def __init__(self, mi, truth, noise=True, split=False):
         self._mi, self._truth, self._noise, self._split = mi, truth, noise, split
 
-    def draw(self, count, stream, wanted, light_share=None):
+    def draw(self, count, stream, wanted, light_paths_per_ray=0):
         import drjit as dr
 
         from lumitree.direct.ray_source import Rays
 
         mi, seed = self._mi, stream.seed(0)
-        origin, direction = random_lines(mi, count, seed)
+        origin, direction = random_rays(mi, count, seed)
         chosen = dr.compress(wanted(origin, direction))
-        lines = dr.width(chosen)
+        num_rays = dr.width(chosen)
         origin = dr.gather(mi.Point3f, origin, chosen)
         direction = dr.gather(mi.Vector3f, direction, chosen)
         dr.eval(origin, direction)
-        if not lines:
+        if not num_rays:
             return Rays(origin, direction, mi.Float(), mi.Color3f(mi.Float()), mi.Float())
         radiance, through, _ = self._truth.integrate(origin, direction)
         # Opaque, or every step would compile kernels of its own.
-        part = dr.opaque(mi.Float, 1 / lines)
-        share = part * dr.ones(mi.Float, lines)
+        part = dr.opaque(mi.Float, 1 / num_rays)
+        share = part * dr.ones(mi.Float, num_rays)
         light = self._noisy(radiance, seed) * part
         if not self._split:
             return Rays(origin, direction, share, light, through)
-        # Lines of their own, the unwanted among them.
+        # On rays of their own, the unwanted among them.
         other_seed = stream.seed(0, part=1)
-        other = random_lines(mi, count, other_seed)
+        other = random_rays(mi, count, other_seed)
         brought = self._noisy(self._truth.integrate(*other)[0], other_seed) * part
         none = dr.zeros(mi.Float, count)
         return Rays(
@@ -60,17 +63,17 @@ class FieldRays:
             dr.concat([through, none]),
         )
 
-    def straight(self, count, stream, wanted):
+    def draw_opacity(self, count, stream, wanted):
         rays = FieldRays(self._mi, self._truth, noise=False).draw(count, stream, wanted)
         return rays.origin, rays.direction, rays.transmittance
 
-    def pairs(self, count, stream, paths):
-        from lumitree.direct.ray_source import Pairs
+    def draw_pairs(self, count, stream, paths):
+        from lumitree.direct.ray_source import RayPairs
 
-        origin, direction = random_lines(self._mi, count, stream.seed(0))
+        origin, direction = random_rays(self._mi, count, stream.seed(0))
         radiance, through, _ = self._truth.integrate(origin, direction)
         noisy = [self._noisy(radiance, stream.seed(0, part)) for part in (1, 2)]
-        return Pairs(origin, direction, *noisy, through)
+        return RayPairs(origin, direction, *noisy, through)
 
     def _noisy(self, radiance, seed):
         if not self._noise:
@@ -80,7 +83,7 @@ class FieldRays:
 
 
 def truth_and_start(law, seed=3, l_max=1):
-    """A field with radiance below 0.5, and one of the same leaves that is all wrong."""
+    """A field with radiance below 0.5, and one of the same leaves with other values."""
     asset = random_asset(seed, tree_depth=3, l_max=l_max, law=law, max_radiance=1)
     random = np.random.default_rng(seed)
     coefficients = 0.5 * asset.coefficients.astype(float)
@@ -96,3 +99,24 @@ def truth_and_start(law, seed=3, l_max=1):
         np.zeros(coefficients.size, np.float32),
     )
     return truth, start
+
+
+def targeted_rays(seed):
+    """Origins and directions [16, 3] of rays through the unit cube.
+
+    Every fourth ray is parallel to an axis, between the planes of cells.
+    """
+    random = np.random.default_rng(seed)
+    directions = random.normal(size=(NUM_RAYS, 3))
+    targets = random.uniform(-0.8, 0.8, (NUM_RAYS, 3))
+    for i in range(0, NUM_RAYS, 4):
+        directions[i] = 0
+        directions[i, i // 4 % 3] = random.choice([-1.0, 1.0])
+        targets[i] = (random.integers(-16, 16, 3) + 0.5) / 16
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return (targets - 3 * directions).astype(np.float32), directions.astype(np.float32)
+
+
+def on_device(mi, origins, directions):
+    """Rays as mi.Point3f and mi.Vector3f."""
+    return mi.Point3f(*origins.T), mi.Vector3f(*directions.T)

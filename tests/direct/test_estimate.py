@@ -4,13 +4,18 @@ import numpy as np
 import pytest
 
 from lamps import AREA, cube, sphere
+from lumitree.direct.config import EstimateConfig
 
 RADIANCE = np.array([3.0, 2.0, 1.0])
-LINES = 1 << 20
+RAYS = 1 << 20
+
+
+def settings(rays):
+    return EstimateConfig(rays=rays, growth_rays=rays)
 
 
 def source(luminaire):
-    from lumitree.direct.ray_source import TracedRays
+    from lumitree.direct.traced import TracedRays
 
     return TracedRays(luminaire, 1 / 64)
 
@@ -36,8 +41,8 @@ def has(cells, others):
 
 
 @pytest.mark.parametrize("law", ["linear", "exponential"])
-def test_density_of_fog_gives_the_opacity_seen(lamp, law):
-    """The opacity of a cell, mean over all chords, is what the law gives a mean chord."""
+def test_density_of_fog_gives_the_measured_opacity(lamp, law):
+    """The opacity of a cell, mean over all chords, is that of its mean chord by the law."""
     from lumitree.direct.estimate import estimate
 
     level, sigma = 4, 0.75
@@ -46,7 +51,7 @@ def test_density_of_fog_gives_the_opacity_seen(lamp, law):
         f'<float name="sigma_t" value="{sigma}"/><float name="albedo" value="0"/></medium>'
     )
     rays = source(lamp(sphere("fog", 2, inside=fog), sphere("lamp", 0.01, inside=AREA)))
-    result = estimate(rays, all_cells(level), level, 0, law, 10.0, LINES)
+    result = estimate(rays, all_cells(level), level, 0, law, 10.0, settings(RAYS))
     nearest, farthest = corner_distances(result.cells, level)
     assert (nearest < 1 + 1e-4).all()
     inside = (farthest < 1) & (nearest > 0.02)
@@ -62,7 +67,7 @@ def test_density_of_fog_gives_the_opacity_seen(lamp, law):
 
 
 def cube_chords(side):
-    """Lengths in a cube of random lines that meet it."""
+    """Lengths in a cube of random rays that meet it."""
     random = np.random.default_rng(4)
     direction = random.normal(size=(1 << 20, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -82,13 +87,20 @@ def opaque_sphere(lamp):
 
 @pytest.mark.parametrize("l_max", [0, 2])
 def test_emission_of_an_opaque_surface_is_its_radiance(lamp, l_max):
-    """Seen from outside; the leaves of the interior, where no path comes, are kept opaque."""
+    """On the outside. The leaves of the interior, which no ray enters, are kept and opaque."""
     from lumitree.core.harmonics import basis_array
-    from lumitree.direct.estimate import OPAQUE, estimate
+    from lumitree.direct.estimate import estimate
+    from lumitree.direct.leaf_field import OPAQUE_DEPTH
 
     level, max_radiance = 4, 10.0
     result = estimate(
-        opaque_sphere(lamp), all_cells(level), level, l_max, "exponential", max_radiance, 8 * LINES
+        opaque_sphere(lamp),
+        all_cells(level),
+        level,
+        l_max,
+        "exponential",
+        max_radiance,
+        settings(8 * RAYS),
     )
     nearest, farthest = corner_distances(result.cells, level)
     side = 2 / (1 << level)
@@ -96,9 +108,9 @@ def test_emission_of_an_opaque_surface_is_its_radiance(lamp, l_max):
     expected = all_cells(level)
     expected = expected[corner_distances(expected, level)[1] < 1 - 1e-4]
     assert interior.sum() == len(expected)
-    assert result.density[interior] == pytest.approx(OPAQUE / side)
+    assert result.density[interior] == pytest.approx(OPAQUE_DEPTH / side)
 
-    # Nothing hides outside, and whatever shows a fair piece of the surface is there.
+    # No cell is outside, and every cell with a large enough part of the surface is there.
     assert (nearest < 1 + 1e-4).all()
     centres = (result.cells + 0.5) * side - 1
     distance = np.linalg.norm(centres, axis=1)
@@ -108,21 +120,22 @@ def test_emission_of_an_opaque_surface_is_its_radiance(lamp, l_max):
     raw = np.einsum("mck,mk->mc", result.coefficients[seen], y)
     emission = max_radiance / (1 + np.exp(-raw))
     assert seen.sum() > 300
-    # The fit is drawn to black by 20 paths; several thousand stop in such a leaf.
+    # The pseudo-count of the prior is 20 paths; several thousand rays terminate in such a leaf.
     assert emission == pytest.approx(np.tile(RADIANCE, (seen.sum(), 1)), rel=0.02)
 
 
 def test_what_ends_at_the_border_is_as_dense_as_its_mirror_image(lamp):
     """Plates whose outer faces lie on the proxy box: on the last cells' far border for one."""
-    from lumitree.direct.estimate import estimate, inside_box
+    from lumitree.direct.estimate import estimate
+    from lumitree.direct.growth import inside_box
 
     level = 4
     plates = [cube(f"plate{sign}", (2, 2, 0.04), (0, 0, 0.96 * sign), AREA) for sign in (-1, 1)]
     rays = source(lamp(*plates))
-    half = rays.subject.half_extents
+    half = rays.subject.frame.half_extents
     assert half == pytest.approx([1, 1, 0.5])
     cells = all_cells(level)[inside_box(all_cells(level), level, half)]
-    result = estimate(rays, cells, level, 0, "exponential", 10.0, LINES)
+    result = estimate(rays, cells, level, 0, "exponential", 10.0, settings(RAYS))
     inner = ((result.cells[:, :2] > 0) & (result.cells[:, :2] < 15)).all(axis=1)
     low, high = (result.density[inner & (result.cells[:, 2] == layer)] for layer in (4, 11))
     assert len(low) == len(high) == 14 * 14
@@ -131,16 +144,16 @@ def test_what_ends_at_the_border_is_as_dense_as_its_mirror_image(lamp):
 
 
 def test_grow_keeps_what_the_surface_touches(lamp):
-    from lumitree.direct.estimate import grow
+    from lumitree.direct.growth import grow
 
     level = 6
-    cells = grow(opaque_sphere(lamp), level, LINES)
+    cells = grow(opaque_sphere(lamp), level, settings(RAYS))
     assert len(np.unique(cells, axis=0)) == len(cells)
     nearest, farthest = corner_distances(cells, level)
     centres = (all_cells(level) + 0.5) * (2 / (1 << level)) - 1
     touched = np.abs(np.linalg.norm(centres, axis=1) - 1) < 0.5 / (1 << level)
     assert has(cells, all_cells(level)[touched]).all()
-    # Empty space is dropped but for the other children of a parent.
+    # Empty cells are dropped, except for the other children of a parent.
     parent_side = 4 / (1 << level)
     assert (nearest < 1 + np.sqrt(3) * parent_side).all()
     assert (farthest > 1 - np.sqrt(3) * parent_side).all()
@@ -148,22 +161,12 @@ def test_grow_keeps_what_the_surface_touches(lamp):
 
 
 def test_grow_stays_in_the_proxy_box(lamp):
-    from lumitree.direct.estimate import grow
+    from lumitree.direct.growth import grow
 
     rays = source(lamp(cube("lamp", (1, 0.5, 0.1), (0, 0, 3), AREA)))
-    cells = grow(rays, 3, LINES)
+    cells = grow(rays, 3, settings(RAYS))
     low = cells / 4 - 1
-    half = rays.luminaire.half_extents
+    half = rays.luminaire.frame.half_extents
     assert ((low < half) & (low + 0.25 > -half)).all()
-    # At the start level nothing is known yet: all that reach into the box.
+    # At the start level all that reach into the box.
     assert len(cells) == 8 * 4 * 2
-
-
-def test_split_has_the_children_in_octant_order():
-    from lumitree.direct.estimate import split
-
-    children = split(np.array([[1, 2, 3], [0, 0, 0]]))
-    assert children.shape == (16, 3)
-    assert (children[:8] >> 1 == [1, 2, 3]).all()
-    assert children[:3].tolist() == [[2, 4, 6], [3, 4, 6], [2, 5, 6]]
-    assert (children[8:] @ [1, 2, 4] == np.arange(8)).all()

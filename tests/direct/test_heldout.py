@@ -2,22 +2,24 @@
 
 import numpy as np
 import pytest
-from lines import stream
+from traced_lamps import stream
 
 from fields import uniform_asset
 from lamps import AREA, sphere
+from lumitree.direct.config import HeldOutConfig
 
 TILE = 16
 
 
 def uniform_field(radiance):
-    """Opaque cube of one radiance / L_max, and lines that all meet it."""
+    """Opaque cube of one radiance / L_max."""
     from fields import leaf_field
 
     return leaf_field(uniform_asset(200.0, [radiance] * 3, law="exponential", max_radiance=1.0))
 
 
-def lines(mi, random, count):
+def random_rays(mi, random, count):
+    """Rays from the centre."""
     directions = random.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return mi.Point3f(*np.zeros((3, count))), mi.Vector3f(*directions.T)
@@ -25,15 +27,15 @@ def lines(mi, random, count):
 
 @pytest.mark.parametrize("error", [0.0, 0.02, 0.1])
 def test_noise_leaves_no_bias(mi, error):
-    """Noise a hundred times as strong as the smaller error is not taken for error."""
+    """Even if the noise is a hundred times as strong as the smaller error."""
     from lumitree.direct.heldout import HeldOut
 
     random = np.random.default_rng(1)
     count, truth = 1 << 18, 0.3
-    origin, direction = lines(mi, random, count)
+    origin, direction = random_rays(mi, random, count)
 
     def noisy():
-        # As traced light is: mostly dark, seldom bright.
+        # As traced light is: mostly 0, rarely bright.
         return mi.Color3f(*(truth * (random.random((3, count)) < 0.05) / 0.05))
 
     field = uniform_field(truth + error)
@@ -51,11 +53,11 @@ def test_noise_leaves_no_bias(mi, error):
         assert score.uncertainty == pytest.approx(expected, rel=0.1)
 
 
-def test_rank_counts_the_opacity_as_much_as_the_light(mi):
+def test_rank_counts_opacity_as_much_as_radiance(mi):
     from lumitree.direct.heldout import HeldOut
 
     random = np.random.default_rng(0)
-    origin, direction = lines(mi, random, 1 << 12)
+    origin, direction = random_rays(mi, random, 1 << 12)
     truth = mi.Color3f(0.5) + 0 * mi.Color3f(origin)
     scores = []
     for shown, through in ((0.6, 0.1), (0.51, 0.1), (0.51, 0.01)):
@@ -67,8 +69,8 @@ def test_rank_counts_the_opacity_as_much_as_the_light(mi):
     assert [score.rank for score in scores] == pytest.approx([40, 60, 80], abs=0.2)
 
 
-def test_uncertainty_counts_tiles_not_lines(mi):
-    """Neighbours of a tile are wrong together: a tile counts as one."""
+def test_uncertainty_counts_tiles_not_rays(mi):
+    """The errors of the rays of a tile are correlated: a tile counts as one."""
     from lumitree.direct.heldout import HeldOut
 
     field = uniform_field(0.5)
@@ -76,7 +78,7 @@ def test_uncertainty_counts_tiles_not_lines(mi):
     for seed in range(40):
         random = np.random.default_rng(seed)
         count = 1 << 12
-        origin, direction = lines(mi, random, count)
+        origin, direction = random_rays(mi, random, count)
         truth = mi.Color3f(mi.Float(np.repeat(random.uniform(0, 1, count // TILE), TILE)))
         score = HeldOut(origin, direction, truth, truth, mi.Float(0)).score(field)
         squared.append(10 ** (-score.psnr / 10))
@@ -86,24 +88,24 @@ def test_uncertainty_counts_tiles_not_lines(mi):
     assert 0.67 < spread / np.mean(uncertainties) < 1.37
 
 
-def test_lines_are_those_of_no_step(mi, lamp):
+def test_held_out_rays_are_in_no_step(mi, lamp):
     from lumitree.direct.heldout import HeldOut
-    from lumitree.direct.ray_source import TracedRays
+    from lumitree.direct.traced import TracedRays
 
     source = TracedRays(lamp(sphere("lamp", 2.0, inside=AREA)), 1 / 32)
-    held_out = HeldOut.trace(source, 10.0)
+    held_out = HeldOut.trace(source, 10.0, HeldOutConfig(rays=1 << 15, paths=2))
     first, second = np.array(held_out.first), np.array(held_out.second)
-    # The sphere has no noise: both halves see 0.3, 0.2, 0.1 or nothing, at any line but its rim's.
+    # The sphere has no noise: both estimates are 0.3, 0.2, 0.1 or 0, but for rays at its rim.
     seen = first[0] > 0
     assert first[:, seen] == pytest.approx(np.array([[0.3], [0.2], [0.1]]) * np.ones(seen.sum()))
     assert np.array_equal(first, second)
     held = {tuple(direction) for direction in np.array(held_out.direction).T[::TILE].tolist()}
     for batch in range(3):
-        _, direction = source.lines(1 << 12, stream(batch))
+        _, direction = source.random_rays(1 << 12, stream(batch))
         assert held.isdisjoint(map(tuple, np.array(direction).T[::TILE].tolist()))
 
 
-def test_a_score_says_what_it_is():
+def test_a_score_as_text():
     from lumitree.direct.heldout import Score
 
     assert str(Score(31.416, 0.0271, 20.0)) == "held-out PSNR 31.42 ± 0.03 dB"

@@ -1,8 +1,8 @@
-"""Light traced from the emitters and radiance seen straight add up to what camera paths trace."""
+"""Light paths and straight-through radiance together have the means of camera paths."""
 
 import numpy as np
 import pytest
-from lines import (
+from traced_lamps import (
     CLUTTER,
     DIFFUSE,
     MIRROR,
@@ -10,6 +10,7 @@ from lines import (
     arrays,
     binned_sum,
     cell_of,
+    everywhere,
     fog,
     octant,
     source,
@@ -19,7 +20,7 @@ from lines import (
 from lamps import AREA, GLASS, cube, sphere
 from lumitree.core.frames import towards_viewer
 
-LINES = 1 << 19
+RAYS = 1 << 19
 FROSTED = (
     '<bsdf type="roughdielectric"><float name="alpha" value="0.3"/>'
     '<float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/></bsdf>'
@@ -94,12 +95,12 @@ SCENES = [
 
 
 def middle(origin, direction):
-    """Where lines come closest to the centre [N, 3]: the same for all origins on them."""
+    """Points of rays closest to the centre [N, 3]: the same for all origins on a line."""
     return origin - (origin * direction).sum(axis=1, keepdims=True) * direction
 
 
-def lines_by(binning, origin, direction):
-    """Bins of lines and how many there are."""
+def rays_by(binning, origin, direction):
+    """Bins of rays and how many there are."""
     if binning == "all":
         return np.zeros(len(direction), int), 1
     if binning == "octant":
@@ -109,7 +110,7 @@ def lines_by(binning, origin, direction):
 
 def agree(sums, errors, expected, expected_errors):
     """Whether sums [B, 3] are the expected ones, within what their noise allows."""
-    # A bin that only a handful of paths reach does not know its noise: all such count as one.
+    # A bin with few paths has no reliable standard error: all such bins count as one.
     few = (np.hypot(errors, expected_errors) > 0.1 * expected).any(axis=1)
 
     def pooled(values):
@@ -126,26 +127,26 @@ def agree(sums, errors, expected, expected_errors):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_seen_straight_and_light_paths_are_the_whole(lamp, tmp_path, name):
-    """In all, by direction, and by where lines pass: as `path` and `volpath` trace them."""
+def test_straight_through_radiance_and_light_paths_are_all_light(lamp, tmp_path, name):
+    """In total, by direction, and by position: as traced by `path` and `volpath`."""
     rays = source(lamp(*shapes_of(name, tmp_path)))
-    origin, direction = rays.lines(LINES, stream(2))
+    origin, direction = rays.random_rays(RAYS, stream(2))
     traced = np.array(rays.trace(origin, direction, stream(2), 1)[0], np.float64).T
     o, d = arrays(origin, direction)
-    drawn = rays.draw(LINES, stream(3), lambda o, d: d.z < 2)
+    drawn = rays.draw(RAYS, stream(3), everywhere, 0.5)
     drawn_o, drawn_d, drawn_light = arrays(drawn.origin, drawn.direction, drawn.light)
-    light = rays.light(LINES, stream(1))
+    light = rays.light_paths(RAYS, stream(1))
     light_o, light_d, flux = arrays(light.origin, light.direction, light.flux)
     assert np.isfinite(flux).all()
     assert (flux >= 0).all()
     assert np.linalg.norm(light_d, axis=1) == pytest.approx(1, abs=1e-4)
-    scale = rays.measure / LINES
+    scale = rays.measure / RAYS
     for binning in ("all", "octant", "cell"):
-        bins, count = lines_by(binning, o, d)
+        bins, count = rays_by(binning, o, d)
         expected, expected_error = binned_sum(traced * scale, bins, count, TILE)
-        bins, _ = lines_by(binning, drawn_o[:LINES], drawn_d[:LINES])
-        seen, seen_error = binned_sum(drawn_light[:LINES] * rays.measure, bins, count, TILE)
-        bins, _ = lines_by(binning, light_o, light_d)
+        bins, _ = rays_by(binning, drawn_o[:RAYS], drawn_d[:RAYS])
+        seen, seen_error = binned_sum(drawn_light[:RAYS] * rays.measure, bins, count, TILE)
+        bins, _ = rays_by(binning, light_o, light_d)
         brought, brought_error = binned_sum(flux, bins, count)
         assert (brought.sum(axis=0) > 0).all()
         agree(seen + brought, np.hypot(seen_error, brought_error), expected, expected_error)
@@ -154,19 +155,19 @@ def test_seen_straight_and_light_paths_are_the_whole(lamp, tmp_path, name):
 @pytest.mark.parametrize(
     "name", ["clutter", "pane", "frosted", "smooth diffuse", "smooth mirror", "smooth glass"]
 )
-def test_light_stops_where_camera_paths_that_carry_it_stop(lamp, tmp_path, name):
-    """By cell of the stop and by direction: a leaf is given the light that is seen in it."""
-    from camera_paths import trace_with_stops
+def test_light_paths_have_the_termination_points_of_camera_paths(lamp, tmp_path, name):
+    """Radiance by cell of the termination point and by direction."""
+    from camera_paths import trace_to_termination
 
     rays = source(lamp(*shapes_of(name, tmp_path)))
-    traced, points, stopped, direction = trace_with_stops(rays, LINES, 2)
-    assert (traced[~stopped] == 0).all()
-    stops = rays.stops(LINES, stream(3))
-    seen_direction, seen_point, seen_light = arrays(stops.direction, stops.point, stops.radiance)
-    light = rays.light(LINES, stream(1))
-    light_direction, light_point, flux = arrays(light.direction, light.stop, light.flux)
+    traced, points, terminated, direction = trace_to_termination(rays, RAYS, 2)
+    assert (traced[~terminated] == 0).all()
+    ends = rays.draw_terminated(RAYS, stream(3))
+    seen_direction, seen_point, seen_light = arrays(ends.direction, ends.point, ends.radiance)
+    light = rays.light_paths(RAYS, stream(1))
+    light_direction, light_point, flux = arrays(light.direction, light.termination, light.flux)
     assert np.abs(light_point).max() < 1.001
-    scale = rays.measure / LINES
+    scale = rays.measure / RAYS
     for by_octant in (False, True):
 
         def bins(points, directions, with_octant=by_octant):
@@ -184,22 +185,22 @@ def test_light_stops_where_camera_paths_that_carry_it_stop(lamp, tmp_path, name)
         agree(seen + brought, np.hypot(seen_error, brought_error), expected, expected_error)
 
 
-def test_origin_and_direction_are_a_line_that_camera_rays_take(mi, lamp, tmp_path):
-    """Followed against its flight, a path is met at its origin, where nothing is in between."""
+def test_origin_and_direction_are_a_ray_of_the_camera(mi, lamp, tmp_path):
+    """A ray against the direction of a light path hits the path's origin first."""
     from camera_paths import frame
 
     rays = source(lamp(*shapes_of("clutter", tmp_path)))
-    light = rays.light(1 << 16, stream(1))
+    light = rays.light_paths(1 << 16, stream(1))
     scale, centre = frame(rays.luminaire)
     outside = mi.Point3f(light.origin - 4 * light.direction)
     ray = mi.Ray3f(outside * scale + mi.Vector3f(centre), light.direction)
     si = rays.luminaire.scene.ray_intersect(ray)
-    # Lines that graze the edge of a mesh may miss it, in single precision.
+    # Rays that graze the edge of a mesh may miss it, in single precision.
     assert np.array(si.is_valid()).mean() > 0.999
     distance = np.array(si.t) / scale
-    # Lines that graze a surface may miss the place by far, in single precision.
+    # Rays that graze a surface may hit it far away, in single precision.
     assert (np.abs(distance - 4) < 1e-2).mean() > 0.995
-    # Emitters seen straight are left out: no path comes from the lamp without having been bent.
+    # Light that leaves an emitter straight through is left out: no path starts at the lamp.
     place = np.array(light.origin).T * scale + centre
     on_lamp = np.abs(np.linalg.norm(place, axis=1) - 0.5) < 1e-3
     assert not on_lamp.any()
@@ -209,8 +210,8 @@ def test_equal_seeds_give_equal_paths_and_other_batches_do_not(lamp, tmp_path):
     luminaire = lamp(*shapes_of("in milk", tmp_path))
 
     def traced(seed, batch):
-        light = source(luminaire, seed=seed).light(1 << 12, stream(batch))
-        return np.column_stack(arrays(light.origin, light.direction, light.flux, light.stop))
+        light = source(luminaire, seed=seed).light_paths(1 << 12, stream(batch))
+        return np.column_stack(arrays(light.origin, light.direction, light.flux, light.termination))
 
     first = traced(1, 2)
     assert len(first) > 1000
@@ -219,20 +220,20 @@ def test_equal_seeds_give_equal_paths_and_other_batches_do_not(lamp, tmp_path):
         assert len(np.unique(np.concatenate([first, other]), axis=0)) == len(first) + len(other)
 
 
-def test_lamp_that_is_all_seen_straight_brings_no_light(lamp):
+def test_a_lamp_seen_straight_through_has_no_light_paths(lamp):
     rays = source(lamp(sphere("lamp", 2, (1, 0, 0), AREA)))
-    light = rays.light(1 << 10, stream(1))
+    light = rays.light_paths(1 << 10, stream(1))
     assert (np.array(light.flux) == 0).all()
-    drawn = rays.draw(1 << 10, stream(2), lambda o, d: d.z < 2)
+    drawn = rays.draw(1 << 10, stream(2), everywhere, 0.5)
     flux = rays.measure * np.array(drawn.light, np.float64).sum(axis=1)
     assert flux == pytest.approx(4 * np.pi**2 * np.array([3, 2, 1]), rel=0.25)
 
 
 def test_directions_are_those_of_camera_rays(lamp, tmp_path):
-    """A lamp over a white floor: what is brought is seen by rays that look down."""
+    """A lamp over a white floor: the light of the floor is seen along rays downwards."""
     floor = cube("floor", (1, 1, 0.1), (0, 0, -1), DIFFUSE)
     rays = source(lamp(sphere("lamp", 0.1, inside=AREA), floor))
-    light = rays.light(1 << 14, stream(1))
+    light = rays.light_paths(1 << 14, stream(1))
     direction, flux = arrays(light.direction, light.flux)
     assert (direction[:, 2] < 1e-6).all()
     assert (towards_viewer(direction)[:, 2] > -1e-6).all()

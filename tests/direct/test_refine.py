@@ -2,31 +2,28 @@
 
 import numpy as np
 import pytest
-from field_rays import FieldRays, random_lines, truth_and_start
+from field_rays import FieldRays, random_rays, truth_and_start
 
 from fields import leaf_field, make_asset, uniform_asset
-from lumitree.errors import LumitreeError
+from lumitree.direct.config import RefineConfig, SplitConfig
 
-LINES = 1 << 12
-
-
-@pytest.fixture(autouse=True)
-def few_blame_lines(mi, monkeypatch):
-    monkeypatch.setattr("lumitree.direct.refine._BLAME_LINES", 1 << 14)
+RAYS = 1 << 12
 
 
-def refiner(mi, start, truth, *, noise=True, split=False, **options):
-    from lumitree.direct.refine import RefineConfig, Refiner
+def refiner(mi, start, truth, *, noise=True, split=False, max_leaves=100_000, **options):
+    """A refiner; `split` is as for `FieldRays`."""
+    from lumitree.direct.refine import Refiner
 
     rays = FieldRays(mi, truth, noise, split)
-    return Refiner(start, rays, 1.0, RefineConfig(lines=LINES, **options))
+    splitting = SplitConfig(indicator_rays=1 << 14, max_leaves=max_leaves)
+    return Refiner(start, rays, 1.0, RefineConfig(rays=RAYS, **options), splitting)
 
 
 def score(mi, truth, field):
     """PSNR and RMSE of the transmittance, on rays of no step."""
     from lumitree.direct.heldout import HeldOut
 
-    origin, direction = random_lines(mi, 1 << 14, 10**6)
+    origin, direction = random_rays(mi, 1 << 14, 10**6)
     radiance, through, _ = truth.integrate(origin, direction)
     psnr = HeldOut(origin, direction, radiance, radiance, through).score(field).psnr
     difference = np.array(field.integrate(origin, direction)[1]) - np.array(through)
@@ -44,13 +41,13 @@ def test_a_wrong_start_becomes_the_truth(mi, law, split):
         assert descent.advance(step / steps) > 0
     after, opacity_after = score(mi, truth, descent.field)
     assert descent.step == steps
-    # A tenth of the error (20 dB) and less, although every ray is twice too bright or black.
+    # At most a tenth of the error (20 dB), although every ray has twice the radiance or none.
     assert after > before + 20
     assert opacity_after < opacity_before / 2
 
 
-def test_smoothing_keeps_noise_out_of_what_is_smooth(mi):
-    """A descent that starts at the truth, of which all leaves show the same."""
+def test_smoothing_reduces_noise(mi):
+    """A descent that starts at the truth, whose leaves are all equal."""
     cells = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), -1).reshape(-1, 3)
     coefficients = np.zeros((512, 3, 4))
     coefficients[..., 0] = -5
@@ -74,7 +71,7 @@ def parameters(descent):
 
 
 def same(first, second):
-    """Sums of a step are added up in any order, which Adam's first steps make more of."""
+    """Whether two descents agree, up to rounding, which Adam's first steps amplify."""
     first, second = parameters(first), parameters(second)
     assert first.keys() == second.keys()
     for name, value in first.items():
@@ -112,8 +109,8 @@ def test_restored_state_continues_as_if_never_interrupted(mi, l_max):
     same(whole, second)
 
 
-def lengths_seen(mi, field):
-    origin, direction = random_lines(mi, 1 << 13, 99)
+def traced(mi, field):
+    origin, direction = random_rays(mi, 1 << 13, 99)
     radiance, through, _ = field.integrate(origin, direction)
     return np.array(radiance), np.array(through)
 
@@ -124,7 +121,7 @@ def test_splitting_changes_nothing_at_first(mi, law):
     descent = refiner(mi, start, truth)
     for _ in range(5):
         descent.advance(0.0)
-    radiance, through = lengths_seen(mi, descent.field)
+    radiance, through = traced(mi, descent.field)
     leaves, levels = descent.field.num_leaves, descent.field.levels
     volume = (8.0**-levels).sum()
     descent.split(3)
@@ -132,9 +129,9 @@ def test_splitting_changes_nothing_at_first(mi, law):
     assert (descent.field.num_leaves - leaves) % 7 == 0
     assert descent.field.levels.max() == 3
     assert (8.0**-descent.field.levels).sum() == pytest.approx(volume)
-    after, through_after = lengths_seen(mi, descent.field)
-    # Smaller leaves show less of themselves each, and what is below 1e-4 is left out; opaque rays
-    # end within 1e-3.
+    after, through_after = traced(mi, descent.field)
+    # Smaller leaves have smaller weights, and those below 1e-4 are left out; rays end where T is
+    # below 1e-3.
     assert through_after == pytest.approx(through, abs=1e-5 if law == "linear" else 1e-3)
     assert after == pytest.approx(radiance, abs=1e-3)
     # The new leaves learn.
@@ -142,8 +139,8 @@ def test_splitting_changes_nothing_at_first(mi, law):
     assert np.isfinite(np.array(descent.field.coefficients)).all()
 
 
-def test_leaves_that_answer_for_most_are_split_first(mi):
-    """Eight octants, one of them wrong: room for one split goes to it."""
+def test_leaves_with_the_largest_error_are_split_first(mi):
+    """Eight octants, of which one is wrong: the only split allowed is its."""
     truth = leaf_field(uniform_asset(0.5, [0.2] * 3, law="exponential", max_radiance=1))
     coefficients = truth.coefficient_array()
     coefficients[5] += 3
@@ -158,7 +155,7 @@ def test_leaves_that_answer_for_most_are_split_first(mi):
     assert descent.field.num_leaves == 15
     fine = descent.field.cells[descent.field.levels == 2]
     assert np.unique(fine >> 1, axis=0).tolist() == [truth.cells[5].tolist()]
-    # No room is left.
+    # No further leaves are allowed.
     descent.advance(0.0)
     descent.split(2)
     assert descent.field.num_leaves == 15
@@ -175,7 +172,7 @@ def test_leaves_at_the_deepest_level_are_not_split(mi):
 
 
 @pytest.mark.parametrize("law", ["linear", "exponential"])
-def test_pruning_drops_only_what_nobody_sees(mi, law):
+def test_pruning_drops_only_what_is_invisible(mi, law):
     random = np.random.default_rng(2)
     cells = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), -1).reshape(-1, 3)
     density = np.where(random.random(64) < 0.5, 1e-4, random.uniform(0.1, 5, 64))
@@ -185,45 +182,25 @@ def test_pruning_drops_only_what_nobody_sees(mi, law):
     )
     field = leaf_field(asset)
     descent = refiner(mi, field, field)
-    before, through_before = lengths_seen(mi, field)
+    before, through_before = traced(mi, field)
     descent.prune()
     assert np.array_equal(descent.field.cells, cells[density > 0.01])
     assert np.array(descent.field.log_density) == pytest.approx(
         np.log(density[density > 0.01]), abs=1e-5
     )
-    after, through = lengths_seen(mi, descent.field)
-    # A line crosses at most 10 of the 4³ cells; each dropped one hides up to 1e-4 · √3 / 2.
+    after, through = traced(mi, descent.field)
+    # A ray crosses at most 10 of the 4³ cells; the optical depth of a dropped one is up to
+    # 1e-4 · √3 / 2.
     assert through == pytest.approx(through_before, abs=1e-3)
     assert after == pytest.approx(before, abs=2e-3)
     assert descent.advance(0.0) > 0
 
 
-def test_a_step_that_meets_no_leaf_changes_nothing(mi):
-    """A speck that no line of a small batch meets."""
+def test_a_step_that_crosses_no_leaf_changes_nothing(mi):
+    """The only leaf is too small for any ray of a batch to cross it."""
     asset = make_asset([(512, 512, 512)], [10], [1.0], np.zeros((1, 3, 1)), tree_depth=10)
     field = leaf_field(asset)
     descent = refiner(mi, field, field)
     assert descent.advance(0.5) == 0
     assert descent.step == 1
     assert np.array(descent.field.log_density) == pytest.approx([0.0])
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"lines": 0},
-        {"lines": 100},
-        {"epsilon": 0.0},
-        {"density_rate": -1.0},
-        {"coefficient_rate": 0.0},
-        {"final_rate": 0.0},
-        {"final_rate": 1.5},
-        {"smoothing": -0.1},
-        {"smoothing": 1.1},
-    ],
-)
-def test_wrong_settings_are_refused(mi, settings):
-    from lumitree.direct.refine import RefineConfig
-
-    with pytest.raises(LumitreeError, match=next(iter(settings))):
-        RefineConfig(**settings)

@@ -1,19 +1,19 @@
-"""Going on with an asset: better, of the same kind, within the budget, and resumable."""
+"""Refining an asset: better, of the same kind, within the budget, and resumable."""
 
 import dataclasses
 import signal
 
 import numpy as np
 import pytest
-from test_bake import config, interrupt_after
+from test_bake import interrupt_after, small_config
 
 from fields import leaf_field, make_asset
 from lamps import AREA, cube, sphere
+from lumitree.direct.config import HeldOutConfig
 from lumitree.errors import LumitreeError
 from lumitree.octree.leaves import leaf_cells
 
-pytestmark = pytest.mark.usefixtures("small_batches")
-RAYS, LINES = 1 << 19, 1 << 11
+RAYS, STEP_RAYS = 1 << 19, 1 << 11
 
 
 @pytest.fixture
@@ -21,12 +21,8 @@ def ball(lamp):
     return lamp(sphere("lamp", 2, (1, 0, 0), AREA))
 
 
-def settings(**options):
-    return config(**{"rays": RAYS, "refine": {"lines": LINES}, **options})
-
-
 def rough(luminaire, l_max=1, law="exponential", **options):
-    """Grey fog that fills the box of a luminaire, in leaves that may be split once."""
+    """An asset of grey fog in the box of a luminaire, with leaves that may be split once."""
     cells = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), -1).reshape(-1, 3)
     return make_asset(
         cells,
@@ -36,8 +32,8 @@ def rough(luminaire, l_max=1, law="exponential", **options):
         law=law,
         **{
             "max_radiance": 12.0,
-            "world_from_proxy": luminaire.world_from_proxy,
-            "half_extents": luminaire.half_extents,
+            "world_from_local": luminaire.frame.world_from_local,
+            "half_extents": luminaire.frame.half_extents,
             **options,
         },
     )
@@ -46,10 +42,12 @@ def rough(luminaire, l_max=1, law="exponential", **options):
 def score(luminaire, asset):
     """By rays of another seed than those of the refinement."""
     from lumitree.direct.heldout import HeldOut
-    from lumitree.direct.ray_source import TracedRays
+    from lumitree.direct.traced import TracedRays
 
     source = TracedRays(luminaire, 1 / 32, seed=99)
-    return HeldOut.trace(source, asset.max_radiance).score(leaf_field(asset))
+    return HeldOut.trace(source, asset.max_radiance, HeldOutConfig(rays=1 << 12)).score(
+        leaf_field(asset)
+    )
 
 
 @pytest.mark.parametrize(("law", "l_max"), [("linear", 0), ("exponential", 1)])
@@ -57,20 +55,20 @@ def test_a_rough_asset_becomes_better(ball, tmp_path, law, l_max):
     from lumitree.direct.bake import refine
 
     asset = rough(ball, l_max, law)
-    # What the settings say of law, band and depth does not count.
-    other = settings(law="linear" if law == "exponential" else "exponential", l_max=2)
+    # Law, bands and depth are those of the asset, whatever the settings are.
+    other = small_config(law="linear" if law == "exponential" else "exponential", l_max=2)
     result = refine(asset, ball, other, tmp_path)
     found = result.asset
     assert (found.law, found.l_max, found.tree_depth) == (law, l_max, asset.tree_depth)
     assert found.num_leaves > asset.num_leaves
     assert leaf_cells(found.children, found.num_leaves)[1].max() == asset.tree_depth
     assert found.luminaire == ball.name
-    assert np.array_equal(found.world_from_proxy, ball.world_from_proxy)
+    assert np.array_equal(found.frame.world_from_local, ball.frame.world_from_local)
     before, after = score(ball, asset), score(ball, found)
     assert after.psnr > before.psnr + 5
     assert after.opacity_psnr > before.opacity_psnr + 5
-    # A step's lines of both kinds, and its paths, at the most.
-    assert RAYS <= result.rays < RAYS + 6 * LINES
+    # At most a step's rays of both kinds and its light paths more.
+    assert RAYS <= result.rays < RAYS + 6 * STEP_RAYS
     assert result.stopped_by is None
 
 
@@ -79,7 +77,7 @@ def test_the_asset_that_is_refined_stays_as_it_was(ball, tmp_path):
 
     asset = rough(ball)
     before = asset.children.copy(), asset.density.copy(), asset.coefficients.copy()
-    refine(asset, ball, settings(rays=1 << 14), tmp_path)
+    refine(asset, ball, small_config(rays=1 << 14), tmp_path)
     for array, old in zip((asset.children, asset.density, asset.coefficients), before, strict=True):
         assert np.array_equal(array, old)
 
@@ -87,16 +85,16 @@ def test_the_asset_that_is_refined_stays_as_it_was(ball, tmp_path):
 def test_an_asset_of_another_box_is_refused(ball, lamp, tmp_path):
     from lumitree.direct.bake import refine
 
-    moved = ball.world_from_proxy.copy()
+    moved = ball.frame.world_from_local.copy()
     moved[0, 3] += 0.1
     for asset, luminaire in (
         (rough(ball, half_extents=np.array([1, 0.5, 1])), ball),
-        (rough(ball, world_from_proxy=moved), ball),
-        (rough(ball, world_from_proxy=np.eye(4)), ball),
+        (rough(ball, world_from_local=moved), ball),
+        (rough(ball, world_from_local=np.eye(4)), ball),
         (rough(ball), lamp(cube("lamp", (2, 2, 1), (1, 0, 0), AREA))),
     ):
         with pytest.raises(LumitreeError, match="have different bounding boxes") as refusal:
-            refine(asset, luminaire, settings(), tmp_path)
+            refine(asset, luminaire, small_config(), tmp_path)
         assert "\n" not in str(refusal.value)
     assert not list(tmp_path.glob("*.npz"))
 
@@ -107,7 +105,7 @@ def test_a_dark_luminaire_is_refused(lamp, tmp_path):
     black = '<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>'
     dark = lamp(sphere("lamp", 1, inside=AREA), sphere("shell", 2, inside=black))
     with pytest.raises(LumitreeError, match="no light"):
-        refine(rough(dark), dark, settings(), tmp_path)
+        refine(rough(dark), dark, small_config(), tmp_path)
 
 
 def test_an_interrupted_refinement_continues(ball, tmp_path, monkeypatch):
@@ -115,20 +113,20 @@ def test_an_interrupted_refinement_continues(ball, tmp_path, monkeypatch):
 
     asset = rough(ball)
     steps = interrupt_after(monkeypatch, 5)
-    first = refine(asset, ball, settings(), tmp_path / "folder")
+    first = refine(asset, ball, small_config(), tmp_path / "folder")
     assert first.stopped_by == signal.SIGINT
     assert 0 < first.rays < RAYS
-    # Not with another asset, even if it only differs in its numbers, nor with another seed.
+    # Not with another asset, even one of the same structure, nor with another seed.
     darker = dataclasses.replace(asset, coefficients=asset.coefficients - np.float16(1))
     for other, options in ((darker, {}), (asset, {"seed": 1})):
         with pytest.raises(LumitreeError, match="unfinished bake of another"):
-            refine(other, ball, settings(**options), tmp_path / "folder")
-    second = refine(asset, ball, settings(), tmp_path / "folder")
+            refine(other, ball, small_config(**options), tmp_path / "folder")
+    second = refine(asset, ball, small_config(), tmp_path / "folder")
     assert second.stopped_by is None
     assert steps == list(range(1, len(steps) + 1))
     assert second.rays >= RAYS
     # As if it had never been interrupted, to the last bit.
-    whole = refine(asset, ball, settings(), tmp_path / "whole")
+    whole = refine(asset, ball, small_config(), tmp_path / "whole")
     assert whole.score == second.score
     for name in ("children", "density", "coefficients"):
         assert np.array_equal(getattr(whole.asset, name), getattr(second.asset, name))

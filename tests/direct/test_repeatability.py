@@ -1,10 +1,11 @@
-"""Which rays a bake sees: none twice, and the same again for the same seed."""
+"""The random numbers of a bake: none is used twice, and equal seeds give equal assets."""
 
 import dataclasses
 
 import pytest
-from test_bake import config
+from test_bake import small_config
 
+import tiny_bakes
 from lamps import AREA, GLASS, cube, sphere
 from lumitree.asset.file import save
 from lumitree.core.seeds import Purpose, SeedStream
@@ -34,15 +35,17 @@ def bulb(lamp):
 
 
 @pytest.fixture
-def small(small_batches):
+def small():
     """Settings of a bake of all stages that takes seconds."""
-    return config(tree_depth=5, estimate_lines=1 << 17, rays=1 << 16, refine={"lines": 1 << 11})
+    return small_config(tree_depth=5, rays=1 << 16)
 
 
 def test_no_random_numbers_are_used_twice(bulb, small, tmp_path, seeds):
     """Not by the estimate and the descent, nor by the score, nor by a bake and its refinement."""
     from lumitree.direct.bake import bake, refine
+    from lumitree.exitant.bake import bake_exitant
 
+    bake_exitant(bulb, tiny_bakes.EXITANT, tmp_path / "exitant")
     asset = bake(bulb, small, tmp_path / "bake").asset
     refine(asset, bulb, small, tmp_path / "refine")
     purposes = {stream.purpose for (_, stream, _), _ in seeds}
@@ -50,6 +53,7 @@ def test_no_random_numbers_are_used_twice(bulb, small, tmp_path, seeds):
         Purpose.CAPTURE,
         Purpose.PREVIEW,
         Purpose.FLUX,
+        Purpose.IRRADIANCE,
         Purpose.LONG_PATHS,
         Purpose.RENDER,
     }

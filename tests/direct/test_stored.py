@@ -1,18 +1,19 @@
-"""Rays of stored pictures, and the bake that learns from nothing else."""
+"""Rays of stored views, and the bake from them alone."""
 
 import numpy as np
 import pytest
-from lines import stream
+from traced_lamps import everywhere, stream
 
 from lamps import AREA, cube, sphere
 from lumitree.errors import LumitreeError
+from tiny_bakes import direct_config
 
 VIEWS, RESOLUTION = 17, 64
 
 
 @pytest.fixture(scope="module")
 def dataset(mi, tmp_path_factory):
-    """A glowing sphere beside a grey cube."""
+    """An emissive sphere beside a grey cube."""
     from lumitree.luminaire.luminaire import load_luminaire
     from lumitree.views.capture import capture
 
@@ -30,17 +31,11 @@ def dataset(mi, tmp_path_factory):
     )
 
 
-def everything(origin, direction):
-    import mitsuba as mi
-
-    return mi.Bool(True) | (direction.x < 2)
-
-
-def test_rays_show_their_pixels(mi, dataset):
+def test_rays_have_the_values_of_their_pixels(mi, dataset):
     """Every ray, projected into the view it is of, lies in a pixel of its value."""
     from lumitree.direct.stored import StoredRays
 
-    rays = StoredRays(dataset).draw(1 << 12, stream(3), everything)
+    rays = StoredRays(dataset, 8).draw(1 << 12, stream(3), everywhere)
     origin, direction = np.array(rays.origin).T, np.array(rays.direction).T
     light, share = np.array(rays.light).T, np.array(rays.share)
     assert share.sum() == pytest.approx(1, rel=1e-4)
@@ -61,7 +56,7 @@ def test_rays_show_their_pixels(mi, dataset):
         shown = light[of_view][inner] / share[of_view][inner, None]
         assert shown == pytest.approx(view.radiance[place], rel=1e-3, abs=1e-5)
         assert 1 - through[of_view][inner] == pytest.approx(view.straight_through[place], abs=1e-5)
-    # Two of the 17 are kept apart.
+    # Two of the 17 are held out.
     assert len(seen) == VIEWS - 2
 
 
@@ -69,11 +64,11 @@ def test_held_out_views_are_others(mi, dataset):
     from lumitree.core.seeds import Purpose, SeedStream
     from lumitree.direct.stored import StoredRays
 
-    source = StoredRays(dataset)
+    source = StoredRays(dataset, 8)
     kinds = [
         {
             tuple(np.round(row, 4))
-            for row in np.array(source.pairs(1 << 12, SeedStream(purpose), 1).direction).T
+            for row in np.array(source.draw_pairs(1 << 12, SeedStream(purpose), 1).direction).T
         }
         for purpose in (Purpose.ERROR_INDICATOR, Purpose.HELD_OUT)
     ]
@@ -86,10 +81,10 @@ def test_hull_holds_the_lamp_and_little_else(mi, dataset):
     from lumitree.direct.stored import StoredRays
 
     level = 6
-    cells = StoredRays(dataset).hull(level)
+    cells = StoredRays(dataset, 8).hull(level)
     manifest = dataset.manifest
-    scale = np.array(manifest.world_from_proxy)[0, 0]
-    centre = np.array(manifest.world_from_proxy)[:3, 3]
+    scale = np.array(manifest.local_frame.world_from_local)[0, 0]
+    centre = np.array(manifest.local_frame.world_from_local)[:3, 3]
     random = np.random.default_rng(1)
     points = random.normal(size=(500, 3))
     points = 0.5 * points / np.linalg.norm(points, axis=1, keepdims=True) + [-0.5, 0, 0]
@@ -103,14 +98,11 @@ def test_hull_holds_the_lamp_and_little_else(mi, dataset):
     assert 0.4 < np.linalg.norm(beyond, axis=1).max() < 0.75
 
 
-def test_bake_from_pictures(mi, dataset, tmp_path):
-    from lumitree.direct.bake import DirectConfig, bake_stored
-    from lumitree.direct.refine import RefineConfig
+def test_bake_from_views(mi, dataset, tmp_path):
+    from lumitree.direct.bake import bake_stored
     from lumitree.evaluation.evaluate import evaluate_views
 
-    config = DirectConfig(
-        tree_depth=6, l_max=1, seconds=None, rays=1 << 22, refine=RefineConfig(lines=1 << 13)
-    )
+    config = direct_config(tree_depth=6, rays=1 << 22, refine={"rays": 1 << 13})
     result = bake_stored(dataset, config, tmp_path)
     metrics = evaluate_views(result.asset, dataset).metrics
     assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 8
@@ -122,10 +114,10 @@ def test_one_view_is_refused(mi, lamp, tmp_path):
     from lumitree.direct.stored import StoredRays
     from lumitree.views.capture import capture
 
-    glowing = lamp(sphere("lamp", 1, inside=AREA))
+    emissive = lamp(sphere("lamp", 1, inside=AREA))
     one = capture(
-        glowing, str(tmp_path / "one"), num_views=1, resolution=16, samples_per_pixel=1,
+        emissive, str(tmp_path / "one"), num_views=1, resolution=16, samples_per_pixel=1,
         split="train",
     )  # fmt: skip
     with pytest.raises(LumitreeError, match="one view"):
-        StoredRays(one)
+        StoredRays(one, 8)

@@ -14,6 +14,7 @@ from lumitree.evaluation.metrics import (
     flip_exposures,
     flux,
     flux_error,
+    gain_over_black,
     hdr_flip,
     mean_metrics,
     mulaw,
@@ -68,6 +69,8 @@ class TestNames:
             "psnr_linear_black",
             "psnr_mulaw_black",
             "flux_error",
+            "gain_linear",
+            "gain_mulaw",
         )
 
     def test_of_a_view_come_in_order(self):
@@ -331,6 +334,25 @@ class TestMean:
     def test_names_differ(self):
         with pytest.raises(LumitreeError, match="view 1 has metrics"):
             mean_metrics([{"a": 1.0}, {"b": 1.0}])
+
+
+class TestGainOverBlack:
+    def test_is_the_ratio_of_the_squared_errors(self):
+        # Squared errors 0.2² and 0.8²; encoded, those of the encoded values.
+        encoded = mulaw(np.array([0.6, 0.8]))
+        assert gain_over_black(score(grey(0.6), grey(0.8))) == pytest.approx(
+            {
+                "gain_linear": 20 * math.log10(0.8 / 0.2),
+                "gain_mulaw": 20 * math.log10(encoded[1] / (encoded[1] - encoded[0])),
+            }
+        )
+
+    def test_of_black_is_zero(self):
+        gains = gain_over_black(score(grey(0.0), noise(0)))
+        assert gains == {"gain_linear": 0.0, "gain_mulaw": 0.0}
+
+    def test_is_negative_for_a_larger_error_than_that_of_black(self):
+        assert gain_over_black(score(grey(0.9), grey(0.1)))["gain_linear"] < -10
 
 
 class TestBadInput:

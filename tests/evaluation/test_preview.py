@@ -42,7 +42,7 @@ def test_every_view_is_taken_from_where_it_says(preview):
         "from above, +y": (x, -z),
         "from below, -y": (x, z),
     }
-    pictures = preview(sphere("ball", 0.3, BALL, AREA), WALLS).pictures
+    pictures = preview(sphere("ball", 0.3, BALL, AREA), WALLS).images
     assert list(pictures) == list(expected)
     pixel = 2 * 2 * np.sqrt(3) / 48
     for name, picture in pictures.items():
@@ -105,17 +105,17 @@ def test_labels(preview):
 
 def test_the_brighter_row_brings_what_is_lit_to_middle_grey():
     from lumitree.evaluation.preview import Preview
-    from lumitree.views.camera import Picture
+    from lumitree.views.camera import ViewImages
 
     radiance = np.zeros((10, 10, 3))
     radiance[:9] = 0.01
     radiance[0] = 50.0
     opacity = np.ones((10, 10))
-    preview = Preview({"a": Picture(radiance, opacity, opacity)}, 1.0)
+    preview = Preview({"a": ViewImages(radiance, opacity, opacity)}, 1.0)
     assert preview.exposure == pytest.approx(0.9 / 50)
     # 0.01 is to become 0.18: 1000 times the exposure of what emits.
     assert preview.more_stops == 10
-    black = Preview({"a": Picture(0 * radiance, opacity, opacity)}, 1.0)
+    black = Preview({"a": ViewImages(0 * radiance, opacity, opacity)}, 1.0)
     assert (black.exposure, black.more_stops) == (1, 2)
 
 

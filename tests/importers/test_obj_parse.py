@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.importers.model_folder import read_limited
+from lumitree.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.importers.obj.mtl import parse_mtl
 from lumitree.importers.obj.parse import parse_obj
 
@@ -87,7 +87,7 @@ def test_without_smoothing_groups_all_is_one(parsed):
     assert parsed(TRIANGLE + "f 1 2 3").smoothing.tolist() == [1]
 
 
-def test_free_form_surfaces_are_told(parsed):
+def test_free_form_surfaces_are_reported(parsed):
     with pytest.warns(LumitreeWarning, match="free-form"):
         parsed(TRIANGLE + "cstype bezier\ndeg 3\ncurv 0 1 1 2 3\nf 1 2 3")
 
@@ -148,13 +148,12 @@ def test_any_lines_are_read_or_refused(tmp_path_factory, lines):
         assert file.corners[:, 0].max() < len(file.positions)
 
 
-def test_large_files_are_refused(tmp_path):
-    path = tmp_path / "big.obj"
-    path.write_bytes(b"#" * 1001)
-    with pytest.raises(LumitreeError, match="larger than"):
-        read_limited(path, 1000)
-    assert len(read_limited(path, 1001)) == 1001
-    with pytest.raises(LumitreeError, match="is a folder; expected a file"):
+def test_large_files_and_folders_are_refused(tmp_path):
+    with open(tmp_path / "big.obj", "wb") as file:
+        file.truncate(MAX_MODEL_BYTES + 1)
+    with pytest.raises(LumitreeError, match="larger than 512 MiB, the limit for an OBJ file"):
+        parse_obj(tmp_path / "big.obj")
+    with pytest.raises(LumitreeError, match="is a folder; expected an OBJ file"):
         parse_obj(tmp_path)
 
 
@@ -181,7 +180,7 @@ def test_bump_scale_and_clamp(mtl):
     assert (entry.file, entry.bump_scale, entry.clamp) == ("n.png", 0.5, True)
 
 
-def test_spectral_colours_are_told(mtl):
+def test_spectral_colours_are_reported(mtl):
     with pytest.warns(LumitreeWarning, match="line 2: Kd spectral is not supported"):
         assert mtl("newmtl a\nKd spectral x.rfl")["a"].values == {}
 

@@ -100,7 +100,7 @@ def test_glass_is_thin_where_the_mesh_is_open(changed):
     assert changed("glass = {}", lamp(box(open_faces=1))).surface.thin
 
 
-def test_open_or_partly_open_glass_is_told(changed):
+def test_open_or_partly_open_glass_is_reported(changed):
     with pytest.warns(LumitreeWarning, match="'bulb glass' is solid glass, but only 0 of its 1"):
         assert not changed("glass = { thin = false }", lamp(box(open_faces=2))).surface.thin
     apart = box()
@@ -286,7 +286,7 @@ def test_a_dropped_emitter_takes_no_lumens(written):
     assert model.materials[1].radiance is None
 
 
-def test_lamp_without_light_is_told_what_to_write():
+def test_lamp_without_light_gives_an_error_with_an_example():
     import tomllib
 
     with pytest.raises(

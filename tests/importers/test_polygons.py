@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lumitree.importers.mesh_repair import Pieces
 from lumitree.importers.polygons import triangulate
+from lumitree.importers.topology import Pieces
 
 
 def area_vectors(points, triangles):

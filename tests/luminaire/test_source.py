@@ -90,7 +90,7 @@ def test_lumens_come_out_of_a_captured_lamp(mi, tmp_path, head):
     (tmp_path / "lamp.toml").write_text(text)
     luminaire = load_luminaire(tmp_path / "lamp.obj")
     views = capture(tmp_path / "lamp.obj", tmp_path / "d", num_views=24, resolution=64)
-    scale = luminaire.world_from_proxy[0, 0]
+    scale = luminaire.frame.world_from_local[0, 0]
     area = (2 * luminaire.bounding_radius * scale) ** 2
     luminance = [683 * view.radiance @ [0.2126, 0.7152, 0.0722] for view in views]
     assert 4 * np.pi * np.mean(luminance) * area == pytest.approx(800, rel=0.01)
@@ -101,9 +101,9 @@ def test_lumens_come_out_of_a_captured_lamp(mi, tmp_path, head):
 def test_units_and_up_axis_place_the_lamp(lamp):
     lamp.with_suffix(".toml").write_text('units = "cm"\nup = "z"\n' + BULB)
     luminaire = load_luminaire(lamp)
-    size = 2 * luminaire.half_extents * luminaire.world_from_proxy[0, 0]
+    size = 2 * luminaire.frame.half_extents * luminaire.frame.world_from_local[0, 0]
     assert size == pytest.approx([0.1, 0.3, 0.1], rel=0.02)
-    assert luminaire.world_from_proxy[1, 3] == pytest.approx(0.1, rel=0.02)
+    assert luminaire.frame.world_from_local[1, 3] == pytest.approx(0.1, rel=0.02)
     assert luminaire.name == f"{lamp.parent.name}/lamp"
 
 
@@ -118,7 +118,7 @@ def test_named_overrides_take_the_place_of_those_beside_the_model(lamp, tmp_path
         load_luminaire(LuminaireSource(str(lamp), materials=str(tmp_path / "cold.toml")))
 
 
-def test_lamp_without_light_is_told_how_to_get_some(lamp):
+def test_lamp_without_light_gives_an_error_with_an_example(lamp):
     with pytest.raises(
         LumitreeError, match=r'bulb, stem\); name one in lamp\.toml: material\."bulb"'
     ):
@@ -264,7 +264,7 @@ def test_dropping_alone_leaves_the_rest_of_the_scene(room):
         ({"keep": ("lamp_*",), "drop": ("sky",)}, "--drop 'sky' matches no shape's id"),
         ({"keep": ("lamp_*",), "drop": ("*",)}, "leave nothing"),
         ({"keep": ("lamp_shade",)}, "holds no emitter"),
-        ({"materials": "a.toml"}, "--materials does not change"),
+        ({"materials": "a.toml"}, "--materials does not apply"),
     ],
 )  # fmt: skip
 def test_wrong_selections(room, options, message):
@@ -285,5 +285,5 @@ def test_unknown_formats_and_names(mi, tmp_path):
     with pytest.raises(LumitreeError, match=r"\.xml .*\.obj, \.gltf, \.glb, or a built-in name"):
         load_luminaire(tmp_path / "lamp.fbx")
     (tmp_path / "folder.obj").mkdir()
-    with pytest.raises(LumitreeError, match="is a folder; expected a file"):
+    with pytest.raises(LumitreeError, match="is a folder; expected an OBJ file"):
         load_luminaire(tmp_path / "folder.obj")

@@ -6,6 +6,7 @@ import numpy as np
 
 from lumitree.core.dataset import Dataset, Frame, Manifest, View
 from lumitree.core.directions import orthographic_rays, view_pose
+from lumitree.core.frames import LocalFrame
 
 RADIUS = 0.6
 CENTRE = np.array([0.3, 0.1, 0.0])
@@ -31,8 +32,7 @@ def sphere_dataset(
         samples_per_pixel=1,
         path_depth=1,
         half_width=HALF_WIDTH,
-        half_extents=HALF_EXTENTS,
-        world_from_proxy=tuple(map(tuple, np.eye(4).tolist())),
+        local_frame=LocalFrame(HALF_EXTENTS, np.eye(4)),
         frames=frames,
     )
     dataset = Dataset(folder, manifest)

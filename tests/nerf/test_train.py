@@ -87,8 +87,8 @@ def test_field_says_what_extraction_needs(tiny_run):
     field = load_field(tiny_run)
     assert (field.law, field.l_max, field.luminaire, field.num_steps) == ("linear", 2, "sphere", 20)
     assert 3 < field.max_radiance < 4.1
-    np.testing.assert_array_equal(field.half_extents, [1.0, 0.8, 0.7])
-    np.testing.assert_array_equal(field.world_from_proxy, np.eye(4))
+    np.testing.assert_array_equal(field.frame.half_extents, [1.0, 0.8, 0.7])
+    np.testing.assert_array_equal(field.frame.world_from_local, np.eye(4))
 
 
 def test_query_does_not_depend_on_its_chunks(tiny_run):
@@ -98,7 +98,7 @@ def test_query_does_not_depend_on_its_chunks(tiny_run):
     assert density.dtype == coefficients.dtype == np.float32
     assert coefficients.shape == (20_000, 3, 9)
     assert (density > 0).any()
-    outside = np.any(np.abs(positions) > 1.001 * field.half_extents, axis=-1)
+    outside = np.any(np.abs(positions) > 1.001 * field.frame.half_extents, axis=-1)
     assert (density[outside] == 0).all()
     picked = np.flatnonzero(density)[::500]
     again = field.query(positions[picked])
@@ -168,7 +168,7 @@ def test_damaged_run_is_refused(tiny_run, tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"law": "cubic"}, "law is 'cubic'; expected one of linear, exponential"),
+        ({"law": "cubic"}, "law is 'cubic'; expected linear, exponential"),
         ({"opacity_kind": "alpha"}, "opacity_kind is 'alpha'"),
         ({"num_coarse": 0}, "num_coarse is 0; expected a whole number, at least 1"),
         ({"width": 64.0}, r"width is 64\.0"),

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from fields import make_asset, random_asset
 from lumitree.errors import LumitreeError
-from lumitree.octree.build import build_children, morton
+from lumitree.octree.build import build_children, child_cells, morton
 from lumitree.rendering.reference import integrate_ray, leaf_boxes
 
 
@@ -19,6 +19,14 @@ def test_morton_interleaves_bits(cells):
         )
 
     assert morton(cells).tolist() == [spell(cell) for cell in cells]
+
+
+def test_child_cells_are_in_octant_order():
+    children = child_cells(np.array([[1, 2, 3], [0, 0, 0]]))
+    assert children.shape == (2, 8, 3)
+    assert (children[0] >> 1 == [1, 2, 3]).all()
+    assert children[0, :3].tolist() == [[2, 4, 6], [3, 4, 6], [2, 5, 6]]
+    assert (children[1] @ [1, 2, 4] == np.arange(8)).all()
 
 
 @given(seed=st.integers(0, 1000))

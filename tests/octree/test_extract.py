@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
 from lumitree.octree.extract import extract
 from lumitree.rendering.reference import leaf_boxes
@@ -30,8 +31,7 @@ def as_asset(children, density, coefficients, tree_depth):
         l_max=int(np.sqrt(coefficients.shape[-1])) - 1,
         law="linear",
         max_radiance=1.0,
-        half_extents=np.ones(3),
-        world_from_proxy=np.eye(4),
+        frame=LocalFrame(np.ones(3), np.eye(4)),
         luminaire="ball",
     )
 
@@ -94,7 +94,7 @@ def test_queries_are_bounded(monkeypatch):
 
 @pytest.mark.parametrize("tree_depth", [0, 11])
 def test_bad_depths_are_refused(tree_depth):
-    with pytest.raises(LumitreeError, match="choose 1 to 10"):
+    with pytest.raises(LumitreeError, match="expected 1 to 10"):
         extract(ball(), np.ones(3), tree_depth)
 
 

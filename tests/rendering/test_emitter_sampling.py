@@ -72,12 +72,13 @@ class Drawn:
         direction, reach = self.sampler.sample(origin, sample)
         distance, _, enters = self.proxy.enter(origin, direction)
         entry = origin + distance * direction
-        radiance, _, pdf = self.sampler.eval(entry, direction, distance, enters, reach)
+        radiance, _, pdf = self.sampler.eval(origin, entry, direction, distance, enters, reach)
         return direction, pdf, radiance
 
     def pdf(self, origin, direction):
         distance, _, enters = self.proxy.enter(origin, direction)
-        return self.sampler.pdf(origin + distance * direction, direction, distance, enters)
+        entry = origin + distance * direction
+        return self.sampler.pdf(origin, entry, direction, distance, enters)
 
 
 def point(mi, name):

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fields import make_asset, random_asset
+from lumitree.octree.build import child_cells
 from lumitree.rendering.reference import integrate_ray
 
 
@@ -123,9 +124,9 @@ def test_coefficients_that_are_denormal_in_half_precision_count(mi, tmp_path):
     from lumitree.asset.file import save
 
     def rendered(coefficient):
-        octants = np.array([(o & 1, o >> 1 & 1, o >> 2) for o in range(8)])
         coefficients = np.full((8, 3, 1), coefficient)
-        asset = make_asset(octants, np.ones(8), np.full(8, 1e4), coefficients, tree_depth=1)
+        cells = child_cells(np.zeros(3, int))
+        asset = make_asset(cells, np.ones(8), np.full(8, 1e4), coefficients, tree_depth=1)
         save(asset, tmp_path / "lamp.lumitree")
         film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
         look = mi.ScalarTransform4f().look_at([0, 0.2, 5], [0, 0, 0], [0, 1, 0])

@@ -5,7 +5,7 @@ import pytest
 
 from fields import make_asset, random_asset
 from lumitree.octree.leaves import leaf_cells
-from lumitree.rendering.light_leaves import NUM_GROUPS, _group, _places, light_leaves
+from lumitree.rendering.light_leaves import NUM_GROUPS, _group, _multiplicity, light_leaves
 
 HALF = np.array([1.0, 0.7, 0.4])
 
@@ -76,11 +76,11 @@ def test_groups_are_few_and_lights_far_apart_are_in_different_ones():
     assert first == third != second
 
 
-def test_places_are_as_many_as_they_must_and_follow_the_light():
+def test_multiplicity_are_as_many_as_they_must_and_follow_the_light():
     random = np.random.default_rng(2)
     group, power = random.integers(0, 5, 2000), random.uniform(0, 1, 2000)
     power[7] = 500.0
-    places = _places(power, group)
+    places = _multiplicity(power, group)
     assert (places >= 0).all()
     assert places.sum() == pytest.approx(4 * len(power), abs=1)
     members = np.bincount(group)[group[7]]

@@ -33,8 +33,8 @@ def take(luminaire, folder, **settings):
 
 def test_emissive_sphere(luminaire, tmp_path):
     lamp = luminaire(SPHERE.format(AREA))
-    assert lamp.half_extents == pytest.approx(1)
-    assert lamp.world_from_proxy[:3, 3] == pytest.approx([5, 1, 0])
+    assert lamp.frame.half_extents == pytest.approx(1)
+    assert lamp.frame.world_from_local[:3, 3] == pytest.approx([5, 1, 0])
     for view in take(lamp, tmp_path / "d"):
         # The sphere fills the circle of radius 1 in a view of half width sqrt(3).
         centre = np.s_[12:20, 12:20]
@@ -213,7 +213,7 @@ def test_missing_files_and_wrong_formats(mi, tmp_path):
     with pytest.raises(LumitreeError, match="neither a file nor built in"):
         load_luminaire("no_such_lamp")
     (tmp_path / "lamp.fbx").write_bytes(b"Kaydara")
-    with pytest.raises(LumitreeError, match=r"in no format that is read; expected \.xml"):
+    with pytest.raises(LumitreeError, match=r"has an unsupported format; expected \.xml"):
         load_luminaire(tmp_path / "lamp.fbx")
     (tmp_path / "half.xml").write_text('<scene version="3.0.0"><shape')
     with pytest.raises(LumitreeError, match="unclosed token"):

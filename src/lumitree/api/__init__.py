@@ -1,1 +1,1 @@
-"""The functions of `lumitree`: typed arguments in, frozen results out."""
+"""The functions of `lumitree`: typed arguments, frozen results."""

@@ -1,67 +1,34 @@
-"""From a luminaire to an asset: `bake`, `refine`, and the steps of the paper's own way."""
+"""The direct bake: `bake` makes an asset from traced rays, and `refine` improves one."""
 
-import contextlib
 import dataclasses
-import os
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Literal, get_args
 
-import numpy as np
-
+from lumitree.api.files import FilePath, open_work_folder, save_asset
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
-from lumitree.api.measures import Stopwatch, peak_memory_bytes
-from lumitree.api.results import BakeResult, CaptureResult, TrainResult
-from lumitree.asset.asset import Asset
-from lumitree.asset.file import load, save
-from lumitree.core.arguments import (
-    MAX_RAYS,
-    MAX_SAMPLES,
-    MAX_SECONDS,
-    check_asset_output,
-    check_choice,
-    check_image_settings,
-    check_range,
-)
+from lumitree.api.measures import Stopwatch
+from lumitree.api.results import BakeResult
+from lumitree.asset.asset import Asset, exitant_asset
+from lumitree.asset.exitant import ExitantField
+from lumitree.asset.file import load
+from lumitree.core.arguments import check_asset_output, check_choice
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Dataset, Split
-from lumitree.core.files import check_writable
-from lumitree.core.harmonics import MAX_L
-from lumitree.core.interrupt import Interrupted
+from lumitree.core.dataset import Dataset
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.seeds import check_seed
-from lumitree.core.transmittance import LAWS, Law
-from lumitree.core.work_folder import WorkFolder, scratch_folder
-from lumitree.errors import explained
-from lumitree.nerf.config import PRESETS, TrainConfig
-from lumitree.octree.build import MAX_TREE_DEPTH
+from lumitree.core.transmittance import Law
+from lumitree.core.work_folder import WorkFolder
+from lumitree.direct.config import QUALITIES
+from lumitree.errors import LumitreeError, explained
+from lumitree.exitant.config import EXITANT_QUALITIES
+from lumitree.exitant.saved_field import EXITANT_STATE
 
 if TYPE_CHECKING:
-    from lumitree.direct.bake import DirectConfig, DirectResult
+    from lumitree.direct.bake import DirectResult
     from lumitree.luminaire.luminaire import LuminaireLike
 
 Quality = Literal["preview", "standard", "high"]
-Preset = Literal["preview", "paper"]
-FilePath = str | os.PathLike[str]
-
-
-@dataclasses.dataclass(frozen=True)
-class NetworkBake:
-    """What a bake by the network does: views captured, network trained, octree extracted."""
-
-    num_views: int
-    resolution: int
-    samples_per_pixel: int
-    tree_depth: int
-    train: TrainConfig
-    samples_per_leaf: int = 256
-
-
-NETWORK_BAKES: dict[str, NetworkBake] = {
-    "preview": NetworkBake(60, 192, 48, 7, PRESETS["preview"], samples_per_leaf=64),
-    # The paper does not state its samples a pixel.
-    "paper": NetworkBake(100, 800, 256, 10, PRESETS["paper"]),
-}
+Part = Literal["exitant", "field"]
+PARTS: tuple[Part, ...] = get_args(Part)
 
 
 @explained
@@ -75,67 +42,109 @@ def bake(
     tree_depth: int | None = None,
     l_max: int | None = None,
     law: Law | None = None,
+    parts: Collection[Part] = PARTS,
     seed: int = 0,
     work: FilePath | None = None,
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> BakeResult:
-    """Bake a luminaire into an asset, from traced rays.
+    """Bake a luminaire into an asset with the direct method.
 
-    The state is kept in a work folder. A bake that is stopped by Ctrl-C, SIGTERM or SIGHUP returns
-    the best asset so far (`BakeResult.stopped_by` is set then); the same call continues it.
+    Light paths are traced first. Their histogram by place and direction is the exitant light
+    field: what the luminaire sends to its surroundings. Then rays and light paths are traced for
+    the radiance field, which is what images show of the luminaire. A first estimate is made from
+    them, and gradient descent improves it until the budget is spent. The field is stored in a
+    sparse octree.
+
+    The state of the bake is kept in a work folder. If SIGINT (Ctrl-C), SIGTERM or SIGHUP
+    interrupts the bake, the best asset so far is written and returned. If `output` or `work` is
+    given, the same call continues the bake later.
 
     Args:
-        luminaire: name of a built-in luminaire, path of a Mitsuba 3 scene or a model, dictionary as
-            for `mitsuba.load_dict`, `mi.Scene`, what `load_luminaire` returned, or folder of a
-            dataset that `capture` made.
-        output: the `.lumitree` file to write; None for none.
-        quality: tree depth and budget: "preview" (depth 7, 1 minute on 2 CPU cores), "standard"
-            (depth 8, 5 minutes) or "high" (depth 10, 30 minutes).
-        time: budget in seconds, instead of the quality's. A first estimate of about 20 seconds is
-            always made.
-        rays: budget of rays of the descent; without `time` there is no limit of time.
-        tree_depth: level of the smallest leaves, 1 to 10, instead of the quality's.
-        l_max: highest spherical-harmonics band, 0 to 4 (default: 2).
-        law: transmittance law (default: "exponential").
-        seed: of all random numbers, 0 to 2³¹ - 1.
-        work: folder for the state, which is kept; by default a folder beside `output`, which is
-            removed at the end.
-        variant: Mitsuba variant; by default the one that is set, else `cuda_ad_rgb` where there is
-            a GPU, else `llvm_ad_rgb`.
-        progress: called with every `Progress`; by default a bar or lines on standard error; None
-            for silence.
+        luminaire: what to bake. One of: the name of a built-in luminaire; the path of a Mitsuba 3
+            scene (`.xml`) or of a model (`.obj`, `.gltf`, `.glb`); a dictionary as for
+            `mitsuba.load_dict`; a `mitsuba.Scene`; a `LuminaireSource`; a `Luminaire` that
+            `load_luminaire` returned; or the folder of a dataset that `capture` made.
+        output: path of the `.lumitree` file to write. Default: no file is written.
+        quality: preset of tree depth and time: "preview" (depth 7, 1 minute on 2 CPU cores),
+            "standard" (depth 8, 5 minutes) or "high" (depth 10, 30 minutes).
+        time: budget of the radiance field in seconds, 0.001 to 31,536,000 (one year). The first
+            estimate, about 20 s on 2 CPU cores, is always completed. Default: the time of
+            `quality`, or no limit if `rays` is given.
+        rays: budget of rays for the gradient descent, 1 to 2⁵⁰. If `time` is given too, the bake
+            ends at whichever is reached first. Default: no limit.
+        tree_depth: level of the smallest leaves, 1 to 10. Their side is the longest side of the
+            bounding box divided by 2^tree_depth. Default: the depth of `quality`.
+        l_max: highest band of the spherical harmonics, 0 to 4. Each leaf stores (l_max + 1)²
+            coefficients per RGB channel. Default: 2.
+        law: transmittance T as a function of the optical depth τ: "exponential", exp(-τ), or
+            "linear", max(0, 1 - τ). Default: "exponential".
+        parts: what the asset gets. "exitant": the exitant light field, 5 to 20 s on 2 CPU cores;
+            it illuminates scenes. "field": the radiance field; images show it, and it illuminates
+            if there is no exitant light field. Without it images show the exitant light field,
+            which is blurred and lets all light through. For a dataset only "field" is made.
+        seed: root seed of all random numbers, 0 to 2³¹ - 1. With `rays` and without `time`, equal
+            seeds and settings give equal files on one machine.
+        work: folder for the state: empty, new, or that of an earlier call. It is kept. Default:
+            `output` with the suffix `.work`, or a temporary folder; it is removed at the end.
+        variant: Mitsuba variant, "llvm_ad_rgb" or "cuda_ad_rgb". Default: the variant that is set;
+            if none is set, "cuda_ad_rgb" if there is a GPU, else "llvm_ad_rgb".
+        progress: function that is called with a `Progress` after each step. Default: a progress
+            bar, or lines on standard error if that is not a terminal. None shows nothing.
+
+    Returns:
+        The asset (`asset`), its file (`path`), the PSNR on held-out rays in dB
+        (`held_out_psnr`), and the number of traced rays (`rays`). `stopped_by` is the number of
+        the signal that interrupted the bake, or None.
 
     Raises:
-        LumitreeError: bad arguments, an unreadable or dark luminaire, or a full disk.
+        LumitreeError: an argument is out of range; the luminaire cannot be read or emits no
+            light; the work folder holds the state of another bake; no usable variant of Mitsuba
+            is available; or a file cannot be written.
+
+    Example:
+        >>> result = lumitree.bake("bulbs", "bulbs.lumitree", quality="preview")
+        >>> result.asset.info.leaves, result.held_out_psnr
     """
-    _check_bake(output, time, rays, seed)
-    if tree_depth is not None:
-        check_range("tree depth", tree_depth, 1, MAX_TREE_DEPTH)
-    if l_max is not None:
-        check_range("l_max", l_max, 0, MAX_L)
-    if law is not None:
-        check_choice("law", law, LAWS)
+    if output is not None:
+        check_asset_output(output)
     check_choice("quality", quality, get_args(Quality))
+    for part in parts:
+        check_choice("part", part, PARTS)
+    if not parts:
+        raise LumitreeError(f"no parts; expected some of {PARTS}")
+    config = QUALITIES[quality].with_options(
+        tree_depth=tree_depth, l_max=l_max, law=law, seconds=time, rays=rays, seed=seed
+    )
     load_mitsuba(variant)
     from lumitree.direct import bake as direct
+    from lumitree.exitant.bake import bake_exitant
     from lumitree.luminaire.luminaire import load_luminaire
 
-    preset = direct.QUALITIES[quality]
-    config = dataclasses.replace(
-        _budgeted(preset, time, rays),
-        tree_depth=preset.tree_depth if tree_depth is None else tree_depth,
-        l_max=preset.l_max if l_max is None else l_max,
-        law=preset.law if law is None else law,
-        seed=seed,
-    )
-    with reporting(progress), _work_folder(output, work) as at:
+    with reporting(progress), open_work_folder(output, work) as at:
         if (folder := dataset_folder(luminaire)) is not None:
+            if "field" not in parts:
+                raise LumitreeError(
+                    f"parts are {', '.join(parts)}, but {folder} is a dataset, which has no light "
+                    "paths; give the luminaire, or the part field"
+                )
             dataset = Dataset.open(folder)
             return _finish(output, work, at, lambda: direct.bake_stored(dataset, config, at.path))
         lamp = load_luminaire(luminaire)
         warn_of_faults(lamp)
-        return _finish(output, work, at, lambda: direct.bake(lamp, config, at.path))
+        watch = Stopwatch()
+        exitant = None
+        if "exitant" in parts:
+            light_config = dataclasses.replace(EXITANT_QUALITIES[quality], seed=seed)
+            with watch.stage("exitant"):
+                exitant = bake_exitant(lamp, light_config, at.path)
+            if "field" not in parts:
+                asset = exitant_asset(exitant, lamp.frame, lamp.name)
+                result = BakeResult(asset=asset, path=save_asset(asset, output), **watch.costs())
+                if work is None:
+                    at.remove([EXITANT_STATE])
+                return result
+        return _finish(output, work, at, lambda: direct.bake(lamp, config, at.path), exitant, watch)
 
 
 @explained
@@ -151,262 +160,48 @@ def refine(
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> BakeResult:
-    """Improve an asset, however it was baked, with rays traced through its luminaire.
+    """Improve an asset by gradient descent with rays traced through its luminaire.
+
+    The asset may come from `bake`, `bake_network` or `extract`. As with `bake`, an interrupted call
+    returns the best asset so far, and the same call continues it.
 
     Args:
-        asset: an asset or its file; its depth, l_max and law stay.
-        luminaire: what it was baked from; otherwise arguments are as for `bake`.
+        asset: an asset, or the path of its `.lumitree` file. The result has the same tree depth,
+            l_max and transmittance law.
+        luminaire: the luminaire that the asset was baked from, in any form that `bake` takes
+            except the folder of a dataset.
+        output: path of the `.lumitree` file to write. Default: no file is written.
+        time: budget in seconds, 0.001 to 31,536,000 (one year). Default: 285 s, or no limit if
+            `rays` is given.
+        rays: budget of rays, 1 to 2⁵⁰. If `time` is given too, the call ends at whichever is
+            reached first. Default: no limit.
+        seed: root seed of all random numbers, 0 to 2³¹ - 1.
+        work: folder for the state; see `bake`.
+        variant: Mitsuba variant; see `bake`.
+        progress: function that is called with a `Progress` after each step; see `bake`.
+
+    Returns:
+        The improved asset and its figures, as `bake` returns them.
 
     Raises:
-        LumitreeError: as for `bake`, or the asset is of another luminaire.
+        LumitreeError: the bounding boxes of asset and luminaire differ, or as for `bake`.
     """
-    _check_bake(output, time, rays, seed)
+    if output is not None:
+        check_asset_output(output)
+    config = QUALITIES["standard"].with_options(seconds=time, rays=rays, seed=seed)
     load_mitsuba(variant)
     from lumitree.direct import bake as direct
     from lumitree.luminaire.luminaire import load_luminaire
 
-    config = dataclasses.replace(_budgeted(direct.QUALITIES["standard"], time, rays), seed=seed)
     rough = asset if isinstance(asset, Asset) else load(asset)
-    with reporting(progress), _work_folder(output, work) as at:
+    if not rough.num_leaves:
+        raise LumitreeError(
+            f"the asset ({rough.luminaire}) has no field to refine; bake it with the part field"
+        )
+    with reporting(progress), open_work_folder(output, work) as at:
         lamp = load_luminaire(luminaire)
-        return _finish(output, work, at, lambda: direct.refine(rough, lamp, config, at.path))
-
-
-@explained
-def bake_network(
-    luminaire: "LuminaireLike",
-    output: FilePath,
-    *,
-    preset: Preset = "preview",
-    tree_depth: int | None = None,
-    work: FilePath | None = None,
-    variant: str | None = None,
-    progress: ProgressCallback | None = show_progress,
-) -> BakeResult:
-    """Bake a luminaire as the paper does: `capture`, `train` and `extract` in one call.
-
-    An interrupted bake continues when it is called again.
-
-    Args:
-        luminaire: as for `bake`.
-        output: the `.lumitree` file to write.
-        preset: views, network and octree: "preview" (minutes on 2 CPU cores) or "paper" (days on a
-            GPU).
-        tree_depth: level of the leaves, 1 to 10, instead of the preset's.
-        work, variant, progress: as for `bake`.
-
-    Raises:
-        LumitreeError: as for `bake`.
-        Interrupted: by a stop signal; what was finished is kept.
-    """
-    check_asset_output(output)
-    check_choice("preset", preset, NETWORK_BAKES)
-    settings = NETWORK_BAKES[preset]
-    tree_depth = settings.tree_depth if tree_depth is None else tree_depth
-    check_range("tree depth", tree_depth, 1, MAX_TREE_DEPTH)
-    with _work_folder(output, work) as folder:
-        captured = capture(
-            luminaire,
-            folder.path / "dataset",
-            num_views=settings.num_views,
-            resolution=settings.resolution,
-            samples_per_pixel=settings.samples_per_pixel,
-            variant=variant,
-            progress=progress,
-        )
-        from lumitree.nerf.run import RUN_FILES
-
-        run = folder.path / "run"
-        trained = train(
-            captured.dataset, run, preset=preset, resume=run.exists(), progress=progress
-        )
-        if trained.stopped_by is not None:
-            raise Interrupted("the same command continues", trained.stopped_by)
-        extracted = extract(
-            run,
-            output,
-            tree_depth=tree_depth,
-            samples_per_leaf=settings.samples_per_leaf,
-            progress=progress,
-        )
-        if work is None:
-            names = [f"dataset/{name}" for name in DATASET_FILES]
-            folder.remove([*names, *(f"run/{name}" for name in RUN_FILES)])
-    seconds = captured.seconds | trained.seconds | extracted.seconds
-    return dataclasses.replace(extracted, seconds=seconds, peak_memory_bytes=peak_memory_bytes())
-
-
-@explained
-def capture(
-    luminaire: "LuminaireLike",
-    output: FilePath,
-    *,
-    num_views: int = 100,
-    resolution: int = 256,
-    samples_per_pixel: int = 128,
-    split: Split = "train",
-    variant: str | None = None,
-    progress: ProgressCallback | None = show_progress,
-) -> CaptureResult:
-    """Render views of a luminaire: radiance and two kinds of opacity, as OpenEXR.
-
-    The views that are missing in the folder are rendered, so the same call continues a capture.
-
-    Args:
-        luminaire: as for `bake`.
-        output: folder of the dataset.
-        num_views: orthographic, along Halton directions on the sphere.
-        resolution: pixels a side.
-        samples_per_pixel: paths.
-        split: "train" or "test": two sequences of directions that never meet.
-        variant, progress: as for `bake`.
-
-    Raises:
-        LumitreeError: bad arguments, an unreadable luminaire, or a folder of another capture.
-    """
-    check_range("views", num_views, 1, MAX_VIEWS)
-    check_image_settings(resolution=resolution, spp=samples_per_pixel)
-    check_choice("split", split, get_args(Split))
-    check_writable(Path(output) / MANIFEST)
-    load_mitsuba(variant)
-    from lumitree.luminaire.luminaire import load_luminaire
-    from lumitree.views.capture import capture as capture_views
-
-    watch = Stopwatch()
-    with reporting(progress), watch.stage("capture"):
-        lamp = load_luminaire(luminaire)
-        warn_of_faults(lamp)
-        dataset = capture_views(
-            lamp,
-            output,
-            num_views=num_views,
-            resolution=resolution,
-            samples_per_pixel=samples_per_pixel,
-            split=split,
-        )
-    return CaptureResult(
-        dataset=Path(output),
-        luminaire=dataset.manifest.luminaire,
-        views=len(dataset.manifest.frames),
-        **watch.costs(),
-    )
-
-
-@explained
-def train(
-    dataset: FilePath,
-    output: FilePath,
-    *,
-    preset: Preset = "preview",
-    resume: bool = False,
-    progress: ProgressCallback | None = show_progress,
-) -> TrainResult:
-    """Train the paper's network on a dataset.
-
-    Args:
-        dataset: folder that `capture` made.
-        output: folder of the run: checkpoints and history.
-        preset: "preview" (minutes on 2 CPU cores) or "paper" (days on a GPU).
-        resume: continue from the newest checkpoint, bit for bit.
-        progress: as for `bake`.
-
-    Raises:
-        LumitreeError: bad arguments, an unreadable dataset, or a folder that holds something else.
-    """
-    check_choice("preset", preset, PRESETS)
-    check_writable(Path(output) / MANIFEST)
-    from lumitree.nerf.train import train as train_network
-
-    watch = Stopwatch()
-    with reporting(progress), watch.stage("train"):
-        result = train_network(dataset, output, PRESETS[preset], resume=resume)
-    return TrainResult(
-        run=Path(output),
-        steps=result.steps,
-        psnr=result.psnr,
-        psnr_black=result.psnr_black,
-        rays_per_second=result.rays_per_second,
-        stopped_by=result.stopped_by,
-        **watch.costs(),
-    )
-
-
-@explained
-def extract(
-    run: FilePath,
-    output: FilePath | None = None,
-    *,
-    tree_depth: int = 8,
-    samples_per_leaf: int = 256,
-    progress: ProgressCallback | None = show_progress,
-) -> BakeResult:
-    """Distil a trained network into an octree.
-
-    Args:
-        run: folder that `train` made.
-        output: the `.lumitree` file to write; None for none.
-        tree_depth: level of the leaves, 1 to 10.
-        samples_per_leaf: positions whose mean a leaf holds.
-        progress: as for `bake`.
-
-    Raises:
-        LumitreeError: bad arguments, an unreadable run, or an empty field.
-    """
-    if output is not None:
-        check_asset_output(output)
-    check_range("tree depth", tree_depth, 1, MAX_TREE_DEPTH)
-    check_range("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
-    from lumitree.nerf.trained_field import load_field
-    from lumitree.octree.extract import extract as extract_octree
-
-    watch = Stopwatch()
-    with reporting(progress), watch.stage("extract"):
-        field = load_field(run)
-        half_extents = np.asarray(field.half_extents, np.float64)
-        children, density, coefficients = extract_octree(
-            field.query, half_extents, tree_depth, samples_per_leaf=samples_per_leaf
-        )
-        asset = Asset(
-            children=children,
-            density=density,
-            coefficients=coefficients,
-            tree_depth=tree_depth,
-            l_max=field.l_max,
-            law=field.law,
-            max_radiance=field.max_radiance,
-            half_extents=half_extents,
-            world_from_proxy=np.asarray(field.world_from_proxy, np.float64),
-            luminaire=field.luminaire,
-        )
-        _save(asset, output)
-    return BakeResult(asset=asset, path=_path(output), **watch.costs())
-
-
-def _check_bake(output: FilePath | None, time: float | None, rays: int | None, seed: int) -> None:
-    if output is not None:
-        check_asset_output(output)
-    if time is not None:
-        check_range("time", time, 1e-3, MAX_SECONDS, "seconds")
-    if rays is not None:
-        check_range("rays", rays, 1, MAX_RAYS)
-    check_seed(seed)
-
-
-def _budgeted(config: "DirectConfig", time: float | None, rays: int | None) -> "DirectConfig":
-    if time is None and rays is None:
-        return config
-    return dataclasses.replace(config, seconds=time, rays=rays)
-
-
-@contextlib.contextmanager
-def _work_folder(output: FilePath | None, work: FilePath | None) -> Iterator[WorkFolder]:
-    """The folder of a bake's state: `work`, one beside the asset, or a temporary one."""
-    with contextlib.ExitStack() as stack:
-        if work is None and output is None:
-            work = stack.enter_context(scratch_folder()) / "work"
-        elif work is None:
-            work = Path(str(output)).with_suffix(".work")
-        yield stack.enter_context(WorkFolder(str(work)))
+        job = lambda: direct.refine(rough, lamp, config, at.path)  # noqa: E731
+        return _finish(output, work, at, job, rough.exitant)
 
 
 def _finish(
@@ -414,31 +209,28 @@ def _finish(
     work: FilePath | None,
     folder: WorkFolder,
     job: "Callable[[], DirectResult]",
+    exitant: ExitantField | None = None,
+    watch: Stopwatch | None = None,
 ) -> BakeResult:
-    """Run a direct bake, write its asset and, where `work` does not name it, clear its state."""
-    from lumitree.direct.bake import STATE
+    """Run a direct bake and write its asset, with an exitant light field.
 
-    watch = Stopwatch()
+    Removes the saved state, unless the user chose its folder or the bake was interrupted.
+    """
+    from lumitree.direct.saved_state import STATE
+
+    watch = Stopwatch() if watch is None else watch
     with watch.stage("bake"):
         result = job()
-        _save(result.asset, output)
+        asset = dataclasses.replace(result.asset, exitant=exitant)
+        path = save_asset(asset, output)
     if work is None and result.stopped_by is None:
-        folder.remove([STATE])
+        folder.remove([STATE, EXITANT_STATE])
     return BakeResult(
-        asset=result.asset,
-        path=_path(output),
+        asset=asset,
+        path=path,
         held_out_psnr=round(result.score.psnr, 3),
         held_out_psnr_uncertainty=round(result.score.uncertainty, 3),
         rays=result.rays,
         stopped_by=result.stopped_by,
         **watch.costs(),
     )
-
-
-def _save(asset: Asset, output: FilePath | None) -> None:
-    if output is not None:
-        save(asset, output)
-
-
-def _path(output: FilePath | None) -> Path | None:
-    return None if output is None else Path(output)

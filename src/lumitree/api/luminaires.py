@@ -1,4 +1,4 @@
-"""Luminaires: built in, from files, from Mitsuba scenes."""
+"""Loading and diagnosis of luminaires: built-in ones, files, and Mitsuba scenes."""
 
 import dataclasses
 import os
@@ -15,16 +15,18 @@ from lumitree.luminaire.source import LuminaireSource
 if TYPE_CHECKING:
     from lumitree.luminaire.luminaire import Luminaire, LuminaireLike
 
-# A file whose glass is wrong throughout is not to fill the terminal.
+# Largest number of warnings per luminaire.
 MAX_FAULTS = 5
 
 
 def builtin_luminaires() -> dict[str, dict[str, Any]]:
-    """Built-in luminaires by name: a description and figures of each.
+    """Describe the built-in luminaires.
 
     Returns:
-        For each name `description`, `triangles`, `emitters`, `emitted_radiance` (the largest
-        channel, W/(m² sr)), `size` (m) and `has_media`.
+        Dictionary from the name to a dictionary with `description`; the numbers of `triangles`
+        and of `emitters`; `emitted_radiance`, the largest radiance of any emitter and channel,
+        W/(m² sr); `size`, the sides of the bounding box, m; and `has_media`, whether there are
+        participating media.
     """
     from lumitree.builtin.registry import BUILTIN
     from lumitree.model.figures import figures
@@ -44,20 +46,25 @@ def load_luminaire(
     drop: Sequence[str] = (),
     variant: str | None = None,
 ) -> "Luminaire":
-    """Load a luminaire once, for several calls that take one.
+    """Load and check a luminaire, to use it in several calls or to select its parts.
 
     Args:
         luminaire: name of a built-in luminaire; path of a Mitsuba 3 scene (`.xml`) or of a model
-            (`.obj`, `.gltf`, `.glb`); a dictionary as for `mitsuba.load_dict`; or a `mi.Scene`.
-        materials: TOML file of overrides of a model's materials, unit and up axis; by default the
-            one beside the model, if there is one.
-        keep: patterns with * and ? of the shapes (by id) or parts (by name or material) to take.
-        drop: patterns of what to leave out.
-        variant: Mitsuba variant, as for `bake`.
+            (`.obj`, `.gltf`, `.glb`); a dictionary as for `mitsuba.load_dict`; or a
+            `mitsuba.Scene`.
+        materials: path of a TOML file that overrides materials, unit and up axis of a model.
+            Default: the file with the model's name and the suffix `.toml`, if there is one.
+        keep: patterns, with `*` and `?`, of the shapes to take: ids of shapes in a Mitsuba scene,
+            names of parts or of materials in a model. Default: all.
+        drop: patterns of the shapes to leave out. Default: none.
+        variant: Mitsuba variant; see `bake`.
+
+    Returns:
+        The luminaire, which all functions accept in place of a name or file.
 
     Raises:
-        LumitreeError: unknown name, unreadable file, or no luminaire: without geometry, without
-            area emitters, or with lights that cannot be baked.
+        LumitreeError: the name is unknown; a file cannot be read; a pattern matches nothing; or
+            there is no geometry, no area emitter, or an emitter that is not a surface.
     """
     load_mitsuba(variant)
     from lumitree.luminaire.luminaire import load_luminaire as load
@@ -72,10 +79,10 @@ def load_luminaire(
 
 
 def dataset_folder(source: "LuminaireLike") -> Path | None:
-    """The folder of a dataset that a source names; None if it names something else.
+    """Folder of the dataset that `source` names; None if it does not name a dataset.
 
     Raises:
-        LumitreeError: it names a dataset, with options for reading a luminaire.
+        LumitreeError: `source` names a dataset and has options for reading a luminaire.
     """
     if not isinstance(source, str | os.PathLike | LuminaireSource):
         return None
@@ -91,7 +98,7 @@ def dataset_folder(source: "LuminaireLike") -> Path | None:
 
 
 def warn_of_faults(luminaire: "Luminaire") -> list[str]:
-    """Warn of glass that cannot be rendered correctly; returns what was found."""
+    """Warn of glass that cannot be rendered correctly; returns one line per fault."""
     from lumitree.luminaire.diagnosis import diagnose
 
     faults = diagnose(luminaire.scene)

@@ -1,4 +1,4 @@
-"""Time by stage and peak memory of a job."""
+"""Measurement of time by stage, and of peak memory."""
 
 import contextlib
 import resource
@@ -9,14 +9,18 @@ from typing import Any
 
 
 class Stopwatch:
-    """Seconds of named stages, in the order they ran."""
+    """Wall time of named stages.
+
+    Attributes:
+        seconds: wall time by stage, s, in the order of the first run of each.
+    """
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
 
     @contextlib.contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time the block; several blocks of one name add up."""
+        """Context that measures its block; the times of blocks of one name are added."""
         start = time.perf_counter()
         try:
             yield
@@ -25,11 +29,11 @@ class Stopwatch:
             self.seconds[name] = round(self.seconds.get(name, 0.0) + elapsed, 3)
 
     def costs(self) -> dict[str, Any]:
-        """What every `Result` begins with."""
+        """Values of the fields of `Result`."""
         return {"seconds": self.seconds, "peak_memory_bytes": peak_memory_bytes()}
 
 
 def peak_memory_bytes() -> int:
-    """Largest resident memory of this process so far."""
+    """Largest resident memory of this process so far, in bytes."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else peak * 1024

@@ -1,4 +1,4 @@
-"""What the functions of `lumitree` return: frozen, printable, ready for JSON and for notebooks."""
+"""Results of the functions of `lumitree`: frozen dataclasses for Python, JSON and notebooks."""
 
 import dataclasses
 import math
@@ -17,18 +17,18 @@ Json = dict[str, Any]
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
 class Result:
-    """What every result has.
+    """Base class of all results.
 
     Attributes:
-        seconds: wall time by stage.
-        peak_memory_bytes: largest resident memory of the process so far.
+        seconds: wall time by stage, s.
+        peak_memory_bytes: largest resident memory of the process so far, bytes.
     """
 
     seconds: dict[str, float]
     peak_memory_bytes: int
 
     def to_json(self) -> Json:
-        """The result as values that `json.dumps` takes."""
+        """Dictionary of the result, for `json.dumps`."""
         return {field.name: plain(getattr(self, field.name)) for field in self._shown()}
 
     def __repr__(self) -> str:
@@ -41,16 +41,18 @@ class Result:
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
 class BakeResult(Result):
-    """An asset, and how it was made.
+    """Result of a bake.
 
     Attributes:
-        asset: what was baked.
-        path: its file; None where none was asked for.
-        held_out_psnr, held_out_psnr_uncertainty: of rays that the bake did not learn from, dB;
-            None for assets that come from a network.
-        rays: traced for the descent; None for assets that come from a network.
-        stopped_by: number of the signal that ended the bake early, whose best so far this is;
-            None if none did.
+        asset: the baked luminaire.
+        path: file of the asset; None if none was written.
+        held_out_psnr: PSNR on held-out rays, dB; None if no field was baked from
+            rays.
+        held_out_psnr_uncertainty: half the width of the 68 % interval of `held_out_psnr`, dB.
+        rays: rays of the gradient descent, including those of the calls that this one continued;
+            None if no field was baked from rays.
+        stopped_by: number of the signal that interrupted the bake; None if there was none.
+            The asset is then the best so far.
     """
 
     asset: Asset
@@ -61,7 +63,7 @@ class BakeResult(Result):
     stopped_by: int | None = None
 
     def to_json(self) -> Json:
-        """The result as values that `json.dumps` takes; figures stand for the asset."""
+        """Dictionary of the result, for `json.dumps`, with `Asset.info` in place of the asset."""
         values = {field.name: getattr(self, field.name) for field in self._shown()}
         del values["path"]
         values["asset"] = asset_json(self.asset, self.path)
@@ -70,12 +72,12 @@ class BakeResult(Result):
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
 class CaptureResult(Result):
-    """A dataset.
+    """Result of a capture.
 
     Attributes:
-        dataset: its folder.
-        luminaire: what it shows.
-        views: number of its views.
+        dataset: folder of the dataset.
+        luminaire: name of the luminaire.
+        views: number of views in the dataset.
     """
 
     dataset: Path
@@ -85,14 +87,15 @@ class CaptureResult(Result):
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
 class TrainResult(Result):
-    """A trained network.
+    """Result of the training of a network.
 
     Attributes:
-        run: folder of its checkpoints.
-        steps: done in all, those of earlier calls included.
-        psnr, psnr_black: of held-out rays, and what black scores on them, dB.
-        rays_per_second: of this call.
-        stopped_by: number of the signal that ended the training early; None if none did.
+        run: folder of the checkpoints.
+        steps: number of steps, including those of earlier calls.
+        psnr: PSNR on held-out rays, dB.
+        psnr_black: PSNR of an all-black prediction of the same rays, dB.
+        rays_per_second: training speed of this call.
+        stopped_by: number of the signal that interrupted the training; None if there was none.
     """
 
     run: Path
@@ -104,11 +107,11 @@ class TrainResult(Result):
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
-class PictureResult(Result):
-    """A result with an image; notebooks show it.
+class ImageResult(Result):
+    """Base class of results with an image, which notebooks display.
 
     Attributes:
-        png: the image, as the bytes of a PNG file.
+        png: contents of a PNG file with the image.
     """
 
     png: bytes = dataclasses.field(repr=False)
@@ -118,15 +121,27 @@ class PictureResult(Result):
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
-class EvaluateResult(PictureResult):
-    """An asset compared with views of its luminaire.
+class EvaluateResult(ImageResult):
+    """Comparison of an asset with its luminaire: views, and the irradiance around it.
 
     Attributes:
-        metrics: means over the views, by name.
-        max_radiance: of the views, W/(m² sr); the metrics' unit.
-        views: the metrics of each view.
-        asset: figures of the asset.
-        sheet: file of the contact sheet; None where none was asked for.
+        metrics: metrics by name, as means over the views; the gains over black, in dB, are
+            `gain_linear` and `gain_mulaw`. If the irradiance was compared, also `irradiance_ratio`:
+            flux through a cube of three times the luminaire's size, baked over explicit;
+            `irradiance_rms`: relative RMS error of the irradiance, mean over the cube's six faces;
+            and `irradiance_rms_touching`: the same on a plane that touches the bounding box from
+            below. One whose reference is too noisy, or dark, is omitted.
+        max_radiance: L_max of the views, W/(m² sr), by which the metrics divide radiance.
+        views: metrics by name, of each view.
+        asset: `Asset.info` as a dictionary, and file and size in bytes if the asset is a file.
+        sheet: file of the contact sheet; None if none was written.
+        irradiance: `paths`, traced for each of both sides; `ratio_error`, the standard error of
+            `irradiance_ratio`; and `faces`: for each of "-x", "+x", "-y", "+y", "-z", "+z" and
+            "touching" the mean illuminance `explicit_lux` and `baked_lux`, lx, their `ratio` and
+            the relative `rms` error, with the standard errors `ratio_error` and `rms_error`. None
+            if the irradiance was not compared.
+        irradiance_sheet: file of the irradiance in false colour; None if none was written.
+        irradiance_png: this image, as the bytes of a PNG file; None if it was not made.
     """
 
     metrics: dict[str, float]
@@ -134,18 +149,21 @@ class EvaluateResult(PictureResult):
     views: list[dict[str, Any]]
     asset: Json
     sheet: Path | None
+    irradiance: Json | None = None
+    irradiance_sheet: Path | None = None
+    irradiance_png: bytes | None = dataclasses.field(default=None, repr=False)
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
-class RenderResult(PictureResult):
-    """A rendered scene.
+class RenderResult(ImageResult):
+    """Rendered image of a scene.
 
     Attributes:
-        pixels: [H, W, 3] linear radiance.
-        image: its file; None where none was asked for.
-        resolution: width and height.
-        samples_per_pixel: that it is the mean of.
-        mean_radiance: over pixels and channels, W/(m² sr).
+        pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
+        image: file of the image; None if none was written.
+        resolution: width and height in pixels.
+        samples_per_pixel: samples per pixel.
+        mean_radiance: mean over pixels and channels, W/(m² sr).
     """
 
     pixels: NDArray[np.float32] = dataclasses.field(repr=False)
@@ -157,12 +175,14 @@ class RenderResult(PictureResult):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Flux:
-    """Light that leaves a luminaire, for lengths in metres, with one standard error.
+    """Estimate of the flux that leaves a luminaire, for lengths in metres.
 
     Attributes:
-        watts, watts_error: R, G and B, W.
-        lumens, lumens_error: lm.
-        paths: that the estimate is the mean of.
+        watts: radiant flux of R, G and B, W.
+        watts_error: standard errors of `watts`, W.
+        lumens: luminous flux, lm.
+        lumens_error: standard error of `lumens`, lm.
+        paths: number of light paths of the estimate.
     """
 
     watts: tuple[float, ...]
@@ -172,7 +192,7 @@ class Flux:
     paths: int
 
     def __str__(self) -> str:
-        """Luminous flux and its standard error, both to the error's second digit."""
+        """Luminous flux ± standard error, rounded to two significant digits of the error."""
         error = self.lumens_error
         digits = max(0, 1 - math.floor(math.log10(error))) if error else 0
         return f"{self.lumens:,.{digits}f} ± {error:,.{digits}f} lm"
@@ -180,9 +200,13 @@ class Flux:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MissedFlux:
-    """Share of the luminous flux that paths of at most `path_depth` bounces miss, one std. error.
+    """Share of the luminous flux that paths of limited length miss.
 
-    The reference are paths of at most `reference_depth` bounces.
+    Attributes:
+        path_depth: largest number of bounces.
+        reference_depth: largest number of bounces of the paths that are compared with.
+        share: share of the flux, 0 to 1.
+        error: standard error of `share`.
     """
 
     path_depth: int
@@ -192,22 +216,23 @@ class MissedFlux:
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
-class PreviewResult(PictureResult):
-    """A luminaire from six sides, and its figures.
+class PreviewResult(ImageResult):
+    """Figures of a luminaire, and its views from six sides.
 
     Attributes:
-        luminaire: its name.
-        triangles: of its meshes.
-        emitters: shapes that emit.
-        max_radiance: 99.99th percentile over the pixels of the views, W/(m² sr).
-        size: sides of the bounding box, the luminaire's own unit.
-        has_media: whether it holds participating media.
-        flux: that leaves it.
-        paths_per_second: speed of tracing.
-        exposure: of the views on the sheet.
-        faults: what cannot be rendered correctly, such as dielectrics that are not closed.
-        bounces: what short paths miss; None where that was not asked for.
-        sheet: file of the contact sheet; None where none was asked for.
+        luminaire: name of the luminaire.
+        triangles: number of triangles of its meshes.
+        emitters: number of shapes that emit.
+        max_radiance: L_max, the 99.99th percentile over the pixels of the views, W/(m² sr).
+        size: [3] sides of the bounding box, in the unit of the luminaire's file.
+        has_media: whether there are participating media.
+        flux: flux that leaves the luminaire.
+        paths_per_second: speed of path tracing.
+        exposure: factor on the radiance in the first row of the contact sheet.
+        faults: one line for each fault that cannot be rendered correctly, such as a dielectric that
+            is not closed.
+        bounces: share of the flux that short paths miss; None if it was not measured.
+        sheet: file of the contact sheet; None if none was written.
     """
 
     luminaire: str
@@ -225,7 +250,7 @@ class PreviewResult(PictureResult):
 
 
 def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
-    """The figures of an asset, with its file where it has one."""
+    """`Asset.info` as a dictionary, with `file` and `file_bytes` if `path` is not None."""
     info: Json = plain(asset.info)
     if path is None:
         return info
@@ -233,7 +258,7 @@ def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
 
 
 def plain(value: Any) -> Any:
-    """The value with paths as text, and all that holds others as lists and dictionaries."""
+    """Convert a value for `json.dumps`: paths to text, arrays and tuples to lists, and so on."""
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, dict):

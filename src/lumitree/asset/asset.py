@@ -1,18 +1,20 @@
 """The in-memory form of a baked luminaire, and every invariant it must satisfy.
 
 Symbols
-    N   interior nodes          M   leaves          K   (l_max + 1)² coefficients a channel
-    octant                      x + 2y + 4z, each 0 for the lower half and 1 for the upper
+    N   interior nodes          M   leaves          K   (l_max + 1)² coefficients per channel
+    octant                      x + 2y + 4z; each of x, y, z is 0 in the lower half, 1 in the upper
 """
 
 import dataclasses
-from typing import Any
+import functools
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lumitree.asset.checks import expect, expect_arrays
+from lumitree.asset.exitant import ExitantField
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.frames import check_local_frame, similarity_scale
+from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import label
 from lumitree.core.transmittance import LAWS, Law
@@ -22,13 +24,14 @@ from lumitree.octree.build import MAX_TREE_DEPTH
 # What a renderer computes from values within these bounds is finite in float32, squares included.
 MIN_RADIANCE, MAX_RADIANCE = 1e-15, 1e15
 MAX_DENSITY = 1e15
+_expect = functools.partial(expect, "asset")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Asset:
     """A sparse octree over the cube [-1, 1]³ of the local frame.
 
-    Inside a leaf density and coefficients are constant. The emission towards a viewer in
+    Density and coefficients are constant within a leaf. The emission towards a viewer in
     direction v is Φ = max_radiance · sigmoid(Σ coefficient · Y(v)).
 
     Attributes:
@@ -38,13 +41,16 @@ class Asset:
         coefficients: float16 [M, 3, K], spherical-harmonics coefficients of the logit.
         tree_depth: level of the smallest possible leaf, whose side is 2 / 2**tree_depth.
         l_max: highest spherical-harmonics band, 0 to 4.
-        law: transmittance law the field was made for.
+        law: transmittance law that the field was made for, "linear" or "exponential".
         max_radiance: L_max, the upper end of the emission, 1e-15 to 1e15; radiance units of the
             luminaire's own scene.
-        half_extents: float [3], the proxy box in local units, at least 1e-3; the longest is 1.
-        world_from_proxy: float [4, 4], a similarity from the local frame to that of the luminaire's
-            file. Its scale is 1e-12 to 1e12, its translation at most 1e12 along each axis.
-        luminaire: where the field came from, for people; kept as a `core.reading.label`.
+        frame: the luminaire's local frame.
+        luminaire: name of the luminaire, for messages; kept as a `core.reading.label`.
+        exitant: what the luminaire sends to receivers outside its box; None if the field serves
+            for that too.
+
+    Raises:
+        LumitreeError: a member has a wrong type, shape or range, or the tree is inconsistent.
     """
 
     children: NDArray[np.int32]
@@ -54,9 +60,9 @@ class Asset:
     l_max: int
     law: Law
     max_radiance: float
-    half_extents: NDArray[np.float64]
-    world_from_proxy: NDArray[np.float64]
+    frame: LocalFrame
     luminaire: str
+    exitant: ExitantField | None = None
 
     def __post_init__(self) -> None:
         """Refuse anything that a renderer could not traverse safely."""
@@ -72,13 +78,13 @@ class Asset:
 
     @property
     def num_bytes(self) -> int:
-        """Bytes of tree and payload."""
-        return self.children.nbytes + self.density.nbytes + self.coefficients.nbytes
+        """Bytes of the octree, the densities, the coefficients and the exitant light field."""
+        exitant = 0 if self.exitant is None else self.exitant.num_bytes
+        return self.children.nbytes + self.density.nbytes + self.coefficients.nbytes + exitant
 
     @property
     def info(self) -> "AssetInfo":
-        """The asset in figures."""
-        size = 2 * self.half_extents * similarity_scale(self.world_from_proxy)
+        """Size, depth and bounds of the asset."""
         return AssetInfo(
             luminaire=self.luminaire,
             tree_depth=self.tree_depth,
@@ -87,22 +93,25 @@ class Asset:
             l_max=self.l_max,
             law=self.law,
             max_radiance=self.max_radiance,
-            size=(float(size[0]), float(size[1]), float(size[2])),
-            centre=tuple(self.world_from_proxy[:3, 3].tolist()),
+            size=tuple(self.frame.size.tolist()),
+            centre=tuple(self.frame.centre.tolist()),
+            exitant_cells=0 if self.exitant is None else len(self.exitant.cells),
         )
 
     def eval(
         self, origin: ArrayLike, direction: ArrayLike
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Radiance emitted along lines, and their transmittance (Eq. 3 and 4).
+        """Radiance emitted along rays, and their transmittance (Eq. 3 and 4).
+
+        A ray crosses the whole luminaire, also the part that lies behind its origin.
 
         Args:
-            origin: [N, 3] any point of each line, in the frame and unit of the luminaire's file.
-            direction: [N, 3] directions of travel, of any length but 0.
+            origin: [N, 3] any point on each ray, in the frame and unit of the luminaire's file.
+            direction: [N, 3] directions of travel, away from the viewer, of any length but 0.
 
         Returns:
-            Radiance [N, 3], W/(m² sr), that reaches a viewer who looks along the line from outside
-            the lamp; and transmittance [N] in [0, 1].
+            Radiance [N, 3], W/(m² sr), that a viewer outside the luminaire receives along each
+            ray; and transmittance [N] in [0, 1].
 
         Raises:
             LumitreeError: the arrays are not [N, 3] finite numbers, or a direction is 0.
@@ -114,34 +123,34 @@ class Asset:
             )
         length = np.linalg.norm(direction, axis=1, keepdims=True)
         if not (np.isfinite(origin).all() and np.isfinite(length).all() and (length > 0).all()):
-            raise LumitreeError("lines need finite origins and finite directions other than 0")
+            raise LumitreeError("rays need finite origins and finite directions other than 0")
         load_mitsuba()
         from lumitree.octree.field import shared_field
 
-        # Held, so that the next call finds it open; by the variant that is set now.
+        # The reference keeps the device copy alive for the next call.
         self.__dict__["_field"] = field = shared_field(self)
-        return field.eval_lines(*self._local_lines(origin, direction / length))
+        return field.eval_rays(*self._local_rays(origin, direction / length))
 
-    def _local_lines(self, origin, direction):
-        """Lines in the local frame: points [N, 3] and unit directions [N, 3]."""
-        scale = similarity_scale(self.world_from_proxy)
-        rotation = self.world_from_proxy[:3, :3] / scale
-        return (origin - self.world_from_proxy[:3, 3]) @ rotation / scale, direction @ rotation
+    def _local_rays(self, origin, direction):
+        """Points [N, 3] and unit directions [N, 3] in the local frame."""
+        frame, rotation = self.frame, self.frame.rotation
+        return (origin - frame.centre) @ rotation / frame.scale, direction @ rotation
 
 
 @dataclasses.dataclass(frozen=True)
 class AssetInfo:
-    """An asset in figures.
+    """Size, depth and bounds of an asset.
 
     Attributes:
-        luminaire: where it came from.
+        luminaire: name of the luminaire.
         tree_depth: level of the smallest possible leaf.
-        leaves, nodes: of the octree.
+        leaves, nodes: numbers of leaves and of interior nodes of the octree.
         l_max: highest spherical-harmonics band.
         law: transmittance law, "linear" or "exponential".
         max_radiance: upper end of the emission, W/(m² sr).
-        size: sides of the bounding box, the unit of the luminaire's file.
-        centre: of the bounding box, in the frame of the luminaire's file.
+        size: [3] sides of the bounding box, in the unit of the luminaire's file.
+        centre: [3] centre of the bounding box, in the frame of the luminaire's file.
+        exitant_cells: number of cells of the exitant light field; 0 if there is none.
     """
 
     luminaire: str
@@ -153,11 +162,23 @@ class AssetInfo:
     max_radiance: float
     size: tuple[float, ...]
     centre: tuple[float, ...]
+    exitant_cells: int
 
 
-def _expect(condition: Any, message: str) -> None:
-    if not condition:
-        raise LumitreeError(f"invalid asset: {message}")
+def exitant_asset(exitant: ExitantField, frame: LocalFrame, luminaire: str) -> Asset:
+    """An asset whose field is empty: it lights its surroundings, and lets all light through."""
+    return Asset(
+        children=np.zeros((1, 8), np.int32),
+        density=np.zeros(0, np.float32),
+        coefficients=np.zeros((0, 3, 1), np.float16),
+        tree_depth=1,
+        l_max=0,
+        law="exponential",
+        max_radiance=1.0,
+        frame=frame,
+        luminaire=luminaire,
+        exitant=exitant,
+    )
 
 
 def _check_scalars(asset: Asset) -> None:
@@ -174,16 +195,13 @@ def _check_scalars(asset: Asset) -> None:
         MIN_RADIANCE <= asset.max_radiance <= MAX_RADIANCE,
         f"maximum radiance {asset.max_radiance!r}, expected {MIN_RADIANCE} to {MAX_RADIANCE}",
     )
-    try:
-        check_local_frame(asset.half_extents, asset.world_from_proxy)
-    except LumitreeError as error:
-        raise LumitreeError(f"invalid asset: {error}") from None
 
 
 def _check_payload(asset: Asset) -> None:
-    leaves = len(asset.density)
-    shapes = {
-        "children": (asset.children, np.int32, (len(asset.children), 8)),
+    # An array of a file may have no dimensions, and so no length.
+    leaves = asset.density.size
+    arrays = {
+        "children": (asset.children, np.int32, (*asset.children.shape[:1], 8)),
         "density": (asset.density, np.float32, (leaves,)),
         "coefficients": (
             asset.coefficients,
@@ -191,11 +209,7 @@ def _check_payload(asset: Asset) -> None:
             (leaves, 3, num_coefficients(asset.l_max)),
         ),
     }
-    for name, (array, dtype, shape) in shapes.items():
-        _expect(
-            array.dtype == dtype and array.shape == shape,
-            f"{name} is {array.dtype} {array.shape}, expected {np.dtype(dtype)} {shape}",
-        )
+    expect_arrays("asset", arrays)
     _expect(
         ((asset.density >= 0) & (asset.density <= MAX_DENSITY)).all(),
         f"density holds NaN, negative values or values above {MAX_DENSITY}",
@@ -217,7 +231,7 @@ def _check_tree(children: NDArray[np.int32], num_leaves: int, tree_depth: int) -
         len(leaves) == num_leaves and (np.bincount(leaves, minlength=num_leaves) == 1).all(),
         "leaves are not each referenced exactly once",
     )
-    # Every node referenced once and each level reached from the root rules out cycles.
+    # A tree in which every node is referenced once and reached from the root has no cycle.
     level, reached = np.array([0]), 0
     for _ in range(tree_depth):
         reached += len(level)

@@ -12,18 +12,23 @@ import safetensors.numpy
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
+from lumitree.asset.exitant import ExitantField
 from lumitree.core.files import atomic_path
+from lumitree.core.frames import FRAME_KEYS, LocalFrame
 from lumitree.core.reading import Record, parse_json, read_bytes
 from lumitree.core.transmittance import LAWS
 from lumitree.errors import LumitreeError
 
 FORMAT = "lumitree"
-VERSION = 1
+# Files without an exitant light field have the first version, which older readers know.
+VERSION, VERSION_WITH_EXITANT = 1, 2
 ACTIVATION = "sigmoid"
 _MAX_HEADER_BYTES = 1 << 20
 # Three million leaves, the most that a bake makes, take at most 0.6 GB.
 MAX_BYTES = 1 << 32
 _TENSORS = {"children": "I32", "density": "F32", "coefficients": "F16"}
+_EXITANT_TENSORS = {"exitant.cells": "U8", "exitant.lit": "U8", "exitant.intensity": "U32"}
+_EXITANT_KEYS = ("depth", "resolution", "scale")
 _KEYS = (
     "format",
     "version",
@@ -33,13 +38,22 @@ _KEYS = (
     "law",
     "activation",
     "max_radiance",
-    "half_extents",
-    "world_from_proxy",
+    *FRAME_KEYS,
 )
 
 
 def save(asset: Asset, path: str | os.PathLike[str]) -> None:
-    """Write `asset` to `path`, atomically; equal assets give equal bytes."""
+    """Write an asset to a file; equal assets give equal bytes.
+
+    The file appears, or replaces another one, only when it is complete.
+
+    Args:
+        asset: the asset to write.
+        path: path of the file, usually with the suffix `.lumitree`.
+
+    Raises:
+        LumitreeError: the file cannot be written.
+    """
     tensors = {
         "children": asset.children,
         "density": asset.density,
@@ -54,11 +68,18 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
         "law": asset.law,
         "activation": ACTIVATION,
         "max_radiance": asset.max_radiance,
-        "half_extents": asset.half_extents.tolist(),
-        "world_from_proxy": asset.world_from_proxy.tolist(),
+        **asset.frame.members(),
     }
+    if (exitant := asset.exitant) is not None:
+        tensors |= {
+            "exitant.cells": exitant.cells,
+            "exitant.lit": exitant.lit,
+            "exitant.intensity": exitant.intensity,
+        }
+        description["version"] = VERSION_WITH_EXITANT
+        description["exitant"] = {key: getattr(exitant, key) for key in _EXITANT_KEYS}
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    # One key only: safetensors does not keep the order of several.
+    # One key only: safetensors does not keep the order of several keys.
     metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
     with atomic_path(path) as temporary:
         try:
@@ -72,10 +93,16 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
 
 
 def load(path: str | os.PathLike[str]) -> Asset:
-    """Read and check an asset; no code in the file is run.
+    """Read an asset from a file, and check it. Nothing in the file is executed.
+
+    Args:
+        path: path of a `.lumitree` file.
+
+    Returns:
+        The asset.
 
     Raises:
-        LumitreeError: the file is missing, is no asset, is damaged or breaks an invariant.
+        LumitreeError: the file is missing, damaged or not an asset, or breaks an invariant.
     """
     content = read_bytes(path, "a .lumitree asset", MAX_BYTES)
     try:
@@ -90,27 +117,46 @@ def load(path: str | os.PathLike[str]) -> Asset:
 
 def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
     description = Record(value, "the description")
-    # First: another version may have other members.
+    # Checked first, because files of other versions may have other members.
     description.choice("format", (FORMAT,))
-    description.expect_version(VERSION)
-    description.expect_keys(*_KEYS)
+    version = description.expect_version(VERSION, VERSION_WITH_EXITANT)
+    description.expect_keys(*_KEYS, *(["exitant"] if version == VERSION_WITH_EXITANT else []))
     description.choice("activation", (ACTIVATION,))
+    exitant = None
+    if version == VERSION_WITH_EXITANT:
+        exitant = _build_exitant(description.record("exitant"), tensors)
+    elif len(tensors) != len(_TENSORS):
+        raise LumitreeError(f"version {VERSION} has no exitant light field")
     return Asset(
-        **tensors,
+        **{name: tensors[name] for name in _TENSORS},
         tree_depth=description.integer("tree_depth"),
         l_max=description.integer("l_max"),
         law=description.choice("law", LAWS),
         max_radiance=description.number("max_radiance"),
-        half_extents=description.array("half_extents", 3),
-        world_from_proxy=description.array("world_from_proxy", 4, 4),
+        frame=LocalFrame.of_record(description),
         luminaire=description.label("luminaire"),
+        exitant=exitant,
+    )
+
+
+def _build_exitant(description: Record, tensors: dict[str, NDArray[Any]]) -> ExitantField:
+    description.expect_keys(*_EXITANT_KEYS)
+    if not tensors.keys() >= _EXITANT_TENSORS.keys():
+        raise LumitreeError("the tensors of the exitant light field are missing")
+    return ExitantField(
+        cells=tensors["exitant.cells"],
+        lit=tensors["exitant.lit"],
+        intensity=tensors["exitant.intensity"],
+        depth=description.integer("depth"),
+        resolution=description.integer("resolution"),
+        scale=description.number("scale"),
     )
 
 
 def _read_header(content: bytes) -> str:
-    """The metadata of a file; refuses every header that is not one of ours.
+    """The metadata of a file; refuses every header that lumitree does not write.
 
-    safetensors itself takes the last of two members of one name.
+    safetensors itself accepts a repeated key, and uses the last of its values.
     """
     size = len(content)
     length = struct.unpack("<Q", content[:8])[0] if size >= 8 else size
@@ -119,12 +165,15 @@ def _read_header(content: bytes) -> str:
             f"a header of {length} bytes in a file of {size} (limit {_MAX_HEADER_BYTES})"
         )
     header = Record(parse_json(content[8 : 8 + length]), "the header")
-    header.expect_keys("__metadata__", *_TENSORS)
-    for name, dtype in _TENSORS.items():
+    tensors = dict(_TENSORS)
+    if header.has("exitant.cells"):
+        tensors |= _EXITANT_TENSORS
+    header.expect_keys("__metadata__", *tensors)
+    for name, dtype in tensors.items():
         tensor = header.record(name)
         tensor.expect_keys("dtype", "shape", "data_offsets")
         tensor.choice("dtype", (dtype,))
-        # What these say, and whether they fit the file, safetensors checks.
+        # safetensors checks their values, and whether they fit the file.
         for key in ("shape", "data_offsets"):
             tensor.integers(key)
     metadata = header.record("__metadata__")

@@ -1,7 +1,8 @@
 """Built-in luminaires, one module each.
 
 Frame of every lamp: metres, y up, the origin where it meets the ceiling (hanging lamps) or what it
-stands on. Emitted radiance is in W/(m² sr) for each of R, G and B, up to one overall factor.
+stands on. Emitted radiance is in W/(m² sr) for each of R, G and B; its scale is
+arbitrary.
 
 Glass walls are solid: an outer and an inner surface around them, each closed, normals out of the
 glass. Nothing touches the glass, and every filament is an emitter of its own, because Mitsuba

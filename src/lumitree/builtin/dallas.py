@@ -1,7 +1,7 @@
 """`dallas`: eight clear bulbs below a black steel hoop, 0.65 m.
 
-A stand-in for the paper's Dallas, not its model: like that one it is known by the caustic paths
-through clear bulbs with coiled filaments.
+A stand-in for the paper's Dallas, not its model: like that one, it emits mostly along
+caustic paths, through clear bulbs with coiled filaments.
 """
 
 import numpy as np

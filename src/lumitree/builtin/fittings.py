@@ -1,4 +1,4 @@
-"""What lamps hang and stand on: canopies, rods, chains, bands, candles."""
+"""Fittings of lamps: canopies, rods, chains, bands, candles."""
 
 import numpy as np
 from numpy.typing import ArrayLike

@@ -1,4 +1,4 @@
-"""Places in a lamp: where a part's own frame stands."""
+"""Places of parts in a lamp: transforms `lamp_from_part` [4, 4]."""
 
 import numpy as np
 from numpy.typing import ArrayLike

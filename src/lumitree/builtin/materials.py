@@ -11,7 +11,7 @@ OPAL_SHEET = Material(
     "opal_sheet",
     Principled((0.93, 0.88, 0.78), roughness=0.6, diffuse_transmission=1.1, thin=True),
 )
-# Gold, toned down: Mitsuba has no data for brass.
+# Gold with a darker tint: Mitsuba has no data for brass.
 BRASS = Material("brass", Metal((0.95, 0.86, 0.86), 0.45, "Au"))
 BRONZE = Material("bronze", Metal((0.3, 0.27, 0.25), 0.5, "Cu"))
 BLACK_STEEL = Material("black", Metal((0.15, 0.14, 0.13), 0.55, "Cr"))
@@ -20,5 +20,5 @@ TUNGSTEN = Material("tungsten", Metal((1.0, 1.0, 1.0), 0.55, "W"))
 
 
 def emitting(material: Material, name: str, radiance: RGB) -> Material:
-    """The material under another name, glowing with `radiance`, W/(m² sr)."""
+    """The material under another name, emitting `radiance`, W/(m² sr)."""
     return dataclasses.replace(material, name=name, radiance=radiance)

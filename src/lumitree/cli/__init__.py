@@ -1,4 +1,4 @@
-"""The command line: one file a command, each of which calls one function of `lumitree`."""
+"""The command line. Each command has one file, and calls one function of `lumitree`."""
 
 from lumitree.cli.app import main
 

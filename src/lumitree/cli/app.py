@@ -1,4 +1,4 @@
-"""The program `lumitree`: arguments in, one command, its errors in one line."""
+"""The program `lumitree`: parses the command line, runs one command, prints errors in one line."""
 
 import os
 import sys
@@ -26,7 +26,7 @@ from lumitree.core.interrupt import Interrupted, interruptible
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 DEBUG = "LUMITREE_DEBUG"
-# Their values may begin with a minus sign, which argparse would take for an option.
+# Options whose values may begin with a minus sign, which argparse would parse as an option.
 _VECTOR_OPTIONS = ("--at", "--rotate")
 _COMMANDS = (
     list_luminaires,
@@ -46,9 +46,12 @@ _COMMANDS = (
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command.
 
+    Args:
+        argv: arguments of the command line. Default: those of the process.
+
     Returns:
-        The exit status: 0; 1 for an error in lumitree; 2 for bad input; 128 and the signal's number
-        where a signal ended it.
+        The exit status: 0 for success, 1 for an error in lumitree, 2 for invalid input, and 128
+        plus the number of the signal if the command was interrupted.
     """
     arguments = _join_vectors(list(sys.argv[1:] if argv is None else argv))
     if not arguments:
@@ -67,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 write_json(args.json, result if isinstance(result, dict) else result.to_json())
             return _status(result)
         except BrokenPipeError:
-            # The reader of our output (a pager, head) has gone.
+            # The program that reads the output, such as `head`, has closed it.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
         except (Exception, KeyboardInterrupt) as error:
@@ -75,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _status(result: Any) -> int:
-    """Exit status of a command that has returned; says so where a signal ended it early."""
+    """Exit status of a command that has returned; prints one line if it was interrupted."""
     number = getattr(result, "stopped_by", None)
     if number is None:
         return 0
@@ -85,19 +88,21 @@ def _status(result: Any) -> int:
 
 
 def _check_json_output(path: str | None) -> None:
-    """Refuse a file for results that could not be written at the end; makes no folder for it."""
+    """Refuse a file for the results that cannot be written; makes no folder for it."""
     if path is None:
         return
     from lumitree.core.files import check_writable
 
     folder = os.path.dirname(path) or "."
     if not os.path.isdir(folder):
-        raise LumitreeError(f"--json: no folder {shown(folder, 300)}; make it, or name another")
+        raise LumitreeError(
+            f"--json: there is no folder {shown(folder, 300)}; make it, or choose another"
+        )
     check_writable(path)
 
 
 def _explain(error: BaseException) -> int:
-    """Print what went wrong in one line; returns the exit status."""
+    """Print an error in one line; returns the exit status."""
     interrupted = _interruption(error)
     if interrupted is not None:
         done = str(interrupted) or "the same command continues where that is possible"
@@ -113,7 +118,10 @@ def _explain(error: BaseException) -> int:
 
 
 def _interruption(error: BaseException | None) -> Interrupted | None:
-    """The signal behind an error; Dr.Jit wraps what is raised while it traces a loop."""
+    """The signal that caused an error; None if it was not a signal.
+
+    Dr.Jit wraps an exception that is raised while it traces a loop.
+    """
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error if error is None or isinstance(error, Interrupted) else Interrupted()
@@ -141,7 +149,7 @@ def _join_vectors(arguments: list[str]) -> list[str]:
 def _parser() -> Parser:
     parser = Parser(
         prog="lumitree",
-        description="Bake a complex luminaire once; light Mitsuba 3 scenes with it ever after.",
+        description="Bake a complex luminaire into a compact emitter for Mitsuba 3.",
         epilog="LUMINAIRE is a built-in name (see 'lumitree list'), a Mitsuba 3 scene (.xml), or a "
         "model (.obj, .gltf, .glb) with an optional .toml of the same name beside it; see "
         "docs/bring-your-own-lamp.md.",

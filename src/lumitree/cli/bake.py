@@ -7,42 +7,58 @@ from lumitree.cli import options
 from lumitree.cli.output import print_result
 from lumitree.errors import LumitreeError
 
-# Options that only one method has.
-_DIRECT_ONLY = ("quality", "time", "rays", "seed", "l_max", "law")
+# Options that apply to one method only.
+_DIRECT_ONLY = ("quality", "time", "rays", "seed", "l_max", "law", "parts")
 _NETWORK_ONLY = ("preset",)
 
 
 def add(commands: Any) -> None:
-    parser = options.command(commands, "bake", "turn a luminaire into an asset", run)
+    parser = options.command(commands, "bake", "convert a luminaire into an asset", run)
     options.add_luminaire(parser, "; or the folder of a dataset")
-    options.add_output(parser, "ASSET", "the .lumitree file; run again to continue")
+    options.add_output(
+        parser,
+        "ASSET",
+        "the .lumitree file to write; the same command continues an interrupted bake",
+    )
     parser.add_argument(
         "--method",
         choices=("direct", "nerf"),
         default="direct",
-        help="direct: from traced rays, in minutes; nerf: the paper's views and network",
+        help="direct: from traced rays, in minutes; nerf: by a network, as in the paper",
     )
     parser.add_argument(
         "--quality",
         choices=("preview", "standard", "high"),
-        help="of direct, on 2 CPU cores: 1 minute and depth 7, 5 and 8 (standard), or 30 and 10",
+        help="direct only. preview: depth 7, 1 minute on 2 CPU cores; standard (default): depth 8, "
+        "5 minutes; high: depth 10, 30 minutes",
     )
-    # No defaults, so that options of the other method can be refused.
+    # There are no defaults here, so that `run` can refuse options of the other method.
     options.add_budget(parser, seed=None)
     options.add_preset(parser, default=None)
     parser.add_argument(
         "--depth",
         type=int,
         metavar="D",
-        help="octree levels, 1 to 10 (default: the quality's or the preset's)",
+        help="tree depth, 1 to 10 (default: that of the quality or of the preset)",
     )
     parser.add_argument(
-        "--l-max", type=int, metavar="L", help="highest harmonics of direct, 0 to 4 (default: 2)"
+        "--l-max",
+        dest="l_max",
+        type=int,
+        metavar="L",
+        help="direct only: highest band of the spherical harmonics, 0 to 4 (default: 2)",
     )
     parser.add_argument(
         "--law",
         choices=("linear", "exponential"),
-        help="transmittance law of direct (default: exponential)",
+        help="direct only: transmittance law (default: exponential)",
+    )
+    parser.add_argument(
+        "--parts",
+        type=lambda text: tuple(text.split(",")),
+        metavar="PARTS",
+        help="direct only: what the asset gets, separated by commas. exitant: what the luminaire "
+        "sends to its surroundings; field: what images show of it (default: exitant,field)",
     )
     options.add_work(parser)
     options.add_variant(parser)
@@ -54,7 +70,7 @@ def run(args: argparse.Namespace) -> Any:
     unused = _NETWORK_ONLY if args.method == "direct" else _DIRECT_ONLY
     if given := [name for name in unused if getattr(args, name) is not None]:
         names = ", ".join("--" + name.replace("_", "-") for name in given)
-        raise LumitreeError(f"{names}: unknown to --method {args.method}; leave it out")
+        raise LumitreeError(f"{names}: not for --method {args.method}; leave it out")
     luminaire = options.luminaire(args, args.luminaire)
     if args.method == "nerf":
         result = lumitree.bake_network(
@@ -75,6 +91,7 @@ def run(args: argparse.Namespace) -> Any:
             tree_depth=args.depth,
             l_max=args.l_max,
             law=args.law,
+            parts=args.parts or ("exitant", "field"),
             seed=args.seed or 0,
             work=args.work,
             variant=args.variant,

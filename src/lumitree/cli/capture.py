@@ -11,9 +11,14 @@ def add(commands: Any) -> None:
     text = "render views of a luminaire: radiance and opacity"
     parser = options.command(commands, "capture", text, run)
     options.add_luminaire(parser)
-    options.add_output(parser, "DATASET", "folder for the views; run again to continue")
+    options.add_output(
+        parser, "DATASET", "folder for the views; the same command continues an interrupted capture"
+    )
     parser.add_argument(
-        "--split", choices=("train", "test"), default="train", help="which directions"
+        "--split",
+        choices=("train", "test"),
+        default="train",
+        help="set of view directions; the two have none in common",
     )
     options.add_views(parser, 100, 256, 128)
     options.add_variant(parser)

@@ -8,14 +8,14 @@ from lumitree.cli.output import print_metrics, print_report
 
 
 def add(commands: Any) -> None:
-    text = "bake the built-in lamp and hang it in a room"
+    text = "bake a built-in lamp, and compare it with the explicit lamp in a room"
     parser = options.command(commands, "demo", text, run)
     parser.add_argument(
         "-o",
         dest="output",
         metavar="DIR",
         default="demo-output",
-        help="folder for images, report and asset",
+        help="folder for the images, the report and the asset",
     )
     options.add_variant(parser)
 
@@ -27,9 +27,10 @@ def run(args: argparse.Namespace) -> Any:
     evaluation = report["evaluate"]
     print_metrics(evaluation)
     metrics = evaluation["metrics"]
-    linear = metrics["psnr_linear"] - metrics["psnr_linear_black"]
-    mulaw = metrics["psnr_mulaw"] - metrics["psnr_mulaw_black"]
-    print(f"gain over black: {linear:.1f} dB linear, {mulaw:.1f} dB mu-law")
+    print(
+        f"gain over an all-black image: {metrics['gain_linear']:.1f} dB linear, "
+        f"{metrics['gain_mulaw']:.1f} dB mu-law"
+    )
     print_report({name: report[name] for name in ("seconds", "peak_memory_bytes")})
     print(f"written: {', '.join(report['files'])}")
     return report

@@ -9,22 +9,31 @@ from lumitree.cli.output import print_metrics
 
 
 def add(commands: Any) -> None:
-    text = "compare an asset with held-out views of its luminaire"
+    text = "compare an asset with its luminaire: held-out views, and the irradiance around it"
     parser = options.command(commands, "evaluate", text, run)
     parser.add_argument("asset", metavar="ASSET", help="a .lumitree file")
     parser.add_argument(
         "target",
         metavar="LUMINAIRE|DATASET",
-        help="what to compare with; views of a LUMINAIRE are captured first",
+        help="the luminaire, of which views are rendered first; or the folder of a dataset, with "
+        "which the irradiance is not compared",
     )
     options.add_reading(parser)
     parser.add_argument(
         "-o",
         dest="output",
         metavar="SHEET",
-        help="contact sheet (default: ASSET's name with -evaluation.png)",
+        help="contact sheet, .png (default: the name of ASSET with -evaluation.png); the "
+        "irradiance in false colour is written beside it, with -irradiance.png",
     )
     options.add_views(parser, 8, 256, 256)
+    parser.add_argument(
+        "--irradiance-paths",
+        type=int,
+        metavar="N",
+        default=1 << 20,
+        help="light paths that estimate the irradiance; 0: it is not compared",
+    )
     options.add_variant(parser)
 
 
@@ -38,6 +47,7 @@ def run(args: argparse.Namespace) -> Any:
         num_views=args.views,
         resolution=args.resolution,
         samples_per_pixel=args.spp,
+        irradiance_paths=args.irradiance_paths,
         variant=args.variant,
     )
     print_metrics(result.to_json())

@@ -8,16 +8,18 @@ from lumitree.cli.output import print_result
 
 
 def add(commands: Any) -> None:
-    text = "distil a trained network into an octree asset"
+    text = "convert a trained network into an asset"
     parser = options.command(commands, "extract", text, run)
-    parser.add_argument("run_folder", metavar="RUN", help="folder made by 'lumitree train'")
-    options.add_output(parser, "ASSET", "the .lumitree file")
+    parser.add_argument(
+        "run_folder", metavar="RUN", help="folder of the run, made by 'lumitree train'"
+    )
+    options.add_output(parser, "ASSET", "the .lumitree file to write")
     parser.add_argument(
         "--depth",
         type=int,
         metavar="D",
         default=8,
-        help="octree levels, 1 to 10: 2^D cells across the luminaire",
+        help="tree depth, 1 to 10; there are 2^D leaves along the longest side of the luminaire",
     )
 
 

@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""Options that several commands have."""
 
 import argparse
 import math
@@ -11,17 +11,17 @@ LUMINAIRE = "built-in name, Mitsuba 3 scene (.xml) or model (.obj, .gltf, .glb)"
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are those of lumitree."""
+    """Argument parser that raises `LumitreeError`."""
 
     def error(self, message: str) -> NoReturn:
         raise LumitreeError(f"{message}; see '{self.prog} --help'")
 
 
 class Formatter(argparse.ArgumentDefaultsHelpFormatter):
-    """Shows defaults, except of flags and of options whose help says what happens without."""
+    """Help formatter that shows defaults, except of flags and of options whose default is None."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
-        if action.default in (None, False):
+        if action.default in (None, False, []):
             return action.help
         return super()._get_help_string(action)
 
@@ -32,10 +32,14 @@ def command(
     """Add a command.
 
     Args:
-        commands: what `add_subparsers` returned.
-        name: of the command.
-        text: what it does, in a few words.
-        run: called with the parsed arguments; prints, and returns a `Result`.
+        commands: the object that `add_subparsers` returned.
+        name: name of the command.
+        text: short description, which starts with a verb in lower case.
+        run: function that is called with the parsed arguments. It prints its results, and returns
+            a `Result` or a dictionary for `--json`.
+
+    Returns:
+        The parser of the command, to which its options are added.
     """
     parser = commands.add_parser(
         name, help=text, description=text[0].upper() + text[1:] + ".", formatter_class=Formatter
@@ -46,50 +50,50 @@ def command(
 
 
 def add_luminaire(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """LUMINAIRE and what changes how it is read."""
+    """Add LUMINAIRE and the options of `add_reading`; `more` is added to the help."""
     parser.add_argument("luminaire", metavar="LUMINAIRE", help=LUMINAIRE + more)
     add_reading(parser)
 
 
 def add_reading(parser: argparse.ArgumentParser) -> None:
-    """What changes how a luminaire is read."""
+    """Add `--materials`, `--keep` and `--drop`."""
     parser.add_argument(
         "--materials",
         metavar="FILE",
-        help="TOML overrides of a model's materials, unit and up axis (default: the .toml beside "
-        "the model, if there is one)",
+        help="TOML file that overrides materials, unit and up axis of a model (default: the .toml "
+        "file with the model's name, if there is one)",
     )
     parser.add_argument(
         "--keep",
         metavar="PATTERN",
         action="append",
         default=[],
-        help="take only the shapes (.xml, by id) or parts (models, by part or material) whose name "
-        "matches, with * and ?; may be repeated",
+        help="take only the shapes (.xml, by id) or parts (models, by name or material) that match "
+        "the pattern, with * and ?; may be repeated",
     )
     parser.add_argument(
         "--drop",
         metavar="PATTERN",
         action="append",
         default=[],
-        help="leave out what matches; may be repeated",
+        help="leave out the shapes or parts that match the pattern; may be repeated",
     )
 
 
 def luminaire(args: argparse.Namespace, name: str) -> Any:
-    """What LUMINAIRE and the options of `add_reading` name."""
+    """`LuminaireSource` of the luminaire `name` and the options of `add_reading`."""
     from lumitree.luminaire.source import LuminaireSource
 
     return LuminaireSource(name, args.materials, tuple(args.keep), tuple(args.drop))
 
 
 def add_output(parser: argparse.ArgumentParser, metavar: str, text: str) -> None:
-    """`-o`, which is required."""
+    """Add the required option `-o`."""
     parser.add_argument("-o", dest="output", metavar=metavar, required=True, help=text)
 
 
 def add_variant(parser: argparse.ArgumentParser) -> None:
-    """`--variant`."""
+    """Add `--variant`."""
     parser.add_argument(
         "--variant",
         metavar="NAME",
@@ -98,40 +102,43 @@ def add_variant(parser: argparse.ArgumentParser) -> None:
 
 
 def add_views(parser: argparse.ArgumentParser, views: int, resolution: int, samples: int) -> None:
-    """`--views`, `--resolution` and `--spp`."""
+    """Add `--views`, `--resolution` and `--spp`, with their defaults."""
     parser.add_argument("--views", type=int, metavar="N", default=views, help="number of views")
     add_pixels(parser, resolution, samples)
 
 
 def add_pixels(parser: argparse.ArgumentParser, resolution: int, samples: int) -> None:
-    """`--resolution` and `--spp`."""
+    """Add `--resolution` and `--spp`, with their defaults."""
     parser.add_argument(
-        "--resolution", type=int, metavar="R", default=resolution, help="pixels a side"
+        "--resolution", type=int, metavar="R", default=resolution, help="pixels per side of a view"
     )
-    parser.add_argument("--spp", type=int, metavar="S", default=samples, help="paths a pixel")
+    parser.add_argument("--spp", type=int, metavar="S", default=samples, help="paths per pixel")
 
 
 def add_preset(parser: argparse.ArgumentParser, default: str | None = "preview") -> None:
-    """`--preset`."""
+    """Add `--preset`."""
     parser.add_argument(
         "--preset",
         choices=("preview", "paper"),
         default=default,
-        help="preview: minutes on 2 CPU cores; paper: the paper's settings, days on a GPU",
+        help="settings of the network. preview: minutes on 2 CPU cores; paper: days on a GPU",
     )
 
 
 def add_budget(parser: argparse.ArgumentParser, seed: int | None = 0) -> None:
-    """`--time`, `--rays` and `--seed`."""
+    """Add `--time`, `--rays` and `--seed`."""
     parser.add_argument(
         "--time",
         type=duration,
         metavar="T",
-        help="budget such as 90s, 5m or 1h (default: the quality's); a first estimate, of some 20 "
-        "seconds, is always made where there is none",
+        help="budget of time, such as 90s, 5m or 1h (default: that of the quality); the first "
+        "estimate of a bake, about 20 seconds, is always completed",
     )
     parser.add_argument(
-        "--rays", type=int, metavar="N", help="budget of refinement rays, besides or without --time"
+        "--rays",
+        type=int,
+        metavar="N",
+        help="budget of rays for the gradient descent, instead of --time or in addition to it",
     )
     parser.add_argument(
         "--seed",
@@ -144,17 +151,17 @@ def add_budget(parser: argparse.ArgumentParser, seed: int | None = 0) -> None:
 
 
 def add_work(parser: argparse.ArgumentParser) -> None:
-    """`--work`."""
+    """Add `--work`."""
     parser.add_argument(
         "--work",
         metavar="DIR",
-        help="keep intermediate results in DIR, which must be empty, new or an earlier bake's "
-        "(default: a folder beside ASSET, removed at the end)",
+        help="folder for the state, which is kept; it must be new, empty or that of an earlier "
+        "call (default: the name of ASSET with .work, removed at the end)",
     )
 
 
 def duration(text: str) -> float:
-    """Seconds of a text such as 90, 90s, 5m or 1.5h."""
+    """Parse a duration such as 90, 90s, 5m or 1.5h; returns seconds."""
     factor = {"s": 1, "m": 60, "h": 3600}.get(text[-1:])
     try:
         value = float(text if factor is None else text[:-1]) * (factor or 1)

@@ -1,4 +1,4 @@
-"""What commands print."""
+"""Printing of results."""
 
 from typing import Any
 
@@ -8,18 +8,18 @@ LONGEST_LINE = 1000
 
 
 def print_lines(values: dict[str, Any]) -> None:
-    """A line for each value, with its name before it."""
+    """Print one line per value: name, value."""
     for name, value in values.items():
         print(f"{name:>20}  {shown(value, LONGEST_LINE)}")
 
 
 def print_result(result: Any) -> None:
-    """The figures of a `Result`."""
+    """Print a `Result`."""
     print_report(result.to_json())
 
 
 def print_report(report: dict[str, Any]) -> None:
-    """A report's figures, those of one level below beside them."""
+    """Print a dictionary of figures; nested dictionaries are flattened by one level."""
     flat: dict[str, Any] = {}
     for name, value in report.items():
         if name == "seconds":
@@ -37,20 +37,51 @@ def print_report(report: dict[str, Any]) -> None:
 
 
 def print_metrics(report: dict[str, Any]) -> None:
-    """The table of an evaluation."""
+    """Print the mean metrics of an evaluation as a table."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     name = shown(report["asset"]["luminaire"])
-    # Text: a name may hold what rich takes for markup.
+    # Not a string, in which rich would interpret markup.
     table = Table(title=Text(f"{name}: {len(report['views'])} held-out views"))
     table.add_column("metric")
     table.add_column("mean", justify="right")
     for metric, value in report["metrics"].items():
         table.add_row(metric, f"{value:.4f}")
     Console().print(table)
-    print(f"contact sheet: {shown(report['sheet'], LONGEST_LINE)}")
+    _print_irradiance(report["irradiance"])
+    for name in ("sheet", "irradiance_sheet"):
+        if report[name] is not None:
+            label = "contact sheet" if name == "sheet" else "irradiance"
+            print(f"{label}: {shown(report[name], LONGEST_LINE)}")
+
+
+def _print_irradiance(irradiance: dict[str, Any] | None) -> None:
+    """The table of the faces, or a line that says that there is none."""
+    from rich.console import Console
+    from rich.table import Table
+
+    if irradiance is None:
+        print(
+            "irradiance: not compared; that takes a luminaire, not a dataset, and "
+            "--irradiance-paths above 0"
+        )
+        return
+    table = Table(title="irradiance around the lamp, baked / explicit")
+    for heading in ("face", "ratio", "relative RMS error"):
+        table.add_column(heading, justify="left" if heading == "face" else "right")
+    for face, values in irradiance["faces"].items():
+        table.add_row(face, *(_with_error(values, name) for name in ("ratio", "rms")))
+    Console().print(table)
+
+
+def _with_error(values: dict[str, float | None], name: str) -> str:
+    """A value and its standard error."""
+    value, error = values[name], values[f"{name}_error"]
+    if value is None:
+        return "not known"
+    return f"{value:.4f}" + ("" if error is None else f" ± {error:.4f}")
 
 
 def _megabytes(value: int) -> str:

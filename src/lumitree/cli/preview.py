@@ -8,15 +8,15 @@ from lumitree.cli.output import print_lines
 
 
 def add(commands: Any) -> None:
-    text = "look at a luminaire from six sides, and print its figures"
+    text = "render a luminaire from six sides, and print its figures"
     parser = options.command(commands, "preview", text, run)
     options.add_luminaire(parser)
-    options.add_output(parser, "SHEET", "contact sheet (.png)")
+    options.add_output(parser, "SHEET", "contact sheet to write, .png")
     options.add_pixels(parser, 256, 64)
     parser.add_argument(
         "--bounces",
         action="store_true",
-        help="also measure what paths of 32, 64 and 128 bounces miss",
+        help="also measure the share of the flux that paths of 32, 64 and 128 bounces miss",
     )
     options.add_variant(parser)
 
@@ -41,9 +41,9 @@ def run(args: argparse.Namespace) -> Any:
         "L_max": f"{result.max_radiance:.4g} W/(m² sr)",
         "size": " x ".join(f"{side:.4g}" for side in result.size),
         "media": "yes" if result.has_media else "no",
-        "flux": f"{result.flux} (lengths taken as metres)",
+        "flux": f"{result.flux} (if lengths are in metres)",
         "flux R, G, B": f"{watts} ± {errors} W",
-        "paths a second": f"{result.paths_per_second:,.0f}",
+        "paths per second": f"{result.paths_per_second:,.0f}",
     }
     for item in result.bounces or ():
         name = f"beyond {item.path_depth} bounces"

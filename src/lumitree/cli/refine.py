@@ -10,9 +10,13 @@ from lumitree.cli.output import print_result
 def add(commands: Any) -> None:
     text = "improve an asset with rays traced through its luminaire"
     parser = options.command(commands, "refine", text, run)
-    parser.add_argument("asset", metavar="ASSET", help="a .lumitree file, from either method")
+    parser.add_argument("asset", metavar="ASSET", help="a .lumitree file, baked with either method")
     options.add_luminaire(parser)
-    options.add_output(parser, "ASSET", "the improved .lumitree file; run again to continue")
+    options.add_output(
+        parser,
+        "ASSET",
+        "the .lumitree file to write; the same command continues an interrupted call",
+    )
     options.add_budget(parser)
     options.add_work(parser)
     options.add_variant(parser)

@@ -10,7 +10,7 @@ from lumitree.cli.output import print_result
 
 
 class _Place(argparse.Action):
-    """`--place` starts a placement; `--at`, `--size` and `--rotate` describe the latest one."""
+    """`--place` adds a placement; `--at`, `--size` and `--rotate` set values of the latest one."""
 
     def __call__(self, parser, namespace, values, option_string=None):
         if self.dest == "place":
@@ -27,44 +27,49 @@ def add(commands: Any) -> None:
     text = "render a Mitsuba scene with luminaires placed in it"
     parser = options.command(commands, "render", text, run)
     parser.add_argument("scene", metavar="SCENE.xml", help="a Mitsuba 3 scene with a camera")
-    options.add_output(parser, "IMAGE", ".exr (linear) or .png (tone-mapped)")
+    options.add_output(
+        parser, "IMAGE", "image to write, .exr (linear radiance) or .png (tone-mapped)"
+    )
     parser.add_argument(
         "--place",
         action=_Place,
         metavar="ASSET",
-        help="a .lumitree file, or a LUMINAIRE for its explicit geometry; "
-        "may be repeated, each with its own --at, --size and --rotate",
+        help="a .lumitree file, or a LUMINAIRE, which is placed as explicit geometry; may be "
+        "repeated, each with its own --at, --size and --rotate",
     )
     parser.add_argument(
         "--at",
         action=_Place,
         type=_vector(3),
         metavar="X,Y,Z",
-        help="centre of its bounding box, scene units (default: its own)",
+        help="centre of the bounding box, scene units (default: as in the luminaire's file)",
     )
     parser.add_argument(
         "--size",
         action=_Place,
         type=float,
         metavar="S",
-        help="largest side of its bounding box, scene units (default: its own)",
+        help="largest side of the bounding box, scene units (default: as in the luminaire's file)",
     )
     parser.add_argument(
         "--rotate",
         action=_Place,
         type=_vector(4),
         metavar="AX,AY,AZ,DEG",
-        help="turn about its centre: axis, degrees",
+        help="rotation about the centre: axis, and angle in degrees",
     )
-    parser.add_argument("--spp", type=int, metavar="N", default=64, help="samples a pixel")
+    parser.add_argument("--spp", type=int, metavar="N", default=64, help="samples per pixel")
     parser.add_argument(
         "--width",
         type=int,
         metavar="W",
-        help="image width in pixels (default: the scene's)",
+        help="width of the image in pixels (default: the scene's)",
     )
     parser.add_argument(
-        "--proxy", choices=("box", "sphere"), default="box", help="surface that carries the field"
+        "--proxy",
+        choices=("box", "sphere"),
+        default="box",
+        help="surface that carries a baked luminaire",
     )
     options.add_variant(parser)
 

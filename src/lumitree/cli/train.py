@@ -8,10 +8,12 @@ from lumitree.cli.output import print_result
 
 
 def add(commands: Any) -> None:
-    text = "train the radiance-field network on a dataset"
+    text = "train the network of the paper on a dataset"
     parser = options.command(commands, "train", text, run)
-    parser.add_argument("dataset", metavar="DATASET", help="folder made by 'lumitree capture'")
-    options.add_output(parser, "RUN", "folder for checkpoints and history")
+    parser.add_argument(
+        "dataset", metavar="DATASET", help="folder of the dataset, made by 'lumitree capture'"
+    )
+    options.add_output(parser, "RUN", "folder of the run, for checkpoints and history")
     options.add_preset(parser)
     parser.add_argument("--resume", action="store_true", help="continue an interrupted run")
 

@@ -1,4 +1,4 @@
-"""Checks of what a caller asks for, made before any work is done."""
+"""Checks of arguments, made before any work is done."""
 
 import os
 from collections.abc import Collection
@@ -7,19 +7,19 @@ from pathlib import Path
 from lumitree.core.files import check_writable
 from lumitree.errors import LumitreeError, shown
 
-# Largest image side, and paths or samples a pixel.
+# Largest image side, and paths or samples per pixel.
 MAX_PIXELS_A_SIDE = 1 << 14
 MAX_SAMPLES = 1 << 20
-# Rays of a bake, and seconds: a year.
+# Limits of a bake: rays, and seconds (one year).
 MAX_RAYS, MAX_SECONDS = 1 << 50, 365 * 24 * 3600.0
 
 
 def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
-    """Refuse a number that is outside of [low, high], or is none.
+    """Refuse what is not a number in [low, high].
 
     Args:
-        name: of the option.
-        unit: of the number, for the message.
+        name: name of the option, for the message.
+        unit: unit of the number, for the message.
     """
     if not (isinstance(value, int | float) and low <= value <= high):
         expected = f"expected {low:,} to {high:,}{unit and ' ' + unit}"

@@ -1,9 +1,9 @@
-"""The one place that chooses libLLVM and loads Mitsuba.
+"""Selection of libLLVM and loading of Mitsuba; no other module does either.
 
-Mitsuba's CPU variants compile kernels with libLLVM and load it when `mitsuba` is first imported.
-The versions that Debian ships as 14 to 16 abort the process on AVX-512 machines, so a known-good
-library comes with lumitree on Linux x86-64 (the `karellen-llvm-core` package) and is named to
-Dr.Jit before that import. A value of DRJIT_LIBLLVM_PATH that the user has set is respected.
+Mitsuba's CPU variants compile kernels with libLLVM, and load it when `mitsuba` is first imported.
+Debian's versions 14 to 16 abort the process on machines with AVX-512. On Linux x86-64 lumitree
+therefore depends on a tested library (the package `karellen-llvm-core`), and passes its path to
+Dr.Jit before that import. A value of DRJIT_LIBLLVM_PATH that the user has set is kept.
 """
 
 import importlib
@@ -17,7 +17,7 @@ from lumitree.errors import LumitreeError
 
 CPU_VARIANT = "llvm_ad_rgb"
 GPU_VARIANT = "cuda_ad_rgb"
-# 17 is the first whose AVX-512 back end can select the `fminimum` that Dr.Jit emits.
+# The AVX-512 back end of older versions cannot compile the `fminimum` that Dr.Jit emits.
 MIN_LLVM = 17
 # Whether `quieten` was called.
 _quiet = False
@@ -25,7 +25,7 @@ _REMEDY = "unset DRJIT_LIBLLVM_PATH to use the one that comes with lumitree"
 
 
 def select_llvm() -> None:
-    """Name a working libLLVM to Dr.Jit; does nothing once Mitsuba is loaded or the user chose."""
+    """Set the libLLVM that Dr.Jit loads, unless Dr.Jit is loaded or the user has set one."""
     if "drjit" in sys.modules or os.environ.get("DRJIT_LIBLLVM_PATH"):
         return
     bundled = _bundled_llvm()
@@ -73,9 +73,9 @@ def load_mitsuba(variant: str | None = None) -> Any:
 
 
 def quieten() -> None:
-    """Let Mitsuba log errors alone, from when it is loaded; for the command line.
+    """Make Mitsuba log only errors once it is loaded; called by the command line.
 
-    A library leaves the log to its user.
+    In Python, Mitsuba's log level is the user's.
     """
     global _quiet
     _quiet = True

@@ -1,10 +1,10 @@
 """A dataset: views of one luminaire as OpenEXR files beside a typed manifest.
 
-    DATASET/manifest.json       everything but the pixels, see `Manifest`
+    DATASET/manifest.json       settings and poses, see `Manifest`
     DATASET/view_000001.exr     channels R, G, B (radiance), geometric, straight_through (opacity)
 
 Poses follow NeRF's convention (camera x right, y up, looking along -z) in the luminaire's local
-frame (D8); cameras are orthographic, square, and share one width.
+frame (D8). Cameras are orthographic; their images are square and have the same width.
 """
 
 import dataclasses
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lumitree.core.arguments import MAX_PIXELS_A_SIDE
 from lumitree.core.directions import FIRST_TEST_INDEX
 from lumitree.core.files import write_json
-from lumitree.core.frames import MAX_SCALE, check_local_frame
+from lumitree.core.frames import MAX_SCALE, LocalFrame, file_keys, file_members
 from lumitree.core.images import max_radiance, read_exr, write_exr
 from lumitree.core.reading import Record, label, parse_json, read_bytes
 from lumitree.errors import LumitreeError
@@ -29,26 +29,34 @@ OpacityKind = Literal["straight_through", "geometric"]
 OPACITY_KINDS: tuple[OpacityKind, ...] = get_args(OpacityKind)
 VERSION = 1
 MANIFEST = "manifest.json"
-# What a dataset's folder holds, as patterns.
+# Patterns of the files in a dataset's folder.
 DATASET_FILES = (MANIFEST, "view_*.exr")
-# As many as keep the Halton indices of training views below those of test views.
+# The Halton indices of training views stay below those of test views.
 MAX_VIEWS = FIRST_TEST_INDEX - 1
+# Keys of a `Frame` in the file.
+_FRAME_KEYS = ("file", "halton_index", "proxy_from_camera")
 # A view takes about 600 bytes.
 _MAX_MANIFEST_BYTES = 1 << 28
 
 
 @dataclasses.dataclass(frozen=True)
 class Frame:
-    """One view: its file, Halton index and `proxy_from_camera` pose (4 rows of 4)."""
+    """One view.
+
+    Attributes:
+        file: name of its file.
+        halton_index: index of its direction, see `core.directions`.
+        local_from_camera: 4 rows of 4.
+    """
 
     file: str
     halton_index: int
-    proxy_from_camera: tuple[tuple[float, ...], ...]
+    local_from_camera: tuple[tuple[float, ...], ...]
 
     @property
     def pose(self) -> NDArray[np.float64]:
-        """`proxy_from_camera` as an array [4, 4]."""
-        return np.array(self.proxy_from_camera)
+        """`local_from_camera` as an array [4, 4]."""
+        return np.array(self.local_from_camera)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,13 +67,15 @@ class Manifest:
         luminaire: name or file name of the luminaire; kept as a `core.reading.label`.
         fingerprint: identifies the luminaire's content; a capture resumes only if it matches.
         split: "train" or "test".
-        resolution: pixels a side, at most 16384.
-        samples_per_pixel: paths a pixel.
-        path_depth: longest path, bounces.
+        resolution: pixels per side, at most 16384.
+        samples_per_pixel: paths per pixel.
+        path_depth: largest number of bounces of a path.
         half_width: half the side of every view, local units.
-        half_extents: [3] the proxy box, local units (longest is 1).
-        world_from_proxy: 4 rows of 4.
+        local_frame: local frame of the luminaire.
         frames: the views.
+
+    Raises:
+        LumitreeError: a number is out of range, or a file name is repeated or not a plain name.
     """
 
     luminaire: str
@@ -75,17 +85,16 @@ class Manifest:
     samples_per_pixel: int
     path_depth: int
     half_width: float
-    half_extents: tuple[float, ...]
-    world_from_proxy: tuple[tuple[float, ...], ...]
+    local_frame: LocalFrame
     frames: tuple[Frame, ...]
     version: int = VERSION
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "luminaire", label(self.luminaire))
-        check_local_frame(self.half_extents, self.world_from_proxy)
         if not 1 <= self.resolution <= MAX_PIXELS_A_SIDE:
             raise LumitreeError(
-                f"resolution is {self.resolution}; expected 1 to {MAX_PIXELS_A_SIDE} pixels a side"
+                f"resolution is {self.resolution}; expected 1 to {MAX_PIXELS_A_SIDE} pixels per "
+                "side"
             )
         if not 0 < self.half_width <= MAX_SCALE:
             raise LumitreeError(f"half_width is {self.half_width}; expected a positive length")
@@ -117,7 +126,7 @@ class View:
 
 @dataclasses.dataclass(frozen=True)
 class Dataset:
-    """A folder of views; pixels are read when asked for."""
+    """A folder of views; pixels are read only when they are needed."""
 
     folder: Path
     manifest: Manifest
@@ -127,7 +136,7 @@ class Dataset:
         """Read a manifest.
 
         Raises:
-            LumitreeError: there is none, or it is damaged.
+            LumitreeError: the manifest is missing or damaged.
         """
         folder = Path(folder)
         path = folder / MANIFEST
@@ -145,7 +154,12 @@ class Dataset:
 
     def save_manifest(self) -> None:
         """Write the manifest, atomically."""
-        write_json(self.folder / MANIFEST, dataclasses.asdict(self.manifest))
+        members = file_members(self.manifest)
+        members["frames"] = [
+            dict(zip(_FRAME_KEYS, dataclasses.astuple(frame), strict=True))
+            for frame in self.manifest.frames
+        ]
+        write_json(self.folder / MANIFEST, members)
 
     def missing(self) -> list[Frame]:
         """Views that have not been captured yet."""
@@ -164,7 +178,7 @@ class Dataset:
         """Read the views one by one.
 
         Raises:
-            LumitreeError: views are missing, damaged or of another size than the manifest says.
+            LumitreeError: views are missing or damaged, or their size is not that of the manifest.
         """
         missing = self.missing()
         if missing:
@@ -177,10 +191,10 @@ class Dataset:
             yield self._read(frame)
 
     def max_radiance(self, views: Iterable[View]) -> float:
-        """L_max of this dataset's views (D9).
+        """L_max of views of this dataset (D9).
 
         Raises:
-            LumitreeError: they are black.
+            LumitreeError: the views are black.
         """
         value = max_radiance(view.radiance for view in views)
         if not value > 0:
@@ -203,9 +217,9 @@ class Dataset:
 
 def _parse(value: Any) -> Manifest:
     record = Record(value, "the manifest")
-    # First: another version may have other members.
+    # Checked first, because files of other versions may have other members.
     record.expect_version(VERSION)
-    record.expect_keys(*(field.name for field in dataclasses.fields(Manifest)))
+    record.expect_keys(*file_keys(Manifest, "local_frame"))
     return Manifest(
         luminaire=record.label("luminaire"),
         fingerprint=record.label("fingerprint"),
@@ -214,21 +228,16 @@ def _parse(value: Any) -> Manifest:
         samples_per_pixel=record.integer("samples_per_pixel"),
         path_depth=record.integer("path_depth"),
         half_width=record.number("half_width"),
-        half_extents=tuple(record.array("half_extents", 3).tolist()),
-        world_from_proxy=_rows(record, "world_from_proxy"),
+        local_frame=LocalFrame.of_record(record),
         frames=tuple(_parse_frame(frame) for frame in record.items("frames")),
     )
 
 
 def _parse_frame(value: Any) -> Frame:
     record = Record(value, "a frame")
-    record.expect_keys(*(field.name for field in dataclasses.fields(Frame)))
+    record.expect_keys(*_FRAME_KEYS)
     return Frame(
         file=record.label("file"),
         halton_index=record.integer("halton_index"),
-        proxy_from_camera=_rows(record, "proxy_from_camera"),
+        local_from_camera=tuple(map(tuple, record.array("proxy_from_camera", 4, 4).tolist())),
     )
-
-
-def _rows(record: Record, key: str) -> tuple[tuple[float, ...], ...]:
-    return tuple(map(tuple, record.array(key, 4, 4).tolist()))

@@ -6,15 +6,16 @@ import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Values that Dr.Jit may read beyond an array's end: a packet, of the widest vector unit there is.
+# Dr.Jit may read this many values beyond an array's end: a packet of the widest vector unit.
 _PACKET = 64
 
 
 def on_device(kind: Any, values: ArrayLike) -> Any:
     """Device array of a copy of some values, flattened and converted.
 
-    Dr.Jit 1.5 reads an array of NumPy where it lies and in whole packets, so also what follows it.
-    Where a page ends there, the process dies.
+    Dr.Jit 1.5 reads NumPy arrays without copying them, and in whole packets, so it also reads
+    memory beyond their end. If that memory is not mapped, the process is killed. The copy is
+    followed by padding.
 
     Args:
         kind: type of the result, such as `mi.Float`.

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Held-out views start at this Halton index, so that they never meet the training views.
+# Test views start at this Halton index, so that no training view is among them.
 FIRST_TEST_INDEX = 100_001
 
 
@@ -26,22 +26,22 @@ def halton_direction(index: int) -> NDArray[np.float64]:
 
 
 def view_pose(index: int, distance: float) -> NDArray[np.float64]:
-    """Camera of Halton view `index`: `pose_towards` with y up (z where it looks along y)."""
+    """Pose of Halton view `index`, see `pose_towards`; up is y, or z if the view is along y."""
     backward = halton_direction(index)
     up = [0.0, 1.0, 0.0] if abs(backward[1]) < 0.99 else [0.0, 0.0, 1.0]
     return pose_towards(backward, up, distance)
 
 
 def pose_towards(backward: ArrayLike, up: ArrayLike, distance: float) -> NDArray[np.float64]:
-    """Camera that sits at `distance` in the direction `backward` and looks at the origin.
+    """Pose of a camera at `distance` in the direction `backward`, looking at the origin.
 
     Args:
         backward: [3] unit vector from the origin to the camera.
-        up: [3] what is upwards in the picture; not parallel to `backward`.
+        up: [3] direction that is upwards in the image; not parallel to `backward`.
         distance: local units.
 
     Returns:
-        `proxy_from_camera` [4, 4] in the convention of NeRF: x right, y up, the camera looks
+        `local_from_camera` [4, 4] in the convention of NeRF: x right, y up, the camera looks
         along its own -z.
     """
     backward = np.asarray(backward, np.float64)
@@ -59,9 +59,9 @@ def orthographic_rays(
     """Rays through the pixel centres of a square orthographic view.
 
     Args:
-        pose: `proxy_from_camera` [4, 4].
+        pose: `local_from_camera` [4, 4].
         half_width: half the side of the image, local units.
-        resolution: pixels a side; row 0 is the top.
+        resolution: pixels per side; row 0 is the top.
 
     Returns:
         Origins [resolution, resolution, 3] and the common direction of travel [3].

@@ -1,4 +1,4 @@
-"""Writing files so that nothing half-written is ever left under the final name."""
+"""Atomic writing of files: a file with the final name is always complete."""
 
 import contextlib
 import errno
@@ -13,7 +13,7 @@ from typing import Any
 
 from lumitree.errors import LumitreeError, shown
 
-# Between a file's own name and the random part of its temporary one; all of such a name.
+# The part of a temporary name before its random characters, and the pattern of the whole name.
 _TEMPORARY = ".lumitree-"
 _TEMPORARY_NAME = re.compile(
     r"\.(?P<stem>.*)\.lumitree-[a-z0-9_]{8}(?P<suffix>(\.[^.]*)?)", re.DOTALL
@@ -24,8 +24,8 @@ _TEMPORARY_NAME = re.compile(
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary name beside `path`; rename it to `path` if the block succeeds.
 
-    The temporary file is flushed to disk before the rename and removed if the block fails. What a
-    killed process left of an earlier attempt at the same file is removed too.
+    The temporary file is flushed to disk before the rename, and removed if the block fails.
+    Temporary files that killed processes left for the same `path` are removed too.
 
     Raises:
         LumitreeError: the folder cannot be written, or the disk is full.
@@ -34,15 +34,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(path)
-        handle, name = tempfile.mkstemp(
-            prefix=f".{path.stem}{_TEMPORARY}", suffix=path.suffix, dir=path.parent
-        )
+        handle, temporary = _create_locked(path)
     except (OSError, ValueError) as error:
         raise _write_error(path, error) from error
-    temporary = Path(name)
     try:
-        # Held while this process lives: it tells others that the file is not abandoned.
-        lock(handle)
         yield temporary
         with open(temporary, "rb+") as file:
             os.fsync(file.fileno())
@@ -54,7 +49,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         raise _write_error(path, error) from error
     except RuntimeError as error:
-        # What Mitsuba's streams raise names the temporary file; the reason comes last.
+        # Mitsuba's message names the temporary file and ends with the reason.
         _, failed, reason = str(error).partition("I/O error")
         if not failed:
             raise
@@ -63,6 +58,22 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         os.close(handle)
         temporary.unlink(missing_ok=True)
+
+
+def _create_locked(path: Path) -> tuple[int, Path]:
+    """A new temporary file of `path`: its handle and its name.
+
+    It is locked as long as the process lives, which shows others that it is in use.
+    """
+    while True:
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.stem}{_TEMPORARY}", suffix=path.suffix, dir=path.parent
+        )
+        # Before it is locked, another process may take it for abandoned and remove it.
+        if lock(handle) is not False and os.fstat(handle).st_nlink:
+            return handle, Path(name)
+        os.close(handle)
+        Path(name).unlink(missing_ok=True)
 
 
 def lock(handle: int) -> bool | None:
@@ -105,7 +116,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 
 
 def is_empty(folder: Path) -> bool:
-    """Whether a folder holds nothing, or nothing but what a killed `atomic_path` left."""
+    """Whether a folder is empty, apart from temporary files that killed processes left."""
     return all(_TEMPORARY_NAME.fullmatch(name) for name in os.listdir(folder))
 
 
@@ -122,14 +133,14 @@ def write_json(path: str | os.PathLike[str], value: Any) -> None:
 
 
 def _check_name(name: str, folder: Path) -> None:
-    """Refuse a name that leaves no room for its temporary one."""
+    """Refuse a name whose temporary name would be too long for the file system."""
     longest = os.pathconf(folder, "PC_NAME_MAX") - len(f".{_TEMPORARY}") - 8
     if len(os.fsencode(name)) > longest:
         raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
 
 
 def _remove_abandoned(path: Path) -> None:
-    """Remove temporary files of `path` that no living process holds."""
+    """Remove temporary files of `path` that no running process has locked."""
     for entry in path.parent.iterdir():
         found = _TEMPORARY_NAME.fullmatch(entry.name)
         if found is None or (found["stem"], found["suffix"]) != (path.stem, path.suffix):

@@ -1,60 +1,38 @@
 """Frames, directions and similarity transforms (decisions D4, D8 and D11).
 
 Symbols
-    world       the frame of the luminaire's own file, or of the scene it is placed in
-    proxy       the luminaire's local frame: its bounding box is centred at the origin and the
+    world       the frame of the luminaire's file
+    local       the luminaire's local frame: its bounding box is centred at the origin and the
                 box's longest half-side is 1; the field's unit of length
-    direction   the direction of travel, camera to scene, unit length, everywhere
+    scene       the frame of the scene that the luminaire is placed in
+    direction   direction of travel, from the camera to the scene, unit length
 """
 
-from typing import TypeVar
+import dataclasses
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lumitree.core.reading import Record
 from lumitree.errors import LumitreeError
 
 Vector = TypeVar("Vector")
 
-# A box this thin (local units) still has an inside that a ray can cross.
+# Half extent of the thinnest box, local units: rays still cross its interior.
 MIN_HALF_EXTENT = 1e-3
-# Scales, sizes and coordinates whose squares and cubes are finite in float32.
+# Range of scales, sizes and coordinates. Their squares and cubes are finite in float32.
 MIN_SCALE, MAX_SCALE = 1e-12, 1e12
+# Keys of `half_extents` and `world_from_local` in assets, datasets and runs.
+FRAME_KEYS = ("half_extents", "world_from_proxy")
 
 
 def towards_viewer(direction: Vector) -> Vector:
     """Direction at which spherical harmonics are evaluated, for a ray travelling along `direction`.
 
-    Every spherical-harmonics evaluation of the project goes through this function (D4).
+    All code that evaluates spherical harmonics calls this function (D4).
     """
     return -direction  # type: ignore[operator]
-
-
-def proxy_box(
-    box_min: ArrayLike, box_max: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Local frame of a luminaire with the given world bounding box (D8).
-
-    Args:
-        box_min: [3] smallest corner, world units.
-        box_max: [3] largest corner, world units.
-
-    Returns:
-        `world_from_proxy` [4, 4], a translation and uniform scale, and the box's half extents
-        [3] in local units, the longest of which is 1.
-    """
-    box_min = np.asarray(box_min, np.float64)
-    box_max = np.asarray(box_max, np.float64)
-    half = (box_max - box_min) / 2
-    scale = half.max()
-    if not np.isfinite(half).all() or scale <= 0:
-        raise LumitreeError(
-            f"the luminaire's bounding box {box_min.tolist()} .. {box_max.tolist()} is empty or "
-            "not finite; expected shapes of positive size"
-        )
-    matrix = np.diag([scale, scale, scale, 1.0])
-    matrix[:3, 3] = (box_min + box_max) / 2
-    return matrix, np.maximum(half / scale, MIN_HALF_EXTENT)
 
 
 def rotation(axis: ArrayLike, degrees: float) -> NDArray[np.float64]:
@@ -111,7 +89,7 @@ def similarity_scale(matrix: ArrayLike, what: str = "transform") -> float:
 def check_placement(
     at: ArrayLike | None = None, size: float | None = None, rotate: ArrayLike = (0, 1, 0, 0)
 ) -> None:
-    """Refuse a placement, as for `placement`, whose numbers are out of range."""
+    """Refuse numbers that are out of range; arguments as for `LocalFrame.placed`."""
     if size is not None and not MIN_SCALE <= size <= MAX_SCALE:
         raise LumitreeError(
             f"size {size} is not a length of {MIN_SCALE:g} to {MAX_SCALE:g} scene units"
@@ -125,47 +103,148 @@ def check_placement(
     rotation(np.asarray(rotate, np.float64)[:3], 0)
 
 
-def check_local_frame(half_extents: ArrayLike, world_from_proxy: ArrayLike) -> None:
-    """Refuse what is no local frame (D8), or none that single precision can hold.
+@dataclasses.dataclass(frozen=True, eq=False)
+class LocalFrame:
+    """Local frame of a luminaire: a frame centred on its bounding box, scaled to the box (D8).
 
-    Args:
-        half_extents: [3] the proxy box in local units: at least 1e-3, and the longest 1.
-        world_from_proxy: [4, 4] a similarity with a scale of 1e-12 to 1e12, which moves the box
-            by at most as much along each axis.
+    The unit of length is half the longest side of the box. "World" is the frame of the luminaire's
+    file. The arrays are copied, and cannot be written to.
+
+    Attributes:
+        half_extents: [3] half the sides of the bounding box in local units: 1e-3 or more, the
+            longest 1.
+        world_from_local: [4, 4] similarity transform. Its scale is 1e-12 to 1e12; no entry is
+            above 1e12 in absolute value.
+
+    Raises:
+        LumitreeError: an array has another shape, or a number is out of range.
     """
-    half = np.asarray(half_extents, np.float64)
-    if half.shape != (3,) or not (half >= MIN_HALF_EXTENT).all() or not abs(half.max() - 1) < 1e-6:
-        raise LumitreeError(
-            f"half_extents are {half.tolist()}; expected 3 lengths of {MIN_HALF_EXTENT} or more, "
-            "the longest 1"
+
+    half_extents: NDArray[np.float64]
+    world_from_local: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        half = np.array(self.half_extents, np.float64)
+        matrix = np.array(self.world_from_local, np.float64)
+        half.flags.writeable = matrix.flags.writeable = False
+        object.__setattr__(self, "half_extents", half)
+        object.__setattr__(self, "world_from_local", matrix)
+        thick = half.shape == (3,) and (half >= MIN_HALF_EXTENT).all()
+        if not thick or not abs(half.max() - 1) < 1e-6:
+            raise LumitreeError(
+                f"half_extents are {half.tolist()}; expected 3 lengths of {MIN_HALF_EXTENT} or "
+                "more, the longest 1"
+            )
+        what = "the matrix of the local frame"
+        # Before the determinant is taken, which might overflow.
+        if matrix.shape != (4, 4) or not (np.abs(matrix) <= MAX_SCALE).all():
+            raise LumitreeError(f"{what} is not 4 x 4 numbers of at most {MAX_SCALE:g}")
+        scale = similarity_scale(matrix, what)
+        if scale < MIN_SCALE:
+            raise LumitreeError(f"{what} has the scale {scale:g}; expected {MIN_SCALE:g} or more")
+
+    @staticmethod
+    def of_box(box_min: ArrayLike, box_max: ArrayLike) -> "LocalFrame":
+        """Local frame of a luminaire with the given bounding box.
+
+        Args:
+            box_min: [3] smallest corner, world units.
+            box_max: [3] largest corner, world units.
+
+        Raises:
+            LumitreeError: the box is empty or not finite.
+        """
+        box_min = np.asarray(box_min, np.float64)
+        box_max = np.asarray(box_max, np.float64)
+        half = (box_max - box_min) / 2
+        scale = half.max()
+        if not np.isfinite(half).all() or scale <= 0:
+            raise LumitreeError(
+                f"the luminaire's bounding box {box_min.tolist()} .. {box_max.tolist()} is empty "
+                "or not finite; expected shapes of positive size"
+            )
+        matrix = similarity(np.eye(3), scale, (box_min + box_max) / 2)
+        return LocalFrame(np.maximum(half / scale, MIN_HALF_EXTENT), matrix)
+
+    @staticmethod
+    def of_record(record: Record) -> "LocalFrame":
+        """Local frame from the members `FRAME_KEYS` of a file."""
+        half_extents, world_from_local = FRAME_KEYS
+        return LocalFrame(record.array(half_extents, 3), record.array(world_from_local, 4, 4))
+
+    def members(self) -> dict[str, Any]:
+        """The frame as members of a file, by `FRAME_KEYS`."""
+        arrays = (self.half_extents, self.world_from_local)
+        return {key: array.tolist() for key, array in zip(FRAME_KEYS, arrays, strict=True)}
+
+    @property
+    def scale(self) -> np.float64:
+        """Length of a local unit in world units."""
+        # Unlike a cube root of the determinant, this is exact for a matrix without rotation.
+        return np.float64(np.linalg.norm(self.world_from_local[:3, 0]))
+
+    @property
+    def rotation(self) -> NDArray[np.float64]:
+        """Rotation [3, 3] of `world_from_local`."""
+        return self.world_from_local[:3, :3] / self.scale
+
+    @property
+    def centre(self) -> NDArray[np.float64]:
+        """[3] centre of the bounding box, world units."""
+        return self.world_from_local[:3, 3]
+
+    @property
+    def size(self) -> NDArray[np.float64]:
+        """[3] sides of the bounding box, world units."""
+        return 2 * self.half_extents * self.scale
+
+    @property
+    def local_from_world(self) -> NDArray[np.float64]:
+        """[4, 4] inverse of `world_from_local`."""
+        return np.asarray(np.linalg.inv(self.world_from_local), np.float64)
+
+    def placed(
+        self,
+        *,
+        at: ArrayLike | None = None,
+        size: float | None = None,
+        rotate: ArrayLike = (0.0, 1.0, 0.0, 0.0),
+    ) -> NDArray[np.float64]:
+        """`scene_from_local` [4, 4] that places the luminaire in a scene.
+
+        Args:
+            at: [3] where the centre of the bounding box goes, scene units; default: its centre.
+            size: largest side of the bounding box, scene units; default: its own size.
+            rotate: [4] axis x, y, z and angle in degrees, about the centre.
+
+        Raises:
+            LumitreeError: a number is out of range, see `check_placement`.
+        """
+        check_placement(at, size, rotate)
+        rotate = np.asarray(rotate, np.float64)
+        return similarity(
+            rotation(rotate[:3], rotate[3]) @ self.rotation,
+            self.scale if size is None else size / 2,
+            self.centre if at is None else at,
         )
-    matrix = np.asarray(world_from_proxy, np.float64)
-    # Before the determinant is taken, which might overflow.
-    if matrix.shape != (4, 4) or not (np.abs(matrix) <= MAX_SCALE).all():
-        raise LumitreeError(f"world_from_proxy is not 4 x 4 numbers of at most {MAX_SCALE:g}")
-    scale = similarity_scale(matrix, "world_from_proxy")
-    if scale < MIN_SCALE:
-        raise LumitreeError(f"world_from_proxy has the scale {scale:g}; expected {MIN_SCALE:g} up")
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, LocalFrame) and self.members() == other.members()
+
+    def __hash__(self) -> int:
+        return hash((self.half_extents.tobytes(), self.world_from_local.tobytes()))
 
 
-def placement(
-    world_from_proxy: ArrayLike,
-    *,
-    at: ArrayLike | None = None,
-    size: float | None = None,
-    rotate: ArrayLike = (0.0, 1.0, 0.0, 0.0),
-) -> NDArray[np.float64]:
-    """`scene_from_proxy` [4, 4] that puts a luminaire into a scene.
+def file_members(record: Any) -> dict[str, Any]:
+    """Members of a dataclass for a JSON file; a local frame is replaced by its own members."""
+    members: dict[str, Any] = {}
+    for name, value in dataclasses.asdict(record).items():
+        attribute = getattr(record, name)
+        members |= attribute.members() if isinstance(attribute, LocalFrame) else {name: value}
+    return members
 
-    Args:
-        world_from_proxy: [4, 4] the luminaire's own frame; used for what is left out.
-        at: [3] where the centre of the bounding box goes, scene units.
-        size: largest side of the bounding box, scene units.
-        rotate: [4] axis x, y, z and angle in degrees, about the centre.
-    """
-    check_placement(at, size, rotate)
-    own = np.asarray(world_from_proxy, np.float64)
-    rotate = np.asarray(rotate, np.float64)
-    scale = similarity_scale(own) if size is None else size / 2
-    turn = rotation(rotate[:3], rotate[3]) @ (own[:3, :3] / similarity_scale(own))
-    return similarity(turn, scale, own[:3, 3] if at is None else at)
+
+def file_keys(record: type[Any], frame: str) -> tuple[str, ...]:
+    """Keys of `file_members` for a dataclass whose attribute `frame` is a local frame."""
+    names = (field.name for field in dataclasses.fields(record))
+    return (*(name for name in names if name != frame), *FRAME_KEYS)

@@ -1,6 +1,7 @@
-"""Real spherical harmonics up to l = 4, for NumPy, JAX and Dr.Jit arrays alike.
+"""Real spherical harmonics up to l = 4, for NumPy, JAX and Dr.Jit arrays.
 
-Orthonormal on the sphere, without the Condon-Shortley phase, ordered by l, then m = -l .. l.
+They are orthonormal on the sphere, have no Condon-Shortley phase, and are ordered by l, then by m
+from -l to l.
 """
 
 from typing import Any
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_L = 4
-# The constant one of band 0.
+# The value of the constant function of band 0.
 Y_00 = 0.28209479177387814
 
 
@@ -22,7 +23,7 @@ def basis(x: Any, y: Any, z: Any, l_max: int) -> list[Any]:
     """Values of the basis at the unit direction (x, y, z).
 
     Args:
-        x, y, z: components of the direction; arrays of any one kind, of equal shape.
+        x, y, z: components of the direction; arrays of one library and of equal shape.
         l_max: highest band, 0 to 4.
 
     Returns:

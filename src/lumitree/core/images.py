@@ -1,4 +1,4 @@
-"""OpenEXR and PNG files."""
+"""OpenEXR and PNG files, and the sRGB transfer function."""
 
 import io
 import os
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import OpenEXR
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
 from lumitree.core.files import atomic_path, write_bytes
@@ -15,7 +15,7 @@ from lumitree.errors import LumitreeError
 
 
 def write_exr(path: str | os.PathLike[str], channels: dict[str, NDArray[np.float32]]) -> None:
-    """Write named planes [H, W] or colours [H, W, 3] ("RGB") as a 32-bit OpenEXR, atomically."""
+    """Write channels [H, W], and "RGB" [H, W, 3], as a 32-bit OpenEXR file, atomically."""
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     planes = {name: np.ascontiguousarray(value, np.float32) for name, value in channels.items()}
     with atomic_path(path) as temporary:
@@ -26,7 +26,7 @@ def write_exr(path: str | os.PathLike[str], channels: dict[str, NDArray[np.float
 
 
 def read_exr(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
-    """Planes of an OpenEXR file by name; R, G and B come together as "RGB" [H, W, 3].
+    """Channels of an OpenEXR file by name; R, G and B are combined as "RGB" [H, W, 3].
 
     Raises:
         LumitreeError: the file is missing, damaged or holds values that are not finite.
@@ -47,15 +47,30 @@ def read_exr(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
     return planes
 
 
+def srgb_from_linear(linear: ArrayLike) -> NDArray[np.floating]:
+    """sRGB-encoded values in [0, 1] of linear values, which are clipped to [0, 1].
+
+    The transfer function of IEC 61966-2-1, for each value alone. Arrays of single precision keep
+    their type.
+    """
+    linear = np.clip(linear, 0.0, 1.0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def linear_from_srgb(encoded: ArrayLike) -> NDArray[np.floating]:
+    """Linear values in [0, 1] of sRGB-encoded values in [0, 1]: inverse of `srgb_from_linear`."""
+    encoded = np.asarray(encoded)
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
 def tonemap(radiance: NDArray[np.floating], exposure: float = 1.0) -> NDArray[np.uint8]:
     """sRGB bytes [..., 3] of linear radiance [..., 3], clipped at 1 after `exposure`."""
-    linear = np.clip(np.nan_to_num(np.asarray(radiance) * exposure, nan=0.0), 0, 1)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.round(encoded * 255).astype(np.uint8)
+    linear = np.nan_to_num(np.asarray(radiance) * exposure, nan=0.0)
+    return np.round(srgb_from_linear(linear) * 255).astype(np.uint8)
 
 
 def auto_exposure(radiance: NDArray[np.floating]) -> float:
-    """Factor that brings the 98th percentile of the lit pixels' largest channel to 0.9."""
+    """Exposure factor that maps the 98th percentile of the lit pixels' largest channel to 0.9."""
     brightest = np.asarray(radiance).max(axis=-1)
     lit = brightest[brightest > 0]
     return float(0.9 / np.percentile(lit, 98)) if lit.size else 1.0
@@ -64,7 +79,7 @@ def auto_exposure(radiance: NDArray[np.floating]) -> float:
 def max_radiance(images: Iterable[NDArray[np.floating]]) -> float:
     """L_max: the 99.99th percentile over the pixels of all images [..., 3], largest channel (D9).
 
-    A few fireflies among a million pixels do not raise it.
+    A few outliers ("fireflies") among a million pixels do not raise it.
     """
     largest = np.concatenate([np.asarray(image).max(axis=-1).ravel() for image in images])
     return float(np.percentile(largest, 99.99, overwrite_input=True))

@@ -1,8 +1,9 @@
-"""Signals that ask a job to stop: SIGINT (Ctrl-C), SIGTERM and SIGHUP (the terminal has gone).
+"""Signals that ask a job to stop: SIGINT (Ctrl-C), SIGTERM and SIGHUP (its terminal was closed).
 
-Every one is answered at once by a line on standard error. Work that may end anywhere is ended by
-`Interrupted`; work that must not be cut in half defers it. A signal that the parent process chose
-to ignore, such as SIGHUP under nohup, stays ignored.
+The handler at once writes a line to standard error. In a block of `interruptible` it then raises
+`Interrupted`; in a block of `deferred_interrupt` it only records the signal, so that the work can
+reach a state that can be saved. A signal that the parent process ignores, such as SIGHUP under
+nohup, stays ignored.
 """
 
 import contextlib
@@ -24,7 +25,7 @@ class Interrupted(KeyboardInterrupt):
     """A stop signal ended the work.
 
     Attributes:
-        number: of the signal.
+        number: number of the signal.
     """
 
     def __init__(self, message: str = "", number: int = signal.SIGINT) -> None:
@@ -33,10 +34,10 @@ class Interrupted(KeyboardInterrupt):
 
 
 class Interruption:
-    """Whether a stop signal has come, and which.
+    """Whether a stop signal was received, and which one.
 
     Attributes:
-        number: of the signal; None as long as there is none.
+        number: number of the signal; None if none was received.
     """
 
     def __init__(self) -> None:
@@ -48,7 +49,7 @@ class Interruption:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Within the block every stop signal raises `Interrupted`."""
+    """Context in which every stop signal raises `Interrupted`."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         _announce("stopping ...", number)
@@ -60,7 +61,7 @@ def interruptible() -> Iterator[None]:
 
 @contextmanager
 def deferred_interrupt() -> Iterator[Interruption]:
-    """Within the block a stop signal is only noted; a second one acts as it would outside."""
+    """Context that only records the first stop signal; a second one acts as outside of it."""
     interruption = Interruption()
     with contextlib.ExitStack() as stack:
 
@@ -75,7 +76,7 @@ def deferred_interrupt() -> Iterator[Interruption]:
 
 @contextmanager
 def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Handle the stop signals that are not ignored; only the main thread can."""
+    """Install a handler for the stop signals that are not ignored; in the main thread only."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -83,7 +84,7 @@ def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None
     handled = {
         number: previous
         for number, previous in before.items()
-        # None: set by code that is not Python's.
+        # None: the handler was not installed from Python.
         if previous not in (signal.SIG_IGN, None)
     }
     try:
@@ -96,10 +97,10 @@ def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None
 
 
 def _announce(text: str, number: int) -> None:
-    """Write a line to standard error, which may be in the middle of writing something else."""
+    """Write a line to standard error without its buffer, which a signal may have interrupted."""
     if number == signal.SIGHUP:
         _leave_terminal()
-    # A terminal shows ^C and perhaps a progress bar in that line already.
+    # On a terminal the current line already shows ^C, and perhaps a progress bar.
     line = ("\n" if sys.stderr.isatty() else "") + f"lumitree: {text}\n"
     try:
         descriptor = sys.stderr.fileno()
@@ -111,7 +112,7 @@ def _announce(text: str, number: int) -> None:
 
 
 def _leave_terminal() -> None:
-    """Send output to nowhere where its terminal has gone, so that no later line fails."""
+    """Redirect output to the null device if its terminal is closed: later writes then succeed."""
     for descriptor in (1, 2):
         try:
             termios.tcgetattr(descriptor)

@@ -1,4 +1,7 @@
-"""Progress of long work: reported to a callback, by default a bar with time left or plain lines."""
+"""Progress of long tasks, reported to a callback.
+
+The default callback shows a bar with the time left, or prints lines where there is no terminal.
+"""
 
 import contextlib
 import contextvars
@@ -8,22 +11,22 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
-# Work that ends sooner than this shows nothing.
+# Tasks shorter than this show nothing.
 _QUIET_SECONDS = 2.0
 _LOG_SECONDS = 15.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-    """How far a task has come.
+    """Progress of a task.
 
     Attributes:
-        task: what is being done, such as "bake bulbs".
-        done, total: units of work.
-        seconds: since this process began the task.
-        seconds_left: estimate; None as long as there is none.
+        task: name of the task, such as "bake bulbs".
+        done, total: units of work done, and units in all.
+        seconds: time since this process began the task.
+        seconds_left: estimate of the time left; None if there is none yet.
         note: a short remark, such as the current quality; may be empty.
-        finished: whether this is the last report of the task, however it ended.
+        finished: whether this is the last report of the task, also after an error.
     """
 
     task: str
@@ -40,11 +43,11 @@ ProgressCallback = Callable[[Progress], None]
 
 class Advance(Protocol):
     def __call__(self, amount: float, note: str = "") -> None:
-        """Report `amount` more units of work done, with an optional short note."""
+        """Report that `amount` more units of work are done, with an optional short note."""
 
 
 class _Display:
-    """A bar on a terminal or in a notebook, a line every 15 seconds elsewhere."""
+    """The default callback: a bar on a terminal or in a notebook, else a line every 15 seconds."""
 
     def __init__(self) -> None:
         self._bar: Any = None
@@ -55,7 +58,7 @@ class _Display:
         return "show_progress"
 
     def __call__(self, progress: Progress) -> None:
-        """Show a report; nothing in the first two seconds of a task."""
+        """Show a report; reports in the first two seconds of a task are not shown."""
         if progress.finished:
             if self._bar is not None:
                 self._bar.stop()
@@ -103,7 +106,7 @@ _callback: contextvars.ContextVar[ProgressCallback | None] = contextvars.Context
 
 @contextlib.contextmanager
 def reporting(callback: ProgressCallback | None) -> Iterator[None]:
-    """Within the block progress is reported to `callback`, or to nobody."""
+    """Context in which progress is reported to `callback`; None reports nothing."""
     token = _callback.set(callback)
     try:
         yield
@@ -113,10 +116,10 @@ def reporting(callback: ProgressCallback | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def progress(description: str, total: float, done: float = 0) -> Iterator[Advance]:
-    """Report the progress of the block; call what is yielded as work is done.
+    """Context that reports a task's progress; the block calls the yielded function as it works.
 
     Args:
-        description: what is being done, e.g. "capture".
+        description: name of the task, e.g. "capture".
         total: units of work in all.
         done: units that an earlier run has already done.
     """

@@ -1,6 +1,6 @@
-"""Reading files that may be missing, damaged or hostile: what is not as expected is refused.
+"""Strict reading of files that may be missing, damaged or hostile.
 
-Every refusal is one line of printable characters, whatever the file holds.
+Whatever a file holds, an error message is one line of printable characters.
 """
 
 import json
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from lumitree.errors import LumitreeError, shown
 
 _T = TypeVar("_T", bound=str | int)
-# What NumPy raises for damaged archives; RuntimeError where a flag says that one is encrypted, and
-# TypeError where the file is no archive but one array.
+# What NumPy raises for damaged archives: also RuntimeError if a flag marks one as encrypted, and
+# TypeError if the file is a single array.
 _DAMAGED_ARCHIVE = (
     OSError,
     EOFError,
@@ -36,9 +36,9 @@ _DAMAGED_ARCHIVE = (
     struct.error,
     tokenize.TokenError,
 )
-# Characters of a name that a file keeps.
+# Largest number of characters of a name in a file.
 MAX_LABEL = 1000
-# Characters of a value that a message shows.
+# Largest number of characters of a value in a message.
 _SHOWN = 60
 
 
@@ -47,42 +47,45 @@ def read_bytes(path: str | os.PathLike[str], expected: str, max_bytes: int) -> b
 
     Args:
         path: the file.
-        expected: what should be there, for the message: "a .lumitree asset".
-        max_bytes: longer files are refused.
+        expected: kind of file that is expected, for the message, such as "a .lumitree asset".
+        max_bytes: largest size that is accepted; a larger file is not read into memory.
 
     Raises:
-        LumitreeError: there is no file, it is a folder, pipe or device, it cannot be read, or it
-            is too long.
+        LumitreeError: the file is missing, not regular (a folder, pipe or device), not readable or
+            too large.
     """
-    path, name = Path(path), shown(path, 300)
+    path, name, limit = Path(path), shown(path, 300), max(max_bytes, 0)
     try:
+        # Checked before the file is opened: opening a pipe would block.
         found = path.stat()
         if not stat.S_ISREG(found.st_mode):
-            raise LumitreeError(f"{name} is not a regular file; expected {expected}")
-        if found.st_size > max_bytes:
-            raise LumitreeError(
-                f"{name} has {found.st_size} bytes; expected {expected} of at most {max_bytes}"
-            )
-        return path.read_bytes()
+            kind = "a folder" if stat.S_ISDIR(found.st_mode) else "not a regular file"
+            raise LumitreeError(f"{name} is {kind}; expected {expected}")
+        if found.st_size > limit:
+            size = f"{limit // 2**20} MiB" if limit >= 2**20 else f"{limit} bytes"
+            raise LumitreeError(f"{name} is larger than {size}, the limit for {expected}")
+        with path.open("rb") as file:
+            # Bounded, since the file may have grown.
+            return file.read(found.st_size)
     except FileNotFoundError:
         raise LumitreeError(f"{name} does not exist; expected {expected}") from None
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise LumitreeError(f"cannot read {name}: {reason}; expected {expected}") from None
     except ValueError:
-        raise LumitreeError(f"{name} is no file name; expected {expected}") from None
+        raise LumitreeError(f"{name} is not a file name; expected {expected}") from None
 
 
 def read_arrays(path: str | os.PathLike[str], *names: str) -> dict[str, NDArray[Any]]:
-    """The arrays of an `.npz` archive, or those of some names; no code in it is run.
+    """The arrays with the given names of an `.npz` archive, or all; no code in it is run.
 
     Raises:
-        LumitreeError: there is no file, it is damaged, or an array is missing.
+        LumitreeError: the file is missing or damaged, or an array is missing.
     """
     if not os.path.isfile(path):
         raise LumitreeError(f"{path} is missing or no regular file")
     try:
-        # Opened here: NumPy leaves a file open that turns out to be damaged.
+        # Opened here, because NumPy does not close a damaged file.
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
             return {name: archive[name] for name in names or archive.files}
     except _DAMAGED_ARCHIVE as error:
@@ -90,7 +93,7 @@ def read_arrays(path: str | os.PathLike[str], *names: str) -> dict[str, NDArray[
 
 
 def label(name: str) -> str:
-    """A name as files keep it: at most `MAX_LABEL` characters, "?" for unprintable ones."""
+    """A name for a file: cut to `MAX_LABEL` characters, with "?" for unprintable ones."""
     return shown(name[:MAX_LABEL], MAX_LABEL)
 
 
@@ -98,31 +101,32 @@ def parse_json(text: str | bytes) -> Any:
     """The value of a JSON text; stricter than `json.loads`.
 
     Raises:
-        LumitreeError: it is no JSON, an object has two members of one name, it is nested too
-            deep, or it holds NaN or infinity.
+        LumitreeError: the text is not JSON, an object repeats a key, objects are nested too
+            deeply, or a number is NaN or infinite.
     """
     try:
-        # From bytes json.loads would also take UTF-16 and UTF-32.
+        # Given bytes, json.loads would also accept UTF-16 and UTF-32.
         text = text if isinstance(text, str) else text.decode()
         return json.loads(text, object_pairs_hook=_members, parse_constant=_refuse_constant)
     except RecursionError:
         raise LumitreeError("JSON nested too deep") from None
     except json.JSONDecodeError as error:
-        raise LumitreeError(f"no JSON: {error}") from None
-    # Of bytes that are no UTF-8, and of integers too long to convert.
+        raise LumitreeError(f"not valid JSON: {error}") from None
+    # Raised for bytes that are not UTF-8, and for integers too long to convert.
     except ValueError as error:
-        raise LumitreeError(f"no JSON: {type(error).__name__}") from None
+        raise LumitreeError(f"not valid JSON: {type(error).__name__}") from None
 
 
 class Record:
-    """A JSON object whose members are read by type and range.
+    """A JSON object whose members are checked as they are read.
 
     Args:
-        value: what `parse_json` returned, or a part of it.
-        what: it is, for messages.
+        value: the result of `parse_json`, or a part of it.
+        what: name of the object, for messages.
 
     Raises:
-        LumitreeError: it is no object; so do all methods where a member is not as expected.
+        LumitreeError: `value` is not an object. All methods raise it for a member that is missing,
+            or that has another type or range.
     """
 
     def __init__(self, value: Any, what: str) -> None:
@@ -130,16 +134,22 @@ class Record:
             raise LumitreeError(f"{what} is {_shown(value)}; expected a JSON object")
         self._members, self._what = value, what
 
-    def expect_version(self, version: int) -> None:
-        """Refuse an object whose member "version" is another; to be called before `expect_keys`."""
+    def expect_version(self, *versions: int) -> int:
+        """The "version"; refuses others. To be called before `expect_keys`."""
         found = self._members.get("version")
-        if type(found) is not int or found != version:
+        if type(found) is not int or found not in versions:
+            known = " and ".join(map(str, versions))
             raise LumitreeError(
-                f"{self._what} has version {_shown(found)}, this lumitree reads {version}"
+                f"{self._what} has version {_shown(found)}, this lumitree reads {known}"
             )
+        return found
+
+    def has(self, key: str) -> bool:
+        """Whether the object has a member."""
+        return key in self._members
 
     def expect_keys(self, *keys: str) -> None:
-        """Refuse an object that has not exactly the members of these names."""
+        """Refuse an object that lacks one of these keys, or has another one."""
         for verb, names in (
             ("lacks", keys - self._members.keys()),
             ("has the unknown key", self._members.keys() - keys),
@@ -148,7 +158,7 @@ class Record:
                 raise LumitreeError(f"{self._what} {verb} {_shown(min(names))}")
 
     def choice(self, key: str, options: Sequence[_T]) -> _T:
-        """A member that is one of some strings or integers."""
+        """A member that is one of the given strings or integers."""
         value = self._members.get(key)
         for option in options:
             if type(value) is type(option) and value == option:
@@ -160,18 +170,18 @@ class Record:
         return Record(self._members.get(key), f"{key} of {self._what}")
 
     def members(self, key: str) -> dict[str, Any]:
-        """The members of a member that is an object, as they are."""
+        """The members of a member that is an object, unchecked."""
         return self.record(key)._members
 
     def text(self, key: str, max_length: int) -> str:
-        """A member that is printable text."""
+        """A member that is printable text of at most `max_length` characters."""
         value = self._members.get(key)
         if type(value) is not str or len(value) > max_length or not value.isprintable():
             self._refuse(key, f"printable text of at most {max_length} characters")
         return value
 
     def label(self, key: str) -> str:
-        """A member that `label` could have returned."""
+        """A member that is a name as `label` returns it."""
         return self.text(key, MAX_LABEL)
 
     def integer(self, key: str) -> int:
@@ -227,7 +237,7 @@ def _refuse_constant(name: str) -> Any:
 
 
 def _number(value: Any) -> float | None:
-    """A finite float, or None for everything else; true and false are no numbers."""
+    """A finite float, or None for everything else; true and false are not numbers."""
     if type(value) not in (int, float):
         return None
     try:
@@ -254,7 +264,7 @@ def _flat(value: Any, shape: tuple[int, ...]) -> list[float] | None:
 
 
 def _shown(value: Any) -> str:
-    """A value for a message: cut, and in printable ASCII."""
+    """A value for a message, shortened and in printable ASCII."""
     if isinstance(value, dict):
         return "an object"
     if isinstance(value, list):

@@ -1,10 +1,10 @@
-"""Seeds of all random numbers that Mitsuba and NumPy draw.
+"""Seeds of all random numbers that Mitsuba and NumPy generate.
 
-A result depends on one *root seed*, which a user may choose. Every use of random numbers has a
-seed of its own, derived from the root seed by what the numbers are for (`Purpose`), the step of
-that work and the draw within the step. So two uses share random numbers only if their 32-bit seeds
-happen to be equal. Among n seeds that has a probability of about n² / 2³³: 0.01 for the 10,000
-seeds of a long bake. It does no harm: two batches of rays among thousands are then equal.
+A result depends on one *root seed*, which the user may choose. Every use of random numbers has its
+own seed. It is derived from the root seed, the purpose of the numbers (`Purpose`), the step of
+that work, and the draw within the step. Two uses share random numbers only if their 32-bit seeds
+are equal by chance. Among n seeds the probability of this is about n² / 2³³: 0.01 for the 10,000
+seeds of a long bake. The consequence is small: two of thousands of batches of rays are equal.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ class Purpose(enum.IntEnum):
     PREVIEW = 1  # images of a preview; step: view
     FLUX = 2  # total flux; step: batch
     LONG_PATHS = 3  # flux of long paths; step: batch
-    MAX_RADIANCE = 4  # L_max of a luminaire
+    MAX_RADIANCE = 4  # paths that estimate L_max of a luminaire
     HELD_OUT = 5  # rays of the score
     GROWTH = 6  # which cells of the first octree hold something; step: level, draw: batch
     ESTIMATE = 7  # statistics of the first octree; step: batch
@@ -36,6 +36,8 @@ class Purpose(enum.IntEnum):
     ERROR_INDICATOR = 13  # which leaves are split; step: step of the descent
     RENDER = 14  # images of a scene; step: samples done
     CONTINUATION = 15  # root seed of a bake that goes on with an asset; step: checksum of the asset
+    IRRADIANCE = 16  # rays that leave a luminaire; step: batch, draw: 0 traced, 1 from a field
+    EXITANT = 17  # light paths of the exitant light field; step: batch
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,8 +46,8 @@ class SeedStream:
 
     Attributes:
         purpose: what the random numbers are for.
-        step: of the work, as `Purpose` says; 0 to 2³² - 1.
-        draw: which of the step's draws; 0 to 2³² - 1.
+        step: index of the step, as listed in `Purpose`; 0 to 2³² - 1.
+        draw: index of the draw within the step; 0 to 2³² - 1.
     """
 
     purpose: Purpose
@@ -57,7 +59,7 @@ class SeedStream:
 
         Args:
             root: the user's seed, 0 to 2³¹ - 1.
-            part: which of the draw's independent sets of random numbers.
+            part: index of an independent set of random numbers within the draw.
 
         Raises:
             LumitreeError: the root seed is out of range.
@@ -68,10 +70,10 @@ class SeedStream:
 
 
 def check_seed(seed: int) -> int:
-    """The seed, if it is one.
+    """Return the seed if it is valid.
 
     Raises:
-        LumitreeError: it is no integer from 0 to 2³¹ - 1.
+        LumitreeError: the seed is not an integer from 0 to 2³¹ - 1.
     """
     if type(seed) is not int or not 0 <= seed <= MAX_SEED:
         raise LumitreeError(f"seed is {seed!r}; expected a whole number from 0 to {MAX_SEED}")

@@ -3,8 +3,8 @@
 Symbols
     tau        optical depth, the integral of density along a ray
     T          transmittance, 1 at the start of a ray; opacity is 1 - T
-    weight     light an interval takes away, w_i = T_i - T_{i+1}; the weights of a ray sum to
-               its opacity for both laws
+    weight     decrease of T over an interval, w_i = T_i - T_{i+1}; for both laws the weights of
+               a ray sum to its opacity
 """
 
 from typing import Any, Literal, get_args
@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 Law = Literal["linear", "exponential"]
 LAWS: tuple[Law, ...] = get_args(Law)
 
-# The exponential law never reaches 0: below this a ray counts as blocked (D8).
+# The exponential law never reaches 0. Below this transmittance a ray counts as blocked (D8).
 BLOCKED = 1e-3
 
 
@@ -21,7 +21,7 @@ def transmittance(tau: Any, law: Law, xp: Any) -> Any:
 
     Args:
         tau: optical depth, at least 0, any shape.
-        law: which law.
+        law: "linear" or "exponential".
         xp: array module of `tau`: `numpy`, `jax.numpy` or `drjit`.
     """
     if law == "linear":

@@ -1,4 +1,4 @@
-"""The visual hull of a luminaire's masks: where it can be at all.
+"""The visual hull of a luminaire: the region that its masks do not show to be empty.
 
 Symbols
     footprint    pixels of a view onto which a cell projects
@@ -16,29 +16,29 @@ def visual_hull(
     half_extents: ArrayLike,
     resolution: int,
 ) -> NDArray[np.bool_]:
-    """Cells [nx, ny, nz] of a box that no view sees to be empty.
+    """Cells [nx, ny, nz] of a box that no view shows to be empty.
 
-    A cell is carved if in some view every pixel of its footprint, and of a margin of one pixel,
-    is background. No cell that a captured ray hit is carved.
+    A cell is removed if in some view all pixels of its footprint, and of a margin of one pixel
+    around it, are background. No cell that a captured ray hit is removed.
 
     Args:
-        views: pairs of `proxy_from_camera` [4, 4] and mask [H, H], true where a ray hit anything.
+        views: pairs of `local_from_camera` [4, 4] and mask [H, H], true where a ray hit anything.
         half_width: half the side of the views, local units.
-        half_extents: [3] of the box, local units.
-        resolution: cells along two local units.
+        half_extents: [3] half the sides of the box, local units.
+        resolution: number of cells along 2 local units.
     """
     half = np.asarray(half_extents, np.float64)
     shape = np.maximum(np.ceil(half * resolution), 1).astype(int)
-    # Only the survivors are projected, so the cost falls with every view.
+    # Only the remaining cells are projected, so each view costs less than the one before.
     alive = np.stack(np.unravel_index(np.arange(shape.prod()), shape)).astype(np.int16)
     for pose, mask in views:
         size = mask.shape[0]
-        # Pixels a local unit; rows count down along the camera's y.
+        # Pixels per local unit; rows are counted downwards, against the camera's y.
         scale = size / (2 * half_width)
         row, row_reach = _footprint(alive, shape, half, -scale * pose[:, 1], pose, size)
         column, column_reach = _footprint(alive, shape, half, scale * pose[:, 0], pose, size)
         near = _max_filter(_max_filter(mask, row_reach).T, column_reach).T
-        # A view says nothing about what it does not show.
+        # A cell outside of the image is kept.
         kept = (row < 0) | (row >= size) | (column < 0) | (column >= size)
         kept[~kept] = near[row[~kept], column[~kept]]
         alive = alive[:, kept]
@@ -55,16 +55,17 @@ def _footprint(
     pose: NDArray[np.float64],
     size: int,
 ) -> tuple[NDArray[np.int32], int]:
-    """Where cells fall along one axis of a view.
+    """Projection of cells onto one axis of a view.
 
     Args:
         cells: [3, N] indices in a grid of `shape` over the box of half extents `half`.
-        slope: [4] pixels a local unit along x, y and z.
-        pose: `proxy_from_camera`.
-        size: pixels a side of the view.
+        slope: [4] pixels per local unit along x, y and z; the last element is not used.
+        pose: `local_from_camera`.
+        size: pixels per side of the view.
 
     Returns:
-        Pixel of each cell's centre [N], and how many pixels its footprint with its margin reaches.
+        Pixel [N] of each cell's centre, and half the width of its footprint with the margin, in
+        pixels.
     """
     pixel = np.full(cells.shape[1], size / 2 - slope[:3] @ pose[:3, 3], np.float32)
     for index, count, extent, factor in zip(cells, shape, half, slope[:3], strict=True):
@@ -75,7 +76,7 @@ def _footprint(
 
 
 def _max_filter(mask: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """Whether anything is set within `reach` rows, by differences of running sums."""
+    """Whether any pixel within `reach` rows is true, from differences of cumulative sums."""
     sums = np.cumsum(mask, axis=0, dtype=np.int32)
     sums = np.concatenate([np.zeros_like(sums[:1]), sums])
     rows = np.arange(mask.shape[0])

@@ -1,6 +1,6 @@
-"""Folders that lumitree owns: of intermediate results, and for what lasts as long as a process.
+"""Folders that lumitree owns: work folders for intermediate results, and temporary folders.
 
-Only these classes delete anything but single files, and only what lumitree has written.
+No other module deletes folders. Only what lumitree has written is deleted.
 """
 
 import contextlib
@@ -24,16 +24,17 @@ _SCRATCH = "lumitree-scratch-"
 
 
 class WorkFolder:
-    """A folder of intermediate results, claimed by this process while the object is open.
+    """A folder of intermediate results, locked by this process while the object is open.
 
-    A file named `MARKER` tells that the folder is lumitree's. A folder that holds anything else
-    without that file is never taken.
+    A file named `MARKER` marks the folder as lumitree's. A folder that is not empty and lacks this
+    file is refused.
 
     Args:
         path: the folder; made if it is missing.
 
     Raises:
-        LumitreeError: it is somebody else's, cannot be written, or another process works in it.
+        LumitreeError: the folder is not lumitree's, cannot be written, or is locked by another
+            process.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -69,17 +70,17 @@ class WorkFolder:
         with contextlib.suppress(OSError):
             os.close(self._handle)
             if os.listdir(self.path) == [MARKER]:
-                # Nothing came of it: not even a state to continue from.
+                # The work wrote nothing that a later call could continue from.
                 (self.path / MARKER).unlink()
                 if self._made:
                     self.path.rmdir()
 
     def remove(self, names: Iterable[str]) -> None:
-        """Remove what lumitree wrote, and the folder if nothing else is in it.
+        """Remove what lumitree wrote, and the folder if it is then empty.
 
         Args:
-            names: patterns of files, and of folders that are lumitree's with all they hold,
-                relative to the work folder, as for `pathlib.Path.glob`.
+            names: patterns relative to the work folder, as for `pathlib.Path.glob`, of files, and
+                of folders that are removed with everything in them.
         """
         kept = [MARKER]
         try:
@@ -108,10 +109,10 @@ class WorkFolder:
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """A temporary folder for the block; those that killed processes left are removed.
+    """Context with a temporary folder; folders that killed processes left are removed.
 
     Raises:
-        LumitreeError: there is no folder for temporary files that can be written.
+        LumitreeError: the folder for temporary files cannot be written.
     """
     try:
         root = Path(tempfile.gettempdir())
@@ -132,11 +133,11 @@ def scratch_folder() -> Iterator[Path]:
 
 
 def _remove_abandoned(root: Path) -> None:
-    """Remove scratch folders that no living process holds."""
+    """Remove temporary folders that no running process has locked."""
     for folder in root.iterdir():
         if not re.fullmatch(f"{_SCRATCH}[a-z0-9_]{{8}}", folder.name):
             continue
-        # Somebody else's, or one that is being made or removed just now.
+        # The folder may be another user's, or another process may be making or removing it.
         with contextlib.suppress(OSError):
             handle = os.open(folder / MARKER, os.O_RDWR)
             try:

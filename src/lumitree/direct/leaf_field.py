@@ -1,4 +1,6 @@
-"""A field whose leaves can be changed: its integral along rays and the adjoint of that integral.
+"""A field whose leaves can be changed, and its integral along rays.
+
+`adjoint` has the derivatives of that integral.
 
 Symbols
     s_i         optical depth of leaf i along the ray, density times length
@@ -6,7 +8,6 @@ Symbols
     w_i         weight of leaf i, T_{i-1} - T_i
     Phi_i       emission of leaf i towards the viewer, in units of L_max: sigmoid(c_i · Y)
     L           sum of w_i Phi_i
-    dL          derivative of the loss by L
 """
 
 import copy
@@ -22,16 +23,16 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.transmittance import BLOCKED, Law, transmittance
-from lumitree.direct.sums import ExactSum, total_of
 from lumitree.octree.build import build_children
 from lumitree.octree.traversal import Octree
 
-# Leaves that show less than this of themselves get no gradient for their coefficients.
-_MIN_WEIGHT = 1e-4
-# Optical depth of a leaf that counts at most in gradients: those of leaves that a bake makes are
-# below 18, but others' assets may hold more.
-_MAX_DEPTH = 32.0
-# What makes up a field, as `LeafField.arrays` names it.
+# Leaves of a smaller weight in a ray are left out of its radiance, and get no gradient for
+# their coefficients.
+MIN_WEIGHT = 1e-4
+# Optical depth across a leaf that a bake makes opaque: it transmits 5e-5, and a bake makes no leaf
+# denser.
+OPAQUE_DEPTH = 10.0
+# The arrays of a field, as `LeafField.arrays` names them.
 LEAVES = ("cells", "levels", "log_density", "coefficients")
 
 
@@ -41,8 +42,8 @@ class LeafField:
     Attributes:
         cells, levels: int64 [M, 3] and [M], where the leaves are.
         log_density: mi.Float [M], per local unit.
-        coefficients: mi.Float [M · width], before the sigmoid: the 3 · K of a leaf follow one
-            another, padded to `width`, a multiple of 4.
+        coefficients: mi.Float [M · width], of the logits of emission: the 3 · K of a leaf follow
+            one another, padded to `width`, a multiple of 4.
         octree: the tree over them.
     """
 
@@ -59,7 +60,8 @@ class LeafField:
         half_extents: NDArray[np.float64],
     ) -> None:
         self.cells, self.levels = cells, levels
-        self.tree_depth, self.l_max, self.law = tree_depth, l_max, law
+        self.tree_depth, self.l_max = tree_depth, l_max
+        self.law: Law = law
         if isinstance(log_density, np.ndarray):
             log_density = on_device(mi.Float, log_density)
         self.log_density, self.coefficients = log_density, self._padded(coefficients)
@@ -87,7 +89,7 @@ class LeafField:
         )
 
     def copy(self) -> "LeafField":
-        """The field as it is now, which later steps on this one leave alone."""
+        """The field as it is now; later steps on this one do not change the copy."""
         # Device arrays are never changed in place here, only replaced.
         return copy.copy(self)
 
@@ -103,7 +105,10 @@ class LeafField:
 
     @functools.cached_property
     def neighbours(self) -> list[tuple[Any, Any]]:
-        """Leaf across the middle of each of the six faces (mi.UInt32 [M]), and whether there is."""
+        """For each of the six faces the leaf beyond its centre (mi.UInt32 [M]), if there is one.
+
+        The second of each pair is the mask (mi.Bool [M]).
+        """
         side = 1 << (self.tree_depth - self.levels)
         corner = self.cells * side[:, None]
         found = []
@@ -112,7 +117,7 @@ class LeafField:
                 cell = corner + (side // 2)[:, None]
                 cell[:, axis] = corner[:, axis] + steps
                 found.append(
-                    self.octree.leaf_at(mi.Vector3i(*(on_device(mi.Int, c) for c in cell.T)))
+                    self.octree.leaf_at(mi.Vector3i(*(on_device(mi.Int32, c) for c in cell.T)))
                 )
         dr.eval(found)
         return found
@@ -129,7 +134,7 @@ class LeafField:
         return rows[:, : 3 * count].reshape(-1, 3, count)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What `LEAVES` names, as `with_leaves` takes it."""
+        """The arrays that `LEAVES` names, in the form that `with_leaves` takes."""
         values = self.cells, self.levels, np.array(self.log_density), self.coefficient_array()
         return dict(zip(LEAVES, values, strict=True))
 
@@ -138,7 +143,11 @@ class LeafField:
         self.coefficients = self._padded(coefficients)
 
     def smooth(self, share: float) -> None:
-        """Draw every leaf's coefficients to the mean of its neighbours' by `share` of the way."""
+        """Regularise every leaf's coefficients towards the mean of its neighbours'.
+
+        Args:
+            share: part of the way to the mean, 0 to 1.
+        """
         quads = self.width // 4
         row = dr.arange(mi.UInt32, quads * self.num_leaves)
         leaf = row // quads
@@ -150,8 +159,8 @@ class LeafField:
             total += dr.gather(mi.Vector4f, self.coefficients, other, there)
             count += dr.select(there, mi.Float(1), 0)
         own = dr.gather(mi.Vector4f, self.coefficients, row)
-        drawn = dr.select(count > 0, dr.opaque(mi.Float, share), 0)
-        self.coefficients = dr.ravel(own + drawn * (total / dr.maximum(count, 1) - own))
+        strength = dr.select(count > 0, dr.opaque(mi.Float, share), 0)
+        self.coefficients = dr.ravel(own + strength * (total / dr.maximum(count, 1) - own))
         dr.eval(self.coefficients)
 
     def _padded(self, coefficients: Any) -> Any:
@@ -162,175 +171,74 @@ class LeafField:
         return on_device(mi.Float, np.pad(rows, ((0, 0), (0, self.width - rows.shape[1]))))
 
     def meets(self, origin: Any, direction: Any) -> Any:
-        """Whether a line crosses any leaf (mi.Bool)."""
+        """Whether the line of a ray crosses any leaf (mi.Bool)."""
 
         def visit(state, leaf, start, length, active):
             return (state[0] | active,), ~active
 
-        return self.octree.walk(origin, direction, mi.Bool(True), visit, (mi.Bool(False),))[0]
+        return self.octree.traverse(origin, direction, mi.Bool(True), visit, (mi.Bool(False),))[0]
 
     def integrate(self, origin: Any, direction: Any) -> tuple[Any, Any, Any]:
         """L / L_max (mi.Color3f), T, and Phi where the linear law saturates (else 0)."""
-        y = basis(*towards_viewer(direction), self.l_max)
+        y = basis(*towards_viewer(direction), l_max=self.l_max)
 
         def shade(state, leaf, start, length, active):
             radiance, tau, through, last = state
-            _, tau, after = self._cross(tau, leaf, length, active)
+            _, tau, after = self.cross(tau, leaf, length, active)
             weight = through - after
-            lit = active & (weight > _MIN_WEIGHT)
-            emission = self._emission(leaf, y, lit)
-            radiance = dr.select(lit, radiance + weight * emission, radiance)
+            visible = active & (weight > MIN_WEIGHT)
+            emission = self.emission(leaf, y, visible)
+            radiance = dr.select(visible, radiance + weight * emission, radiance)
             if self.law == "linear":
-                last = dr.select(lit & (after <= 0), emission, last)
+                last = dr.select(visible & (after <= 0), emission, last)
             return radiance, tau, after, last
 
         state = (mi.Color3f(0), mi.Float(0), mi.Float(1), mi.Color3f(0))
-        through, (radiance, _, _, last) = self._shade(origin, direction, shade, state)
+        through, (radiance, _, _, last) = self.traverse(origin, direction, shade, state)
         return radiance, through, last
 
-    def gradients(
-        self,
-        origin: Any,
-        direction: Any,
-        integrated: tuple[Any, Any, Any],
-        d_radiance: Any,
-        d_depth: Any,
-    ) -> tuple[Any, Any]:
-        """The loss's derivatives by log density and coefficients (mi.Float), in a second walk.
-
-        With T = law(tau), L = Phi_1 + sum_i T_i (Phi_{i+1} - Phi_i), so that
-        dL/ds_j = sum_{i >= j} law'(tau_i) (Phi_{i+1} - Phi_i):
-        for the exponential law T_j Phi_j - (what is seen behind j), for the linear one
-        Phi_j - Phi_k where leaf k saturates it (Phi_k = 0 where none does) and 0 from k on.
-
-        Args:
-            integrated: what `integrate` returned for the same rays.
-            d_radiance: dL of each ray (mi.Color3f, by L / L_max).
-            d_depth: the loss's derivative by the optical depth of the whole ray (mi.Float).
-        """
-        y = basis(*towards_viewer(direction), self.l_max)
-        total, _, last = integrated
-        quads = self.width // 4
-        # Differences of emission are at most 1, and harmonics of l <= 4 at most 0.85.
-        bound = total_of(dr.width(origin), d_radiance, d_depth)
-        by_density = ExactSum(self.num_leaves, _MAX_DEPTH * bound)
-        by_coefficient = ExactSum(self.num_leaves * self.width, bound)
-
-        def shade(state, leaf, start, length, active):
-            seen, tau, through = state
-            depth, tau, after = self._cross(tau, leaf, length, active)
-            weight = through - after
-            lit = active & (weight > _MIN_WEIGHT)
-            # Of thin leaves too: Adam follows the sign of the smallest gradient.
-            emission = self._emission(leaf, y, active)
-            seen = dr.select(lit, seen + weight * emission, seen)
-            if self.law == "linear":
-                slope = dr.select(after > 0, emission - last, 0)
-            else:
-                slope = after * emission - (total - seen)
-            d_tau = dr.dot(d_radiance, slope) + d_depth
-            by_density.add(d_tau * dr.minimum(depth, _MAX_DEPTH), leaf, active)
-            by_emission = weight * d_radiance * emission * (1 - emission)
-            flat = [by_emission[channel] * value for channel in range(3) for value in y]
-            flat += [mi.Float(0)] * (-len(flat) % 4)
-            for quad in range(quads):
-                values = mi.Vector4f(*flat[4 * quad : 4 * quad + 4])
-                by_coefficient.add(values, leaf * quads + quad, lit)
-            return seen, tau, after
-
-        self._shade(origin, direction, shade, (mi.Color3f(0), mi.Float(0), mi.Float(1)))
-        return by_density.values(), by_coefficient.values()
-
     def through(self, origin: Any, direction: Any) -> Any:
-        """T of rays (mi.Float), alone."""
+        """T of rays (mi.Float), without their radiance."""
         clear = mi.Float(0), mi.Float(1)
-        return self.octree.walk(origin, direction, mi.Bool(True), self._visit, clear)[1]
+        return self.octree.traverse(origin, direction, mi.Bool(True), self._visit, clear)[1]
 
-    def depth_gradient(self, origin: Any, direction: Any, d_depth: Any) -> Any:
-        """By log density, as `gradients`, where the loss depends on the rays' depth alone."""
-        by_density = ExactSum(self.num_leaves, _MAX_DEPTH * total_of(dr.width(origin), d_depth))
+    def traverse(self, origin: Any, direction: Any, shade: Any, shaded: Any) -> tuple[Any, Any]:
+        """T of rays, and the last state of `shade`.
 
-        def shade(state, leaf, start, length, active):
-            depth, _, _ = self._cross(state[0], leaf, length, active)
-            by_density.add(d_depth * dr.minimum(depth, _MAX_DEPTH), leaf, active)
-            return state
-
-        self._shade(origin, direction, shade, (mi.Float(0),))
-        return by_density.values()
-
-    def emission_moments(
-        self, origin: Any, direction: Any, light: Any, share: Any, cell: Any, harmonics: int
-    ) -> NDArray[np.float64]:
-        """What the leaves of each cell show along the first `harmonics` Y_k, for `balance`.
-
-        Args:
-            light: mi.Color3f of each ray.
-            share: mi.Float of each ray.
-            cell: mi.UInt32 [M], the leaves' cells, of which each has some.
-
-        Returns:
-            [C, 3, ...] for cell and channel the sums over rays and leaves of
-            g (light - share) Y_k and g (1 - Phi) share Y_j Y_k, lower triangle by rows, where
-            g = w Phi (1 - Phi) is the derivative of w Phi by what is before the sigmoid.
+        Visits leaves front to back, until the rest is blocked; see `Octree.traverse_and_shade`.
         """
-        y = basis(*towards_viewer(direction), self.l_max)
-        first = y[:harmonics]
-        products = [first[j] * first[k] for j in range(harmonics) for k in range(j + 1)]
-        count = harmonics + len(products)
-        quads = -(-count // 4)
-        cells = int(dr.max(cell)[0]) + 1
-        sums = ExactSum(cells * 3 * 4 * quads, total_of(dr.width(origin), light, share))
-
-        def shade(state, leaf, start, length, active):
-            _, tau, after = self._cross(state[0], leaf, length, active)
-            emission = self._emission(leaf, y, active)
-            row = 3 * dr.gather(mi.UInt32, cell, leaf, active)
-            for channel in range(3):
-                rest = 1 - emission[channel]
-                slope = (state[1] - after) * emission[channel] * rest
-                flat = [slope * (light[channel] - share) * value for value in first]
-                flat += [slope * rest * share * value for value in products]
-                flat += [mi.Float(0)] * (-count % 4)
-                for quad in range(quads):
-                    values = mi.Vector4f(*flat[4 * quad : 4 * quad + 4])
-                    sums.add(values, (row + channel) * quads + quad, active)
-            return tau, after
-
-        self._shade(origin, direction, shade, (mi.Float(0), mi.Float(1)))
-        return np.array(sums.values(), np.float64).reshape(cells, 3, -1)[..., :count]
-
-    def share_out(self, origin: Any, direction: Any, value: Any) -> Any:
-        """Sums (mi.Float [M]) of a value (mi.Float) of each ray by the leaves' weights in it."""
-        total = ExactSum(self.num_leaves, total_of(dr.width(origin), value))
-
-        def shade(state, leaf, start, length, active):
-            _, tau, after = self._cross(state[0], leaf, length, active)
-            total.add((state[1] - after) * value, leaf, active)
-            return tau, after
-
-        self._shade(origin, direction, shade, (mi.Float(0), mi.Float(1)))
-        return total.values()
-
-    def _shade(self, origin, direction, shade, shaded):
-        """T of rays, and the last state of `shade`, see `Octree.walk_and_shade`."""
         clear = mi.Float(0), mi.Float(1)
-        (_, through), shaded = self.octree.walk_and_shade(
+        (_, through), shaded = self.octree.traverse_and_shade(
             origin, direction, mi.Bool(True), self._visit, clear, shade, shaded
         )
         return through, shaded
 
     def _visit(self, state, leaf, start, length, active):
-        _, tau, through = self._cross(state[0], leaf, length, active)
+        _, tau, through = self.cross(state[0], leaf, length, active)
         return (tau, through), through > self._blocked
 
-    def _cross(self, tau, leaf, length, active):
-        """Optical depth of a leaf, and the ray's depth and transmittance after it."""
+    def cross(self, tau: Any, leaf: Any, length: Any, active: Any) -> tuple[Any, Any, Any]:
+        """Optical depth of a leaf along a ray, and the ray's depth and transmittance after it.
+
+        Args:
+            tau: mi.Float, optical depth in front of the leaf.
+            leaf: mi.UInt32.
+            length: mi.Float, of the ray in the leaf, local units.
+            active: mi.Bool.
+        """
         density = dr.exp(dr.gather(mi.Float, self.log_density, leaf, active))
         depth = dr.select(active, density * length, 0)
         tau = tau + depth
         return depth, tau, mi.Float(transmittance(tau, self.law, dr))
 
-    def _emission(self, leaf, y, active):
+    def emission(self, leaf: Any, y: list[Any], active: Any) -> Any:
+        """Phi of a leaf (mi.Color3f).
+
+        Args:
+            leaf: mi.UInt32.
+            y: spherical harmonics of the direction towards the viewer, mi.Float each.
+            active: mi.Bool.
+        """
         count, quads = len(y), self.width // 4
         flat = []
         for quad in range(quads):

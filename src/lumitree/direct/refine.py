@@ -1,19 +1,18 @@
 """Gradient descent on the leaves of an octree with fresh, noisy rays.
 
 The gradient of the loss is linear in the target, so its noise averages out over rays and steps
-(noise2noise): every step draws new rays instead of looking at stored pictures. For the same reason
-lines, and light from the emitters, may bring in different parts of it (see `Rays`).
+(noise2noise): every step draws new rays instead of stored ones. For the same reason rays and light
+paths may bring different parts of the target (see `Rays`).
 
 Symbols
     L, T        radiance / L_max and transmittance of the field along a ray
-    l, t        what the ray should show, noisy
+    l, t        noisy estimates of those of the luminaire
     loss        mean of D(L + epsilon, l + epsilon) + opacity_weight (T - t)², where
-                D(x, y) = x - y log x is the Poisson deviance but for what does not depend on x:
-                where it has no slope x and y agree in sum, so that the field gives as much light
-                as the luminaire. Relative squared errors (Eq. 8) agree in another sum
+                D(x, y) = x - y log x is the Poisson deviance without the terms that do not depend
+                on x: at its minimum x and y agree in sum, so that the field has the flux of the
+                luminaire. Relative squared errors (Eq. 8) agree in another sum (decision 23)
 """
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -25,193 +24,156 @@ from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.direct.balance import balance
-from lumitree.direct.estimate import OPAQUE, split
-from lumitree.direct.leaf_field import LEAVES, LeafField
-from lumitree.direct.ray_source import TILE_LINES, RaySource
-from lumitree.errors import LumitreeError
-
-# L_max of a bake, where the sigmoid ends, over the radiance that pixels reach (D9): a thin filament
-# outshines its pixel, in a leaf that hides only part of it.
-HEADROOM = 4.0
-_BETA_1, _BETA_2 = 0.9, 0.98
-# Lines of which the blame is found, before leaves are split.
-_BLAME_LINES, _BLAME_BATCHES = 1 << 20, 4
-# Beside light that is wrong by all of itself: an opacity wrong by 0.045 counts as much.
-_OPACITY_BLAME = 500.0
-# Lines followed straight alone, for each line whose light is asked for too: they cost a third.
-_STRAIGHT_LINES = 4
-# The steps between two times at which the coefficients are smoothed.
-_SMOOTH_EVERY = 8
-# Leaves thinner than this (optical depth across) are dropped.
-_MIN_DEPTH = 2e-3
-
-
-@dataclasses.dataclass(frozen=True)
-class RefineConfig:
-    """How to descend.
-
-    Attributes:
-        lines: lines drawn for a step; those that meet no leaf cost little.
-        epsilon: of the loss, in units of L_max.
-        opacity_weight: of the loss.
-        density_rate, coefficient_rate: first steps of Adam for log density and coefficients.
-        smoothing: part of the way from a leaf's coefficients to the mean of its neighbours' that
-            they are drawn at first, once in so many steps as `_SMOOTH_EVERY` says.
-        final_rate: last step over first; the rates fall exponentially with the budget spent, and
-            the smoothing with them.
-        max_leaves: no more are made by splitting.
-    """
-
-    lines: int = 1 << 15
-    epsilon: float = 0.002 / HEADROOM
-    opacity_weight: float = 5.0
-    density_rate: float = 0.15
-    coefficient_rate: float = 0.03
-    smoothing: float = 0.5
-    final_rate: float = 0.05
-    max_leaves: int = 3_000_000
-
-    def __post_init__(self) -> None:
-        if self.lines < TILE_LINES or self.lines % TILE_LINES:
-            raise LumitreeError(f"lines is {self.lines}; expected a multiple of {TILE_LINES}")
-        for name in ("epsilon", "density_rate", "coefficient_rate", "final_rate"):
-            if not getattr(self, name) > 0:
-                raise LumitreeError(f"{name} is {getattr(self, name)}; expected more than 0")
-        if self.final_rate > 1:
-            raise LumitreeError(f"final_rate is {self.final_rate}; expected at most 1")
-        if not 0 <= self.smoothing <= 1:
-            raise LumitreeError(f"smoothing is {self.smoothing}; expected 0 to 1")
+from lumitree.direct.adjoint import accumulate_by_weight, depth_gradient, gradients
+from lumitree.direct.config import RefineConfig, SplitConfig
+from lumitree.direct.leaf_field import LEAVES, OPAQUE_DEPTH, LeafField
+from lumitree.direct.ray_source import RaySource
+from lumitree.octree.build import child_cells
 
 
 class Refiner:
     """A field being refined, with the state of its optimiser.
 
+    Args:
+        field: where to start.
+        source: where rays come from.
+        max_radiance: L_max of the field.
+        config: the descent.
+        splitting: which leaves are split and dropped.
+
     Attributes:
-        field: the leaves so far.
-        step: steps done.
+        field: the field as it is.
+        step: number of steps done.
     """
 
     def __init__(
-        self, field: LeafField, source: RaySource, max_radiance: float, config: RefineConfig
+        self,
+        field: LeafField,
+        source: RaySource,
+        max_radiance: float,
+        config: RefineConfig,
+        splitting: SplitConfig,
     ) -> None:
         self.field, self.step = field, 0
-        self._source, self._config = source, config
+        self._source, self._config, self._splitting = source, config, splitting
         self._max_radiance = max_radiance
-        self._density_adam = Adam(field.num_leaves)
-        self._coefficient_adam = Adam(field.num_leaves * field.width)
+        decays = config.mean_decay, config.square_decay
+        self._density_adam = Adam(field.num_leaves, *decays)
+        self._coefficient_adam = Adam(field.num_leaves * field.width, *decays)
 
     def advance(self, progress: float) -> int:
         """One step at `progress` in [0, 1] of the budget; returns the number of rays used."""
         field, config = self.field, self._config
         self.step += 1
         rays = self._source.draw(
-            config.lines, SeedStream(Purpose.REFINEMENT, self.step), field.meets
+            config.rays,
+            SeedStream(Purpose.REFINEMENT, self.step),
+            field.meets,
+            config.light_paths_per_ray,
         )
-        straight = self._source.straight(
-            _STRAIGHT_LINES * config.lines, SeedStream(Purpose.STRAIGHT, self.step), field.meets
+        *opacity_rays, opacity_target = self._source.draw_opacity(
+            config.opacity_rays_per_ray * config.rays,
+            SeedStream(Purpose.STRAIGHT, self.step),
+            field.meets,
         )
-        count = dr.width(rays.origin) + dr.width(straight[0])
-        if dr.width(rays.origin) == 0 or dr.width(straight[0]) == 0:
-            return count
+        num_rays, num_opacity_rays = dr.width(rays.origin), dr.width(opacity_rays[0])
+        if num_rays == 0 or num_opacity_rays == 0:
+            return num_rays + num_opacity_rays
         integrated = field.integrate(rays.origin, rays.direction)
         radiance, through, _ = integrated
         dr.eval(integrated)
         weight = dr.rcp(radiance + config.epsilon)
         light = rays.light * dr.opaque(mi.Float, 1 / self._max_radiance)
-        # Lines of both kinds tell of the opacity.
-        part = 1 / (1 + _STRAIGHT_LINES)
-        d_density, d_coefficients = field.gradients(
+        # Rays of both kinds contribute to the mean of the opacity's loss.
+        part = 1 / (1 + config.opacity_rays_per_ray)
+        d_density, d_coefficients = gradients(
+            field,
             rays.origin,
             rays.direction,
             integrated,
             weight * (rays.share * radiance - light),
-            part * rays.share * self._by_depth(through, rays.transmittance),
+            part * rays.share * self._opacity_slope(through, rays.transmittance),
         )
-        through = field.through(*straight[:2])
-        share = dr.opaque(mi.Float, (1 - part) / dr.width(straight[0]))
-        d_depth = share * self._by_depth(through, straight[2])
+        through = field.through(*opacity_rays)
+        share = dr.opaque(mi.Float, (1 - part) / num_opacity_rays)
+        d_depth = share * self._opacity_slope(through, opacity_target)
         dr.eval(d_depth)
-        d_density += field.depth_gradient(*straight[:2], d_depth)
-        fallen = config.final_rate ** min(progress, 1.0)
+        d_density += depth_gradient(field, *opacity_rays, d_depth=d_depth)
+        decay = config.final_rate ** min(progress, 1.0)
         field.log_density = dr.minimum(
-            self._density_adam.descend(field.log_density, d_density, fallen * config.density_rate),
-            self._densest(),
+            self._density_adam.descend(field.log_density, d_density, decay * config.density_rate),
+            self._log_opaque(),
         )
         field.coefficients = self._coefficient_adam.descend(
-            field.coefficients, d_coefficients, fallen * config.coefficient_rate
+            field.coefficients, d_coefficients, decay * config.coefficient_rate
         )
         dr.eval(field.log_density, field.coefficients)
-        if self.step % _SMOOTH_EVERY == 0:
-            field.smooth(fallen * config.smoothing)
-        return count
+        if self.step % config.smoothing_interval == 0:
+            field.smooth(decay * config.smoothing)
+        return num_rays + num_opacity_rays
 
-    def _by_depth(self, through: Any, wanted: Any) -> Any:
-        """Derivative of the opacity loss by the optical depth of rays that let `through` pass."""
-        # Beyond saturation the linear law's is 0: taken for that of tau, or nothing could thin out.
+    def _opacity_slope(self, through: Any, target: Any) -> Any:
+        """Derivative of the opacity's loss by the optical depth of rays of transmittance T."""
+        # Where the linear law is saturated, its derivative is 0 and no leaf could become thinner:
+        # the one of tau is used instead.
         slope = through if self.field.law == "exponential" else 1
-        return 2 * self._config.opacity_weight * (wanted - through) * slope
+        return 2 * self._config.opacity_weight * (target - through) * slope
 
-    def _densest(self) -> Any:
+    def _log_opaque(self) -> Any:
         """Log density [M] at which each leaf is opaque."""
-        return math.log(OPAQUE / 2) + self.field.device_levels * math.log(2)
+        return math.log(OPAQUE_DEPTH / 2) + self.field.device_levels * math.log(2)
 
     def prune(self) -> None:
-        """Drop the leaves that hide next to nothing, wherever they are seen from."""
+        """Drop the leaves whose opacity is negligible in every direction."""
         depth = np.exp(np.array(self.field.log_density)) * 2.0 ** (1 - self.field.levels)
-        kept = np.flatnonzero(depth >= _MIN_DEPTH)
+        kept = np.flatnonzero(depth >= self._splitting.min_optical_depth)
         if len(kept):
             self._rebuild(kept, self.field.cells[kept], self.field.levels[kept])
 
-    def balance(self) -> None:
-        """Scale the emission of regions to the light they send to each side, see `balance`."""
-        stream = SeedStream(Purpose.CALIBRATION, self.step)
-        balance(self.field, self._source, self._max_radiance, stream)
-
     def split(self, deepest: int) -> None:
-        """Split the leaves above level `deepest` that answer for most of the loss.
+        """Split the leaves above level `deepest` that account for most of the error.
 
-        As many as `max_leaves` allows, worst first; children begin as their parent was.
+        As many as `max_leaves` allows, those with the largest error first; children start with
+        their parent's values.
         """
-        field = self.field
-        blame = self._blame()
-        blame[field.levels >= deepest] = 0
-        order = np.argsort(-blame)
-        # Leaves beyond these answer for a hundredth of the loss together.
-        enough = np.searchsorted(np.cumsum(blame[order]), 0.99 * blame.sum()) + 1
-        room = max(0, (self._config.max_leaves - field.num_leaves) // 7)
+        field, config = self.field, self._splitting
+        error = self._error_indicator()
+        error[field.levels >= deepest] = 0
+        order = np.argsort(-error)
+        enough = np.searchsorted(np.cumsum(error[order]), config.covered_error * error.sum()) + 1
+        allowed = max(0, (config.max_leaves - field.num_leaves) // 7)
         chosen = np.zeros(field.num_leaves, bool)
-        chosen[order[: min(enough, room)]] = True
-        chosen &= blame > 0
+        chosen[order[: min(enough, allowed)]] = True
+        chosen &= error > 0
         whole, parents = np.flatnonzero(~chosen), np.flatnonzero(chosen)
         self._rebuild(
             np.concatenate([whole, np.repeat(parents, 8)]),
-            np.concatenate([field.cells[whole], split(field.cells[parents])]),
+            np.concatenate([field.cells[whole], child_cells(field.cells[parents]).reshape(-1, 3)]),
             np.concatenate([field.levels[whole], np.repeat(field.levels[parents] + 1, 8)]),
         )
 
-    def _blame(self) -> NDArray[np.float32]:
-        """How much of the loss each leaf answers for [M], by its weight in the rays."""
-        field, config = self.field, self._config
-        blame = dr.zeros(mi.Float, field.num_leaves)
-        for batch in range(_BLAME_BATCHES):
+    def _error_indicator(self) -> NDArray[np.float32]:
+        """Per-leaf error indicator [M]: errors of rays, accumulated by the leaves' weights."""
+        field, config = self.field, self._splitting
+        indicator = dr.zeros(mi.Float, field.num_leaves)
+        for batch in range(config.indicator_batches):
             stream = SeedStream(Purpose.ERROR_INDICATOR, self.step, batch)
-            pairs = self._source.pairs(_BLAME_LINES, stream, 1)
+            pairs = self._source.draw_pairs(config.indicator_rays, stream, 1)
             radiance, through, _ = field.integrate(pairs.origin, pairs.direction)
             scale = dr.opaque(mi.Float, 1 / self._max_radiance)
-            # Without bias, so that noise takes no part.
+            # The product of two independent errors: noise causes no bias.
             square = (radiance - pairs.first * scale) * (radiance - pairs.second * scale)
-            loss = dr.sum(square * dr.rcp(dr.square(radiance + config.epsilon)))
-            loss += _OPACITY_BLAME * dr.square(through - pairs.transmittance)
-            dr.eval(loss)
-            blame += field.share_out(pairs.origin, pairs.direction, loss)
-            dr.eval(blame)
-        return np.maximum(np.array(blame), 0)
+            error = dr.sum(square * dr.rcp(dr.square(radiance + self._config.epsilon)))
+            error += config.indicator_opacity_weight * dr.square(through - pairs.transmittance)
+            dr.eval(error)
+            indicator += accumulate_by_weight(field, pairs.origin, pairs.direction, error)
+            dr.eval(indicator)
+        return np.maximum(np.array(indicator), 0)
 
     def _rebuild(
         self, origin: NDArray[np.int64], cells: NDArray[np.int64], levels: NDArray[np.int64]
     ) -> None:
-        """Make a field of new leaves; leaf i continues what leaf `origin[i]` was."""
+        """Make a field of new leaves; leaf i takes the values of the former leaf `origin[i]`."""
         index = on_device(mi.UInt32, origin)
         width = self.field.width
         wide = dr.repeat(index, width) * width + dr.tile(dr.arange(mi.UInt32, width), len(origin))
@@ -225,7 +187,7 @@ class Refiner:
         self._coefficient_adam.take(wide)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """All that `restore` needs to go on, as arrays."""
+        """The field and the state of the optimiser as arrays, for `restore`."""
         field, density, coefficients = self.field, self._density_adam, self._coefficient_adam
         return field.arrays() | {
             "density_mean": np.array(density.mean),
@@ -236,7 +198,7 @@ class Refiner:
         }
 
     def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Continue from what `state` returned."""
+        """Continue from a former `state`."""
         self.field = self.field.with_leaves(*(state[name] for name in LEAVES))
         density, coefficients = self._density_adam, self._coefficient_adam
         density.mean = on_device(mi.Float, state["density_mean"])
@@ -248,20 +210,27 @@ class Refiner:
 
 
 class Adam:
-    """Adam's moments of one flat array; Kingma and Ba 2015."""
+    """Adam's moments of one flat array; Kingma and Ba 2015.
 
-    def __init__(self, size: int) -> None:
+    Args:
+        size: of the array.
+        mean_decay, square_decay: beta_1 and beta_2.
+    """
+
+    def __init__(self, size: int, mean_decay: float, square_decay: float) -> None:
+        self._decays = mean_decay, square_decay
         self.mean, self.square = dr.zeros(mi.Float, size), dr.zeros(mi.Float, size)
         self.steps = 0
 
     def descend(self, values: Any, gradient: Any, rate: float) -> Any:
         """The values after one step."""
         self.steps += 1
+        beta_1, beta_2 = self._decays
         # Opaque, or every step would compile a kernel of its own.
-        step = dr.opaque(mi.Float, rate / (1 - _BETA_1**self.steps))
-        correction = dr.opaque(mi.Float, 1 / (1 - _BETA_2**self.steps))
-        self.mean = _BETA_1 * self.mean + (1 - _BETA_1) * gradient
-        self.square = _BETA_2 * self.square + (1 - _BETA_2) * dr.square(gradient)
+        step = dr.opaque(mi.Float, rate / (1 - beta_1**self.steps))
+        correction = dr.opaque(mi.Float, 1 / (1 - beta_2**self.steps))
+        self.mean = beta_1 * self.mean + (1 - beta_1) * gradient
+        self.square = beta_2 * self.square + (1 - beta_2) * dr.square(gradient)
         moved = values - step * self.mean / (dr.sqrt(self.square * correction) + 1e-15)
         dr.eval(self.mean, self.square, moved)
         return moved

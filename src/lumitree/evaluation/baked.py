@@ -1,25 +1,27 @@
-"""Views of a baked luminaire under the same pixel filter as the captured ones."""
+"""Views of a baked luminaire, with the pixel filter of the captured ones."""
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.asset import Asset
 from lumitree.core.dataset import Frame, Manifest
-from lumitree.octree.field import Field
+from lumitree.octree.field import shared_field
+from lumitree.rendering.divided_sampling import look
 
-# Rays a pixel and side: 4 x 4, stratified, under the box filter that capture uses.
+# Rays per pixel and side: 4 x 4 rays, stratified, with the box filter that capture uses.
 RAYS_A_SIDE = 4
 
 
 def baked_view(
-    field: Field, manifest: Manifest, frame: Frame
+    asset: Asset, manifest: Manifest, frame: Frame
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Radiance [H, W, 3] and opacity [H, W] of a baked luminaire in one view of a dataset."""
     resolution = manifest.resolution
     fine = resolution * RAYS_A_SIDE
     index = dr.arange(mi.UInt32, fine * fine)
-    # Rays of one pixel are neighbours, so that a block sum averages them.
+    # Rays of one pixel have consecutive indices, so that a block sum averages them.
     pixel, sub = index // RAYS_A_SIDE**2, index % RAYS_A_SIDE**2
     column = (pixel % resolution) * RAYS_A_SIDE + sub % RAYS_A_SIDE
     row = (pixel // resolution) * RAYS_A_SIDE + sub // RAYS_A_SIDE
@@ -31,11 +33,13 @@ def baked_view(
         manifest.half_width - (row + 0.5) * step,
         0,
     )
-    radiance, through = field.emission(origin, -(pose @ mi.Vector3f(0, 0, 1)))
-    # A block sum evaluates what it sums: without this, every channel would be walked again.
+    towards = -(pose @ mi.Vector3f(0, 0, 1))
+    radiance, through = look(asset, shared_field(asset), origin, towards, True)
+    # A block sum evaluates its argument. Without this, each channel would repeat the traversal.
     dr.eval(radiance, through)
     values = [dr.block_sum(value, RAYS_A_SIDE**2) for value in (*radiance, through)]
     dr.eval(values)
-    image = np.stack([np.array(value) for value in values], axis=-1) / RAYS_A_SIDE**2
+    image = np.stack([np.array(value, np.float32) for value in values], axis=-1)
+    image /= RAYS_A_SIDE**2
     image = image.reshape(resolution, resolution, 4)
     return image[..., :3], 1 - image[..., 3]

@@ -1,24 +1,43 @@
-"""All metrics of a baked luminaire on the held-out views of a dataset."""
+"""All metrics of a baked luminaire: on held-out views, and of the irradiance around it."""
 
 import dataclasses
+import math
 from typing import Any
+
+import numpy as np
 
 from lumitree.asset.asset import Asset
 from lumitree.core.dataset import Dataset
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError
 from lumitree.evaluation.baked import baked_view
-from lumitree.evaluation.metrics import flux_error, mean_metrics, view_metrics
+from lumitree.evaluation.irradiance import (
+    FACES,
+    Irradiance,
+    IrradianceError,
+    asset_irradiance,
+    irradiance_error,
+    luminaire_irradiance,
+)
+from lumitree.evaluation.metrics import (
+    flux_error,
+    gain_over_black,
+    mean_metrics,
+    view_metrics,
+)
 from lumitree.evaluation.sheet import MAX_ROWS, SheetRow
-from lumitree.octree.field import shared_field
+from lumitree.luminaire.luminaire import Luminaire
 
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
-    """Means over views, each view's own metrics, and what a contact sheet shows.
+    """Metrics of an asset on the views of a dataset.
 
     Attributes:
-        max_radiance: L_max of the views compared with.
+        max_radiance: L_max of the dataset's views, W/(m² sr).
+        metrics: means over the views, `flux_error`, and the gains over black, by name.
+        views: metrics of each view, with its `halton_index`.
+        rows: images for a contact sheet.
     """
 
     max_radiance: float
@@ -30,28 +49,24 @@ class Evaluation:
 def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
     """Compare an asset with every view of `dataset`.
 
-    The opacity compared is `straight_through`: what the renderer multiplies the light behind
-    with (D7).
+    The opacity that is compared is `straight_through`: the renderer multiplies the light behind
+    the luminaire by 1 minus this opacity (D7).
 
     Raises:
         LumitreeError: the dataset shows a luminaire of other proportions, or nothing.
     """
     manifest = dataset.manifest
-    if any(
-        abs(own - other) > 1e-3
-        for own, other in zip(asset.half_extents, manifest.half_extents, strict=True)
-    ):
+    if np.abs(asset.frame.half_extents - manifest.local_frame.half_extents).max() > 1e-3:
         raise LumitreeError(
             f"the asset ({asset.luminaire}) and {dataset.folder} ({manifest.luminaire}) have "
             "bounding boxes of different proportions; evaluate an asset on its own luminaire"
         )
-    field = shared_field(asset)
-    # Of the views, so that assets with other bounds are compared on one scale.
+    # L_max of the views, not of the asset, so that all assets are compared on one scale.
     max_radiance = dataset.max_radiance(dataset.views())
     views, rows = [], []
     with progress("evaluate", len(manifest.frames)) as advance:
         for view in dataset.views():
-            radiance, opacity = baked_view(field, manifest, view.frame)
+            radiance, opacity = baked_view(asset, manifest, view.frame)
             metrics = view_metrics(
                 radiance, view.radiance, opacity, view.straight_through, max_radiance
             )
@@ -63,4 +78,81 @@ def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
             advance(1)
     metrics = mean_metrics([row.metrics for row in rows])
     metrics["flux_error"] = flux_error([row.baked for row in rows], [row.reference for row in rows])
+    metrics |= gain_over_black(metrics)
     return Evaluation(max_radiance, metrics, views, rows[:MAX_ROWS])
+
+
+@dataclasses.dataclass(frozen=True)
+class IrradianceEvaluation:
+    """Irradiance around an asset, compared with that around its luminaire.
+
+    Attributes:
+        num_paths: light paths of the luminaire, and rays of the asset.
+        explicit, baked: estimates for the luminaire and for the asset.
+        error: of `baked`.
+    """
+
+    num_paths: int
+    explicit: Irradiance
+    baked: Irradiance
+    error: IrradianceError
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """`irradiance_ratio`, `irradiance_rms` and `irradiance_rms_touching`.
+
+        One that is not defined (see `IrradianceError`) is omitted.
+        """
+        values = {
+            "irradiance_ratio": self.error.total_ratio,
+            "irradiance_rms": self.error.mean_rms,
+            "irradiance_rms_touching": float(self.error.rms[FACES.index("touching")]),
+        }
+        return {name: value for name, value in values.items() if math.isfinite(value)}
+
+    def report(self) -> dict[str, Any]:
+        """Values for JSON.
+
+        Returns:
+            `paths`; `ratio_error`, the standard error of `irradiance_ratio`; and `faces`: for each
+            of `FACES` the means `explicit_lux` and `baked_lux`, `ratio`, `ratio_error`, `rms` and
+            `rms_error`. What is not defined (see `IrradianceError`) is None.
+        """
+        columns = {
+            "explicit_lux": self.explicit.lux.mean(axis=(1, 2)),
+            "baked_lux": self.baked.lux.mean(axis=(1, 2)),
+            "ratio": self.error.ratio,
+            "ratio_error": self.error.ratio_error,
+            "rms": self.error.rms,
+            "rms_error": self.error.rms_error,
+        }
+        faces = {
+            face: {name: _finite(values[index]) for name, values in columns.items()}
+            for index, face in enumerate(FACES)
+        }
+        return {
+            "paths": self.num_paths,
+            "ratio_error": _finite(self.error.total_ratio_error),
+            "faces": faces,
+        }
+
+
+def evaluate_irradiance(asset: Asset, luminaire: Luminaire, num_paths: int) -> IrradianceEvaluation:
+    """Compare the irradiance around an asset with that around its luminaire (decision D14).
+
+    Args:
+        luminaire: must have a bounding box of the asset's proportions, which `evaluate_views`
+            checks.
+        num_paths: light paths of the luminaire, and as many rays of the asset.
+
+    Raises:
+        LumitreeError: a path's flux is NaN or infinite.
+    """
+    explicit = luminaire_irradiance(luminaire, num_paths)
+    baked = asset_irradiance(asset, num_paths)
+    return IrradianceEvaluation(num_paths, explicit, baked, irradiance_error(baked, explicit))
+
+
+def _finite(value: float) -> float | None:
+    """The value; None if it is NaN or infinite, which JSON does not have."""
+    return float(value) if math.isfinite(value) else None

@@ -1,12 +1,11 @@
-"""How far a baked luminaire is from its reference on held-out views (decision D9).
+"""Error metrics of a baked luminaire on held-out views (decision D9).
 
 Symbols
     b, r       baked and reference radiance, in the asset's radiance unit
-    L_max      radiance that counts as 1, the 99.99th percentile of the views compared with
+    L_max      radiance that is mapped to 1: the 99.99th percentile over the reference views
     x          clip(radiance / L_max, 0, 1)
 
-A match so good that a PSNR exceeds `MAX_PSNR` counts as `MAX_PSNR`: JSON has no infinity, and a
-mean over views needs numbers.
+A PSNR is at most `MAX_PSNR`, because JSON has no infinity and means over views need finite numbers.
 """
 
 import itertools
@@ -32,12 +31,12 @@ VIEW_METRICS = (
     "psnr_linear_black",
     "psnr_mulaw_black",
 )
-METRICS = (*VIEW_METRICS, "flux_error")
+METRICS = (*VIEW_METRICS, "flux_error", "gain_linear", "gain_mulaw")
 
 MAX_PSNR = 100.0  # dB
 MU = 5000.0
 REL_MSE_EPSILON = 0.01  # squared radiance
-# Wang et al. 2004: Gaussian window of sigma 1.5, cut off at 5 pixels.
+# Wang et al. 2004: Gaussian window with sigma 1.5, truncated at 5 pixels.
 SSIM_WINDOW = 11
 
 # Rec. ITU-R BT.709 luminance of linear RGB.
@@ -49,10 +48,11 @@ _PU21_OFFSET, _PU21_SCALE = 0.9099517204, 596.3148142
 _PU21_RANGE = (0.005, 10000.0)
 # matlab/pu21_metric.m: psnr(T, R, 256); 100 cd/m² encodes to about 256.
 PU21_PEAK = 256.0
-DISPLAY_PEAK = 4000.0  # cd/m² that L_max is shown at
+DISPLAY_PEAK = 4000.0  # luminance at which L_max is displayed, cd/m²
 
-# Exposures of HDR-FLIP: the ACES curve (x (a x + b)) / (x (c x + d) + e) of FLIP.h, which the
-# package solves for 0.85, and the faintest luminance, relative to L_max, that is exposed for.
+# Exposures of HDR-FLIP: coefficients of the ACES curve (x (a x + b)) / (x (c x + d) + e) of FLIP.h,
+# the value for which the package solves it, and the smallest luminance, relative to L_max, for
+# which an exposure is chosen.
 _FLIP_ACES = (0.36 * 2.51, 0.6 * 0.03, 0.36 * 2.43, 0.6 * 0.59, 0.14)
 _FLIP_TARGET = 0.85
 _FLIP_FLOOR = 1e-3
@@ -68,18 +68,19 @@ def view_metrics(
     """All metrics of one view, by the names of `VIEW_METRICS` (D9).
 
     Args:
-        baked: [H, W, 3] radiance of the asset; at least 11 pixels a side.
+        baked: [H, W, 3] radiance of the asset; at least 11 pixels per side.
         reference: [H, W, 3] radiance of the luminaire, same unit.
         baked_opacity: [H, W] in [0, 1].
-        reference_opacity: [H, W] in [0, 1], converged: its noise counts as error.
+        reference_opacity: [H, W] in [0, 1]. Its noise counts as error, so it should be converged.
         max_radiance: L_max, radiance unit, positive.
 
     Returns:
         `psnr_linear`, `ssim_linear` of x (dB; -1 to 1); `psnr_mulaw`, `ssim_mulaw` of `mulaw(x)`;
         `psnr_pu21` (dB) of `pu21(radiance / L_max * 4000 cd/m²)` in each channel with peak 256;
-        `hdr_flip` (0 to 1, 0 is equal); `rel_mse`; `opacity_rmse` (0 to 1); and what an all-black
-        prediction scores, `psnr_linear_black` and `psnr_mulaw_black` (dB). SSIM as in Wang et al.,
-        "Image Quality Assessment: From Error Visibility to Structural Similarity", 2004.
+        `hdr_flip` (0 to 1; 0 for equal images); `rel_mse`; `opacity_rmse` (0 to 1); and the PSNRs
+        of an all-black prediction, `psnr_linear_black` and `psnr_mulaw_black` (dB). SSIM is that
+        of Wang et al., "Image Quality Assessment: From Error Visibility to Structural Similarity",
+        2004.
 
     Raises:
         LumitreeError: shapes differ or are too small, values are not finite, or L_max is not
@@ -115,10 +116,10 @@ def view_metrics(
 
 
 def mean_metrics(views: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Plain mean over views of each metric, decibels included.
+    """Arithmetic mean of each metric over views, also of metrics in decibels.
 
     Args:
-        views: what `view_metrics` returned, for each view; all with the same names.
+        views: results of `view_metrics`, one for each view; all with the same names.
 
     Raises:
         LumitreeError: there is no view, or the names differ.
@@ -132,6 +133,27 @@ def mean_metrics(views: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {name: float(np.mean([view[name] for view in views])) for name in names}
 
 
+def gain_over_black(metrics: Mapping[str, float]) -> dict[str, float]:
+    """By how many decibels the PSNRs of an asset exceed those of an all-black prediction.
+
+    Where a lamp covers few pixels, even a black prediction has a high PSNR. The gain of a view is
+    10 log10(mean squared error of black / mean squared error of the asset). Below 0 dB, black has
+    the smaller error.
+
+    Args:
+        metrics: result of `view_metrics` for one view, or of `mean_metrics`; other names are
+            ignored. The gain of means is the mean of the views' gains.
+
+    Returns:
+        `gain_linear` and `gain_mulaw`, dB: `psnr_linear` minus `psnr_linear_black`, and
+        `psnr_mulaw` minus `psnr_mulaw_black`.
+    """
+    return {
+        f"gain_{kind}": metrics[f"psnr_{kind}"] - metrics[f"psnr_{kind}_black"]
+        for kind in ("linear", "mulaw")
+    }
+
+
 def flux(images: Iterable[ArrayLike], half_width: float) -> float:
     """Flux emitted in all directions, estimated from orthographic views of the whole luminaire.
 
@@ -139,18 +161,19 @@ def flux(images: Iterable[ArrayLike], half_width: float) -> float:
 
         flux = 4 pi mean_views( mean_pixels(luminance) (2 half_width)² )
 
-    for views spread uniformly over the sphere. A uniformly emitting sphere of radius R gives
-    4 pi² R² L.
+    for view directions that are uniform on the sphere. A sphere of radius R with the radiance L
+    everywhere gives 4 pi² R² L.
 
     Args:
         images: [H, W, 3] radiance of each view, Rec. 709 primaries; read one by one.
-        half_width: half the side of every (square) view, length units.
+        half_width: half the side of each view, which is square; length units.
 
     Returns:
         Flux in radiance unit · sr · length unit², weighted by Rec. 709 luminance.
 
     Raises:
-        LumitreeError: no view, a view that is not [H, W, 3] or not finite, or no positive width.
+        LumitreeError: there is no view, a view is not [H, W, 3] or not finite, or the width is not
+            positive.
     """
     if not (np.isfinite(half_width) and half_width > 0):
         raise LumitreeError(f"half_width is {half_width}; expected a positive length")
@@ -163,8 +186,8 @@ def flux(images: Iterable[ArrayLike], half_width: float) -> float:
 def flux_error(baked_images: Iterable[ArrayLike], reference_images: Iterable[ArrayLike]) -> float:
     """Relative error |baked / reference - 1| of the total emitted flux, see `flux`.
 
-    The views' width cancels. Both are the same views in the same order, so the error of the
-    estimate by a finite number of views cancels too.
+    The width of the views cancels. Both arguments are the same views in the same order, so the
+    error that a finite number of views causes largely cancels too.
 
     Args:
         baked_images: [H, W, 3] radiance of each view; read one by one.
@@ -208,10 +231,11 @@ def pu21(luminance: ArrayLike) -> NDArray[np.floating]:
     metrics for HDR", Picture Coding Symposium 2021; coefficients of their `pu21_encoder.m`.
 
     Args:
-        luminance: cd/m², any shape; of colours, each channel by itself as their PSNR does.
+        luminance: cd/m², any shape. For colours, each channel is encoded separately, as for the
+            PSNR of the paper.
 
     Returns:
-        V from 0 (at 0.005 cd/m²) by about 256 (at 100) to about 595 (at 10000).
+        V: 0 at 0.005 cd/m², about 256 at 100 cd/m², and about 595 at 10000 cd/m².
     """
     p1, p2, p3, p4, p5 = _PU21
     power = np.clip(np.asarray(luminance, np.float64), *_PU21_RANGE) ** p4
@@ -238,7 +262,7 @@ def ssim(image: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
         height, width = image.shape[:2]
         raise LumitreeError(
             f"views of {width} x {height} pixels are too small for SSIM; "
-            f"expected at least {SSIM_WINDOW} a side"
+            f"expected at least {SSIM_WINDOW} per side"
         )
     similarity = structural_similarity(
         image,
@@ -249,7 +273,7 @@ def ssim(image: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
         sigma=1.5,
         use_sample_covariance=False,
     )
-    return float(cast(float, similarity))  # the map beside it was not asked for
+    return float(cast(float, similarity))  # without the map of local values
 
 
 def rel_mse(baked: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
@@ -269,7 +293,7 @@ def hdr_flip(
     Andersson et al., "Visualizing Errors in Rendered High Dynamic Range Images", 2021, by NVIDIA's
     `flip-evaluator`; negative radiance counts as black.
 
-    The exposures are those of `flip_exposures`, not the package's own: see there.
+    The exposures are those of `flip_exposures`, which differ from the package's.
     """
     r, b = (np.maximum(image / max_radiance, 0).astype(np.float32) for image in (reference, baked))
     exposures = flip_exposures(reference / max_radiance)
@@ -280,12 +304,12 @@ def hdr_flip(
 def flip_exposures(reference: NDArray[np.floating]) -> dict[str, float]:
     """First and last exposure (stops) for HDR-FLIP with the ACES curve.
 
-    As in Andersson et al. 2021: the brightest luminance and the median luminance are
-    each brought to 0.85 on the display. Here the median is over the *lit* pixels, and luminances
-    below 0.001 L_max are not exposed for. The package takes the median over all pixels; on views
-    of a lamp before black it is 0, which it replaces by 1e-7, and judges the view at up to 2^24
-    times its exposure: a background of 1e-7 instead of 0 then changed the score from 0.005 to
-    0.88, and for a black reference the package ends the process.
+    As in Andersson et al. 2021, the first exposure displays the brightest luminance at 0.85, and
+    the last one the median luminance. Unlike there, the median is over the *lit* pixels, and
+    luminances below 0.001 L_max count as 0.001 L_max. The package takes the median over all
+    pixels. It is 0 for a lamp in front of black, which the package replaces by 1e-7, so that it
+    compares the images at up to 2^24 times their exposure. A background of 1e-7 instead of 0 then
+    changed the error from 0.005 to 0.88. For a black reference the package ends the process.
 
     Args:
         reference: [H, W, 3] radiance / L_max, not clipped.

@@ -1,4 +1,4 @@
-"""Six views of a luminaire, before anything is baked: what is there, and does it look right?"""
+"""Preview of a luminaire before it is baked: six views on a contact sheet."""
 
 import dataclasses
 import math
@@ -14,9 +14,10 @@ from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.evaluation.tiles import DARK, Layout, TileSheet, grey
 from lumitree.luminaire.luminaire import Luminaire
-from lumitree.views.camera import Camera, Picture
+from lumitree.views.camera import Camera, ViewImages
 
-# Where the camera stands and what is upwards in its picture, in the luminaire's frame (y up).
+# Direction from the luminaire to the camera, and the direction that is upwards in the image, in the
+# frame of the luminaire's file, where y is up.
 VIEWS = {
     "from the front, +z": ((0, 0, 1), (0, 1, 0)),
     "from the right, +x": ((1, 0, 0), (0, 1, 0)),
@@ -32,26 +33,32 @@ _MIN_TILE, _MAX_TILE = 192, 640
 
 @dataclasses.dataclass(frozen=True)
 class Preview:
-    """Pictures by the names of `VIEWS`, and paths traced per second (without compilation)."""
+    """Images of a luminaire.
 
-    pictures: dict[str, Picture]
+    Attributes:
+        images: by the names of `VIEWS`.
+        paths_per_second: paths traced per second, without the time of compilation.
+    """
+
+    images: dict[str, ViewImages]
     paths_per_second: float
 
     @property
     def radiance(self) -> NDArray[np.float32]:
-        """Radiance of all pictures [6, H, W, 3]."""
-        return np.stack([picture.radiance for picture in self.pictures.values()])
+        """Radiance [6, H, W, 3] of all images, W/(m² sr)."""
+        return np.stack([image.radiance for image in self.images.values()])
 
     @property
     def exposure(self) -> float:
-        """One factor for all pictures, so that they can be compared; shows what emits."""
+        """Exposure factor of all images, at which the emitters are well exposed."""
         return auto_exposure(self.radiance)
 
     @property
     def more_stops(self) -> int:
-        """Whole stops above `exposure` that bring the lit pixels' median to middle grey.
+        """Whole stops above `exposure` at which the median of the lit pixels is middle grey.
 
-        They show what is lit: a lamp's body is often a thousand times darker than its emitters.
+        At this exposure the body of the lamp is visible. It is often a thousand times darker than
+        the emitters.
         """
         brightest = self.radiance.max(axis=-1)
         lit = brightest[brightest > 0]
@@ -61,51 +68,60 @@ class Preview:
 
 
 def take_preview(luminaire: Luminaire, resolution: int, samples_per_pixel: int) -> Preview:
-    """Trace the six views; arguments as for a capture."""
+    """Render the six views.
+
+    Args:
+        luminaire: the luminaire.
+        resolution: pixels per side.
+        samples_per_pixel: paths per pixel.
+    """
     camera = Camera(luminaire, resolution, samples_per_pixel)
-    pictures: dict[str, Picture] = {}
+    images: dict[str, ViewImages] = {}
     seconds = []
     with progress(f"preview {luminaire.name}", len(VIEWS)) as advance:
         for number, (name, (backward, up)) in enumerate(VIEWS.items()):
             start = time.perf_counter()
             pose = pose_towards(backward, up, 2 * luminaire.bounding_radius)
-            pictures[name] = camera.take(pose, SeedStream(Purpose.PREVIEW, number))
+            images[name] = camera.take(pose, SeedStream(Purpose.PREVIEW, number))
             seconds.append(time.perf_counter() - start)
             advance(1)
-    # The first view also compiles.
+    # The first view is not counted, because its time includes compilation.
     paths = resolution**2 * samples_per_pixel * (len(VIEWS) - 1)
-    return Preview(pictures, paths / sum(seconds[1:]))
+    return Preview(images, paths / sum(seconds[1:]))
 
 
 def preview_layout(resolution: int) -> Layout:
-    """Layout of a preview; pixels are shown one to one where that is legible."""
+    """Layout of a preview. Tiles have the size of the images, within limits."""
     tile = min(max(resolution, _MIN_TILE), _MAX_TILE)
     return Layout(len(VIEWS), NUM_ROWS, tile, title=60, caption=6, side=30)
 
 
 def draw_preview(preview: Preview, title: str, facts: Sequence[str]) -> TileSheet:
-    """Draw the sheet: a column for each view, rows for radiance at two exposures and opacities.
+    """Contact sheet with a column for each view.
+
+    Rows: radiance at two exposures, geometric opacity and straight-through opacity.
 
     Args:
+        preview: the images.
         title: name of the luminaire.
-        facts: short ones, for the line below the title.
+        facts: short texts for the line below the title.
     """
     exposure, stops = preview.exposure, preview.more_stops
     sheet = TileSheet(preview_layout(preview.radiance.shape[1]), DARK)
     sheet.title(title, "   ·   ".join([*facts, f"exposure {exposure:.3g} in all views"]))
     rows = (
-        ("radiance", lambda picture: tonemap(picture.radiance, exposure)),
+        ("radiance", lambda image: tonemap(image.radiance, exposure)),
         (
             f"radiance, {stops} stops brighter",
-            lambda picture: tonemap(picture.radiance, exposure * 2**stops),
+            lambda image: tonemap(image.radiance, exposure * 2**stops),
         ),
-        ("geometric opacity", lambda picture: grey(picture.geometric)),
-        ("straight-through opacity", lambda picture: grey(picture.straight_through)),
+        ("geometric opacity", lambda image: grey(image.geometric)),
+        ("straight-through opacity", lambda image: grey(image.straight_through)),
     )
-    for column, name in enumerate(preview.pictures):
+    for column, name in enumerate(preview.images):
         sheet.heading(column, name)
     for row, (name, show) in enumerate(rows):
         sheet.row_name(row, name)
-        for column, picture in enumerate(preview.pictures.values()):
-            sheet.image(row, column, show(picture))
+        for column, image in enumerate(preview.images.values()):
+            sheet.image(row, column, show(image))
     return sheet

@@ -1,4 +1,4 @@
-"""Contact sheet: baked views beside their references, for the eye (decision D9)."""
+"""Contact sheet of baked views and their references, for visual comparison (decision D9)."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from lumitree.evaluation.tiles import Layout, TileSheet, grey
 
 MAX_ROWS = 6
 COLUMNS = ("Reference", "Baked", "Error", "Reference opacity", "Baked opacity")
-# Smallest relative error that the colours resolve; below it is black.
+# Smallest relative error on the colour scale; smaller ones are black.
 MIN_ERROR = 1e-4
 
 
@@ -23,7 +23,7 @@ class SheetRow:
     """One view of a sheet.
 
     Attributes:
-        name: what the view is called, e.g. "view 100001".
+        name: name of the view, e.g. "view 100001".
         reference: [H, W, 3] radiance of the luminaire.
         baked: [H, W, 3] radiance of the asset, same unit.
         reference_opacity: [H, W] in [0, 1].
@@ -40,7 +40,7 @@ class SheetRow:
 
 
 def draw_sheet(rows: Sequence[SheetRow], max_radiance: float, title: str) -> TileSheet:
-    """Draw a contact sheet of up to six views.
+    """Contact sheet of up to six views.
 
     Columns: reference and baked radiance (sRGB, both at the reference's `auto_exposure`), their
     `relative_error` in false colour, reference and baked opacity in grey.
@@ -51,8 +51,8 @@ def draw_sheet(rows: Sequence[SheetRow], max_radiance: float, title: str) -> Til
         title: one line above the sheet, e.g. luminaire and asset.
 
     Raises:
-        LumitreeError: no or too many rows, images whose shapes do not belong together or that
-            are not finite, or a missing metric.
+        LumitreeError: the number of rows is out of range, shapes of images do not match, values
+            are not finite, or a metric is missing.
     """
     if not 1 <= len(rows) <= MAX_ROWS:
         raise LumitreeError(f"a sheet holds 1 to {MAX_ROWS} views, not {len(rows)}; choose some")

@@ -1,4 +1,4 @@
-"""Pictures side by side under one exposure, each with a caption."""
+"""Images side by side at one exposure, each with a caption."""
 
 import os
 
@@ -9,29 +9,29 @@ from numpy.typing import NDArray
 from lumitree.core.files import atomic_path
 from lumitree.core.images import tonemap
 
-_WIDTH = 480  # pixels a picture
+_WIDTH = 480  # width of an image in pixels
 _CAPTION = 56
 
 
 def write_strip(
     path: str | os.PathLike[str],
-    pictures: list[tuple[str, NDArray[np.floating]]],
+    images: list[tuple[str, NDArray[np.floating]]],
     exposure: float,
 ) -> None:
-    """Write pictures [H, W, 3] of equal size (linear radiance) beside each other as PNG.
+    """Write images [H, W, 3] of linear radiance and equal size side by side as one PNG.
 
     Args:
-        pictures: caption (a line or two) and radiance of each.
+        images: caption (one or two lines) and radiance of each image.
         exposure: factor before the sRGB curve, the same for all.
     """
-    height, width = pictures[0][1].shape[:2]
+    height, width = images[0][1].shape[:2]
     panel = _WIDTH * height // width
     dpi = 100
-    size = (_WIDTH * len(pictures) / dpi, (panel + _CAPTION) / dpi)
+    size = (_WIDTH * len(images) / dpi, (panel + _CAPTION) / dpi)
     figure = Figure(figsize=size, dpi=dpi, facecolor="white")
     share = panel / (panel + _CAPTION)
-    for index, (caption, radiance) in enumerate(pictures):
-        box = (index / len(pictures), 0.0, 0.995 / len(pictures), share)
+    for index, (caption, radiance) in enumerate(images):
+        box = (index / len(images), 0.0, 0.995 / len(images), share)
         axes = figure.add_axes(box)
         axes.imshow(tonemap(radiance, exposure), interpolation="nearest", aspect="auto")
         axes.set_axis_off()

@@ -1,4 +1,4 @@
-"""Sheets of labelled square tiles, laid out in pixels, written as PNG."""
+"""Sheets of square tiles with labels, laid out in pixels and written as PNG."""
 
 import dataclasses
 import io
@@ -17,21 +17,21 @@ from lumitree.core.files import write_bytes
 
 _DPI = 100
 _BAR_HEIGHT = 12
-# Bars are shorter than their tile, so that the numbers at their ends do not meet.
+# Bars are shorter than their tile, so that the numbers at their ends do not overlap.
 _BAR_INSET = 20
 
 
 @dataclasses.dataclass(frozen=True)
 class Style:
-    """Colours of the paper, of the text, and of what is less important."""
+    """Colours of the background, of the text, and of less important text."""
 
-    paper: str
-    ink: str
-    faint: str
+    background: str
+    text: str
+    secondary: str
 
 
-LIGHT = Style(paper="white", ink="#1a1a1a", faint="#808080")
-DARK = Style(paper="#242424", ink="#ececec", faint="#a0a0a0")
+LIGHT = Style(background="white", text="#1a1a1a", secondary="#808080")
+DARK = Style(background="#242424", text="#ececec", secondary="#a0a0a0")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,12 +39,15 @@ class Layout:
     """Sizes in pixels; every tile is a square.
 
     Attributes:
-        columns, rows: numbers of tiles.
+        columns, rows: numbers of columns and rows of tiles.
         tile: side of a tile.
-        title: height of what is above the headings of the columns.
+        title: height of the space above the headings of the columns.
         caption: height of the space below each tile.
         footer: height of the space below the last row.
         side: width of the space for the names of the rows.
+        heading: height of the headings of the columns.
+        margin: width of the margin on each side.
+        gap: horizontal distance between tiles.
     """
 
     columns: int
@@ -70,44 +73,47 @@ class Layout:
         return self.margin + self.side + column * (self.tile + self.gap)
 
     def top(self, row: int) -> int:
-        """Upper edge of a row's tiles; of row `rows`, of the footer."""
+        """Upper edge of the tiles of a row; for row `rows`, that of the footer."""
         return self.margin + self.title + self.heading + row * (self.tile + self.caption)
 
 
 class TileSheet:
-    """A sheet being drawn. Texts are taken literally; places are pixels from the top left."""
+    """A sheet to which texts and images are added.
+
+    Texts are not interpreted as formulas. Positions are pixels from the top left corner.
+    """
 
     def __init__(self, layout: Layout, style: Style = LIGHT) -> None:
         self.layout, self._style = layout, style
         width, height = layout.size
         self._figure = Figure(
-            figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=style.paper
+            figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=style.background
         )
 
     def title(self, text: str, subtitle: str = "") -> None:
-        """A bold line at the top, and a lighter one below it."""
+        """Add a bold line of text at the top, and one in a secondary colour below it."""
         left, top = self.layout.margin, self.layout.margin
         self._text(left, top + 8, text, fontsize=15, weight="bold")
         if subtitle:
-            self._text(left, top + 34, subtitle, color=self._style.faint)
+            self._text(left, top + 34, subtitle, color=self._style.secondary)
 
     def heading(self, column: int, text: str) -> None:
-        """Name of a column."""
+        """Add the name of a column."""
         self._text(self.layout.left(column), self.layout.top(0) - 15, text, fontsize=12)
 
     def row_name(self, row: int, text: str) -> None:
-        """Name of a row, written upwards beside it."""
+        """Add the name of a row, rotated by 90 degrees, at its left."""
         middle = self.layout.top(row) + self.layout.tile / 2
         centre = self.layout.margin + self.layout.side / 2 - 4
         self._text(centre, middle, text, fontsize=12, rotation=90, ha="center")
 
     def caption(self, row: int, column: int, text: str) -> None:
-        """A line below a tile."""
+        """Add a line of text below a tile."""
         middle = self.layout.top(row) + self.layout.tile + self.layout.caption / 2 - 2
         self._text(self.layout.left(column), middle, text)
 
     def image(self, row: int, column: int, pixels: NDArray) -> None:
-        """Image [H, W, 3] (bytes or [0, 1]) centred in a black tile, its pixels kept square."""
+        """Add an image [H, W, 3] (bytes, or floats in [0, 1]), centred in a black tile."""
         tile = self.layout.tile
         box = self._box(self.layout.left(column), self.layout.top(row), tile, tile)
         axes = self._figure.add_axes(box, facecolor="black")
@@ -120,20 +126,20 @@ class TileSheet:
         axes.spines[:].set_visible(False)
 
     def colour_bar(self, column: int, colours: Colormap, norm: Normalize, label: str) -> None:
-        """Horizontal colour bar in the footer, below a column."""
+        """Add a horizontal colour bar to the footer, below a column."""
         left, width = self.layout.left(column) + _BAR_INSET, self.layout.tile - 2 * _BAR_INSET
         top = self.layout.top(self.layout.rows) + 2
         axes = self._figure.add_axes(self._box(left, top, width, _BAR_HEIGHT))
         mappable = ScalarMappable(norm, colours)
         bar = self._figure.colorbar(mappable, cax=axes, orientation="horizontal")
-        bar.set_label(label, fontsize=11, color=self._style.ink, labelpad=2)
+        bar.set_label(label, fontsize=11, color=self._style.text, labelpad=2)
         bar.ax.minorticks_off()
-        bar.ax.tick_params(labelsize=10, colors=self._style.ink, length=3)
-        bar.outline.set(linewidth=0.6, edgecolor=self._style.faint)
+        bar.ax.tick_params(labelsize=10, colors=self._style.text, length=3)
+        bar.outline.set(linewidth=0.6, edgecolor=self._style.secondary)
 
     @property
     def texts(self) -> list[str]:
-        """Everything written on the sheet, but for the colour bars."""
+        """All texts on the sheet, without those of the colour bars."""
         return [text.get_text() for text in self._figure.texts]
 
     def png(self) -> bytes:
@@ -150,14 +156,14 @@ class TileSheet:
 
     def _text(self, left: float, middle: float, text: str, **style: Any) -> None:
         x, y, _, _ = self._box(left, middle, 0, 0)
-        style = {"fontsize": 11, "color": self._style.ink, "va": "center", **style}
-        # File names may hold '$', which would start a formula.
+        style = {"fontsize": 11, "color": self._style.text, "va": "center", **style}
+        # File names may contain '$', which would start a formula.
         self._figure.text(x, y, text, parse_math=False, **style)
 
     def _box(
         self, left: float, top: float, width: float, height: float
     ) -> tuple[float, float, float, float]:
-        """Rectangle as matplotlib's fractions from the bottom left."""
+        """Left, bottom, width and height of a rectangle as matplotlib's fractions of the sheet."""
         full_width, full_height = self.layout.size
         return (
             left / full_width,

@@ -13,7 +13,8 @@ from lumitree.errors import LumitreeError, shown
 
 MAX_SIDE = 16384
 MAX_IMAGE_PIXELS = 8192 * 8192
-# Of everything decoded and computed for one model. Four images of 4096² in every role fit.
+# Largest size of everything that is decoded and computed for one model; four images of 4096²
+# pixels, used in every role, need less.
 MAX_TOTAL_BYTES = 5 * 2**28
 _BLOCK_PIXELS = 2**20
 
@@ -58,7 +59,7 @@ class Images:
         return self._decoded[key]
 
     def made(self, key: Hashable, size: int, where: str, make: Callable[[], NDArray]) -> NDArray:
-        """The array of a key, computed where it is new; see `spend` for the others."""
+        """The array of a key, computed on first use; the other arguments are as for `spend`."""
         if key not in self._made:
             self.spend(size, where)
             self._made[key] = make()
@@ -81,7 +82,7 @@ class Images:
     def _decode(self, data: bytes, where: str, formats: tuple[str, ...]) -> DecodedImage:
         try:
             with warnings.catch_warnings():
-                # Pillow warns of what is large, or odd; the size is judged below.
+                # Pillow warns of images that are large or unusual; the size is checked below.
                 warnings.simplefilter("ignore")
                 image = Image.open(io.BytesIO(data), formats=formats)
                 # Only the header has been read so far.
@@ -93,10 +94,10 @@ class Images:
         except LumitreeError:
             raise
         except Exception as error:
-            # Pillow's decoders raise whatever damage leads to.
+            # Pillow's decoders raise exceptions of many types for damaged files.
             reason = shown(" ".join(str(error).split()) or type(error).__name__)
             raise LumitreeError(
-                f"{where} is no image that can be read ({', '.join(formats)}): {reason}"
+                f"{where} is not a readable image ({', '.join(formats)}): {reason}"
             ) from None
         counts = np.array(image.histogram(), np.int64).reshape(4, 256)
         return DecodedImage(np.asarray(image), counts)
@@ -105,7 +106,7 @@ class Images:
 def by_rows(
     make: Callable[[slice], NDArray], shape: tuple[int, int, int], dtype: np.dtype | type
 ) -> NDArray:
-    """An array [H, W, C], computed block by block so that what it is computed from stays small.
+    """An array [H, W, C], computed block by block to bound the memory of intermediate results.
 
     Args:
         make: returns the array's rows of a slice.
@@ -119,7 +120,7 @@ def by_rows(
 
 
 def looked_up(levels: NDArray, pixels: NDArray[np.uint8]) -> NDArray:
-    """Values [H, W, C] that a table [256, C] gives to bytes [H, W, C]."""
+    """Values [H, W, C] of a table [256, C] at the indices `pixels` [H, W, C]."""
     planes = [levels[:, at][pixels[..., at]] for at in range(pixels.shape[2])]
     return np.stack(planes, axis=-1)
 

@@ -1,4 +1,4 @@
-"""The files that a model names, never outside its own folder, never larger than is sensible."""
+"""The files that a model names, which must lie in the model's own folder."""
 
 import os
 import re
@@ -6,30 +6,8 @@ from pathlib import Path
 
 from lumitree.errors import LumitreeError, shown
 
+# Largest size of a scene, of a model file and of an image that it names.
 MAX_MODEL_BYTES = 512 * 2**20
-_MAX_SHOWN_PATH = 300
-
-
-def read_limited(path: Path, limit: int = MAX_MODEL_BYTES) -> bytes:
-    """Bytes of a regular file.
-
-    Raises:
-        LumitreeError: there is none, it cannot be read, or it is larger than `limit` bytes.
-    """
-    name = shown(path, _MAX_SHOWN_PATH)
-    if not os.path.isfile(path):
-        found = "is a folder" if os.path.isdir(path) else "does not exist or is not a file"
-        raise LumitreeError(f"{name} {found}; expected a file")
-    try:
-        with path.open("rb") as file:
-            data = file.read(min(os.fstat(file.fileno()).st_size, max(limit, 0)) + 1)
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise LumitreeError(f"{name} cannot be read: {reason}; check its permissions") from None
-    if len(data) > limit:
-        size = f"{limit // 2**20} MiB" if limit >= 2**20 else f"{limit} bytes"
-        raise LumitreeError(f"{name} is larger than {size}; make it smaller")
-    return data
 
 
 class ModelFolder:

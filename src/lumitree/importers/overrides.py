@@ -1,4 +1,4 @@
-"""What a user says about a model that its file does not: materials, light, unit, up axis."""
+"""Settings that replace or complete those of a model's file: materials, emission, unit, up axis."""
 
 import dataclasses
 import fnmatch
@@ -9,15 +9,15 @@ from typing import Literal
 import numpy as np
 
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
-from lumitree.importers.mesh_repair import closed_share
-from lumitree.model.geometry import Floats
+from lumitree.importers.topology import count_solids
+from lumitree.model.geometry import Floats, area_normals
 from lumitree.model.model import RGB, WHITE, Glass, Material, Model, Part, Surface
 from lumitree.model.photometry import radiance_from_flux
 
 
 @dataclasses.dataclass(frozen=True)
 class Emission:
-    """Light that a material gives: `radiance`, or `lumens` from all surfaces that have it.
+    """Emission of a material: `radiance`, or `lumens` of all its surfaces together.
 
     Attributes:
         radiance: W/(m² sr); None where `lumens` is given.
@@ -35,7 +35,7 @@ class MaterialOverride:
     """What replaces parts of a material; None keeps what the file says.
 
     Attributes:
-        guess_thin: the surface is glass of which it was not said whether it is thin.
+        guess_thin: the surface is glass, and the file does not state whether it is thin.
     """
 
     surface: Surface | None = None
@@ -133,7 +133,7 @@ def select_names(
 
 
 def check_emits(model: Model, file: str, overrides_name: str) -> None:
-    """Refuse a model without light.
+    """Refuse a model that does not emit.
 
     Args:
         file: name of the model's file.
@@ -155,13 +155,12 @@ def material_area(model: Model, material: str) -> float:
     total = 0.0
     for part in model.parts:
         if part.material == material:
-            a, b, c = np.moveaxis(part.mesh.vertices[part.mesh.faces], 1, 0)
-            twice = np.cross(b - a, c - a)
+            normals = area_normals(part.mesh.vertices, part.mesh.faces)
             for place in part.places:
                 linear = place[:3, :3]
-                # Areas as vectors are moved by the transform's cofactors.
+                # Area vectors are transformed by the matrix of cofactors.
                 cofactors = np.linalg.det(linear) * np.linalg.inv(linear)
-                total += float(np.linalg.norm(twice @ cofactors, axis=1).sum()) / 2
+                total += float(np.linalg.norm(normals @ cofactors, axis=1).sum()) / 2
     return total
 
 
@@ -183,7 +182,7 @@ def _moved(part: Part, matrix: Floats) -> Part:
 
 
 def _rescaled(material: Material, scale: float) -> Material:
-    """The material in a model `scale` times as large: media are per length."""
+    """The material in a model `scale` times as large: coefficients of media are per length."""
     glass = material.surface
     if not isinstance(glass, Glass) or glass.medium is None:
         return material
@@ -201,7 +200,7 @@ def _divided(colour: RGB, divisor: float) -> RGB:
 
 def _overridden(model: Model, material: Material, change: MaterialOverride, file: str) -> Material:
     if change.surface is not None:
-        # Opacity and bumps belonged to the surface that is replaced.
+        # Opacity and normal map belong to the surface that is replaced.
         material = Material(
             material.name,
             _settled(model, material.name, change),
@@ -217,12 +216,12 @@ def _overridden(model: Model, material: Material, change: MaterialOverride, file
 
 
 def _settled(model: Model, material: str, change: MaterialOverride) -> Surface:
-    """The surface, as a thin sheet where that was left open and the meshes are not closed."""
+    """The surface; glass is a thin sheet if `guess_thin` is set and the meshes are not closed."""
     surface = change.surface
     assert surface is not None
     if not isinstance(surface, Glass) or surface.thin:
         return surface
-    shares = [closed_share(part.mesh) for part in model.parts if part.material == material]
+    shares = [count_solids(part.mesh) for part in model.parts if part.material == material]
     closed, pieces = (sum(column) for column in zip((0, 0), *shares, strict=True))
     if closed == pieces:
         return surface
@@ -248,7 +247,7 @@ def _radiance(model: Model, material: str, emission: Emission, file: str) -> RGB
     if emission.radiance is not None:
         return emission.radiance if max(emission.radiance) > 0 else None
     if all(part.material != material for part in model.parts):
-        # Dropped, or not used: nothing to share the flux out over.
+        # All parts with the material were dropped, or none has it: no surface emits the flux.
         return None
     area = material_area(model, material)
     if area <= 0:

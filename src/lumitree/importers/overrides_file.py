@@ -1,6 +1,6 @@
 """The TOML file of overrides; docs/bring-your-own-lamp.md describes it.
 
-Whatever is wrong in it is told with the file's name and the key's.
+Error messages contain the name of the file and the key.
 """
 
 import dataclasses
@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, NoReturn, TypeGuard, TypeVar
 
+from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
-from lumitree.importers.model_folder import read_limited
 from lumitree.importers.overrides import Emission, MaterialOverride, Overrides
 from lumitree.model.model import (
     RGB,
@@ -45,9 +45,9 @@ def read_overrides(path: Path) -> Overrides:
     """Read a TOML file of overrides.
 
     Raises:
-        LumitreeError: it is missing, no TOML, or a key or value in it is wrong.
+        LumitreeError: it is missing or not TOML, or a key or value in it is wrong.
     """
-    data = read_limited(path, _MAX_BYTES)
+    data = read_bytes(path, "a TOML file of overrides", _MAX_BYTES)
     try:
         table = tomllib.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
@@ -71,11 +71,11 @@ def read_overrides(path: Path) -> Overrides:
 
 
 class _UnexpectedError(Exception):
-    """A value is not what it has to be; says what was expected."""
+    """A value is wrong; the message states what was expected."""
 
 
 class _Table:
-    """A TOML table whose keys are taken out one by one; what is left over is unknown."""
+    """A TOML table whose keys are taken out one by one; keys that remain are unknown."""
 
     def __init__(self, path: Path, name: str, values: dict[str, Any]) -> None:
         self._path, self._name, self._values = path, name, dict(values)

@@ -50,7 +50,7 @@ def _newell(points: Floats) -> Floats:
 
 
 def _strictly_convex(points: Floats) -> NDArray[np.bool_]:
-    """Whether every fan triangle and every corner turns clearly the polygon's way [P]."""
+    """Whether [P] all fan triangles and corners have the polygon's orientation, with a margin."""
     normal = _newell(points)
     area = np.linalg.norm(normal, axis=-1)
     ahead = np.roll(points, -1, axis=1) - points
@@ -59,7 +59,7 @@ def _strictly_convex(points: Floats) -> NDArray[np.bool_]:
     fans = np.cross(spokes[:, :-1], spokes[:, 1:])
     crosses = np.concatenate([turns, fans], axis=1)
     signed = (crosses * normal[:, None]).sum(axis=-1)
-    # A corner that hardly turns would become a triangle without area.
+    # A corner of almost 180 degrees would become a triangle without area.
     return (signed > 1e-6 * (area**2)[:, None]).all(axis=1)
 
 
@@ -78,7 +78,7 @@ def _cut(points: Floats) -> Indices:
     size = len(points)
     ends = np.array([size], np.uint32)
     triangles = mapbox_earcut.triangulate_float64(points, ends).astype(np.int64).reshape(-1, 3)
-    # Of a polygon without clear area earcut may choose the other way round.
+    # earcut may reverse the orientation of a polygon that has almost no area.
     steps = (np.roll(triangles, -1, axis=1) - triangles) % size
     if (steps == size - 1).sum() > (steps == 1).sum():
         triangles = triangles[:, ::-1]
@@ -90,8 +90,8 @@ def _cut(points: Floats) -> Indices:
 def _left_out(triangles: list[tuple[int, ...]], size: int) -> list[tuple[int, ...]]:
     """Triangles between the polygon's outline and that of `triangles`.
 
-    earcut drops corners that turn by nothing; they would be missed where a neighbour's edge
-    ends in them. What lies between is closed loops, nearly always without area.
+    earcut drops corners of 180 degrees. If an edge of a neighbouring polygon ends in such a corner,
+    the surface is then not closed. The outlines differ by closed loops, nearly always without area.
     """
     missing = Counter((at, (at + 1) % size) for at in range(size))
     for a, b, c in triangles:
@@ -121,9 +121,9 @@ def _left_out(triangles: list[tuple[int, ...]], size: int) -> list[tuple[int, ..
 
 
 def _flipped(points: Floats, triangles: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
-    """The triangles, with diagonals exchanged wherever the thinner of two then is clearly thicker.
+    """The triangles, with diagonals exchanged where this clearly increases the lower height.
 
-    Each exchange raises the lower of two heights, so that it comes to an end.
+    Each exchange increases the lower of two heights, so that the number of exchanges is finite.
     """
     triangles = list(triangles)
     owner = {edge: at for at, triangle in enumerate(triangles) for edge in _edges(triangle)}
@@ -132,7 +132,7 @@ def _flipped(points: Floats, triangles: list[tuple[int, ...]]) -> list[tuple[int
         at = waiting.pop()
         for start, stop in _edges(triangles[at]):
             other = owner.get((stop, start))
-            # What has been exchanged leaves its edges behind.
+            # `owner` also holds edges of triangles that have since been exchanged.
             if other is None or (stop, start) not in _edges(triangles[other]):
                 continue
             (apex,) = {*triangles[at]} - {start, stop}

@@ -1,13 +1,14 @@
-"""Glass that Mitsuba cannot render rightly: nested, touching, inside out, or not closed.
+"""Detection of glass that Mitsuba renders wrongly: nested, touching, inside out, or not closed.
 
-Mitsuba's dielectrics keep no record of what a path is inside of: each surface says what is behind
-and in front of it. Solid glass must therefore be closed, and no two bodies may overlap or touch.
+Mitsuba does not track which media a path is inside of. Each dielectric surface defines the indices
+of refraction on its two sides. Solid glass must therefore be closed, and no two bodies may overlap
+or touch.
 
-The check sends straight lines through the dielectric shapes along three directions and walks along
-each. Definitions, for one crossing of a line with a surface:
+The check computes all crossings of straight lines, along three directions, with the dielectric
+shapes. Definitions, for one crossing of a line with a surface:
 
     step      +1 where the line enters the denser side, -1 where it leaves it
-    depth     sum of the steps so far; 0 outside glass and 1 inside, if all is well
+    depth     sum of the steps so far; in correct geometry 0 outside of glass and 1 inside
 """
 
 from typing import Any
@@ -18,22 +19,25 @@ from numpy.typing import NDArray
 from lumitree.core.backend import load_mitsuba
 from lumitree.luminaire.glass_crossings import Crossings, trace_lines
 
-# Lines whose crossings are walked through one by one.
-_MAX_WALKED = 2000
-# Cosine between normals of surfaces that lie on each other.
+# Largest number of lines whose crossings are examined one by one.
+_MAX_EXAMINED = 2000
+# Smallest cosine between the normals of surfaces that touch.
 _PARALLEL = 0.9
-# Surfaces that meet in less than this share of a shape's crossings are its sharp rims.
+# Two surfaces that touch in a smaller fraction of a shape's crossings only share a sharp edge.
 _MIN_SHARE = 0.01
 
 
 def diagnose(scene: Any) -> list[str]:
-    """Faults of a scene's glass, one line each; empty if none was found.
+    """Faults of a scene's glass.
 
-    A fault that is smaller than the spacing of the lines (1/256 of the glass's extent) may be
-    missed. Instances and shapes behind null surfaces are not looked into.
+    A fault that is smaller than the spacing of the lines (1/256 of the extent of the glass) may be
+    missed. Instances and shapes behind null surfaces are not examined.
 
     Args:
         scene: mi.Scene.
+
+    Returns:
+        One line of text for each fault; empty if none was found.
     """
     shapes = [shape for shape in scene.shapes() if _is_dielectric(shape)]
     if not shapes:
@@ -49,26 +53,27 @@ def diagnose(scene: Any) -> list[str]:
     ]
     touching = _touching(closed)
     messages += [
-        f"surfaces of {_pair(names, pair)} lie on each other (or nearer than Mitsuba's rays can "
-        "tell apart): light will skip one of them; leave a gap, or thicken the wall"
+        f"surfaces of {_pair(names, pair)} touch, or are closer than the offset of Mitsuba's rays: "
+        "paths will miss one of them; leave a gap, or thicken the wall"
         for pair in sorted(touching)
     ]
-    nested, inside_out = _walk(closed, touching)
+    nested, inside_out = _nesting_faults(closed, touching)
     messages += [
         f"{_pair(names, pair)} overlap or are nested: light in one enters the other as if it came "
-        "from air; leave a gap, or give the outer one a cavity (normals out of the glass)"
+        "from air; leave a gap, or give the outer one a cavity (an inner surface whose normals "
+        "point into the cavity)"
         for pair in sorted(nested)
     ]
     messages += [
         f"{names[index]} is a dielectric turned inside out: its normals point into the glass; flip "
-        "them, or put the cavity it describes inside a closed wall"
+        "them, or, if it is the surface of a cavity, add the closed outer surface"
         for index in sorted(inside_out)
     ]
     return messages
 
 
 def _is_dielectric(shape: Any) -> bool:
-    """Whether the surface refracts; only what changes the density of rays is "non-symmetric"."""
+    """Whether the surface refracts: Mitsuba sets NonSymmetric where refraction scales radiance."""
     flags = load_mitsuba().BSDFFlags
     kind = shape.bsdf().flags()
     return bool(kind & int(flags.NonSymmetric)) and bool(kind & int(flags.Transmission))
@@ -84,14 +89,14 @@ def _pair(names: list[str], pair: tuple[int, int]) -> str:
 
 
 def _open_shapes(crossings: Crossings, num_shapes: int) -> NDArray[np.int64]:
-    """Shapes that some line enters more or less often than it leaves."""
+    """Shapes that a line enters more or less often than it leaves."""
     key, index = np.unique(crossings.line * num_shapes + crossings.shape, return_inverse=True)
     balance = np.bincount(index, crossings.step, len(key))
     return np.unique(key[np.abs(balance) > 0.5] % num_shapes)
 
 
 def _touching(crossings: Crossings) -> set[tuple[int, int]]:
-    """Pairs of shapes with surfaces nearer to each other than a ray's origin is moved."""
+    """Pairs of shapes whose surfaces are closer than the offset of a ray's origin."""
     near, next_one = slice(None, -1), slice(1, None)
     step, normal = crossings.step, crossings.normal
     gap = np.diff(crossings.distance) * np.abs((normal * crossings.direction).sum(axis=1)[near])
@@ -108,18 +113,18 @@ def _touching(crossings: Crossings) -> set[tuple[int, int]]:
     }
 
 
-def _walk(
+def _nesting_faults(
     crossings: Crossings, touching: set[tuple[int, int]]
 ) -> tuple[set[tuple[int, int]], set[int]]:
     """Pairs of shapes that overlap or are nested, and shapes that are inside out.
 
     Args:
-        crossings: of closed shapes only, so that the steps of each line sum to 0.
-        touching: pairs known to touch, whose crossings may come in either order.
+        crossings: crossings with closed shapes, so that the steps of each line sum to 0.
+        touching: pairs of shapes that touch; the order of their crossings is not reliable.
     """
     depth = np.cumsum(crossings.step)
     suspicious = np.unique(crossings.line[(depth < 0) | (depth > 1)])
-    stride = -(-len(suspicious) // _MAX_WALKED) or 1
+    stride = -(-len(suspicious) // _MAX_EXAMINED) or 1
     chosen = crossings.take(np.isin(crossings.line, suspicious[::stride]))
     nested: set[tuple[int, int]] = set()
     inside_out: set[int] = set()

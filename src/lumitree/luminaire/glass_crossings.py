@@ -1,7 +1,7 @@
-"""Where straight lines cross surfaces of glass: the evidence that `diagnosis` judges.
+"""Crossings of straight lines with surfaces of glass, for `diagnosis`.
 
-Triangles are crossed in double precision, and no crossing is skipped however near it is to another
-one, unlike by Mitsuba's rays.
+Unlike by Mitsuba's rays, triangles are intersected in double precision, and no crossing is missed
+because it is close to another one.
 """
 
 import dataclasses
@@ -18,24 +18,27 @@ from lumitree.model.geometry import Floats
 
 Indices = NDArray[np.int64]
 
-# Lines a side of the square grid in each direction, and the work that makes it coarser.
+# Largest number of lines per side of the square grid in each direction. The grid is coarser where
+# more pairs of a line and a triangle than _MAX_CANDIDATES would have to be tested.
 _MAX_GRID = 256
 _MAX_CANDIDATES = 500_000
-# Mitsuba moves the origin of a ray off a surface by this much, times 1 + the largest coordinate.
+# Mitsuba offsets the origin of a ray from a surface by this length, times 1 + the largest
+# coordinate.
 _RAY_EPSILON = 1500 * 2.0**-24
 
 
 @dataclasses.dataclass(frozen=True)
 class Crossings:
-    """Crossings in order along each line.
+    """Crossings of lines with surfaces, in order along each line.
 
     Attributes:
-        line: [N] number of the line.
-        shape: [N] number of the shape.
-        distance: [N] along the line, scene units.
-        normal: [N, 3] geometric, out of the glass.
-        direction: [N, 3] of the line.
-        offset: [N] how far Mitsuba moves a ray's origin off this surface, scene units.
+        line: [N] index of the line.
+        shape: [N] index of the shape.
+        distance: [N] distance along the line, scene units.
+        normal: [N, 3] geometric normal, pointing out of the glass.
+        direction: [N, 3] direction of the line.
+        offset: [N] distance by which Mitsuba offsets a ray's origin from this surface, scene
+            units.
     """
 
     line: Indices
@@ -56,14 +59,14 @@ class Crossings:
 
 
 def trace_lines(shapes: Sequence[Any]) -> Crossings:
-    """Crossings with the surfaces of shapes, along three directions in general position.
+    """Crossings with the surfaces of shapes, along three directions that are not axes.
 
     Args:
         shapes: mi.Shape with refracting BSDFs; at least one.
     """
     meshes = {i: _Mesh.of(shape) for i, shape in enumerate(shapes) if shape.is_mesh()}
     sides = [_denser_side(shape) for shape in shapes]
-    # Along the axes many lines would graze faces and edges.
+    # Lines along the axes would often be parallel to faces, or meet edges.
     turn = rotation([0.36, 0.48, 0.8], 40.0)
     pieces = []
     for number in range(3):
@@ -87,7 +90,7 @@ def trace_lines(shapes: Sequence[Any]) -> Crossings:
 
 
 def _denser_side(shape: Any) -> int:
-    """+1 if the side that the normal points away from is the denser one, else -1."""
+    """+1 if the normal points out of the denser medium, else -1."""
     parameters = dict(load_mitsuba().traverse(shape.bsdf()))
     eta = [np.ravel(value)[0] for name, value in parameters.items() if name.endswith("eta")]
     return -1 if eta and eta[0] < 1 else 1
@@ -97,7 +100,7 @@ def _denser_side(shape: Any) -> int:
 class _Mesh:
     """Vertices [V, 3], faces [F, 3], and unit normals [F, 3] of the faces.
 
-    The normals point to the side that Mitsuba's shading normals point to.
+    The normals are on the same side as Mitsuba's shading normals.
     """
 
     vertices: Floats
@@ -119,7 +122,7 @@ class _Mesh:
         return _Mesh(vertices, faces, -normals if shape.has_flipped_normals() else normals)
 
     def turned(self, frame: Floats) -> "_Mesh":
-        """The mesh in coordinates along the columns of `frame`; the normals stay."""
+        """The mesh in coordinates along the columns of `frame`; normals are not changed."""
         return dataclasses.replace(self, vertices=self.vertices @ frame)
 
     def boxes(self) -> tuple[Floats, Floats]:
@@ -135,15 +138,15 @@ def _box_corners(shape: Any) -> Floats:
 
 @dataclasses.dataclass(frozen=True)
 class _Grid:
-    """Lines along the third axis of a frame, through a lattice over the first two.
+    """Parallel lines along the third axis of a frame, through a lattice in the first two axes.
 
     Attributes:
-        first_line: number of its first line.
-        frame: [3, 3] the axes are its columns.
-        low: [2] the lattice's first point.
+        first_line: index of its first line.
+        frame: [3, 3] matrix whose columns are the axes.
+        low: [2] first point of the lattice.
         spacing: distance of neighbouring lines.
-        count: lines along the first and the second axis.
-        start: third coordinate that is before everything.
+        count: numbers of lines along the first and the second axis.
+        start: third coordinate of a plane in front of all shapes.
     """
 
     first_line: int
@@ -155,7 +158,7 @@ class _Grid:
 
     @staticmethod
     def over(number: int, frame: Floats, points: Floats, meshes: Iterable[_Mesh]) -> "_Grid":
-        """Grid over points [N, 3], with not too many lines for the meshes, all in `frame`."""
+        """Grid that covers points [N, 3]; points and meshes are in coordinates of `frame`."""
         low, extent = points.min(axis=0), np.ptp(points, axis=0)
         area = 0.0
         for mesh in meshes:
@@ -168,7 +171,7 @@ class _Grid:
         return _Grid(first_line, frame, low[:2] + spacing / 2, spacing, (columns, rows), start)
 
     def crossings(self, line: Indices, shape: int, distance: Floats, normal: Floats) -> Crossings:
-        """Crossings with one shape; arguments as returned by the functions below."""
+        """Crossings with one shape, from the results of `cross_triangles` or `cross_shape`."""
         points = self._points(line, distance)
         return Crossings(
             line + self.first_line,
@@ -185,7 +188,7 @@ class _Grid:
         first = np.maximum(np.ceil((low - self.low) / self.spacing).astype(np.int64), 0)
         last = np.floor((high - self.low) / self.spacing).astype(np.int64)
         size = np.maximum(np.minimum(last, np.array(self.count) - 1) - first + 1, 0)
-        # Every line within the box of every triangle, and of these the ones within the triangle.
+        # Candidates are the lines within a triangle's box; they are then tested with the triangle.
         candidates = size[:, 0] * size[:, 1]
         face = np.repeat(np.arange(len(candidates)), candidates)
         within = np.arange(len(face)) - (np.cumsum(candidates) - candidates)[face]
@@ -200,7 +203,7 @@ class _Grid:
         return (column + self.count[0] * row)[inside], distance, face[inside]
 
     def cross_shape(self, shape: Any) -> Iterator[tuple[Indices, Floats, Floats]]:
-        """Line [N], distance [N] and normal [N, 3] of crossings with a shape that is no mesh."""
+        """Line [N], distance [N] and normal [N, 3] of crossings with a shape that is not a mesh."""
         mi, dr = load_mitsuba(), importlib.import_module("drjit")
         line = np.arange(self.count[0] * self.count[1])
         direction = mi.Vector3f(self.frame[:, 2])
@@ -215,7 +218,8 @@ class _Grid:
             point, normal = (np.array(vector, np.float64).T[hit] for vector in (si.p, si.n))
             line = line[hit]
             yield line, point @ self.frame[:, 2], normal
-            # Past this surface; every shape is asked on its own, so that no other one is skipped.
+            # Continue behind this surface. Each shape is intersected alone, so that no other shape
+            # is missed.
             step = 2 * _RAY_EPSILON * (1 + np.abs(point).max(initial=0))
             start = point + step * self.frame[:, 2]
 

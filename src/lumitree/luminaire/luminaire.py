@@ -1,4 +1,4 @@
-"""A luminaire: a lamp from whatever file as a Mitsuba scene, and its local frame."""
+"""Loading of a luminaire, from a file in any supported format, as a Mitsuba scene."""
 
 import atexit
 import contextlib
@@ -16,10 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.builtin.registry import BUILTIN
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.frames import proxy_box, similarity_scale
+from lumitree.core.frames import LocalFrame, similarity_scale
+from lumitree.core.reading import read_bytes
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, shown
-from lumitree.importers.model_folder import read_limited
+from lumitree.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.importers.overrides import Overrides, apply_overrides, check_emits, select_parts
 from lumitree.importers.overrides_file import read_overrides
 from lumitree.luminaire.scene_file import SceneFile
@@ -38,14 +39,13 @@ class Luminaire:
 
     Attributes:
         name: built-in name, or the file's folder and name.
-        source: what it was loaded from; None for a `mi.Scene`.
-        fingerprint: SHA-256 of the scene and every file it names.
-        scene: the Mitsuba scene, in the luminaire's own frame and units.
-        has_media: whether paths cross participating media.
-        world_from_proxy: [4, 4] local frame (D8).
-        half_extents: [3] bounding box, local units.
-        bounding_radius: of the sphere about the box's centre that holds all geometry, local
-            units.
+        source: name or file that it was loaded from; None for a `mi.Scene`.
+        fingerprint: SHA-256 of the scene file and of every file that it refers to.
+        scene: the Mitsuba scene, in the frame and units of the luminaire's file.
+        has_media: whether there are participating media.
+        frame: its local frame.
+        bounding_radius: radius of the sphere around the centre of the bounding box that contains
+            all geometry, local units.
     """
 
     name: str
@@ -53,36 +53,35 @@ class Luminaire:
     fingerprint: str
     scene: Any
     has_media: bool
-    world_from_proxy: NDArray[np.float64]
-    half_extents: NDArray[np.float64]
+    frame: LocalFrame
     bounding_radius: float
 
     @property
     def num_triangles(self) -> int:
-        """Triangles of its meshes; other shapes have none."""
+        """Number of triangles of its meshes."""
         return sum(shape.face_count() for shape in self.scene.shapes() if shape.is_mesh())
 
     @property
     def num_emitters(self) -> int:
-        """Shapes that emit."""
+        """Number of shapes that emit."""
         return len(self.scene.emitters())
 
     @property
     def size(self) -> NDArray[np.float64]:
-        """[3] sides of the bounding box, the file's unit."""
-        return 2 * self.half_extents * self.world_from_proxy[0, 0]
+        """[3] sides of the bounding box, in the unit of the luminaire's file."""
+        return self.frame.size
 
 
 LuminaireLike = str | os.PathLike[str] | LuminaireSource | Luminaire | Mapping[str, Any]
-"""What is taken for a luminaire; a `mi.Scene`, whose class depends on the variant, too."""
+"""Types that are accepted as a luminaire, and `mi.Scene`, whose class depends on the variant."""
 
 
 def load_luminaire(luminaire: "LuminaireLike | Any") -> Luminaire:
-    """Load a luminaire from what stands for one, see `lumitree.load_luminaire`.
+    """Load a luminaire, see `lumitree.load_luminaire`.
 
     Raises:
-        LumitreeError: unknown name, unreadable file, or a scene that is no luminaire: without
-            geometry, without area emitters, or with lights that cannot be baked.
+        LumitreeError: the name is unknown, the file cannot be read, or the scene is not a
+            luminaire: it lacks geometry or area emitters, or has lights that cannot be baked.
     """
     if isinstance(luminaire, Luminaire):
         return luminaire
@@ -92,7 +91,7 @@ def load_luminaire(luminaire: "LuminaireLike | Any") -> Luminaire:
     file = _open(source)
     media = file.nodes("Medium")
     _check_media(str(file.path), {node.props.plugin_name() for node in media})
-    # Creating the scene uses up what the file said, the names of other files with it.
+    # Computed first: creating the scene clears the parsed file, with the names of other files.
     fingerprint = _fingerprint(file, source)
     named = source.name in BUILTIN
     name = source.name if named else _folder_and_name(source.name)
@@ -102,10 +101,10 @@ def load_luminaire(luminaire: "LuminaireLike | Any") -> Luminaire:
 
 
 def luminaire_source(luminaire: "LuminaireLike") -> LuminaireSource:
-    """The file or the name behind what stands for a luminaire; a dictionary is written as a scene.
+    """The file or the name of a luminaire; a dictionary is written to a scene file.
 
     Raises:
-        LumitreeError: it is nothing that can be placed, or a dictionary that is no scene.
+        LumitreeError: the luminaire has no file, or a dictionary is not a scene.
     """
     if isinstance(luminaire, Luminaire):
         if luminaire.source is None:
@@ -125,23 +124,20 @@ def luminaire_source(luminaire: "LuminaireLike") -> LuminaireSource:
 def _luminaire(
     name: str, source: LuminaireSource | None, fingerprint: str, scene: Any, has_media: bool
 ) -> Luminaire:
-    world_from_proxy, half_extents = proxy_box(
-        np.ravel(scene.bbox().min), np.ravel(scene.bbox().max)
-    )
+    frame = LocalFrame.of_box(np.ravel(scene.bbox().min), np.ravel(scene.bbox().max))
     return Luminaire(
         name=name,
         source=source,
         fingerprint=fingerprint,
         scene=scene,
         has_media=has_media,
-        world_from_proxy=world_from_proxy,
-        half_extents=half_extents,
-        bounding_radius=_bounding_radius(scene, world_from_proxy, half_extents),
+        frame=frame,
+        bounding_radius=_bounding_radius(scene, frame),
     )
 
 
 def _luminaire_of_scene(scene: Any) -> Luminaire:
-    """A luminaire of objects that exist already."""
+    """The luminaire of a `mi.Scene`."""
     what = "the scene"
     if not scene.shapes():
         raise LumitreeError(f"{what} holds no shapes; expected a luminaire's geometry")
@@ -179,7 +175,7 @@ def _check_media(what: str, kinds: set[str]) -> None:
 
 
 def _written_dictionary(description: dict[str, Any]) -> Path:
-    """Mitsuba scene of a dictionary, in a temporary folder."""
+    """Path of a dictionary's scene file, in a temporary folder."""
     mi = load_mitsuba()
     path = _until_exit.enter_context(scratch_folder()) / "scene.xml"
     config = mi.parser.ParserConfig(mi.variant())
@@ -191,18 +187,19 @@ def _written_dictionary(description: dict[str, Any]) -> Path:
         mi.parser.write_file(state, str(path))
     except (RuntimeError, TypeError, ValueError) as error:
         reason = shown(" ".join(str(error).split()), 300)
-        raise LumitreeError(f"the dictionary is no Mitsuba scene: {reason}") from None
+        raise LumitreeError(f"the dictionary is not a Mitsuba scene: {reason}") from None
     return path
 
 
 def luminaire_path(source: LuminaireLike) -> Path:
-    """Mitsuba scene of a LUMINAIRE argument; what is none is written as one to a temporary folder.
+    """Path of the Mitsuba scene file of a luminaire.
 
-    The folder lasts as long as the process. A model is read again when it or its overrides have
-    changed.
+    Built-in luminaires and models are written to a temporary folder, which lasts as long as the
+    process. A model is read again when the model or its overrides have changed.
 
     Raises:
-        LumitreeError: unknown name or format, unreadable file, wrong overrides.
+        LumitreeError: the name or the format is unknown, the file cannot be read, or its overrides
+            are invalid.
     """
     source = luminaire_source(source)
     path = Path(source.name)
@@ -215,13 +212,13 @@ def luminaire_path(source: LuminaireLike) -> Path:
     kind = path.suffix.lower()
     if not builtin and kind not in (".xml", *_READERS):
         raise LumitreeError(
-            f"{shown(path, 300)} is in no format that is read; expected .xml (a Mitsuba 3 scene), "
+            f"{shown(path, 300)} has an unsupported format; expected .xml (a Mitsuba 3 scene), "
             f"{', '.join(_READERS)}, or a built-in name"
         )
     if kind == ".xml" and not builtin:
         if source.materials is not None:
             raise LumitreeError(
-                f"{path} is a Mitsuba scene, which --materials does not change; edit its BSDFs"
+                f"{path} is a Mitsuba scene, to which --materials does not apply; edit its BSDFs"
             )
         return path
     files = () if builtin else (path, _overrides_path(source))
@@ -229,12 +226,13 @@ def luminaire_path(source: LuminaireLike) -> Path:
 
 
 def place_shapes(luminaire: LuminaireLike, scene_from_world: ArrayLike) -> dict[str, Any]:
-    """Shapes of an explicit luminaire moved into a scene, for `mitsuba.load_dict`.
+    """Shapes of an explicit luminaire placed in a scene, for `mitsuba.load_dict`.
 
     Args:
-        luminaire: what stands for one.
-        scene_from_world: [4, 4] similarity from the luminaire's own frame. Interior media get
-            denser as the luminaire gets smaller, so that it looks the same at every size.
+        luminaire: as for `load_luminaire`, but with a file.
+        scene_from_world: [4, 4] similarity from the frame of the luminaire's file. The
+            extinction of interior media is divided by its scale, so that the appearance of the
+            luminaire does not depend on its size.
     """
     mi = load_mitsuba()
     matrix = np.asarray(scene_from_world, np.float64)
@@ -250,10 +248,11 @@ def place_shapes(luminaire: LuminaireLike, scene_from_world: ArrayLike) -> dict[
 
 
 def read_model(source: str | os.PathLike[str] | LuminaireSource) -> Model:
-    """Model of a built-in luminaire or a model file, with its overrides: metres, y up.
+    """Model of a built-in luminaire or a model file with its overrides, in metres, y up.
 
     Raises:
-        LumitreeError: unreadable file, wrong overrides, patterns that match nothing, no emitter.
+        LumitreeError: the file cannot be read, its overrides are invalid, a pattern matches
+            nothing, or nothing emits.
     """
     source = as_source(source)
     path = Path(source.name)
@@ -274,7 +273,7 @@ def read_model(source: str | os.PathLike[str] | LuminaireSource) -> Model:
 def _read_obj(path: Path, overrides: Overrides) -> Model:
     if overrides.variant is not None:
         raise LumitreeError(f"{overrides.file}: variant is only for glTF, not for {path.name}")
-    # Readers are imported when they are needed: most runs need none.
+    # Imported here, because most runs need no reader.
     reader = importlib.import_module("lumitree.importers.obj.reader")
     return reader.read_obj(path)
 
@@ -305,7 +304,7 @@ def _stamp(path: Path) -> tuple[str, int, int]:
 
 @functools.lru_cache(maxsize=64)
 def _written(source: LuminaireSource, stamps: tuple[tuple[str, int, int], ...]) -> Path:
-    """Scene written for a source whose files look as `stamps` say."""
+    """Path of the scene written for a source; `stamps` identify the versions of its files."""
     return write_scene(read_model(source), _until_exit.enter_context(scratch_folder()))
 
 
@@ -314,7 +313,7 @@ atexit.register(_until_exit.close)
 
 
 def _open(source: LuminaireSource) -> SceneFile:
-    """The source's scene, checked to be a luminaire; patterns select in what is a scene itself."""
+    """The parsed and checked scene of a source; its patterns are applied if its file is a scene."""
     path = luminaire_path(source)
     own = path == Path(source.name)
     file = SceneFile(path, source.keep, source.drop) if own else SceneFile(path)
@@ -323,7 +322,7 @@ def _open(source: LuminaireSource) -> SceneFile:
 
 
 def _folder_and_name(path: str) -> str:
-    # Many files are called luminaire.xml; their folder tells them apart.
+    # Many files are called luminaire.xml, so the name includes the folder.
     return f"{Path(path).resolve().parent.name}/{Path(path).stem}"
 
 
@@ -340,8 +339,8 @@ def _check_emitters(file: SceneFile) -> None:
         )
     if invisible:
         raise LumitreeError(
-            f"{file.path} holds a light without a surface ({invisible[0]}), which no camera can "
-            "see; replace it by a small shape with an area emitter"
+            f"{file.path} holds a light without a surface ({invisible[0]}), which is invisible to "
+            "cameras; replace it by a small shape with an area emitter"
         )
     if not kinds:
         raise LumitreeError(
@@ -351,20 +350,18 @@ def _check_emitters(file: SceneFile) -> None:
 
 
 def _fingerprint(file: SceneFile, source: LuminaireSource) -> str:
-    """SHA-256 of the scene and its files; a model's overrides and selection are already in them."""
-    digest = hashlib.sha256(read_limited(file.path))
+    """SHA-256 of the scene and its files, which include the overrides and selection of a model."""
+    digest = hashlib.sha256(read_bytes(file.path, "a Mitsuba scene", MAX_MODEL_BYTES))
     if file.path == Path(source.name) and (source.keep or source.drop):
         digest.update(repr((source.keep, source.drop)).encode())
     for path in file.references():
-        digest.update(read_limited(path, _MAX_FILE_BYTES) if os.path.isfile(path) else b"")
+        if os.path.isfile(path):
+            digest.update(read_bytes(path, "a file of a scene", _MAX_FILE_BYTES))
     return digest.hexdigest()
 
 
-def _bounding_radius(
-    scene: Any, world_from_proxy: NDArray[np.float64], half_extents: NDArray[np.float64]
-) -> float:
-    """Largest distance of a vertex (of a box corner, for what is not a mesh) from the centre."""
-    centre, scale = world_from_proxy[:3, 3], world_from_proxy[0, 0]
+def _bounding_radius(scene: Any, frame: LocalFrame) -> float:
+    """Largest distance from the centre to a vertex, or to a box corner of a shape without any."""
     farthest = 0.0
     for shape in scene.shapes():
         if shape.is_mesh():
@@ -373,5 +370,5 @@ def _bounding_radius(
             low, high = np.ravel(shape.bbox().min), np.ravel(shape.bbox().max)
             points = np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3)
         if len(points):
-            farthest = max(farthest, float(np.linalg.norm(points - centre, axis=1).max()))
-    return min(farthest / scale, float(np.linalg.norm(half_extents)))
+            farthest = max(farthest, float(np.linalg.norm(points - frame.centre, axis=1).max()))
+    return min(farthest / frame.scale, float(np.linalg.norm(frame.half_extents)))

@@ -1,4 +1,4 @@
-"""Reading Mitsuba scene files, with errors that a user can act on."""
+"""Reading of Mitsuba scene files."""
 
 import contextlib
 import os
@@ -11,13 +11,14 @@ from xml.parsers import expat
 import numpy as np
 
 from lumitree.core.backend import load_mitsuba
+from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
-from lumitree.importers.model_folder import read_limited
+from lumitree.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.importers.overrides import select_names
 
-# Extinction that a medium's clearest channel has at least, as a share of its densest one's.
+# Smallest extinction of a channel of a medium, relative to its largest one.
 _CLEAR = 1e-5
-# A luminaire's elements are nested about 8 deep, its objects about 6.
+# Largest nesting depths; in a luminaire's file they are about 8 and 6.
 _MAX_ELEMENTS, _MAX_OBJECTS = 64, 16
 _EXTINCTION = "sigma_t.value.value"
 
@@ -34,9 +35,9 @@ class SceneFile:
         """Parse `path`.
 
         Args:
-            keep: patterns with * and ? of the ids of shapes; where there are any, all other
-                shapes and everything else but shapes is left out of the scene.
-            drop: patterns of the ids of shapes that are left out.
+            keep: patterns with * and ? of ids of shapes. If there are any, all other shapes are
+                left out of the scene, and all objects that are not shapes.
+            drop: patterns of ids of shapes that are left out.
 
         Raises:
             LumitreeError: the file is missing or is not a Mitsuba scene, or a pattern matches no
@@ -44,10 +45,10 @@ class SceneFile:
         """
         self.path = Path(path)
         self._name = shown(path, 300)
-        self._check_text(read_limited(self.path))
+        self._check_text(read_bytes(self.path, "a Mitsuba scene", MAX_MODEL_BYTES))
         mi = load_mitsuba()
         self._config = mi.parser.ParserConfig(mi.variant())
-        # Shapes stay as the file names them, and unused parameters are the file's own business.
+        # Shapes keep the ids of the file; unused parameters are not reported.
         self._config.merge_meshes = False
         self._config.unused_parameters = mi.LogLevel.Debug
         with self._readable():
@@ -58,7 +59,7 @@ class SceneFile:
             self._select(keep, drop)
 
     def _check_text(self, data: bytes) -> None:
-        """Refuse what Mitsuba's parser would run out of stack on, or pass on as damaged text."""
+        """Refuse XML that is not well-formed, or would overflow the stack of Mitsuba's parser."""
         depth = 0
 
         def opened(name: str, attributes: dict[str, str]) -> None:
@@ -122,19 +123,19 @@ class SceneFile:
         kept = {key for key, wanted in zip(shapes, chosen, strict=True) if wanted}
         if not keep:
             kept |= children.keys() - groups - set(shapes)
-        # A group is not seen by itself; it stays as long as an instance shows it.
+        # A group is only visible through its instances, so it is kept if an instance is.
         shown = {index for key in kept for index in _references(children[key].props)}
         kept |= {key for key in groups if root[key].index() in shown}
         for key in children.keys() - kept:
             del root[key]
 
     def nodes(self, kind: str) -> list[Any]:
-        """Nodes of a type of Mitsuba object, such as "Shape" or "Emitter"."""
+        """Nodes of one type of Mitsuba object, such as "Shape" or "Emitter"."""
         kind = getattr(load_mitsuba().ObjectType, kind)
         return [node for node in self._used() if node.type == kind]
 
     def _used(self) -> list[Any]:
-        """Nodes that the scene holds, directly or within others, in the file's order."""
+        """Nodes that belong to the scene, directly or within others, in the order of the file."""
         found, waiting = {0}, [0]
         while waiting:
             inner = _references(self._state.nodes[waiting.pop()].props)
@@ -143,7 +144,7 @@ class SceneFile:
         return [self._state.nodes[index] for index in sorted(found)]
 
     def references(self) -> list[Path]:
-        """Files that the scene names, each where it was found."""
+        """Paths of the files that the scene refers to."""
         names = (
             node.props["filename"] for node in self._used() if node.props.has_property("filename")
         )
@@ -154,10 +155,10 @@ class SceneFile:
         """Create the scene.
 
         Raises:
-            LumitreeError: a mesh, texture or plugin it names is missing or damaged.
+            LumitreeError: a mesh, texture or plugin of the scene is missing or damaged.
         """
         mi = load_mitsuba()
-        # Creating the scene uses up the nodes.
+        # Creating the scene clears the nodes.
         has_media = bool(self.nodes("Medium"))
         with self._searching(), self._readable():
             scene = mi.parser.instantiate(self._config, self._state)
@@ -169,7 +170,7 @@ class SceneFile:
 
     @contextlib.contextmanager
     def _searching(self) -> Iterator[Any]:
-        """Resolve relative names against the scene's own folder, only within the block."""
+        """Context in which relative names are resolved against the folder of the scene file."""
         mi = load_mitsuba()
         before = mi.file_resolver()
         resolver = mi.FileResolver(before)
@@ -185,8 +186,8 @@ class SceneFile:
         try:
             yield
         except (RuntimeError, UnicodeError) as error:
-            # What our own plugins raise arrives inside a traceback; Mitsuba's own messages begin
-            # with a place in its source.
+            # An error of a lumitree plugin is inside a traceback. Mitsuba's messages begin with a
+            # position in its source.
             own = re.search(r"LumitreeError: (.*)", str(error))
             reason = own.group(1) if own else " ".join(str(error).split())
             reason = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", reason)
@@ -203,11 +204,14 @@ def media(scene: Any) -> list[Any]:
 
 
 def _keep_clear_channels(scene: Any) -> None:
-    """Lift extinctions of 0: there `volpath` divides 0 by 0, and `volpathmis` loses scattering."""
+    """Increase extinctions of 0.
+
+    With an extinction of 0, `volpath` divides 0 by 0, and `volpathmis` loses scattered light.
+    """
     mi = load_mitsuba()
     for medium in media(scene):
         parameters = mi.traverse(medium)
-        # Of a medium that varies, or that is grey, there is no such parameter.
+        # Heterogeneous and grey media have no such parameter.
         if _EXTINCTION in parameters:
             extinction = np.ravel(parameters[_EXTINCTION])
             lifted = np.maximum(extinction, _CLEAR * extinction.max())
@@ -221,5 +225,5 @@ def _is_reference(props: Any, key: str) -> bool:
 
 
 def _references(props: Any) -> set[int]:
-    """Numbers of the nodes that a node holds."""
+    """Indices of the nodes that a node refers to."""
     return {props[key].index() for key in list(props.keys()) if _is_reference(props, key)}

@@ -1,4 +1,4 @@
-"""Writing a model as a Mitsuba 3 scene, so that every lamp loads like a user's own scene."""
+"""Writing of a model as a Mitsuba 3 scene, which is then loaded like a scene of the user."""
 
 import os
 from pathlib import Path
@@ -32,11 +32,13 @@ _COLOUR_ATTRIBUTE = "vertex_color"
 
 
 def write_scene(model: Model, folder: str | os.PathLike[str]) -> Path:
-    """Write `luminaire.xml`, `meshes/` and `textures/`; the same model gives the same bytes.
+    """Write `luminaire.xml`, `meshes/` and `textures/`; equal models give equal bytes.
+
+    Copies of a part share one mesh file.
 
     Returns:
-        Path of the scene: shapes, BSDFs, interior media and area emitters, no sensor and no
-        integrator. Copies of a part share one mesh file.
+        Path of the scene file. It has shapes, BSDFs, interior media and area emitters, but no
+        sensor and no integrator.
 
     Raises:
         LumitreeError: the folder cannot be written.
@@ -48,7 +50,7 @@ class _Writer:
     def __init__(self, model: Model, folder: Path) -> None:
         self._model, self._folder = model, folder
         self._materials = {material.name: material for material in model.materials}
-        # Textures shared by several materials are written once.
+        # A texture that several materials share is written once.
         self._textures: dict[int, str] = {}
 
     def write(self) -> Path:
@@ -183,7 +185,7 @@ class _Writer:
 
 
 def _reference(material: Material) -> str:
-    # Shapes and materials share one space of names in a scene; $ begins a parameter there.
+    # In a scene, ids of shapes and materials share one namespace, and $ begins a parameter.
     return f"material_{material.name.replace('$', '%24')}"
 
 
@@ -197,7 +199,7 @@ def _transmits(surface: Surface) -> bool:
 def _medium(shape: Element, medium: Medium) -> None:
     absorption, scattering = np.array(medium.absorption), np.array(medium.scattering)
     extinction = absorption + scattering
-    # An <rgb> above 1 is refused; the scale carries the density.
+    # Mitsuba refuses an <rgb> above 1, so the magnitude is in the scale.
     scale = float(extinction.max())
     element = SubElement(shape, "medium", type="homogeneous", name="interior")
     _rgb(element, "sigma_t", tuple(extinction / scale))
@@ -231,7 +233,7 @@ def _write_mesh(path: Path, mesh: Mesh) -> None:
 
 
 def _rounded(values: Floats, decimals: int) -> np.ndarray:
-    """Rounded (and -0 made 0), so that the last bit of a machine's sine does not show."""
+    """Rounded values, with 0 for -0: files do not depend on the rounding errors of a machine."""
     return (values.round(decimals) + 0.0).astype(np.float32)
 
 

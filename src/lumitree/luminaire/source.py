@@ -1,4 +1,4 @@
-"""What a LUMINAIRE argument names: a built-in lamp, or a file and how to read it."""
+"""Description of a luminaire that has not been loaded: a name or file, and how to read it."""
 
 import dataclasses
 import os
@@ -10,10 +10,11 @@ class LuminaireSource:
 
     Attributes:
         name: built-in name, or path of a .xml, .obj, .gltf or .glb file.
-        materials: TOML file of overrides for a model; None for the one beside it, if any.
+        materials: TOML file of overrides for a model. By default it is the file with the model's
+            name and the suffix .toml, if there is one.
         keep: patterns with * and ? of what belongs to the luminaire: ids of shapes in a Mitsuba
-            scene, parts or materials in a model; empty for everything.
-        drop: patterns of what does not.
+            scene, or names of parts or materials in a model; empty for everything.
+        drop: patterns of what does not belong to the luminaire.
     """
 
     name: str
@@ -26,5 +27,5 @@ class LuminaireSource:
 
 
 def as_source(source: str | os.PathLike[str] | LuminaireSource) -> LuminaireSource:
-    """The source itself, or one that names `source` and says nothing more."""
+    """`source` itself, or a `LuminaireSource` with this name and defaults."""
     return source if isinstance(source, LuminaireSource) else LuminaireSource(os.fspath(source))

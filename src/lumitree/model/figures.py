@@ -1,9 +1,10 @@
-"""What a lamp's description says about it, without rendering."""
+"""Figures of a lamp that need no rendering."""
 
 import dataclasses
 
 import numpy as np
 
+from lumitree.core.images import linear_from_srgb
 from lumitree.model.geometry import Floats
 from lumitree.model.model import Colour, Glass, Material, Model, Part, Texture, VertexColour
 
@@ -56,9 +57,7 @@ def _largest(radiance: Colour | None, part: Part) -> float:
         if radiance.pixels.dtype != np.uint8:
             return value
         value /= 255
-        # sRGB's curve, IEC 61966-2-1.
-        linear = value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4
-        return linear if radiance.encoded else value
+        return float(linear_from_srgb(value)) if radiance.encoded else value
     if isinstance(radiance, VertexColour):
         return 0.0 if part.mesh.colours is None else float(part.mesh.colours.max())
     return max(radiance or (0.0,))

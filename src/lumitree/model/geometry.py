@@ -81,12 +81,18 @@ def lathe(profile: ArrayLike, segments: int, crease: float = 35.0) -> Mesh:
     return skin(revolve(profile[order]), revolve(normal), joined)
 
 
+def area_normals(positions: Floats, faces: NDArray[np.int64]) -> Floats:
+    """Normals [F, 3] of faces [F, 3] of positions [V, 3]; their length is twice the area."""
+    a, b, c = np.moveaxis(positions[faces], 1, 0)
+    return np.cross(b - a, c - a)
+
+
 def facets(triangles: Floats) -> Mesh:
     """Flat-shaded triangles [N, 3, 3], each with three vertices of its own."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    positions, faces = triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
+    normals = area_normals(positions, faces)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    faces = np.arange(3 * len(triangles)).reshape(-1, 3)
-    return Mesh(triangles.reshape(-1, 3), np.repeat(normals, 3, axis=0), faces)
+    return Mesh(positions, np.repeat(normals, 3, axis=0), faces)
 
 
 def moved(mesh: Mesh, place: Floats) -> Mesh:
@@ -100,7 +106,7 @@ def sweep(path: ArrayLike, radius: ArrayLike, segments: int) -> Mesh:
     """Closed tube along a path, with slightly domed ends.
 
     Args:
-        path: [N, 3] centre line; it must bend more gently than the tube is thick.
+        path: [N, 3] centre line; its radius of curvature must exceed the tube's radius.
         radius: of the tube, or [N] radii that change slowly along it.
         segments: number of facets around the tube.
     """

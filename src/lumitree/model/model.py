@@ -1,4 +1,4 @@
-"""What a lamp is made of, whatever file it came from: parts and materials.
+"""A lamp as parts and materials, independent of the file format that it was read from.
 
 Frame: right-handed, y up unless the file says otherwise; lengths in the lamp's own unit. Emitted
 radiance is in W/(m² sr) for each of R, G and B (linear sRGB primaries).
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lumitree.errors import LumitreeError
 from lumitree.model.geometry import Floats, Mesh
 
-# Every shape costs milliseconds, however small it is.
+# Loading a shape takes milliseconds, however few triangles it has.
 MAX_SHAPES = 5000
 
 RGB = tuple[float, float, float]
@@ -137,15 +137,15 @@ Surface = Glass | Metal | Diffuse | Principled
 
 @dataclasses.dataclass(frozen=True)
 class Material:
-    """A surface with what may be laid over it.
+    """A surface with its emission, opacity and normal map.
 
     Attributes:
         name: unique in the lamp.
         radiance: emitted by the front of the surface; None where it does not emit.
-        opacity: share of the surface that is there.
+        opacity: in [0, 1]; light crosses the rest of the surface unchanged.
         normal_map: tangent-space normals, linear data.
-        two_sided: the back looks like the front. Glass and thin sheets have two sides of their
-            own.
+        two_sided: the back reflects as the front does. Without effect on glass and thin
+            sheets, which define both sides.
     """
 
     name: str
@@ -158,7 +158,7 @@ class Material:
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """A mesh with its material, standing in one or more places.
+    """A mesh with its material, in one or more places.
 
     Attributes:
         name: unique in the lamp; also the name of the mesh file.
@@ -174,7 +174,7 @@ class Part:
 
 
 def check_shapes(count: int, where: str) -> None:
-    """Refuse more shapes than are sensible; every place of every part is one.
+    """Refuse more than `MAX_SHAPES` shapes; each place of each part is a shape.
 
     Args:
         where: what brings the number to `count`, for the message.

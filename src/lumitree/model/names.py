@@ -2,7 +2,7 @@
 
 
 class Names:
-    """Gives out names that are unique, also where upper and lower case are not told apart."""
+    """Makes names that are unique, also where upper and lower case are not distinguished."""
 
     def __init__(self, separator: str) -> None:
         """Start empty.
@@ -21,7 +21,7 @@ class Names:
         while name.lower() in self._taken:
             number += 1
             name = f"{wanted}{self._separator}{number}"
-        # The next one goes on from here: many of one name would take quadratic time.
+        # The next search starts here: from 1, many equal names would take quadratic time.
         self._numbers[key] = number
         self._taken.add(name.lower())
         return name

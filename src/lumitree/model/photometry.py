@@ -1,8 +1,8 @@
-"""Between radiometry and photometry: luminance, luminous flux, the colour of a temperature.
+"""Radiometry to photometry and back: luminance, luminous flux, colour temperature.
 
 lumitree's convention: a radiance (R, G, B) in W/(m² sr), linear sRGB primaries, has the luminance
-683 lm/W x (0.2126 R + 0.7152 G + 0.0722 B) cd/m². A Lambertian surface of area A sends out
-π A times its luminance.
+683 lm/W x (0.2126 R + 0.7152 G + 0.0722 B) cd/m². A Lambertian surface of area A emits a
+luminous flux of π A times its luminance.
 """
 
 import math
@@ -45,7 +45,7 @@ def flux_from_radiance(radiance: Sequence[float], area: float) -> float:
 
 
 def radiance_from_flux(lumens: float, area: float, colour: Sequence[float]) -> RGB:
-    """Radiance, W/(m² sr), of a Lambertian surface of `area` m² that sends out `lumens`.
+    """Radiance, W/(m² sr), of a Lambertian surface of `area` m² that emits `lumens`.
 
     Args:
         colour: linear RGB; only its ratios matter.
@@ -55,7 +55,7 @@ def radiance_from_flux(lumens: float, area: float, colour: Sequence[float]) -> R
 
 
 def blackbody_colour(temperature: float) -> RGB:
-    """Linear sRGB colour, of luminance 1, of a black body; what the gamut lacks is clipped at 0.
+    """Linear sRGB colour, of luminance 1, of a black body; clipped at 0 outside the gamut.
 
     Args:
         temperature: in kelvin, from 1000 to 20000.

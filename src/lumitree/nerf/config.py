@@ -1,14 +1,16 @@
-"""What a training run is asked to do: one frozen dataclass and the presets made of it."""
+"""Settings of a training run: a frozen dataclass and its presets."""
 
 import dataclasses
 import math
 
+from lumitree.core.arguments import check_choice
 from lumitree.core.dataset import OPACITY_KINDS, OpacityKind
 from lumitree.core.harmonics import MAX_L
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.errors import LumitreeError
 
-# Highest frequency is 2^(n-1) half-turns per local unit; single precision ends before 2^16.
+# The highest frequency is 2^(n-1) half-periods per local unit. Single precision does not resolve
+# 2^16.
 MAX_FREQUENCIES = 16
 
 
@@ -21,18 +23,21 @@ class TrainConfig:
         width: neurons in a hidden layer.
         output_width: neurons in the extra layer before the coefficients.
         num_frequencies: octaves of the Fourier features, 0 to 16.
-        num_coarse: intervals a ray of the coarse network, N_c.
-        num_fine: further intervals of the fine network, N_f.
+        num_coarse: intervals per ray of the coarse network, N_c.
+        num_fine: additional intervals per ray of the fine network, N_f.
         rays_per_batch: rays in one step.
         l_max: highest band of the spherical harmonics, 0 to 4.
         num_steps: steps of the whole run.
         learning_rate_start: Adam's step size at the first step.
-        learning_rate_end: its value at the last step; decays exponentially in between.
+        learning_rate_end: step size at the last step; it decays exponentially in between.
         law: transmittance law (D3).
         opacity_kind: which captured opacity supervises the field (D7).
-        skip_empty: carve the visual hull from the masks and sample only inside it.
+        skip_empty: sample only inside the visual hull of the masks.
         stop_gradient: no gradient through the denominator of the HDR loss (D6).
-        seed: of the initial weights, the batches and the jitter.
+        seed: seed of the initial weights, the batches and the jitter.
+
+    Raises:
+        LumitreeError: a setting is out of range.
     """
 
     num_layers: int = 8
@@ -53,8 +58,8 @@ class TrainConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        self._check_choice("law", LAWS)
-        self._check_choice("opacity_kind", OPACITY_KINDS)
+        check_choice("law", self.law, LAWS)
+        check_choice("opacity_kind", self.opacity_kind, OPACITY_KINDS)
         for name in (
             "num_layers",
             "width",
@@ -74,11 +79,6 @@ class TrainConfig:
                 f"learning rates {start} to {end} do not decay; expected 0 < end <= start"
             )
 
-    def _check_choice(self, name: str, choices: tuple[str, ...]) -> None:
-        value = getattr(self, name)
-        if value not in choices:
-            raise LumitreeError(f"{name} is {value!r}; expected one of {', '.join(choices)}")
-
     def _check_integer(self, name: str, low: int, high: int | None = None) -> None:
         value = getattr(self, name)
         whole = isinstance(value, int) and not isinstance(value, bool)
@@ -88,10 +88,10 @@ class TrainConfig:
 
 
 PRESETS: dict[str, TrainConfig] = {
-    # The paper's numbers; needs a GPU (3.6 s a step on two CPU cores).
+    # The settings of the paper. It needs a GPU: a step takes 3.6 s on two CPU cores.
     "paper": TrainConfig(),
-    # A rough field in about two minutes on two CPU cores. Many small batches reach more there
-    # than few large ones: after 60 s, 24.1 dB with 256 rays and 23.2 with 1024.
+    # A rough field in about two minutes on two CPU cores. There, many small batches give a better
+    # result than few large ones: after 60 s, 24.1 dB with 256 rays and 23.2 dB with 1024.
     "preview": TrainConfig(
         num_layers=4,
         width=64,

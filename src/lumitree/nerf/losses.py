@@ -1,11 +1,11 @@
-"""The training loss (Eq. 7 to 9) and the measure shown while training."""
+"""The training loss (Eq. 7 to 9), and the PSNR that is reported during training."""
 
 import jax
 import jax.numpy as jnp
 
 from lumitree.nerf.volume import Composite
 
-# Eq. 8's regulariser, radiance units.
+# The regulariser of Eq. 8, radiance units.
 EPSILON = 0.01
 
 
@@ -14,16 +14,16 @@ def hdr_loss(
 ) -> jax.Array:
     """Relative squared error of HDR radiance (Eq. 8), the mean over rays.
 
-    As the paper writes it, the error is in [0, 1], that is radiance / L_max, and the denominator
-    in radiance units. In radiance units throughout (D6 as first planned) this term is L_max²
-    times larger and drowns the opacity loss; docs/decisions/0006-hdr-loss.md has the measurement.
+    As in the paper, the error is that of radiance / L_max, and the denominator is in radiance
+    units. If the error were in radiance units too, this term would be L_max² times larger, and the
+    opacity loss would have no effect; see docs/decisions/0006-hdr-loss.md.
 
     Args:
         predicted: [R, 3] radiance, >= 0.
         radiance: [R, 3] captured radiance, >= 0.
         max_radiance: L_max, > 0.
-        stop_gradient: hold the denominator fixed in the gradient. The minimum over noisy
-            captures is then their mean; with the gradient it is biased to bright.
+        stop_gradient: treat the denominator as constant in the gradient. The minimum over noisy
+            captures is then their mean; otherwise it is biased towards higher radiance.
     """
     denominator = jax.lax.stop_gradient(predicted) if stop_gradient else predicted
     error = (predicted - radiance) / max_radiance / (denominator + EPSILON)
@@ -31,7 +31,7 @@ def hdr_loss(
 
 
 def opacity_loss(predicted: jax.Array, opacity: jax.Array) -> jax.Array:
-    """Squared error of opacity [R] (Eq. 9), the mean over rays."""
+    """Squared error of opacity [R] (Eq. 9), averaged over rays."""
     return jnp.mean((predicted - opacity) ** 2)
 
 
@@ -43,7 +43,7 @@ def total_loss(
     max_radiance: float,
     stop_gradient: bool,
 ) -> jax.Array:
-    """L_c + L_f + L_opacity with equal weights (Eq. 7); only the fine network's opacity counts."""
+    """L_c + L_f + L_opacity with equal weights (Eq. 7); L_opacity is that of the fine network."""
     return (
         hdr_loss(coarse.radiance, radiance, max_radiance, stop_gradient)
         + hdr_loss(fine.radiance, radiance, max_radiance, stop_gradient)
@@ -53,5 +53,5 @@ def total_loss(
 
 def psnr(predicted: jax.Array, radiance: jax.Array, max_radiance: float) -> jax.Array:
     """Peak signal-to-noise ratio of rays [R, 3] in dB, of radiance / L_max clipped to [0, 1]."""
-    shown, true = (jnp.clip(value / max_radiance, 0, 1) for value in (predicted, radiance))
-    return -10 * jnp.log10(jnp.maximum(jnp.mean((shown - true) ** 2), 1e-12))
+    found, true = (jnp.clip(value / max_radiance, 0, 1) for value in (predicted, radiance))
+    return -10 * jnp.log10(jnp.maximum(jnp.mean((found - true) ** 2), 1e-12))

@@ -4,7 +4,7 @@ Symbols
     N            positions
     K            (l_max + 1)² coefficients of a colour channel
     density      sigma, per local unit length, >= 0
-    emission     Phi, radiance that a unit of opacity adds, in (0, max_radiance)
+    emission     Phi, radiance per unit of opacity, in (0, max_radiance)
     position     local frame (D8), each coordinate in [-1, 1]
 """
 
@@ -18,12 +18,12 @@ from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.nerf.config import TrainConfig
 
-# density = DENSITY_SCALE * softplus(x - DENSITY_SHIFT). The scale lets a network whose outputs
-# are of order 10 reach the 128 per unit that an opaque surface needs in a leaf of 1/128. The
-# shift starts it near 3: the fraction of a unit that a ray spends in the visual hull is then
-# neither clear nor saturated. Under the linear law nothing behind optical depth 1 receives a
-# gradient; from a start that is far clearer, the HDR loss makes a thin, bright fog first and
-# opacity is learnt late (opacity error 0.56 instead of 0.34 after 300 steps of `preview`).
+# density = DENSITY_SCALE * softplus(x - DENSITY_SHIFT). With this scale, outputs of order 10 give
+# the density of 128 per unit that an opaque surface needs in a leaf of side 1/128. With this shift,
+# the initial density is about 3, so a ray through the visual hull is initially neither transparent
+# nor saturated. Under the linear law, nothing behind optical depth 1 receives a gradient. From a
+# far lower initial density, the HDR loss first produces a thin, bright fog, and opacity is learnt
+# late: the opacity error after 300 steps of `preview` is then 0.56 instead of 0.34.
 DENSITY_SCALE = 30.0
 DENSITY_SHIFT = 2.3
 
@@ -31,8 +31,7 @@ DENSITY_SHIFT = 2.3
 def fourier_features(positions: jax.Array, num_frequencies: int) -> jax.Array:
     """Positions [N, 3] with sin and cos of 2^k pi x for k < num_frequencies (NeRF, Eq. 4).
 
-    The octaves follow from the first by the double-angle formulas, which cost two products
-    instead of two transcendental functions.
+    Each octave is computed from the one before it by the double-angle formulas.
 
     Returns:
         [N, 3 + 6 num_frequencies].
@@ -49,17 +48,17 @@ class NerfSH(nnx.Module):
     """One network: position to density and coefficients (Sec. 4.2, "Network architecture").
 
     Args:
-        config: sizes.
-        initial_emission: emission before training, everywhere, as a part of max_radiance in
-            (0, 1). What is typical of the luminaire, far below 1 for an HDR one: the loss
-            divides by the prediction, so light that is too strong fades slowly.
-        rngs: of the initial weights.
+        config: numbers and sizes of the layers.
+        initial_emission: constant emission before training, as a fraction of max_radiance in
+            (0, 1). It should be typical of the luminaire, which is far below 1 for HDR radiance:
+            the loss divides by the prediction, so too strong an emission decreases slowly.
+        rngs: random numbers for the initial weights.
     """
 
     def __init__(self, config: TrainConfig, initial_emission: float, rngs: nnx.Rngs) -> None:
         self.num_frequencies = config.num_frequencies
         self.num_coefficients = num_coefficients(config.l_max)
-        # NeRF feeds its input in again in the middle; shallow networks do without.
+        # As in NeRF, the input is concatenated again in the middle; not in shallow networks.
         self.skip_layer = config.num_layers // 2 if config.num_layers >= 6 else None
         num_features = 3 + 6 * config.num_frequencies
         init = nnx.initializers.he_normal()
@@ -96,7 +95,7 @@ class NerfSH(nnx.Module):
 
 
 class CoarseAndFine(nnx.Module):
-    """The two networks of NeRF: `coarse` says where `fine` is sampled."""
+    """The two networks of NeRF; the weights of `coarse` determine where `fine` is sampled."""
 
     def __init__(self, config: TrainConfig, initial_emission: float) -> None:
         rngs = nnx.Rngs(config.seed)
@@ -105,7 +104,7 @@ class CoarseAndFine(nnx.Module):
 
 
 def emission(coefficients: jax.Array, directions: jax.Array, max_radiance: float) -> jax.Array:
-    """Phi = max_radiance * sigmoid(sum of c Y) (Eq. 6), the extended-range sigmoid.
+    """Emission with the extended-range sigmoid, max_radiance * sigmoid(sum of c Y) (Eq. 6).
 
     Args:
         coefficients: [R, N, 3, K] of N positions on each of R rays.
@@ -123,7 +122,7 @@ def emission(coefficients: jax.Array, directions: jax.Array, max_radiance: float
 
 
 def _constant_coefficients(part: float, count: int) -> jax.Array:
-    """[3 count] coefficients of the emission `part` of max_radiance in all directions."""
+    """Coefficients [3 count] of the constant emission part * max_radiance."""
     constant_band = basis(0.0, 0.0, 1.0, 0)[0]
     value = math.log(part / (1 - part)) / constant_band
     return jnp.zeros((3, count)).at[:, 0].set(value).ravel()

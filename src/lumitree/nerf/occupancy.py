@@ -1,8 +1,8 @@
-"""Where a luminaire can be at all: the visual hull of its masks, and lookups in it.
+"""Occupancy grid of a luminaire, from the visual hull of its masks, and lookups in it.
 
 Symbols
-    grid         boolean cells over the proxy box; outside of the true ones density is 0
-    bin          one of K equal pieces of a ray's chord through the box, occupied or not
+    grid         boolean cells over the bounding box; density is 0 outside of the true cells
+    bin          one of K equal intervals of a ray within the box, occupied or not
 """
 
 import math
@@ -20,19 +20,19 @@ from lumitree.core.reading import read_arrays
 from lumitree.core.visual_hull import visual_hull
 from lumitree.errors import LumitreeError
 
-# Cells along the box's longest side, whose length is 2 local units.
+# Number of cells along the longest side of the box, whose length is 2 local units.
 HULL_RESOLUTION = 128
 
 
 class Occupancy(NamedTuple):
-    """Cells [nx, ny, nz] that may hold something, over the box of `half_extents` [3]."""
+    """Grid [nx, ny, nz] of cells that may be occupied, over the box of `half_extents` [3]."""
 
     cells: jax.Array | NDArray[np.bool_]
     half_extents: jax.Array | NDArray[np.float32]
 
 
 def full_occupancy(half_extents: ArrayLike) -> Occupancy:
-    """A grid of one cell, the whole box: nothing is skipped."""
+    """Grid whose only cell is the whole box, so that no part of it is skipped."""
     return Occupancy(np.ones((1, 1, 1), bool), np.asarray(half_extents, np.float32))
 
 
@@ -42,22 +42,22 @@ def dilated_hull(
     half_extents: ArrayLike,
     resolution: int = HULL_RESOLUTION,
 ) -> Occupancy:
-    """The visual hull plus one cell all around; arguments as for `core.visual_hull`.
+    """The visual hull, dilated by one cell; arguments as for `core.visual_hull`.
 
-    The cell all around makes the lookup at a bin's centre hold for the whole bin.
+    Because of the dilation, the lookup at the centre of a bin is valid for the whole bin.
     """
     cells = visual_hull(views, half_width, half_extents, resolution)
     return Occupancy(_dilate(cells), np.asarray(half_extents, np.float32))
 
 
 def contains(occupancy: Occupancy, positions: jax.Array) -> jax.Array:
-    """Whether positions [..., 3] lie in the box and in a cell that may hold something."""
+    """Whether positions [..., 3] lie in the box and in a cell that may be occupied."""
     shape = jnp.array(occupancy.cells.shape)
     unit = positions / occupancy.half_extents
     index = jnp.clip(jnp.floor((unit + 1) / 2 * shape).astype(jnp.int32), 0, shape - 1)
     flat = (index[..., 0] * shape[1] + index[..., 1]) * shape[2] + index[..., 2]
     cell = jnp.ravel(occupancy.cells).at[flat].get(mode="promise_in_bounds")
-    # Rounding may put the ends of a chord a little outside of the box.
+    # By rounding, the ends of a ray's interval may lie slightly outside of the box.
     return cell & (jnp.max(jnp.abs(unit), axis=-1) <= 1 + 1e-5)
 
 
@@ -77,17 +77,17 @@ def box_interval(
 def occupied_bins(
     occupancy: Occupancy, origins: jax.Array, directions: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Which of the K bins of every ray's chord are occupied.
+    """Which of the K bins of every ray are occupied.
 
-    K is the grid's longest side: half a bin is then less than a cell along each axis, so the
-    one lookup at a bin's centre misses nothing of a hull that was widened by one cell.
+    K is the largest number of cells along an axis. Half a bin is then shorter than a cell along
+    every axis. As the hull was dilated by one cell, one lookup at the centre of a bin suffices.
 
     Args:
         occupancy: the grid.
         origins, directions: [R, 3], local frame; directions of travel, unit length.
 
     Returns:
-        Occupied [R, K], distance [R] at which the ray enters, and length of a bin [R].
+        Occupied [R, K], distance [R] at which the ray enters the box, and length [R] of a bin.
     """
     num_bins = max(occupancy.cells.shape)
     near, far = box_interval(origins, directions, occupancy.half_extents)
@@ -98,7 +98,7 @@ def occupied_bins(
 
 
 def save_occupancy(path: str | os.PathLike[str], occupancy: Occupancy) -> None:
-    """Write the cells as packed bits beside their shape and box (`.npz`), atomically."""
+    """Write the grid as an `.npz` archive, its cells as packed bits, atomically."""
     cells = np.asarray(occupancy.cells)
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(
@@ -120,7 +120,7 @@ def load_occupancy(path: str | os.PathLike[str]) -> Occupancy:
     except LumitreeError as error:
         raise LumitreeError(f"not a readable occupancy grid: {error}; train again") from None
     bits, shape, half_extents = arrays.values()
-    # Sizes in Python's integers, which do not overflow.
+    # In Python's integers, which do not overflow.
     count = math.prod(shape.tolist()) if shape.dtype == np.int32 and shape.shape == (3,) else 0
     if (
         not (count > 0 and min(shape) > 0 and bits.shape == (-(-count // 8),))

@@ -1,13 +1,13 @@
-"""The training set: every captured ray that can meet the luminaire.
+"""The training set: every captured ray that crosses an occupied cell.
 
 Symbols
     V            views
     N            rays kept
     radiance     captured HDR radiance, clipped at max_radiance
-    held out     rays at multiples of a stride, never trained on
+    held out     rays at multiples of a stride, which are not used for training
 
-Memory: 22 bytes a ray (view 2, pixel 4, radiance 12, opacity 4). A hundred views of 800² are
-64 million pixels, of which about half meet the box: 0.7 to 1.4 GB.
+Memory: 22 bytes per ray (view 2, pixel 4, radiance 12, opacity 4). A hundred views of 800² pixels
+have 64 million rays, of which about half cross the box: 0.7 to 1.4 GB.
 """
 
 import dataclasses
@@ -37,15 +37,16 @@ class Batch(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class RaySet:
-    """All rays of a dataset that cross an occupied part of the proxy box.
+    """All rays of a dataset that cross an occupied part of the bounding box.
 
     Attributes:
-        corners: [V, 3] origin of the first pixel's ray, local frame.
-        column_steps, row_steps: [V, 3] from a pixel to the next in its row, in its column.
-        directions: [V, 3] direction of travel of a view.
-        resolution: pixels a side of a view.
-        view: [N] uint16 index of a ray's view.
-        pixel: [N] uint32 index of its pixel, row by row.
+        corners: [V, 3] origins of the rays of each view's first pixel, local frame.
+        column_steps, row_steps: [V, 3] offset to the origin of the next pixel in the row, and in
+            the column.
+        directions: [V, 3] directions of travel of each view.
+        resolution: pixels per side of a view.
+        view: [N] uint16 index of each ray's view.
+        pixel: [N] uint32 index of each ray's pixel, row by row.
         radiance: [N, 3] clipped at `max_radiance`.
         opacity: [N] in [0, 1].
         max_radiance: L_max, > 0.
@@ -75,23 +76,23 @@ class RaySet:
         return Batch(*map(jnp.asarray, rays))
 
     def draw(self, seed: int, step: int, count: int) -> Batch:
-        """The random batch of a step: a function of its arguments alone, so runs can resume."""
+        """The random batch of a step; it depends on the arguments only, so that runs can resume."""
         stride = self._held_out_stride
-        # Numbers that are no multiple of the stride, in order.
+        # Indices of the rays that are not held out, in order.
         num_trained = len(self.view) - -(-len(self.view) // stride)
         drawn = np.random.default_rng((seed, step)).integers(0, num_trained, count)
         return self.batch(drawn + 1 + drawn // (stride - 1))
 
     @property
     def typical_part(self) -> float:
-        """Geometric mean of the lit rays' channels as a part of `max_radiance`, 1e-4 to 0.5."""
+        """Geometric mean of the lit rays' channels over `max_radiance`, clipped to [1e-4, 0.5]."""
         sample = self.radiance[:: max(1, len(self.radiance) // 1_000_000)]
         lit = sample[sample > 0] / self.max_radiance
         mean = float(np.exp(np.log(lit).mean())) if lit.size else 1e-4
         return min(max(mean, 1e-4), 0.5)
 
     def held_out(self) -> Batch:
-        """At most NUM_HELD_OUT rays (a half of a tiny set) that `draw` never returns."""
+        """At most NUM_HELD_OUT rays that `draw` never returns; at most half of the rays."""
         return self.batch(np.arange(0, len(self.view), self._held_out_stride)[:NUM_HELD_OUT])
 
     @property
@@ -102,12 +103,12 @@ class RaySet:
 def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[RaySet, Occupancy]:
     """Read all views and keep the rays that cross an occupied part of the box.
 
-    The rays left out have radiance 0 and opacity 0 exactly, and so has the field along them.
+    All other rays have radiance 0 and opacity 0, in the captured views and in the field.
 
     Args:
         dataset: training views.
-        kind: which opacity supervises (D7).
-        skip_empty: carve the visual hull; else the whole box counts as occupied.
+        kind: which captured opacity supervises the field (D7).
+        skip_empty: use the visual hull; otherwise the whole box counts as occupied.
 
     Raises:
         LumitreeError: views are missing or damaged, or all of them are black.
@@ -119,9 +120,9 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
     highest = dataset.max_radiance(views)
     if skip_empty:
         masks = ((view.frame.pose, view.geometric > 0) for view in views)
-        occupancy = dilated_hull(masks, manifest.half_width, manifest.half_extents)
+        occupancy = dilated_hull(masks, manifest.half_width, manifest.local_frame.half_extents)
     else:
-        occupancy = full_occupancy(manifest.half_extents)
+        occupancy = full_occupancy(manifest.local_frame.half_extents)
     geometry, kept = [], []
     for view in views:
         origins, direction = orthographic_rays(
@@ -130,7 +131,7 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
         geometry.append(_view_geometry(origins, direction))
         kept.append(np.flatnonzero(_crossing(occupancy, origins, direction)))
     if not any(len(pixels) for pixels in kept):
-        raise LumitreeError(f"no ray of {dataset.folder} meets the luminaire; capture it again")
+        raise LumitreeError(f"no ray of {dataset.folder} crosses the luminaire; capture it again")
     corners, column_steps, row_steps, directions = (
         np.stack(x) for x in zip(*geometry, strict=True)
     )
@@ -162,8 +163,8 @@ def _view_geometry(
 def _crossing(
     occupancy: Occupancy, origins: NDArray[np.float32], direction: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
-    """Whether each ray of a view [H, H, 3] crosses an occupied part of the box: [H H]."""
-    # Row by row: a whole view's bins would need gigabytes.
+    """Whether each ray of a view [H, H, 3] crosses an occupied part of the box, [H · H]."""
+    # Row by row, because the bins of a whole view take gigabytes.
     return np.asarray(_crossing_rows(occupancy, jnp.asarray(origins), jnp.asarray(direction)))
 
 
@@ -179,6 +180,6 @@ def _crossing_rows(occupancy: Occupancy, origins: jax.Array, direction: jax.Arra
 def _gather(
     values: list[NDArray[np.float32]], kept: list[NDArray[np.intp]], limit: float
 ) -> NDArray[np.float32]:
-    """Kept rows of all views, in [0, limit]."""
+    """Rows with the indices `kept` of all views, clipped to [0, limit]."""
     rows = [value[pixels] for value, pixels in zip(values, kept, strict=True)]
     return np.clip(np.concatenate(rows), 0, limit)

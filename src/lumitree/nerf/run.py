@@ -1,9 +1,9 @@
-"""The folder of a training run: what it knows without its dataset, and its checkpoints.
+"""The folder of a training run.
 
 RUN/run.json        see `RunRecord`
-RUN/occupancy.npz   cells that may hold something
+RUN/occupancy.npz   occupancy grid, see `occupancy.Occupancy`
 RUN/history.json    list of {step, seconds, loss, psnr}
-RUN/checkpoints/    Orbax; the last two are kept
+RUN/checkpoints/    Orbax checkpoints; the last two are kept
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ import jax
 import orbax.checkpoint as ocp
 
 from lumitree.core.files import write_json
-from lumitree.core.frames import check_local_frame
+from lumitree.core.frames import LocalFrame, file_keys, file_members
 from lumitree.core.reading import Record, label, parse_json, read_bytes
 from lumitree.errors import LumitreeError
 from lumitree.nerf.config import TrainConfig
@@ -25,7 +25,7 @@ RECORD = "run.json"
 OCCUPANCY = "occupancy.npz"
 HISTORY = "history.json"
 CHECKPOINTS = "checkpoints"
-# What a run's folder holds, as patterns; a checkpoint is a folder named after its step.
+# Patterns of what is in a run's folder. A checkpoint is a folder named after its step.
 RUN_FILES = (RECORD, OCCUPANCY, HISTORY, f"{CHECKPOINTS}/[0-9]*")
 VERSION = 1
 _MAX_RECORD_BYTES, _MAX_PATH = 1 << 20, 1 << 14
@@ -33,16 +33,15 @@ _MAX_RECORD_BYTES, _MAX_PATH = 1 << 20, 1 << 14
 
 @dataclasses.dataclass(frozen=True)
 class RunRecord:
-    """Everything but the weights that extraction needs.
+    """What extraction needs in addition to the weights, so that the dataset is not needed.
 
     Attributes:
-        config: settings of the run; its law and l_max belong to the field.
+        config: settings of the run; its law and l_max are those of the field.
         dataset: folder of the training views.
-        fingerprint: of the luminaire that the dataset shows.
-        luminaire: its name.
+        fingerprint: fingerprint of the luminaire that the dataset shows.
+        luminaire: name of the luminaire.
         max_radiance: L_max, > 0.
-        half_extents: [3] proxy box, local units.
-        world_from_proxy: 4 rows of 4.
+        frame: the luminaire's local frame.
     """
 
     config: TrainConfig
@@ -50,26 +49,24 @@ class RunRecord:
     fingerprint: str
     luminaire: str
     max_radiance: float
-    half_extents: tuple[float, ...]
-    world_from_proxy: tuple[tuple[float, ...], ...]
+    frame: LocalFrame
     version: int = VERSION
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "luminaire", label(self.luminaire))
-        check_local_frame(self.half_extents, self.world_from_proxy)
         if not 0 < self.max_radiance < float("inf"):
             raise LumitreeError(f"max_radiance is {self.max_radiance}; expected a positive number")
 
     def save(self, folder: Path) -> None:
         """Write run.json, atomically."""
-        write_json(folder / RECORD, dataclasses.asdict(self))
+        write_json(folder / RECORD, file_members(self))
 
     @staticmethod
     def load(folder: Path) -> "RunRecord":
         """Read run.json.
 
         Raises:
-            LumitreeError: there is none, or it is damaged.
+            LumitreeError: the file is missing or damaged.
         """
         path = folder / RECORD
         if not path.exists():
@@ -85,8 +82,7 @@ class RunRecord:
 
 def _parse(data: Record) -> RunRecord:
     data.expect_version(VERSION)
-    names = {field.name for field in dataclasses.fields(RunRecord)}
-    data.expect_keys(*names)
+    data.expect_keys(*file_keys(RunRecord, "frame"))
     try:
         config = TrainConfig(**data.members("config"))
     except TypeError as error:
@@ -97,15 +93,14 @@ def _parse(data: Record) -> RunRecord:
         fingerprint=data.label("fingerprint"),
         luminaire=data.label("luminaire"),
         max_radiance=data.number("max_radiance"),
-        half_extents=tuple(data.array("half_extents", 3).tolist()),
-        world_from_proxy=tuple(map(tuple, data.array("world_from_proxy", 4, 4).tolist())),
+        frame=LocalFrame.of_record(data),
     )
 
 
 @contextmanager
 def open_checkpoints(folder: Path) -> Iterator[ocp.CheckpointManager]:
-    """The checkpoints of a run, made if there are none."""
-    # Synchronous: a state is small, and what was reported as saved must be on the disk.
+    """The checkpoints of a run; their folder is made if it is missing."""
+    # Synchronous: a state is small, and must be on the disk before it is reported as saved.
     options = ocp.CheckpointManagerOptions(max_to_keep=2, enable_async_checkpointing=False)
     with ocp.CheckpointManager((folder / CHECKPOINTS).resolve(), options=options) as manager:
         yield manager
@@ -118,7 +113,7 @@ def has_checkpoint(folder: Path) -> bool:
 
 
 def save_checkpoint(manager: ocp.CheckpointManager, step: int, state: Any) -> None:
-    """Write the state after `step` steps, atomically; nothing if that is there already.
+    """Write the state after `step` steps, atomically, unless it was already written.
 
     Raises:
         LumitreeError: the disk is full or not writable.
@@ -139,11 +134,11 @@ def restore_checkpoint(folder: Path, template: Any) -> Any:
     """The newest state of a run.
 
     Args:
-        folder: the run.
-        template: tree of the shapes and types that the state must have.
+        folder: folder of the run.
+        template: tree of arrays whose shapes and types the state must have.
 
     Raises:
-        LumitreeError: there is no checkpoint, or it does not match or is damaged.
+        LumitreeError: there is no checkpoint, or the newest is damaged or does not match.
     """
     if not (folder / CHECKPOINTS).is_dir():
         raise LumitreeError(f"{folder} holds no checkpoint: nothing to resume or to extract")
@@ -157,7 +152,7 @@ def restore_checkpoint(folder: Path, template: Any) -> Any:
             raise LumitreeError(f"{folder} holds no checkpoint: nothing to resume or to extract")
         try:
             return manager.restore(step, args=ocp.args.StandardRestore(placed))
-        # Orbax and TensorStore raise many kinds for damaged files; each means the same here.
+        # Orbax and TensorStore raise many types of exceptions for damaged files.
         except Exception as error:
             raise LumitreeError(
                 f"checkpoint {step} of {folder} is damaged ({type(error).__name__}); "

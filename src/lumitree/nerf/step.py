@@ -1,7 +1,7 @@
-"""One step of training, and the measure taken between steps, as jitted functions.
+"""The training step, and the evaluation between steps, as jitted functions.
 
-Every random number of a step is a function of the seed and the step's index, so the state is
-the weights, Adam's moments and the step alone, and a resumed run equals an uninterrupted one.
+Every random number of a step is a function of the seed and the step's index. The state therefore
+consists of the weights, Adam's moments and the step, and a resumed run equals an uninterrupted one.
 """
 
 from collections.abc import Callable
@@ -19,12 +19,13 @@ from lumitree.nerf.occupancy import Occupancy
 from lumitree.nerf.ray_set import Batch
 from lumitree.nerf.volume import render
 
-# Positions evaluated at once on a CPU. Activations of a few thousand stay in its caches, which
-# makes a step 2 to 3 times faster than one pass over the batch (2 cores, width 64).
+# Positions evaluated at once on a CPU. The activations of a few thousand positions fit its caches.
+# A step is then 2 to 3 times faster than one pass over the batch (2 cores, width 64).
 _CPU_POSITIONS = 6000
-# The HDR loss has heavy tails: a bright ray that is still predicted dark weighs 10^4 times the
-# others. Without the clip, and with Adam's usual memory of 1000 steps (0.999), a few such rays
-# set the step size of all; each step's direction counts the same instead.
+# The HDR loss has heavy tails: a bright ray whose prediction is still dark has 10^4 times the
+# weight of others. Without the clipping, and with Adam's default decay of 0.999 (about 1000
+# steps), a few such rays would determine the step size. The clipped gradients of all steps have
+# similar lengths.
 _MAX_GRADIENT = 0.1
 _SECOND_MOMENT_DECAY = 0.99
 
@@ -38,7 +39,7 @@ class TrainState(NamedTuple):
 
 
 def initial_state(config: TrainConfig, initial_emission: float) -> tuple[nnx.GraphDef, TrainState]:
-    """The networks' structure and the state before the first step (see `NerfSH`)."""
+    """The structure of the networks, and the state before the first step (see `NerfSH`)."""
     graph, weights = nnx.split(CoarseAndFine(config, initial_emission))
     params = nnx.to_pure_dict(weights)
     return graph, TrainState(jnp.zeros((), jnp.int32), params, _optimizer(config).init(params))
@@ -47,9 +48,9 @@ def initial_state(config: TrainConfig, initial_emission: float) -> tuple[nnx.Gra
 def make_step(
     config: TrainConfig, graph: nnx.GraphDef, max_radiance: float
 ) -> Callable[[TrainState, Batch, Occupancy], tuple[TrainState, jax.Array, jax.Array]]:
-    """The jitted training step: to the next state, its loss and gradient norm.
+    """The jitted training step, which returns the next state, the loss and the gradient norm.
 
-    The state that is passed in is donated: it cannot be used again.
+    The step donates the buffers of the given state, which cannot be used afterwards.
     """
     optimizer = _optimizer(config)
     num_chunks = _num_chunks(config, config.rays_per_batch)
@@ -91,12 +92,12 @@ def make_step(
 def make_evaluation(
     config: TrainConfig, graph: nnx.GraphDef, max_radiance: float
 ) -> Callable[[Any, Batch, Occupancy], jax.Array]:
-    """Jitted (weights, batch, occupancy) to the PSNR of the fine network on the batch, dB."""
+    """Jitted function of weights, batch and occupancy: PSNR of the fine network, dB."""
 
     def evaluate(params: Any, batch: Batch, occupancy: Occupancy) -> jax.Array:
         networks = nnx.merge(graph, params)
 
-        def see(rays: Batch) -> jax.Array:
+        def predict(rays: Batch) -> jax.Array:
             _, fine = render(
                 networks, occupancy, rays.origins, rays.directions, max_radiance, config, None
             )
@@ -104,7 +105,7 @@ def make_evaluation(
 
         num_chunks = _num_chunks(config, len(batch.opacity))
         chunks = jax.tree.map(lambda x: x.reshape(num_chunks, -1, *x.shape[1:]), batch)
-        predicted = jax.lax.map(see, chunks).reshape(-1, 3)
+        predicted = jax.lax.map(predict, chunks).reshape(-1, 3)
         return psnr(predicted, batch.radiance, max_radiance)
 
     return jax.jit(evaluate)
@@ -119,7 +120,7 @@ def _optimizer(config: TrainConfig) -> optax.GradientTransformation:
 
 
 def _num_chunks(config: TrainConfig, num_rays: int) -> int:
-    """Equal parts in which a batch is evaluated: one on a GPU, parts that fit caches on a CPU."""
+    """Number of equal parts of a batch: 1 on a GPU; on a CPU, parts that fit its caches."""
     if jax.default_backend() != "cpu":
         return 1
     positions = num_rays * (2 * config.num_coarse + config.num_fine)

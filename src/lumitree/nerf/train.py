@@ -1,4 +1,4 @@
-"""Training: Adam on random batches of rays, with checkpoints that continue bit for bit."""
+"""Training by Adam on random batches of rays; a resumed run gives the same bits."""
 
 import dataclasses
 import json
@@ -36,20 +36,20 @@ from lumitree.nerf.step import TrainState, initial_state, make_evaluation, make_
 
 _CHECKPOINT_SECONDS = 60.0
 _REPORT_SECONDS = 5.0
-# Losses are read back in groups, so that a GPU is never left waiting for the host.
+# Losses are read back in groups, so that a GPU does not wait for the host.
 _STEPS_PER_CHECK = 10
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainResult:
-    """What a call of `train` did.
+    """Result of a call of `train`.
 
     Attributes:
-        steps: steps done in all, earlier calls included.
-        seconds: time spent training in all, reading the dataset excluded.
-        psnr: of the held-out rays, dB (`losses.psnr`).
-        psnr_black: what an all-black prediction scores on them, dB.
-        rays_per_second: of this call.
+        steps: steps done by this call and earlier ones.
+        seconds: time of these steps, without the time to read the dataset.
+        psnr: PSNR of the held-out rays, dB (`losses.psnr`).
+        psnr_black: PSNR of an all-black prediction of the same rays, dB.
+        rays_per_second: training speed of this call.
         stopped_by: number of the signal that ended the call early; None if none did.
     """
 
@@ -72,16 +72,16 @@ def train(
 
     Args:
         dataset_path: folder made by `lumitree capture`.
-        run_path: folder of the run: new, empty, or of a run that has no checkpoint yet, which is
-            started again; of any run if `resume`.
-        config: settings; those of the run if `resume`.
-        resume: continue from the newest checkpoint, if there is one; same result as without the
-            interruption.
-        stop_after: stop and save after so many steps of this call.
+        run_path: folder of the run. It must be missing, empty, or that of a run without a
+            checkpoint, which is then started again. With `resume` it may be that of any run.
+        config: settings; with `resume` they must be those of the run.
+        resume: continue from the newest checkpoint, if there is one. The result is that of an
+            uninterrupted run.
+        stop_after: stop and save after this number of steps.
 
     Raises:
-        LumitreeError: unusable dataset or folder, another config, nothing to resume, or a
-            loss that is not finite.
+        LumitreeError: the dataset or the folder cannot be used, the settings are not those of the
+            run, there is nothing to resume, or the loss is not finite.
     """
     dataset, folder = Dataset.open(dataset_path), Path(run_path)
     _check_folder(folder, config, resume)
@@ -94,8 +94,7 @@ def train(
         manifest.fingerprint,
         manifest.luminaire,
         rays.max_radiance,
-        manifest.half_extents,
-        manifest.world_from_proxy,
+        manifest.local_frame,
     )
     graph, state = initial_state(config, rays.typical_part)
     history: list[dict[str, float]] = []
@@ -137,7 +136,7 @@ class _Loop:
         self.pending: list[tuple[jax.Array, jax.Array]] = []
 
     def run(self, state: TrainState, last: int) -> TrainResult:
-        """Train up to step `last`; the state is saved however this ends, unless it is bad."""
+        """Train up to step `last` and save the state, unless the loss is not finite."""
         first = done = int(state.step)
         start = reported = saved = time.monotonic()
         with (
@@ -172,7 +171,7 @@ class _Loop:
         return self.rays.draw(self.config.seed, step, self.config.rays_per_batch)
 
     def _check(self, done: int) -> float:
-        """The last loss, after making sure that every one since the last check is finite."""
+        """The last loss; refuses losses since the last check that are not finite."""
         values = np.array(jax.device_get(self.pending), np.float64).reshape(-1, 2)
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if bad.size:
@@ -191,11 +190,11 @@ class _Loop:
         return f"loss {loss:.3g}, PSNR {quality:.2f} dB, {rate / 1000:.1f} k rays/s"
 
     def _save_or_warn(self, done: int, state: TrainState) -> None:
-        """A checkpoint on the way; training can go on without."""
+        """Save a checkpoint; training continues if that fails."""
         try:
             self._save(done, state)
         except LumitreeError as error:
-            warnings.warn(f"{error}; the training goes on", LumitreeWarning, stacklevel=2)
+            warnings.warn(f"{error}; the training continues", LumitreeWarning, stacklevel=2)
 
     def _save(self, done: int, state: TrainState) -> None:
         save_checkpoint(self.checkpoints, done, state)
@@ -233,7 +232,7 @@ def _check_same_data(found: RunRecord, wanted: RunRecord) -> None:
 
 
 def _load_history(folder: Path, step: int) -> list[dict[str, float]]:
-    """Entries up to the checkpoint; what came after it is trained again."""
+    """Entries up to step `step`, the one of the checkpoint; later steps are repeated."""
     try:
         entries = json.loads((folder / HISTORY).read_text(encoding="utf-8"))
         return [entry for entry in entries if entry["step"] <= step]

@@ -1,4 +1,4 @@
-"""A trained field, ready to be asked for density and coefficients."""
+"""A trained field, which returns density and coefficients at positions."""
 
 import dataclasses
 import os
@@ -10,14 +10,15 @@ import numpy as np
 from flax import nnx
 from numpy.typing import ArrayLike, NDArray
 
+from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import num_coefficients
 from lumitree.core.transmittance import Law
 from lumitree.nerf.occupancy import Occupancy, contains, load_occupancy
 from lumitree.nerf.run import OCCUPANCY, RunRecord, restore_checkpoint
 from lumitree.nerf.step import initial_state
 
-# Positions in one call of the network: few enough to stay in a CPU's caches (4096 measured three
-# times faster than 8192), enough to fill a GPU.
+# Positions per call of the network. 4096 fit a CPU's caches (and were measured to be three times
+# faster than 8192); a GPU needs more to be busy.
 _CPU_CHUNK, _GPU_CHUNK = 4096, 1 << 18
 
 
@@ -28,19 +29,17 @@ class TrainedField:
     Attributes:
         law: transmittance law.
         l_max: highest band.
-        max_radiance: L_max; emission is max_radiance * sigmoid(sum of coefficient * Y).
-        half_extents: [3] proxy box, local units.
-        world_from_proxy: [4, 4].
-        luminaire: its name.
-        num_steps: steps it was trained for.
-        occupancy: cells that may hold something; density is 0 outside.
+        max_radiance: L_max; the emission is max_radiance * sigmoid(sum of coefficient * Y).
+        frame: the luminaire's local frame.
+        luminaire: name of the luminaire.
+        num_steps: number of training steps.
+        occupancy: cells that may be occupied; density is 0 outside of them.
     """
 
     law: Law
     l_max: int
     max_radiance: float
-    half_extents: NDArray[np.float64]
-    world_from_proxy: NDArray[np.float64]
+    frame: LocalFrame
     luminaire: str
     num_steps: int
     occupancy: Occupancy
@@ -54,8 +53,8 @@ class TrainedField:
             positions: [N, 3] local units.
 
         Returns:
-            Density [N] per local unit, >= 0, which is 0 outside of the box and of the occupied
-            cells, and coefficients [N, 3, (l_max + 1)²].
+            Density [N] per local unit, >= 0, and coefficients [N, 3, (l_max + 1)²]. Density is 0
+            outside of the box and of the occupied cells.
         """
         positions = np.asarray(positions, np.float32).reshape(-1, 3)
         density = np.zeros(len(positions), np.float32)
@@ -78,7 +77,7 @@ def load_field(run_path: str | os.PathLike[str]) -> TrainedField:
     """The field of a run's newest checkpoint.
 
     Raises:
-        LumitreeError: the folder is no run, has no checkpoint, or is damaged.
+        LumitreeError: the folder is damaged, not a run, or has no checkpoint.
     """
     folder = Path(run_path)
     record = RunRecord.load(folder)
@@ -90,8 +89,7 @@ def load_field(run_path: str | os.PathLike[str]) -> TrainedField:
         law=record.config.law,
         l_max=record.config.l_max,
         max_radiance=record.max_radiance,
-        half_extents=np.array(record.half_extents),
-        world_from_proxy=np.array(record.world_from_proxy),
+        frame=record.frame,
         luminaire=record.luminaire,
         num_steps=int(state.step),
         occupancy=occupancy,

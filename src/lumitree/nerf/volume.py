@@ -2,8 +2,8 @@
 
 Symbols
     t            distance along a ray, local units
-    s            the same without the empty stretches, in [0, S]; S is the occupied length
-    edges        [R, N + 1] rising values of s; interval i lies between edges i and i + 1
+    s            occupied length of the ray up to t, in [0, S]; S is the occupied length in all
+    edges        [R, N + 1] increasing values of s; interval i lies between edges i and i + 1
     widths       [R, N] lengths of the intervals; they partition [0, S]
     tau          optical depth; T transmittance; weight w_i = T_i - T_{i+1} (D2)
 """
@@ -18,8 +18,8 @@ from lumitree.nerf.config import TrainConfig
 from lumitree.nerf.network import CoarseAndFine, NerfSH, emission
 from lumitree.nerf.occupancy import Occupancy, contains, occupied_bins
 
-# Part of the fine samples that is spread evenly, so that what the coarse network overlooks is
-# still found.
+# Fraction of the fine samples that is distributed uniformly, so that they also reach what the
+# coarse network does not represent.
 UNIFORM_SHARE = 0.1
 
 
@@ -28,8 +28,8 @@ class Chord(NamedTuple):
 
     Attributes:
         near: [R] distance at which the ray enters the box.
-        bin_length: [R].
-        counts: [R, K] occupied bins up to and including each.
+        bin_length: [R] length of a bin, local units.
+        counts: [R, K] number of occupied bins up to and including each bin.
         length: [R] occupied length S.
     """
 
@@ -40,7 +40,7 @@ class Chord(NamedTuple):
 
 
 class Composite(NamedTuple):
-    """What R rays collect: radiance [R, 3], opacity [R] and the intervals' weights [R, N]."""
+    """Radiance [R, 3] and opacity [R] of R rays, and the weights [R, N] of their intervals."""
 
     radiance: jax.Array
     opacity: jax.Array
@@ -60,18 +60,18 @@ def distances(chord: Chord, lengths: jax.Array) -> jax.Array:
     bins = lengths / jnp.maximum(bin_length, 1e-12)
     last = jnp.maximum(chord.counts[:, -1:] - 1, 0)
     whole = jnp.clip(jnp.floor(bins).astype(jnp.int32), 0, last)
-    # The bin that has `whole` occupied ones before it; comparing beats sorting on a CPU.
+    # The bin with `whole` occupied bins before it. On a CPU comparing is faster than searching.
     index = jnp.sum(chord.counts[:, None, :] <= whole[:, :, None], axis=-1)
     return chord.near[:, None] + (index + bins - whole) * bin_length
 
 
 def stratified_edges(length: jax.Array, num_intervals: int, key: jax.Array | None) -> jax.Array:
-    """Edges [R, N + 1] over [0, S]: even, and jittered by up to half an interval with a key.
+    """Edges [R, N + 1] of N intervals of [0, S]: equal, or jittered by up to half an interval.
 
     Args:
         length: [R] occupied length S.
         num_intervals: N.
-        key: PRNG key; none for even intervals.
+        key: PRNG key of the jitter; None for equal intervals.
     """
     steps = jnp.broadcast_to(jnp.arange(num_intervals + 1.0), (*length.shape, num_intervals + 1))
     if key is not None:
@@ -83,19 +83,19 @@ def stratified_edges(length: jax.Array, num_intervals: int, key: jax.Array | Non
 def importance_samples(
     edges: jax.Array, weights: jax.Array, num_samples: int, key: jax.Array | None
 ) -> jax.Array:
-    """Samples of the piecewise-constant density that the weights give, by its inverse CDF.
+    """Samples from a piecewise-constant distribution, by its inverse cumulative function.
 
-    The density is (1 - UNIFORM_SHARE) w_i / sum(w) in interval i, plus UNIFORM_SHARE spread
-    evenly; all even where the weights are 0.
+    Interval i has the probability (1 - UNIFORM_SHARE) w_i / sum(w), plus UNIFORM_SHARE times its
+    part of the length. The distribution is uniform if all weights are 0.
 
     Args:
         edges: [R, N + 1].
         weights: [R, N], >= 0.
-        num_samples: M, stratified.
-        key: PRNG key; none for the middles of the strata.
+        num_samples: M; the samples are stratified.
+        key: PRNG key; None for the centres of the strata.
 
     Returns:
-        [R, M] rising values of s; no gradient.
+        [R, M] increasing values of s, without gradient.
     """
     edges, weights = jax.lax.stop_gradient((edges, weights))
     widths = jnp.diff(edges, axis=-1)
@@ -138,10 +138,10 @@ def composite(density: jax.Array, phi: jax.Array, widths: jax.Array, law: Law) -
 
 
 def _through_saturation(opacity: jax.Array, tau: jax.Array) -> jax.Array:
-    """The linear law's opacity min(tau, 1) with the gradient of tau even where it is 1.
+    """The linear law's opacity min(tau, 1), with the gradient of tau also where it is 1.
 
-    The true gradient there is 0, so a ray that became opaque by mistake would stay so. An opacity
-    of 1 can only be too large, so the gradient passed on only ever thins a ray that is too opaque.
+    The true gradient there is 0, so a ray whose opacity is wrongly 1 would keep it. An opacity of 1
+    can only be too large, so this gradient can only decrease the density along such a ray.
     """
     return tau + jax.lax.stop_gradient(opacity - tau)
 
@@ -156,11 +156,11 @@ def march(
     max_radiance: float,
     law: Law,
 ) -> Composite:
-    """Evaluate one network at the middles of the intervals and integrate along the rays."""
+    """Evaluate one network at the centres of the intervals, and integrate along the rays."""
     middles = distances(chord, (edges[:, 1:] + edges[:, :-1]) / 2)
     positions = origins[:, None, :] + middles[..., None] * directions[:, None, :]
     density, coefficients = network(positions)
-    # The field is what is exported: nothing outside of the grid (see field.py).
+    # As in the exported field (`trained_field`), density is 0 outside of the grid.
     density = jnp.where(contains(occupancy, positions), density, 0)
     phi = emission(coefficients, directions, max_radiance)
     return composite(density, phi, jnp.diff(edges, axis=-1), law)
@@ -175,15 +175,15 @@ def render(
     config: TrainConfig,
     key: jax.Array | None,
 ) -> tuple[Composite, Composite]:
-    """What the coarse and the fine network see along rays (hierarchical sampling of NeRF).
+    """Radiance and opacity of rays by both networks (hierarchical sampling of NeRF).
 
     Args:
         networks: both networks.
-        occupancy: where the field may be.
+        occupancy: cells outside of which density is 0.
         origins, directions: [R, 3] local frame; unit directions of travel.
         max_radiance: L_max.
-        config: counts of intervals and the law.
-        key: PRNG key of the jitter; none for a repeatable picture.
+        config: numbers of intervals, and the transmittance law.
+        key: PRNG key of the jitter; None for no jitter.
 
     Returns:
         The coarse result on `num_coarse` intervals, the fine one on `num_coarse + num_fine`.
@@ -191,13 +191,13 @@ def render(
     coarse_key, fine_key = (None, None) if key is None else jax.random.split(key)
     chord = occupied_chord(occupancy, origins, directions)
 
-    def see(network: NerfSH, edges: jax.Array) -> Composite:
+    def render_one(network: NerfSH, edges: jax.Array) -> Composite:
         return march(
             network, occupancy, chord, origins, directions, edges, max_radiance, config.law
         )
 
     edges = stratified_edges(chord.length, config.num_coarse, coarse_key)
-    coarse = see(networks.coarse, edges)
+    coarse = render_one(networks.coarse, edges)
     samples = importance_samples(edges, coarse.weights, config.num_fine, fine_key)
     edges = jnp.sort(jnp.concatenate([edges, samples], axis=-1), axis=-1)
-    return coarse, see(networks.fine, edges)
+    return coarse, render_one(networks.fine, edges)

@@ -1,11 +1,20 @@
 """Building the octree's node table from a list of leaves."""
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lumitree.core.arguments import check_range
 from lumitree.errors import LumitreeError
 
 MAX_TREE_DEPTH = 10
+Integer = TypeVar("Integer", bound=np.integer)
+
+
+def check_tree_depth(depth: int) -> None:
+    """Refuse a level of the smallest leaves that is not in 1 to `MAX_TREE_DEPTH`."""
+    check_range("tree depth", depth, 1, MAX_TREE_DEPTH)
 
 
 def morton(cells: ArrayLike) -> NDArray[np.int64]:
@@ -16,6 +25,13 @@ def morton(cells: ArrayLike) -> NDArray[np.int64]:
         for axis in range(3):
             codes |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
     return codes
+
+
+def child_cells(cells: NDArray[Integer]) -> NDArray[Integer]:
+    """Coordinates [..., 8, 3] of the children of cells [..., 3], at their own level, by octant."""
+    octant = np.arange(8)
+    offsets = np.stack([octant & 1, octant >> 1 & 1, octant >> 2], axis=1)
+    return (2 * cells[..., None, :] + offsets).astype(cells.dtype)
 
 
 def build_children(cells: ArrayLike, levels: ArrayLike) -> NDArray[np.int32]:

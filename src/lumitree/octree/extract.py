@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from lumitree.core.directions import radical_inverse
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError
-from lumitree.octree.build import MAX_TREE_DEPTH, build_children
+from lumitree.octree.build import build_children, check_tree_depth, child_cells
 
 # positions [N, 3] in local units -> density [N], coefficients [N, 3, K]
 Query = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], NDArray[np.float32]]]
@@ -42,8 +42,7 @@ def extract(
 
     Memory: the result plus at most about 0.5 GiB, at any depth.
     """
-    if not 1 <= tree_depth <= MAX_TREE_DEPTH:
-        raise LumitreeError(f"tree depth {tree_depth} is out of range; choose 1 to 10")
+    check_tree_depth(tree_depth)
     cells = _find_dense_cells(query, half_extents, tree_depth, min_density)
     if not len(cells):
         raise LumitreeError(
@@ -65,7 +64,6 @@ def _find_dense_cells(
     side = 1 << level
     cells = np.stack(np.meshgrid(*[np.arange(side, dtype=np.int32)] * 3, indexing="ij"), -1)
     cells = cells.reshape(-1, 3)
-    octants = np.array([(o & 1, o >> 1 & 1, o >> 2) for o in range(8)], np.int32)
     while True:
         # A leaf is judged by its centre, as in the paper; coarser cells by more positions.
         positions_a_side = 1 if level == tree_depth else _START_SIDE if level == _START_LEVEL else 2
@@ -76,7 +74,7 @@ def _find_dense_cells(
         cells = np.concatenate(kept) if kept else cells[:0]
         if level == tree_depth:
             return cells
-        cells = (2 * cells[:, None] + octants).reshape(-1, 3)
+        cells = child_cells(cells).reshape(-1, 3)
         level += 1
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
-from lumitree.core.frames import towards_viewer
+from lumitree.core.frames import LocalFrame, towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.transmittance import BLOCKED, Law, transmittance
 from lumitree.octree.traversal import Octree
@@ -28,7 +28,7 @@ _LARGEST_HALF = float(np.finfo(np.float16).max)
 
 
 class FieldData(Protocol):
-    """What a field is made of; an `Asset` is one, where its members are explained."""
+    """The data of a field, such as an `Asset`, which documents the members."""
 
     @property
     def children(self) -> NDArray[np.int32]: ...
@@ -45,9 +45,11 @@ class FieldData(Protocol):
     @property
     def max_radiance(self) -> float: ...
     @property
-    def half_extents(self) -> NDArray[np.float64]: ...
+    def frame(self) -> LocalFrame: ...
     @property
     def num_leaves(self) -> int: ...
+    @property
+    def luminaire(self) -> str: ...
 
 
 class Field:
@@ -71,7 +73,7 @@ class Field:
         if min_density > 0:
             thin = np.append(asset.density < min_density, False)
             children = np.where((children < 0) & thin[~children.clip(max=-1)], 0, children)
-        self._octree = Octree(children, asset.tree_depth, asset.half_extents)
+        self._octree = Octree(children, asset.tree_depth, asset.frame.half_extents)
         # Device arrays cannot be empty: an asset without leaves gets one that nothing refers to.
         self._density = on_device(mi.Float, asset.density if asset.num_leaves else [0.0])
         packets, self._unit = _packets(asset)
@@ -92,7 +94,7 @@ class Field:
         radiance, through, _ = self.integrate(origin, direction, active, _nothing, ())
         return radiance, through
 
-    def eval_lines(
+    def eval_rays(
         self, origin: NDArray[np.floating], direction: NDArray[np.floating]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """As `emission` for arrays: points and unit directions [N, 3] to [N, 3] and [N]."""
@@ -108,18 +110,18 @@ class Field:
     def integrate(
         self, origin: Any, direction: Any, active: Any, record: Record, recorded: Any
     ) -> tuple[Any, Any, Any]:
-        """As `emission`, and tell of every leaf that is reached.
+        """As `emission`, and calls a function for every leaf that the ray reaches.
 
         Args:
-            record: called with what is recorded, a leaf, the distance at which the line enters it,
-                its length in it, a mask and the leaf's part of the radiance; returns what is
-                recorded then.
-            recorded: tuple of Dr.Jit arrays, what `record` starts with.
+            record: takes the recorded state, a leaf, the distance at which the line enters it, the
+                length of the line in it, a mask and the leaf's contribution to the radiance;
+                returns the new state.
+            recorded: tuple of Dr.Jit arrays, the first state.
 
         Returns:
             Radiance, transmittance and what is recorded.
         """
-        y = basis(*towards_viewer(direction), self.asset.l_max)
+        y = basis(*towards_viewer(direction), l_max=self.asset.l_max)
 
         def shade(state, leaf, start, length, active):
             radiance, tau, through, recorded = state
@@ -131,7 +133,7 @@ class Field:
             return radiance + emission, tau, after, recorded
 
         clear = mi.Float(0), mi.Float(1)
-        (_, through), (radiance, _, _, recorded) = self._octree.walk_and_shade(
+        (_, through), (radiance, _, _, recorded) = self._octree.traverse_and_shade(
             origin,
             direction,
             mi.Bool(active),
@@ -143,7 +145,10 @@ class Field:
         return radiance, through, recorded
 
     def cross(self, origin: Any, direction: Any, active: Any, record: Record, recorded: Any) -> Any:
-        """What `integrate` records, where no emission is needed for it, at a lower cost."""
+        """The recorded state of `integrate`, at a lower cost.
+
+        `record` is called without the contribution to the radiance.
+        """
 
         def visit(state, leaf, start, length, active):
             passed, recorded = state
@@ -151,13 +156,12 @@ class Field:
             return (passed, record(recorded, leaf, start, length, active)), onwards
 
         state = ((mi.Float(0), mi.Float(1)), recorded)
-        return self._octree.walk(origin, direction, mi.Bool(active), visit, state)[1]
+        return self._octree.traverse(origin, direction, mi.Bool(active), visit, state)[1]
 
     def transmittance(self, origin: Any, direction: Any, active: Any = True) -> Any:
         """Transmittance T (Eq. 4) alone; arguments as for `emission`."""
         state = (mi.Float(0), mi.Float(1))
-        walk = self._octree.walk
-        return walk(origin, direction, mi.Bool(active), self._visit, state)[1]
+        return self._octree.traverse(origin, direction, mi.Bool(active), self._visit, state)[1]
 
     def _visit(self, state, leaf, start, length, active):
         tau, through = self._cross(state[0], leaf, length, active)
@@ -198,8 +202,9 @@ def _width(l_max: int) -> int:
 def _packets(asset: FieldData) -> tuple[NDArray[np.uint32], float]:
     """Coefficients in pairs, each leaf's padded to whole packets, and the unit they are in.
 
-    Kernels take half-precision denormals for 0. So the unit is the smallest power of two with which
-    the largest coefficient can be stored: others are 0 then only where they do not count beside it.
+    Kernels flush half-precision denormals to 0. The unit is therefore the smallest power of two
+    with which the largest coefficient can be stored: only coefficients that are negligible beside
+    it are flushed.
     """
     largest = float(np.abs(asset.coefficients).max(initial=0))
     exponent = int(np.clip(np.floor(np.log2(_LARGEST_HALF / largest)), 0, 24)) if largest else 0
@@ -224,14 +229,14 @@ _SHARED: "weakref.WeakKeyDictionary[FieldData, dict[tuple[object, ...], weakref.
 
 
 def shared_field(asset: FieldData, min_density: float = 0.0, max_opacity: float = 1.0) -> Field:
-    """The field of an asset in the variant that is set; one copy for all that use it at a time."""
+    """Field of an asset in the variant that is set; all users of an asset share one copy."""
     key = (mi.variant(), min_density, max_opacity)
     with _LOCK:
         known = _SHARED.setdefault(asset, {}).get(key)
     field = None if known is None else known()
     if field is None:
-        # Mitsuba makes plugins in parallel, and a thread that waits for the device makes others
-        # meanwhile: so the lock is not held here, and of two that are made the first is kept.
+        # Mitsuba creates plugins in parallel, and a thread that waits for the device may create
+        # others meanwhile. So the lock is not held here; of two fields, the first is kept.
         field = Field(asset, min_density, max_opacity)
         with _LOCK:
             known = _SHARED[asset].get(key)

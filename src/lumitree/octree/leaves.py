@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.octree.build import child_cells
+
 
 def leaf_cells(
     children: NDArray[np.int32], num_leaves: int
@@ -16,13 +18,26 @@ def leaf_cells(
     Returns:
         Integer coordinates [M, 3] at each leaf's own level, and the levels [M].
     """
-    octants = np.array([(octant & 1, octant >> 1 & 1, octant >> 2) for octant in range(8)])
     cells, levels = np.zeros((num_leaves, 3), np.int64), np.zeros(num_leaves, np.int64)
     nodes, corners, level = np.array([0]), np.zeros((1, 3), np.int64), 1
     while len(nodes):
         below = children[nodes]
-        inner = 2 * corners[:, None] + octants
+        inner = child_cells(corners)
         leaf, node = below < 0, below > 0
         cells[~below[leaf]], levels[~below[leaf]] = inner[leaf], level
         nodes, corners, level = below[node], inner[node], level + 1
     return cells, levels
+
+
+def boxes_inside(
+    half_extents: NDArray[np.float64], cells: NDArray[np.int64], levels: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lower and upper corners [M, 3] of the parts of cells that are inside the proxy box.
+
+    Args:
+        half_extents: [3] of the box, local units.
+        cells, levels: as `leaf_cells` returns them.
+    """
+    side = 2.0 / (1 << levels)[:, None]
+    lower, upper = cells * side - 1, (cells + 1) * side - 1
+    return np.maximum(lower, -half_extents), np.minimum(upper, half_extents)

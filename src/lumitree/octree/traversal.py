@@ -1,4 +1,4 @@
-"""A ray's walk from leaf to leaf of an octree on the device.
+"""Traversal of an octree on the device, from leaf to leaf along a ray.
 
 Symbols
     grid        the finest cells of the octree, n = 2**tree_depth a side, n³ in all
@@ -18,11 +18,11 @@ from lumitree.core.device import on_device
 from lumitree.octree.wide_nodes import LEAF, wide_levels, wide_nodes
 
 # visit(state, leaf, start, length, active) -> state, active; shade(state, leaf, start, length,
-# active) -> state: see `Octree.walk`.
+# active) -> state: see `Octree.traverse`.
 Visit = Callable[[Any, Any, Any, Any, Any], tuple[Any, Any]]
 Shade = Callable[[Any, Any, Any, Any, Any], Any]
-# Leaves of a ray that are put off together.
-_PUT_OFF = 8
+# Leaves of a ray that are shaded together.
+_DEFERRED = 8
 # A point that is so close to the proxy box's border is on it, local units.
 _BORDER = 1e-5
 
@@ -53,7 +53,7 @@ class Octree:
     Args:
         children: int32 [N, 8] as `Asset` defines it.
         tree_depth: level of the smallest possible leaf.
-        half_extents: [3] the proxy box, local units; the walk stays within it.
+        half_extents: [3] the proxy box, local units; the traversal stays within it.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Octree:
         dr.eval(self._nodes)
 
     @dr.syntax
-    def walk(self, origin: Any, direction: Any, active: Any, visit: Visit, state: Any) -> Any:
+    def traverse(self, origin: Any, direction: Any, active: Any, visit: Visit, state: Any) -> Any:
         """Visit the leaves that the line crosses inside the proxy box, front to back.
 
         Args:
@@ -99,7 +99,7 @@ class Octree:
         return state
 
     @dr.syntax
-    def walk_and_shade(
+    def traverse_and_shade(
         self,
         origin: Any,
         direction: Any,
@@ -109,18 +109,18 @@ class Octree:
         shade: Shade,
         shaded: Any,
     ) -> tuple[Any, Any]:
-        """As `walk`, and call `shade` for the same leaves in the same order.
+        """As `traverse`, and call `shade` for the same leaves in the same order.
 
         The rays of a packet meet their leaves at different steps, and all wait for one that is
         busy. So `visit` only decides how far a ray goes; what takes longer is for `shade`, which is
-        put off until the rays have some leaves each.
+        deferred until the rays have several leaves each.
 
         Returns:
             The last states of both.
         """
         ray, t_exit, ahead, active = self._enter(origin, direction, active)
         # In registers: Dr.Jit 1.5 has no local memory in functions that are called.
-        queue = _PUT_OFF * [(mi.UInt32(0), mi.Float(0), mi.Float(0))]
+        queue = _DEFERRED * [(mi.UInt32(0), mi.Float(0), mi.Float(0))]
         while active:
             count = mi.UInt32(0)
             seeking = mi.Bool(active)
@@ -132,9 +132,10 @@ class Octree:
                 active &= ~ends & (~found | onwards)
                 queue = _with(queue, count, crossing, found)
                 count += dr.select(found, mi.UInt32(1), 0)
-                seeking = active & (count < _PUT_OFF)
+                seeking = active & (count < _DEFERRED)
             while count > 0:
-                shaded = shade(shaded, *queue[0], count > 0)
+                leaf, start, length = queue[0]
+                shaded = shade(shaded, leaf, start, length, count > 0)
                 queue = [*queue[1:], queue[-1]]
                 count -= 1
         return state, shaded

@@ -42,12 +42,16 @@ class DeferredEmitter(Protocol):
         """
         ...
 
-    def eval_with_transmittance(self, si: Any, it: Any, active: Any) -> tuple[Any, Any, Any]:
+    def eval_with_transmittance(
+        self, si: Any, it: Any, sees: Any, active: Any
+    ) -> tuple[Any, Any, Any]:
         """`eval`, `eval_null_transmission` and `pdf_direction` in one traversal.
 
         Args:
             si: mi.SurfaceInteraction3f on the proxy.
             it: mi.Interaction3f, the vertex that the ray comes from.
+            sees: mi.Bool, whether the ray belongs to an image of the emitter: it comes from the
+                camera, directly or by specular reflections and refractions alone.
             active: mi.Bool mask.
 
         Returns:

@@ -6,8 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.errors import LumitreeError
-from lumitree.rendering.emitter_sampling import EmitterSampler
-from lumitree.rendering.light_leaves import light_leaves
+from lumitree.rendering.divided_sampling import emitter_sampler
 from lumitree.rendering.placed import Placed
 
 
@@ -22,23 +21,26 @@ def emitter_class() -> type:
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.placed = placed = Placed(props)
-            leaves = light_leaves(placed.field) if placed.sampling == "emission" else None
-            self.sampler = EmitterSampler(placed.proxy, placed.field, leaves)
+            self.sampler = emitter_sampler(
+                placed.asset, placed.field, placed.proxy, placed.sampling
+            )
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
         def eval(self, si, active=True):
             line, entering = self.placed.entering_line(si, active)
-            return self.placed.field.emission(*line, entering)[0] & entering
+            return self.sampler.look(*line, entering)[0] & entering
 
-        def eval_with_transmittance(self, si, it, active):
+        def eval_with_transmittance(self, si, it, sees, active):
             line, entering = self.placed.entering_line(si, active)
             distance = dr.norm(si.p - it.p) / self.placed.scale
-            radiance, through, pdf = self.sampler.eval(*line, distance, entering)
+            x = self.placed.local_point(it.p)
+            radiance, through, pdf = self.sampler.eval(x, *line, distance, entering, sees=sees)
             return radiance & entering, dr.select(entering, through, 1), pdf
 
         def sample_direction(self, it, sample, active=True):
             ds, distance = self.sample_target(it, sample, active)
-            weight, ds.pdf = self.eval_target(it, ds, distance, active & (ds.pdf > 0))
+            # `eval` does not know whether it is for an image, so both are what an image shows.
+            weight, ds.pdf = self._eval_target(it, ds, distance, True, active & (ds.pdf > 0))
             return ds, weight
 
         def sample_target(self, it, sample, active):
@@ -59,22 +61,26 @@ def emitter_class() -> type:
             return ds, target
 
         def eval_target(self, it, ds, distance, active):
+            return self._eval_target(it, ds, distance, False, active)
+
+        def _eval_target(self, it, ds, distance, sees, active):
             x, direction = self.placed.local_line(it.p, ds.d)
             near = ds.dist / self.placed.scale
             entry = x + near * direction
-            radiance, _, pdf = self.sampler.eval(entry, direction, near, active, distance)
+            radiance, _, pdf = self.sampler.eval(x, entry, direction, near, active, distance, sees)
             return dr.select(pdf > 0, radiance / pdf, 0), pdf
 
         def pdf_direction(self, it, ds, active=True):
             entry, direction = self.placed.local_line(ds.p, ds.d)
             distance = dr.norm(ds.p - it.p) / self.placed.scale
             facing = active & (dr.dot(ds.d, ds.n) < 0)
-            return self.sampler.pdf(entry, direction, distance, facing)
+            x = self.placed.local_point(it.p)
+            return self.sampler.pdf(x, entry, direction, distance, facing)
 
         def eval_direction(self, it, ds, active=True):
             line = self.placed.local_line(it.p, ds.d)
             facing = active & (dr.dot(ds.d, ds.n) < 0)
-            radiance, _ = self.placed.field.emission(*line, facing)
+            radiance, _ = self.sampler.look(*line, facing)
             return radiance & facing
 
         def sample_wavelengths(self, si, sample, active=True):
@@ -82,9 +88,7 @@ def emitter_class() -> type:
 
         def sample_ray(self, time, sample1, sample2, sample3, active=True):
             placed = self.placed
-            p, direction, radiance, pdf = self.sampler.sample_line(
-                sample1, sample2, sample3, active
-            )
+            p, direction, flux = self.sampler.sample_ray(sample1, sample2, sample3, active)
             # Where the line leaves the proxy is where its reverse enters.
             distance, n, _ = placed.proxy.enter(p, -direction)
             si = dr.zeros(mi.SurfaceInteraction3f)
@@ -92,8 +96,7 @@ def emitter_class() -> type:
             si.n = placed.scene_direction(n)
             si.time = time
             ray = si.spawn_ray(placed.scene_direction(direction))
-            weight = radiance * dr.square(placed.scale) / pdf
-            return ray, weight & (active & (pdf > 0))
+            return ray, flux * dr.square(placed.scale) & active
 
         def sample_position(self, time, sample, active=True):
             raise LumitreeError(

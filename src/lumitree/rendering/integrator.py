@@ -79,6 +79,8 @@ def _trace(settings, scene, sampler, ray, active):
     # whether next-event estimation could not have found that direction.
     vertex = dr.zeros(mi.Interaction3f)
     pdf, delta = mi.Float(1), mi.Bool(True)
+    # Whether all interactions since the camera were specular, so that the image shows what is met.
+    specular = mi.Bool(True)
     active &= depth < max_depth
     pi = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
 
@@ -102,10 +104,10 @@ def _trace(settings, scene, sampler, ray, active):
         if dr.hint(settings.hide_emitters, mode="scalar"):
             seen &= depth > 0
         ds = mi.DirectionSample3f(scene, si, vertex)
-        emitted, through, emitter_pdf, proxy = dr.dispatch(ds.emitter, _emitted, si, vertex, active)
+        emitted, through, emitter_pdf, proxy = dr.dispatch(
+            ds.emitter, _emitted, si, vertex, ds, specular, active
+        )
         emitter_pdf *= ds.emitter.sampling_weight() * dr.rcp(sampling_weight)
-        ordinary = seen & ~delta & ~proxy
-        emitter_pdf[ordinary] = scene.pdf_emitter_direction(vertex, ds, ordinary)
         emitter_pdf[delta] = 0
         radiance[seen] += β * _mis_weight(pdf, emitter_pdf) * emitted
 
@@ -144,6 +146,7 @@ def _trace(settings, scene, sampler, ray, active):
         vertex[bounces] = mi.Interaction3f(si)
         pdf[bounces] = bs.pdf
         delta[bounces] = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+        specular &= ~bounces | delta
         depth[bounces] += 1
         valid |= bounces | (proxy & seen & (dr.max(emitted) > 0))
         # A null ray keeps its direction to the last bit.
@@ -162,11 +165,14 @@ def _trace(settings, scene, sampler, ray, active):
     return radiance, valid
 
 
-def _emitted(emitter: Any, si: Any, vertex: Any, active: Any) -> tuple[Any, Any, Any, Any]:
-    """Radiance of an emitter that was hit, and of a proxy T, its density, and that it is one."""
+def _emitted(
+    emitter: Any, si: Any, vertex: Any, ds: Any, specular: Any, active: Any
+) -> tuple[Any, Any, Any, Any]:
+    """Radiance of an emitter that was hit, T if it is a proxy, density, and whether it is one."""
     if isinstance(emitter, DeferredEmitter):
-        return *emitter.eval_with_transmittance(si, vertex, active), mi.Bool(True)
-    return emitter.eval(si, active), mi.Float(1), mi.Float(0), mi.Bool(False)
+        return *emitter.eval_with_transmittance(si, vertex, specular, active), mi.Bool(True)
+    pdf = emitter.pdf_direction(vertex, ds, active)
+    return emitter.eval(si, active), mi.Float(1), pdf, mi.Bool(False)
 
 
 def _sample_target(emitter: Any, it: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError
-from lumitree.rendering.opened import open_field
+from lumitree.rendering.opened import open_asset, open_field
 from lumitree.rendering.proxy import make_proxy
 
 _OPTIONS = ("min_density", "max_opacity", "proxy", "sampling", "to_world")
@@ -35,19 +35,19 @@ class Placed:
     def __init__(self, props: Any) -> None:
         options = plugin_options(props)
         thresholds = {n: options[n] for n in ("min_density", "max_opacity") if n in options}
-        self.field = open_field(options["asset"], **thresholds)
-        asset = self.field.asset
-        self.proxy = make_proxy(options.get("proxy", "box"), asset.half_extents)
+        self.asset = asset = open_asset(options["asset"])
+        self.field = open_field(asset, **thresholds)
+        self.proxy = make_proxy(options.get("proxy", "box"), asset.frame.half_extents)
         self.sampling = options.get("sampling", "emission")
-        scene_from_proxy = options.get("to_world", np.eye(4)) @ asset.world_from_proxy
-        scale = similarity_scale(scene_from_proxy, "to_world")
+        scene_from_local = options.get("to_world", np.eye(4)) @ asset.frame.world_from_local
+        scale = similarity_scale(scene_from_local, "to_world")
         self.scale = mi.Float(scale)
-        self._centre = mi.Point3f(scene_from_proxy[:3, 3])
-        self._rotation = mi.Matrix3f(scene_from_proxy[:3, :3] / scale)
+        self._centre = mi.Point3f(scene_from_local[:3, 3])
+        self._rotation = mi.Matrix3f(scene_from_local[:3, :3] / scale)
         # Opaque: moving a luminaire does not compile new kernels.
         dr.make_opaque(self.scale, self._centre, self._rotation)
 
-    def entering_line(self, si: Any, active: Any) -> tuple[Any, Any]:
+    def entering_line(self, si: Any, active: Any) -> tuple[tuple[Any, Any], Any]:
         """Local line of what looks at an interaction with the proxy, and where it enters there."""
         line = self.local_line(si.p, -si.to_world(si.wi))
         return line, active & (mi.Frame3f.cos_theta(si.wi) > 0)

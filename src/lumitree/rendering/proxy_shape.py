@@ -37,8 +37,9 @@ def describe_proxy(
         matrix = matrix[..., 0]
     similarity_scale(matrix, "to_world")
     field = open_field(asset, min_density, max_opacity)
-    surface = make_proxy(proxy, field.asset.half_extents)
-    scene_from_shape = matrix @ field.asset.world_from_proxy @ np.diag([*surface.shape_scale, 1])
+    frame = field.asset.frame
+    surface = make_proxy(proxy, frame.half_extents)
+    scene_from_shape = matrix @ frame.world_from_local @ np.diag([*surface.shape_scale, 1])
     options = {
         "filename": file_name(asset),
         "to_world": mi.ScalarTransform4f(matrix),

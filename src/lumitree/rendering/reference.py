@@ -38,7 +38,7 @@ def integrate_ray(
     lower, upper = leaf_boxes(asset)
     entry, exit_ = _slab(origin, direction, lower, upper)
     box_entry, box_exit = _slab(
-        origin, direction, -asset.half_extents[None], asset.half_extents[None]
+        origin, direction, -asset.frame.half_extents[None], asset.frame.half_extents[None]
     )
     entry, exit_ = np.maximum(entry, box_entry), np.minimum(exit_, box_exit)
     order = np.argsort(entry, kind="stable")

@@ -9,7 +9,6 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.frames import placement as place
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError, LumitreeWarning
@@ -45,16 +44,17 @@ class PlacedLuminaire:
         if placement.is_baked:
             # The field, not only the asset: the proxy's plugins then find it open.
             self.field = open_field(cast(Any, placement.source))
-            frame = self.field.asset
+            frame = self.field.asset.frame
         else:
-            frame = self.luminaire = load_luminaire(cast(Any, placement.source))
-        scene_from_proxy = place(
-            frame.world_from_proxy, at=placement.at, size=placement.size, rotate=placement.rotate
+            self.luminaire = load_luminaire(cast(Any, placement.source))
+            frame = self.luminaire.frame
+        scene_from_local = frame.placed(
+            at=placement.at, size=placement.size, rotate=placement.rotate
         )
-        # `scene_from_world` [4, 4] from the luminaire's own frame; `scene_from_box` [4, 4] maps
-        # [-1, 1]³ to the bounding box.
-        self.scene_from_world = scene_from_proxy @ np.linalg.inv(frame.world_from_proxy)
-        self.scene_from_box = scene_from_proxy @ np.diag([*frame.half_extents, 1])
+        # `scene_from_world` [4, 4] from the frame of the luminaire's file; `scene_from_box` [4, 4]
+        # maps [-1, 1]³ to the bounding box.
+        self.scene_from_world = scene_from_local @ frame.local_from_world
+        self.scene_from_box = scene_from_local @ np.diag([*frame.half_extents, 1])
 
     @property
     def has_media(self) -> bool:

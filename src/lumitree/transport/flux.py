@@ -127,7 +127,7 @@ def _batch_seeds(num_paths: int, purpose: Purpose, seed: int) -> list[int]:
 
 def _measure(luminaire: Luminaire) -> float:
     """Measure of all lines through the bounding sphere: 4π sr times its cross section, unit²."""
-    radius = luminaire.bounding_radius * luminaire.world_from_proxy[0, 0]
+    radius = luminaire.bounding_radius * luminaire.frame.scale
     return float(4 * np.pi * np.pi * radius**2)
 
 
@@ -137,8 +137,8 @@ def _trace(luminaire: Luminaire, integrator: Any, sampler_seed: int) -> NDArray[
     sampler.seed(sampler_seed, _BATCH)
     frame = mi.Frame3f(mi.warp.square_to_uniform_sphere(sampler.next_2d()))
     disk = mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
-    radius = mi.Float(luminaire.bounding_radius * luminaire.world_from_proxy[0, 0])
-    centre = mi.Point3f(luminaire.world_from_proxy[:3, 3])
+    radius = mi.Float(luminaire.bounding_radius * luminaire.frame.scale)
+    centre = mi.Point3f(luminaire.frame.centre)
     dr.make_opaque(radius, centre)
     # The bounding box may reach out of the sphere where shapes are not meshes.
     start = frame.to_world(mi.Vector3f(disk.x, disk.y, -2))

@@ -1,4 +1,4 @@
-"""The camera that takes pictures of a luminaire."""
+"""The camera that renders images of a luminaire."""
 
 import dataclasses
 from typing import Any
@@ -13,15 +13,22 @@ from lumitree.luminaire.luminaire import Luminaire
 from lumitree.transport.straight_through import straight_through
 from lumitree.transport.tracing import PATH_DEPTH, check_finite, path_integrator
 
-# Equal settings give equal images: no option changes this.
+# Equal settings give equal images: there is no option for the seed.
 _ROOT_SEED = 0
 # Paths in flight at once: bounds memory to about 1 GiB.
 _MAX_PATHS = 1 << 23
 
 
 @dataclasses.dataclass(frozen=True)
-class Picture:
-    """What a camera sees: radiance [H, W, 3] and the two opacities [H, W] in [0, 1]."""
+class ViewImages:
+    """The images of one view.
+
+    Attributes:
+        radiance: [H, W, 3] in W/(m² sr).
+        geometric: [H, W] opacity in [0, 1]: share of the camera rays that hit a surface.
+        straight_through: [H, W] opacity in [0, 1]: 1 minus the transmittance of light that crosses
+            the luminaire straight through (`transport.straight_through`).
+    """
 
     radiance: NDArray[np.float32]
     geometric: NDArray[np.float32]
@@ -47,12 +54,12 @@ class Camera:
         self._integrator = path_integrator(luminaire, path_depth)
         self._sampler = mi.load_dict({"type": "independent"})
 
-    def take(self, pose: NDArray[np.float64], stream: SeedStream) -> Picture:
-        """Take one picture.
+    def take(self, pose: NDArray[np.float64], stream: SeedStream) -> ViewImages:
+        """Render the images of one view.
 
         Args:
-            pose: `proxy_from_camera` [4, 4], outside the bounding sphere (see `core.sampling`).
-            stream: pictures with different streams are independent.
+            pose: `local_from_camera` [4, 4], outside the bounding sphere.
+            stream: of seeds; views with different streams are independent.
 
         Raises:
             LumitreeError: a pixel is NaN or infinite.
@@ -67,10 +74,10 @@ class Camera:
             done += count
         image = (sums / total).astype(np.float32).reshape(resolution, resolution, 5)
         check_finite(self._luminaire, image)
-        return Picture(
+        return ViewImages(
             radiance=image[..., :3],
             geometric=image[..., 3],
-            # Transmission is estimated; noise may carry it a little past 1.
+            # The noise of the estimate may exceed the range.
             straight_through=np.clip(1 - image[..., 4], 0, 1),
         )
 
@@ -96,7 +103,7 @@ class Camera:
 
     def _ray(self, pose: NDArray[np.float64], position: Any) -> Any:
         """Orthographic ray through an image position in pixels, row 0 at the top."""
-        world_from_camera = mi.Transform4f(self._luminaire.world_from_proxy @ pose)
+        world_from_camera = mi.Transform4f(self._luminaire.frame.world_from_local @ pose)
         half_width = self._luminaire.bounding_radius
         scale = 2 * half_width / self._resolution
         dr.make_opaque(world_from_camera)

@@ -38,8 +38,8 @@ def capture(
     done = len(manifest.frames) - len(missing)
     with progress(f"capture {luminaire.name}", len(manifest.frames), done) as advance:
         for frame in missing:
-            picture = camera.take(frame.pose, SeedStream(Purpose.CAPTURE, frame.halton_index))
-            dataset.write(View(frame, **vars(picture)))
+            images = camera.take(frame.pose, SeedStream(Purpose.CAPTURE, frame.halton_index))
+            dataset.write(View(frame, **vars(images)))
             advance(1)
     return dataset
 
@@ -56,7 +56,7 @@ def _plan(
         Frame(
             file=f"view_{index:06d}.exr",
             halton_index=index,
-            proxy_from_camera=tuple(map(tuple, view_pose(index, distance).tolist())),
+            local_from_camera=tuple(map(tuple, view_pose(index, distance).tolist())),
         )
         for index in range(first, first + num_views)
     )
@@ -68,8 +68,7 @@ def _plan(
         samples_per_pixel=samples_per_pixel,
         path_depth=PATH_DEPTH,
         half_width=luminaire.bounding_radius,
-        half_extents=tuple(luminaire.half_extents.tolist()),
-        world_from_proxy=tuple(map(tuple, luminaire.world_from_proxy.tolist())),
+        local_frame=luminaire.frame,
         frames=frames,
     )
 

@@ -36,8 +36,3 @@ def extended(core=None, **extensions):
     """A material's fields; extensions of KHR_materials by their last word."""
     found = {f"KHR_materials_{name}": value for name, value in extensions.items()}
     return {"pbrMetallicRoughness": {**PLASTIC, **(core or {})}, "extensions": found}
-
-
-def decode(code):
-    code = np.asarray(code) / 255
-    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)

@@ -30,7 +30,7 @@ def test_buffer_beside_the_file(tmp_path):
 
 def test_missing_file(tmp_path):
     refused(tmp_path / "none.gltf", "does not exist")
-    refused(tmp_path, "is a folder; expected a file")
+    refused(tmp_path, "is a folder; expected a glTF file")
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_required_extensions(tmp_path):
         refused(gltf.save(tmp_path), f"requires {name}")
 
 
-def test_unknown_extension_that_is_not_required_is_told(tmp_path):
+def test_unknown_extension_that_is_not_required_is_reported(tmp_path):
     gltf = quad()
     gltf.json["extensionsUsed"] = ["VENDOR_magic", "KHR_materials_ior"]
     with pytest.warns(LumitreeWarning, match="ignored: extension VENDOR_magic$"):

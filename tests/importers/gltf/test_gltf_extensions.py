@@ -151,7 +151,7 @@ def test_anisotropy_along_u_is_exact(tmp_path):
     assert along == pytest.approx(0.25 + 0.75 * 0.36)
 
 
-def test_anisotropy_in_other_directions_is_told(tmp_path):
+def test_anisotropy_in_other_directions_is_reported(tmp_path):
     for angle in (np.pi / 4, np.pi / 2):
         anisotropy = {"anisotropyStrength": 0.6, "anisotropyRotation": angle}
         fields = extended({"roughnessFactor": 0.5}, anisotropy=anisotropy)
@@ -181,7 +181,7 @@ def test_anisotropy_textures(tmp_path):
         ({"dispersion": {}}, ""),
     ],
 )
-def test_what_is_left_out_is_told(tmp_path, extension, notes):
+def test_what_is_left_out_is_reported(tmp_path, extension, notes):
     assert material_of(tmp_path, Gltf(), extended(**extension), notes).surface.ior == 1.5
 
 

@@ -9,7 +9,7 @@ from gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box, sphere
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.importers.gltf import read_gltf
 from lumitree.importers.gltf.lights import LIGHT_RADIUS
-from lumitree.importers.gltf.topology import is_closed, outward
+from lumitree.importers.gltf.reader import oriented_outwards
 from lumitree.model.model import Glass, VertexColour
 from lumitree.model.photometry import flux_from_radiance
 
@@ -250,16 +250,6 @@ def test_interleaved_attributes(tmp_path):
     np.testing.assert_allclose(mesh.uv[:, 0], (mesh.vertices[:, 0] + 1) / 2)
 
 
-def test_closed_bodies():
-    smooth = sphere(1.0, 16)
-    assert is_closed(smooth)
-    opened = type(smooth)(smooth.vertices, smooth.normals, smooth.faces[1:])
-    assert not is_closed(opened)
-    one_turned = smooth.faces.copy()
-    one_turned[5] = one_turned[5][::-1]
-    assert not is_closed(type(smooth)(smooth.vertices, smooth.normals, one_turned))
-
-
 def joined(*meshes):
     from lumitree.model.geometry import join
 
@@ -284,14 +274,22 @@ def test_walls_of_a_hollow_body_keep_their_sides(inverted):
     """A hollow bulb with a bead in a corner of its box, all inside out or not."""
     right = joined(body(1, 0, False), body(0.8, 0, True), body(0.1, 0.9, False))
     mesh = joined(body(1, 0, inverted), body(0.8, 0, not inverted), body(0.1, 0.9, inverted))
-    fixed = outward(mesh)
+    fixed = oriented_outwards(mesh, "lamp")
+    assert volumes(fixed) == volumes(right)
+    np.testing.assert_allclose(fixed.normals, right.normals, atol=1e-12)
+
+
+def test_a_body_inside_another_is_a_cavity_however_it_is_wound():
+    """As in OBJ files: two surfaces of one glass, both facing outwards, would not be a wall."""
+    right = joined(body(1, 0, False), body(0.8, 0, True))
+    fixed = oriented_outwards(joined(body(1, 0, False), body(0.8, 0, False)), "lamp")
     assert volumes(fixed) == volumes(right)
     np.testing.assert_allclose(fixed.normals, right.normals, atol=1e-12)
 
 
 def test_normals_alone_are_turned_to_the_outside():
     mesh = body(1, 0, False)
-    turned = outward(type(mesh)(mesh.vertices, -mesh.normals, mesh.faces))
+    turned = oriented_outwards(type(mesh)(mesh.vertices, -mesh.normals, mesh.faces), "lamp")
     np.testing.assert_allclose(turned.normals, mesh.normals)
     np.testing.assert_array_equal(turned.faces, mesh.faces)
 
@@ -374,7 +372,7 @@ def test_other_lights(tmp_path):
         read_gltf(path)
 
 
-def test_skins_and_morph_targets_are_told(tmp_path):
+def test_skins_and_morph_targets_are_reported(tmp_path):
     gltf = Gltf()
     gltf.quad()
     gltf.json["nodes"][0]["skin"] = 0

@@ -271,7 +271,7 @@ def test_damaged_images(tmp_path):
     flipped[len(whole) // 2] ^= 255
     for data in (b"", b"no image", whole[:200], whole[:20], tiff.getvalue(), bytes(flipped)):
         (tmp_path / "image.png").write_bytes(data)
-        refused(textured("image.png").save(tmp_path), r"images\[0\].*can be read")
+        refused(textured("image.png").save(tmp_path), r"images\[0\].*not a readable image")
     uri = "data:image/png;base64," + base64.b64encode(whole).decode()
     assert read_gltf(textured(uri).save(tmp_path)).parts
     refused(textured("none.png").save(tmp_path), "not in the model's folder")

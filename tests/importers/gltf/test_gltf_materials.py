@@ -7,7 +7,8 @@ import pytest
 from PIL import Image
 
 from gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box
-from gltf_materials import RAMP, decode, extended, material_of, read_only
+from gltf_materials import RAMP, extended, material_of, read_only
+from lumitree.core.images import linear_from_srgb
 from lumitree.errors import LumitreeError
 from lumitree.importers.gltf import read_gltf
 from lumitree.model.model import Principled, Texture, VertexColour
@@ -54,8 +55,8 @@ def test_factors_are_baked_into_textures(tmp_path):
         "roughnessFactor": 0.25,
     }
     surface = material_of(tmp_path, gltf, {"pbrMetallicRoughness": core}).surface
-    found = decode(surface.base_color.pixels)
-    np.testing.assert_allclose(found, decode(RAMP) * (0.5, 0.25, 0), atol=0.004)
+    found = linear_from_srgb(surface.base_color.pixels / 255)
+    np.testing.assert_allclose(found, linear_from_srgb(RAMP / 255) * (0.5, 0.25, 0), atol=0.004)
     np.testing.assert_allclose(surface.metallic.pixels, RAMP[..., 2:] * 0.5, atol=0.51)
     np.testing.assert_allclose(surface.roughness.pixels, RAMP[..., 1:2] * 0.25, atol=0.51)
 
@@ -97,7 +98,7 @@ def test_the_example_of_the_transform_extension(tmp_path):
     assert corners[1].max() == pytest.approx(1)
 
 
-def test_different_wraps_are_told(tmp_path):
+def test_different_wraps_are_reported(tmp_path):
     gltf = Gltf()
     core = {"baseColorTexture": gltf.texture(RAMP, wrapS=33071, wrapT=10497)}
     fields = {"pbrMetallicRoughness": core}
@@ -130,7 +131,7 @@ def test_sets_of_texture_coordinates(tmp_path, own, other, notes, used):
     assert uv.max() == (3 if used else 1)
 
 
-def test_textures_without_coordinates_are_told(tmp_path):
+def test_textures_without_coordinates_are_reported(tmp_path):
     gltf = Gltf()
     core = {"baseColorTexture": gltf.texture(RAMP)}
     wears = gltf.material(pbrMetallicRoughness=core)
@@ -175,7 +176,9 @@ def test_emission(tmp_path):
     radiance = material_of(tmp_path, gltf, fields).radiance
     assert radiance.pixels.dtype == np.float32
     assert not radiance.encoded
-    np.testing.assert_allclose(radiance.pixels, decode(RAMP) * (20, 10, 5) / 683, rtol=1e-5)
+    np.testing.assert_allclose(
+        radiance.pixels, linear_from_srgb(RAMP / 255) * (20, 10, 5) / 683, rtol=1e-5
+    )
     gltf = Gltf()
     fields["emissiveTexture"] = gltf.texture(np.zeros((2, 2, 3)))
     assert material_of(tmp_path, gltf, fields).radiance is None
@@ -195,7 +198,7 @@ def test_emission_stops_where_the_surface_is_masked_out(tmp_path):
     np.testing.assert_allclose(radiance.pixels[0, :, 0] * 683, [0, 0, 3, 3], rtol=1e-6)
 
 
-def test_emission_of_the_back_is_told_unless_it_is_hidden(tmp_path):
+def test_emission_of_the_back_is_reported_unless_it_is_hidden(tmp_path):
     fields = {"emissiveFactor": [1, 1, 1], "doubleSided": True}
     material_of(tmp_path, Gltf(), fields, "emission (from the front only)")
     gltf = Gltf()
@@ -334,5 +337,7 @@ def test_other_image_formats(tmp_path, kind):
     surface = material_of(tmp_path, gltf, {"pbrMetallicRoughness": core}).surface
     found = surface.base_color
     mean = found.pixels.mean(axis=(0, 1)) if isinstance(found, Texture) else None
-    expected = decode([200, 100, 50])
-    np.testing.assert_allclose(decode(mean) if mean is not None else found, expected, atol=0.02)
+    expected = linear_from_srgb(np.array([200, 100, 50]) / 255)
+    np.testing.assert_allclose(
+        found if mean is None else linear_from_srgb(np.array(mean) / 255), expected, atol=0.02
+    )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box
+from lumitree.core.images import linear_from_srgb
 from lumitree.importers.gltf import read_gltf
 from lumitree.luminaire.scene_file import SceneFile
 from lumitree.luminaire.scene_writer import write_scene
@@ -83,8 +84,7 @@ def test_emissive_textures_keep_their_values(mi, tmp_path):
     fields["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": 10}}
     gltf.quad(gltf.material(**fields))
     seen = photographed(mi, imported(mi, gltf, tmp_path), 4, "path", background=0)
-    code = np.array([188, 99, 255]) / 255
-    expected = 10 * ((code + 0.055) / 1.055) ** 2.4 / 683
+    expected = 10 * linear_from_srgb(np.array([188, 99, 255]) / 255) / 683
     np.testing.assert_allclose(seen, expected, rtol=1e-3)
 
 
@@ -179,7 +179,7 @@ def test_texture_transforms_by_evaluation(mi, tmp_path):
     cos, sin = np.cos(0.6), np.sin(0.6)
     u, v = cos * u + sin * v + 0.3, -sin * u + cos * v - 0.2
     code = pixels[(v % 1 * 16).astype(int), (u % 1 * 16).astype(int)] / 255
-    expected = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+    expected = linear_from_srgb(code)
     near_edge = (np.minimum(u * 16 % 1, 1 - u * 16 % 1) < 0.02) | (
         np.minimum(v * 16 % 1, 1 - v * 16 % 1) < 0.02
     )

@@ -8,7 +8,8 @@ from lumitree.importers.gltf.container import Document
 from lumitree.importers.gltf.item import MAX_MAGNITUDE, Item
 
 MAX_DECODED_BYTES = 2**30
-# Elements that no bytes stand for: all zero, but for a sparse accessor's few.
+# Largest number of elements of an accessor without data. They are zero, except for those that a
+# sparse accessor replaces.
 MAX_UNSTORED = 2**20
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _LENGTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -36,7 +37,7 @@ class Accessors:
         stored = self._array(index, item, lengths)
         values = stored.astype(np.float64)
         if not (np.abs(values) <= MAX_MAGNITUDE).all():
-            raise item.error("holds values that are not finite, or absurdly large")
+            raise item.error(f"holds values that are not finite, or beyond {MAX_MAGNITUDE:g}")
         if item.flag("normalized") and stored.dtype.kind in "iu":
             values = np.maximum(values / np.iinfo(np.dtype(stored.dtype).name).max, -1.0)
         return values
@@ -50,7 +51,7 @@ class Accessors:
         return stored[:, 0].astype(np.int64)
 
     def count(self, index: int) -> int:
-        """Number of elements that the accessor claims."""
+        """Number of elements that the accessor states."""
         return self._document.entry("accessors", index).integer("count", low=1)
 
     def _array(self, index: int, item: Item, lengths: tuple[int, ...]) -> NDArray[np.generic]:

@@ -48,7 +48,7 @@ def _alpha(layers: Layers, parent: Item, name: str) -> Map:
 
 
 def _from_specular_glossiness(layers: Layers, item: Item) -> Base:
-    """Metallic-roughness that looks alike, by the conversion that Khronos published."""
+    """Metallic-roughness of similar appearance, by the conversion that Khronos published."""
     layers.note("specular-glossiness (converted to metallic-roughness)")
     diffuse = layers.colour(item, "diffuse", (1.0, 1.0, 1.0, 1.0))
     texture = "specularGlossinessTexture"

@@ -1,9 +1,9 @@
-"""A glTF file taken apart: its JSON, its binary chunk, and the files beside it.
+"""The contents of a glTF file: its JSON, its binary chunk, and the files that it names.
 
-trimesh has a glTF reader, but it knows none of the extensions that make a lamp (transmission,
-volume, emissive strength, variants, lights), and it follows what a file claims before it looks
-at what the file holds. Everything here is checked first: nothing outside the model's folder is
-opened, and no claim makes more memory than the bytes that are really there justify.
+trimesh has a glTF reader, but it supports none of the extensions that lamps need (transmission,
+volume, emissive strength, variants, lights), and it uses the sizes and offsets that a file states
+before it compares them with the file. Here everything is checked before it is used: nothing outside
+the model's folder is opened, and memory is only allocated for data that the files hold.
 """
 
 import base64
@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any, NoReturn
 from urllib.parse import unquote, unquote_to_bytes
 
+from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown, shown_names
 from lumitree.importers.gltf.item import Item
-from lumitree.importers.model_folder import ModelFolder, read_limited
+from lumitree.importers.model_folder import ModelFolder
 
 MAX_FILE_BYTES = 2**31
 SUPPORTED_EXTENSIONS = frozenset(
@@ -51,20 +52,22 @@ class Document:
     Attributes:
         root: its JSON.
         name: of the file, for messages.
-        unknown_extensions: that the file uses, does not require, and lumitree does not know.
+        unknown_extensions: extensions that the file uses but does not require, and that lumitree
+            does not support.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """Open `path`.
 
         Raises:
-            LumitreeError: missing, damaged, not glTF 2.0, or in need of an extension that
-                lumitree does not know.
+            LumitreeError: missing, damaged, not glTF 2.0, or it requires an extension that
+                lumitree does not support.
         """
         path = Path(path)
         self.name = shown(path.name)
         self._folder = ModelFolder(path)
-        text, self._binary = _split(path, self.name, read_limited(path, MAX_FILE_BYTES))
+        content = read_bytes(path, "a glTF file", MAX_FILE_BYTES)
+        text, self._binary = _split(path, self.name, content)
         self.root = Item(_parse(text, self.name), f"{self.name}:")
         self._buffers: dict[int, bytes] = {}
         self._held = len(text) + len(self._binary or b"")
@@ -116,7 +119,7 @@ class Document:
         path = self._folder.find(unquote(uri), item.where)
         if path is None:
             raise item.error(f"names {shown(uri)!r}, which is not in the model's folder")
-        data = read_limited(path, MAX_FILE_BYTES - self._held)
+        data = read_bytes(path, "another file of the model", MAX_FILE_BYTES - self._held)
         self._held += len(data)
         return data
 
@@ -148,7 +151,9 @@ def _split(path: Path, name: str, data: bytes) -> tuple[bytes, bytes | None]:
         if path.suffix.lower() == ".glb":
             raise LumitreeError(f"{name} is not a GLB file: it does not begin with 'glTF'")
         return data, None
-    damaged = LumitreeError(f"{name} is a damaged GLB file: it is cut off or its lengths lie")
+    damaged = LumitreeError(
+        f"{name} is a damaged GLB file: it is cut off, or its lengths are wrong"
+    )
     if len(data) < 12:
         raise damaged
     version, length = struct.unpack_from("<II", data, 4)

@@ -1,4 +1,4 @@
-"""Images of a glTF file, and how they are looked up."""
+"""Images of a glTF file, and their samplers."""
 
 import dataclasses
 from typing import Literal
@@ -18,7 +18,7 @@ _WRAPS: dict[int, Literal["repeat", "mirror", "clamp"]] = {
 
 @dataclasses.dataclass(frozen=True)
 class Sampler:
-    """How an image is looked up.
+    """How an image is sampled.
 
     Attributes:
         wrap: what lies outside [0, 1] along u, and along v.
@@ -36,7 +36,7 @@ class GltfImages:
         self._document, self._images = document, images
 
     def texture(self, index: int) -> tuple[DecodedImage, Sampler]:
-        """Image of a texture, and how it is looked up.
+        """Image of a texture, and its sampler.
 
         Raises:
             LumitreeError: missing, outside the model's folder, damaged, or too large.

@@ -1,4 +1,4 @@
-"""JSON objects of a glTF file, read with checks and with errors that say where they stand."""
+"""JSON objects of a glTF file, read with checks; errors state the place in the file."""
 
 import math
 import reprlib
@@ -6,7 +6,8 @@ from typing import Any
 
 from lumitree.errors import LumitreeError, shown
 
-# Lengths, factors and offsets beyond this are damage; products of two still fit a float.
+# Larger lengths, factors and offsets are refused: the file is damaged. Products of two values are
+# still in the range of single precision.
 MAX_MAGNITUDE = 1e15
 
 
@@ -28,7 +29,7 @@ class Item:
         return key in self.data
 
     def error(self, message: str) -> LumitreeError:
-        """The error to raise: where the object stands, and what is wrong with it."""
+        """The error to raise: the place of the object in the file, and the message."""
         return LumitreeError(f"{self.where} {message}")
 
     def number(

@@ -1,4 +1,4 @@
-"""What one glTF material lays over a surface: factors times textures, as maps."""
+"""The parameters of one glTF material as maps: factors times textures."""
 
 from collections.abc import Callable, Iterator
 
@@ -25,7 +25,7 @@ class Layers:
         self.textured = bool(sets)
 
     def note(self, text: str) -> None:
-        """Something that the material loses."""
+        """Note a property of the material that is approximated."""
         self._notes.material(self.name, text)
 
     def texture(self, parent: Item, key: str, channels: str, encoded: bool = False) -> Map | None:
@@ -71,7 +71,7 @@ def _texture_infos(material: Item) -> Iterator[Item]:
     if (other := material.extension("KHR_materials_pbrSpecularGlossiness")) is not None:
         yield from _infos(other)
     yield from _infos(material.item("pbrMetallicRoughness"))
-    # Occlusion is what light transport finds by itself.
+    # Occlusion textures are not used: light transport computes occlusion itself.
     yield from (info for info in _infos(material) if not info.where.endswith("occlusionTexture"))
     extensions = material.item("extensions")
     for name in extensions.data:

@@ -1,24 +1,25 @@
-"""Point and spot lights of KHR_lights_punctual, as small things that a camera can see."""
+"""Point and spot lights of KHR_lights_punctual, as small emitting surfaces that cameras see."""
 
 import numpy as np
 
 from lumitree.errors import shown
 from lumitree.importers.gltf.item import Item
 from lumitree.importers.gltf.notes import Notes
-from lumitree.model.geometry import Floats, Mesh, lathe
+from lumitree.model.geometry import Floats, Mesh, area_normals, lathe
 from lumitree.model.model import RGB, Diffuse, Material, Part
 from lumitree.model.photometry import LUMENS_PER_WATT
 
-# A filament's size: small beside any lamp, and not so small that paths cannot find it.
+# Metres, about the size of a filament: small compared with a lamp, but large enough that paths
+# hit it.
 LIGHT_RADIUS = 0.005
 _SEGMENTS = 32
 
 
 def light_part(light: Item, world: Floats, name: str, notes: Notes) -> tuple[Part, Material] | None:
-    """A light as a part and its material; None where it gives no light or stands nowhere.
+    """A light as a part and its material; None where it emits nothing or is directional.
 
-    A point light becomes a sphere, a spot light a disk, of radius LIGHT_RADIUS. Their radiance is
-    that which makes their luminous intensity what the file says, in cd.
+    A point light becomes a sphere, a spot light a disk, of radius LIGHT_RADIUS. Their radiance
+    is such that their luminous intensity, in cd, is that of the file.
 
     Args:
         light: its JSON.
@@ -46,7 +47,7 @@ def light_part(light: Item, world: Floats, name: str, notes: Notes) -> tuple[Par
     else:
         mesh = _disk(world)
         area = _area(mesh)
-        notes.file("the cone of a spot light (it shines as a small disk does)")
+        notes.file("the cone of a spot light (it emits like a small Lambertian disk)")
     red, green, blue = (intensity / area / LUMENS_PER_WATT * channel for channel in colour)
     radiance: RGB = (red, green, blue)
     place = np.eye(4)
@@ -63,7 +64,7 @@ def _sphere() -> Mesh:
 
 
 def _disk(world: Floats) -> Mesh:
-    """A disk that faces where the node's -z axis points."""
+    """A disk whose normal is the node's -z axis."""
     axis = -world[:3, 2]
     length = np.linalg.norm(axis)
     axis = axis / length if length > 0 else np.array([0.0, 0.0, -1.0])
@@ -78,5 +79,4 @@ def _disk(world: Floats) -> Mesh:
 
 
 def _area(mesh: Mesh) -> float:
-    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+    return float(np.linalg.norm(area_normals(mesh.vertices, mesh.faces), axis=1).sum() / 2)

@@ -1,9 +1,9 @@
-"""Arithmetic with what glTF lays over a surface: constants and textures alike.
+"""Arithmetic with the parameters of glTF materials, which are constants or textures.
 
 A map holds linear values, so that factors, products and conversions are the same for a constant
-and for an image; only the finished map is turned into a `Texture` or a number. The values of an
-image are 8-bit codes and a table of what they stand for: what is done to each value alone is done
-to the table. Only functions of several channels or maps make arrays of floats.
+and for an image; only the finished map is converted to a `Texture` or a number. An image is stored
+as 8-bit codes with a table of the codes' values. A function of each value alone is applied to the
+table; only functions of several channels or maps make arrays of floats.
 """
 
 import dataclasses
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from lumitree.core.images import linear_from_srgb, srgb_from_linear
 from lumitree.importers.gltf.images import GltfImages, Sampler
 from lumitree.importers.gltf.item import Item
 from lumitree.importers.images import DecodedImage, Images, by_rows, looked_up
@@ -210,7 +211,9 @@ class Textures:
         if (flat := source.flat()) is not None:
             red, green, blue = flat
             return (red, green, blue)
-        return self._texture(source, lambda values: _bytes(_encode(values)), np.uint8, True)
+        return self._texture(
+            source, lambda values: _bytes(srgb_from_linear(values)), np.uint8, True
+        )
 
     def radiance(self, source: Map) -> RGB | Texture:
         """R, G and B, at least 0 and without an upper limit."""
@@ -284,16 +287,9 @@ def _bytes(values: Array) -> NDArray[np.uint8]:
     return np.round(np.clip(values, 0, 1) * 255).astype(np.uint8)
 
 
-def _encode(values: Array) -> Array:
-    values = np.clip(values, 0, 1)
-    return np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1 / 2.4) - 0.055)
+def _encoded_bytes(values: Array) -> NDArray[np.uint8]:
+    return _bytes(srgb_from_linear(values))
 
 
-def _decoded() -> NDArray[np.float32]:
-    code = np.arange(256) / 255
-    linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
-    return linear.astype(np.float32)
-
-
-_DECODED = _decoded()
 _LINEAR = (np.arange(256) / 255).astype(np.float32)
+_DECODED = linear_from_srgb(np.arange(256) / 255).astype(np.float32)

@@ -1,4 +1,4 @@
-"""glTF materials as the model's."""
+"""Conversion of glTF materials to materials of the model."""
 
 import dataclasses
 import re
@@ -31,10 +31,10 @@ from lumitree.model.photometry import LUMENS_PER_WATT
 
 @dataclasses.dataclass(frozen=True)
 class Use:
-    """What a material depends on in the mesh that wears it.
+    """Properties of a mesh that the conversion of its material depends on.
 
     Attributes:
-        closed: the mesh bounds a body.
+        closed: the mesh is solid (`importers.topology`).
         mirrored: its texture coordinates are mirrored.
         coloured: it has vertex colours.
         scale: of the mesh's unit, metres.
@@ -78,13 +78,13 @@ class Materials:
         return self._layers[index]
 
     def depends_on_closure(self, index: int | None) -> bool:
-        """Whether it matters if the mesh is closed."""
+        """Whether the conversion depends on whether the mesh is closed."""
         layers = self.layers(index)
         emits = any(layers.item.numbers("emissiveFactor", (0.0, 0.0, 0.0), 0.0))
         return self.solid(index) or (emits and layers.item.flag("doubleSided"))
 
     def solid(self, index: int | None) -> bool:
-        """Whether a closed mesh that wears it is a body of transmitting matter."""
+        """Whether a closed mesh with this material is a solid that transmits light."""
         layers = self.layers(index)
         transmits = layers.item.extension("KHR_materials_transmission") is not None
         return transmits and read_volume(layers).thickness > 0
@@ -128,8 +128,9 @@ class Materials:
     def _normal_map(self, layers: Layers, mirrored: bool) -> Texture | None:
         """Normals for the tangent frame that Mitsuba builds: along u, and across it.
 
-        glTF's second axis points up in the image. Across u lies up where the texture coordinates
-        are not mirrored, and down where they are; a rotated texture turns both.
+        The second axis of glTF's frame points up in the image. That of Mitsuba's frame does so
+        too, but points down where the texture coordinates are mirrored. A rotated texture rotates
+        both axes of glTF's frame.
         """
         texture = layers.texture(layers.item, "normalTexture", "RGB")
         if texture is None:

@@ -31,8 +31,8 @@ def scene_nodes(document: Document) -> list[Node]:
     The default scene is the one the file names, else its first, else all root nodes.
 
     Raises:
-        LumitreeError: the nodes are no forest (a cycle, a node with several parents), or they
-            are nested too deeply.
+        LumitreeError: the nodes do not form a forest (there is a cycle, or a node with several
+            parents), or they are nested too deeply.
     """
     parents = _parents(document)
     pending = [(root, np.eye(4), 0) for root in reversed(_roots(document, parents))]
@@ -44,7 +44,7 @@ def scene_nodes(document: Document) -> list[Node]:
             raise item.error(f"is nested more than {MAX_DEPTH} deep")
         world = above @ _local(item)
         if np.abs(world).max() > MAX_MAGNITUDE:
-            raise item.error("is scaled or moved beyond all bounds")
+            raise item.error(f"is scaled or moved beyond {MAX_MAGNITUDE:g}")
         nodes.append(Node(item, world))
         pending += [(child, world, depth + 1) for child in reversed(item.indices("children"))]
     return nodes

@@ -1,4 +1,4 @@
-"""What was approximated or left out while a file was read, told once at the end."""
+"""What was approximated or ignored while a file was read, to be reported at the end."""
 
 from collections.abc import Iterator
 
@@ -20,15 +20,15 @@ class Notes:
         self._materials: dict[str, dict[str, None]] = {}
 
     def file(self, text: str) -> None:
-        """Something that the whole file loses."""
+        """Note something in the file that is ignored."""
         self._file[text] = None
 
     def material(self, name: str, text: str) -> None:
-        """Something that a material loses."""
+        """Note a property of a material that is approximated."""
         self._materials.setdefault(name, {})[text] = None
 
     def lines(self) -> Iterator[str]:
-        """One line for the file and one for each material, where there is something to say."""
+        """One line for the file and one for each material, for which there are notes."""
         if self._file:
             yield f"{self._name}: ignored: {'; '.join(self._file)}"
         for name, texts in self._materials.items():

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from lumitree.importers.gltf.accessors import Accessors
 from lumitree.importers.gltf.item import Item
-from lumitree.model.geometry import Floats, Mesh
+from lumitree.model.geometry import Floats, Mesh, area_normals
 
 MAX_TRIANGLES = 20_000_000
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -89,12 +89,6 @@ def selected(mesh: Mesh, keep: NDArray[np.bool_]) -> Mesh:
     )
 
 
-def face_normals(mesh: Mesh) -> Floats:
-    """Normals [F, 3] of the faces, twice their area long."""
-    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    return np.cross(b - a, c - a)
-
-
 def _faces(order: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
     if mode == _TRIANGLES:
         return order[: len(order) // 3 * 3].reshape(-1, 3)
@@ -110,14 +104,13 @@ def _faces(order: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
 
 
 def _proper(positions: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which faces have an area; strips are stitched together by some that have none."""
-    a, b, c = (positions[faces[:, i]] for i in range(3))
-    return (np.cross(b - a, c - a) != 0).any(axis=1)
+    """Which faces have an area; triangles without any join parts of strips."""
+    return (area_normals(positions, faces) != 0).any(axis=1)
 
 
 def _faceted(mesh: Mesh) -> Mesh:
     """Every face with vertices and a normal of its own, as glTF asks where normals are missing."""
-    normals = face_normals(mesh)
+    normals = area_normals(mesh.vertices, mesh.faces)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     corners = mesh.faces.ravel()
     return Mesh(
@@ -136,7 +129,7 @@ def _with_normals(mesh: Mesh, normals: Floats) -> Mesh:
     if missing.any():
         around = np.zeros_like(normals)
         for corner in range(3):
-            np.add.at(around, mesh.faces[:, corner], face_normals(mesh))
+            np.add.at(around, mesh.faces[:, corner], area_normals(mesh.vertices, mesh.faces))
         around[(around == 0).all(axis=1)] = (0.0, 1.0, 0.0)
         normals = np.where(missing[:, None], around, normals)
         lengths = np.linalg.norm(normals, axis=1)

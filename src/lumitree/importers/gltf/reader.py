@@ -19,8 +19,9 @@ from lumitree.importers.gltf.materials import Materials, Use, safe_name
 from lumitree.importers.gltf.nodes import Node, scene_nodes
 from lumitree.importers.gltf.notes import Notes
 from lumitree.importers.gltf.primitives import MAX_TRIANGLES, baked, read_triangles, selected
-from lumitree.importers.gltf.topology import is_closed, outward
 from lumitree.importers.gltf.variants import Variants
+from lumitree.importers.mesh_normals import turned_with_normals
+from lumitree.importers.topology import Pieces, faces_to_turn, is_solid, weld
 from lumitree.model.geometry import Floats, Mesh
 from lumitree.model.model import Material, Model, Part, check_shapes
 from lumitree.model.names import Names
@@ -120,9 +121,9 @@ class _Reader:
             raise primitive.error(
                 f"brings the model to {self._triangles} triangles; at most {MAX_TRIANGLES} are read"
             )
-        closed = self._materials.depends_on_closure(material) and is_closed(mesh)
+        closed = self._materials.depends_on_closure(material) and is_solid(mesh)
         if closed and self._materials.solid(material):
-            mesh = outward(mesh)
+            mesh = oriented_outwards(mesh, primitive.where)
         if layers.textured and mesh.uv is None:
             layers.note("textures on a mesh without texture coordinates (one point is used)")
             mesh = Mesh(
@@ -149,6 +150,19 @@ class _Reader:
         self._parts.append(
             Part(self._part_names.unique(safe_name(name)), mesh, material.name, places)
         )
+
+
+def oriented_outwards(mesh: Mesh, where: str) -> Mesh:
+    """A solid mesh with its faces and its normals oriented outwards.
+
+    Args:
+        where: what the mesh belongs to, for a warning.
+    """
+    places = weld(mesh.vertices)
+    _, representative = np.unique(places, return_index=True)
+    faces = places[mesh.faces]
+    turn = faces_to_turn(mesh.vertices[representative], faces, Pieces(faces), where)
+    return turned_with_normals(mesh, turn)
 
 
 def _flattened(world: Floats) -> bool:

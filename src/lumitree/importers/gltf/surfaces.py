@@ -1,4 +1,4 @@
-"""How a glTF material reflects and transmits, in the terms of the model."""
+"""Conversion of the reflection and transmission of glTF materials to surfaces of the model."""
 
 import dataclasses
 
@@ -9,16 +9,18 @@ from lumitree.importers.gltf.layers import Layers
 from lumitree.importers.gltf.maps import Array, Map, Textures, constant
 from lumitree.model.model import RGB, Diffuse, Glass, Medium, Principled, Surface
 
-# Below this, Mitsuba's rough models are narrower than their smallest alpha, 0.001.
+# Roughness below which a surface is smooth: alpha would be less than 0.001, the smallest of
+# Mitsuba's rough models.
 SMOOTH = 0.03
-# Mitsuba's rough glass must differ from air; of an attenuation colour 0 there is no logarithm.
+# The index of Mitsuba's rough glass must differ from that of air. An attenuation colour of 0 has no
+# logarithm.
 _MIN_IOR, _MIN_ATTENUATION = 1.0001, 1e-4
 _MAX_SPECULAR = 0.9
 
 
 @dataclasses.dataclass(frozen=True)
 class Volume:
-    """What KHR_materials_volume says.
+    """Parameters of KHR_materials_volume.
 
     Attributes:
         thickness: in the mesh's unit; 0 is a thin sheet.
@@ -49,15 +51,15 @@ def read_surface(
 ) -> Surface:
     """The surface of a material.
 
-    A solid is tinted by the base colour once on the way through, by its square root at either
-    side; a thin sheet is tinted at its one crossing.
+    Light that crosses a solid is multiplied by the base colour once: by its square root at each of
+    the two crossings. Light that crosses a thin sheet is multiplied at its only crossing.
 
     Args:
         layers: of the material.
         textures: that turn maps into the model's.
         base: its core.
-        solid: whether the mesh bounds a body that transmitted light crosses.
-        thickness: of what a thin sheet stands for, metres.
+        solid: whether the mesh is a solid that transmits light.
+        thickness: of the solid that a thin sheet represents, metres.
     """
     if layers.item.extension("KHR_materials_unlit") is not None:
         layers.note("unlit (a diffuse reflector)")
@@ -128,7 +130,7 @@ def _principled(
 
 
 def _absorbed(layers: Layers, base: Base, volume: Volume, thickness: float) -> Base:
-    """With the colour that the volume's absorption leaves over its thickness."""
+    """With the base colour multiplied by the transmittance of the volume over its thickness."""
     if thickness == 0 or not any(volume.absorption):
         return base
     layers.note("attenuation (a tint, since the surface does not bound a clear solid)")
@@ -161,7 +163,7 @@ def _diffuse_transmission(layers: Layers, solid: bool) -> float:
 
 
 def _ior(layers: Layers, transmits: bool) -> float:
-    """Index of refraction, with KHR_materials_specular folded into it where that is possible."""
+    """Index of refraction, which represents KHR_materials_specular too where that is possible."""
     extension = layers.item.extension("KHR_materials_ior")
     ior = 1.5 if extension is None else extension.number("ior", 1.5, 0.0)
     if 0 < ior < 1 and extension is not None:
@@ -220,8 +222,9 @@ def _sheen(layers: Layers) -> Map:
 def _anisotropy(layers: Layers, roughness: Map) -> tuple[Map, Map]:
     """Roughness and anisotropy along the texture coordinates' u axis.
 
-    glTF's highlight is stretched along a direction of its own. What of it lies along u is kept,
-    as the part cos 2θ of the logarithm of the ratio of the two alphas; their product is kept too.
+    A highlight of glTF is stretched along a direction at an angle θ to u. Only its component along
+    u is kept: the logarithm of the ratio of the two alphas is multiplied by cos 2θ. The product of
+    the alphas is kept.
     """
     extension = layers.item.extension("KHR_materials_anisotropy")
     if extension is None:
@@ -252,7 +255,7 @@ def _anisotropy(layers: Layers, roughness: Map) -> tuple[Map, Map]:
 
 
 def note_ignored(layers: Layers) -> None:
-    """Note the extensions that have no counterpart at all."""
+    """Note the extensions that have no counterpart in the model."""
     for name, key in (("iridescence", "iridescenceFactor"), ("dispersion", "dispersion")):
         extension = layers.item.extension(f"KHR_materials_{name}")
         if extension is not None and extension.number(key, 0.0, 0.0) > 0:

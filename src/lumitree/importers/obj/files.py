@@ -6,9 +6,10 @@ from pathlib import Path
 
 from numpy.typing import NDArray
 
+from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeWarning, shown
 from lumitree.importers.images import DecodedImage, Images
-from lumitree.importers.model_folder import ModelFolder, read_limited
+from lumitree.importers.model_folder import MAX_MODEL_BYTES, ModelFolder
 
 _FORMATS = ("PNG", "JPEG", "TGA", "BMP", "TIFF", "WEBP")
 # Bytes of a pixel of the largest array that is made of an image.
@@ -35,8 +36,8 @@ class ObjFolder:
         path = self._folder.find(name, f"{self._model}: {purpose}")
         if path is None:
             warnings.warn(
-                f"{self._model}: {purpose} names {shown(name)!r}, which is not there; going on "
-                "without it",
+                f"{self._model}: {purpose} names {shown(name)!r}, which is not there; it is "
+                "ignored",
                 LumitreeWarning,
                 stacklevel=3,
             )
@@ -51,7 +52,11 @@ class ObjFolder:
         path = self.find(name, purpose)
         if path is None:
             return None
-        return self._images.decoded(name, lambda: read_limited(path), shown(path, 300), _FORMATS)
+
+        def read() -> bytes:
+            return read_bytes(path, "an image", MAX_MODEL_BYTES)
+
+        return self._images.decoded(name, read, shown(path, 300), _FORMATS)
 
     def made(
         self,

@@ -1,16 +1,16 @@
-"""What an MTL material means, by these rules; the first that fits decides.
+"""Conversion of MTL materials, by the first of these rules that applies.
 
 1. Glass where `illum` is 4, 6, 7 or 9, or `d` is below 1 while `Ni` is above 1: `Ni` is the index
-   of refraction (1.5 if it is no more than 1) and `Tf` what crosses the whole of it. Solid where
-   the mesh is closed, otherwise one thin sheet. `d` then says nothing more.
+   of refraction (1.5 if it is no more than 1) and `Tf` the transmittance of the whole object. Glass
+   is solid where the mesh is closed, otherwise one thin sheet. `d` has no further effect.
 2. Principled where there is a physically based key (`Pr`, `Pm`, `Ps`, `Pc`, `Pcr`, `aniso`).
 3. Metal where `illum` is 3 or 5 and `Ks` is at least as bright as `Kd`: it reflects `Ks`.
 4. Principled where `Ks` is not black and `illum` is not 0 or 1: `Kd`, with the roughness that
-   `Ns` stands for.
+   corresponds to `Ns`.
 5. Diffuse `Kd`.
 
-Elsewhere than in glass `d`, or 1 - `Tr`, is the share of the surface that is there. `Ke` is the
-emitted radiance, W/(m² sr). Opaque materials look the same from both sides.
+In materials other than glass, `d` or 1 - `Tr` is the opacity. `Ke` is the emitted radiance,
+W/(m² sr). Opaque materials reflect equally on both sides.
 """
 
 import dataclasses
@@ -20,6 +20,7 @@ from collections.abc import Callable, Hashable
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.images import linear_from_srgb
 from lumitree.errors import LumitreeWarning, shown
 from lumitree.importers.images import DecodedImage, by_rows, looked_up
 from lumitree.importers.obj.files import ObjFolder
@@ -41,7 +42,7 @@ from lumitree.model.model import (
 GREY = Diffuse((0.5, 0.5, 0.5))
 _GLASS_ILLUM = (4, 6, 7, 9)
 _MIRROR_ILLUM = (3, 5)
-# Values of an image that are looked at to find out what it is.
+# Number of values (four a pixel) that are tested to find out whether an image is a normal map.
 _NUM_PROBES = 2**22
 _PHYSICAL = ("Pr", "Pm", "Ps", "Pc", "Pcr", "aniso")
 _USED_MAPS = {"map_Kd", "map_Ke", "map_d", "map_Pr", "map_Pm", "map_Ps", "bump", "norm", "map_Ka"}
@@ -125,7 +126,7 @@ class _Reader:
 
     def _radiance(self) -> Colour | None:
         radiance = tuple(max(value, 0.0) for value in self._values.get("Ke", (0.0, 0.0, 0.0)))
-        # A map with Ke left out, or black by default, is meant to be seen.
+        # Where there is a map, Ke may be missing, or black by default; the map is then not scaled.
         factor = radiance if max(radiance) > 0 else WHITE
         texture = self._texture(
             "map_Ke", ("radiance", factor), lambda image: _radiance(image, factor)
@@ -142,7 +143,7 @@ class _Reader:
         return coverage if texture is None else texture
 
     def _normal_map(self) -> Texture | None:
-        """`norm`, or a `bump` image that is one; a height map has no place in the model."""
+        """`norm`, or a `bump` image that is one; height maps are not supported."""
         key = "norm" if "norm" in self._maps else "bump"
         if key == "bump" and key in self._maps:
             image = self._image(key)
@@ -231,14 +232,13 @@ def _value(image: DecodedImage) -> NDArray[np.uint8]:
 
 
 def _radiance(image: DecodedImage, factor: tuple[float, ...]) -> NDArray[np.float32]:
-    """Linear light of sRGB-encoded bytes, times a factor."""
-    level = np.arange(256)[:, None] / 255
-    linear = np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
+    """Linear values [H, W, 3] of sRGB-encoded bytes, times a factor."""
+    linear = linear_from_srgb(np.arange(256)[:, None] / 255)
     return looked_up((linear * factor).astype(np.float32), image.pixels[..., :3])
 
 
 def _share(image: DecodedImage, coverage: float) -> NDArray[np.uint8]:
-    """Opacity: exporters name an image with opacity for it, others for their brightness."""
+    """Opacity [H, W, 1]: the alpha channel, or the mean of R, G and B if alpha is 1 throughout."""
     if image.counts[3, :255].any():
         table = np.round(np.arange(256) * coverage).astype(np.uint8)
         return table[image.pixels[..., 3:]]
@@ -247,7 +247,10 @@ def _share(image: DecodedImage, coverage: float) -> NDArray[np.uint8]:
 
 
 def _holds_normals(image: DecodedImage) -> bool:
-    """Whether most of an image points roughly out of it, which a grey image never does."""
+    """Whether most pixels, read as normals, are unit vectors that point out of the image.
+
+    Grey images, such as height maps, are not.
+    """
     step = max(1, round((image.pixels.size / _NUM_PROBES) ** 0.5))
     colour = image.pixels[::step, ::step, :3]
     direction = colour.astype(np.float32) / 127.5 - 1

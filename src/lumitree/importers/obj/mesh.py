@@ -6,17 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.errors import shown
-from lumitree.importers.mesh_repair import (
-    Indices,
-    Pieces,
-    crease_normals,
-    face_normals,
-    outward,
-    unit,
-    weld,
-)
+from lumitree.importers.mesh_normals import crease_normals, face_normals, unit
 from lumitree.importers.obj.parse import ObjFile
 from lumitree.importers.polygons import triangulate
+from lumitree.importers.topology import Indices, Pieces, faces_to_turn, weld
 from lumitree.model.geometry import Floats, Mesh
 from lumitree.model.model import check_shapes
 
@@ -117,13 +110,9 @@ def _mesh(
 def _turned(
     positions: Floats, faces: Indices, corners: Indices, given: Floats, name: str
 ) -> NDArray[np.bool_]:
-    """Faces [F] to turn so that closed pieces face outwards, open ones as their normals point."""
+    """Faces [F] to turn: closed pieces are oriented outwards, open ones as their normals point."""
     pieces = Pieces(faces)
-    out = outward(positions, faces, pieces, name)
-    # A turned face is not the same face with its corners in another order of counting.
-    flip = ~np.logical_or.reduce(
-        [(np.roll(out, turn, axis=1) == faces).all(axis=1) for turn in range(3)]
-    )
+    flip = faces_to_turn(positions, faces, pieces, f"material {shown(name)!r}")
     if len(given):
         towards = (face_normals(positions, faces)[:, None] * _looked_up(given, corners)).sum((1, 2))
         against = np.bincount(pieces.label, towards, minlength=len(pieces.closed)) < 0

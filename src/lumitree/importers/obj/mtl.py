@@ -1,12 +1,12 @@
-"""The text of an MTL file as values and maps, before they mean anything."""
+"""The text of an MTL file as values and maps, which are not interpreted here."""
 
 import dataclasses
 import math
 import warnings
 from pathlib import Path
 
+from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
-from lumitree.importers.model_folder import read_limited
 from lumitree.importers.obj.parse import readable
 
 _MAX_BYTES = 16 * 2**20
@@ -42,7 +42,7 @@ class MtlMap:
     Attributes:
         file: as the file names it.
         scale, offset: of u and v, in the file's convention (v = 0 at the image's last row).
-        clamp: whether the image ends at 0 and 1.
+        clamp: whether texture coordinates are clamped to [0, 1].
         bump_scale: strength of a bump map.
         ignored: options that have no effect here.
     """
@@ -57,7 +57,7 @@ class MtlMap:
 
 @dataclasses.dataclass
 class MtlMaterial:
-    """A `newmtl` block: numbers by key, maps by key, and keys that were not understood."""
+    """A `newmtl` block: numbers by key, and maps by key."""
 
     values: dict[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
     maps: dict[str, MtlMap] = dataclasses.field(default_factory=dict)
@@ -71,7 +71,8 @@ def parse_mtl(path: Path) -> dict[str, MtlMaterial]:
     """
     materials: dict[str, MtlMaterial] = {}
     current = MtlMaterial()
-    for number, line in enumerate(read_limited(path, _MAX_BYTES).splitlines(), 1):
+    lines = read_bytes(path, "an MTL file", _MAX_BYTES).splitlines()
+    for number, line in enumerate(lines, 1):
         words = readable(line.strip().replace(b"\t", b" ")).split(None, 1)
         if not words or words[0].startswith("#"):
             continue
@@ -116,7 +117,7 @@ def _number(word: str, key: str, where: str) -> float:
 
 
 def _map(text: str, where: str) -> MtlMap:
-    """An option's values come before the file's name, which may have spaces in it."""
+    """A map: options with their values, then the name of the image, which may contain spaces."""
     words, result, ignored = text.split(), {}, []
     while words and words[0].startswith("-"):
         option = words.pop(0).lower()

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
-from lumitree.importers.mesh_repair import Indices
-from lumitree.importers.model_folder import read_limited
+from lumitree.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.importers.polygons import MAX_CORNERS
+from lumitree.importers.topology import Indices
 from lumitree.model.geometry import Floats
 
 # Beyond this, squares of lengths leave the range of single precision.
@@ -56,7 +57,7 @@ def parse_obj(path: Path) -> ObjFile:
     Raises:
         LumitreeError: it is missing, larger than 512 MiB, holds no faces, or a line is wrong.
     """
-    return _Parser(path).parse(read_limited(path))
+    return _Parser(path).parse(read_bytes(path, "an OBJ file", MAX_MODEL_BYTES))
 
 
 class _Parser:
@@ -221,7 +222,7 @@ class _Parser:
                 b"f", at, f"a face with {sizes[at]} corners; expected 3 to {MAX_CORNERS}"
             )
         words = [word for word in words if word != b"f"]
-        # A corner is written once for every face around it: each spelling is read once.
+        # Every face around a corner repeats it: each distinct text is parsed only once.
         spellings = {word: at for at, word in enumerate(dict.fromkeys(words))}
         use = np.array([spellings[word] for word in words])
         read, wrong, reason = _read_corners(list(spellings), counts)

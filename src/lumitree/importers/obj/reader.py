@@ -7,12 +7,12 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from lumitree.errors import LumitreeWarning, shown, shown_names
-from lumitree.importers.mesh_repair import closed_share
 from lumitree.importers.obj.files import ObjFolder
 from lumitree.importers.obj.materials import material, without_mtl
 from lumitree.importers.obj.mesh import build_meshes
 from lumitree.importers.obj.mtl import MtlMaterial, parse_mtl
 from lumitree.importers.obj.parse import ObjFile, parse_obj
+from lumitree.importers.topology import count_solids
 from lumitree.model.geometry import Mesh
 from lumitree.model.model import Material, Model, Part
 from lumitree.model.names import Names
@@ -57,7 +57,7 @@ def _material(title: str, source: MtlMaterial | None, mesh: Mesh, folder: ObjFol
         return without_mtl(title)
 
     def closed_throughout() -> bool:
-        closed, pieces = closed_share(mesh)
+        closed, pieces = count_solids(mesh)
         if 0 < closed < pieces:
             warnings.warn(
                 f"material {shown(title)!r}: {closed} of {pieces} pieces are closed, the others "

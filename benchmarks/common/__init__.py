@@ -1,0 +1,1 @@
+"""What the benchmarks share: options, setting, timing, tables and result files."""

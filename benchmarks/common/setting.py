@@ -1,0 +1,70 @@
+"""Where and with what a benchmark ran."""
+
+import importlib.metadata
+import os
+import platform
+import shlex
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import lumitree
+from lumitree.core.backend import load_mitsuba
+
+
+def setting(command: str, **details: object) -> dict[str, object]:
+    """Command, commit, device and versions, followed by the benchmark's own details.
+
+    Args:
+        command: that repeats the run, see `command_line`.
+        details: JSON values by name.
+    """
+    mi = load_mitsuba()
+    return {
+        "command": command,
+        "commit": commit(),
+        "device": processor(),
+        "variant": mi.variant(),
+        "lumitree": lumitree.__version__,
+        "mitsuba": mi.__version__,
+        "drjit": importlib.metadata.version("drjit"),
+        "jax": importlib.metadata.version("jax"),
+        "python": platform.python_version(),
+        **details,
+    }
+
+
+def command_line(argv: Sequence[str]) -> str:
+    """The command as a shell takes it, without the machine's folders.
+
+    Of absolute paths and of those that leave the current folder only the last name is kept.
+    """
+    return "python -m benchmarks " + shlex.join(_portable(each) for each in argv)
+
+
+def _portable(argument: str) -> str:
+    option, sign, value = argument.rpartition("=")
+    path = Path(value)
+    outside = path.is_absolute() or os.pardir in path.parts
+    return option + sign + (path.name if outside else value)
+
+
+def commit() -> str:
+    """The commit that is checked out, "-dirty" where anything but results was changed since."""
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!results")
+    return git("describe", "--always") + ("-dirty" if changed else "")
+
+
+def git(*command: str) -> str:
+    """What git prints, run in the folder of the benchmarks."""
+    folder = str(Path(__file__).parents[1])
+    run = subprocess.run(["git", "-C", folder, *command], capture_output=True, text=True)
+    return run.stdout.strip()
+
+
+def processor() -> str:
+    """Model of the processor, and the cores this process may use."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.is_file() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return f"{models[0] if models else platform.machine()}, {os.cpu_count()} cores"

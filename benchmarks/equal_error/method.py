@@ -1,0 +1,99 @@
+"""The two ways to render a pair, with the explicit lamp and with the baked one."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import lumitree
+from benchmarks.equal_error.batches import LongRun, digest, ladder, remember
+from benchmarks.equal_error.error_against_time import Floats, Pace, noise
+from benchmarks.equal_error.pairs import Pair
+from lumitree.core.backend import load_mitsuba
+
+# What a picture of the baked lamp depends on, besides its asset and the room.
+_SOURCES = ("rendering", "octree", "asset", "core")
+
+
+class Method:
+    """One way to render the pair: its long run and its ladder, and how to extend both."""
+
+    def __init__(self, pair: Pair, baked: bool, options: argparse.Namespace) -> None:
+        from lumitree.luminaire.luminaire import load_luminaire
+        from lumitree.luminaire.scene_file import SceneFile
+        from lumitree.rendering.placement import Placement
+        from lumitree.rendering.scene import (
+            PlacedLuminaire,
+            load_scene,
+            place_luminaires,
+            render_scene,
+            set_film_width,
+        )
+
+        room, _ = load_scene(pair.room)
+        set_film_width(room, options.width)
+        source = pair.asset if baked else pair.luminaire
+        scene = place_luminaires(
+            room, [PlacedLuminaire(Placement(source, at=pair.at, size=pair.size))]
+        )
+        mi = load_mitsuba()
+        if baked:
+            self.kind = "lumitree_path"
+        else:
+            self.kind = options.explicit or explicit_integrator(load_luminaire(source))
+        key = {
+            "room": digest(Path(pair.room), *SceneFile(pair.room).references()),
+            "lamp": digest(Path(source)) if baked else load_luminaire(source).fingerprint,
+            "at": pair.at,
+            "size": pair.size,
+            "integrator": self.kind,
+            "path_depth": options.path_depth,
+            "width": options.width,
+            "mitsuba": mi.__version__,
+            "code": code_digest() if baked or self.kind == "lumitree_path" else "",
+        }
+        self.folder = Path(options.cache) / f"{pair.name}-{digest(key)}"
+        self.folder.mkdir(parents=True, exist_ok=True)
+        remember(self.folder, {"source": source, **key})
+        self.long = LongRun(self.folder / "long.npz")
+        self.rungs: list[dict] = []
+
+        def render_pair(samples: int, seed: int) -> Any:
+            integrator = mi.load_dict({"type": self.kind, "max_depth": options.path_depth})
+            return render_scene(
+                scene, integrator, samples, seed=seed, name=f"{pair.name}, {self.kind}"
+            )
+
+        self.render, self.scene = render_pair, scene
+
+    def spend(self, long_seconds: float, ladder_seconds: float) -> None:
+        """Climb the ladder and extend the long run for so many seconds by the wall."""
+        self.rungs = ladder(self.folder, self.render, ladder_seconds)
+        self.long.extend(self.render, long_seconds)
+
+    def variance(self) -> Floats:
+        """Variance [H, W, 3] of a sample, from the long run."""
+        return self.long.batches.var(0, ddof=1) * self.long.samples
+
+    def pace(self, seconds: float, bias: float, weights: Any) -> Pace:
+        """With the variance of the long run."""
+        variance = noise(self.long.batches, weights) * self.long.samples_per_pixel
+        return Pace(variance, seconds, bias)
+
+
+def explicit_integrator(luminaire: Any) -> str:
+    """What the explicit lamp needs: `path`, or `volpath` or `volpathmis` for media and thin glass.
+
+    Light that thin glass and alpha masks let through unbent is found by next-event estimation under
+    `volpath` alone.
+    """
+    from lumitree.rendering.integrator import has_null_surfaces
+    from lumitree.transport.tracing import integrator_kind
+
+    kind = integrator_kind(luminaire)
+    return "volpath" if kind == "path" and has_null_surfaces(luminaire.scene) else kind
+
+
+def code_digest() -> str:
+    """Hash of the package's code that renders a baked lamp."""
+    package = Path(lumitree.__file__).parent
+    return digest(*sorted(file for part in _SOURCES for file in (package / part).glob("*.py")))

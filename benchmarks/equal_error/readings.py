@@ -1,0 +1,156 @@
+"""What a ladder of pictures and two efficiencies say about the time at equal error."""
+
+import dataclasses
+
+import numpy as np
+
+from benchmarks.equal_error.error_against_time import (
+    Estimate,
+    Floats,
+    Pace,
+    noise,
+    relative_weights,
+    time_to_reach,
+    trimmed_mean,
+)
+
+PAPER_SAMPLES = 32
+
+
+@dataclasses.dataclass(frozen=True)
+class Reference:
+    """A converged picture and what is known of its own error.
+
+    Attributes:
+        picture: [H, W, 3] the mean of its batches.
+        weights: [H, W, 3] of the relMSE.
+        own, own_relative: mean squared error by its noise, plain and weighted.
+        own_trimmed: the same, weighted, without the worst pixels.
+    """
+
+    picture: Floats
+    weights: Floats
+    own: Estimate
+    own_relative: Estimate
+    own_trimmed: float
+
+    @staticmethod
+    def of(batches: Floats) -> "Reference":
+        """Reference of independent batches [K, H, W, 3]."""
+        picture = batches.mean(0, dtype=np.float64)
+        weights = relative_weights(picture)
+        variance = batches.var(0, ddof=1, dtype=np.float64) / len(batches)
+        return Reference(
+            picture,
+            weights,
+            noise(batches),
+            noise(batches, weights),
+            trimmed_mean(variance * weights),
+        )
+
+    def summary(self) -> dict:
+        """For the report."""
+        rmse = float(np.sqrt(self.own.value))
+        return {
+            "mean": float(self.picture.mean()),
+            "rmse": rmse,
+            "rmse_error": self.own.error / (2 * rmse) if rmse else 0.0,
+            "rel_mse": self.own_relative.value,
+            "trimmed_rel_mse": self.own_trimmed,
+        }
+
+
+def rung_rows(rungs: list[dict], reference: Reference, clock: str) -> list[dict]:
+    """Errors of the rungs, means over their pictures.
+
+    RMSE and relMSE are without what the reference's own noise adds (on average; so they may be
+    0 near it); the trimmed relMSE is with it.
+    """
+    rows = []
+    for rung in rungs:
+        squares = (rung["images"] - reference.picture) ** 2
+        mse = squares.mean(axis=(1, 2, 3)) - reference.own.value
+        relative = (squares * reference.weights).mean(axis=(1, 2, 3))
+        count = len(mse)
+        rows.append(
+            {
+                "spp": rung["samples"],
+                "seconds": float(np.median(rung["seconds"][clock])),
+                "pictures": count,
+                "rmse": float(np.sqrt(max(mse.mean(), 0.0))),
+                "mse": float(mse.mean()),
+                "mse_error": float(mse.std(ddof=1) / np.sqrt(count)) if count > 1 else None,
+                "rel_mse": float(relative.mean()) - reference.own_relative.value,
+                "trimmed_rel_mse": float(
+                    np.mean([trimmed_mean(each * reference.weights) for each in squares])
+                ),
+            }
+        )
+    return rows
+
+
+def levels(
+    explicit: list[dict], baked: list[dict], paces: tuple[Pace, Pace], reference: Reference
+) -> list[dict]:
+    """One row for each of the baked lamp's rungs: the time either method needs for its error.
+
+    The level of `speedup` is the expected RMSE of the rung, with the bake's error in it. It is None
+    where that lies below the reference's own error, and so are the other readings.
+    """
+    rows = expected_levels([rung["spp"] for rung in baked], *paces, reference.own.value)
+    for row, rung in zip(rows, baked, strict=True):
+        row |= _measured(rung, explicit, "rmse", reference.own.value**0.5, "measured")
+        row |= _measured(rung, explicit, "trimmed_rel_mse", reference.own_trimmed, "robust")
+    return rows
+
+
+def expected_levels(counts: list[int], explicit: Pace, baked: Pace, floor: float) -> list[dict]:
+    """What `levels` says of expected errors, for numbers of samples a pixel of the baked lamp.
+
+    Args:
+        floor: mean squared error of the reference; nothing is compared below it.
+    """
+    rows = []
+    for count in counts:
+        square = baked.variance.value / count + max(baked.bias, 0.0)
+        row = {
+            "baked_spp": count,
+            "baked_seconds": count * baked.seconds,
+            "rmse": float(np.sqrt(square)),
+            "explicit_seconds": None,
+            "explicit_spp": None,
+            "speedup": None,
+            "speedup_error": None,
+        }
+        if square > floor:
+            samples = explicit.variance * (1 / square)
+            speedup = samples * (explicit.seconds / row["baked_seconds"])
+            row["explicit_seconds"] = samples.value * explicit.seconds
+            row["explicit_spp"] = samples.value
+            row["speedup"], row["speedup_error"] = speedup.value, speedup.error
+        rows.append(row)
+    return rows
+
+
+def _measured(rung: dict, explicit: list[dict], key: str, floor: float, name: str) -> dict:
+    """Speed-up by the ladder's own errors, and whether the explicit time was reached."""
+    speedup, kind = None, None
+    if rung[key] > floor:
+        # Squared errors fall as 1 / time beyond the ladder; `time_to_reach` takes roots.
+        power = 1.0 if key == "rmse" else 0.5
+        seconds = np.array([each["seconds"] for each in explicit])
+        errors = np.array([max(each[key], 1e-30) ** power for each in explicit])
+        reached, kind = time_to_reach(rung[key] ** power, seconds, errors)
+        speedup = reached / rung["seconds"]
+    return {f"speedup_{name}": speedup, f"{name}_kind": kind}
+
+
+def readable(rows: list[dict]) -> dict:
+    """Of the rows above the reference's error that of most samples, up to the paper's number."""
+    known = [row for row in rows if row["speedup"] is not None]
+    return headline(known or rows)
+
+
+def headline(rows: list[dict]) -> dict:
+    """The row of the number of samples nearest to the paper's."""
+    return min(rows, key=lambda row: abs(np.log(row["baked_spp"] / PAPER_SAMPLES)))

@@ -1,0 +1,37 @@
+"""Files that the functions of `lumitree` write: the asset, and the work folder of a bake."""
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from lumitree.asset.asset import Asset
+from lumitree.asset.file import save
+from lumitree.core.work_folder import WorkFolder, scratch_folder
+
+FilePath = str | os.PathLike[str]
+
+
+def save_asset(asset: Asset, output: FilePath | None) -> Path | None:
+    """Write an asset to `output`; returns its path. Does nothing and returns None for None."""
+    if output is None:
+        return None
+    save(asset, output)
+    return Path(output)
+
+
+@contextlib.contextmanager
+def open_work_folder(output: FilePath | None, work: FilePath | None) -> Iterator[WorkFolder]:
+    """Context with the folder in which a bake keeps its state.
+
+    Args:
+        output: the `.lumitree` file of the bake, or None.
+        work: the folder that the user chose. If it is None, the folder has the name of `output`
+            with the suffix `.work`, or is a temporary one if `output` is None too.
+    """
+    with contextlib.ExitStack() as stack:
+        if work is None and output is None:
+            work = stack.enter_context(scratch_folder()) / "work"
+        elif work is None:
+            work = Path(str(output)).with_suffix(".work")
+        yield stack.enter_context(WorkFolder(str(work)))

@@ -1,0 +1,294 @@
+"""The bake by the paper's network: `bake_network`, and its steps `capture`, `train`, `extract`."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
+
+from lumitree.api.files import FilePath, open_work_folder, save_asset
+from lumitree.api.luminaires import warn_of_faults
+from lumitree.api.measures import Stopwatch, peak_memory_bytes
+from lumitree.api.results import BakeResult, CaptureResult, TrainResult
+from lumitree.asset.asset import Asset
+from lumitree.core.arguments import (
+    MAX_SAMPLES,
+    check_asset_output,
+    check_choice,
+    check_image_settings,
+    check_range,
+)
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
+from lumitree.core.files import check_writable
+from lumitree.core.interrupt import Interrupted
+from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.errors import explained
+from lumitree.nerf.config import PRESETS, TrainConfig
+from lumitree.octree.build import check_tree_depth
+
+if TYPE_CHECKING:
+    from lumitree.luminaire.luminaire import LuminaireLike
+
+Preset = Literal["preview", "paper"]
+
+
+@dataclasses.dataclass(frozen=True)
+class NetworkBake:
+    """Settings of `bake_network`.
+
+    Attributes:
+        num_views: number of captured views.
+        resolution: pixels per side of a view.
+        samples_per_pixel: paths per pixel of a view.
+        tree_depth: level of the leaves.
+        train: settings of the network and of its training.
+        samples_per_leaf: positions at which the network is evaluated per leaf.
+    """
+
+    num_views: int
+    resolution: int
+    samples_per_pixel: int
+    tree_depth: int
+    train: TrainConfig
+    samples_per_leaf: int = 256
+
+
+NETWORK_BAKES: dict[str, NetworkBake] = {
+    "preview": NetworkBake(60, 192, 48, 7, PRESETS["preview"], samples_per_leaf=64),
+    # The paper does not state its samples per pixel.
+    "paper": NetworkBake(100, 800, 256, 10, PRESETS["paper"]),
+}
+
+
+@explained
+def bake_network(
+    luminaire: "LuminaireLike",
+    output: FilePath,
+    *,
+    preset: Preset = "preview",
+    tree_depth: int | None = None,
+    work: FilePath | None = None,
+    variant: str | None = None,
+    progress: ProgressCallback | None = show_progress,
+) -> BakeResult:
+    """Bake a luminaire with the method of the paper: `capture`, `train` and `extract` in one call.
+
+    If the call is interrupted, the same call continues it.
+
+    Args:
+        luminaire: what to bake, in any form that `bake` takes except the folder of a dataset.
+        output: path of the `.lumitree` file to write.
+        preset: settings of views, network and octree: "preview" (minutes on 2 CPU cores) or
+            "paper" (days on a GPU).
+        tree_depth: level of the leaves, 1 to 10. Default: 7 for "preview", 10 for "paper".
+        work: folder for the dataset and the run; see `bake`.
+        variant: Mitsuba variant; see `bake`.
+        progress: function that is called with a `Progress` after each step; see `bake`.
+
+    Returns:
+        The asset (`asset`) and its file (`path`).
+
+    Raises:
+        LumitreeError: an argument is out of range; the luminaire cannot be read; the work folder
+            holds the state of another bake; or a file cannot be written.
+        Interrupted: SIGINT, SIGTERM or SIGHUP was received. The work folder is kept.
+    """
+    check_asset_output(output)
+    check_choice("preset", preset, NETWORK_BAKES)
+    settings = NETWORK_BAKES[preset]
+    tree_depth = settings.tree_depth if tree_depth is None else tree_depth
+    check_tree_depth(tree_depth)
+    with open_work_folder(output, work) as folder:
+        captured = capture(
+            luminaire,
+            folder.path / "dataset",
+            num_views=settings.num_views,
+            resolution=settings.resolution,
+            samples_per_pixel=settings.samples_per_pixel,
+            variant=variant,
+            progress=progress,
+        )
+        from lumitree.nerf.run import RUN_FILES
+
+        run = folder.path / "run"
+        trained = train(
+            captured.dataset, run, preset=preset, resume=run.exists(), progress=progress
+        )
+        if trained.stopped_by is not None:
+            raise Interrupted("the same command continues", trained.stopped_by)
+        extracted = extract(
+            run,
+            output,
+            tree_depth=tree_depth,
+            samples_per_leaf=settings.samples_per_leaf,
+            progress=progress,
+        )
+        if work is None:
+            names = [f"dataset/{name}" for name in DATASET_FILES]
+            folder.remove([*names, *(f"run/{name}" for name in RUN_FILES)])
+    seconds = captured.seconds | trained.seconds | extracted.seconds
+    return dataclasses.replace(extracted, seconds=seconds, peak_memory_bytes=peak_memory_bytes())
+
+
+@explained
+def capture(
+    luminaire: "LuminaireLike",
+    output: FilePath,
+    *,
+    num_views: int = 100,
+    resolution: int = 256,
+    samples_per_pixel: int = 128,
+    split: Split = "train",
+    variant: str | None = None,
+    progress: ProgressCallback | None = show_progress,
+) -> CaptureResult:
+    """Render views of a luminaire into a dataset: radiance and two kinds of opacity, as OpenEXR.
+
+    The views are orthographic. Their directions are a Halton sequence on the sphere. Only views
+    that are missing in the folder are rendered, so the same call continues an interrupted capture.
+
+    Args:
+        luminaire: what to render, in any form that `bake` takes except the folder of a dataset.
+        output: folder of the dataset: new, empty, or that of the same capture.
+        num_views: number of views, 1 to 100,000.
+        resolution: pixels per side of a view, 1 to 16,384.
+        samples_per_pixel: paths per pixel, 1 to 1,048,576.
+        split: "train" or "test". The two have no direction in common.
+        variant: Mitsuba variant; see `bake`.
+        progress: function that is called with a `Progress` after each view; see `bake`.
+
+    Returns:
+        The folder (`dataset`), the name of the luminaire, and the number of views.
+
+    Raises:
+        LumitreeError: an argument is out of range; the luminaire cannot be read; or the folder
+            holds another capture.
+        Interrupted: SIGINT, SIGTERM or SIGHUP was received. Finished views are kept.
+    """
+    check_range("views", num_views, 1, MAX_VIEWS)
+    check_image_settings(resolution=resolution, spp=samples_per_pixel)
+    check_choice("split", split, get_args(Split))
+    check_writable(Path(output) / MANIFEST)
+    load_mitsuba(variant)
+    from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.views.capture import capture as capture_views
+
+    watch = Stopwatch()
+    with reporting(progress), watch.stage("capture"):
+        lamp = load_luminaire(luminaire)
+        warn_of_faults(lamp)
+        dataset = capture_views(
+            lamp,
+            output,
+            num_views=num_views,
+            resolution=resolution,
+            samples_per_pixel=samples_per_pixel,
+            split=split,
+        )
+    return CaptureResult(
+        dataset=Path(output),
+        luminaire=dataset.manifest.luminaire,
+        views=len(dataset.manifest.frames),
+        **watch.costs(),
+    )
+
+
+@explained
+def train(
+    dataset: FilePath,
+    output: FilePath,
+    *,
+    preset: Preset = "preview",
+    resume: bool = False,
+    progress: ProgressCallback | None = show_progress,
+) -> TrainResult:
+    """Train the network of the paper (NeRF-SH) on a dataset.
+
+    Args:
+        dataset: folder of the dataset, made by `capture`.
+        output: folder of the run, for checkpoints and the history of the loss.
+        preset: settings of the network: "preview" (minutes on 2 CPU cores) or "paper" (days on a
+            GPU).
+        resume: continue from the newest checkpoint in `output`. The result equals, bit for bit,
+            that of a run without interruption.
+        progress: function that is called with a `Progress` after each step; see `bake`.
+
+    Returns:
+        The folder (`run`), the number of steps, the PSNR on held-out rays in dB (`psnr`), and that
+        of an all-black prediction (`psnr_black`). `stopped_by` is the number of the signal that
+        interrupted the training, or None.
+
+    Raises:
+        LumitreeError: an argument is out of range; the dataset cannot be read; `output` holds
+            another run; or there is nothing to resume.
+    """
+    check_choice("preset", preset, PRESETS)
+    check_writable(Path(output) / MANIFEST)
+    from lumitree.nerf.train import train as train_network
+
+    watch = Stopwatch()
+    with reporting(progress), watch.stage("train"):
+        result = train_network(dataset, output, PRESETS[preset], resume=resume)
+    return TrainResult(
+        run=Path(output),
+        steps=result.steps,
+        psnr=result.psnr,
+        psnr_black=result.psnr_black,
+        rays_per_second=result.rays_per_second,
+        stopped_by=result.stopped_by,
+        **watch.costs(),
+    )
+
+
+@explained
+def extract(
+    run: FilePath,
+    output: FilePath | None = None,
+    *,
+    tree_depth: int = 8,
+    samples_per_leaf: int = 256,
+    progress: ProgressCallback | None = show_progress,
+) -> BakeResult:
+    """Convert a trained network into an asset.
+
+    Each leaf of the octree stores the mean of the network's output at positions inside it.
+
+    Args:
+        run: folder of the run, made by `train`.
+        output: path of the `.lumitree` file to write. Default: no file is written.
+        tree_depth: level of the leaves, 1 to 10. Their side is the longest side of the bounding box
+            divided by 2^tree_depth.
+        samples_per_leaf: positions per leaf, 1 to 1,048,576.
+        progress: function that is called with a `Progress` after each step; see `bake`.
+
+    Returns:
+        The asset (`asset`) and its file (`path`).
+
+    Raises:
+        LumitreeError: an argument is out of range; the run cannot be read; or the field is empty.
+    """
+    if output is not None:
+        check_asset_output(output)
+    check_tree_depth(tree_depth)
+    check_range("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
+    from lumitree.nerf.trained_field import load_field
+    from lumitree.octree.extract import extract as extract_octree
+
+    watch = Stopwatch()
+    with reporting(progress), watch.stage("extract"):
+        field = load_field(run)
+        children, density, coefficients = extract_octree(
+            field.query, field.frame.half_extents, tree_depth, samples_per_leaf=samples_per_leaf
+        )
+        asset = Asset(
+            children=children,
+            density=density,
+            coefficients=coefficients,
+            tree_depth=tree_depth,
+            l_max=field.l_max,
+            law=field.law,
+            max_radiance=field.max_radiance,
+            frame=field.frame,
+            luminaire=field.luminaire,
+        )
+        path = save_asset(asset, output)
+    return BakeResult(asset=asset, path=path, **watch.costs())

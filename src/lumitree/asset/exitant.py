@@ -1,0 +1,181 @@
+"""The exitant light field of a luminaire: what it sends to receivers outside its box.
+
+Symbols
+    C   cells           R   bins of direction a side, see `core.octahedral`
+    B   bins of all cells in which anything is emitted
+"""
+
+import dataclasses
+import functools
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.checks import expect, expect_arrays
+from lumitree.errors import LumitreeError
+from lumitree.octree.build import morton
+
+Number = TypeVar("Number", bound=np.generic)
+_WHAT = "exitant light field"
+_expect = functools.partial(expect, _WHAT)
+# A cell is named by 10 bits a coordinate, and a device array of all bins holds at most 2³¹.
+MAX_DEPTH, MAX_RESOLUTION = 7, 128
+MAX_BINS = 1 << 28
+# Red, green and blue of 9 bits with a common exponent of 5 bits, as OpenGL's RGB9_E5. Colours
+# are at most 1, so the exponent's offset is 31 in place of 15: darker colours can be stored.
+_EXPONENT_OFFSET, _MANTISSA_BITS, _EXPONENT_BITS = 31, 9, 5
+# Where the mantissas and the exponent are in a number, and a mantissa's bits. The unit of the
+# mantissas is 2 to the power of the exponent less `EXPONENT_OF_ONE`.
+MANTISSA_SHIFTS = (0, _MANTISSA_BITS, 2 * _MANTISSA_BITS)
+EXPONENT_SHIFT = 3 * _MANTISSA_BITS
+MANTISSA = (1 << _MANTISSA_BITS) - 1
+EXPONENT_OF_ONE = _MANTISSA_BITS + _EXPONENT_OFFSET - 1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ExitantField:
+    """Radiant intensity by direction of the cells of a grid over the cube [-1, 1]³.
+
+    A cell stands for all light whose last vertex inside the luminaire is in it. Occlusion,
+    refraction and scattering inside the luminaire are contained in its intensity. The light starts
+    anywhere in the part of the cell that is inside the luminaire's box, with equal probability.
+
+    Attributes:
+        cells: uint8 [C, 3], coordinates of the cells that emit, 0 to 2**depth - 1; in Morton order.
+        lit: uint8 [C, R² / 8], which bins of each cell emit; the first bin in the highest bit.
+        intensity: uint32 [B], radiant intensity of the bins that emit, by cell and then by bin:
+            RGB9_E5 numbers (`unpack`) times `scale`. Local units: radiance times local area.
+        depth: the grid has 2**depth cells a side, 1 to 7.
+        resolution: R, a power of two from 4 to 128.
+        scale: the largest intensity that occurs.
+
+    Raises:
+        LumitreeError: a member has a wrong type, shape or range.
+    """
+
+    cells: NDArray[np.uint8]
+    lit: NDArray[np.uint8]
+    intensity: NDArray[np.uint32]
+    depth: int
+    resolution: int
+    scale: float
+
+    def __post_init__(self) -> None:
+        """Refuse what a renderer could not use safely."""
+        _check_scalars(self)
+        # An array of a file may have no dimensions, and so no length.
+        first = self.cells.shape[:1]
+        bins = self.resolution**2
+        expect_arrays(
+            _WHAT,
+            {
+                "cells": (self.cells, np.uint8, (*first, 3)),
+                "lit": (self.lit, np.uint8, (*first, bins // 8)),
+                "intensity": (self.intensity, np.uint32, (self.intensity.size,)),
+            },
+        )
+        count = len(self.cells)
+        _expect(count > 0 and count * bins <= MAX_BINS, f"{count} cells of {bins} bins")
+        _expect((self.cells < 1 << self.depth).all(), "a cell is outside the grid")
+        _expect((np.diff(morton(self.cells)) > 0).all(), "cells are repeated or out of order")
+        found = int(np.bitwise_count(self.lit).sum())
+        _expect(
+            found == len(self.intensity),
+            f"{len(self.intensity)} intensities for {found} bins that emit",
+        )
+        # A renderer divides by the flux of a cell.
+        _expect(self.lit.any(axis=1).all(), "a cell emits nothing")
+        _expect((self.intensity & ((1 << EXPONENT_SHIFT) - 1)).all(), "an intensity is 0")
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of all arrays."""
+        return self.cells.nbytes + self.lit.nbytes + self.intensity.nbytes
+
+    def dense(self, values: NDArray[Number]) -> NDArray[Number]:
+        """Values [B] of the bins that emit, by cell and bin [C, R²]; 0 in other bins."""
+        bins = np.zeros((len(self.cells), self.resolution**2), values.dtype)
+        bins[np.unpackbits(self.lit, axis=1).view(bool)] = values
+        return bins
+
+
+def make_exitant_field(
+    cells: NDArray[np.integer], intensity: NDArray[np.floating], depth: int
+) -> ExitantField:
+    """An exitant light field from the intensities of all bins.
+
+    Args:
+        cells: [C, 3] coordinates, each once, in any order; those that emit nothing are left out.
+        intensity: [C, R², 3] radiant intensity, local units, at least 0.
+        depth: of the grid.
+
+    Raises:
+        LumitreeError: nothing is emitted, or a number is out of range.
+    """
+    bins = intensity.shape[1]
+    scale = float(intensity.max(initial=0))
+    if not (np.isfinite(scale) and scale > 0):
+        raise LumitreeError(f"the largest exitant intensity is {scale}; expected light")
+    if (least := float(intensity.min())) < 0:
+        raise LumitreeError(f"the smallest exitant intensity is {least}; expected 0 or more")
+    packed = pack(intensity / scale)
+    emits = np.flatnonzero(packed.any(axis=1))
+    emits = emits[np.argsort(morton(cells[emits]))]
+    packed = packed[emits]
+    lit = packed > 0
+    return ExitantField(
+        cells=cells[emits].astype(np.uint8),
+        lit=np.packbits(lit, axis=1),
+        intensity=packed[lit],
+        depth=depth,
+        resolution=int(np.sqrt(bins)),
+        scale=scale,
+    )
+
+
+def pack(colours: NDArray[np.floating]) -> NDArray[np.uint32]:
+    """Colours [..., 3] from 0 to 1 as RGB9_E5 numbers [...].
+
+    The error of a channel is at most 0.2 % of the colour's largest channel, or 2⁻⁴⁰ if that is
+    more.
+    """
+    largest = colours.max(axis=-1)
+    # Exponent e of the largest channel: it is below 2^e.
+    _, exponent = np.frexp(largest)
+    # Rounding must not carry the largest mantissa beyond its bits.
+    carries = np.round(np.ldexp(largest, _MANTISSA_BITS - exponent)) > MANTISSA
+    exponent = np.clip(exponent + carries + _EXPONENT_OFFSET - 1, 0, 2**_EXPONENT_BITS - 1)
+    shift = EXPONENT_OF_ONE - exponent
+    mantissa = np.round(np.ldexp(colours, shift[..., None])).astype(np.uint32)
+    mantissa = np.minimum(mantissa, MANTISSA)
+    packed = exponent.astype(np.uint32) << EXPONENT_SHIFT
+    for channel, place in enumerate(MANTISSA_SHIFTS):
+        packed |= mantissa[..., channel] << place
+    return np.where(mantissa.any(axis=-1), packed, 0).astype(np.uint32)
+
+
+def unpack(packed: NDArray[np.uint32]) -> NDArray[np.float64]:
+    """Colours [..., 3] of RGB9_E5 numbers [...]."""
+    exponent = (packed >> EXPONENT_SHIFT).astype(np.int64)
+    mantissas = [packed >> place & MANTISSA for place in MANTISSA_SHIFTS]
+    shift = exponent - EXPONENT_OF_ONE
+    return np.ldexp(np.stack(mantissas, axis=-1).astype(np.float64), shift[..., None])
+
+
+def _check_scalars(field: ExitantField) -> None:
+    depth, resolution = field.depth, field.resolution
+    _expect(
+        type(depth) is int and 1 <= depth <= MAX_DEPTH,
+        f"depth {depth!r}, expected 1 to {MAX_DEPTH}",
+    )
+    _expect(
+        type(resolution) is int
+        and 4 <= resolution <= MAX_RESOLUTION
+        and resolution & (resolution - 1) == 0,
+        f"resolution {resolution!r}, expected a power of two from 4 to {MAX_RESOLUTION}",
+    )
+    _expect(
+        type(field.scale) is float and 1e-15 <= field.scale <= 1e15,
+        f"scale {field.scale!r}, expected 1e-15 to 1e15",
+    )

@@ -1,0 +1,61 @@
+"""Bins of directions by the octahedral map.
+
+The sphere is projected on an octahedron, whose lower half is folded out into the corners of a
+square, which is cut into `resolution`² bins.
+"""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+
+def octahedral(direction: Any) -> Any:
+    """Octahedral coordinates in [-1, 1]² of a direction of any length."""
+    n = direction / dr.sum(dr.abs(direction))
+    folded = mi.Vector2f(
+        dr.copysign(1 - dr.abs(n.y), n.x),
+        dr.copysign(1 - dr.abs(n.x), n.y),
+    )
+    return dr.select(n.z < 0, folded, mi.Vector2f(n.x, n.y))
+
+
+def bin_of(direction: Any, resolution: int) -> Any:
+    """Index (mi.UInt32) of the bin of a direction of any length."""
+    uv = octahedral(direction)
+    cell = mi.Point2u(dr.clip(mi.Point2i((uv + 1) * (resolution / 2)), 0, resolution - 1))
+    return cell.y * resolution + cell.x
+
+
+def direction_in_bin(bin_index: Any, sample: Any, resolution: int) -> tuple[Any, Any]:
+    """Unit direction in a bin, uniform in octahedral coordinates, and its density there."""
+    cell = mi.Point2f(bin_index % resolution, bin_index // resolution)
+    uv = (cell + sample) * (2 / resolution) - 1
+    z = 1 - dr.abs(uv.x) - dr.abs(uv.y)
+    fold = dr.maximum(-z, 0)
+    v = mi.Vector3f(uv.x - dr.copysign(fold, uv.x), uv.y - dr.copysign(fold, uv.y), z)
+    direction = dr.normalize(v)
+    return direction, bin_density(direction, resolution)
+
+
+def bin_density(direction: Any, resolution: int) -> Any:
+    """Density per steradian of `direction_in_bin`, given the bin.
+
+    Area on the octahedron and solid angle differ by the cube of the distance from the origin.
+    """
+    return (resolution**2 / 4) / dr.sum(dr.abs(direction)) ** 3
+
+
+def solid_angles(resolution: int) -> NDArray[np.float64]:
+    """Solid angle [R²] of each bin, sr: the Jacobian's mean over a grid in each bin."""
+    fine = 8
+    centres = (np.arange(resolution * fine) + 0.5) * (2 / (resolution * fine)) - 1
+    u, v = np.meshgrid(centres, centres)
+    z = 1 - np.abs(u) - np.abs(v)
+    fold = np.maximum(-z, 0)
+    x, y = u - np.copysign(fold, u), v - np.copysign(fold, v)
+    density = (x**2 + y**2 + z**2) ** -1.5
+    blocks = density.reshape(resolution, fine, resolution, fine).sum(axis=(1, 3)).ravel()
+    return blocks * (4 * np.pi / blocks.sum())

@@ -1,0 +1,367 @@
+"""Settings of the direct bake: every number that was chosen by experience or by measurement.
+
+Each part of the bake takes its own group. "Decision n" is the record n of docs/decisions, which
+has the evidence; a setting without one was chosen during development and not compared in a record.
+The settings are part of the saved state of a bake: a state is only continued with equal ones.
+"""
+
+import dataclasses
+
+from lumitree.core.arguments import MAX_RAYS, MAX_SECONDS, check_choice, check_range
+from lumitree.core.harmonics import MAX_L
+from lumitree.core.seeds import check_seed
+from lumitree.core.transmittance import LAWS, Law
+from lumitree.errors import LumitreeError
+from lumitree.octree.build import check_tree_depth
+
+# Rays come in tiles of this many rays a side: neighbours, which a vector unit traces together. No
+# setting, since means and uncertainties over tiles depend on it.
+TILE_SIDE = 4
+TILE_RAYS = TILE_SIDE**2
+
+
+@dataclasses.dataclass(frozen=True)
+class _Settings:
+    """Numbers of which none is negative, and no interval is 0; counts of rays are whole tiles."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if name.endswith("rays") and (value < TILE_RAYS or value % TILE_RAYS):
+                raise LumitreeError(f"{name} is {value}; expected a multiple of {TILE_RAYS}")
+            if not value >= 0:
+                raise LumitreeError(f"{name} is {value}; expected 0 or more")
+            if name.endswith(("interval", "stride")) and value == 0:
+                raise LumitreeError(f"{name} is 0; expected more than 0")
+
+
+@dataclasses.dataclass(frozen=True)
+class MaxRadianceConfig(_Settings):
+    """How the upper end of the emission, L_max of the asset, is found.
+
+    Attributes:
+        rays: rays traced, in tiles that are as wide as a pixel.
+        paths: camera paths a ray.
+        headroom: L_max over the 99.99th percentile of the radiance of pixels (decision 41). A thin
+            filament outshines its pixel, in a leaf that hides only part of it.
+    """
+
+    rays: int = 1 << 21
+    paths: int = 2
+    headroom: float = 4.0
+
+
+@dataclasses.dataclass(frozen=True)
+class EstimateConfig(_Settings):
+    """The first octree, from statistics of rays (`estimate`, `growth`).
+
+    Attributes:
+        rays: rays traced for the statistics, rounded up to whole batches.
+        growth_rays: rays that decide which cells of the last level are visited; earlier levels get
+            a quarter of the next one's, but at least one batch.
+        batch_rays: rays traced at once; bounds the memory.
+        light_paths_per_ray: light paths traced for each ray.
+        start_level: level at which the octree starts to grow.
+        max_level: level of the leaves, unless the smallest leaves of the bake are larger. Finer
+            leaves come from splitting.
+        logit_directions: number of directions at which a leaf's fit of radiance is converted to
+            logits.
+        min_emission, max_emission: range, in units of L_max, that the fitted radiance is clipped to
+            before it is converted to logits.
+        prior_paths: pseudo-count of paths that agree with the fit of the leaf's parent, or with
+            black where it has none (decision 27).
+        prior_band_paths: added to `prior_paths`, times l², for band l (decision 27).
+        opaque_from: opacity above which a leaf is made opaque.
+    """
+
+    rays: int = 1 << 23
+    growth_rays: int = 1 << 22
+    batch_rays: int = 1 << 20
+    light_paths_per_ray: float = 0.5
+    start_level: int = 5
+    max_level: int = 8
+    logit_directions: int = 32
+    min_emission: float = 1e-5
+    max_emission: float = 0.99
+    prior_paths: float = 20.0
+    prior_band_paths: float = 200.0
+    opaque_from: float = 0.9
+
+
+@dataclasses.dataclass(frozen=True)
+class ViewsConfig(_Settings):
+    """Bakes from stored views, which start from their visual hull.
+
+    Attributes:
+        held_out_stride: one view in this many is held out for the score.
+        hull_level: level of the leaves of the hull, unless the smallest leaves are larger.
+        hull_optical_depth: initial optical depth across a leaf of the hull.
+        hull_emission: initial emission, in units of L_max (decision 42 compares others).
+        coefficient_rate_factor: factor on `RefineConfig.coefficient_rate`, since the hull is
+            farther from the result than a first estimate is (decision 42).
+    """
+
+    held_out_stride: int = 8
+    hull_level: int = 6
+    hull_optical_depth: float = 0.3
+    hull_emission: float = 0.01
+    coefficient_rate_factor: float = 4.0
+
+
+@dataclasses.dataclass(frozen=True)
+class CalibrationConfig(_Settings):
+    """Calibration of the field's emission against the light of the luminaire (`calibration`).
+
+    Attributes:
+        rounds: rounds; round n counts for 1 / (n - 1) from the third on (decision 29).
+        rays: rays drawn for each half of a round.
+        light_paths_per_ray: light paths traced for each ray.
+        coarsest_level, finest_level: levels of the cells whose leaves are scaled together; coarser
+            cells first (decision 29).
+        max_band: highest band of the shift of a cell's logits (decision 29).
+        prior_paths: pseudo-count of paths of the region that agree with the field (decisions 27 and
+            29).
+        region_levels: levels from a cell up to the region in which the light that one path brings
+            is measured; a single cell has too few paths for that.
+        min_factor: smallest mean factor on the emission of a cell in one round.
+        max_shift: largest shift of a logit in one round.
+    """
+
+    rounds: int = 4
+    rays: int = 1 << 17
+    light_paths_per_ray: float = 0.5
+    coarsest_level: int = 3
+    finest_level: int = 5
+    max_band: int = 1
+    prior_paths: float = 1000.0
+    region_levels: int = 3
+    min_factor: float = 0.1
+    max_shift: float = 2.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.region_levels <= self.coarsest_level <= self.finest_level:
+            raise LumitreeError(
+                f"region_levels {self.region_levels}, coarsest_level {self.coarsest_level} and "
+                f"finest_level {self.finest_level} must not descend"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class FluxConfig(_Settings):
+    """The flux correction factor (`flux_correction`).
+
+    Its noise is that of the rays, so that light paths may be few (decision 38).
+
+    Attributes:
+        draws: draws; together they estimate the factor to ±0.5 %, one alone to ±1.5 %.
+        rays: rays of a draw.
+        light_paths_per_ray: light paths traced for each ray.
+    """
+
+    draws: int = 8
+    rays: int = 1 << 20
+    light_paths_per_ray: float = 1 / 16
+
+
+@dataclasses.dataclass(frozen=True)
+class HeldOutConfig(_Settings):
+    """The rays that a bake is scored on and does not learn from (`heldout`).
+
+    Attributes:
+        rays: rays.
+        paths: camera paths for each of a ray's two independent estimates of radiance.
+    """
+
+    rays: int = 1 << 17
+    paths: int = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class RefineConfig(_Settings):
+    """Gradient descent on the leaves (`refine`).
+
+    Attributes:
+        rays: rays drawn for a step (decision 30); those that cross no leaf cost little.
+        light_paths_per_ray: light paths traced for each ray.
+        opacity_rays_per_ray: further rays whose transmittance alone is used; one costs a third of a
+            ray (decision 23).
+        epsilon: of the loss, in units of L_max. 0.002 of the 99.99th percentile of radiance
+            (decision 41).
+        opacity_weight: of the squared error of the transmittance in the loss (decision 26).
+        density_rate: initial step of Adam for log density (decision 31).
+        coefficient_rate: initial step of Adam for coefficients (decisions 30 and 31).
+        final_rate: final step over initial step; steps fall exponentially with the budget spent,
+            and `smoothing` with them.
+        mean_decay, square_decay: Adam's decay of the mean of gradients, and of their squares.
+        smoothing: part of the way by which coefficients are first regularised towards the mean of
+            the neighbouring leaves' (decision 30).
+        smoothing_interval: steps from one regularisation to the next (decision 30).
+    """
+
+    rays: int = 1 << 15
+    light_paths_per_ray: float = 0.5
+    opacity_rays_per_ray: int = 4
+    epsilon: float = 0.0005
+    opacity_weight: float = 5.0
+    density_rate: float = 0.15
+    coefficient_rate: float = 0.03
+    final_rate: float = 0.05
+    mean_decay: float = 0.9
+    square_decay: float = 0.98
+    smoothing: float = 0.5
+    smoothing_interval: int = 8
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("epsilon", "density_rate", "coefficient_rate", "final_rate"):
+            if not getattr(self, name) > 0:
+                raise LumitreeError(f"{name} is {getattr(self, name)}; expected more than 0")
+        for name in ("final_rate", "smoothing"):
+            if getattr(self, name) > 1:
+                raise LumitreeError(f"{name} is {getattr(self, name)}; expected at most 1")
+
+
+@dataclasses.dataclass(frozen=True)
+class SplitConfig(_Settings):
+    """Which leaves are split, and which are dropped (`refine`).
+
+    Attributes:
+        indicator_rays: rays of a batch from which the per-leaf error indicator is computed.
+        indicator_batches: number of batches.
+        indicator_opacity_weight: weight of the squared error of the transmittance beside the
+            squared relative error of the radiance; at 500, 0.045 of opacity counts as much as a
+            radiance that is wrong by 100 %.
+        covered_error: share of the summed indicator that the leaves to be split account for.
+        max_leaves: splitting makes no more leaves than this.
+        min_optical_depth: leaves with a smaller optical depth across are dropped.
+    """
+
+    indicator_rays: int = 1 << 20
+    indicator_batches: int = 4
+    indicator_opacity_weight: float = 500.0
+    covered_error: float = 0.99
+    max_leaves: int = 3_000_000
+    min_optical_depth: float = 2e-3
+
+
+@dataclasses.dataclass(frozen=True)
+class ScheduleConfig(_Settings):
+    """When during the descent things happen.
+
+    Attributes:
+        score_interval: share of the budget between two scores on the held-out rays. Not a time, so
+            that with a budget of rays the field that is kept does not depend on the machine.
+        split_interval: share of the budget between two times at which leaves are split.
+        last_split: share of the budget after which none are.
+        closing_calibrations: time reserved for what follows the descent, in units of the time that
+            the last calibration took.
+        save_seconds: least number of seconds between two saved states.
+        save_time_factor: least number of seconds between two saved states, in units of the time
+            that saving the last one took.
+    """
+
+    score_interval: float = 0.04
+    split_interval: float = 0.15
+    last_split: float = 0.65
+    closing_calibrations: float = 2.5
+    save_seconds: float = 10.0
+    save_time_factor: float = 50.0
+
+
+@dataclasses.dataclass(frozen=True)
+class DirectConfig:
+    """A direct bake.
+
+    Attributes:
+        tree_depth: level of the smallest leaves, 1 to 10.
+        l_max: highest band of the spherical harmonics, 0 to 4.
+        law: transmittance law.
+        seconds: budget of time, 0.001 s to one year; None for no limit.
+        rays: budget of rays of the descent, 1 to 2**50; None for no limit.
+        seed: root seed of all random numbers, 0 to 2**31 - 1.
+        ray_spacing_level: neighbouring rays of a tile are as far apart as leaves of this level, or
+            of `tree_depth` if that is less (decision 36). Closer rays show a leaf from too few
+            directions; rays farther apart are slower to trace.
+        max_radiance, estimate, views, calibration, flux, held_out, refine, split, schedule:
+            settings of the parts of the bake.
+
+    Raises:
+        LumitreeError: a setting is out of range, or neither `seconds` nor `rays` is given.
+    """
+
+    tree_depth: int = 8
+    l_max: int = 2
+    law: Law = "exponential"
+    seconds: float | None = 285.0
+    rays: int | None = None
+    seed: int = 0
+    ray_spacing_level: int = 6
+    max_radiance: MaxRadianceConfig = MaxRadianceConfig()
+    estimate: EstimateConfig = EstimateConfig()
+    views: ViewsConfig = ViewsConfig()
+    calibration: CalibrationConfig = CalibrationConfig()
+    flux: FluxConfig = FluxConfig()
+    held_out: HeldOutConfig = HeldOutConfig()
+    refine: RefineConfig = RefineConfig()
+    split: SplitConfig = SplitConfig()
+    schedule: ScheduleConfig = ScheduleConfig()
+
+    def __post_init__(self) -> None:
+        check_tree_depth(self.tree_depth)
+        check_range("l_max", self.l_max, 0, MAX_L)
+        check_choice("law", self.law, LAWS)
+        check_seed(self.seed)
+        if self.seconds is None and self.rays is None:
+            raise LumitreeError("a bake needs a budget; give it a time or a number of rays")
+        if self.seconds is not None:
+            check_range("time", self.seconds, 1e-3, MAX_SECONDS, "seconds")
+        if self.rays is not None:
+            check_range("rays", self.rays, 1, MAX_RAYS)
+
+    def with_options(
+        self,
+        *,
+        tree_depth: int | None = None,
+        l_max: int | None = None,
+        law: Law | None = None,
+        seconds: float | None = None,
+        rays: int | None = None,
+        seed: int,
+    ) -> "DirectConfig":
+        """These settings with another seed, and with those options that are not None.
+
+        `seconds` and `rays` are one option, the budget: if either is given, both are replaced.
+        """
+        no_budget = seconds is None and rays is None
+        # Not `dataclasses.replace`: editors cannot follow its keywords to the fields.
+        return DirectConfig(
+            tree_depth=self.tree_depth if tree_depth is None else tree_depth,
+            l_max=self.l_max if l_max is None else l_max,
+            law=self.law if law is None else law,
+            seconds=self.seconds if no_budget else seconds,
+            rays=self.rays if no_budget else rays,
+            seed=seed,
+            ray_spacing_level=self.ray_spacing_level,
+            max_radiance=self.max_radiance,
+            estimate=self.estimate,
+            views=self.views,
+            calibration=self.calibration,
+            flux=self.flux,
+            held_out=self.held_out,
+            refine=self.refine,
+            split=self.split,
+            schedule=self.schedule,
+        )
+
+
+# What `--quality` names: minutes on two CPU cores.
+QUALITIES: dict[str, DirectConfig] = {
+    "preview": DirectConfig(
+        tree_depth=7,
+        estimate=EstimateConfig(rays=1 << 22, growth_rays=1 << 21),
+        seconds=60.0,
+    ),
+    "standard": DirectConfig(),
+    # With ten times as many leaves, few rays a step would cross most of them not at all.
+    "high": DirectConfig(tree_depth=10, seconds=1740.0, refine=RefineConfig(rays=1 << 17)),
+}

@@ -1,0 +1,1 @@
+"""The exitant light field: what a luminaire sends to receivers outside its box, by light paths."""

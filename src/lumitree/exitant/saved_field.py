@@ -1,0 +1,56 @@
+"""The exitant light field of an unfinished bake, which the same bake does not trace again."""
+
+import hashlib
+import json
+import warnings
+from dataclasses import asdict
+from pathlib import Path
+
+from lumitree.asset.asset import exitant_asset
+from lumitree.asset.exitant import ExitantField
+from lumitree.asset.file import load, save
+from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.exitant.config import ExitantConfig
+from lumitree.luminaire.luminaire import Luminaire
+
+EXITANT_STATE = "exitant.lumitree"
+
+
+class SavedExitantField:
+    """The file in a folder that holds the exitant light field of one luminaire and one setting.
+
+    It is an asset. In place of the luminaire's name it has a digest of the luminaire and of the
+    setting.
+
+    Args:
+        folder: the folder of the file.
+        luminaire: what is baked.
+        config: how.
+    """
+
+    def __init__(self, folder: Path, luminaire: Luminaire, config: ExitantConfig) -> None:
+        record = json.dumps([luminaire.fingerprint, asdict(config)], sort_keys=True)
+        self._digest = hashlib.sha256(record.encode()).hexdigest()
+        self._path, self._frame = folder / EXITANT_STATE, luminaire.frame
+
+    def load(self) -> ExitantField | None:
+        """The field; None if there is none, or it is another luminaire's or damaged."""
+        if not self._path.exists():
+            return None
+        try:
+            asset = load(self._path)
+        except LumitreeError:
+            return None
+        return asset.exitant if asset.luminaire == self._digest else None
+
+    def save(self, field: ExitantField) -> None:
+        """Write the field; warns where it cannot be written, since the bake does not need it."""
+        try:
+            save(exitant_asset(field, self._frame, self._digest), self._path)
+        except LumitreeError as error:
+            warnings.warn(
+                f"cannot save the exitant light field: {error}; the bake goes on, and would trace "
+                "it again if it were stopped",
+                LumitreeWarning,
+                stacklevel=2,
+            )

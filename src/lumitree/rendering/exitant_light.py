@@ -1,0 +1,228 @@
+"""The exitant light field as an emitter: directions towards it are sampled, and rays that leave it.
+
+A ray from a receiver crosses cells of the grid. Its radiance is the sum over them of intensity
+times length over volume. Nothing in the luminaire occludes it, because the intensities contain all
+occlusion. The density of a direction is a sum over the same cells, so one traversal returns both,
+in at most three times as many steps as the grid has cells a side.
+
+A cell is sampled from a table that depends on the receiver, in proportion to the root mean square
+of the light that it sends to the receiver's surroundings; then a point of the cell, uniformly. A
+tenth of the samples is uniform over the lamp's bounding sphere, and another part of them by the
+flux of cells. So no weight exceeds the radiance times 4π over that tenth.
+
+Symbols
+    x   receiver, outside the lamp's box        C   cells        R   bins of direction a side
+    p   probability with which a cell is sampled
+    V   volume of the part of a cell that is inside the lamp's box. A cell adds
+        p (r₁³ - r₀³) / 3V to the density of a direction whose ray is in it from r₀ to r₁
+"""
+
+import weakref
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.exitant import (
+    EXPONENT_OF_ONE,
+    EXPONENT_SHIFT,
+    MANTISSA,
+    MANTISSA_SHIFTS,
+    ExitantField,
+    unpack,
+)
+from lumitree.core.device import on_device
+from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
+from lumitree.model.photometry import luminance
+from lumitree.octree.build import build_children
+from lumitree.octree.leaves import boxes_inside
+from lumitree.octree.traversal import Octree
+from lumitree.rendering.emitter_sampling import UNIFORM_FRACTION
+from lumitree.rendering.proxy import cone_pdf, sample_cone
+from lumitree.rendering.receiver_cells import ReceiverCells
+from lumitree.rendering.samples import divide_sample, sample_row, scrambled
+
+# Part of the samples of a cell that is by flux alone.
+_FLUX_FRACTION = 0.1
+# Cells of receivers, see `receiver_cells`, and points in each that a row of the table is made from.
+_RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 8, 4, 0.3
+_POINTS_PER_CELL = 64
+# Rows of the table that are made at once.
+_ROWS_AT_ONCE = 16
+
+_LIGHTS: "weakref.WeakKeyDictionary[ExitantField, dict[str, ExitantLight]]" = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def exitant_light(field: ExitantField, half_extents: NDArray[np.float64]) -> "ExitantLight":
+    """Device copy of an exitant light field, shared by all instances of a lamp."""
+    lights, variant = _LIGHTS.setdefault(field, {}), str(mi.variant())
+    if variant not in lights:
+        # Mitsuba creates plugins in parallel: of two copies, the first is kept.
+        light = ExitantLight(field, half_extents)
+        return lights.setdefault(variant, light)
+    return lights[variant]
+
+
+class ExitantLight:
+    """Device copy of an exitant light field, in the lamp's local frame.
+
+    Args:
+        field: what is emitted.
+        half_extents: [3] of the lamp's box.
+    """
+
+    def __init__(self, field: ExitantField, half_extents: NDArray[np.float64]) -> None:
+        count = len(field.cells)
+        self._count, self._resolution = count, field.resolution
+        self._radius = float(np.linalg.norm(half_extents))
+        self._around = ReceiverCells(half_extents, _RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH)
+        cells, levels = field.cells.astype(np.int64), np.full(count, field.depth)
+        self._octree = Octree(build_children(cells, levels), field.depth, half_extents)
+        lower, upper = boxes_inside(half_extents, cells, levels)
+        # Cells on the border may have a side of 0, which float32 need not divide by.
+        upper = np.maximum(upper, lower + 1e-6)
+        volume = (upper - lower).prod(axis=1)
+        self._corners = on_device(mi.Float, np.stack([lower, upper], axis=1))
+        self._volume = on_device(mi.Float, volume)
+        self._packed = on_device(mi.UInt32, field.dense(field.intensity))
+        self._scale = dr.opaque(mi.Float, field.scale)
+        flux = field.dense(luminance(unpack(field.intensity))) * solid_angles(field.resolution)
+        by_cell = flux.sum(axis=1)
+        self._flux_shares = by_cell / by_cell.sum()
+        cumulated = np.cumsum(flux, axis=1)
+        self._bin_chances = on_device(mi.Float, cumulated / cumulated[:, -1:])
+        self._cell_chances = on_device(mi.Float, np.cumsum(self._flux_shares))
+        shares = self._tabulate()
+        self._shares = on_device(mi.Float, shares / (3 * volume))
+        self._cumulated = on_device(mi.Float, np.cumsum(shares, axis=1))
+
+    def _tabulate(self) -> NDArray[np.float64]:
+        """Probability [cells of receivers, C] of each cell."""
+        cell = dr.arange(mi.UInt32, self._count)
+        rows = []
+        for first in range(0, self._around.count, _ROWS_AT_ONCE):
+            points = _ROWS_AT_ONCE * _POINTS_PER_CELL
+            rng = mi.PCG32(points, initstate=first)
+            row = first + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
+            sample = mi.Point2f(rng.next_float32(), rng.next_float32())
+            x = self._around.point(row, sample, rng.next_float32())
+            x = mi.Point3f(dr.repeat(x, self._count))
+            each = dr.tile(cell, points)
+            rng = mi.PCG32(dr.width(each), initstate=first)
+            within = mi.Point3f(rng.next_float32(), rng.next_float32(), rng.next_float32())
+            offset = x - self._point(each, within, True)
+            light = dr.mean(self._intensity(each, bin_of(offset, self._resolution), True))
+            light *= dr.squared_norm(mi.Vector3f(x)) / dr.squared_norm(offset)
+            light = np.array(light, np.float64).reshape(_ROWS_AT_ONCE, _POINTS_PER_CELL, -1)
+            rows.append(np.sqrt((light**2).mean(axis=1)))
+        light = np.concatenate(rows)
+        total = light.sum(axis=1, keepdims=True)
+        shares = np.where(total > 0, light / np.maximum(total, 1e-300), self._flux_shares)
+        return (1 - _FLUX_FRACTION) * shares + _FLUX_FRACTION * self._flux_shares
+
+    def sample(self, x: Any, sample: Any, active: Any = True) -> Any:
+        """Unit direction (mi.Vector3f) from a receiver.
+
+        Args:
+            x: mi.Point3f, local frame.
+            sample: mi.Point2f in the unit square.
+            active: mi.Bool mask.
+        """
+        uniform, rest = divide_sample(sample.x, UNIFORM_FRACTION)
+        sample = mi.Point2f(rest, sample.y)
+        first = self._around.index(x) * self._count
+        cell = sample_row(self._cumulated, first, self._count, sample.x, active)
+        point = self._point(cell, scrambled(sample), active)
+        return dr.select(
+            uniform, sample_cone(x, self._radius, sample), dr.normalize(mi.Vector3f(point - x))
+        )
+
+    def eval(
+        self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True
+    ) -> tuple[Any, Any]:
+        """Radiance from a direction, and the density with which `sample` returns it.
+
+        Args:
+            x: mi.Point3f, the receiver, as `sample` was given it.
+            entry: mi.Point3f, a point of the ray outside the lamp's box or on it.
+            direction: mi.Vector3f, unit direction from the receiver to it.
+            distance: mi.Float, from the receiver to it.
+            active: mi.Bool mask.
+
+        Returns:
+            mi.Color3f, and mi.Float per steradian; 0 where `active` is false.
+        """
+        row = self._around.index(x) * self._count
+        bins = bin_of(-direction, self._resolution)
+
+        def visit(state, cell, start, length, active):
+            radiance, density = state
+            near = start + distance
+            far = near + length
+            share = dr.gather(mi.Float, self._shares, row + cell, active)
+            part = share * length * (near * near + near * far + far * far)
+            per_volume = length * dr.rcp(dr.gather(mi.Float, self._volume, cell, active))
+            light = self._intensity(cell, bins, active) * per_volume
+            return (
+                radiance + dr.select(active, light, 0),
+                density + dr.select(active, part, 0),
+            ), active
+
+        state = (mi.Color3f(0), mi.Float(0))
+        radiance, density = self._octree.traverse(entry, direction, active, visit, state)
+        density = dr.lerp(density, cone_pdf(x, self._radius), UNIFORM_FRACTION)
+        return radiance, dr.select(active, density, 0)
+
+    def sample_ray(
+        self, choice: Any, sample1: Any, sample2: Any, active: Any = True
+    ) -> tuple[Any, Any, Any]:
+        """Ray along which light leaves the lamp.
+
+        Args:
+            choice: mi.Float in [0, 1).
+            sample1, sample2: mi.Point2f in the unit square.
+            active: mi.Bool mask.
+
+        Returns:
+            A point of the ray inside the lamp's box; the unit direction of travel; and the flux of
+            the ray, local units, whose mean over all samples is the lamp's flux.
+        """
+        bins = self._resolution**2
+        cell = sample_row(self._cell_chances, mi.UInt32(0), self._count, choice, active)
+        index = sample_row(self._bin_chances, cell * bins, bins, sample1.x, active)
+        within = scrambled(sample2)
+        point = self._point(cell, within, active)
+        # Other bits of the same samples, which the point does not depend on.
+        jitter = scrambled(mi.Point2f(sample2.y, sample1.y))
+        direction, density = direction_in_bin(
+            index, mi.Point2f(jitter.x, jitter.y), self._resolution
+        )
+        chance = self._chance(self._cell_chances, mi.UInt32(0), cell, active)
+        chance *= self._chance(self._bin_chances, cell * bins, index, active)
+        flux = self._intensity(cell, index, active) / (chance * density)
+        return point, direction, dr.select(active & (chance > 0), flux, 0)
+
+    def _chance(self, cumulated, first, index, active):
+        """Chance with which `sample_row` returns an index."""
+        upper = dr.gather(mi.Float, cumulated, first + index, active)
+        inner = active & (index > 0)
+        return upper - dr.gather(mi.Float, cumulated, first + index - 1, inner)
+
+    def _point(self, cell, within, active):
+        """Point (mi.Point3f) of a cell for numbers in [0, 1)³."""
+        lower = dr.gather(mi.Point3f, self._corners, 2 * cell, active)
+        upper = dr.gather(mi.Point3f, self._corners, 2 * cell + 1, active)
+        return dr.lerp(lower, upper, within)
+
+    def _intensity(self, cell, index, active):
+        """Radiant intensity (mi.Color3f) of a bin of a cell."""
+        packed = dr.gather(mi.UInt32, self._packed, cell * self._resolution**2 + index, active)
+        # As `asset.exitant.unpack`: a power of two is a number whose mantissa's 23 bits are 0.
+        exponent = (packed >> EXPONENT_SHIFT) + (127 - EXPONENT_OF_ONE)
+        unit = dr.reinterpret_array(mi.Float, exponent << 23) * self._scale
+        mantissas = (packed >> shift & MANTISSA for shift in MANTISSA_SHIFTS)
+        return mi.Color3f(*(mi.Float(each) for each in mantissas)) * unit

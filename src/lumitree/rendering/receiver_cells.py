@@ -1,0 +1,62 @@
+"""Cells of the space around a lamp, by direction from its centre and by distance.
+
+A table that depends on the receiver has one row for each cell. Cells are bins of direction
+(`core.octahedral`) times shells of equal width in R / distance, in which parallax is linear; R is
+the radius of the lamp's bounding sphere. The innermost shell has no end.
+"""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.octahedral import bin_of, direction_in_bin
+
+
+class ReceiverCells:
+    """Cells around a lamp in its local frame, numbered shell by shell from the outermost.
+
+    Args:
+        half_extents: [3] of the lamp's box.
+        resolution: bins of direction a side.
+        num_shells: number of shells.
+        shell_width: of a shell in R / distance.
+    """
+
+    def __init__(
+        self,
+        half_extents: NDArray[np.float64],
+        resolution: int,
+        num_shells: int,
+        shell_width: float,
+    ) -> None:
+        self.resolution, self.num_shells = resolution, num_shells
+        self.num_bins = resolution**2
+        self.count = num_shells * self.num_bins
+        self._width = shell_width
+        self._radius = float(np.linalg.norm(half_extents))
+        self._half = mi.Point3f(*half_extents.tolist())
+
+    def index(self, x: Any) -> Any:
+        """Index (mi.UInt32) of the cell of a point (mi.Point3f)."""
+        x = mi.Vector3f(x)
+        nearness = self._radius * dr.rsqrt(dr.squared_norm(x)) / self._width
+        shell = mi.UInt32(dr.minimum(nearness, self.num_shells - 1))
+        return shell * self.num_bins + bin_of(x, self.resolution)
+
+    def point(self, cell: Any, sample: Any, shell_sample: Any) -> Any:
+        """Random point (mi.Point3f) of a cell, outside the lamp's box.
+
+        Args:
+            cell: mi.UInt32, its index.
+            sample: mi.Point2f in the unit square, for the direction.
+            shell_sample: mi.Float in [0, 1), for the distance.
+        """
+        direction, _ = direction_in_bin(cell % self.num_bins, sample, self.resolution)
+        nearness = (mi.Float(cell // self.num_bins) + shell_sample) * self._width
+        surface = dr.min(self._half / dr.abs(direction))
+        # Beyond 50 R nothing changes any more but the rounding.
+        distance = dr.maximum(self._radius / dr.maximum(nearness, 0.02), 1.001 * surface)
+        return mi.Point3f(direction * distance)

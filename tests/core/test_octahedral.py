@@ -1,0 +1,122 @@
+"""Bins of directions: each direction has one, and directions in a bin have the stated density."""
+
+import numpy as np
+import pytest
+
+from lumitree.core.octahedral import solid_angles
+
+RESOLUTIONS = (4, 16, 64)
+
+
+def random_directions(mi, count, seed):
+    """Directions [count, 3], uniform on the sphere."""
+    vectors = np.random.default_rng(seed).normal(size=(count, 3))
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors, mi.Vector3f(*vectors.T.astype(np.float32))
+
+
+@pytest.mark.parametrize("resolution", RESOLUTIONS)
+def test_directions_in_a_bin_are_found_in_it(mi, resolution):
+    import drjit as dr
+
+    from lumitree.core.octahedral import bin_of, direction_in_bin
+
+    repeats = 64
+    bins = np.tile(np.arange(resolution**2), repeats)
+    # Rounding moves a direction on the border of a bin into the next one.
+    samples = 0.001 + 0.998 * np.random.default_rng(resolution).random((2, len(bins)))
+    index = mi.UInt32(bins)
+    direction, density = direction_in_bin(
+        index, mi.Point2f(*samples.astype(np.float32)), resolution
+    )
+    np.testing.assert_allclose(dr.norm(direction), 1, atol=1e-6)
+    assert np.array_equal(bin_of(direction, resolution), bins)
+    # A direction may have any length.
+    assert np.array_equal(bin_of(1000 * direction, resolution), bins)
+    assert np.array(density).min() > 0
+
+
+@pytest.mark.parametrize("resolution", RESOLUTIONS)
+def test_borders_have_a_bin(mi, resolution):
+    """Samples of 0 and 1 are in their bin or in one that touches it."""
+    from lumitree.core.octahedral import bin_of, direction_in_bin
+
+    bins = np.arange(resolution**2)
+    at = np.array(direction_in_bin(mi.UInt32(bins), mi.Point2f(0.5), resolution)[0])
+    for x in (0, 1):
+        for y in (0, 1):
+            direction, density = direction_in_bin(mi.UInt32(bins), mi.Point2f(x, y), resolution)
+            found = np.array(bin_of(direction, resolution))
+            assert found.max() < resolution**2
+            assert np.isfinite(np.array(density)).all()
+            # Bins that touch at a corner: their centres are at most two diagonals apart.
+            assert (at * at[:, found]).sum(axis=0).min() > np.cos(2 * np.pi / resolution * 1.5)
+
+
+def test_axes(mi):
+    """The poles are in the middle and in the corners; ±x and ±y are in the middle of the sides."""
+    from lumitree.core.octahedral import bin_of, octahedral
+
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    uv = np.array(octahedral(mi.Vector3f(*axes.T.astype(np.float32)))).T
+    assert uv[:5].tolist() == [[1, 0], [0, 1], [0, 0], [-1, 0], [0, -1]]
+    assert np.abs(uv[5]).tolist() == [1, 1]
+    down = np.array([[1, 1, -9], [-1, 1, -9], [1, -1, -9], [-1, -1, -9]], np.float32)
+    corners = bin_of(mi.Vector3f(*down.T), 8)
+    assert np.array(corners).tolist() == [63, 56, 7, 0]
+
+
+@pytest.mark.parametrize("resolution", RESOLUTIONS)
+def test_densities_integrate_to_one(mi, resolution):
+    """Over each bin, from directions that are uniform on the sphere; and over all bins."""
+    from lumitree.core.octahedral import bin_density, bin_of
+
+    count = 1 << 20
+    _, direction = random_directions(mi, count, 1)
+    density = np.array(bin_density(direction, resolution), np.float64)
+    bins = np.array(bin_of(direction, resolution))
+    assert density.sum() * 4 * np.pi / count == pytest.approx(resolution**2, rel=1e-3)
+    weights = density * 4 * np.pi / count
+    found = np.bincount(bins, weights, resolution**2)
+    error = np.sqrt(np.bincount(bins, weights**2, resolution**2))
+    scores = (found - 1) / error
+    assert np.abs(scores).max() < 5.5
+    assert scores.std() == pytest.approx(1, abs=5 / np.sqrt(2) / resolution)
+
+
+@pytest.mark.parametrize("resolution", RESOLUTIONS)
+def test_directions_have_the_stated_density(mi, resolution):
+    """The mean of 1 / density over a bin is its solid angle."""
+    from lumitree.core.octahedral import bin_density, direction_in_bin
+
+    fine = 16
+    places = (np.arange(fine) + 0.5) / fine
+    x, y = (grid.ravel() for grid in np.meshgrid(places, places))
+    bins = np.repeat(np.arange(resolution**2), fine**2)
+    sample = mi.Point2f(*(np.tile(grid, resolution**2).astype(np.float32) for grid in (x, y)))
+    direction, density = direction_in_bin(mi.UInt32(bins), sample, resolution)
+    np.testing.assert_allclose(density, bin_density(direction, resolution), rtol=1e-5)
+    inverse = (1 / np.array(density, np.float64)).reshape(resolution**2, -1).mean(axis=1)
+    assert inverse.sum() == pytest.approx(4 * np.pi, rel=2e-3)
+    assert inverse == pytest.approx(solid_angles(resolution), rel=2e-2 if resolution == 4 else 5e-3)
+
+
+@pytest.mark.parametrize("resolution", RESOLUTIONS)
+def test_solid_angles(mi, resolution):
+    """They sum to the sphere's, and are those of directions that are uniform on the sphere."""
+    from lumitree.core.octahedral import bin_of
+
+    angles = solid_angles(resolution)
+    assert angles.shape == (resolution**2,)
+    assert angles.sum() == pytest.approx(4 * np.pi, rel=1e-12)
+    # The map has the symmetry of a square.
+    square = angles.reshape(resolution, resolution)
+    for other in (square[::-1], square[:, ::-1], square.T):
+        assert other == pytest.approx(square, rel=1e-12)
+    count = 1 << 20
+    _, direction = random_directions(mi, count, 2)
+    expected = angles / (4 * np.pi) * count
+    counts = np.bincount(np.array(bin_of(direction, resolution)), minlength=resolution**2)
+    scores = (counts - expected) / np.sqrt(expected)
+    # Chi-squared of all bins, about R² ± R √2.
+    assert (scores**2).sum() == pytest.approx(resolution**2, abs=5 * np.sqrt(2) * resolution)

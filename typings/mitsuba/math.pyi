@@ -1,0 +1,2 @@
+RayEpsilon: float
+ShadowEpsilon: float

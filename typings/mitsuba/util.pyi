@@ -1,0 +1,3 @@
+from typing import Any
+
+def write_bitmap(filename: str, data: Any, write_async: bool = ..., quality: int = ...) -> None: ...
