@@ -113,7 +113,7 @@ def luminaire_irradiance(
         paths = trace_light(luminaire, sampler, count, path_depth, all_light=True)
         return paths.origin, -paths.direction, paths.flux
 
-    result = _irradiance(rays, luminaire.frame.half_extents, num_paths, 0, seed)
+    result = rays_irradiance(rays, luminaire.frame.half_extents, num_paths, draw=0, seed=seed)
     check_finite(luminaire, result.batches)
     return result
 
@@ -136,7 +136,36 @@ def asset_irradiance(asset: Asset, num_rays: int, *, seed: int = 0) -> Irradianc
         dr.eval(origin, direction, flux)
         return origin, direction, flux
 
-    return _irradiance(rays, half_extents, num_rays, 1, seed)
+    return rays_irradiance(rays, half_extents, num_rays, draw=1, seed=seed)
+
+
+def rays_irradiance(
+    rays: Callable[[Any, int], tuple[Any, Any, Any]],
+    half_extents: NDArray[np.float64],
+    num_rays: int,
+    *,
+    draw: int = 1,
+    seed: int = 0,
+) -> Irradiance:
+    """Irradiance by rays of any origin.
+
+    Args:
+        rays: takes a mi.Sampler and a number of rays, and returns origins inside the bounding box
+            (mi.Point3f), directions of flight (mi.Vector3f) and fluxes (mi.Color3f), local units.
+        half_extents: [3] of the luminaire's box.
+        num_rays: rounded up to a multiple of `BATCHES`.
+        draw: of `Purpose.IRRADIANCE`.
+        seed: root seed.
+    """
+    count = -(-num_rays // BATCHES)
+    batches = []
+    with progress("irradiance", BATCHES) as advance:
+        for step in range(BATCHES):
+            sampler = mi.load_dict({"type": "independent"})
+            sampler.seed(SeedStream(Purpose.IRRADIANCE, step, draw).seed(seed), count)
+            batches.append(_accumulate(*rays(sampler, count), half_extents))
+            advance(1)
+    return Irradiance(np.array(batches))
 
 
 def irradiance_error(estimate: Irradiance, reference: Irradiance) -> IrradianceError:
@@ -186,25 +215,6 @@ def _compare(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray
 def _divide(a: ArrayLike, b: ArrayLike, defined: ArrayLike) -> NDArray[np.float64]:
     """a / b, and NaN where that is not defined."""
     return np.divide(a, b, out=np.full(np.shape(a), np.nan), where=np.asarray(defined))
-
-
-def _irradiance(
-    rays: Callable[[Any, int], tuple[Any, Any, Any]],
-    half_extents: NDArray[np.float64],
-    num_rays: int,
-    draw: int,
-    seed: int,
-) -> Irradiance:
-    """Estimate E from rays [origin, direction of flight, flux]; `rays` takes a sampler, a count."""
-    count = -(-num_rays // BATCHES)
-    batches = []
-    with progress("irradiance", BATCHES) as advance:
-        for step in range(BATCHES):
-            sampler = mi.load_dict({"type": "independent"})
-            sampler.seed(SeedStream(Purpose.IRRADIANCE, step, draw).seed(seed), count)
-            batches.append(_accumulate(*rays(sampler, count), half_extents))
-            advance(1)
-    return Irradiance(np.array(batches))
 
 
 def _accumulate(

@@ -1,0 +1,164 @@
+"""Each representation, fitted to traced rays."""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.baselines.places import Boxes, Disk, Points
+from benchmarks.baselines.sources import Sources, projected, tabulated
+from benchmarks.baselines.traced_rays import TracedRays
+from lumitree.core.device import on_device
+from lumitree.core.frames import LocalFrame
+from lumitree.core.seeds import Purpose, SeedStream
+
+# About as many bins as a Type C file of 1° has values (181 · 360).
+FAR_FIELD_RESOLUTION = 256
+# Points that k-means is given to cluster: its time is linear in them.
+_CLUSTERED = 1 << 16
+_ROUNDS = 20
+
+
+def far_field_point(rays: TracedRays) -> Sources:
+    """Far field, from a point at the centre: what renderers make of an IES file."""
+    index = np.zeros(len(rays.flux), np.int64)
+    return Sources(Points(np.zeros((1, 3))), tabulated(rays, index, 1, FAR_FIELD_RESOLUTION))
+
+
+def far_field_sphere(rays: TracedRays) -> Sources:
+    """Far field, from the sphere through the box's corners: each direction from a whole disk."""
+    index = np.zeros(len(rays.flux), np.int64)
+    radius = float(np.linalg.norm(rays.half_extents))
+    return Sources(Disk(radius), tabulated(rays, index, 1, FAR_FIELD_RESOLUTION))
+
+
+def point_lights(rays: TracedRays, count: int, resolution: int, seed: int) -> Sources:
+    """Anisotropic point lights at the centres of clusters of last vertices.
+
+    The illumination of Velázquez-Armendáriz et al. 2015, as far as its text says how.
+    """
+    from scipy.cluster.vq import kmeans2
+    from scipy.spatial import cKDTree
+
+    random = np.random.default_rng(SeedStream(Purpose.EXITANT, 0, draw=1).seed(seed))
+    power = rays.flux.sum(axis=1, dtype=np.float64)
+    chosen = random.choice(len(power), _CLUSTERED, p=power / power.sum())
+    centres, _ = kmeans2(
+        rays.origin[chosen].astype(np.float64), count, _ROUNDS, minit="++", rng=random
+    )
+    index = cKDTree(centres).query(rays.origin)[1]
+    return Sources(Points(centres), tabulated(rays, index, count, resolution))
+
+
+def box_table(rays: TracedRays, patches: int, resolution: int) -> Sources:
+    """Light field on the box: a table by position on a face and by direction.
+
+    Args:
+        patches: along the box's longest side; about square patches on all faces.
+        resolution: octahedral bins of direction a side; half of them point into the box and
+            remain empty.
+    """
+    places, index = _patches(rays, patches)
+    return Sources(places, tabulated(rays, index, int(index.max()) + 1, resolution))
+
+
+def box_harmonics(rays: TracedRays, patches: int, l_max: int) -> Sources:
+    """Light field on the box: spherical harmonics of direction, by position on a face."""
+    places, index = _patches(rays, patches)
+    return Sources(places, projected(rays, index, int(index.max()) + 1, l_max))
+
+
+def _patches(rays: TracedRays, patches: int) -> tuple[Boxes, NDArray[np.int64]]:
+    """The patches of the box through which light leaves, and each ray's."""
+    face, point = rays.exits()
+    half = rays.half_extents
+    grid = np.maximum(1, np.round(patches * half / half.max()).astype(np.int64))
+    cell = np.clip(((point / half + 1) / 2 * grid).astype(np.int64), 0, grid - 1)
+    axis = face // 2
+    # A patch has no extent along its face's normal: 0, or all of the cells.
+    rows = np.arange(len(axis))
+    cell[rows, axis] = face % 2
+    key = ((face * patches + cell[:, 0]) * patches + cell[:, 1]) * patches + cell[:, 2]
+    _, first, index = np.unique(key, return_index=True, return_inverse=True)
+    one = np.arange(len(first))
+    lower = (cell[first] / grid * 2 - 1) * half
+    upper = lower + 2 * half / grid
+    normal = axis[first]
+    lower[one, normal] = upper[one, normal] = np.where(face[first] % 2, 1, -1) * half[normal]
+    return Boxes(lower, upper, 4), index
+
+
+class RaySet:
+    """Rays chosen by their flux, as a TM-25 file holds them: they can only be traced.
+
+    Args:
+        count: number of rays; each carries an equal share of the flux, in the mean colour of the
+            ray that it was chosen from.
+    """
+
+    def __init__(self, rays: TracedRays, count: int, seed: int) -> None:
+        random = np.random.default_rng(SeedStream(Purpose.EXITANT, 0, draw=2).seed(seed))
+        power = rays.flux.sum(axis=1, dtype=np.float64)
+        chosen = random.choice(len(power), count, p=power / power.sum())
+        flux = rays.flux[chosen] * (power.sum() / power[chosen] / count)[:, None]
+        self._count = count
+        self._rays = [
+            on_device(mi.Float, values)
+            for values in (rays.origin[chosen], rays.direction[chosen], flux)
+        ]
+        # Nine floats, as in a TM-25 file with tristimulus values.
+        self.num_bytes = 36 * count
+
+    def sample_ray(self, sampler: Any, count: int) -> tuple[Any, Any, Any]:
+        """As `Representation.sample_ray`."""
+        row = dr.minimum(mi.UInt32(sampler.next_1d() * self._count), self._count - 1)
+        origin, direction, flux = (
+            dr.gather(kind, values, row)
+            for kind, values in zip((mi.Point3f, mi.Vector3f, mi.Color3f), self._rays, strict=True)
+        )
+        flux *= self._count / count
+        dr.eval(origin, direction, flux)
+        return origin, direction, flux
+
+    def sample_direction(self, x: Any, sampler: Any) -> None:
+        """A ray meets no receiver."""
+
+
+class ExitantLightField:
+    """lumitree's exitant light field, with its own sampling."""
+
+    def __init__(self, rays: TracedRays, depth: int, resolution: int) -> None:
+        from lumitree.asset.asset import exitant_asset
+        from lumitree.asset.exitant import make_exitant_field
+        from lumitree.octree.field import shared_field
+        from lumitree.rendering.divided_sampling import emitter_sampler
+        from lumitree.rendering.proxy import BoxProxy
+
+        side = 1 << depth
+        cell = np.clip(((rays.origin + 1) * (side / 2)).astype(np.int64), 0, side - 1)
+        key = (cell[:, 0] * side + cell[:, 1]) * side + cell[:, 2]
+        _, first, index = np.unique(key, return_index=True, return_inverse=True)
+        table = tabulated(rays, index, len(first), resolution)
+        field = make_exitant_field(cell[first], table.intensity, depth)
+        asset = exitant_asset(field, LocalFrame(rays.half_extents, np.eye(4)), "exitant")
+        self._proxy = BoxProxy(rays.half_extents)
+        self._sampler = emitter_sampler(asset, shared_field(asset), self._proxy)
+        self.num_bytes = field.num_bytes
+
+    def sample_ray(self, sampler: Any, count: int) -> tuple[Any, Any, Any]:
+        """As `Representation.sample_ray`."""
+        samples = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
+        origin, direction, flux = self._sampler.sample_ray(*samples)
+        flux /= count
+        dr.eval(origin, direction, flux)
+        return origin, direction, flux
+
+    def sample_direction(self, x: Any, sampler: Any) -> tuple[Any, Any]:
+        """As `Representation.sample_direction`."""
+        direction, target = self._sampler.sample(x, sampler.next_2d())
+        distance, _, enters = self._proxy.enter(x, direction)
+        entry = x + distance * direction
+        radiance, _, pdf = self._sampler.eval(x, entry, direction, distance, enters, target)
+        return direction, radiance * dr.select(pdf > 0, dr.rcp(pdf), 0)

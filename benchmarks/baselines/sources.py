@@ -1,0 +1,168 @@
+"""A set of sources, each with a radiant intensity by direction.
+
+Symbols
+    S   sources
+    I   radiant intensity of a source, local units; the sum over sources of its integral over the
+        sphere is the flux
+    R   octahedral bins of direction a side (`lumitree.core.octahedral`)
+"""
+
+from typing import Any, Protocol
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.baselines.places import Places
+from benchmarks.baselines.traced_rays import TracedRays
+from lumitree.core.device import on_device
+from lumitree.core.harmonics import basis, basis_array, num_coefficients
+from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
+
+
+class Representation(Protocol):
+    """What is compared."""
+
+    num_bytes: int
+
+    def sample_ray(self, sampler: Any, count: int) -> tuple[Any, Any, Any]:
+        """Rays that leave the luminaire.
+
+        Args:
+            sampler: mi.Sampler, seeded for `count` rays.
+
+        Returns:
+            mi.Point3f, mi.Vector3f (unit direction of flight), mi.Color3f: flux, whose sum is an
+            estimate of the luminaire's.
+        """
+        ...
+
+    def sample_direction(self, x: Any, sampler: Any) -> tuple[Any, Any] | None:
+        """A direction in which a receiver gets light; None where there is no such method.
+
+        Args:
+            x: mi.Point3f, outside the bounding box.
+
+        Returns:
+            mi.Vector3f, unit direction from x; mi.Color3f, whose product with the cosine at the
+            receiver has the irradiance as its mean.
+        """
+        ...
+
+
+class Tabulated:
+    """Intensities by octahedral bins [S, R², 3].
+
+    Bytes are those of a sparse table: a bit for each bin and 4 bytes for each that emits.
+
+    Attributes:
+        intensity, flux: of the bins, and of each source [S], all channels together.
+    """
+
+    def __init__(self, intensity: NDArray[np.floating]) -> None:
+        self.intensity = intensity
+        self.resolution = int(np.sqrt(intensity.shape[1]))
+        lit = intensity.any(axis=2)
+        self.num_bytes = 4 * int(lit.sum()) + lit.size // 8
+        angles = solid_angles(self.resolution)
+        self.flux = (intensity * angles[:, None]).sum(axis=(1, 2))
+        bins = (intensity.sum(axis=2) * angles).ravel().astype(np.float32)
+        self._chosen = mi.DiscreteDistribution(on_device(mi.Float, bins))
+        self._values = on_device(mi.Float, intensity.astype(np.float32).ravel())
+
+    def eval(self, index: Any, direction: Any) -> Any:
+        """I (mi.Color3f) of sources (mi.UInt32) in unit directions."""
+        row = index * self.resolution**2 + bin_of(direction, self.resolution)
+        return dr.gather(mi.Color3f, self._values, row)
+
+    def sample(self, sample1: Any, sample2: Any) -> tuple[Any, Any, Any]:
+        """A source, a unit direction, and the density of both."""
+        row, _, chance = self._chosen.sample_reuse_pmf(sample1)
+        bins = self.resolution**2
+        direction, density = direction_in_bin(row % bins, sample2, self.resolution)
+        return row // bins, direction, chance * density
+
+
+class Harmonics:
+    """Intensities by real spherical harmonics [S, 3, K]; negative values are cut off.
+
+    Bytes are those of half-precision coefficients.
+    """
+
+    def __init__(self, coefficients: NDArray[np.floating], l_max: int) -> None:
+        self._l_max = l_max
+        self.num_bytes = 2 * coefficients.size
+        # Of band 0, before values are cut off.
+        self.flux = coefficients[:, :, 0].sum(axis=1) * np.sqrt(4 * np.pi)
+        self._chosen = mi.DiscreteDistribution(on_device(mi.Float, self.flux.astype(np.float32)))
+        self._values = on_device(mi.Float, coefficients.astype(np.float32).ravel())
+
+    def eval(self, index: Any, direction: Any) -> Any:
+        """As `Tabulated.eval`."""
+        y = basis(*direction, l_max=self._l_max)
+        first = index * (3 * len(y))
+        channels = []
+        for channel in range(3):
+            value = mi.Float(0)
+            for k, each in enumerate(y):
+                place = first + (channel * len(y) + k)
+                value = dr.fma(dr.gather(mi.Float, self._values, place), each, value)
+            channels.append(dr.maximum(value, 0))
+        return mi.Color3f(*channels)
+
+    def sample(self, sample1: Any, sample2: Any) -> tuple[Any, Any, Any]:
+        """As `Tabulated.sample`; directions are uniform."""
+        index, _, chance = self._chosen.sample_reuse_pmf(sample1)
+        return index, mi.warp.square_to_uniform_sphere(sample2), chance * dr.inv_four_pi
+
+
+class Sources:
+    """A representation made of sources."""
+
+    def __init__(self, places: Places, intensity: Tabulated | Harmonics) -> None:
+        self._places, self._intensity = places, intensity
+        self._chosen = mi.DiscreteDistribution(
+            on_device(mi.Float, intensity.flux.astype(np.float32))
+        )
+        self.num_bytes = places.num_bytes + intensity.num_bytes
+
+    def sample_ray(self, sampler: Any, count: int) -> tuple[Any, Any, Any]:
+        index, direction, density = self._intensity.sample(sampler.next_1d(), sampler.next_2d())
+        point = self._places.point(index, direction, sampler.next_1d(), sampler.next_2d())
+        flux = self._intensity.eval(index, direction) / (density * count)
+        dr.eval(point, direction, flux)
+        return point, direction, flux
+
+    def sample_direction(self, x: Any, sampler: Any) -> tuple[Any, Any]:
+        index, _, chance = self._chosen.sample_reuse_pmf(sampler.next_1d())
+        towards = dr.normalize(mi.Vector3f(x))
+        point = self._places.point(index, towards, sampler.next_1d(), sampler.next_2d())
+        offset = mi.Vector3f(x - point)
+        distance = dr.norm(offset)
+        direction = offset / distance
+        value = self._intensity.eval(index, direction) / (chance * dr.square(distance))
+        return -direction, value
+
+
+def tabulated(
+    rays: TracedRays, index: NDArray[np.integer], count: int, resolution: int
+) -> Tabulated:
+    """Histogram of rays by source (index [N], `count` sources) and octahedral bin."""
+    bins = np.array(bin_of(on_device(mi.Vector3f, rays.direction), resolution)).astype(np.int64)
+    row = index * resolution**2 + bins
+    size = count * resolution**2
+    flux = np.stack([np.bincount(row, each, size) for each in rays.flux.T], axis=-1)
+    angles = solid_angles(resolution)
+    return Tabulated(flux.reshape(count, -1, 3) / angles[:, None])
+
+
+def projected(rays: TracedRays, index: NDArray[np.integer], count: int, l_max: int) -> Harmonics:
+    """Projection of rays on spherical harmonics by source (index [N], `count` sources)."""
+    y = basis_array(rays.direction, l_max)
+    coefficients = np.empty((count, 3, num_coefficients(l_max)))
+    for channel in range(3):
+        for k in range(y.shape[1]):
+            weight = rays.flux[:, channel] * y[:, k]
+            coefficients[:, channel, k] = np.bincount(index, weight, count)
+    return Harmonics(coefficients, l_max)

@@ -1,0 +1,63 @@
+"""The rays that representations are fitted to: light that leaves a luminaire."""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.luminaire.luminaire import Luminaire
+
+BATCH = 1 << 20
+# `Purpose.EXITANT` has steps 0 to some hundreds for its own bake.
+FIRST_STEP = 1 << 16
+
+
+@dataclasses.dataclass(frozen=True)
+class TracedRays:
+    """Rays of light, local frame.
+
+    Attributes:
+        origin: float32 [N, 3], last vertex, inside the box.
+        direction: float32 [N, 3], unit direction of flight.
+        flux: float32 [N, 3]; the sum is the luminaire's flux, local units.
+        half_extents: [3], of the bounding box.
+    """
+
+    origin: NDArray[np.float32]
+    direction: NDArray[np.float32]
+    flux: NDArray[np.float32]
+    half_extents: NDArray[np.float64]
+
+    def exits(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Face [N] of the box through which each ray leaves, 2 axis + (1 if positive), and where.
+
+        The point [N, 3] is on the box.
+        """
+        toward = np.where(self.direction == 0, 1e-30, self.direction).astype(np.float64)
+        far = (np.copysign(self.half_extents, toward) - self.origin) / toward
+        axis = far.argmin(axis=1)
+        rows = np.arange(len(axis))
+        point = self.origin + np.maximum(far[rows, axis], 0)[:, None] * toward
+        return 2 * axis + (toward[rows, axis] > 0), point.clip(
+            -self.half_extents, self.half_extents
+        )
+
+
+def trace_rays(luminaire: Luminaire, count: int, seed: int) -> TracedRays:
+    """Light paths of a luminaire, `count` rounded up to a multiple of `BATCH`."""
+    import mitsuba as mi
+
+    from lumitree.transport.light_paths import trace_light
+    from lumitree.transport.tracing import PATH_DEPTH
+
+    batches = -(-count // BATCH)
+    parts: list[tuple[NDArray[np.float32], ...]] = []
+    for step in range(batches):
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(SeedStream(Purpose.EXITANT, FIRST_STEP + step).seed(seed), BATCH)
+        paths = trace_light(luminaire, sampler, BATCH, PATH_DEPTH, all_light=True)
+        vectors = paths.origin, -paths.direction, paths.flux / batches
+        parts.append(tuple(np.array(v, np.float32).reshape(3, -1).T for v in vectors))
+    origin, direction, flux = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return TracedRays(origin, direction, flux, luminaire.frame.half_extents)

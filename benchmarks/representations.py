@@ -1,0 +1,234 @@
+"""Representations of a luminaire's light against each other: error, bytes, time and variance.
+
+    python -m benchmarks representations [LUMINAIRE ...]
+
+All are fitted to the same light paths. For each: seconds of the fit, bytes, the RMS error of the
+irradiance on the faces of a cube around the lamp and on a plane that touches its box (decision 14)
+against other light paths, nanoseconds of a direction sampled towards it with what arrives from
+there, and the variance of the irradiance that one such sample estimates, over the square of its
+mean. The baseline of times and variances is the exitant light field at its defaults. Writes
+`representations.md`, `representations.json` and `representations.png`.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.common.options import add_seed
+from benchmarks.common.results import Results, notes
+from benchmarks.common.tables import Table
+from benchmarks.common.timing import interleaved, kernel
+from lumitree.builtin.registry import BUILTIN
+
+REFERENCE_PATHS = 1 << 22
+BASELINE = "exitant 32³ × 32²"
+# Receivers, local units; each faces the lamp's centre.
+RECEIVERS = {"below": (0.0, -6.0, 0.0), "beside": (4.0, 0.0, 0.5), "near": (0.3, -1.4, 0.2)}
+SAMPLES = 1 << 18
+
+
+def fits(options: argparse.Namespace) -> Mapping[str, Callable[[Any], Any]]:
+    """What is compared, by name; each takes the traced rays."""
+    from benchmarks.baselines.fitting import (
+        ExitantLightField,
+        RaySet,
+        box_harmonics,
+        box_table,
+        far_field_point,
+        far_field_sphere,
+        point_lights,
+    )
+
+    seed = options.seed
+    chosen: dict[str, Callable[[Any], Any]] = {
+        "far field, point": far_field_point,
+        "far field, sphere": far_field_sphere,
+        "ray set": lambda rays: RaySet(rays, options.set_rays, seed),
+    }
+    for count in (16, 128, 1024):
+        chosen[f"{count} point lights × 32²"] = lambda rays, count=count: point_lights(
+            rays, count, 32, seed
+        )
+    for patches, resolution in ((8, 16), (16, 16), (16, 32)):
+        chosen[f"box table {patches}² × {resolution}²"] = (
+            lambda rays, patches=patches, resolution=resolution: box_table(
+                rays, patches, resolution
+            )
+        )
+    for patches, l_max in ((16, 2), (16, 4), (64, 4)):
+        chosen[f"box {patches}², harmonics to {l_max}"] = (
+            lambda rays, patches=patches, l_max=l_max: box_harmonics(rays, patches, l_max)
+        )
+    for depth, resolution in ((3, 32), (4, 32), (5, 32)):
+        chosen[f"exitant {1 << depth}³ × {resolution}²"] = (
+            lambda rays, depth=depth, resolution=resolution: ExitantLightField(
+                rays, depth, resolution
+            )
+        )
+    return chosen
+
+
+def measure(name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """A row for each representation of a luminaire."""
+    from benchmarks.baselines.traced_rays import trace_rays
+    from lumitree.evaluation.irradiance import (
+        irradiance_error,
+        luminaire_irradiance,
+        rays_irradiance,
+    )
+    from lumitree.luminaire.luminaire import load_luminaire
+
+    luminaire = load_luminaire(name)
+    reference = luminaire_irradiance(luminaire, options.reference, seed=options.seed + 1)
+    start = time.perf_counter()
+    rays = trace_rays(luminaire, options.paths, options.seed)
+    tracing = time.perf_counter() - start
+    rows, timed = [], {}
+    for label, fit in fits(options).items():
+        start = time.perf_counter()
+        made = fit(rays)
+        seconds = time.perf_counter() - start
+        estimate = rays_irradiance(made.sample_ray, rays.half_extents, options.reference)
+        error = irradiance_error(estimate, reference)
+        row = {
+            "luminaire": name,
+            "representation": label,
+            "seconds": tracing + seconds,
+            "bytes": made.num_bytes,
+            "ratio": error.ratio.tolist(),
+            "rms": error.rms.tolist(),
+            "mean_rms": error.mean_rms,
+            "rms_error": error.rms_error.tolist(),
+        }
+        if label != "ray set":
+            row["variance"], timed[label] = _receive(made, options.seed)
+        rows.append(row)
+    times = interleaved({label: kernel(record) for label, record in timed.items()}, clock="cpu")
+    for row in rows:
+        if row["representation"] in times:
+            row["nanoseconds"] = times[row["representation"]] / SAMPLES * 1e9
+    return rows
+
+
+def _receive(made: Any, seed: int) -> tuple[dict[str, float], Callable[[], Any]]:
+    """Variance over squared mean of one sample at each receiver, and a job that takes samples."""
+    import drjit as dr
+    import mitsuba as mi
+
+    from lumitree.model.photometry import luminance
+
+    def received(place: tuple[float, ...]) -> Any:
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed, SAMPLES)
+        x = mi.Point3f(*(dr.opaque(mi.Float, value) for value in place))
+        direction, value = made.sample_direction(x, sampler)
+        cosine = dr.maximum(dr.dot(direction, -dr.normalize(mi.Vector3f(x))), 0)
+        return value * cosine
+
+    variance = {}
+    for name, place in RECEIVERS.items():
+        light = luminance(np.array(received(place), np.float64).T)
+        variance[name] = float(light.var() / light.mean() ** 2)
+    return variance, lambda: received(RECEIVERS["below"])
+
+
+def table(rows: list[dict[str, Any]]) -> Table:
+    """A line for each luminaire and representation."""
+    heads = ["luminaire", "representation", "fit", "size", "RMS, cube", "worst face", "touching"]
+    heads += ["ns a sample", *(f"variance, {name}" for name in RECEIVERS), "time × variance"]
+    lines, baseline = [], {}
+    for row in rows:
+        if row["representation"] == BASELINE:
+            baseline[row["luminaire"]] = _cost(row)
+    for row in rows:
+        line = [
+            row["luminaire"],
+            row["representation"],
+            f"{row['seconds']:.1f} s",
+            f"{row['bytes'] / 1e6:.2f} MB",
+            f"{100 * row['mean_rms']:.1f} %",
+            f"{100 * max(row['rms'][:6]):.1f} %",
+            f"{100 * row['rms'][6]:.1f} %",
+        ]
+        if "variance" in row:
+            line += [f"{row['nanoseconds']:.0f}"]
+            line += [f"{row['variance'][name]:.2f}" for name in RECEIVERS]
+            line += [f"{_cost(row) / baseline[row['luminaire']]:.2f}"]
+        else:
+            line += ["none"] * (len(RECEIVERS) + 2)
+        lines.append(line)
+    return Table(heads, lines, left=2)
+
+
+def _cost(row: dict[str, Any]) -> float:
+    """Time of a sample times the geometric mean of its variances."""
+    variances = [max(row["variance"][name], 1e-3) for name in RECEIVERS]
+    return row["nanoseconds"] * float(np.exp(np.mean(np.log(variances))))
+
+
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Irradiance error against bytes, a panel for each luminaire."""
+    import matplotlib
+
+    matplotlib.use("agg")
+    from matplotlib import pyplot as plt
+
+    names = list(dict.fromkeys(row["luminaire"] for row in rows))
+    figure, panels = plt.subplots(
+        1, len(names), figsize=(4 * len(names), 4), sharey=True, squeeze=False, layout="constrained"
+    )
+    families = {
+        "far field": "far field (IES)",
+        "ray set": "ray set",
+        "point lights": "anisotropic point lights",
+        "table": "table on the box",
+        "harmonics": "harmonics on the box",
+        "exitant": "exitant light field",
+    }
+    for panel, name in zip(panels[0], names, strict=True):
+        for word, label in families.items():
+            found = [
+                (row["bytes"] / 1e6, 100 * row["mean_rms"])
+                for row in rows
+                if row["luminaire"] == name and word in row["representation"]
+            ]
+            panel.plot(*zip(*found, strict=True), "o-", markersize=4, label=label)
+        panel.set(xscale="log", yscale="log", title=name, xlabel="MB")
+        panel.grid(alpha=0.3)
+    panels[0][0].set_ylabel("RMS error of the irradiance, %")
+    figure.legend(*panels[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("luminaires", metavar="LUMINAIRE", nargs="*", default=list(BUILTIN))
+    parser.add_argument("--paths", type=int, metavar="N", default=1 << 22, help="that are fitted")
+    parser.add_argument(
+        "--reference", type=int, metavar="N", default=REFERENCE_PATHS, help="paths of the reference"
+    )
+    parser.add_argument(
+        "--set-rays", type=int, metavar="N", default=1_000_000, help="rays of the ray set"
+    )
+    add_seed(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    results = Results(
+        options, paths=options.paths, reference_paths=options.reference, baseline=BASELINE
+    )
+    rows: list[dict[str, Any]] = []
+    for name in options.luminaires:
+        rows += measure(name, options)
+        facts = results.setting()
+        text = "# Representations of a luminaire's light\n\n![Error against size]"
+        text += f"(representations.png)\n\n{table(rows).markdown()}\n{notes(facts)}"
+        results.write({"setting": facts, "rows": rows}, text)
+        print(f"measured {name}", file=sys.stderr)
+    draw(rows, results.folder / "representations.png")
+    print(table(rows).text())
