@@ -4,24 +4,34 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 # Dr.Jit may read this many values beyond an array's end: a packet of the widest vector unit.
 _PACKET = 64
 
 
 def on_device(kind: Any, values: ArrayLike) -> Any:
-    """Device array of a copy of some values, flattened and converted.
+    """Device array of a copy of some values, converted.
 
     Dr.Jit 1.5 reads NumPy arrays without copying them, and in whole packets, so it also reads
     memory beyond their end. If that memory is not mapped, the process is killed. The copy is
-    followed by padding.
+    followed by padding. So every NumPy array goes to the device through this function.
 
     Args:
-        kind: type of the result, such as `mi.Float`.
-        values: numbers.
+        kind: type of the result: `mi.Float` or another flat array, or vectors such as `mi.Point3f`.
+        values: numbers, which are flattened; for vectors of D components [N, D].
     """
-    flat = np.ravel(values)
-    padded = np.empty(len(flat) + _PACKET, np.dtype(dr.type_v(kind).name.lower()))
-    padded[: len(flat)] = flat
-    return kind(padded[: len(flat)])
+    if dr.depth_v(kind) == 1:
+        return kind(_padded(np.ravel(values), kind))
+    columns = np.asarray(values)
+    if columns.ndim != 2 or columns.shape[1] != dr.size_v(kind):
+        raise ValueError(f"values {columns.shape}; expected [N, {dr.size_v(kind)}]")
+    component = dr.value_t(kind)
+    return kind(*(component(_padded(column, component)) for column in columns.T))
+
+
+def _padded(values: NDArray[Any], kind: Any) -> NDArray[Any]:
+    """A copy, followed by memory that may be read."""
+    padded = np.empty(len(values) + _PACKET, np.dtype(dr.type_v(kind).name.lower()))
+    padded[: len(values)] = values
+    return padded[: len(values)]
