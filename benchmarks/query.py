@@ -30,6 +30,7 @@ from benchmarks.common.tables import Table
 from benchmarks.common.timing import interleaved, kernel, ratios
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import load
+from lumitree.core.device import on_device
 from lumitree.octree.build import MAX_TREE_DEPTH
 
 NUM_RAYS = 1 << 19
@@ -67,7 +68,7 @@ def random_lines(asset: Asset, count: int, seed: int) -> tuple[Any, Any]:
     d = random.normal(size=(count, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     o = random.uniform(-1, 1, (count, 3)) * asset.frame.half_extents - 3 * d
-    return mi.Point3f(o.T), mi.Vector3f(d.T)
+    return on_device(mi.Point3f, o), on_device(mi.Vector3f, d)
 
 
 def nanoseconds(jobs: dict[str, Callable[[], Any]], rays: int) -> dict[str, float]:

@@ -8,6 +8,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from lumitree.builtin.registry import BUILTIN
+from lumitree.core.device import on_device
 from lumitree.luminaire.scene_writer import write_scene
 from lumitree.model.geometry import join, moved
 from lumitree.model.model import Glass, Model, Part
@@ -42,14 +43,14 @@ def standing(parts):
 def load(mi, mesh):
     shape = mi.Mesh("mesh", len(mesh.vertices), len(mesh.faces))
     parameters = mi.traverse(shape)
-    parameters["vertex_positions"] = mesh.vertices.astype(np.float32).ravel()
-    parameters["faces"] = mesh.faces.astype(np.uint32).ravel()
+    parameters["vertex_positions"] = on_device(mi.Float, mesh.vertices)
+    parameters["faces"] = on_device(mi.UInt32, mesh.faces)
     parameters.update()
     return mi.load_dict({"type": "scene", "mesh": shape})
 
 
 def point(mi, values):
-    return mi.Point3f(*np.ascontiguousarray(values.T, np.float32))
+    return on_device(mi.Point3f, values)
 
 
 def crossed(mi, scene, mesh):
@@ -58,9 +59,9 @@ def crossed(mi, scene, mesh):
     start, end = mesh.vertices[edges[:, 0]], mesh.vertices[edges[:, 1]]
     length = np.linalg.norm(end - start, axis=1)
     start, end, length = start[length > 0], end[length > 0], length[length > 0]
-    direction = mi.Vector3f(*((end - start) / length[:, None]).T.astype(np.float32))
+    direction = on_device(mi.Vector3f, (end - start) / length[:, None])
     ray = mi.Ray3f(point(mi, start), direction)
-    ray.maxt = mi.Float(length.astype(np.float32))
+    ray.maxt = on_device(mi.Float, length)
     return np.count_nonzero(np.array(scene.ray_test(ray)))
 
 

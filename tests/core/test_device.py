@@ -19,13 +19,15 @@ address = np.frombuffer(memory, np.uint8).ctypes.data
 values = np.frombuffer(memory, np.float32, offset=16, count=16 * page // 4 - 4)
 assert ctypes.CDLL(None).mprotect(ctypes.c_void_p(address + 16 * page), page, 0) == 0
 print(np.array(on_device(mi.Float, values) + 1).sum() == len(values))
+points = values.reshape(3, -1)
+print(np.array(on_device(mi.Point3f, points.T) + 1).sum() == points.size)
 """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no mprotect")
 def test_nothing_is_read_beyond_an_arrays_end():
     run = subprocess.run([sys.executable, "-c", BEFORE_A_WALL], capture_output=True, text=True)
-    assert (run.returncode, run.stdout) == (0, "True\n"), run.stderr
+    assert (run.returncode, run.stdout) == (0, "True\nTrue\n"), run.stderr
 
 
 def test_values_are_copied_flattened_and_converted(mi):
@@ -38,3 +40,13 @@ def test_values_are_copied_flattened_and_converted(mi):
     assert np.array(whole).dtype == np.uint32
     assert np.array_equal(whole, np.arange(6))
     assert np.array_equal(on_device(mi.Float, [0.5]), [0.5])
+
+
+def test_vectors_have_a_row_each(mi):
+    from lumitree.core.device import on_device
+
+    values = np.arange(12.0).reshape(4, 3)
+    assert np.array_equal(on_device(mi.Point3f, values), values.T)
+    assert np.array_equal(on_device(mi.Vector3i, values.tolist()), values.T)
+    with pytest.raises(ValueError, match=r"\[N, 2\]"):
+        on_device(mi.Point2f, values)

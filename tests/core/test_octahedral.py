@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lumitree.core.device import on_device
 from lumitree.core.octahedral import solid_angles
 
 RESOLUTIONS = (4, 16, 64)
@@ -12,7 +13,7 @@ def random_directions(mi, count, seed):
     """Directions [count, 3], uniform on the sphere."""
     vectors = np.random.default_rng(seed).normal(size=(count, 3))
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors, mi.Vector3f(*vectors.T.astype(np.float32))
+    return vectors, on_device(mi.Vector3f, vectors)
 
 
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
@@ -24,11 +25,9 @@ def test_directions_in_a_bin_are_found_in_it(mi, resolution):
     repeats = 64
     bins = np.tile(np.arange(resolution**2), repeats)
     # Rounding moves a direction on the border of a bin into the next one.
-    samples = 0.001 + 0.998 * np.random.default_rng(resolution).random((2, len(bins)))
-    index = mi.UInt32(bins)
-    direction, density = direction_in_bin(
-        index, mi.Point2f(*samples.astype(np.float32)), resolution
-    )
+    samples = 0.001 + 0.998 * np.random.default_rng(resolution).random((len(bins), 2))
+    index = on_device(mi.UInt32, bins)
+    direction, density = direction_in_bin(index, on_device(mi.Point2f, samples), resolution)
     np.testing.assert_allclose(dr.norm(direction), 1, atol=1e-6)
     assert np.array_equal(bin_of(direction, resolution), bins)
     # A direction may have any length.
@@ -42,10 +41,11 @@ def test_borders_have_a_bin(mi, resolution):
     from lumitree.core.octahedral import bin_of, direction_in_bin
 
     bins = np.arange(resolution**2)
-    at = np.array(direction_in_bin(mi.UInt32(bins), mi.Point2f(0.5), resolution)[0])
+    index = on_device(mi.UInt32, bins)
+    at = np.array(direction_in_bin(index, mi.Point2f(0.5), resolution)[0])
     for x in (0, 1):
         for y in (0, 1):
-            direction, density = direction_in_bin(mi.UInt32(bins), mi.Point2f(x, y), resolution)
+            direction, density = direction_in_bin(index, mi.Point2f(x, y), resolution)
             found = np.array(bin_of(direction, resolution))
             assert found.max() < resolution**2
             assert np.isfinite(np.array(density)).all()
@@ -58,11 +58,11 @@ def test_axes(mi):
     from lumitree.core.octahedral import bin_of, octahedral
 
     axes = np.concatenate([np.eye(3), -np.eye(3)])
-    uv = np.array(octahedral(mi.Vector3f(*axes.T.astype(np.float32)))).T
+    uv = np.array(octahedral(on_device(mi.Vector3f, axes))).T
     assert uv[:5].tolist() == [[1, 0], [0, 1], [0, 0], [-1, 0], [0, -1]]
     assert np.abs(uv[5]).tolist() == [1, 1]
     down = np.array([[1, 1, -9], [-1, 1, -9], [1, -1, -9], [-1, -1, -9]], np.float32)
-    corners = bin_of(mi.Vector3f(*down.T), 8)
+    corners = bin_of(on_device(mi.Vector3f, down), 8)
     assert np.array(corners).tolist() == [63, 56, 7, 0]
 
 
@@ -91,10 +91,10 @@ def test_directions_have_the_stated_density(mi, resolution):
 
     fine = 16
     places = (np.arange(fine) + 0.5) / fine
-    x, y = (grid.ravel() for grid in np.meshgrid(places, places))
-    bins = np.repeat(np.arange(resolution**2), fine**2)
-    sample = mi.Point2f(*(np.tile(grid, resolution**2).astype(np.float32) for grid in (x, y)))
-    direction, density = direction_in_bin(mi.UInt32(bins), sample, resolution)
+    grid = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
+    index = on_device(mi.UInt32, np.repeat(np.arange(resolution**2), fine**2))
+    sample = on_device(mi.Point2f, np.tile(grid, (resolution**2, 1)))
+    direction, density = direction_in_bin(index, sample, resolution)
     np.testing.assert_allclose(density, bin_density(direction, resolution), rtol=1e-5)
     inverse = (1 / np.array(density, np.float64)).reshape(resolution**2, -1).mean(axis=1)
     assert inverse.sum() == pytest.approx(4 * np.pi, rel=2e-3)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from fields import leaf_field, random_asset
+from lumitree.core.device import on_device
 
 NUM_RAYS = 16
 
@@ -16,7 +17,12 @@ def random_rays(mi, count, seed):
     origin -= (origin * direction).sum(axis=1, keepdims=True) * direction
     origin *= 1.2 * np.sqrt(random.random((count, 1))) / np.linalg.norm(origin, axis=1)[:, None]
     origin -= 2 * direction
-    return mi.Point3f(*origin.T), mi.Vector3f(*direction.T)
+    return on_device(mi.Point3f, origin), on_device(mi.Vector3f, direction)
+
+
+def joined(kind, first, second):
+    """Vectors one after the other."""
+    return on_device(kind, np.hstack([np.array(first), np.array(second)]).T)
 
 
 class FieldRays:
@@ -56,10 +62,10 @@ class FieldRays:
         brought = self._noisy(self._truth.integrate(*other)[0], other_seed) * part
         none = dr.zeros(mi.Float, count)
         return Rays(
-            mi.Point3f(*np.hstack([np.array(origin), np.array(other[0])])),
-            mi.Vector3f(*np.hstack([np.array(direction), np.array(other[1])])),
+            joined(mi.Point3f, origin, other[0]),
+            joined(mi.Vector3f, direction, other[1]),
             dr.concat([share, none]),
-            mi.Color3f(*(np.hstack([np.array(light), np.array(brought)]) / 2)),
+            joined(mi.Color3f, light, brought) / 2,
             dr.concat([through, none]),
         )
 
@@ -79,7 +85,7 @@ class FieldRays:
         if not self._noise:
             return radiance
         random = np.random.default_rng([7, seed])
-        return radiance * self._mi.Float(2.0 * (random.random(radiance.shape[1]) < 0.5))
+        return radiance * on_device(self._mi.Float, 2.0 * (random.random(radiance.shape[1]) < 0.5))
 
 
 def truth_and_start(law, seed=3, l_max=1):
@@ -117,6 +123,6 @@ def targeted_rays(seed):
     return (targets - 3 * directions).astype(np.float32), directions.astype(np.float32)
 
 
-def on_device(mi, origins, directions):
-    """Rays as mi.Point3f and mi.Vector3f."""
-    return mi.Point3f(*origins.T), mi.Vector3f(*directions.T)
+def rays_on_device(mi, origins, directions):
+    """Rays [N, 3] as mi.Point3f and mi.Vector3f."""
+    return on_device(mi.Point3f, origins), on_device(mi.Vector3f, directions)

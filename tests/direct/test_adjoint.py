@@ -4,9 +4,10 @@ import types
 
 import numpy as np
 import pytest
-from field_rays import NUM_RAYS, on_device, targeted_rays
+from field_rays import NUM_RAYS, rays_on_device, targeted_rays
 
 from fields import leaf_field, make_asset, random_asset
+from lumitree.core.device import on_device
 from lumitree.rendering import reference
 
 
@@ -26,15 +27,15 @@ def both_gradients(mi, field, origins, directions, d_radiance, d_depth):
     """Gradients by log density [M] and coefficients [M, 3 K]."""
     from lumitree.direct.adjoint import gradients
 
-    o, d = on_device(mi, origins, directions)
+    o, d = rays_on_device(mi, origins, directions)
     integrated = field.integrate(o, d)
     density, coefficients = gradients(
         field,
         o,
         d,
         integrated,
-        mi.Color3f(*np.asarray(d_radiance, np.float32).T),
-        mi.Float(np.asarray(d_depth, np.float32)),
+        on_device(mi.Color3f, d_radiance),
+        on_device(mi.Float, d_depth),
     )
     return np.array(density), unpadded(field, coefficients)
 
@@ -103,8 +104,8 @@ def test_adjoint_is_the_derivative(mi, law, l_max, monkeypatch):
     d_depth = by_depth(field, through, d_through)
     density, coefficients = both_gradients(mi, field, origins, directions, d_radiance, d_depth)
     # The same by the traversal for opacity alone.
-    device = on_device(mi, origins, directions)
-    alone = depth_gradient(field, *device, mi.Float(d_depth.astype(np.float32)))
+    device = rays_on_device(mi, origins, directions)
+    alone = depth_gradient(field, *device, on_device(mi.Float, d_depth))
     assert np.array(alone) == pytest.approx(
         exact.gradient(exact.log_density, 0 * d_radiance, d_through), abs=2e-3
     )
@@ -166,11 +167,13 @@ def test_values_are_accumulated_by_weight(mi, law, density):
 
     field = leaf_field(column(density, [0.5] * 4, law))
     origins, directions = (np.repeat(values, 2, axis=0) for values in ALONG_X)
-    total = accumulate_by_weight(field, *on_device(mi, origins, directions), mi.Float([3.0, -1.0]))
+    total = accumulate_by_weight(
+        field, *rays_on_device(mi, origins, directions), mi.Float([3.0, -1.0])
+    )
     tau = np.concatenate([[0], np.cumsum(np.array(density) / 2)])
     through = np.maximum(1 - tau, 0) if law == "linear" else np.exp(-tau)
     expected = 2 * -np.diff(through)
     assert np.array(total) == pytest.approx(expected, rel=1e-4)
     # One value for all rays.
-    total = accumulate_by_weight(field, *on_device(mi, origins, directions), mi.Float(1.0))
+    total = accumulate_by_weight(field, *rays_on_device(mi, origins, directions), mi.Float(1.0))
     assert np.array(total) == pytest.approx(expected, rel=1e-4)

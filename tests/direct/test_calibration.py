@@ -95,7 +95,7 @@ def test_moments_are_those_of_each_cell_alone(mi):
     origin, direction = random_rays(mi, 1 << 10, 5)
     random = np.random.default_rng(2)
     light, share = random.random((3, 1 << 10)), random.random(1 << 10)
-    device = mi.Color3f(*light), mi.Float(share), on_device(mi.UInt32, cell)
+    device = on_device(mi.Color3f, light.T), on_device(mi.Float, share), on_device(mi.UInt32, cell)
     moments = emission_moments(truth, origin, direction, *device, 4)
     y = basis_array(np.array(mi.Vector3f(*towards_viewer(direction))).T, 1)
 

@@ -6,6 +6,7 @@ from traced_lamps import stream
 
 from fields import uniform_asset
 from lamps import AREA, sphere
+from lumitree.core.device import on_device
 from lumitree.direct.config import HeldOutConfig
 
 TILE = 16
@@ -20,9 +21,11 @@ def uniform_field(radiance):
 
 def random_rays(mi, random, count):
     """Rays from the centre."""
+    import drjit as dr
+
     directions = random.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return mi.Point3f(*np.zeros((3, count))), mi.Vector3f(*directions.T)
+    return dr.zeros(mi.Point3f, count), on_device(mi.Vector3f, directions)
 
 
 @pytest.mark.parametrize("error", [0.0, 0.02, 0.1])
@@ -36,7 +39,7 @@ def test_noise_leaves_no_bias(mi, error):
 
     def noisy():
         # As traced light is: mostly 0, rarely bright.
-        return mi.Color3f(*(truth * (random.random((3, count)) < 0.05) / 0.05))
+        return on_device(mi.Color3f, truth * (random.random((count, 3)) < 0.05) / 0.05)
 
     field = uniform_field(truth + error)
     shown = np.array(field.integrate(origin, direction)[0])[0].mean() - truth
@@ -79,7 +82,9 @@ def test_uncertainty_counts_tiles_not_rays(mi):
         random = np.random.default_rng(seed)
         count = 1 << 12
         origin, direction = random_rays(mi, random, count)
-        truth = mi.Color3f(mi.Float(np.repeat(random.uniform(0, 1, count // TILE), TILE)))
+        truth = mi.Color3f(
+            on_device(mi.Float, np.repeat(random.uniform(0, 1, count // TILE), TILE))
+        )
         score = HeldOut(origin, direction, truth, truth, mi.Float(0)).score(field)
         squared.append(10 ** (-score.psnr / 10))
         uncertainties.append(score.uncertainty)

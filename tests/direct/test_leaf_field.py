@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from field_rays import NUM_RAYS, on_device, targeted_rays
+from field_rays import NUM_RAYS, rays_on_device, targeted_rays
 
 from fields import leaf_field, make_asset, random_asset
+from lumitree.core.device import on_device
 from lumitree.rendering import reference
 
 
@@ -16,7 +17,7 @@ def test_integral_agrees_with_renderer_and_reference(mi, law, seed):
     half = np.array([1.0, 0.61, 0.37]) if seed == 1 else np.ones(3)
     asset = random_asset(seed, l_max=seed - 1, law=law, density_scale=0.7, half_extents=half)
     origins, directions = targeted_rays(seed)
-    o, d = on_device(mi, origins, directions)
+    o, d = rays_on_device(mi, origins, directions)
     radiance, through, _ = (np.array(value).T for value in leaf_field(asset).integrate(o, d))
     rendered, rendered_through = (np.array(value).T for value in Field(asset).emission(o, d))
     # Leaves with a weight below 1e-4 are left out; a ray crosses few of them.
@@ -43,7 +44,7 @@ def test_meets_is_true_of_rays_that_cross_a_leaf(mi):
     # Rays that graze an edge may go either way in single precision.
     clear = np.abs(length.max(axis=1)) > 1e-4
     expected = length.max(axis=1) > 0
-    met = np.array(leaf_field(asset).meets(*on_device(mi, origins, directions)))
+    met = np.array(leaf_field(asset).meets(*rays_on_device(mi, origins, directions)))
     assert (met == expected)[clear].all()
     assert 0.05 < expected[clear].mean() < 0.95
 
@@ -58,7 +59,8 @@ def test_find_leaf_is_the_leaf_whose_box_holds_the_point(mi):
     holds = ((points[:, None] >= lower) & (points[:, None] < upper)).all(axis=2)
     holds &= (np.abs(points) <= asset.frame.half_extents).all(axis=1, keepdims=True)
     leaf, found = (
-        np.array(value) for value in leaf_field(asset).octree.find_leaf(mi.Point3f(*points.T))
+        np.array(value)
+        for value in leaf_field(asset).octree.find_leaf(on_device(mi.Point3f, points))
     )
     assert np.array_equal(found, holds.any(axis=1))
     assert np.array_equal(leaf[found], holds.argmax(axis=1)[found])
@@ -78,7 +80,7 @@ def test_what_lies_on_the_border_is_found_within(mi):
             # Within, about the border, and beyond.
             points = np.full((5, 3), 0.1, np.float32)
             points[:, axis] = side * (half[axis] + np.array([-0.01, -1e-6, 0, 1e-6, 1e-3]))
-            leaf, found = octree.find_leaf(mi.Point3f(*points.T))
+            leaf, found = octree.find_leaf(on_device(mi.Point3f, points))
             assert np.array(found).tolist() == [True] * 4 + [False]
             assert (np.array(leaf)[:4] == np.array(leaf)[0]).all()
 
@@ -87,7 +89,7 @@ def test_find_leaf_leaves_masked_points_alone(mi):
     asset = random_asset(11, tree_depth=3)
     centre = reference.leaf_boxes(asset)[0][:2] + 1e-3
     octree = leaf_field(asset).octree
-    _, found = octree.find_leaf(mi.Point3f(*centre.T), mi.Bool([True, False]))
+    _, found = octree.find_leaf(on_device(mi.Point3f, centre), mi.Bool([True, False]))
     assert np.array(found).tolist() == [True, False]
 
 

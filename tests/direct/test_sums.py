@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
 
 COUNT, SUMS = 1 << 16, 5
@@ -18,7 +19,7 @@ def contributions(seed):
 def summed(mi, values, index, bound=None):
     from lumitree.direct.sums import ExactSum, total_of
 
-    values, index = mi.Float(values), mi.UInt32(index)
+    values, index = on_device(mi.Float, values), on_device(mi.UInt32, index)
     total = ExactSum(SUMS, total_of(COUNT, values) if bound is None else bound)
     total.add(values, index)
     return np.array(total.values())

@@ -12,6 +12,7 @@ from lamps import AREA, cube, scene, sphere
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.exitant import unpack
 from lumitree.asset.file import save
+from lumitree.core.device import on_device
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.progress import reporting
 from lumitree.core.seeds import Purpose, SeedStream
@@ -71,10 +72,9 @@ def directions(mi, resolution, fine=4):
 
     places = (np.arange(fine) + 0.5) / fine
     x, y = (np.tile(grid.ravel(), resolution**2) for grid in np.meshgrid(places, places))
-    bins = mi.UInt32(np.repeat(np.arange(resolution**2), fine**2))
-    direction, _ = direction_in_bin(
-        bins, mi.Point2f(x.astype(np.float32), y.astype(np.float32)), resolution
-    )
+    bins = on_device(mi.UInt32, np.repeat(np.arange(resolution**2), fine**2))
+    sample = on_device(mi.Point2f, np.stack([x, y], axis=1))
+    direction, _ = direction_in_bin(bins, sample, resolution)
     return np.array(direction, np.float64).T.reshape(resolution**2, fine**2, 3)
 
 

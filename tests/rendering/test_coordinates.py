@@ -5,6 +5,7 @@ import pytest
 
 import lumitree
 from fields import random_asset, uniform_asset
+from lumitree.core.device import on_device
 from lumitree.core.frames import rotation, similarity
 
 PASSES = 16
@@ -87,7 +88,7 @@ def test_paths_end_after_so_many_null_surfaces(mi, tmp_path, monkeypatch):
 
     def seen(scene, origin, direction):
         sampler.seed(0, 4096)
-        start = mi.Point3f(*(np.full(4096, x) for x in origin))
+        start = on_device(mi.Point3f, np.tile(origin, (4096, 1)))
         ray = mi.Ray3f(start, mi.Vector3f(*(direction / np.linalg.norm(direction)).tolist()))
         method = mi.load_dict({"type": "lumitree_path", "max_depth": 2})
         return np.array(

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fields import make_asset, random_asset
+from lumitree.core.device import on_device
 from lumitree.octree.build import child_cells
 from lumitree.rendering.reference import integrate_ray
 
@@ -14,8 +15,8 @@ def trace(mi, asset, origins, directions):
     from lumitree.octree.field import Field
 
     field = Field(asset)
-    o = mi.Point3f(*np.asarray(origins, np.float32).T)
-    d = mi.Vector3f(*np.asarray(directions, np.float32).T)
+    o = on_device(mi.Point3f, origins)
+    d = on_device(mi.Vector3f, directions)
     radiance, through = field.emission(o, d)
     alone = field.transmittance(o, d)
     assert np.array_equal(np.array(alone), np.array(through))
@@ -152,7 +153,7 @@ def test_thresholds_of_the_paper_change_little(mi):
     random = np.random.default_rng(7)
     d = random.normal(size=(500, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    o, d = mi.Point3f(*(-2 * d).T), mi.Vector3f(*d.T)
+    o, d = on_device(mi.Point3f, -2 * d), on_device(mi.Vector3f, d)
     exact = np.array(Field(asset).transmittance(o, d))
     loose = np.array(Field(asset, min_density=0.1, max_opacity=0.9).transmittance(o, d))
     assert (loose >= exact - 1e-6).all()

@@ -203,11 +203,12 @@ def slabs(lamp, count, density=0.25):
 
 def along(scene, origin, direction, **options):
     """Radiance [3, 1024] of one ray, and whether it is valid."""
+    import drjit as dr
     import mitsuba as mi
 
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, 1024)
-    start = mi.Point3f(*(np.full(1024, x) for x in origin))
+    start = dr.zeros(mi.Point3f, 1024) + mi.Point3f(*origin)
     ray = mi.RayDifferential3f(mi.Ray3f(start, mi.Vector3f(*direction)))
     integrator = mi.load_dict({"type": "lumitree_path", **options})
     radiance, valid, _ = integrator.sample(scene, sampler, ray)

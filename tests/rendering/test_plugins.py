@@ -5,6 +5,7 @@ import pytest
 
 import lumitree
 from fields import make_asset, random_asset, uniform_asset
+from lumitree.core.device import on_device
 from lumitree.core.frames import rotation, similarity
 from lumitree.errors import LumitreeError
 
@@ -286,7 +287,7 @@ def test_frames_rotate_the_emission(mi, asset_file):
         offsets = np.linspace(-0.83, 0.83, 8)  # off the planes between cells
         points = np.array([[a, b, 3.0] for a in offsets for b in offsets])
         points = points @ matrix[:3, :3].T
-        ray = mi.Ray3f(mi.Point3f(*points.T), mi.Vector3f(*direction))
+        ray = mi.Ray3f(on_device(mi.Point3f, points), mi.Vector3f(*direction))
         si = scene.ray_intersect(ray)
         seen.append(np.array(si.emitter(scene).eval(si)))
     assert seen[0] == pytest.approx(seen[1], abs=2e-3)

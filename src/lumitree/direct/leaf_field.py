@@ -116,9 +116,7 @@ class LeafField:
             for steps in (-1, side):
                 cell = corner + (side // 2)[:, None]
                 cell[:, axis] = corner[:, axis] + steps
-                found.append(
-                    self.octree.leaf_at(mi.Vector3i(*(on_device(mi.Int32, c) for c in cell.T)))
-                )
+                found.append(self.octree.leaf_at(on_device(mi.Vector3i, cell)))
         dr.eval(found)
         return found
 

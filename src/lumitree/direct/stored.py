@@ -112,7 +112,7 @@ class StoredRays:
             corners.append(centres[0, 0] - middle * (columns[-1] + rows[-1]))
             directions.append(direction)
         corner, column, row, towards = (
-            mi.Vector3f(*_channels(np.array(each))) for each in (corners, columns, rows, directions)
+            on_device(mi.Vector3f, each) for each in (corners, columns, rows, directions)
         )
         radiance = np.concatenate([view.radiance.reshape(-1, 3) for view in views])
         through = 1 - np.concatenate([view.straight_through.ravel() for view in views])
@@ -121,7 +121,7 @@ class StoredRays:
             column,
             row,
             towards,
-            mi.Color3f(*_channels(radiance)),
+            on_device(mi.Color3f, radiance),
             on_device(mi.Float, through),
             len(views),
         )
@@ -157,10 +157,6 @@ class StoredRays:
             dr.gather(mi.Color3f, images.radiance, flat),
             dr.gather(mi.Float, images.through, flat),
         )
-
-
-def _channels(rows: NDArray[np.floating]) -> list[Any]:
-    return [on_device(mi.Float, channel) for channel in rows.T]
 
 
 @dataclasses.dataclass

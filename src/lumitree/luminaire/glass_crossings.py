@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.backend import load_mitsuba
+from lumitree.core.device import on_device
 from lumitree.core.frames import rotation
 from lumitree.model.geometry import Floats
 
@@ -211,7 +212,7 @@ class _Grid:
         dr.make_opaque(direction)
         start = self._points(line, np.full(len(line), self.start))
         while len(line):
-            si = shape.ray_intersect(mi.Ray3f(mi.Point3f(start.T), direction))
+            si = shape.ray_intersect(mi.Ray3f(on_device(mi.Point3f, start), direction))
             valid = si.is_valid()
             dr.eval(valid, si.p, si.n)
             hit = np.array(valid)

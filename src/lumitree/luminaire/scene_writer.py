@@ -8,6 +8,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from lumitree.core.backend import load_mitsuba
+from lumitree.core.device import on_device
 from lumitree.core.files import atomic_path
 from lumitree.model.geometry import Floats, Mesh
 from lumitree.model.model import (
@@ -220,13 +221,13 @@ def _write_mesh(path: Path, mesh: Mesh) -> None:
         has_vertex_texcoords=mesh.uv is not None,
     )
     if mesh.colours is not None:
-        written.add_attribute(_COLOUR_ATTRIBUTE, 3, np.ravel(mesh.colours).astype(np.float32))
+        written.add_attribute(_COLOUR_ATTRIBUTE, 3, on_device(mi.Float, mesh.colours))
     parameters = mi.traverse(written)
-    parameters["vertex_positions"] = np.ravel(_rounded(mesh.vertices, 9))
-    parameters["vertex_normals"] = np.ravel(_rounded(mesh.normals, 6))
+    parameters["vertex_positions"] = on_device(mi.Float, _rounded(mesh.vertices, 9))
+    parameters["vertex_normals"] = on_device(mi.Float, _rounded(mesh.normals, 6))
     if mesh.uv is not None:
-        parameters["vertex_texcoords"] = np.ravel(mesh.uv).astype(np.float32)
-    parameters["faces"] = np.ravel(mesh.faces).astype(np.uint32)
+        parameters["vertex_texcoords"] = on_device(mi.Float, mesh.uv)
+    parameters["faces"] = on_device(mi.UInt32, mesh.faces)
     parameters.update()
     with atomic_path(path) as temporary:
         written.write_ply(str(temporary))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.backend import load_mitsuba
+from lumitree.core.device import on_device
 from lumitree.model.model import RGB
 
 # Maximum luminous efficacy, lm/W.
@@ -64,7 +65,7 @@ def blackbody_colour(temperature: float) -> RGB:
     # Planck's law up to a factor; 1.438777e7 nm K is hc/k.
     spectrum = wavelength**-5 / np.expm1(1.438777e7 / (wavelength * temperature))
     mi = load_mitsuba()
-    matching = np.array(mi.cie1931_xyz(mi.Float(wavelength.astype(np.float32))), np.float64)
+    matching = np.array(mi.cie1931_xyz(on_device(mi.Float, wavelength)), np.float64)
     rgb = np.maximum(_SRGB_FROM_XYZ @ (matching @ spectrum), 0.0)
     rgb /= rgb @ LUMA
     return (float(rgb[0]), float(rgb[1]), float(rgb[2]))

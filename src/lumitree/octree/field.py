@@ -100,10 +100,9 @@ class Field:
         """As `emission` for arrays: points and unit directions [N, 3] to [N, 3] and [N]."""
         if not len(origin):
             return np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
-        point, towards = (
-            [on_device(mi.Float, values) for values in array.T] for array in (origin, direction)
+        radiance, through = self.emission(
+            on_device(mi.Point3f, origin), on_device(mi.Vector3f, direction)
         )
-        radiance, through = self.emission(mi.Point3f(*point), mi.Vector3f(*towards))
         dr.eval(radiance, through)
         return np.stack([np.array(channel) for channel in radiance], axis=-1), np.array(through)
 

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.device import on_device
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError, LumitreeWarning
@@ -218,8 +219,9 @@ def _warn_inside(scene: Any, placed: PlacedLuminaire) -> None:
     start, end = (0.998 * random.uniform(-1, 1, (2, samples, 3))) @ box[:3, :3].T + box[:3, 3]
     offset = end - start
     length = np.linalg.norm(offset, axis=1)
+    direction = on_device(mi.Vector3f, offset / length[:, None])
     ray = mi.Ray3f(
-        mi.Point3f(*start.T), mi.Vector3f(*(offset.T / length)), mi.Float(length), mi.Float(0), []
+        on_device(mi.Point3f, start), direction, on_device(mi.Float, length), mi.Float(0), []
     )
     if dr.any(scene.ray_test(ray)):
         warnings.warn(
