@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.common.options import add_seed
 from benchmarks.common.results import Results, notes
@@ -26,7 +27,7 @@ from benchmarks.common.timing import interleaved, kernel
 from lumitree.builtin.registry import BUILTIN
 
 REFERENCE_PATHS = 1 << 22
-BASELINE = "exitant 32³ × 32²"
+BASELINE = "exitant 32³ x 32²"
 # Receivers, local units; each faces the lamp's centre.
 RECEIVERS = {"below": (0.0, -6.0, 0.0), "beside": (4.0, 0.0, 0.5), "near": (0.3, -1.4, 0.2)}
 SAMPLES = 1 << 18
@@ -51,11 +52,11 @@ def fits(options: argparse.Namespace) -> Mapping[str, Callable[[Any], Any]]:
         "ray set": lambda rays: RaySet(rays, options.set_rays, seed),
     }
     for count in (16, 128, 1024):
-        chosen[f"{count} point lights × 32²"] = lambda rays, count=count: point_lights(
+        chosen[f"{count} point lights x 32²"] = lambda rays, count=count: point_lights(
             rays, count, 32, seed
         )
     for patches, resolution in ((8, 16), (16, 16), (16, 32)):
-        chosen[f"box table {patches}² × {resolution}²"] = (
+        chosen[f"box table {patches}² x {resolution}²"] = (
             lambda rays, patches=patches, resolution=resolution: box_table(
                 rays, patches, resolution
             )
@@ -65,7 +66,7 @@ def fits(options: argparse.Namespace) -> Mapping[str, Callable[[Any], Any]]:
             lambda rays, patches=patches, l_max=l_max: box_harmonics(rays, patches, l_max)
         )
     for depth, resolution in ((3, 32), (4, 32), (5, 32)):
-        chosen[f"exitant {1 << depth}³ × {resolution}²"] = (
+        chosen[f"exitant {1 << depth}³ x {resolution}²"] = (
             lambda rays, depth=depth, resolution=resolution: ExitantLightField(
                 rays, depth, resolution
             )
@@ -100,10 +101,10 @@ def measure(name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
             "representation": label,
             "seconds": tracing + seconds,
             "bytes": made.num_bytes,
-            "ratio": error.ratio.tolist(),
-            "rms": error.rms.tolist(),
+            "ratio": _known(error.ratio),
+            "rms": _known(error.rms),
             "mean_rms": error.mean_rms,
-            "rms_error": error.rms_error.tolist(),
+            "rms_error": _known(error.rms_error),
         }
         if label != "ray set":
             row["variance"], timed[label] = _receive(made, options.seed)
@@ -113,6 +114,15 @@ def measure(name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
         if row["representation"] in times:
             row["nanoseconds"] = times[row["representation"]] / SAMPLES * 1e9
     return rows
+
+
+def _known(values: NDArray[np.float64]) -> list[float | None]:
+    """None for what is NaN: faces that no light reaches."""
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
+def _percent(value: float | None) -> str:
+    return "none" if value is None else f"{100 * value:.1f} %"
 
 
 def _receive(made: Any, seed: int) -> tuple[dict[str, float], Callable[[], Any]]:
@@ -140,7 +150,7 @@ def _receive(made: Any, seed: int) -> tuple[dict[str, float], Callable[[], Any]]
 def table(rows: list[dict[str, Any]]) -> Table:
     """A line for each luminaire and representation."""
     heads = ["luminaire", "representation", "fit", "size", "RMS, cube", "worst face", "touching"]
-    heads += ["ns a sample", *(f"variance, {name}" for name in RECEIVERS), "time × variance"]
+    heads += ["ns a sample", *(f"variance, {name}" for name in RECEIVERS), "time x variance"]
     lines, baseline = [], {}
     for row in rows:
         if row["representation"] == BASELINE:
@@ -151,9 +161,9 @@ def table(rows: list[dict[str, Any]]) -> Table:
             row["representation"],
             f"{row['seconds']:.1f} s",
             f"{row['bytes'] / 1e6:.2f} MB",
-            f"{100 * row['mean_rms']:.1f} %",
-            f"{100 * max(row['rms'][:6]):.1f} %",
-            f"{100 * row['rms'][6]:.1f} %",
+            _percent(row["mean_rms"]),
+            _percent(max(value for value in row["rms"][:6] if value is not None)),
+            _percent(row["rms"][6]),
         ]
         if "variance" in row:
             line += [f"{row['nanoseconds']:.0f}"]

@@ -7,8 +7,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.baselines.places import Boxes, Disk, Points
-from benchmarks.baselines.sources import Sources, projected, tabulated
+from benchmarks.baselines.places import Boxes, Points
+from benchmarks.baselines.sources import Sources, SphereSource, projected, tabulated
 from benchmarks.baselines.traced_rays import TracedRays
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
@@ -31,7 +31,7 @@ def far_field_sphere(rays: TracedRays) -> Sources:
     """Far field, from the sphere through the box's corners: each direction from a whole disk."""
     index = np.zeros(len(rays.flux), np.int64)
     radius = float(np.linalg.norm(rays.half_extents))
-    return Sources(Disk(radius), tabulated(rays, index, 1, FAR_FIELD_RESOLUTION))
+    return SphereSource(radius, tabulated(rays, index, 1, FAR_FIELD_RESOLUTION))
 
 
 def point_lights(rays: TracedRays, count: int, resolution: int, seed: int) -> Sources:

@@ -14,11 +14,12 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.baselines.places import Places
+from benchmarks.baselines.places import Disk, Places
 from benchmarks.baselines.traced_rays import TracedRays
 from lumitree.core.device import on_device
 from lumitree.core.harmonics import basis, basis_array, num_coefficients
 from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
+from lumitree.rendering.proxy import cone_pdf, sample_cone
 
 
 class Representation(Protocol):
@@ -143,6 +144,19 @@ class Sources:
         direction = offset / distance
         value = self._intensity.eval(index, direction) / (chance * dr.square(distance))
         return -direction, value
+
+
+class SphereSource(Sources):
+    """One source: a sphere about the centre, of equal radiance for all rays of one direction."""
+
+    def __init__(self, radius: float, intensity: Tabulated) -> None:
+        super().__init__(Disk(radius), intensity)
+        self._radius = radius
+
+    def sample_direction(self, x: Any, sampler: Any) -> tuple[Any, Any]:
+        direction = sample_cone(x, self._radius, sampler.next_2d())
+        radiance = self._intensity.eval(mi.UInt32(0), -direction) / (np.pi * self._radius**2)
+        return direction, radiance / cone_pdf(x, self._radius)
 
 
 def tabulated(

@@ -1,0 +1,158 @@
+"""Representations of a luminaire's light, fitted to rays whose irradiance is known."""
+
+import numpy as np
+import pytest
+
+from benchmarks.baselines.traced_rays import TracedRays
+
+HALF = np.array([1.0, 0.75, 0.5])
+PATHS = 1 << 18
+
+
+def far_field(rays):
+    from benchmarks.baselines.fitting import far_field_point
+
+    return far_field_point(rays)
+
+
+def sphere(rays):
+    from benchmarks.baselines.fitting import far_field_sphere
+
+    return far_field_sphere(rays)
+
+
+def points(rays):
+    from benchmarks.baselines.fitting import point_lights
+
+    return point_lights(rays, 8, 16, seed=3)
+
+
+def table(rays):
+    from benchmarks.baselines.fitting import box_table
+
+    return box_table(rays, 8, 16)
+
+
+def harmonics(rays):
+    from benchmarks.baselines.fitting import box_harmonics
+
+    return box_harmonics(rays, 8, 4)
+
+
+def exitant(rays):
+    from benchmarks.baselines.fitting import ExitantLightField
+
+    return ExitantLightField(rays, 3, 16)
+
+
+def ray_set(rays):
+    from benchmarks.baselines.fitting import RaySet
+
+    return RaySet(rays, 1 << 16, seed=4)
+
+
+@pytest.fixture(scope="module")
+def rays():
+    """Light of two small balls, red to the left and green to the right, cosine-like upwards."""
+    random = np.random.default_rng(5)
+    direction = random.normal(size=(PATHS, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    right = random.random(PATHS) < 0.5
+    origin = 0.1 * random.uniform(-1, 1, (PATHS, 3))
+    origin[:, 0] += np.where(right, 0.5, -0.5)
+    flux = (1 + direction[:, 1])[:, None] * np.where(right[:, None], [0, 2.0, 0], [1.0, 0, 0])
+    return TracedRays(
+        origin.astype(np.float32),
+        direction.astype(np.float32),
+        flux.astype(np.float32) / PATHS,
+        HALF,
+    )
+
+
+def seeded(mi, count, seed=0):
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, count)
+    return sampler
+
+
+def test_rays_leave_through_the_box(rays):
+    face, point = rays.exits()
+    axis = face // 2
+    rows = np.arange(len(face))
+    assert point[rows, axis] == pytest.approx(np.where(face % 2, 1, -1) * HALF[axis], abs=1e-6)
+    assert (np.abs(point) <= HALF).all()
+    along = ((point - rays.origin) * rays.direction).sum(axis=1)
+    assert along.min() > 0
+    assert (
+        np.linalg.norm(rays.origin + along[:, None] * rays.direction - point, axis=1).max() < 1e-5
+    )
+
+
+@pytest.mark.parametrize("fit", [far_field, sphere, points, table, exitant, ray_set])
+def test_flux_is_that_of_the_rays(mi, rays, fit):
+    _, _, flux = fit(rays).sample_ray(seeded(mi, PATHS), PATHS)
+    expected = rays.flux.sum(axis=0, dtype=np.float64)
+    flux = np.array(flux, np.float64)
+    error = flux.std(axis=1) * np.sqrt(PATHS)
+    # Histograms have the rays' flux; the stored numbers of the exitant light field are rounded, and
+    # a ray set is a sample.
+    slack = 6 / np.sqrt(1 << 16) if fit is ray_set else 0.002
+    assert (np.abs(flux.sum(axis=1) - expected) <= 5 * error + slack * expected.max()).all()
+
+
+@pytest.mark.parametrize("fit", [far_field, sphere, points, table, harmonics, exitant])
+@pytest.mark.parametrize("place", [(0.4, 4, 0.3), (1.5, 0.9, -0.8)])
+def test_directions_bring_what_rays_do(mi, rays, fit, place):
+    """Irradiance on a small disk, by directions towards the lamp and by rays that hit it."""
+    import drjit as dr
+
+    made = fit(rays)
+    count, radius = 1 << 22, 0.2
+    centre = np.array(place)
+    normal = -centre / np.linalg.norm(centre)
+    origin, direction, flux = made.sample_ray(seeded(mi, count, 1), count)
+    n, c = mi.Vector3f(normal.tolist()), mi.Point3f(centre.tolist())
+    cosine = -dr.dot(direction, n)
+    t = dr.dot(c - origin, n) / dr.dot(direction, n)
+    hits = (cosine > 0) & (t > 0) & (dr.norm(origin + t * direction - c) < radius)
+    traced = np.array(dr.select(hits, flux, 0), np.float64) / (np.pi * radius**2)
+    # Receivers spread over the disk.
+    sampler = seeded(mi, 1 << 18, 2)
+    offset = radius * mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
+    x = c + mi.Frame3f(n).to_world(mi.Vector3f(offset.x, offset.y, 0))
+    towards, value = made.sample_direction(x, sampler)
+    received = np.array(value * dr.maximum(dr.dot(towards, n), 0), np.float64)
+    found, expected = received.mean(axis=1), traced.sum(axis=1)
+    error = np.hypot(
+        received.std(axis=1) / np.sqrt(received.shape[1]), traced.std(axis=1) * np.sqrt(count)
+    )
+    assert expected.max() > 0
+    assert (np.abs(found - expected) < 4.5 * error + 1e-9).all()
+
+
+def test_a_ray_set_answers_no_receiver(mi, rays):
+    assert ray_set(rays).sample_direction(mi.Point3f(0, -3, 0), seeded(mi, 1)) is None
+
+
+def test_the_benchmark_makes_a_row_for_each(tmp_path, monkeypatch, capsys):
+    import json
+
+    from benchmarks import representations
+    from benchmarks.__main__ import main
+
+    monkeypatch.setattr(representations, "SAMPLES", 1 << 10)
+    chosen = {"exitant 32³ x 32²": exitant, "far field, point": far_field, "ray set": ray_set}
+    words = ("point lights", "box table", "harmonics")
+    chosen |= {
+        f"{word} 8": fit for word, fit in zip(words, (points, table, harmonics), strict=True)
+    }
+    monkeypatch.setattr(representations, "fits", lambda options: chosen)
+    options = ["--paths", "1000", "--reference", "20000", "-o", str(tmp_path)]
+    assert main(["representations", "dallas", *options]) == 0
+    rows = json.loads((tmp_path / "representations.json").read_text())["rows"]
+    assert [row["representation"] for row in rows] == list(chosen)
+    assert all(row["bytes"] > 0 and row["seconds"] > 0 for row in rows)
+    assert {row["representation"] for row in rows if "variance" not in row} == {"ray set"}
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in chosen)
+    assert (tmp_path / "representations.png").stat().st_size > 1000
