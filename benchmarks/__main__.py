@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not argv:
             print("usage: python -m benchmarks NAME [options]\n")
             for name, module in modules.items():
-                print(f"  {name:<15}{summary(module)}")
+                print(f"  {name:<17}{summary(module)}")
             return 0
         options = parser(modules).parse_args(argv)
         options.command = command_line(argv)

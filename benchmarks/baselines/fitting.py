@@ -40,7 +40,7 @@ def point_lights(rays: TracedRays, count: int, resolution: int, seed: int) -> So
     The illumination of Velázquez-Armendáriz et al. 2015, as far as its text says how.
     """
     from scipy.cluster.vq import kmeans2
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     random = np.random.default_rng(SeedStream(Purpose.EXITANT, 0, draw=1).seed(seed))
     power = rays.flux.sum(axis=1, dtype=np.float64)
@@ -48,7 +48,7 @@ def point_lights(rays: TracedRays, count: int, resolution: int, seed: int) -> So
     centres, _ = kmeans2(
         rays.origin[chosen].astype(np.float64), count, _ROUNDS, minit="++", rng=random
     )
-    index = cKDTree(centres).query(rays.origin)[1]
+    index = np.asarray(KDTree(centres).query(rays.origin)[1])
     return Sources(Points(centres), tabulated(rays, index, count, resolution))
 
 
