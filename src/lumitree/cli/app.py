@@ -27,7 +27,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 DEBUG = "LUMITREE_DEBUG"
 # Options whose values may begin with a minus sign, which argparse would parse as an option.
-_VECTOR_OPTIONS = ("--at", "--rotate")
+_VECTOR_OPTIONS = ("--at", "--rotate", "--gain")
 _COMMANDS = (
     list_luminaires,
     preview,

@@ -89,7 +89,9 @@ class Octree:
             The last state.
         """
         ray, t_exit, ahead, active = self._enter(origin, direction, active)
-        while active:
+        # Symbolic even where derivatives make the caller's loop an evaluated one: within a call of
+        # an emitter there are no other loops, and Dr.Jit would warn of each.
+        while dr.hint(active, mode="symbolic"):
             t = mi.Float(t_exit)
             entry, t_exit, ahead, ends = self._step(ray, t, ahead, active)
             # A leaf may be the last cell of its ray.
@@ -121,10 +123,10 @@ class Octree:
         ray, t_exit, ahead, active = self._enter(origin, direction, active)
         # In registers: Dr.Jit 1.5 has no local memory in functions that are called.
         queue = _DEFERRED * [(mi.UInt32(0), mi.Float(0), mi.Float(0))]
-        while active:
+        while dr.hint(active, mode="symbolic"):
             count = mi.UInt32(0)
             seeking = mi.Bool(active)
-            while seeking:
+            while dr.hint(seeking, mode="symbolic"):
                 t = mi.Float(t_exit)
                 entry, t_exit, ahead, ends = self._step(ray, t, ahead, seeking)
                 found, crossing = entry > 0, (_leaf(entry), t, t_exit - t)
@@ -133,7 +135,7 @@ class Octree:
                 queue = _with(queue, count, crossing, found)
                 count += dr.select(found, mi.UInt32(1), 0)
                 seeking = active & (count < _DEFERRED)
-            while count > 0:
+            while dr.hint(count > 0, mode="symbolic"):
                 leaf, start, length = queue[0]
                 shaded = shade(shaded, leaf, start, length, count > 0)
                 queue = [*queue[1:], queue[-1]]
