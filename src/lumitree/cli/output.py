@@ -30,6 +30,7 @@ def print_report(report: dict[str, Any]) -> None:
             flat |= {
                 key: _megabytes(item) if key.endswith("_bytes") else _rounded(item)
                 for key, item in value.items()
+                if item is not None
             }
         elif value is not None:
             flat[name.replace("_", " ")] = _rounded(value)
