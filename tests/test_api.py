@@ -54,7 +54,7 @@ def test_bake_evaluate_render(mi, tiny, tmp_path, monkeypatch):
     assert baked.asset.info.leaves > 50
     assert baked.asset.tree_depth == 5
     assert tiny_bakes.RAYS <= baked.rays < tiny_bakes.RAYS + 6 * (1 << 14)
-    assert set(baked.seconds) == {"exitant", "bake"}
+    assert set(baked.seconds) == {"exitant", "bake", "irradiance"}
     assert not (tmp_path / "lamp.work").exists()
     json.dumps(baked.to_json(), allow_nan=False)
     report = lumitree.evaluate(
@@ -126,12 +126,14 @@ def test_an_interrupted_bake_keeps_its_best_and_continues(mi, tiny, tmp_path, mo
     monkeypatch.setattr(Refiner, "advance", interrupt)
     stopped = lumitree.bake("lamp.xml", "lamp.lumitree")
     assert stopped.stopped_by == signal.SIGINT
+    assert stopped.irradiance is None
     assert steps == [1, 2, 3]
     assert load("lamp.lumitree").num_leaves > 50
     assert (tmp_path / "lamp.work").exists()
     report = lumitree.bake("lamp.xml", "lamp.lumitree")
     assert steps == list(range(1, len(steps) + 1))
     assert report.rays >= tiny_bakes.RAYS
+    assert report.irradiance is not None
     assert not (tmp_path / "lamp.work").exists()
 
 
