@@ -153,12 +153,6 @@ def test_a_command_refuses_unknown_parts(capsys, untraced, parts, message):
     assert os.listdir() == ["lamp.xml"]
 
 
-def test_parts_are_not_for_networks(capsys):
-    command = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--method", "nerf", "--parts", "field"]
-    assert main(command) == 2
-    assert "--parts: not for --method nerf" in capsys.readouterr().err
-
-
 def test_a_command_bakes_one_part(capsys):
     command = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "exitant"]
     assert main([*command, "--json", "report.json"]) == 0
