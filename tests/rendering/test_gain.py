@@ -117,6 +117,8 @@ def test_methods_of_the_emitter_agree_on_it(mi, asset):
 
 
 def test_lamps_of_one_asset_have_gains_of_their_own(mi):
+    import drjit as dr
+
     asset = lamps()["both"]
     away = np.eye(4)
     away[0, 3] = 5
@@ -127,7 +129,7 @@ def test_lamps_of_one_asset_have_gains_of_their_own(mi):
     }
     scene = mi.load_dict({"type": "scene", **shapes})
     for offset, gain in ((0, gains["near"]), (5, gains["far"])):
-        origin = mi.Point3f(mi.Float(np.linspace(-0.9, 0.9, 32)) + offset, 0.1, 3.0)
+        origin = mi.Point3f(dr.linspace(mi.Float, -0.9, 0.9, 32) + offset, 0.1, 3.0)
         si = scene.ray_intersect(mi.Ray3f(origin, mi.Vector3f(0, 0, -1)))
         light = np.array(si.emitter(scene).eval(si)).max(axis=1)
         assert ((light > 0) == np.array(gain, bool)).all()
