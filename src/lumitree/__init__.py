@@ -15,6 +15,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 if TYPE_CHECKING:
     from lumitree.api.baking import bake, refine
     from lumitree.api.luminaires import builtin_luminaires, load_luminaire
+    from lumitree.api.merging import merge
     from lumitree.api.network import bake_network, capture, extract, train
     from lumitree.api.results import (
         BakeResult,
@@ -64,6 +65,7 @@ _HOMES = {
     "extract": "api.network",
     "load": "asset.file",
     "load_luminaire": "api.luminaires",
+    "merge": "api.merging",
     "preview": "api.viewing",
     "refine": "api.baking",
     "register": "rendering.plugins",
@@ -100,6 +102,7 @@ __all__ = [
     "extract",
     "load",
     "load_luminaire",
+    "merge",
     "preview",
     "refine",
     "register",

@@ -46,6 +46,10 @@ class BakeResult(Result):
     Attributes:
         asset: the baked luminaire.
         path: file of the asset; None if none was written.
+        irradiance: error of the irradiance around the asset: `irradiance_ratio`, `irradiance_rms`
+            and `irradiance_rms_touching`, as in `EvaluateResult.metrics`, and `paths`,
+            `ratio_error` and `faces`, as in `EvaluateResult.irradiance`. None if it was not
+            compared: for a dataset, for 0 `irradiance_paths`, and after an interruption.
         held_out_psnr: PSNR on held-out rays, dB; None if no field was baked from
             rays.
         held_out_psnr_uncertainty: half the width of the 68 % interval of `held_out_psnr`, dB.
@@ -57,6 +61,7 @@ class BakeResult(Result):
 
     asset: Asset
     path: Path | None
+    irradiance: Json | None = None
     held_out_psnr: float | None = None
     held_out_psnr_uncertainty: float | None = None
     rays: int | None = None

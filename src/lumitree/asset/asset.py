@@ -85,6 +85,7 @@ class Asset:
     @property
     def info(self) -> "AssetInfo":
         """Size, depth and bounds of the asset."""
+        traced = None if self.exitant is None else self.exitant.traced
         return AssetInfo(
             luminaire=self.luminaire,
             tree_depth=self.tree_depth,
@@ -96,6 +97,8 @@ class Asset:
             size=tuple(self.frame.size.tolist()),
             centre=tuple(self.frame.centre.tolist()),
             exitant_cells=0 if self.exitant is None else len(self.exitant.cells),
+            exitant_paths=None if traced is None else traced.count,
+            exitant_noise=None if traced is None else traced.noise,
         )
 
     def eval(
@@ -151,6 +154,9 @@ class AssetInfo:
         size: [3] sides of the bounding box, in the unit of the luminaire's file.
         centre: [3] centre of the bounding box, in the frame of the luminaire's file.
         exitant_cells: number of cells of the exitant light field; 0 if there is none.
+        exitant_paths: number of light paths that it was estimated from; None if it is not known.
+        exitant_noise: relative standard error of its intensity by direction, see `TracedPaths`;
+            None if it is not known.
     """
 
     luminaire: str
@@ -163,6 +169,8 @@ class AssetInfo:
     size: tuple[float, ...]
     centre: tuple[float, ...]
     exitant_cells: int
+    exitant_paths: int | None = None
+    exitant_noise: float | None = None
 
 
 def exitant_asset(exitant: ExitantField, frame: LocalFrame, luminaire: str) -> Asset:

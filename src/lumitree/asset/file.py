@@ -1,5 +1,6 @@
 """The `.lumitree` file: one safetensors container, laid out in docs/format.md."""
 
+import dataclasses
 import hashlib
 import json
 import os
@@ -12,7 +13,7 @@ import safetensors.numpy
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.exitant import ExitantField
+from lumitree.asset.exitant import ExitantField, TracedPaths
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import FRAME_KEYS, LocalFrame
 from lumitree.core.reading import Record, parse_json, read_bytes
@@ -29,6 +30,7 @@ MAX_BYTES = 1 << 32
 _TENSORS = {"children": "I32", "density": "F32", "coefficients": "F16"}
 _EXITANT_TENSORS = {"exitant.cells": "U8", "exitant.lit": "U8", "exitant.intensity": "U32"}
 _EXITANT_KEYS = ("depth", "resolution", "scale")
+_TRACED_KEYS = ("count", "seeds", "luminaire", "noise")
 _KEYS = (
     "format",
     "version",
@@ -77,7 +79,10 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
             "exitant.intensity": exitant.intensity,
         }
         description["version"] = VERSION_WITH_EXITANT
-        description["exitant"] = {key: getattr(exitant, key) for key in _EXITANT_KEYS}
+        members = {key: getattr(exitant, key) for key in _EXITANT_KEYS}
+        if exitant.traced is not None:
+            members["traced"] = dataclasses.asdict(exitant.traced)
+        description["exitant"] = members
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     # One key only: safetensors does not keep the order of several keys.
     metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
@@ -140,7 +145,9 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
 
 
 def _build_exitant(description: Record, tensors: dict[str, NDArray[Any]]) -> ExitantField:
-    description.expect_keys(*_EXITANT_KEYS)
+    # Files of earlier versions lack it.
+    traced = description.has("traced")
+    description.expect_keys(*_EXITANT_KEYS, *(["traced"] if traced else []))
     if not tensors.keys() >= _EXITANT_TENSORS.keys():
         raise LumitreeError("the tensors of the exitant light field are missing")
     return ExitantField(
@@ -150,6 +157,17 @@ def _build_exitant(description: Record, tensors: dict[str, NDArray[Any]]) -> Exi
         depth=description.integer("depth"),
         resolution=description.integer("resolution"),
         scale=description.number("scale"),
+        traced=_build_traced(description.record("traced")) if traced else None,
+    )
+
+
+def _build_traced(description: Record) -> TracedPaths:
+    description.expect_keys(*_TRACED_KEYS)
+    return TracedPaths(
+        count=description.integer("count"),
+        seeds=tuple(description.integers("seeds")),
+        luminaire=description.text("luminaire", 64),
+        noise=None if description.is_null("noise") else description.number("noise"),
     )
 
 

@@ -8,7 +8,7 @@ from lumitree.cli.output import print_result
 from lumitree.errors import LumitreeError
 
 # Options that apply to one method only.
-_DIRECT_ONLY = ("quality", "time", "rays", "seed", "l_max", "law", "parts")
+_DIRECT_ONLY = ("quality", "time", "rays", "l_max", "law")
 _NETWORK_ONLY = ("preset",)
 
 
@@ -57,9 +57,10 @@ def add(commands: Any) -> None:
         "--parts",
         type=lambda text: tuple(text.split(",")),
         metavar="PARTS",
-        help="direct only: what the asset gets, separated by commas. exitant: what the luminaire "
+        help="what the asset gets, separated by commas. exitant: what the luminaire "
         "sends to its surroundings; field: what images show of it (default: exitant,field)",
     )
+    options.add_irradiance_paths(parser, None)
     options.add_work(parser)
     options.add_variant(parser)
 
@@ -78,6 +79,9 @@ def run(args: argparse.Namespace) -> Any:
             args.output,
             preset=args.preset or "preview",
             tree_depth=args.depth,
+            parts=args.parts or ("exitant", "field"),
+            irradiance_paths=args.irradiance_paths,
+            seed=args.seed or 0,
             work=args.work,
             variant=args.variant,
         )
@@ -92,6 +96,7 @@ def run(args: argparse.Namespace) -> Any:
             l_max=args.l_max,
             law=args.law,
             parts=args.parts or ("exitant", "field"),
+            irradiance_paths=args.irradiance_paths,
             seed=args.seed or 0,
             work=args.work,
             variant=args.variant,

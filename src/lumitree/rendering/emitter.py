@@ -5,6 +5,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from lumitree.core.arguments import check_gain
 from lumitree.errors import LumitreeError
 from lumitree.rendering.divided_sampling import emitter_sampler
 from lumitree.rendering.placed import Placed
@@ -14,7 +15,9 @@ def emitter_class() -> type:
     """Class of the emitter for the variant of Mitsuba that is set, whose base class it extends.
 
     It is a `DeferredEmitter`. Radiance is that of the whole line through the proxy, on the face
-    where the line enters; on the face where it leaves it is 0.
+    where the line enters; on the face where it leaves it is 0. `gain` [3] (R, G, B) multiplies all
+    radiance and flux, but neither transmittance nor densities. It is a differentiable parameter of
+    `mitsuba.traverse`.
     """
 
     class LumitreeEmitter(mi.Emitter):
@@ -25,17 +28,38 @@ def emitter_class() -> type:
                 placed.asset, placed.field, placed.proxy, placed.sampling
             )
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
+            self.gain = mi.Color3f(*check_gain(props.get("gain", 1.0)))
+            self._set_gain()
+
+        def traverse(self, callback):
+            super().traverse(callback)
+            callback.put("gain", self.gain, mi.ParamFlags.Differentiable)
+
+        def parameters_changed(self, keys=()):
+            if not keys or "gain" in keys:
+                self._set_gain()
+
+        def _set_gain(self):
+            """Accept the value of `gain`, or raise and return to the one before."""
+            try:
+                check_gain(dr.detach(self.gain))
+            except LumitreeError:
+                mi.set_property(self.gain, self._accepted)
+                raise
+            # Opaque: another gain does not compile new kernels.
+            dr.make_opaque(self.gain)
+            self._accepted = mi.Color3f(self.gain)
 
         def eval(self, si, active=True):
             line, entering = self.placed.entering_line(si, active)
-            return self.sampler.look(*line, entering)[0] & entering
+            return self.gain * self.sampler.look(*line, entering)[0] & entering
 
         def eval_with_transmittance(self, si, it, sees, active):
             line, entering = self.placed.entering_line(si, active)
             distance = dr.norm(si.p - it.p) / self.placed.scale
             x = self.placed.local_point(it.p)
             radiance, through, pdf = self.sampler.eval(x, *line, distance, entering, sees=sees)
-            return radiance & entering, dr.select(entering, through, 1), pdf
+            return self.gain * radiance & entering, dr.select(entering, through, 1), pdf
 
         def sample_direction(self, it, sample, active=True):
             ds, distance = self.sample_target(it, sample, active)
@@ -68,7 +92,7 @@ def emitter_class() -> type:
             near = ds.dist / self.placed.scale
             entry = x + near * direction
             radiance, _, pdf = self.sampler.eval(x, entry, direction, near, active, distance, sees)
-            return dr.select(pdf > 0, radiance / pdf, 0), pdf
+            return dr.select(pdf > 0, self.gain * radiance / pdf, 0), pdf
 
         def pdf_direction(self, it, ds, active=True):
             entry, direction = self.placed.local_line(ds.p, ds.d)
@@ -81,7 +105,7 @@ def emitter_class() -> type:
             line = self.placed.local_line(it.p, ds.d)
             facing = active & (dr.dot(ds.d, ds.n) < 0)
             radiance, _ = self.sampler.look(*line, facing)
-            return radiance & facing
+            return self.gain * radiance & facing
 
         def sample_wavelengths(self, si, sample, active=True):
             return mi.Color0f(), self.eval(si, active)
@@ -96,7 +120,7 @@ def emitter_class() -> type:
             si.n = placed.scene_direction(n)
             si.time = time
             ray = si.spawn_ray(placed.scene_direction(direction))
-            return ray, flux * dr.square(placed.scale) & active
+            return ray, self.gain * flux * dr.square(placed.scale) & active
 
         def sample_position(self, time, sample, active=True):
             raise LumitreeError(

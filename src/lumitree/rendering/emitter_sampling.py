@@ -14,6 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from lumitree.core.device import parameter
 from lumitree.octree.field import Field
 from lumitree.rendering.light_leaves import LightLeaves, is_reached
 from lumitree.rendering.proxy import Proxy, cone_pdf, point_on_box, projected_areas, sample_cone
@@ -36,8 +37,9 @@ class EmitterSampler:
 
     def __init__(self, proxy: Proxy, field: Field, leaves: LightLeaves | None) -> None:
         self._proxy, self._field, self._leaves = proxy, field, leaves
-        self._half = mi.Vector3f(*field.asset.frame.half_extents.tolist())
-        self._radius = float(np.linalg.norm(field.asset.frame.half_extents))
+        half_extents = field.asset.frame.half_extents
+        self._half = parameter(mi.Vector3f, *half_extents.tolist())
+        self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
 
     def sample(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
         """Unit direction from `x` for a sample in the unit square, and its target's distance.

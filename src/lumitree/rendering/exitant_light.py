@@ -33,7 +33,7 @@ from lumitree.asset.exitant import (
     ExitantField,
     unpack,
 )
-from lumitree.core.device import on_device
+from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
 from lumitree.model.photometry import luminance
 from lumitree.octree.build import build_children
@@ -78,7 +78,9 @@ class ExitantLight:
     def __init__(self, field: ExitantField, half_extents: NDArray[np.float64]) -> None:
         count = len(field.cells)
         self._count, self._resolution = count, field.resolution
-        self._radius = float(np.linalg.norm(half_extents))
+        self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
+        # Length of a row of the table, as a number on the device.
+        self._row = parameter(mi.UInt32, count)
         self._around = ReceiverCells(half_extents, _RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH)
         cells, levels = field.cells.astype(np.int64), np.full(count, field.depth)
         self._octree = Octree(build_children(cells, levels), field.depth, half_extents)
@@ -102,27 +104,49 @@ class ExitantLight:
 
     def _tabulate(self) -> NDArray[np.float64]:
         """Probability [cells of receivers, C] of each cell."""
-        cell = dr.arange(mi.UInt32, self._count)
         rows = []
         for first in range(0, self._around.count, _ROWS_AT_ONCE):
             points = _ROWS_AT_ONCE * _POINTS_PER_CELL
-            rng = mi.PCG32(points, initstate=first)
-            row = first + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
+            rng = mi.PCG32(points, initstate=dr.opaque(mi.UInt64, first))
+            row = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
             sample = mi.Point2f(rng.next_float32(), rng.next_float32())
             x = self._around.point(row, sample, rng.next_float32())
-            x = mi.Point3f(dr.repeat(x, self._count))
-            each = dr.tile(cell, points)
-            rng = mi.PCG32(dr.width(each), initstate=first)
-            within = mi.Point3f(rng.next_float32(), rng.next_float32(), rng.next_float32())
-            offset = x - self._point(each, within, True)
-            light = dr.mean(self._intensity(each, bin_of(offset, self._resolution), True))
-            light *= dr.squared_norm(mi.Vector3f(x)) / dr.squared_norm(offset)
-            light = np.array(light, np.float64).reshape(_ROWS_AT_ONCE, _POINTS_PER_CELL, -1)
-            rows.append(np.sqrt((light**2).mean(axis=1)))
+            square = self._mean_square(x, first)
+            rows.append(np.sqrt(np.array(square, np.float64).reshape(_ROWS_AT_ONCE, -1)))
         light = np.concatenate(rows)
         total = light.sum(axis=1, keepdims=True)
         shares = np.where(total > 0, light / np.maximum(total, 1e-300), self._flux_shares)
         return (1 - _FLUX_FRACTION) * shares + _FLUX_FRACTION * self._flux_shares
+
+    @dr.syntax
+    def _mean_square(self, points: Any, seed: int) -> Any:
+        """Mean square of the light that cells send to receivers, relative to `_scale`.
+
+        Args:
+            points: mi.Point3f, `_POINTS_PER_CELL` receivers for each of `_ROWS_AT_ONCE` rows.
+            seed: of the points in the cells.
+
+        Returns:
+            mi.Float, for all cells in each row.
+        """
+        index = dr.arange(mi.UInt32, _ROWS_AT_ONCE * self._count)
+        row, cell = index // self._row, index % self._row
+        lower = dr.gather(mi.Point3f, self._corners, 2 * cell)
+        upper = dr.gather(mi.Point3f, self._corners, 2 * cell + 1)
+        rng = mi.PCG32(dr.width(index), initstate=dr.opaque(mi.UInt64, seed))
+        done, total = mi.UInt32(0), mi.Float(0)
+        # In a loop, since the table is made of some ten million terms, which need not be stored.
+        while done < _POINTS_PER_CELL:
+            x = dr.gather(mi.Point3f, points, row * _POINTS_PER_CELL + done)
+            within = mi.Point3f(rng.next_float32(), rng.next_float32(), rng.next_float32())
+            offset = mi.Vector3f(x - dr.lerp(lower, upper, within))
+            # Not the mean over channels: its divisor would be a constant that depends on the width.
+            light = dr.sum(self._intensity(cell, bin_of(offset, self._resolution), True))
+            # Relative to the largest intensity: squares of others may be out of range.
+            light *= dr.squared_norm(mi.Vector3f(x)) / (dr.squared_norm(offset) * self._scale)
+            total += dr.square(light)
+            done += 1
+        return total / _POINTS_PER_CELL
 
     def sample(self, x: Any, sample: Any, active: Any = True) -> Any:
         """Unit direction (mi.Vector3f) from a receiver.
@@ -134,7 +158,7 @@ class ExitantLight:
         """
         uniform, rest = divide_sample(sample.x, UNIFORM_FRACTION)
         sample = mi.Point2f(rest, sample.y)
-        first = self._around.index(x) * self._count
+        first = self._around.index(x) * self._row
         cell = sample_row(self._cumulated, first, self._count, sample.x, active)
         point = self._point(cell, scrambled(sample), active)
         return dr.select(
@@ -156,7 +180,7 @@ class ExitantLight:
         Returns:
             mi.Color3f, and mi.Float per steradian; 0 where `active` is false.
         """
-        row = self._around.index(x) * self._count
+        row = self._around.index(x) * self._row
         bins = bin_of(-direction, self._resolution)
 
         def visit(state, cell, start, length, active):

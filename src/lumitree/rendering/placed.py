@@ -11,7 +11,7 @@ from lumitree.errors import LumitreeError
 from lumitree.rendering.opened import open_asset, open_field
 from lumitree.rendering.proxy import make_proxy
 
-_OPTIONS = ("min_density", "max_opacity", "proxy", "sampling", "to_world")
+_OPTIONS = ("gain", "min_density", "max_opacity", "proxy", "sampling", "to_world")
 
 
 def plugin_options(props: Any) -> dict[str, Any]:

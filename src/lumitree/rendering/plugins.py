@@ -8,9 +8,11 @@ first three take the same properties:
     proxy         "box" (default) or "sphere"
     min_density, max_opacity    see `lumitree.octree.field.Field`; exact by default
     sampling      "emission" (default), or "uniform" over the proxy
+    gain          factor on the emitted light, a number or R, G, B; default 1. The BSDF ignores it
 
 `lumitree_proxy` is the proxy shape with the emitter and the BSDF attached: what a scene XML names.
-L_o = L_e + T · L_i (Eq. 2 with D1): the emitter returns L_e, the BSDF T.
+L_o = gain · L_e + T · L_i (Eq. 2 with D1): the emitter returns gain · L_e, the BSDF T. The gain is
+a differentiable parameter of `mitsuba.traverse`, `<name of the shape>.emitter.gain`.
 """
 
 import importlib
@@ -58,6 +60,7 @@ def shape(
     min_density: float = 0.0,
     max_opacity: float = 1.0,
     sampling: "Sampling" = "emission",
+    gain: ArrayLike | Any = 1.0,
 ) -> dict[str, Any]:
     """A baked luminaire as a shape dictionary for `mitsuba.load_dict`.
 
@@ -69,14 +72,16 @@ def shape(
         min_density: leaves below this density count as empty (the paper: 0.1).
         max_opacity: rays end at this opacity (the paper: 0.9).
         sampling: of directions: "emission", about in proportion to it, or "uniform" over the proxy.
+        gain: [3] factors on the R, G and B of the emitted light, or one number for all; 0 to 10⁶.
 
     Returns:
         The proxy shape with the emitter `lumitree` and the BSDF `lumitree_null` attached.
 
     Raises:
-        LumitreeError: the asset cannot be read, or `to_world` shears or scales non-uniformly.
+        LumitreeError: the asset cannot be read; `to_world` shears or scales non-uniformly; or the
+            gain is out of range.
     """
     register()
     from lumitree.rendering.proxy_shape import describe_proxy
 
-    return describe_proxy(asset, to_world, proxy, min_density, max_opacity, sampling)
+    return describe_proxy(asset, to_world, proxy, min_density, max_opacity, sampling, gain)

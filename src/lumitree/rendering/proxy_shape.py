@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lumitree.asset.asset import Asset
-from lumitree.core.arguments import check_choice
+from lumitree.core.arguments import check_choice, check_gain
 from lumitree.core.frames import similarity_scale
 from lumitree.rendering.emitter_sampling import SAMPLING_KINDS, Sampling
 from lumitree.rendering.opened import file_name, open_field
@@ -28,10 +28,12 @@ def describe_proxy(
     min_density: float = 0.0,
     max_opacity: float = 1.0,
     sampling: Sampling = "emission",
+    gain: ArrayLike | Any = 1.0,
 ) -> dict[str, Any]:
     """Proxy shape with emitter and BSDF attached; arguments as for `lumitree.shape`."""
     check_choice("proxy", proxy, PROXY_KINDS)
     check_choice("sampling", sampling, SAMPLING_KINDS)
+    factors = check_gain(gain)
     matrix = np.asarray(getattr(to_world, "matrix", np.eye(4) if to_world is None else to_world))
     if matrix.shape == (4, 4, 1):
         matrix = matrix[..., 0]
@@ -51,7 +53,7 @@ def describe_proxy(
     description = _Shape(
         **surface.shape,
         to_world=mi.ScalarTransform4f(scene_from_shape),
-        emitter={"type": "lumitree", **options},
+        emitter={"type": "lumitree", "gain": list(factors), **options},
         bsdf={"type": "lumitree_null", **options},
     )
     description.field = field

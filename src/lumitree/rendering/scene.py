@@ -66,8 +66,9 @@ class PlacedLuminaire:
         """Shapes for `mitsuba.load_dict`."""
         if self.luminaire is not None:
             return place_shapes(self.luminaire, self.scene_from_world)
-        source = cast(Any, self.placement.source)
-        return {"proxy": shape(source, self.scene_from_world, proxy, sampling=sampling)}
+        source, gain = cast(Any, self.placement.source), self.placement.gain
+        lamp = shape(source, self.scene_from_world, proxy, sampling=sampling, gain=gain)
+        return {"proxy": lamp}
 
 
 def place_luminaires(

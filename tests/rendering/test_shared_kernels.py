@@ -1,0 +1,63 @@
+"""Lamps of equal depth, bands and resolution share kernels, whatever else differs."""
+
+import dataclasses
+import gc
+
+import numpy as np
+import pytest
+
+import lumitree
+from exitant_fields import random_exitant
+from fields import random_asset
+from lumitree.asset.asset import exitant_asset
+
+
+def lamp(seed, parts):
+    """A lamp with its own box, leaves, cells, L_max and scale."""
+    count = 40 + seed
+    field = random_asset(
+        seed,
+        half_extents=np.array([1.0, 0.9 - 0.1 * seed, 0.5]),
+        max_radiance=5.0 + seed,
+        density_scale=1.0 + seed,
+    )
+    light = random_exitant(seed, depth=3, resolution=8, count=count)
+    light = dataclasses.replace(light, scale=light.scale * (1 + seed))
+    return {
+        "field": field,
+        "both": dataclasses.replace(field, exitant=light),
+        "exitant": exitant_asset(light, field.frame, "test"),
+    }[parts]
+
+
+def compiled(mi, asset):
+    """Kernels that were not known when a scene with the lamp was made and rendered."""
+    import drjit as dr
+
+    gc.collect()
+    film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
+    look = mi.ScalarTransform4f().look_at([0, 2.5, 4], [0, -0.5, 0], [0, 1, 0])
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        scene = mi.load_dict(
+            {
+                "type": "scene",
+                "sensor": {"type": "perspective", "to_world": look, "film": film},
+                "floor": {"type": "sphere", "center": [0, -101.2, 0], "radius": 100},
+                "lamp": lumitree.shape(asset),
+            }
+        )
+        for kind in ("lumitree_path", "volpath"):
+            integrator = mi.load_dict({"type": kind, "max_depth": 3})
+            image = np.array(mi.render(scene, integrator=integrator, spp=4))
+            assert image.max() > 0
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+    assert len(kernels) > 2
+    return sum(not kernel["cache_hit"] for kernel in kernels)
+
+
+@pytest.mark.parametrize("parts", ["exitant", "both"])
+def test_another_lamp_compiles_no_kernel(mi, parts):
+    compiled(mi, lamp(0, parts))
+    assert compiled(mi, lamp(1, parts)) == 0
+    assert compiled(mi, lamp(2, parts)) == 0
