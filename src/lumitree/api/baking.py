@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 from lumitree.api.files import FilePath, open_work_folder, save_asset
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
+from lumitree.api.photometry import bake_photometric_file, is_photometric_file
 from lumitree.api.results import BakeResult
 from lumitree.asset.asset import Asset, exitant_asset
 from lumitree.asset.exitant import ExitantField
@@ -43,6 +44,8 @@ def bake(
     l_max: int | None = None,
     law: Law | None = None,
     parts: Collection[Part] = PARTS,
+    lumens: float | None = None,
+    temperature: float | None = None,
     seed: int = 0,
     work: FilePath | None = None,
     variant: str | None = None,
@@ -64,7 +67,9 @@ def bake(
         luminaire: what to bake. One of: the name of a built-in luminaire; the path of a Mitsuba 3
             scene (`.xml`) or of a model (`.obj`, `.gltf`, `.glb`); a dictionary as for
             `mitsuba.load_dict`; a `mitsuba.Scene`; a `LuminaireSource`; a `Luminaire` that
-            `load_luminaire` returned; or the folder of a dataset that `capture` made.
+            `load_luminaire` returned; or the folder of a dataset that `capture` made. Of a
+            photometric file (`.ies`, `.ldt`) or an IES TM-25 ray file (`.ray`, `.tm25ray`) the
+            asset has only the exitant light field.
         output: path of the `.lumitree` file to write. Default: no file is written.
         quality: preset of tree depth and time: "preview" (depth 7, 1 minute on 2 CPU cores),
             "standard" (depth 8, 5 minutes) or "high" (depth 10, 30 minutes).
@@ -83,6 +88,10 @@ def bake(
             it illuminates scenes. "field": the radiance field; images show it, and it illuminates
             if there is no exitant light field. Without it images show the exitant light field,
             which is blurred and lets all light through. For a dataset only "field" is made.
+        lumens: luminous flux of the asset of a photometric file or ray file, lm. Default: that of
+            the file.
+        temperature: colour temperature of the asset of a photometric file, K, 1000 to 20,000.
+            Default: R = G = B.
         seed: root seed of all random numbers, 0 to 2³¹ - 1. With `rays` and without `time`, equal
             seeds and settings give equal files on one machine.
         work: folder for the state: empty, new, or that of an earlier call. It is kept. Default:
@@ -117,6 +126,14 @@ def bake(
         tree_depth=tree_depth, l_max=l_max, law=law, seconds=time, rays=rays, seed=seed
     )
     load_mitsuba(variant)
+    if is_photometric_file(luminaire):
+        others = {"time": time, "rays": rays, "tree_depth": tree_depth, "l_max": l_max, "law": law}
+        return bake_photometric_file(luminaire, output, quality, lumens, temperature, others)
+    if lumens is not None or temperature is not None:
+        raise LumitreeError(
+            "lumens and temperature are for photometric files; state those of a model's emitters "
+            "in its .toml file"
+        )
     from lumitree.direct import bake as direct
     from lumitree.exitant.bake import bake_exitant
     from lumitree.luminaire.luminaire import load_luminaire

@@ -14,6 +14,7 @@ from lumitree.cli import (
     extract,
     info,
     list_luminaires,
+    photometry,
     preview,
     refine,
     render,
@@ -38,6 +39,7 @@ _COMMANDS = (
     refine,
     info,
     evaluate,
+    photometry,
     render,
     demo,
 )

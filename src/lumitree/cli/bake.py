@@ -8,13 +8,15 @@ from lumitree.cli.output import print_result
 from lumitree.errors import LumitreeError
 
 # Options that apply to one method only.
-_DIRECT_ONLY = ("quality", "time", "rays", "seed", "l_max", "law", "parts")
+_DIRECT_ONLY = ("quality", "time", "rays", "seed", "l_max", "law", "parts", "lumens", "temperature")
 _NETWORK_ONLY = ("preset",)
 
 
 def add(commands: Any) -> None:
     parser = options.command(commands, "bake", "convert a luminaire into an asset", run)
-    options.add_luminaire(parser, "; or the folder of a dataset")
+    options.add_luminaire(
+        parser, "; or the folder of a dataset, or a photometric file (.ies, .ldt, .ray, .tm25ray)"
+    )
     options.add_output(
         parser,
         "ASSET",
@@ -60,6 +62,18 @@ def add(commands: Any) -> None:
         help="direct only: what the asset gets, separated by commas. exitant: what the luminaire "
         "sends to its surroundings; field: what images show of it (default: exitant,field)",
     )
+    parser.add_argument(
+        "--lumens",
+        type=float,
+        metavar="LM",
+        help="photometric files only: luminous flux of the asset, lm (default: that of the file)",
+    )
+    parser.add_argument(
+        "--temperature",
+        type=float,
+        metavar="K",
+        help=".ies and .ldt only: colour temperature, 1000 to 20000 K (default: R = G = B)",
+    )
     options.add_work(parser)
     options.add_variant(parser)
 
@@ -92,6 +106,8 @@ def run(args: argparse.Namespace) -> Any:
             l_max=args.l_max,
             law=args.law,
             parts=args.parts or ("exitant", "field"),
+            lumens=args.lumens,
+            temperature=args.temperature,
             seed=args.seed or 0,
             work=args.work,
             variant=args.variant,
