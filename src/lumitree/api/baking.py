@@ -127,6 +127,8 @@ def bake(
     )
     load_mitsuba(variant)
     if is_photometric_file(luminaire):
+        if "exitant" not in parts:
+            raise LumitreeError("a photometric file has no part field; give the part exitant")
         others = {"time": time, "rays": rays, "tree_depth": tree_depth, "l_max": l_max, "law": law}
         return bake_photometric_file(luminaire, output, quality, lumens, temperature, others)
     if lumens is not None or temperature is not None:

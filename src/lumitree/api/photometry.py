@@ -18,6 +18,7 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.exitant.config import EXITANT_QUALITIES
+from lumitree.luminaire.source import LuminaireSource, as_source
 
 if TYPE_CHECKING:
     from lumitree.goniophotometry.figures import PhotometricData
@@ -132,7 +133,7 @@ def photometry(
 
 def is_photometric_file(source: object) -> bool:
     """Whether a source is the path of a photometric file or ray file, by its suffix."""
-    name = getattr(source, "name", source)
+    name = source.name if isinstance(source, LuminaireSource) else source
     return isinstance(name, str | os.PathLike) and _suffix(name) in PHOTOMETRIC_FILES
 
 
@@ -151,9 +152,10 @@ def bake_photometric_file(
         output, quality, lumens, temperature: as for `bake`.
         others: arguments of `bake` that do not apply; all must be None.
     """
-    path = getattr(source, "name", source)
+    described = as_source(source)
+    path = described.name
     given = [name for name, value in others.items() if value is not None]
-    given += [name for name in ("materials", "keep", "drop") if getattr(source, name, None)]
+    given += [name for name in ("materials", "keep", "drop") if getattr(described, name)]
     if given:
         raise LumitreeError(
             f"{', '.join(given)}: not for a photometric file such as {shown(path, 300)}, from "

@@ -29,8 +29,9 @@ class Estimate:
 
     def __str__(self) -> str:
         """Value ± standard error, rounded to two significant digits of the error."""
-        if not math.isfinite(self.error) or self.error <= 0:
-            return f"{self.value:,.5g}"
+        # Of rounding alone there may be a tiny error.
+        if not (math.isfinite(self.error) and self.error > 1e-9 * abs(self.value)):
+            return f"{float(f'{self.value:.5g}'):,.12g}"
         digits = 1 - math.floor(math.log10(self.error))
         value, error = round(self.value, digits), round(self.error, digits)
         shown = max(0, digits)
@@ -106,6 +107,8 @@ def width_at(intensity: NDArray[np.float64], step: float, part: float) -> float:
     curve = np.roll(intensity, -int(intensity.argmax())) / max(float(intensity.max()), 1e-300)
     if curve.min() >= part:
         return 360.0
+    if not curve.any():
+        return 0.0
     return step * sum(
         float(first + (side[first] - part) / (side[first] - side[first + 1]))
         for side in (curve, np.roll(curve[::-1], 1))

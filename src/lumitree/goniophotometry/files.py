@@ -196,6 +196,9 @@ def _parsed(path: str | os.PathLike[str], kind: str, parse: Callable[[], T]) -> 
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
+            # photompy warns where it guesses what a number means.
+            warnings.simplefilter("error", UserWarning)
+            warnings.filterwarnings("ignore", "Unsupported IES version")
             return parse()
     except LumitreeError as error:
         raise LumitreeError(f"{name} is not a usable {kind}: {error}") from None
@@ -214,6 +217,7 @@ def _check_counts(content: bytes) -> None:
         raise LumitreeError(f"it has {len(lines)} lines")
     sets = [line for line in lines[12:] if line][13]
     for what, text, low, high in (
+        ("as kind of symmetry", lines[2], 0, 4),
         ("C planes", lines[3], 1, MAX_ANGLES),
         ("gamma angles", lines[5], 2, MAX_ANGLES),
         ("sets of lamps", sets, 1, MAX_SETS),

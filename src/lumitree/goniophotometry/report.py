@@ -52,7 +52,13 @@ def plots_png(data: PhotometricData) -> bytes:
 def write_pdf(path: str | os.PathLike[str], data: PhotometricData) -> None:
     """Write the report as a PDF file of one A4 page."""
     figure = Figure(figsize=_PAGE)
-    figure.text(0.08, 0.955, f"Photometric report: {shown(data.distribution.name)}", fontsize=15)
+    figure.text(
+        0.08,
+        0.955,
+        f"Photometric report: {shown(data.distribution.name)}",
+        fontsize=15,
+        parse_math=False,
+    )
     _polar(figure.add_axes((0.08, 0.65, 0.36, 0.245), projection="polar"), data)
     _isocandela(figure, figure.add_axes((0.56, 0.66, 0.36, 0.225)), data)
     y = _table(figure, 0.6, _figure_rows(data), (0.08, 0.40))

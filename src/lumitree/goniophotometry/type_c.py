@@ -117,8 +117,11 @@ class Grid:
         """Variance [C, G] of `intensity` for independent rays, of which there are many."""
         sums = self._accumulate(direction, flux, 2)
         angles = node_solid_angles(self.c, self.gamma)
-        for pole in (0, -1):
-            sums[:, pole], angles[:, pole] = sums[:, pole].sum(), angles[:, pole].sum()
+        gamma = angles_of(direction)[1]
+        # Each pole is one node.
+        for pole, away in ((0, gamma), (-1, 180 - gamma)):
+            weight = np.maximum(1 - away / self.step, 0)
+            sums[:, pole], angles[:, pole] = ((weight * flux) ** 2).sum(), angles[:, pole].sum()
         return sums / angles**2
 
     def _accumulate(
