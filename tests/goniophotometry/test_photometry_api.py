@@ -1,5 +1,6 @@
 """`lumitree.photometry` and `lumitree photometry`."""
 
+import dataclasses
 import json
 import re
 
@@ -11,7 +12,7 @@ from exitant_fields import random_exitant
 from lamps import AREA, scene, sphere
 from lumitree.asset.asset import exitant_asset
 from lumitree.cli import main
-from lumitree.core.frames import LocalFrame, similarity
+from lumitree.core.frames import LocalFrame, rotation, similarity
 from lumitree.errors import LumitreeError
 from lumitree.goniophotometry.baking import exitant_lumens
 from lumitree.goniophotometry.files import read_ies, read_ldt
@@ -93,6 +94,10 @@ def test_an_asset_and_its_file():
         ((), {"paths": 3}, "light paths is 3"),
         ((), {"file_rays": 0}, "rays of a ray file"),
         ((), {"seed": -1}, "seed"),
+        ((), {"up": "x"}, "up is"),
+        ((), {"unit": "yd"}, "unit is 'yd'"),
+        ((), {"unit": 0.0}, "unit is 0.0"),
+        ((), {"unit": float("nan")}, "unit is nan"),
     ],
 )
 def test_bad_arguments_are_refused_before_work(folder, output, options, message):
@@ -114,6 +119,22 @@ def test_the_command(folder, capsys):
     assert report["step"] == 15
     assert report["files"] == ["a.ies", "a.html"]
     assert len(report["near_field"]) == 11
+
+
+def test_units_and_upward_axes(mi):
+    """A lamp that emits along -z of its file, in centimetres, is one that emits down, in metres."""
+    down = exitant_asset(random_exitant(1), LocalFrame(np.ones(3), similarity(np.eye(3))), "down")
+    turned = similarity(rotation([1, 0, 0], 90), 100.0, [1, 2, 3])
+    other = dataclasses.replace(down, frame=LocalFrame(np.array([1.0, 1, 1]), turned))
+    first = lumitree.photometry(down, "a.ray", step=15, paths=PATHS)
+    second = lumitree.photometry(other, "b.ray", step=15, paths=PATHS, unit="cm", up="z")
+    assert second.intensity == pytest.approx(first.intensity, rel=1e-4, abs=1e-3)
+    assert second.size == pytest.approx(first.size)
+    rays, turned_rays = read_tm25("a.ray")[0], read_tm25("b.ray")[0]
+    assert turned_rays.direction == pytest.approx(rays.direction, abs=1e-4)
+    # Ray files have the origin of the lamp's file.
+    offset = turned_rays.origin - rays.origin
+    assert offset == pytest.approx(np.tile([0.01, 0.03, -0.02], (len(rays), 1)), abs=1e-4)
 
 
 def test_an_ies_file_there_and_back(folder, capsys):

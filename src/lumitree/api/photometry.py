@@ -4,20 +4,21 @@ import dataclasses
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from lumitree.api.files import FilePath, save_asset
 from lumitree.api.measures import Stopwatch
 from lumitree.api.results import BakeResult, PhotometryResult
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import load
-from lumitree.core.arguments import check_range
+from lumitree.core.arguments import check_choice, check_range
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import check_writable
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.exitant.config import EXITANT_QUALITIES
+from lumitree.importers.overrides_file import UNITS
 from lumitree.luminaire.source import LuminaireSource, as_source
 
 if TYPE_CHECKING:
@@ -41,6 +42,8 @@ def photometry(
     output: FilePath | Sequence[FilePath] = (),
     *,
     step: float | None = None,
+    unit: float | str = "m",
+    up: Literal["y", "z"] = "y",
     paths: int = PATHS,
     file_rays: int = FILE_RAYS,
     seed: int = 0,
@@ -51,7 +54,7 @@ def photometry(
 
     The luminous intensity by direction, Type C, is estimated from light paths of a luminaire, or
     from rays of an asset: of its exitant light field if it has one. All figures have standard
-    errors. Lengths are taken as metres, and y is up.
+    errors.
 
     Args:
         source: an asset, the path of a `.lumitree` file, or a luminaire in any form that `bake`
@@ -62,6 +65,10 @@ def photometry(
         step: angular step of the intensities in C and gamma, degrees: 0.5 to 30, a divisor of 90.
             Default: the finest of 1, 2.5, 5 and 10 at which the noise of the intensities is at
             most 2 % RMS.
+        unit: unit of length of the source: "m", "cm", "mm", "in", "ft", or the metres in a unit,
+            1e-6 to 1e6. Models (`.obj`, `.gltf`, `.glb`) and photometric files are in metres once
+            they are loaded.
+        up: upward axis of the source, "y" or "z". Models have y up once they are loaded.
         paths: number of light paths, or of rays of an asset, 16 to 2³²; rounded up to a multiple of
             16. With fewer than 100,000 the standard errors themselves are uncertain.
         file_rays: number of light paths whose rays a ray file gets, up to 67,108,864. Those that
@@ -90,9 +97,14 @@ def photometry(
     check_range("light paths", paths, 16, MAX_PATHS)
     check_range("rays of a ray file", file_rays, 1, MAX_FILE_RAYS)
     check_seed(seed)
+    check_choice("up", up, ("y", "z"))
+    metres = UNITS.get(unit, 0.0) if isinstance(unit, str) else unit
+    if not (isinstance(metres, int | float) and 1e-6 <= metres <= 1e6):
+        expected = f"{', '.join(UNITS)}, or 1e-6 to 1e6 metres"
+        raise LumitreeError(f"unit is {shown(repr(unit), 40)}; expected {expected}")
     load_mitsuba(variant)
     from lumitree.goniophotometry.evaluate import evaluated
-    from lumitree.goniophotometry.measure import asset_source, luminaire_source, measure
+    from lumitree.goniophotometry.measure import asset_source, luminaire_source, measure, oriented
     from lumitree.goniophotometry.report import plots_png
     from lumitree.goniophotometry.type_c import Grid
     from lumitree.luminaire.luminaire import load_luminaire
@@ -108,6 +120,7 @@ def photometry(
             measured = asset_source(source)
         else:
             measured = luminaire_source(load_luminaire(source))
+        measured = oriented(measured, metres, up)
         measurement = measure(measured, paths, step=step, kept_rays=wanted, seed=seed)
         data = evaluated(measurement)
     with watch.stage("write"):

@@ -32,6 +32,15 @@ def add(commands: Any) -> None:
         "with at most 2 %% of noise)",
     )
     parser.add_argument(
+        "--unit",
+        metavar="UNIT",
+        default="m",
+        help="unit of length of a scene or an asset: m, cm, mm, in, ft, or the metres in a unit",
+    )
+    parser.add_argument(
+        "--up", choices=("y", "z"), default="y", help="upward axis of a scene or an asset"
+    )
+    parser.add_argument(
         "--paths", type=int, metavar="N", default=1 << 22, help="light paths, or rays of an asset"
     )
     parser.add_argument(
@@ -55,6 +64,8 @@ def run(args: argparse.Namespace) -> Any:
         args.source if asset else options.luminaire(args, args.source),
         args.output,
         step=args.step,
+        unit=_number(args.unit),
+        up=args.up,
         paths=args.paths,
         file_rays=args.file_rays,
         seed=args.seed,
@@ -68,6 +79,14 @@ def run(args: argparse.Namespace) -> Any:
     for path in result.files:
         print(f"written: {shown(path, LONGEST_LINE)}")
     return result
+
+
+def _number(text: str) -> float | str:
+    """A number, or the text if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def _print_near_field(result: Any) -> None:

@@ -40,7 +40,7 @@ class Estimate:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PhotometricFigures:
-    """Photometric figures of a luminaire or an asset, for lengths in metres.
+    """Photometric figures of a luminaire or an asset.
 
     Angles are those of Type C photometry: gamma from straight down, C about the vertical axis from
     +x, counter-clockwise seen from above.

@@ -6,7 +6,7 @@ jackknife: from its values with one batch left out.
 
 import dataclasses
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Literal
 
 import drjit as dr
 import mitsuba as mi
@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.frames import LocalFrame
+from lumitree.core.frames import LocalFrame, similarity
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.goniophotometry.near_field import NearFieldTest
 from lumitree.goniophotometry.rays import Rays
-from lumitree.goniophotometry.type_c import Grid
+from lumitree.goniophotometry.type_c import Grid, y_up
 from lumitree.luminaire.luminaire import Luminaire
 from lumitree.model.photometry import luminance
 from lumitree.octree.field import shared_field
@@ -29,6 +29,7 @@ from lumitree.rendering.proxy import BoxProxy
 from lumitree.transport.light_paths import emitted_flux, trace_light
 from lumitree.transport.tracing import PATH_DEPTH, check_finite
 
+Up = Literal["y", "z"]
 BATCHES = 16
 # Steps that are tried, degrees, finest first; the first whose noise is low enough is taken.
 STEPS = (1.0, 2.5, 5.0, 10.0)
@@ -43,7 +44,7 @@ class Source:
 
     Attributes:
         name: of the luminaire.
-        frame: its local frame.
+        frame: its local frame; the world has y up, and lengths in metres.
         rays: function that takes a sampler and a count, and returns the rays of as many samples:
             origin, direction of travel, flux [3]; local units. The sum of the flux is an estimate
             of the flux that leaves the luminaire.
@@ -55,6 +56,19 @@ class Source:
     frame: LocalFrame
     rays: Callable[[Any, int], tuple[Any, Any, Any]]
     emitted: Callable[[Any, int], NDArray[np.float64]] | None
+
+
+def oriented(source: Source, unit: float, up: Up) -> Source:
+    """The source with lengths in metres and y up.
+
+    Args:
+        unit: metres in a unit of length of the luminaire's file.
+        up: upward axis of that file.
+    """
+    turn = y_up(np.eye(3)).T if up == "z" else np.eye(3)
+    frame = source.frame
+    matrix = similarity(turn, unit) @ frame.world_from_local
+    return dataclasses.replace(source, frame=LocalFrame(frame.half_extents, matrix))
 
 
 def luminaire_source(luminaire: Luminaire) -> Source:
@@ -118,7 +132,7 @@ class Measurement:
 def measure(
     source: Source, num_rays: int, *, step: float | None = None, kept_rays: int = 0, seed: int = 0
 ) -> Measurement:
-    """Measure the light that leaves a luminaire. Lengths are taken as metres.
+    """Measure the light that leaves a luminaire.
 
     Args:
         num_rays: light paths, or rays of an asset; rounded up to a multiple of 16.
@@ -161,7 +175,7 @@ def measure(
         upward=np.array(upward),
         emitted=_emitted(source, count, seed),
         near_field=test,
-        size=source.frame.size,
+        size=np.abs(source.frame.rotation) @ source.frame.size,
         num_rays=count * BATCHES,
         rays=Rays.joined(kept),
     )

@@ -34,7 +34,7 @@ p.note { color: #57534e; max-width: 45rem; }
 """
 _NOTES = (
     "C = 0 is towards +x of the luminaire's file and C is counter-clockwise seen from above; "
-    "gamma = 0 is straight down (-y). Errors are standard errors. Lengths are taken as metres.",
+    "gamma = 0 is straight down. Errors are standard errors.",
     "Far field: distance from the centre of the bounding box from which on the illuminance is "
     "within 5 % of intensity / distance², in a cone of 5 degrees. At shorter distances a "
     "photometric file is wrong by more; use the asset instead.",
