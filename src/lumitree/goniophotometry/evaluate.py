@@ -21,6 +21,8 @@ from lumitree.goniophotometry.type_c import IntensityDistribution
 from lumitree.model.photometry import colour_temperature, luminance
 
 Mask = NDArray[np.bool_]
+# Standard errors by which the largest intensity must exceed that of other nodes.
+_CERTAIN = 2
 
 
 def evaluated(measurement: Measurement) -> PhotometricData:
@@ -42,7 +44,9 @@ def evaluated(measurement: Measurement) -> PhotometricData:
         emitted_lumens = _estimate(bare)
         ratio = _estimate(lambda used: lumens(used) / bare(used))
     intensity, error = jackknife(lambda used: measurement.intensity[used].mean(axis=0))
-    plane, row = np.unravel_index(intensity.argmax(), intensity.shape)
+    # Where it is large with certainty: rare paths of large flux make single nodes uncertain.
+    certain = intensity - _CERTAIN * error
+    plane, row = np.unravel_index(certain.argmax(), certain.shape)
     (kelvin, duv), (kelvin_error, duv_error) = (each.tolist() for each in jackknife(colour))
     angles = {
         part: {

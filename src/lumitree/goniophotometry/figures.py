@@ -50,7 +50,8 @@ class PhotometricFigures:
         emitted_lumens: luminous flux of the bare emitters, lm; None for an asset.
         light_output_ratio: `lumens` over `emitted_lumens`; None for an asset.
         upward_share: part of the luminous flux above the horizontal, 0 to 1; the rest goes down.
-        max_candela: largest luminous intensity, cd. Noise raises it by about its standard error.
+        max_candela: largest luminous intensity, cd: that of the direction in which the intensity
+            less two standard errors is largest.
         max_c, max_gamma: angles of `max_candela`, degrees.
         beam_angles: by plane, "C0-C180" and "C90-C270": angle around the plane's largest intensity
             in which the intensity is at least half of it, degrees; 360 if it is so everywhere.
