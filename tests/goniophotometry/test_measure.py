@@ -9,6 +9,7 @@ from lamps import AREA, scene, sphere
 from lumitree.asset.asset import exitant_asset
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from lumitree.errors import LumitreeError
+from lumitree.goniophotometry import measure as module
 from lumitree.goniophotometry.baking import exitant_lumens
 from lumitree.goniophotometry.evaluate import evaluated
 from lumitree.goniophotometry.figures import Estimate, plane_curve, width_at
@@ -133,7 +134,7 @@ def test_the_near_field_of_a_lambertian_disk(downlight):
     ],
 )
 def test_the_distance_of_the_far_field(difference, error, expected):
-    test = NearFieldTest(3.0, (0.0, 0.0))
+    test = NearFieldTest(3.0, (0.0, 0.0), 2)
     distance, known = test._limit(difference(DISTANCES), error + 0 * DISTANCES)
     assert known is expected[1]
     assert distance == (expected[0] and pytest.approx(expected[0], rel=0.02))
@@ -229,6 +230,24 @@ def test_equal_seeds_give_equal_numbers(ball):
     assert first.intensity.tolist() != other.intensity.tolist()
 
 
+def test_batches_are_traced_in_pieces(ball, monkeypatch):
+    """Large ones, so that memory is bounded; the estimates have the same mean."""
+    whole = measure(luminaire_source(ball), 1 << 16, step=30, kept_rays=1 << 12)
+    monkeypatch.setattr(module, "MAX_AT_ONCE", 1 << 10)
+    parts = measure(luminaire_source(ball), 1 << 16, step=30, kept_rays=1 << 12)
+    assert parts.num_rays == whole.num_rays == 1 << 16
+    assert len(parts.rays) == len(whole.rays) == 1 << 12
+    exact = luminance(RADIANCE) * np.pi**2
+    for measurement in (whole, parts):
+        assert luminance(measurement.watts.mean(axis=0)) == pytest.approx(exact, rel=1e-3)
+        assert luminance(measurement.emitted.mean(axis=0)) == pytest.approx(exact, rel=1e-3)
+        mean, error = jackknife(lambda used, m=measurement: m.intensity[used].mean(axis=0))
+        assert np.abs((mean - exact / 4 / np.pi) / error).max() < 7
+        assert luminance(measurement.rays.flux.sum(axis=0)) == pytest.approx(exact, rel=1e-3)
+        difference, spread = measurement.near_field.differences()
+        assert (np.abs(difference) < 5 * spread).all()
+
+
 def test_a_dark_lamp_is_refused(mi, tmp_path):
     dark = '<emitter type="area"><rgb name="radiance" value="0"/></emitter>'
     lamp = lamp_of(tmp_path, sphere("ball", 0.5, inside=dark))
@@ -241,7 +260,7 @@ def test_the_chosen_step_is_the_finest_with_little_noise(count):
     random = np.random.default_rng(count)
     directions = random.normal(size=(count, 3))
     flux = np.full(count, 1 / count)
-    step = chosen_step(directions, flux)
+    step = chosen_step(directions, flux, BATCHES)
 
     def noise(each):
         """RMS of the relative error of isotropic light over the sphere, in closed form.

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # Light paths of a measurement: 15 to 30 s on 2 CPU cores.
 PATHS = 1 << 22
 # More would take days. A ray file has 36 bytes a ray.
-MAX_PATHS, MAX_FILE_RAYS = 1 << 32, 1 << 26
+MAX_PATHS, MAX_FILE_RAYS = 1 << 32, 1 << 24
 # Samples whose rays a ray file gets.
 FILE_RAYS = 1 << 18
 RAY_SUFFIXES = (".ray", ".tm25ray")
@@ -71,7 +71,7 @@ def photometry(
         up: upward axis of the source, "y" or "z". Models have y up once they are loaded.
         paths: number of light paths, or of rays of an asset, 16 to 2³²; rounded up to a multiple of
             16. With fewer than 100,000 the standard errors themselves are uncertain.
-        file_rays: number of light paths whose rays a ray file gets, up to 67,108,864. Those that
+        file_rays: number of light paths whose rays a ray file gets, up to 16,777,216. Those that
             end inside the luminaire are not in the file.
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
         variant: Mitsuba variant; see `bake`.

@@ -140,7 +140,7 @@ def read_ies(path: str | os.PathLike[str]) -> IntensityDistribution:
             raise LumitreeError(f"it has photometry of Type {values.photometric_type.name}, not C")
         if header.tilt not in (None, "NONE"):
             raise LumitreeError("it has a TILT table, which changes intensities with attitude")
-        scale = header.ballast_factor * (header._v11 if _is_factor(header) else 1.0)
+        scale = header.ballast_factor * (header.future_use if _is_factor(header) else 1.0)
         c, gamma, intensity = completed(values.phis, values.thetas, values.values * scale)
         metres = 1.0 if int(header.units) == 2 else _METRES_PER_FOOT
         sides = [abs(side) * metres for side in (header.length, header.height, header.width)]
@@ -248,7 +248,7 @@ def _with_version(text: str) -> str:
 
 def _is_factor(header: Any) -> bool:
     """Whether the number after the ballast factor is one too, as before the version of 2002."""
-    return not re.search("2002|2019", str(header.version)) and header._v11 > 0
+    return not re.search("2002|2019", str(header.version)) and header.future_use > 0
 
 
 def _numbers_in_full(content: bytes) -> bytes:

@@ -1,11 +1,11 @@
 """Measurement of the light that leaves a luminaire or an asset, by rays.
 
-Rays come in independent batches of equal size. A figure of all rays has a standard error by the
-jackknife: from its values with one batch left out.
+Rays come in independent batches of equal size, large ones in pieces. A figure of all rays has a
+standard error by the jackknife: from its values with one batch left out.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, Literal
 
 import drjit as dr
@@ -31,6 +31,8 @@ from lumitree.transport.tracing import PATH_DEPTH, check_finite
 
 Up = Literal["y", "z"]
 BATCHES = 16
+# Samples that are traced at once.
+MAX_AT_ONCE = 1 << 20
 # Steps that are tried, degrees, finest first; the first whose noise is low enough is taken.
 STEPS = (1.0, 2.5, 5.0, 10.0)
 MAX_NOISE = 0.02
@@ -144,49 +146,115 @@ def measure(
     Raises:
         LumitreeError: no light leaves the luminaire, or a path's flux is NaN or infinite.
     """
-    count = -(-num_rays // BATCHES)
-    kept_batches = min(BATCHES, -(-kept_rays // count))
-    grid = None if step is None else Grid(step)
-    test: NearFieldTest | None = None
-    intensity, watts, upward, kept = [], [], [], []
-    with progress(f"light of {source.name}", BATCHES) as advance:
-        for batch in _batches(source, count, seed):
-            lumens = luminance(batch.flux)
-            if grid is None or test is None:
-                if not lumens.any():
-                    raise _dark(source)
-                grid = grid or Grid(chosen_step(batch.direction, lumens))
-                brightest = _brightest(batch.direction, lumens)
-                test = NearFieldTest(source.frame.size.max(), brightest)
-            intensity.append(grid.intensity(batch.direction, lumens))
-            watts.append(batch.flux.sum(axis=0))
-            upward.append(lumens[batch.direction[:, 1] > 0].sum())
-            test.add(batch.origin - source.frame.centre, batch.direction, lumens)
-            if len(kept) < kept_batches:
-                kept.append(batch)
+    pieces = _Pieces(source, num_rays, seed)
+    kept_pieces = min(pieces.count, -(-kept_rays // pieces.size))
+    kept: list[Rays] = []
+    tally: _Tally | None = None
+    with progress(f"light of {source.name}", pieces.count) as advance:
+        for index in range(pieces.count):
+            rays = pieces.rays(index)
+            if tally is None:
+                tally = _Tally(source, rays, pieces.count, step)
+            tally.add(index % BATCHES, rays)
+            if len(kept) < kept_pieces:
+                kept.append(rays)
             advance(1)
-    assert grid is not None
-    assert test is not None
+    assert tally is not None
+    emitted = None
+    if source.emitted is not None:
+        parts = np.array([pieces.emitted(index) for index in range(pieces.count)])
+        emitted = parts.reshape(-1, BATCHES, 3).mean(axis=0)
     return Measurement(
         name=source.name,
-        grid=grid,
-        intensity=np.array(intensity),
-        watts=np.array(watts),
-        upward=np.array(upward),
-        emitted=_emitted(source, count, seed),
-        near_field=test,
+        grid=tally.grid,
+        intensity=tally.intensity,
+        watts=tally.watts,
+        upward=tally.upward,
+        emitted=emitted,
+        near_field=tally.near_field,
         size=np.abs(source.frame.rotation) @ source.frame.size,
-        num_rays=count * BATCHES,
+        num_rays=pieces.count * pieces.size,
         rays=Rays.joined(kept),
     )
 
 
-def chosen_step(direction: NDArray[np.float64], lumens: NDArray[np.float64]) -> float:
-    """Finest of `STEPS` whose noise is at most `MAX_NOISE`, for `BATCHES` batches such as this.
+class _Pieces:
+    """Rays that are traced at once: pieces of the batches, of equal size.
+
+    Attributes:
+        count: number of pieces, a multiple of `BATCHES`; piece i belongs to batch i modulo that.
+        size: number of samples of each.
+    """
+
+    def __init__(self, source: Source, num_rays: int, seed: int) -> None:
+        self._source, self._seed = source, seed
+        self.count = BATCHES * max(1, -(-num_rays // (BATCHES * MAX_AT_ONCE)))
+        self.size = -(-num_rays // self.count)
+
+    def rays(self, index: int) -> Rays:
+        """Rays of a piece, an estimate of all light."""
+        frame = self._source.frame
+        origin, direction, flux = self._source.rays(self._sampler(index), self.size)
+        return Rays(
+            _array(origin) @ frame.rotation.T * frame.scale + frame.centre,
+            _array(direction) @ frame.rotation.T,
+            _array(flux) * frame.scale**2,
+        )
+
+    def emitted(self, index: int) -> NDArray[np.float64]:
+        """Flux [3], W, of the bare emitters, for the light paths of `rays`."""
+        assert self._source.emitted is not None
+        flux = self._source.emitted(self._sampler(index), self.size)
+        return flux * self._source.frame.scale**2
+
+    def _sampler(self, index: int) -> Any:
+        stream = SeedStream(Purpose.PHOTOMETRY, index % BATCHES, index // BATCHES)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(stream.seed(self._seed), self.size)
+        return sampler
+
+
+class _Tally:
+    """Sums over the rays of each batch; members as of `Measurement`.
 
     Args:
-        direction: [N, 3] directions of the rays of one batch.
+        source: what is measured.
+        first: rays of the first piece, by which the step is chosen.
+        pieces: number of pieces.
+        step: of the grid; None to choose it.
+    """
+
+    def __init__(self, source: Source, first: Rays, pieces: int, step: float | None) -> None:
+        lumens = luminance(first.flux)
+        if not lumens.any():
+            raise LumitreeError(
+                f"no light leaves {source.name}; look for emitters that are enclosed or black"
+            )
+        self._share, self._centre = BATCHES / pieces, source.frame.centre
+        self.grid = Grid(chosen_step(first.direction, lumens, pieces) if step is None else step)
+        nodes = len(self.grid.c), len(self.grid.gamma)
+        self.intensity = np.zeros((BATCHES, *nodes))
+        self.watts, self.upward = np.zeros((BATCHES, 3)), np.zeros(BATCHES)
+        brightest = _brightest(first.direction, lumens)
+        self.near_field = NearFieldTest(source.frame.size.max(), brightest, BATCHES)
+
+    def add(self, batch: int, rays: Rays) -> None:
+        """Add the rays of a piece to its batch."""
+        flux = rays.flux * self._share
+        lumens = luminance(flux)
+        self.intensity[batch] += self.grid.intensity(rays.direction, lumens)
+        self.watts[batch] += flux.sum(axis=0)
+        self.upward[batch] += lumens[rays.direction[:, 1] > 0].sum()
+        self.near_field.add(batch, rays.origin - self._centre, rays.direction, lumens)
+
+
+def chosen_step(direction: NDArray[np.float64], lumens: NDArray[np.float64], pieces: int) -> float:
+    """Finest of `STEPS` whose noise is at most `MAX_NOISE`.
+
+    Args:
+        direction: [N, 3] directions of the rays of one piece.
         lumens: [N] luminous flux of each.
+        pieces: number of pieces such as this in the measurement.
     """
     for step in STEPS:
         grid = Grid(step)
@@ -194,7 +262,7 @@ def chosen_step(direction: NDArray[np.float64], lumens: NDArray[np.float64]) -> 
         # Of the squared intensity, the variance is a part that is not signal.
         square = np.maximum(grid.intensity(direction, lumens) ** 2 - variance, 0)
         weights = np.sin(np.deg2rad(grid.gamma))
-        signal, noise = ((values * weights).sum() for values in (square, variance / BATCHES))
+        signal, noise = ((values * weights).sum() for values in (square, variance / pieces))
         if noise <= MAX_NOISE**2 * signal:
             return step
     return STEPS[-1]
@@ -214,32 +282,6 @@ def jackknife(
     return value, np.sqrt((batches - 1) / batches * (deviation**2).sum(axis=0))
 
 
-def _batches(source: Source, count: int, seed: int) -> Iterator[Rays]:
-    """Rays of each batch, in the frame of the luminaire's file, with flux in W."""
-    rotation, scale, centre = source.frame.rotation, source.frame.scale, source.frame.centre
-    for step in range(BATCHES):
-        origin, direction, flux = source.rays(_sampler(step, count, seed), count)
-        yield Rays(
-            _array(origin) @ rotation.T * scale + centre,
-            _array(direction) @ rotation.T,
-            _array(flux) * scale**2,
-        )
-
-
-def _emitted(source: Source, count: int, seed: int) -> NDArray[np.float64] | None:
-    """Flux [B, 3], W, of the bare emitters, for the light paths of `_batches`."""
-    if source.emitted is None:
-        return None
-    batches = [source.emitted(_sampler(step, count, seed), count) for step in range(BATCHES)]
-    return np.array(batches) * source.frame.scale**2
-
-
-def _sampler(step: int, count: int, seed: int) -> Any:
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(SeedStream(Purpose.PHOTOMETRY, step).seed(seed), count)
-    return sampler
-
-
 def _brightest(direction: NDArray[np.float64], lumens: NDArray[np.float64]) -> tuple[float, float]:
     """Angles C and γ of the largest intensity on a coarse grid."""
     grid = Grid(_COARSE_STEP)
@@ -251,9 +293,3 @@ def _brightest(direction: NDArray[np.float64], lumens: NDArray[np.float64]) -> t
 def _array(vectors: Any) -> NDArray[np.float64]:
     """Dr.Jit vectors as an array [N, 3]."""
     return np.array(vectors, np.float64).reshape(3, -1).T
-
-
-def _dark(source: Source) -> LumitreeError:
-    return LumitreeError(
-        f"no light leaves {source.name}; look for emitters that are enclosed or black"
-    )

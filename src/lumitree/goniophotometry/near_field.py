@@ -75,24 +75,27 @@ class NearFieldTest:
     Args:
         size: D, m.
         brightest: C and γ of the largest intensity, degrees.
+        batches: number of batches.
     """
 
-    def __init__(self, size: float, brightest: tuple[float, float]) -> None:
+    def __init__(self, size: float, brightest: tuple[float, float], batches: int) -> None:
         self._size = size
         self._directions = (*DIRECTIONS, ("largest intensity", *brightest))
         self._axes = np.array([direction_of(c, gamma) for _, c, gamma in self._directions])
         # Flux of each batch in each cone: of the far field, and through each sphere.
-        self._batches: list[NDArray[np.float64]] = []
+        self._batches = np.zeros((batches, 1 + len(DISTANCES), len(self._directions)))
 
     def add(
         self,
+        batch: int,
         origin: NDArray[np.float64],
         direction: NDArray[np.float64],
         lumens: NDArray[np.float64],
     ) -> None:
-        """Add a batch of rays.
+        """Add rays to a batch.
 
         Args:
+            batch: its index.
             origin: [N, 3] where the rays start, relative to the centre of the box, m.
             direction: [N, 3] unit directions of travel.
             lumens: [N] luminous flux of each.
@@ -104,11 +107,11 @@ class NearFieldTest:
             distance = np.sqrt(np.maximum(beyond + radius**2, 0)) - along
             point = origin + distance[:, None] * direction
             sums.append(self._in_cones(point / radius, lumens))
-        self._batches.append(np.array(sums))
+        self._batches[batch] += sums
 
     def limits(self) -> list[NearFieldLimit]:
-        """Result for each direction; at least two batches have been added."""
-        batches = np.array(self._batches)
+        """Result for each direction."""
+        batches = self._batches
         difference, error = self.differences()
         five = int(np.flatnonzero(DISTANCES == 5)[0])
         limits = []
@@ -134,7 +137,7 @@ class NearFieldTest:
 
         NaN where no ray leaves in a cone.
         """
-        batches = np.array(self._batches)
+        batches = self._batches
         count = len(batches)
         total = batches.sum(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
