@@ -8,6 +8,7 @@ from lumitree.api.files import FilePath, open_work_folder, save_asset
 from lumitree.api.irradiance import IRRADIANCE_PATHS, check_irradiance_paths, measure_irradiance
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
+from lumitree.api.photometry import bake_photometric_file, is_photometric_file
 from lumitree.api.results import BakeResult
 from lumitree.asset.asset import Asset, exitant_asset
 from lumitree.asset.exitant import ExitantField
@@ -45,6 +46,8 @@ def bake(
     law: Law | None = None,
     parts: Collection[Part] = PARTS,
     irradiance_paths: int | None = None,
+    lumens: float | None = None,
+    temperature: float | None = None,
     seed: int = 0,
     work: FilePath | None = None,
     variant: str | None = None,
@@ -66,7 +69,9 @@ def bake(
         luminaire: what to bake. One of: the name of a built-in luminaire; the path of a Mitsuba 3
             scene (`.xml`) or of a model (`.obj`, `.gltf`, `.glb`); a dictionary as for
             `mitsuba.load_dict`; a `mitsuba.Scene`; a `LuminaireSource`; a `Luminaire` that
-            `load_luminaire` returned; or the folder of a dataset that `capture` made.
+            `load_luminaire` returned; or the folder of a dataset that `capture` made. Of a
+            photometric file (`.ies`, `.ldt`) or an IES TM-25 ray file (`.ray`, `.tm25ray`) the
+            asset has only the exitant light field.
         output: path of the `.lumitree` file to write. Default: no file is written.
         quality: preset of tree depth and time: "preview" (depth 7, 1 minute on 2 CPU cores),
             "standard" (depth 8, 5 minutes) or "high" (depth 10, 30 minutes).
@@ -89,6 +94,10 @@ def bake(
             around the asset is compared with that around the luminaire at the end, as in
             `evaluate`; up to 67,108,864. 0: it is not compared. Default: by `quality`, 2¹⁸ to 2²⁰,
             which take 1 to 10 s on 2 CPU cores. For a dataset it is not compared.
+        lumens: luminous flux of the asset of a photometric file or ray file, lm. Default: that of
+            the file.
+        temperature: colour temperature of the asset of a photometric file, K, 1000 to 20,000.
+            Default: R = G = B.
         seed: root seed of all random numbers, 0 to 2³¹ - 1. With `rays` and without `time`, equal
             seeds and settings give equal files on one machine.
         work: folder for the state: empty, new, or that of an earlier call. It is kept. Default:
@@ -124,6 +133,16 @@ def bake(
         tree_depth=tree_depth, l_max=l_max, law=law, seconds=time, rays=rays, seed=seed
     )
     load_mitsuba(variant)
+    if is_photometric_file(luminaire):
+        if "exitant" not in parts:
+            raise LumitreeError("a photometric file has no part field; give the part exitant")
+        others = {"time": time, "rays": rays, "tree_depth": tree_depth, "l_max": l_max, "law": law}
+        return bake_photometric_file(luminaire, output, quality, lumens, temperature, others)
+    if lumens is not None or temperature is not None:
+        raise LumitreeError(
+            "lumens and temperature are for photometric files; state those of a model's emitters "
+            "in its .toml file"
+        )
     from lumitree.direct import bake as direct
     from lumitree.exitant.bake import bake_exitant
     from lumitree.luminaire.luminaire import load_luminaire

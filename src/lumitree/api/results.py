@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.errors import shown
+from lumitree.goniophotometry.figures import PhotometricFigures
+from lumitree.goniophotometry.near_field import NearFieldLimit
 
 Json = dict[str, Any]
 
@@ -252,6 +254,35 @@ class PreviewResult(ImageResult):
     faults: list[str]
     sheet: Path | None
     bounces: list[MissedFlux] | None = None
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class PhotometryResult(ImageResult, PhotometricFigures):
+    """Result of a photometric measurement: the figures of `PhotometricFigures`, and more.
+
+    `png` shows a polar plot and an isocandela plot.
+
+    Attributes:
+        luminaire: name of the luminaire.
+        near_field: for some directions, the distance from which the far field is within 5 %.
+        step: of the angles, degrees.
+        size: [3] sides of the bounding box, m.
+        rays: number of light paths, or of rays of an asset.
+        c_angles, gamma_angles: [C] and [G] angles of the intensities, degrees.
+        intensity, intensity_error: [C, G] luminous intensities and standard errors, cd.
+        files: files that were written.
+    """
+
+    luminaire: str
+    near_field: list[NearFieldLimit]
+    step: float
+    size: tuple[float, ...]
+    rays: int
+    c_angles: NDArray[np.float64] = dataclasses.field(repr=False)
+    gamma_angles: NDArray[np.float64] = dataclasses.field(repr=False)
+    intensity: NDArray[np.float64] = dataclasses.field(repr=False)
+    intensity_error: NDArray[np.float64] = dataclasses.field(repr=False)
+    files: list[Path]
 
 
 def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:

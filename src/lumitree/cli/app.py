@@ -15,6 +15,7 @@ from lumitree.cli import (
     info,
     list_luminaires,
     merge,
+    photometry,
     preview,
     refine,
     render,
@@ -40,6 +41,7 @@ _COMMANDS = (
     merge,
     info,
     evaluate,
+    photometry,
     render,
     demo,
 )

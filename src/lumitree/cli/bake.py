@@ -8,13 +8,15 @@ from lumitree.cli.output import print_result
 from lumitree.errors import LumitreeError
 
 # Options that apply to one method only.
-_DIRECT_ONLY = ("quality", "time", "rays", "l_max", "law")
+_DIRECT_ONLY = ("quality", "time", "rays", "l_max", "law", "lumens", "temperature")
 _NETWORK_ONLY = ("preset",)
 
 
 def add(commands: Any) -> None:
     parser = options.command(commands, "bake", "convert a luminaire into an asset", run)
-    options.add_luminaire(parser, "; or the folder of a dataset")
+    options.add_luminaire(
+        parser, "; or the folder of a dataset, or a photometric file (.ies, .ldt, .ray, .tm25ray)"
+    )
     options.add_output(
         parser,
         "ASSET",
@@ -61,6 +63,18 @@ def add(commands: Any) -> None:
         "sends to its surroundings; field: what images show of it (default: exitant,field)",
     )
     options.add_irradiance_paths(parser, None)
+    parser.add_argument(
+        "--lumens",
+        type=float,
+        metavar="LM",
+        help="photometric files only: luminous flux of the asset, lm (default: that of the file)",
+    )
+    parser.add_argument(
+        "--temperature",
+        type=float,
+        metavar="K",
+        help=".ies and .ldt only: colour temperature, 1000 to 20000 K (default: R = G = B)",
+    )
     options.add_work(parser)
     options.add_variant(parser)
 
@@ -97,6 +111,8 @@ def run(args: argparse.Namespace) -> Any:
             law=args.law,
             parts=args.parts or ("exitant", "field"),
             irradiance_paths=args.irradiance_paths,
+            lumens=args.lumens,
+            temperature=args.temperature,
             seed=args.seed or 0,
             work=args.work,
             variant=args.variant,

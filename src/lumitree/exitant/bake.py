@@ -36,7 +36,7 @@ def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> E
     saved = SavedExitantField(folder, luminaire, config)
     if (field := saved.load()) is not None:
         return field
-    histogram = _Histogram(config.depth, config.resolution)
+    histogram = Histogram(config.depth, config.resolution)
     batches = -(-config.paths // config.batch)
     by_direction = []
     with progress(f"light of {luminaire.name}", batches) as advance:
@@ -67,7 +67,7 @@ def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> E
     return field
 
 
-class _Histogram:
+class Histogram:
     """Flux by cell and bin of direction.
 
     Attributes:
