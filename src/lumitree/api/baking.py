@@ -1,6 +1,7 @@
 """The direct bake: `bake` makes an asset from traced rays, and `refine` improves one."""
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -8,9 +9,10 @@ from lumitree.api.files import FilePath, open_work_folder, save_asset
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
 from lumitree.api.results import BakeResult
-from lumitree.asset.asset import Asset, exitant_asset
+from lumitree.asset.asset import PARTS, Asset, Part, exitant_asset
 from lumitree.asset.exitant import ExitantField
 from lumitree.asset.file import load
+from lumitree.asset.model import AssetModel
 from lumitree.core.arguments import check_asset_output, check_choice
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import Dataset
@@ -18,17 +20,16 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.transmittance import Law
 from lumitree.core.work_folder import WorkFolder
 from lumitree.direct.config import QUALITIES
-from lumitree.errors import LumitreeError, explained
+from lumitree.errors import LumitreeError, LumitreeWarning, explained
 from lumitree.exitant.config import EXITANT_QUALITIES
 from lumitree.exitant.saved_field import EXITANT_STATE
 
 if TYPE_CHECKING:
     from lumitree.direct.bake import DirectResult
-    from lumitree.luminaire.luminaire import LuminaireLike
+    from lumitree.luminaire.luminaire import Luminaire, LuminaireLike
 
 Quality = Literal["preview", "standard", "high"]
-Part = Literal["exitant", "field"]
-PARTS: tuple[Part, ...] = get_args(Part)
+DEFAULT_PARTS: tuple[Part, ...] = ("exitant", "field")
 
 
 @explained
@@ -42,7 +43,7 @@ def bake(
     tree_depth: int | None = None,
     l_max: int | None = None,
     law: Law | None = None,
-    parts: Collection[Part] = PARTS,
+    parts: Collection[Part] = DEFAULT_PARTS,
     seed: int = 0,
     work: FilePath | None = None,
     variant: str | None = None,
@@ -82,7 +83,11 @@ def bake(
         parts: what the asset gets. "exitant": the exitant light field, 5 to 20 s on 2 CPU cores;
             it illuminates scenes. "field": the radiance field; images show it, and it illuminates
             if there is no exitant light field. Without it images show the exitant light field,
-            which is blurred and lets all light through. For a dataset only "field" is made.
+            which is blurred and lets all light through. "model": the luminaire itself, which
+            images under `lumitree_path` show in place of the field; beside one of the other two.
+            A luminaire that cannot be stored, because it has participating media or what is not
+            listed in docs/format.md, is left out with a warning. For a dataset only "field" is
+            made. Default: "exitant" and "field".
         seed: root seed of all random numbers, 0 to 2³¹ - 1. With `rays` and without `time`, equal
             seeds and settings give equal files on one machine.
         work: folder for the state: empty, new, or that of an earlier call. It is kept. Default:
@@ -111,8 +116,10 @@ def bake(
     check_choice("quality", quality, get_args(Quality))
     for part in parts:
         check_choice("part", part, PARTS)
-    if not parts:
-        raise LumitreeError(f"no parts; expected some of {PARTS}")
+    if not set(parts) - {"model"}:
+        raise LumitreeError(
+            f"parts are {', '.join(parts) or 'none'}; expected exitant, field or both, and model"
+        )
     config = QUALITIES[quality].with_options(
         tree_depth=tree_depth, l_max=l_max, law=law, seconds=time, rays=rays, seed=seed
     )
@@ -133,6 +140,7 @@ def bake(
         lamp = load_luminaire(luminaire)
         warn_of_faults(lamp)
         watch = Stopwatch()
+        model = _stored_model(lamp) if "model" in parts else None
         exitant = None
         if "exitant" in parts:
             light_config = dataclasses.replace(EXITANT_QUALITIES[quality], seed=seed)
@@ -140,11 +148,28 @@ def bake(
                 exitant = bake_exitant(lamp, light_config, at.path)
             if "field" not in parts:
                 asset = exitant_asset(exitant, lamp.frame, lamp.name)
+                asset = dataclasses.replace(asset, model=model)
                 result = BakeResult(asset=asset, path=save_asset(asset, output), **watch.costs())
                 if work is None:
                     at.remove([EXITANT_STATE])
                 return result
-        return _finish(output, work, at, lambda: direct.bake(lamp, config, at.path), exitant, watch)
+        job = lambda: direct.bake(lamp, config, at.path)  # noqa: E731
+        return _finish(output, work, at, job, exitant, model, watch)
+
+
+def _stored_model(lamp: "Luminaire") -> AssetModel | None:
+    """The model of a luminaire, or None with a warning if it cannot be stored."""
+    from lumitree.luminaire.stored_model import stored_model
+
+    try:
+        return stored_model(lamp)
+    except LumitreeError as error:
+        warnings.warn(
+            f"the asset gets no model: {error}; images show its field",
+            LumitreeWarning,
+            stacklevel=3,
+        )
+        return None
 
 
 @explained
@@ -201,7 +226,7 @@ def refine(
     with reporting(progress), open_work_folder(output, work) as at:
         lamp = load_luminaire(luminaire)
         job = lambda: direct.refine(rough, lamp, config, at.path)  # noqa: E731
-        return _finish(output, work, at, job, rough.exitant)
+        return _finish(output, work, at, job, rough.exitant, rough.model)
 
 
 def _finish(
@@ -210,9 +235,10 @@ def _finish(
     folder: WorkFolder,
     job: "Callable[[], DirectResult]",
     exitant: ExitantField | None = None,
+    model: AssetModel | None = None,
     watch: Stopwatch | None = None,
 ) -> BakeResult:
-    """Run a direct bake and write its asset, with an exitant light field.
+    """Run a direct bake and write its asset, with the other parts.
 
     Removes the saved state, unless the user chose its folder or the bake was interrupted.
     """
@@ -221,7 +247,7 @@ def _finish(
     watch = Stopwatch() if watch is None else watch
     with watch.stage("bake"):
         result = job()
-        asset = dataclasses.replace(result.asset, exitant=exitant)
+        asset = dataclasses.replace(result.asset, exitant=exitant, model=model)
         path = save_asset(asset, output)
     if work is None and result.stopped_by is None:
         folder.remove([STATE, EXITANT_STATE])

@@ -58,7 +58,8 @@ def add(commands: Any) -> None:
         type=lambda text: tuple(text.split(",")),
         metavar="PARTS",
         help="direct only: what the asset gets, separated by commas. exitant: what the luminaire "
-        "sends to its surroundings; field: what images show of it (default: exitant,field)",
+        "sends to its surroundings; field: what images show of it; model: the luminaire itself, "
+        "which images show in place of the field (default: exitant,field)",
     )
     options.add_work(parser)
     options.add_variant(parser)

@@ -1,0 +1,131 @@
+"""The shapes of an asset's model in a scene."""
+
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.materials import Json, is_specular
+from lumitree.asset.model import AssetModel
+from lumitree.core.frames import similarity_scale
+from lumitree.rendering.model_plugins import model_emitter_class, model_glass_class
+
+_COLOURS = "vertex_color"
+
+
+def model_shapes(
+    model: AssetModel, scene_from_world: NDArray[np.float64], reflected: Any
+) -> list[Any]:
+    """The shapes (mi.Shape) of a model.
+
+    Args:
+        model: what to place.
+        scene_from_world: [4, 4] similarity, from the frame of the luminaire's file to the scene.
+        reflected: as for the emitter of `model_plugins`, for surfaces that are not specular.
+    """
+    builder = _Builder(model, scene_from_world, reflected)
+    return [
+        builder.shape(shape, mesh) for shape, mesh in zip(model.shapes, model.meshes(), strict=True)
+    ]
+
+
+class _Builder:
+    def __init__(
+        self, model: AssetModel, scene_from_world: NDArray[np.float64], reflected: Any
+    ) -> None:
+        self._model, self._matrix, self._reflected = model, scene_from_world, reflected
+        self._scale = similarity_scale(scene_from_world, "to_world")
+        self._emitter, self._glass = model_emitter_class(), model_glass_class()
+        self._textures: dict[str, Any] = {}
+        self._bsdfs = [self._top(material) for material in model.materials]
+
+    def shape(self, shape: Json, mesh: "dict[str, NDArray[Any]] | None") -> Any:
+        """The mi.Shape of a shape of the model, with its BSDF and its emitter."""
+        material = self._model.materials[shape["material"]]
+        emits = shape["radiance"] is not None
+        props = mi.Properties("" if mesh is not None else shape["type"])
+        props["flip_normals"] = shape["flipped"]
+        props["bsdf"] = self._bsdfs[shape["material"]]
+        # A surface that shows other things needs no emitter: it neither emits nor scatters.
+        if emits or not is_specular(material):
+            radiance = self._texture_of(shape["radiance"]) if emits else None
+            props["emitter"] = self._emitter(radiance, None if emits else self._reflected)
+        if mesh is None:
+            matrix = self._matrix @ np.array(shape["to_world"], np.float64)
+            props["to_world"] = mi.ScalarTransform4d(matrix)
+            return mi.PluginManager.instance().create_object(props)
+        return self._mesh(mesh, props)
+
+    def _mesh(self, mesh: dict[str, NDArray[Any]], props: Any) -> Any:
+        rotation = self._matrix[:3, :3] / self._scale
+        placed = {
+            "vertex_positions": mesh["vertices"] @ self._matrix[:3, :3].T + self._matrix[:3, 3],
+            "faces": mesh["faces"],
+        }
+        if len(mesh["normals"]):
+            placed["vertex_normals"] = mesh["normals"] @ rotation.T
+        if len(mesh["texcoords"]):
+            placed["vertex_texcoords"] = mesh["texcoords"]
+        shape = mi.Mesh(
+            "model",
+            len(mesh["vertices"]),
+            len(mesh["faces"]),
+            has_vertex_normals="vertex_normals" in placed,
+            has_vertex_texcoords="vertex_texcoords" in placed,
+            props=props,
+        )
+        if len(mesh["colours"]):
+            shape.add_attribute(_COLOURS, 3, np.ravel(mesh["colours"]))
+        parameters = mi.traverse(shape)
+        for name, values in placed.items():
+            kind = np.uint32 if name == "faces" else np.float32
+            parameters[name] = np.ravel(values).astype(kind)
+        parameters.update()
+        return shape
+
+    def _top(self, material: Json) -> Any:
+        bsdf = self._bsdf(material)
+        return self._glass(bsdf) if material["type"] == "dielectric" else bsdf
+
+    def _bsdf(self, material: Json) -> Any:
+        props = mi.Properties(material["type"])
+        for name, value in material.items():
+            if name == "nested":
+                for index, inner in enumerate(value):
+                    props[f"nested_{index}"] = self._bsdf(inner)
+            elif name != "type":
+                props[name] = self._value(value)
+        return mi.PluginManager.instance().create_object(props)
+
+    def _value(self, value: Any) -> Any:
+        if isinstance(value, list):
+            return mi.ScalarColor3d(value)
+        return self._texture(value) if isinstance(value, dict) else value
+
+    def _texture_of(self, radiance: Any) -> Any:
+        """Radiance as a mi.Texture."""
+        props = mi.Properties("radiance")
+        props["radiance"] = self._value(radiance)
+        return props.get_emissive_texture("radiance")
+
+    def _texture(self, texture: Json) -> Any:
+        key = repr(sorted(texture.items()))
+        if key not in self._textures:
+            self._textures[key] = mi.load_dict(self._description(texture))
+        return self._textures[key]
+
+    def _description(self, texture: Json) -> dict[str, Any]:
+        if "attribute" in texture:
+            return {"type": "mesh_attribute", "name": texture["attribute"]}
+        image = self._model.images[texture["image"]]
+        bitmap = mi.Bitmap(np.ascontiguousarray(image))
+        bitmap.set_srgb_gamma(image.dtype == np.uint8 and not texture["raw"])
+        return {
+            "type": "bitmap",
+            "bitmap": bitmap,
+            "raw": texture["raw"],
+            "filter_type": texture["filter_type"],
+            "wrap_mode": texture["wrap_mode"],
+            "to_uv": mi.ScalarTransform4f(np.array(texture["to_uv"])),
+        }
