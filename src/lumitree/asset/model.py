@@ -204,9 +204,7 @@ def _check_arrays(model: AssetModel) -> None:
         )
     for shape, mesh in zip(model.shapes, model.meshes(), strict=True):
         if mesh is not None:
-            _expect(
-                mesh["faces"].max() < shape["vertices"], "a face has a vertex that is not there"
-            )
+            _expect(mesh["faces"].max() < shape["vertices"], "a face has an unknown vertex")
 
 
 def _bounds(shape: Json) -> NDArray[np.float64]:

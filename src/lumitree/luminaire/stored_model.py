@@ -115,7 +115,7 @@ class _Reader:
         mi = load_mitsuba()
         values: Json = {}
         children = self._children(props)
-        for name in props.keys():
+        for name in list(props.keys()):
             child = children.get(name)
             if child is None:
                 values[name] = _plain(name, props[name])
@@ -179,8 +179,7 @@ def _arrays(shape: Any) -> dict[str, NDArray[Any]]:
     parameters = load_mitsuba().traverse(shape)
     found = {}
     for name, (dtype, width) in ARRAYS.items():
-        key = _TRAVERSED[name]
-        values = np.array(parameters[key] if key in parameters else [], dtype)
+        values = np.array(parameters.get(_TRAVERSED[name], []), dtype)
         if values.size:
             found[name] = values.reshape(-1, width)
     return found
@@ -208,7 +207,7 @@ def _joined(
         for _, mesh in group:
             for name, values in mesh.items():
                 offset = first if name == "faces" else 0
-                arrays[name].append((values + np.asarray(offset, values.dtype)))
+                arrays[name].append(values + np.asarray(offset, values.dtype))
             first += len(mesh["vertices"])
         shapes.append(
             {

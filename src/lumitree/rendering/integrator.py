@@ -11,11 +11,11 @@ from the origin, that is no longer small beside it: 0.9 units at a coordinate of
 rectangles are hit with an error of a few units in the last place, so rays leave them from as near
 (`_spawn`); curved shapes and instances, whose hits are less precise, keep Mitsuba's distance.
 
-Where images show the model of a lamp, its shapes are in the scene, and its light is divided by the
-path. As long as all vertices since the camera are specular, a path that enters the lamp gets the
-emission of these shapes; otherwise it gets the exitant light field where it enters, and `own`, their
-emission, is off until the path shows a lamp again. After the first vertex that is not specular the
-lamps' glass bends no ray (`model_plugins`), and a crossing of it is a null interaction.
+Where images show the model of a lamp, its shapes are in the scene, and each path gets its light
+once. If all vertices since the camera are specular, a path that enters the lamp's box gets what its
+shapes emit. Otherwise it gets the exitant light field where it enters, and its shapes emit nothing
+(`own`). After the first vertex that is not specular, the lamp's glass bends no ray
+(`model_plugins`), and a crossing of it is a null interaction.
 
 Symbols
     β, η    throughput of the path, product of its relative indices of refraction
