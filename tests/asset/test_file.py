@@ -311,7 +311,10 @@ def test_broken_descriptions_of_the_exitant_light_field_are_refused(
     [
         # A version 1 that keeps the member, and one that keeps the tensors only.
         (lambda d: d.update(version=1), 'unknown key "exitant"'),
-        (lambda d: d.update(version=1) or d.pop("exitant"), "version 1 has no tensor exitant.cells"),
+        (
+            lambda d: d.update(version=1) or d.pop("exitant"),
+            "version 1 has no tensor exitant.cells",
+        ),
         (lambda d: d.pop("exitant"), 'lacks "exitant"'),
         (lambda d: d.update(exitant=None), "exitant of the description is null; expected a JSON"),
         (lambda d: d.update(exitant=[2, 4, 1.0]), "exitant of the description is a list of 3"),

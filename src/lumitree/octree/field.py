@@ -24,8 +24,6 @@ from lumitree.octree.traversal import Octree
 Record = Callable[..., Any]
 # Coefficients that are loaded at once: gathers of single halves take three times as long.
 _PACKET = 8
-# Opacity below which `emission_near` finds no matter.
-_CLEAR = 1e-3
 _LARGEST_HALF = float(np.finfo(np.float16).max)
 
 
@@ -95,40 +93,6 @@ class Field:
         """
         radiance, through, _ = self.integrate(origin, direction, active, _nothing, ())
         return radiance, through
-
-    def emission_near(self, origin: Any, direction: Any, active: Any = True) -> Any:
-        """Emission Φ (Eq. 6) of the opaque matter near a point, seen along a direction.
-
-        It is the mean over a leaf's side before and behind the point, weighted as in Eq. 3.
-
-        Args:
-            origin: mi.Point3f, the point, local units.
-            direction: mi.Vector3f, unit direction of travel, local frame.
-            active: mi.Bool mask.
-
-        Returns:
-            mi.Color3f, radiance units of the luminaire's scene; 0 where there is no leaf.
-        """
-        y = basis(*towards_viewer(direction), l_max=self.asset.l_max)
-        side = 2.0 / (1 << self.asset.tree_depth)
-
-        def visit(state, leaf, start, length, active):
-            return state, start < side
-
-        def shade(state, leaf, start, length, active):
-            radiance, opacity, tau = state
-            part = dr.minimum(start + length, side) - dr.maximum(start, -side)
-            tau, after = self._cross(tau, leaf, dr.maximum(part, 0), active)
-            weight = dr.select(active, 1 - opacity - after, 0)
-            lit = weight > 0
-            emission = dr.select(lit, weight * self._leaf_emission(leaf, y, lit), 0)
-            return radiance + emission, opacity + weight, tau
-
-        line = origin, direction, mi.Bool(active)
-        clear = mi.Color3f(0), mi.Float(0), mi.Float(0)
-        _, state = self._octree.traverse_and_shade(*line, visit, (), shade, clear)
-        radiance, opacity, _ = state
-        return dr.select(opacity > _CLEAR, radiance / opacity, 0)
 
     def eval_rays(
         self, origin: NDArray[np.floating], direction: NDArray[np.floating]

@@ -92,8 +92,9 @@ def _trace(settings, scene, sampler, ray, active):
     pdf, delta = mi.Float(1), mi.Bool(True)
     # Whether all interactions since the camera were specular, so that the image shows what is met.
     specular = mi.Bool(True)
-    # Whether the emission of a lamp's own shapes counts.
-    own = mi.Bool(True)
+    # Whether the emission of a lamp's own shapes counts; and whether next-event estimation at the
+    # vertex could have found it.
+    own, sampled_own = mi.Bool(True), mi.Bool(False)
     active &= depth < max_depth
     pi = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
 
@@ -117,10 +118,11 @@ def _trace(settings, scene, sampler, ray, active):
         if dr.hint(settings.hide_emitters, mode="scalar"):
             seen &= depth > 0
         ds = mi.DirectionSample3f(scene, si, vertex)
-        emitted, through, emitter_pdf, proxy, completes = dr.dispatch(
+        emitted, through, emitter_pdf, proxy, of_lamp = dr.dispatch(
             ds.emitter, _emitted, si, vertex, ds, specular, own, active
         )
-        emitter_pdf *= ds.emitter.sampling_weight() * dr.rcp(sampling_weight)
+        share = ds.emitter.sampling_weight() * dr.rcp(sampling_weight)
+        emitter_pdf *= dr.select(of_lamp, dr.select(sampled_own, 1, 0), share)
         emitter_pdf[delta] = 0
         radiance[seen] += β * _mis_weight(pdf, emitter_pdf) * emitted
 
@@ -128,9 +130,8 @@ def _trace(settings, scene, sampler, ray, active):
         proxy &= active & si.is_valid()
         scatters = active & ~proxy & si.is_valid() & (depth + 1 < max_depth)
 
-        glass, behind = mi.Bool(False), mi.Bool(False)
+        glass, behind, shows = mi.Bool(False), mi.Bool(False), mi.Bool(False)
         if dr.hint(shows_models, mode="scalar"):
-            own &= ~completes
             own[proxy & (mi.Frame3f.cos_theta(si.wi) > 0)] = specular
             # Glass that light crosses straight is seen from outside on both sides.
             glass = scatters & ~specular & ((bsdf.flags() & CROSSED_STRAIGHT) != 0)
@@ -159,6 +160,20 @@ def _trace(settings, scene, sampler, ray, active):
         direct *= weight * dr.select(ds.delta, 1, _mis_weight(ds.pdf, value_pdf))
         radiance[estimates] += direct
 
+        # The same from a surface of a lamp, for the lamp's own light.
+        if dr.hint(shows_models, mode="scalar"):
+            shows = scatters & own & of_lamp & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            sample = sampler.next_2d()
+            shape, chance, sample.x = dr.dispatch(si.emitter(scene), _sample_own, sample.x, shows)
+            ds = shape.sample_direction(si, sample, shows)
+            ds.pdf *= chance
+            found = shows & (ds.pdf > 0)
+            value, value_pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), found)
+            direct = β * value * _visible(scene, si, ds, sees_null, extent, found)
+            found &= dr.max(direct) > 0
+            direct *= dr.dispatch(shape.emitter(), _own_radiance, ds, found)
+            radiance[found] += direct * _mis_weight(ds.pdf, value_pdf) / ds.pdf
+
         # The next ray.
         null = proxy | (scatters & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null))
         if dr.hint(shows_models, mode="scalar"):
@@ -173,6 +188,7 @@ def _trace(settings, scene, sampler, ray, active):
         η[bounces] *= bs.eta
         vertex[bounces] = mi.Interaction3f(si)
         pdf[bounces] = bs.pdf
+        sampled_own[bounces] = shows
         delta[bounces] = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
         specular &= ~bounces | delta
         depth[bounces] += 1
@@ -198,16 +214,35 @@ def _emitted(
 ) -> tuple[Any, Any, Any, Any, Any]:
     """Radiance of an emitter that was hit, T if it is a proxy, density, and whether it is one.
 
-    Last, whether the radiance of a lamp's shape includes what the rest of the path would find.
+    Last, whether it belongs to a shape of a lamp's model.
     """
     no = mi.Bool(False)
     if isinstance(emitter, DeferredEmitter):
         return *emitter.eval_with_transmittance(si, vertex, specular, active), mi.Bool(True), no
     if isinstance(emitter, ModelEmitter):
-        radiance, completes = emitter.eval_own(si, active & own)
-        return radiance & own, mi.Float(1), mi.Float(0), no, completes
+        return *_own(emitter.eval_own(si, vertex, ds, active & own), own), no, mi.Bool(True)
     pdf = emitter.pdf_direction(vertex, ds, active)
     return emitter.eval(si, active), mi.Float(1), pdf, no, no
+
+
+def _own(evaluated: tuple[Any, Any], own: Any) -> tuple[Any, Any, Any]:
+    """Radiance, transmittance and density of a lamp's shape."""
+    radiance, pdf = evaluated
+    return radiance & own, mi.Float(1), pdf
+
+
+def _sample_own(emitter: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+    """From a surface of a lamp: a shape of the lamp that emits, its chance, and a new sample."""
+    if isinstance(emitter, ModelEmitter):
+        return emitter.sample_own(sample, active)
+    return dr.zeros(mi.ShapePtr), mi.Float(0), mi.Float(0)
+
+
+def _own_radiance(emitter: Any, ds: Any, active: Any) -> Any:
+    """Radiance of a sampled point of a lamp's shape."""
+    if isinstance(emitter, ModelEmitter):
+        return emitter.radiance_at(ds, active)
+    return mi.Color3f(0)
 
 
 def _sample_target(emitter: Any, it: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:

@@ -1,8 +1,9 @@
 """The emitter and the glass of a lamp's own shapes, where an image shows the model of an asset.
 
 The light of a lamp reaches a scene from its exitant light field. Its shapes therefore emit only
-where a path shows the lamp, and next-event estimation does not sample them. The integrator
-`lumitree_path` makes this distinction; others see shapes that do not emit.
+where a path shows the lamp, and next-event estimation of the scene does not sample them. Where a
+path shows a rough surface of the lamp, next-event estimation of the lamp's own light does. The
+integrator `lumitree_path` makes this distinction; others see shapes that do not emit.
 
 Glass bends the rays of an image. Elsewhere light crosses it straight, with its Fresnel
 transmittance: shadow rays, and rays after a vertex that is not specular. Else next-event estimation
@@ -14,25 +15,37 @@ from typing import Any, Protocol, runtime_checkable
 import drjit as dr
 import mitsuba as mi
 
+from lumitree.rendering.own_lights import OwnLights
+
 # Marks a BSDF that light crosses straight, in `flags()`; Mitsuba does not use this bit.
 CROSSED_STRAIGHT = 1 << 24
 
 
 @runtime_checkable
 class ModelEmitter(Protocol):
-    """Emitter of a shape of a lamp's model."""
+    """Emitter of a shape of a lamp's model, which `lumitree_path` evaluates."""
 
-    def eval_own(self, si: Any, active: Any) -> tuple[Any, Any]:
-        """Light of the lamp itself that leaves its surface.
+    def eval_own(self, si: Any, it: Any, ds: Any, active: Any) -> tuple[Any, Any]:
+        """Radiance of a point that a ray has hit.
 
         Args:
             si: mi.SurfaceInteraction3f on the shape.
+            it: mi.Interaction3f, the vertex that the ray comes from.
+            ds: mi.DirectionSample3f of both.
             active: mi.Bool mask.
 
         Returns:
-            mi.Color3f, radiance towards `si.wi`; and mi.Bool, whether it includes all light of the
-            lamp that the surface reflects, so that the rest of the path adds none.
+            mi.Color3f, radiance towards `si.wi`; and mi.Float, density per steradian with which a
+            point of the shape that `sample_own` gave has this direction from `it`.
         """
+        ...
+
+    def sample_own(self, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+        """A shape of the same lamp that emits, as `OwnLights.sample`."""
+        ...
+
+    def radiance_at(self, ds: Any, active: Any) -> Any:
+        """Radiance (mi.Color3f) of a point that was sampled on the shape, towards the vertex."""
         ...
 
 
@@ -40,28 +53,39 @@ def model_emitter_class() -> type:
     """Class of the emitter for the variant of Mitsuba that is set, whose base class it extends."""
 
     class LumitreeModelEmitter(mi.Emitter):
-        def __init__(self, radiance: Any, reflected: Any = None) -> None:
+        def __init__(self, lights: OwnLights, radiance: Any = None, index: int = 0) -> None:
             """Emitter of one shape.
 
             Args:
+                lights: what emits in the lamp.
                 radiance: mi.Texture, what the front of the surface emits; None for nothing.
-                reflected: function that returns the light of the lamp that the surface reflects,
-                    mi.Color3f, for an interaction and a mask; None if paths have to find it.
+                index: of the shape in `lights`, if it emits.
             """
             props = mi.Properties("lumitree_model")
             props["sampling_weight"] = 0.0
             super().__init__(props)
-            self._radiance, self._reflected = radiance, reflected
+            self._lights, self._radiance, self._index = lights, radiance, index
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
-        def eval_own(self, si, active):
-            if self._radiance is not None:
-                front = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-                emitted = mi.Color3f(self._radiance.eval(si, front))
-                return dr.select(front, emitted, 0), mi.Bool(False)
-            if self._reflected is not None:
-                return self._reflected(si, active), mi.Bool(True)
-            return mi.Color3f(0), mi.Bool(False)
+        def eval_own(self, si, it, ds, active):
+            if self._radiance is None:
+                return mi.Color3f(0), mi.Float(0)
+            pdf = self.get_shape().pdf_direction(it, ds, active) * self._lights.chance(self._index)
+            return self._eval(si, active), pdf
+
+        def sample_own(self, sample, active):
+            return self._lights.sample(sample, active)
+
+        def radiance_at(self, ds, active):
+            if self._radiance is None:
+                return mi.Color3f(0)
+            si = mi.SurfaceInteraction3f(ds, [])
+            si.wi = mi.Vector3f(0, 0, -dr.dot(ds.d, ds.n))
+            return self._eval(si, active)
+
+        def _eval(self, si, active):
+            front = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+            return dr.select(front, mi.Color3f(self._radiance.eval(si, front)), 0)
 
         def eval(self, si, active=True):
             return mi.Color3f(0)

@@ -10,31 +10,30 @@ from lumitree.asset.materials import Json, is_specular
 from lumitree.asset.model import AssetModel
 from lumitree.core.frames import similarity_scale
 from lumitree.rendering.model_plugins import model_emitter_class, model_glass_class
+from lumitree.rendering.own_lights import OwnLights
 
 _COLOURS = "vertex_color"
 
 
-def model_shapes(
-    model: AssetModel, scene_from_world: NDArray[np.float64], reflected: Any
-) -> list[Any]:
+def model_shapes(model: AssetModel, scene_from_world: NDArray[np.float64]) -> list[Any]:
     """The shapes (mi.Shape) of a model.
 
     Args:
         model: what to place.
         scene_from_world: [4, 4] similarity, from the frame of the luminaire's file to the scene.
-        reflected: as for the emitter of `model_plugins`, for surfaces that are not specular.
     """
-    builder = _Builder(model, scene_from_world, reflected)
-    return [
+    builder = _Builder(model, scene_from_world)
+    shapes = [
         builder.shape(shape, mesh) for shape, mesh in zip(model.shapes, model.meshes(), strict=True)
     ]
+    builder.complete()
+    return shapes
 
 
 class _Builder:
-    def __init__(
-        self, model: AssetModel, scene_from_world: NDArray[np.float64], reflected: Any
-    ) -> None:
-        self._model, self._matrix, self._reflected = model, scene_from_world, reflected
+    def __init__(self, model: AssetModel, scene_from_world: NDArray[np.float64]) -> None:
+        self._model, self._matrix = model, scene_from_world
+        self._lights, self._emitting = OwnLights(), []
         self._scale = similarity_scale(scene_from_world, "to_world")
         self._emitter, self._glass = model_emitter_class(), model_glass_class()
         self._textures: dict[str, Any] = {}
@@ -43,19 +42,33 @@ class _Builder:
     def shape(self, shape: Json, mesh: "dict[str, NDArray[Any]] | None") -> Any:
         """The mi.Shape of a shape of the model, with its BSDF and its emitter."""
         material = self._model.materials[shape["material"]]
-        emits = shape["radiance"] is not None
+        radiance = shape["radiance"]
         props = mi.Properties("" if mesh is not None else shape["type"])
         props["flip_normals"] = shape["flipped"]
         props["bsdf"] = self._bsdfs[shape["material"]]
         # A surface that shows other things needs no emitter: it neither emits nor scatters.
-        if emits or not is_specular(material):
-            radiance = self._texture_of(shape["radiance"]) if emits else None
-            props["emitter"] = self._emitter(radiance, None if emits else self._reflected)
+        emitted = None if radiance is None else self._texture_of(radiance)
+        if radiance is not None or not is_specular(material):
+            props["emitter"] = self._emitter(self._lights, emitted, len(self._emitting))
         if mesh is None:
             matrix = self._matrix @ np.array(shape["to_world"], np.float64)
             props["to_world"] = mi.ScalarTransform4d(matrix)
-            return mi.PluginManager.instance().create_object(props)
-        return self._mesh(mesh, props)
+            made = mi.PluginManager.instance().create_object(props)
+        else:
+            made = self._mesh(mesh, props)
+        if emitted is not None:
+            self._emitting.append((made, emitted))
+        return made
+
+    def complete(self) -> None:
+        """Sample what emits by its flux."""
+        if self._emitting:
+            shapes, radiances = zip(*self._emitting, strict=True)
+            area = [float(np.ravel(shape.surface_area())[0]) for shape in shapes]
+            mean = [float(np.ravel(radiance.mean())[0]) for radiance in radiances]
+            # A shape of which nothing is known is not left out.
+            power = np.maximum(np.array(area) * np.array(mean), 1e-30)
+            self._lights.set_shapes(list(shapes), power)
 
     def _mesh(self, mesh: dict[str, NDArray[Any]], props: Any) -> Any:
         rotation = self._matrix[:3, :3] / self._scale

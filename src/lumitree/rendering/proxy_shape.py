@@ -14,7 +14,6 @@ from lumitree.octree.field import Field
 from lumitree.rendering.emitter_sampling import SAMPLING_KINDS, Sampling
 from lumitree.rendering.model_shapes import model_shapes
 from lumitree.rendering.opened import file_name, open_field
-from lumitree.rendering.own_light import reflected_light
 from lumitree.rendering.placed import APPEARANCES, MODEL_MARGIN, Appearance, Placed, shows_model
 from lumitree.rendering.proxy import PROXY_KINDS, ProxyKind, make_proxy
 
@@ -73,9 +72,8 @@ def make_shapes(**options: Any) -> Any:
     # The plugin `merge` expands into the shapes that it is given.
     together = mi.Properties("merge")
     together["proxy"] = mi.load_dict(proxy)
-    reflected = reflected_light(placed)
     assert placed.asset.model is not None
-    for index, shape in enumerate(model_shapes(placed.asset.model, matrix, reflected)):
+    for index, shape in enumerate(model_shapes(placed.asset.model, matrix)):
         together[f"model_{index}"] = shape
     return mi.PluginManager.instance().create_object(together)
 
