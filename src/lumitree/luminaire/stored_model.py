@@ -61,8 +61,9 @@ class _Reader:
         meshes: dict[str, list[tuple[Json, dict[str, NDArray[Any]]]]] = defaultdict(list)
         others = []
         for name, shape, description in zip(names, shapes, described, strict=True):
-            if shape.is_mesh():
-                mesh = _arrays(shape)
+            # A rectangle is a mesh to Mitsuba, but has no arrays.
+            mesh = _arrays(shape) if shape.is_mesh() else {}
+            if mesh:
                 if "colours" not in mesh and self._uses_colours(description):
                     raise LumitreeError(f"the shape {name} has no colours that are stored")
                 key = repr((description, sorted(mesh)))
@@ -78,14 +79,17 @@ class _Reader:
     def _describe(self, props: Any) -> Json:
         """What a shape has besides its geometry."""
         plugin = props.plugin_name()
-        radiance, material = None, {"type": "diffuse"}
+        radiance, material = None, None
         for child in self._children(props).values():
             if child.type == load_mitsuba().ObjectType.Emitter:
                 radiance = self._radiance(child.props)
             elif child.type == load_mitsuba().ObjectType.BSDF:
                 material = self._material(child.props)
             else:
-                raise LumitreeError(f"a {plugin} holds an object that is not stored")
+                raise LumitreeError(f"shape {plugin!r} holds an object that is not stored")
+        if material is None:
+            # As Mitsuba has it: what emits reflects nothing.
+            material = {"type": "diffuse"} | ({} if radiance is None else {"reflectance": 0.0})
         check_material(material, _MANY)
         if material not in self._materials:
             self._materials.append(material)
