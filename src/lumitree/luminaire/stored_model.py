@@ -222,7 +222,7 @@ def _joined(
                 **{name: name in group[0][1] for name in ("normals", "texcoords", "colours")},
             }
         )
-    joined = {
+    joined: dict[str, NDArray[Any]] = {
         name: np.concatenate([np.zeros((0, width), dtype), *arrays[name]])
         for name, (dtype, width) in ARRAYS.items()
     }

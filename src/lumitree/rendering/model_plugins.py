@@ -16,6 +16,7 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.rendering.own_lights import OwnLights
+from lumitree.rendering.plugin_objects import make_properties
 
 # Marks a BSDF that light crosses straight, in `flags()`; Mitsuba does not use this bit.
 CROSSED_STRAIGHT = 1 << 24
@@ -61,9 +62,7 @@ def model_emitter_class() -> type:
                 radiance: mi.Texture, what the front of the surface emits; None for nothing.
                 index: of the shape in `lights`, if it emits.
             """
-            props = mi.Properties("lumitree_model")
-            props["sampling_weight"] = 0.0
-            super().__init__(props)
+            super().__init__(make_properties("lumitree_model", {"sampling_weight": 0.0}))
             self._lights, self._radiance, self._index = lights, radiance, index
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
@@ -115,7 +114,7 @@ def model_glass_class() -> type:
             Args:
                 glass: mi.BSDF, whose second component is a specular transmission.
             """
-            super().__init__(mi.Properties("lumitree_glass"))
+            super().__init__(make_properties("lumitree_glass", {}))
             self._glass = glass
             self.m_components = list(glass.m_components)
             # Null surfaces are asked for their transmittance in shadow rays.

@@ -11,6 +11,7 @@ from lumitree.asset.model import AssetModel
 from lumitree.core.frames import similarity_scale
 from lumitree.rendering.model_plugins import model_emitter_class, model_glass_class
 from lumitree.rendering.own_lights import OwnLights
+from lumitree.rendering.plugin_objects import make_object, make_properties
 
 _COLOURS = "vertex_color"
 
@@ -43,19 +44,17 @@ class _Builder:
         """The mi.Shape of a shape of the model, with its BSDF and its emitter."""
         material = self._model.materials[shape["material"]]
         radiance = shape["radiance"]
-        props = mi.Properties("" if mesh is not None else shape["type"])
-        props["flip_normals"] = shape["flipped"]
-        props["bsdf"] = self._bsdfs[shape["material"]]
+        values = {"flip_normals": shape["flipped"], "bsdf": self._bsdfs[shape["material"]]}
         # A surface that shows other things needs no emitter: it neither emits nor scatters.
         emitted = None if radiance is None else self._texture_of(radiance)
         if radiance is not None or not is_specular(material):
-            props["emitter"] = self._emitter(self._lights, emitted, len(self._emitting))
+            values["emitter"] = self._emitter(self._lights, emitted, len(self._emitting))
         if mesh is None:
             matrix = self._matrix @ np.array(shape["to_world"], np.float64)
-            props["to_world"] = mi.ScalarTransform4d(matrix)
-            made = mi.PluginManager.instance().create_object(props)
+            values["to_world"] = mi.ScalarTransform4d(matrix)
+            made = make_object(shape["type"], values)
         else:
-            made = self._mesh(mesh, props)
+            made = self._mesh(mesh, make_properties("", values))
         if emitted is not None:
             self._emitting.append((made, emitted))
         return made
@@ -102,14 +101,10 @@ class _Builder:
         return self._glass(bsdf) if material["type"] == "dielectric" else bsdf
 
     def _bsdf(self, material: Json) -> Any:
-        props = mi.Properties(material["type"])
-        for name, value in material.items():
-            if name == "nested":
-                for index, inner in enumerate(value):
-                    props[f"nested_{index}"] = self._bsdf(inner)
-            elif name != "type":
-                props[name] = self._value(value)
-        return mi.PluginManager.instance().create_object(props)
+        values = {f"nested_{i}": self._bsdf(m) for i, m in enumerate(material.get("nested", []))}
+        for name in material.keys() - {"type", "nested"}:
+            values[name] = self._value(material[name])
+        return make_object(material["type"], values)
 
     def _value(self, value: Any) -> Any:
         if isinstance(value, list):
@@ -118,9 +113,8 @@ class _Builder:
 
     def _texture_of(self, radiance: Any) -> Any:
         """Radiance as a mi.Texture."""
-        props = mi.Properties("radiance")
-        props["radiance"] = self._value(radiance)
-        return props.get_emissive_texture("radiance")
+        values = {"radiance": self._value(radiance)}
+        return make_properties("", values).get_emissive_texture("radiance")
 
     def _texture(self, texture: Json) -> Any:
         key = repr(sorted(texture.items()))

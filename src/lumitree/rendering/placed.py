@@ -9,6 +9,7 @@ import numpy as np
 from lumitree.asset.asset import Asset
 from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError
+from lumitree.octree.field import FieldData
 from lumitree.rendering.opened import open_asset, open_field
 from lumitree.rendering.proxy import make_proxy
 
@@ -35,9 +36,9 @@ def plugin_options(props: Any) -> dict[str, Any]:
     return {"asset": str(mi.file_resolver().resolve(props["filename"])), **options}
 
 
-def shows_model(asset: Asset, appearance: Appearance) -> bool:
+def shows_model(asset: FieldData, appearance: Appearance) -> bool:
     """Whether images show the luminaire itself."""
-    return appearance == "model" and asset.model is not None
+    return appearance == "model" and isinstance(asset, Asset) and asset.model is not None
 
 
 class Placed:

@@ -13,8 +13,9 @@ from lumitree.core.frames import similarity_scale
 from lumitree.octree.field import Field
 from lumitree.rendering.emitter_sampling import SAMPLING_KINDS, Sampling
 from lumitree.rendering.model_shapes import model_shapes
-from lumitree.rendering.opened import file_name, open_field
+from lumitree.rendering.opened import file_name, open_asset, open_field
 from lumitree.rendering.placed import APPEARANCES, MODEL_MARGIN, Appearance, Placed, shows_model
+from lumitree.rendering.plugin_objects import make_object, make_properties
 from lumitree.rendering.proxy import PROXY_KINDS, ProxyKind, make_proxy
 
 
@@ -41,7 +42,8 @@ def describe_proxy(
     if matrix.shape == (4, 4, 1):
         matrix = matrix[..., 0]
     similarity_scale(matrix, "to_world")
-    field = open_field(asset, min_density, max_opacity)
+    opened = open_asset(asset)
+    field = open_field(opened, min_density, max_opacity)
     options = {
         "filename": file_name(asset),
         "to_world": mi.ScalarTransform4f(matrix),
@@ -51,11 +53,11 @@ def describe_proxy(
         "sampling": sampling,
         "appearance": appearance,
     }
-    if shows_model(field.asset, appearance):
+    if shows_model(opened, appearance):
         # One dictionary cannot describe several shapes; the plugin calls `make_shapes`.
         description = _Shape(type="lumitree_proxy", **options)
     else:
-        description = _proxy(field.asset, matrix, proxy, 0.0, options)
+        description = _proxy(opened, matrix, proxy, 0.0, options)
     description.field = field
     return description
 
@@ -66,16 +68,14 @@ def make_shapes(**options: Any) -> Any:
     if description["type"] != "lumitree_proxy":
         return mi.load_dict(description)
     properties = {name: value for name, value in description.items() if name != "type"}
-    placed = Placed(_properties(properties))
+    placed = Placed(make_properties("lumitree_proxy", properties))
     matrix = np.array(properties["to_world"].matrix, np.float64).reshape(4, 4)
     proxy = _proxy(placed.asset, matrix, properties["proxy"], MODEL_MARGIN, properties)
     # The plugin `merge` expands into the shapes that it is given.
-    together = mi.Properties("merge")
-    together["proxy"] = mi.load_dict(proxy)
     assert placed.asset.model is not None
-    for index, shape in enumerate(model_shapes(placed.asset.model, matrix)):
-        together[f"model_{index}"] = shape
-    return mi.PluginManager.instance().create_object(together)
+    shapes = model_shapes(placed.asset.model, matrix)
+    together = {f"model_{index}": shape for index, shape in enumerate(shapes)}
+    return make_object("merge", {"proxy": mi.load_dict(proxy), **together})
 
 
 def _proxy(
@@ -90,10 +90,3 @@ def _proxy(
         emitter={"type": "lumitree", **options},
         bsdf={"type": "lumitree_null", **options},
     )
-
-
-def _properties(values: dict[str, Any]) -> Any:
-    properties = mi.Properties("lumitree_proxy")
-    for name, value in values.items():
-        properties[name] = value
-    return properties
