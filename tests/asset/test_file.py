@@ -218,7 +218,7 @@ def test_broken_tensors_are_refused(original, tmp_path, change, message):
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("version", 3, "version 3, this lumitree reads 1 and 2"),
+        ("version", 4, "version 4, this lumitree reads 1 and 2 and 3"),
         ("version", 2, 'lacks "exitant"'),
         ("version", 0, "version 0, this"),
         ("version", 1.0, "version 1.0, this"),
@@ -338,12 +338,15 @@ def test_broken_descriptions_of_the_exitant_light_field_are_refused(
     [
         # A version 1 that keeps the member, and one that keeps the tensors only.
         (lambda d: d.update(version=1), 'unknown key "exitant"'),
-        (lambda d: d.update(version=1) or d.pop("exitant"), "version 1 has no exitant light"),
+        (
+            lambda d: d.update(version=1) or d.pop("exitant"),
+            "version 1 has no tensor exitant.cells",
+        ),
         (lambda d: d.pop("exitant"), 'lacks "exitant"'),
         (lambda d: d.update(exitant=None), "exitant of the description is null; expected a JSON"),
         (lambda d: d.update(exitant=[2, 4, 1.0]), "exitant of the description is a list of 3"),
         (lambda d: d["exitant"].pop("scale"), 'exitant of the description lacks "scale"'),
-        (lambda d: d.update(version=3), "version 3, this lumitree reads 1 and 2"),
+        (lambda d: d.update(version=3), "the tensors of the model are missing"),
     ],
 )
 def test_version_and_exitant_light_field_belong_together(with_exitant, tmp_path, change, message):

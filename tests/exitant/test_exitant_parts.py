@@ -116,7 +116,7 @@ def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ((), r"^no parts; expected"),
+        ((), r"^parts are none; expected"),
         (["nonsense"], "part is 'nonsense'; expected exitant, field"),
         (["exitant", "nonsense"], "part is 'nonsense'; expected exitant, field"),
         ("exitant", "part is 'e'; expected exitant, field"),

@@ -1,6 +1,7 @@
 """The direct bake: `bake` makes an asset from traced rays, and `refine` improves one."""
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -10,9 +11,10 @@ from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
 from lumitree.api.photometry import bake_photometric_file, is_photometric_file
 from lumitree.api.results import BakeResult
-from lumitree.asset.asset import Asset, exitant_asset
+from lumitree.asset.asset import PARTS, Asset, Part, exitant_asset
 from lumitree.asset.exitant import ExitantField
 from lumitree.asset.file import load
+from lumitree.asset.model import AssetModel
 from lumitree.core.arguments import check_asset_output, check_choice
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import Dataset
@@ -20,7 +22,7 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.transmittance import Law
 from lumitree.core.work_folder import WorkFolder
 from lumitree.direct.config import QUALITIES
-from lumitree.errors import LumitreeError, explained
+from lumitree.errors import LumitreeError, LumitreeWarning, explained
 from lumitree.exitant.config import EXITANT_QUALITIES
 from lumitree.exitant.saved_field import EXITANT_STATE
 
@@ -29,8 +31,7 @@ if TYPE_CHECKING:
     from lumitree.luminaire.luminaire import Luminaire, LuminaireLike
 
 Quality = Literal["preview", "standard", "high"]
-Part = Literal["exitant", "field"]
-PARTS: tuple[Part, ...] = get_args(Part)
+DEFAULT_PARTS: tuple[Part, ...] = ("exitant", "field")
 
 
 @explained
@@ -44,7 +45,7 @@ def bake(
     tree_depth: int | None = None,
     l_max: int | None = None,
     law: Law | None = None,
-    parts: Collection[Part] = PARTS,
+    parts: Collection[Part] = DEFAULT_PARTS,
     irradiance_paths: int | None = None,
     lumens: float | None = None,
     temperature: float | None = None,
@@ -89,7 +90,11 @@ def bake(
         parts: what the asset gets. "exitant": the exitant light field, 5 to 20 s on 2 CPU cores;
             it illuminates scenes. "field": the radiance field; images show it, and it illuminates
             if there is no exitant light field. Without it images show the exitant light field,
-            which is blurred and lets all light through. For a dataset only "field" is made.
+            which is blurred and lets all light through. "model": the luminaire itself, which
+            images under `lumitree_path` show in place of the field; beside one of the other two.
+            A luminaire that cannot be stored, because it has participating media or what is not
+            listed in docs/format.md, is left out with a warning. For a dataset only "field" is
+            made. Default: "exitant" and "field".
         irradiance_paths: number of light paths, and of rays of the asset, by which the irradiance
             around the asset is compared with that around the luminaire at the end, as in
             `evaluate`; up to 67,108,864. 0: it is not compared. Default: by `quality`, 2¹⁸ to 2²⁰,
@@ -126,8 +131,10 @@ def bake(
     check_choice("quality", quality, get_args(Quality))
     for part in parts:
         check_choice("part", part, PARTS)
-    if not parts:
-        raise LumitreeError(f"no parts; expected some of {PARTS}")
+    if not set(parts) - {"model"}:
+        raise LumitreeError(
+            f"parts are {', '.join(parts) or 'none'}; expected exitant, field or both, and model"
+        )
     paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS[quality])
     config = QUALITIES[quality].with_options(
         tree_depth=tree_depth, l_max=l_max, law=law, seconds=time, rays=rays, seed=seed
@@ -159,6 +166,7 @@ def bake(
         lamp = load_luminaire(luminaire)
         warn_of_faults(lamp)
         watch = Stopwatch()
+        model = _stored_model(lamp) if "model" in parts else None
         exitant = None
         if "exitant" in parts:
             light_config = dataclasses.replace(EXITANT_QUALITIES[quality], seed=seed)
@@ -166,13 +174,29 @@ def bake(
                 exitant = bake_exitant(lamp, light_config, at.path)
             if "field" not in parts:
                 asset = exitant_asset(exitant, lamp.frame, lamp.name)
+                asset = dataclasses.replace(asset, model=model)
                 path = save_asset(asset, output)
                 irradiance = measure_irradiance(asset, lamp, paths, watch)
                 if work is None:
                     at.remove([EXITANT_STATE])
                 return BakeResult(asset=asset, path=path, irradiance=irradiance, **watch.costs())
         job = lambda: direct.bake(lamp, config, at.path)  # noqa: E731
-        return _finish(output, work, at, job, exitant, watch, lamp, paths)
+        return _finish(output, work, at, job, exitant, model, watch, lamp, paths)
+
+
+def _stored_model(lamp: "Luminaire") -> AssetModel | None:
+    """The model of a luminaire, or None with a warning if it cannot be stored."""
+    from lumitree.luminaire.stored_model import stored_model
+
+    try:
+        return stored_model(lamp)
+    except LumitreeError as error:
+        warnings.warn(
+            f"the asset gets no model: {error}; images show its field",
+            LumitreeWarning,
+            stacklevel=3,
+        )
+        return None
 
 
 @explained
@@ -232,7 +256,7 @@ def refine(
     with reporting(progress), open_work_folder(output, work) as at:
         lamp = load_luminaire(luminaire)
         job = lambda: direct.refine(rough, lamp, config, at.path)  # noqa: E731
-        return _finish(output, work, at, job, rough.exitant, None, lamp, paths)
+        return _finish(output, work, at, job, rough.exitant, rough.model, None, lamp, paths)
 
 
 def _finish(
@@ -241,11 +265,12 @@ def _finish(
     folder: WorkFolder,
     job: "Callable[[], DirectResult]",
     exitant: ExitantField | None = None,
+    model: AssetModel | None = None,
     watch: Stopwatch | None = None,
     luminaire: "Luminaire | None" = None,
     irradiance_paths: int = 0,
 ) -> BakeResult:
-    """Run a direct bake, write its asset with an exitant light field, and measure its irradiance.
+    """Run a direct bake, write its asset with the other parts, and measure its irradiance.
 
     Removes the saved state, unless the user chose its folder or the bake was interrupted.
     """
@@ -254,7 +279,7 @@ def _finish(
     watch = Stopwatch() if watch is None else watch
     with watch.stage("bake"):
         result = job()
-        asset = dataclasses.replace(result.asset, exitant=exitant)
+        asset = dataclasses.replace(result.asset, exitant=exitant, model=model)
         path = save_asset(asset, output)
     irradiance = None
     if luminaire is not None and result.stopped_by is None:

@@ -293,6 +293,7 @@ def render(
     load_mitsuba(variant)
     from lumitree.rendering.scene import (
         PlacedLuminaire,
+        appearance_for,
         load_scene,
         place_luminaires,
         render_scene,
@@ -306,7 +307,8 @@ def render(
             loaded, integrator = load_scene(str(scene), placed)
             if width is not None:
                 set_film_width(loaded, width)
-            whole = place_luminaires(loaded, placed, proxy)
+            appearance = appearance_for(integrator)
+            whole = place_luminaires(loaded, placed, proxy, appearance=appearance)
         with watch.stage("render"):
             pixels = render_scene(whole, integrator, samples_per_pixel, seed=seed)
     if output is not None:

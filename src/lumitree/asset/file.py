@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.exitant import ExitantField, TracedPaths
+from lumitree.asset.model_bytes import MODEL_TENSORS, build_model, model_tensors
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import FRAME_KEYS, LocalFrame
 from lumitree.core.reading import Record, parse_json, read_bytes
@@ -21,8 +22,9 @@ from lumitree.core.transmittance import LAWS
 from lumitree.errors import LumitreeError
 
 FORMAT = "lumitree"
-# Files without an exitant light field have the first version, which older readers know.
-VERSION, VERSION_WITH_EXITANT = 1, 2
+# Files without an exitant light field have the first version, those without a model at most the
+# second, which older readers know.
+VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL = 1, 2, 3
 ACTIVATION = "sigmoid"
 _MAX_HEADER_BYTES = 1 << 20
 # Three million leaves, the most that a bake makes, take at most 0.6 GB.
@@ -83,6 +85,9 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
         if exitant.traced is not None:
             members["traced"] = dataclasses.asdict(exitant.traced)
         description["exitant"] = members
+    if asset.model is not None:
+        tensors |= model_tensors(asset.model)
+        description["version"] = VERSION_WITH_MODEL
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     # One key only: safetensors does not keep the order of several keys.
     metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
@@ -124,14 +129,17 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
     description = Record(value, "the description")
     # Checked first, because files of other versions may have other members.
     description.choice("format", (FORMAT,))
-    version = description.expect_version(VERSION, VERSION_WITH_EXITANT)
-    description.expect_keys(*_KEYS, *(["exitant"] if version == VERSION_WITH_EXITANT else []))
+    version = description.expect_version(VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL)
+    # A file of the third version may have an exitant light field.
+    optional = version == VERSION_WITH_MODEL and description.has("exitant")
+    has_exitant = version == VERSION_WITH_EXITANT or optional
+    description.expect_keys(*_KEYS, *(["exitant"] if has_exitant else []))
     description.choice("activation", (ACTIVATION,))
-    exitant = None
-    if version == VERSION_WITH_EXITANT:
-        exitant = _build_exitant(description.record("exitant"), tensors)
-    elif len(tensors) != len(_TENSORS):
-        raise LumitreeError(f"version {VERSION} has no exitant light field")
+    exitant = _build_exitant(description.record("exitant"), tensors) if has_exitant else None
+    model = build_model(tensors) if version == VERSION_WITH_MODEL else None
+    expected = {*_TENSORS, *(_EXITANT_TENSORS if has_exitant else ())}
+    if extra := tensors.keys() - expected - (MODEL_TENSORS.keys() if model is not None else set()):
+        raise LumitreeError(f"version {version} has no tensor {min(extra)}")
     return Asset(
         **{name: tensors[name] for name in _TENSORS},
         tree_depth=description.integer("tree_depth"),
@@ -141,6 +149,7 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
         frame=LocalFrame.of_record(description),
         luminaire=description.label("luminaire"),
         exitant=exitant,
+        model=model,
     )
 
 
@@ -186,6 +195,8 @@ def _read_header(content: bytes) -> str:
     tensors = dict(_TENSORS)
     if header.has("exitant.cells"):
         tensors |= _EXITANT_TENSORS
+    if header.has("model.shapes"):
+        tensors |= MODEL_TENSORS
     header.expect_keys("__metadata__", *tensors)
     for name, dtype in tensors.items():
         tensor = header.record(name)

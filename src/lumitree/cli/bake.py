@@ -60,7 +60,8 @@ def add(commands: Any) -> None:
         type=lambda text: tuple(text.split(",")),
         metavar="PARTS",
         help="what the asset gets, separated by commas. exitant: what the luminaire "
-        "sends to its surroundings; field: what images show of it (default: exitant,field)",
+        "sends to its surroundings; field: what images show of it; model: the luminaire itself, "
+        "which images show in place of the field, not for --method nerf (default: exitant,field)",
     )
     options.add_irradiance_paths(parser, None)
     parser.add_argument(

@@ -58,6 +58,11 @@ def emitter_class() -> type:
             line, entering = self.placed.entering_line(si, active)
             distance = dr.norm(si.p - it.p) / self.placed.scale
             x = self.placed.local_point(it.p)
+            if self.placed.shows_model:
+                # Images show the model's own shapes, which also hide what is behind them.
+                entering &= ~sees
+                radiance, _, pdf = self.sampler.eval(x, *line, distance, entering, sees=False)
+                return self.gain * radiance & entering, mi.Float(1), pdf
             radiance, through, pdf = self.sampler.eval(x, *line, distance, entering, sees=sees)
             return self.gain * radiance & entering, dr.select(entering, through, 1), pdf
 
@@ -80,7 +85,9 @@ def emitter_class() -> type:
             ds.dist = distance * placed.scale
             ds.time = it.time
             ds.pdf = dr.select(active & enters, 1, 0)
-            ds.delta = False
+            # Rays that start within the margin of a proxy do not meet it, so that next-event
+            # estimation alone finds the lamp.
+            ds.delta = placed.in_margin(origin)
             ds.emitter = mi.EmitterPtr(self)
             return ds, target
 
