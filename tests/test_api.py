@@ -270,7 +270,7 @@ def test_results_are_readable_and_fit_json(mi, tiny, tmp_path, monkeypatch):
     with pytest.raises(dataclasses.FrozenInstanceError):
         result.rays = 0
     tasks = {each.task.partition(" ")[0] for each in seen}
-    assert tasks == {"light", "bake", "calibrate"}
+    assert tasks == {"light", "bake", "calibrate", "irradiance"}
     assert all(0 <= each.done <= each.total * (1 + 1e-9) for each in seen)
     assert seen[-1].finished
 
