@@ -1,5 +1,7 @@
 """Measurements of lamps with known intensities, and their errors."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -253,6 +255,21 @@ def test_a_dark_lamp_is_refused(mi, tmp_path):
     lamp = lamp_of(tmp_path, sphere("ball", 0.5, inside=dark))
     with pytest.raises(LumitreeError, match="no light leaves"):
         measure(luminaire_source(lamp), 1 << 10)
+
+
+def test_a_first_piece_without_light(ball):
+    """Light that few paths carry: the first piece has none by chance."""
+    source, calls = luminaire_source(ball), []
+
+    def rays(sampler, count):
+        origin, direction, flux = source.rays(sampler, count)
+        calls.append(count)
+        return origin, direction, flux * (len(calls) > 1)
+
+    measurement = measure(dataclasses.replace(source, rays=rays), 1 << 12)
+    assert measurement.grid.step == STEPS[-1]
+    exact = luminance(RADIANCE) * np.pi**2
+    assert luminance(measurement.watts.mean(axis=0)) == pytest.approx(exact * 15 / 16, rel=1e-3)
 
 
 @pytest.mark.parametrize("count", [1 << 8, 1 << 14, 1 << 19])

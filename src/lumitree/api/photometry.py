@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 # Light paths of a measurement: 15 to 30 s on 2 CPU cores.
 PATHS = 1 << 22
+# With fewer the standard errors are not reliable.
+MIN_PATHS = 1 << 14
 # More would take days. A ray file has 36 bytes a ray.
 MAX_PATHS, MAX_FILE_RAYS = 1 << 32, 1 << 24
 # Samples whose rays a ray file gets.
@@ -69,8 +71,8 @@ def photometry(
             1e-6 to 1e6. Models (`.obj`, `.gltf`, `.glb`) and photometric files are in metres once
             they are loaded.
         up: upward axis of the source, "y" or "z". Models have y up once they are loaded.
-        paths: number of light paths, or of rays of an asset, 16 to 2³²; rounded up to a multiple of
-            16. With fewer than 100,000 the standard errors themselves are uncertain.
+        paths: number of light paths, or of rays of an asset, 16,384 to 2³²; rounded up to a
+            multiple of 16.
         file_rays: number of light paths whose rays a ray file gets, up to 16,777,216. Those that
             end inside the luminaire are not in the file.
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
@@ -94,7 +96,7 @@ def photometry(
             name = shown(repr(os.fspath(path)), 300)
             raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
         check_writable(path)
-    check_range("light paths", paths, 16, MAX_PATHS)
+    check_range("light paths", paths, MIN_PATHS, MAX_PATHS)
     check_range("rays of a ray file", file_rays, 1, MAX_FILE_RAYS)
     check_seed(seed)
     check_choice("up", up, ("y", "z"))

@@ -16,7 +16,7 @@ from lumitree.errors import LumitreeError, shown
 from lumitree.goniophotometry.type_c import IntensityDistribution, completed
 
 T = TypeVar("T")
-MAX_FILE_BYTES = 1 << 26
+MAX_FILE_BYTES = 1 << 24
 # Largest number of C planes, of γ angles and of sets of lamps.
 MAX_ANGLES, MAX_SETS = 3601, 20
 _METRES_PER_FOOT = 0.3048

@@ -160,6 +160,10 @@ def measure(
                 kept.append(rays)
             advance(1)
     assert tally is not None
+    if not tally.watts.any():
+        raise LumitreeError(
+            f"no light leaves {source.name}; look for emitters that are enclosed or black"
+        )
     emitted = None
     if source.emitted is not None:
         parts = np.array([pieces.emitted(index) for index in range(pieces.count)])
@@ -226,10 +230,6 @@ class _Tally:
 
     def __init__(self, source: Source, first: Rays, pieces: int, step: float | None) -> None:
         lumens = luminance(first.flux)
-        if not lumens.any():
-            raise LumitreeError(
-                f"no light leaves {source.name}; look for emitters that are enclosed or black"
-            )
         self._share, self._centre = BATCHES / pieces, source.frame.centre
         self.grid = Grid(chosen_step(first.direction, lumens, pieces) if step is None else step)
         nodes = len(self.grid.c), len(self.grid.gamma)
@@ -263,7 +263,7 @@ def chosen_step(direction: NDArray[np.float64], lumens: NDArray[np.float64], pie
         square = np.maximum(grid.intensity(direction, lumens) ** 2 - variance, 0)
         weights = np.sin(np.deg2rad(grid.gamma))
         signal, noise = ((values * weights).sum() for values in (square, variance / pieces))
-        if noise <= MAX_NOISE**2 * signal:
+        if 0 < noise <= MAX_NOISE**2 * signal:
             return step
     return STEPS[-1]
 
