@@ -5,6 +5,7 @@ import pytest
 
 import lumitree
 from lumitree.asset.exitant import unpack
+from lumitree.core.device import on_device
 from lumitree.core.frames import rotation, similarity
 from lumitree.core.octahedral import bin_of
 from lumitree.errors import LumitreeError
@@ -44,8 +45,9 @@ def bin_intensity(asset, direction):
     mi = pytest.importorskip("mitsuba")
     field = asset.exitant
     table = field.dense(luminance(unpack(field.intensity))).sum(axis=0) * field.scale
-    vectors = mi.Vector3f(np.asarray(direction, np.float32).T)
-    bins = np.array(bin_of(vectors, field.resolution))
+    directions = np.asarray(direction)
+    vectors = on_device(mi.Vector3f, directions.reshape(-1, 3))
+    bins = np.array(bin_of(vectors, field.resolution)).reshape(directions.shape[:-1])
     return table[bins] * asset.frame.scale**2
 
 

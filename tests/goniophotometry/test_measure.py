@@ -9,6 +9,7 @@ from exitant_fields import random_exitant
 from fields import uniform_asset
 from lamps import AREA, scene, sphere
 from lumitree.asset.asset import exitant_asset
+from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from lumitree.errors import LumitreeError
 from lumitree.goniophotometry import measure as module
@@ -187,7 +188,7 @@ def test_an_asset_emits_what_its_exitant_light_field_has(mi):
 
     field = asset.exitant
     table = field.scale * field.dense(luminance(unpack(field.intensity))).sum(axis=0)
-    bins = np.array(bin_of(mi.Vector3f(local.T.astype(np.float32)), field.resolution))
+    bins = np.array(bin_of(on_device(mi.Vector3f, local), field.resolution))
     flux = table[bins] * frame.scale**2 * 4 * np.pi / len(local)
     grid = Grid(30)
     reference = grid.intensity(directions, flux)

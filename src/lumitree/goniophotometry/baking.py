@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset, exitant_asset
 from lumitree.asset.exitant import MAX_RESOLUTION, make_exitant_field, unpack
+from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import direction_in_bin, solid_angles
 from lumitree.errors import LumitreeError, shown
@@ -111,7 +112,9 @@ def bake_rays(rays: Rays, name: str, config: ExitantConfig) -> Asset:
     frame = LocalFrame.of_box(lower, upper)
     origin = (rays.origin - frame.centre) / frame.scale
     histogram = Histogram(config.depth, config.resolution)
-    histogram.add(_vectors(mi.Point3f, origin), _vectors(mi.Vector3f, rays.direction), rays.flux.T)
+    histogram.add(
+        on_device(mi.Point3f, origin), on_device(mi.Vector3f, rays.direction), rays.flux.T
+    )
     intensity = histogram.flux / solid_angles(config.resolution)[:, None] / frame.scale**2
     return exitant_asset(make_exitant_field(histogram.cells, intensity, config.depth), frame, name)
 
@@ -137,14 +140,10 @@ def exitant_lumens(asset: Asset) -> float:
 def _bin_means(distribution: IntensityDistribution, resolution: int) -> NDArray[np.float64]:
     """Mean intensity [R²], cd, of each octahedral bin."""
     points = (np.indices((_FINE, _FINE)).reshape(2, -1).T + 0.5) / _FINE
-    bins = mi.UInt32(np.repeat(np.arange(resolution**2, dtype=np.uint32), len(points)))
-    sample = np.tile(points, (resolution**2, 1)).astype(np.float32)
-    direction, density = direction_in_bin(bins, mi.Point2f(sample[:, 0], sample[:, 1]), resolution)
+    bins = on_device(mi.UInt32, np.repeat(np.arange(resolution**2), len(points)))
+    sample = on_device(mi.Point2f, np.tile(points, (resolution**2, 1)))
+    direction, density = direction_in_bin(bins, sample, resolution)
     weight = 1 / np.array(density, np.float64)
     value = distribution.at(np.array(direction, np.float64).reshape(3, -1).T)
     parts = (each.reshape(-1, len(points)).sum(axis=1) for each in (weight * value, weight))
     return np.divide(*parts)
-
-
-def _vectors(kind: type, array: NDArray[np.float64]):
-    return kind(*(mi.Float(column.astype(np.float32)) for column in array.T))

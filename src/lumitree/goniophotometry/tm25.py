@@ -41,6 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.backend import load_mitsuba
+from lumitree.core.device import on_device
 from lumitree.core.files import write_bytes
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
@@ -246,7 +247,7 @@ def _flux(
 def _matched(wavelength: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
     """XYZ [N, 3] of one watt of light of wavelengths [N, M], nm, by weights; Y is V(λ)."""
     mi = load_mitsuba()
-    flat = mi.Float(wavelength.astype(np.float32).ravel())
+    flat = on_device(mi.Float, wavelength)
     matching = np.array(mi.cie1931_xyz(flat), np.float64).reshape(3, *wavelength.shape)
     return ((matching * weight).sum(axis=-1) / weight.sum(axis=-1)).T
 
