@@ -80,9 +80,12 @@ class DividedSampler(DirectionSampler):
     ) -> tuple[Any, Any, Any]:
         """As `EmitterSampler.eval`."""
         radiance, density = self._eval(x, entry, direction, distance, active)
-        return *self._divide(radiance, entry, direction, active, sees), density
+        radiance, through = self._divide(radiance, entry, direction, active, sees)
+        return radiance, through, density
 
-    def _divide(self, radiance, entry, direction, active, sees):
+    def _divide(
+        self, radiance: Any, entry: Any, direction: Any, active: Any, sees: Any
+    ) -> tuple[Any, Any]:
         """What rays get of a radiance for receivers, and their transmittance."""
         if not self._asset.num_leaves:
             return radiance, mi.Float(1)
@@ -160,7 +163,8 @@ class CellSampler(DividedSampler):
             gets &= ~mi.Bool(sees)
         inverse = dr.select(chance > 0, self._radius * chance / pdf, 0)
         radiance = self._light.received(x, entry, direction, distance, inverse, gets)
-        return *self._divide(radiance, entry, direction, active, sees), mi.Float(0)
+        radiance, through = self._divide(radiance, entry, direction, active, sees)
+        return radiance, through, mi.Float(0)
 
     def _left_out(self, x, pdf):
         """Whether a direction is left to next-event estimation."""
