@@ -93,9 +93,12 @@ def test_methods_of_the_emitter_agree_on_it(mi, asset):
         ds, weight = emitter.sample_direction(it, sample)
         si = scene.ray_intersect(mi.Ray3f(it.p, ds.d))
         sees = mi.Bool(True)
-        radiance, through, pdf = emitter.eval_with_transmittance(si, it, sees, si.is_valid())
-        target, distance = emitter.sample_target(it, sample, mi.Bool(True))
-        value, value_pdf = emitter.eval_target(it, target, distance, target.pdf > 0)
+        chances = mi.Float(0.3), mi.Float(0.5)
+        radiance, through, pdf = emitter.eval_with_transmittance(
+            si, it, sees, *chances, si.is_valid()
+        )
+        target, point = emitter.sample_target(it, sample, mi.Bool(True))
+        value, value_pdf = emitter.eval_target(it, target, point, *chances, target.pdf > 0)
         _, flux = emitter.sample_ray(0.0, sampler.next_1d(), sample, sampler.next_2d())
         light = (
             weight,

@@ -370,7 +370,7 @@ def test_the_gain_applies_to_the_lamp_and_to_its_light(shaded, changed):
     plain = render()
     if changed:
         parameters = mi.traverse(loaded)
-        (name,) = (key for key in parameters.keys() if key.endswith("emitter.gain"))
+        (name,) = (key for key, _ in parameters if key.endswith("emitter.gain"))
         parameters[name] = mi.Color3f(*gain)
         parameters.update()
     else:

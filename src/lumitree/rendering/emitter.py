@@ -54,28 +54,46 @@ def emitter_class() -> type:
             line, entering = self.placed.entering_line(si, active)
             return self.gain * self.sampler.look(*line, entering)[0] & entering
 
-        def eval_with_transmittance(self, si, it, sees, active):
+        def eval_with_transmittance(self, si, it, sees, pdf, chance, active):
             line, entering = self.placed.entering_line(si, active)
             distance = dr.norm(si.p - it.p) / self.placed.scale
             x = self.placed.local_point(it.p)
-            if self.placed.shows_model:
+            shows_model = self.placed.shows_model
+            if shows_model:
                 # Images show the model's own shapes, which also hide what is behind them.
                 entering &= ~sees
-                radiance, _, pdf = self.sampler.eval(x, *line, distance, entering, sees=False)
-                return self.gain * radiance & entering, mi.Float(1), pdf
-            radiance, through, pdf = self.sampler.eval(x, *line, distance, entering, sees=sees)
-            return self.gain * radiance & entering, dr.select(entering, through, 1), pdf
+            radiance, through, density = self.sampler.eval_hit(
+                x, *line, distance, sees, pdf, chance, entering
+            )
+            if shows_model:
+                through = mi.Float(1)
+            return self.gain * radiance & entering, dr.select(entering, through, 1), density
 
         def sample_direction(self, it, sample, active=True):
-            ds, distance = self.sample_target(it, sample, active)
+            placed = self.placed
+            x = placed.local_point(it.p)
+            direction, target = self.sampler.sample(x, sample, active)
+            ds = self._towards(it, x, direction, active)
+            active &= ds.pdf > 0
+            # As a ray that is given by the scene has it, for `pdf_direction` to agree.
+            direction, near = placed.local_direction(ds.d), ds.dist / placed.scale
+            entry = x + near * direction
             # `eval` does not know whether it is for an image, so both are what an image shows.
-            weight, ds.pdf = self._eval_target(it, ds, distance, True, active & (ds.pdf > 0))
-            return ds, weight
+            radiance, _, ds.pdf = self.sampler.eval(
+                x, entry, direction, near, active, target, sees=True
+            )
+            return ds, dr.select(ds.pdf > 0, self.gain * radiance / ds.pdf, 0)
 
         def sample_target(self, it, sample, active):
+            x = self.placed.local_point(it.p)
+            direction, target = self.sampler.sample_target(x, sample, active)
+            ds = self._towards(it, x, direction, active)
+            ds.delta |= self.sampler.weighs
+            return ds, target
+
+        def _towards(self, it, origin, direction, active):
+            """Sample of a direction (local frame), without its density, which is 1 where it is."""
             placed = self.placed
-            origin = placed.local_point(it.p)
-            direction, target = self.sampler.sample(origin, sample, active)
             distance, n, enters = placed.proxy.enter(origin, direction)
             ds = dr.zeros(mi.DirectionSample3f)
             ds.p = placed.scene_point(origin + distance * direction)
@@ -89,17 +107,17 @@ def emitter_class() -> type:
             # estimation alone finds the lamp.
             ds.delta = placed.in_margin(origin)
             ds.emitter = mi.EmitterPtr(self)
-            return ds, target
+            return ds
 
-        def eval_target(self, it, ds, distance, active):
-            return self._eval_target(it, ds, distance, False, active)
-
-        def _eval_target(self, it, ds, distance, sees, active):
+        def eval_target(self, it, ds, target, pdf, chance, active):
             x, direction = self.placed.local_line(it.p, ds.d)
             near = ds.dist / self.placed.scale
-            entry = x + near * direction
-            radiance, _, pdf = self.sampler.eval(x, entry, direction, near, active, distance, sees)
-            return dr.select(pdf > 0, self.gain * radiance / pdf, 0), pdf
+            # A receiver in the margin is not found by rays of its BSDF.
+            pdf = dr.select(self.placed.in_margin(x), 0, pdf)
+            weight, density = self.sampler.eval_target(
+                x, direction, near, target, pdf, chance, active
+            )
+            return self.gain * weight, density
 
         def pdf_direction(self, it, ds, active=True):
             entry, direction = self.placed.local_line(ds.p, ds.d)

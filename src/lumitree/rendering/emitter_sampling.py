@@ -8,7 +8,7 @@ The density of a direction is computed along its ray, together with its radiance
 """
 
 import math
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Protocol, get_args
 
 import drjit as dr
 import mitsuba as mi
@@ -26,7 +26,89 @@ SAMPLING_KINDS: tuple[Sampling, ...] = get_args(Sampling)
 UNIFORM_FRACTION = 0.1
 
 
-class EmitterSampler:
+class DirectionSampler(Protocol):
+    """What an emitter needs of its sampler; all quantities are in the lamp's local frame.
+
+    `EmitterSampler` documents what is not documented here.
+    """
+
+    # Whether `eval_target` and `eval_hit` return radiance times its weight of multiple importance
+    # sampling, and not densities to compute the weight from.
+    weighs = False
+
+    def sample(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]: ...
+
+    def look(self, entry: Any, direction: Any, active: Any) -> tuple[Any, Any]: ...
+
+    def eval(
+        self,
+        x: Any,
+        entry: Any,
+        direction: Any,
+        distance: Any,
+        active: Any,
+        target: Any = -dr.inf,
+        sees: Any = False,
+    ) -> tuple[Any, Any, Any]: ...
+
+    def pdf(self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True) -> Any: ...
+
+    def sample_ray(
+        self, choice: Any, sample1: Any, sample2: Any, active: Any = True
+    ) -> tuple[Any, Any, Any]: ...
+
+    def sample_target(self, x: Any, sample: Any, active: Any) -> tuple[Any, tuple[Any, Any, Any]]:
+        """Direction as `sample` returns it, and what `eval_target` needs of the sample."""
+        direction, distance = self.sample(x, sample, active)
+        return direction, (distance, mi.UInt32(0), mi.Float(0))
+
+    def eval_target(
+        self,
+        x: Any,
+        direction: Any,
+        entry_distance: Any,
+        target: tuple[Any, Any, Any],
+        pdf: Any,
+        chance: Any,
+        active: Any,
+    ) -> tuple[Any, Any]:
+        """Radiance over density (mi.Color3f) of a direction of `sample_target`, and its density.
+
+        Args:
+            x: mi.Point3f, the shading point.
+            direction: mi.Vector3f, unit direction from it.
+            entry_distance: mi.Float, distance at which the ray enters the proxy.
+            target: as `sample_target` returned it.
+            pdf: mi.Float, density per steradian with which the BSDF samples the direction.
+            chance: mi.Float, probability with which next-event estimation chooses the emitter.
+            active: mi.Bool mask.
+        """
+        entry = x + entry_distance * direction
+        radiance, _, density = self.eval(x, entry, direction, entry_distance, active, target[0])
+        return dr.select(density > 0, radiance / density, 0), density
+
+    def eval_hit(
+        self,
+        x: Any,
+        entry: Any,
+        direction: Any,
+        distance: Any,
+        sees: Any,
+        pdf: Any,
+        chance: Any,
+        active: Any,
+    ) -> tuple[Any, Any, Any]:
+        """Radiance, transmittance and density of a ray that has hit the proxy.
+
+        Args:
+            x, entry, direction, distance, sees, active: as for `eval`.
+            pdf, chance: as for `eval_target`; a chance of 0 if next-event estimation could not have
+                found the direction.
+        """
+        return self.eval(x, entry, direction, distance, active, sees=sees)
+
+
+class EmitterSampler(DirectionSampler):
     """Samples directions towards a field, by its leaves and uniformly.
 
     Args:

@@ -118,12 +118,13 @@ def _trace(settings, scene, sampler, ray, active):
         if dr.hint(settings.hide_emitters, mode="scalar"):
             seen &= depth > 0
         ds = mi.DirectionSample3f(scene, si, vertex)
-        emitted, through, emitter_pdf, proxy, of_lamp = dr.dispatch(
-            ds.emitter, _emitted, si, vertex, ds, specular, own, active
-        )
         share = ds.emitter.sampling_weight() * dr.rcp(sampling_weight)
-        emitter_pdf *= dr.select(of_lamp, dr.select(sampled_own, 1, 0), share)
-        emitter_pdf[delta] = 0
+        chance = dr.select(delta, 0, share)
+        emitted, through, emitter_pdf, proxy, of_lamp = dr.dispatch(
+            ds.emitter, _emitted, si, vertex, ds, specular, own, pdf, chance, active
+        )
+        own_chance = dr.select(sampled_own & ~delta, 1, 0)
+        emitter_pdf *= dr.select(of_lamp, own_chance, chance)
         radiance[seen] += β * _mis_weight(pdf, emitter_pdf) * emitted
 
         # A proxy is left the way it was entered; every other surface is sampled.
@@ -144,7 +145,7 @@ def _trace(settings, scene, sampler, ray, active):
         sample = sampler.next_2d()
         index, emitter_weight, sample.x = scene.sample_emitter(sample.x, estimates)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index, estimates)
-        ds, weight, distance = dr.dispatch(emitter, _sample_target, si, sample, estimates)
+        ds, weight, target = dr.dispatch(emitter, _sample_target, si, sample, estimates)
         estimates &= ds.pdf != 0
         wo = si.to_local(ds.d)
         value, value_pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
@@ -154,9 +155,12 @@ def _trace(settings, scene, sampler, ray, active):
         estimates &= dr.max(direct) > 0
         direct *= _visible(scene, si, ds, sees_null, extent, estimates)
         estimates &= dr.max(direct) > 0
-        weight, ds.pdf = dr.dispatch(emitter, _eval_target, si, ds, weight, distance, estimates)
+        chance = dr.rcp(emitter_weight)
+        weight, ds.pdf = dr.dispatch(
+            emitter, _eval_target, si, ds, weight, target, value_pdf, chance, estimates
+        )
         weight *= emitter_weight
-        ds.pdf *= dr.rcp(emitter_weight)
+        ds.pdf *= chance
         direct *= weight * dr.select(ds.delta, 1, _mis_weight(ds.pdf, value_pdf))
         radiance[estimates] += direct
 
@@ -210,7 +214,15 @@ def _trace(settings, scene, sampler, ray, active):
 
 
 def _emitted(
-    emitter: Any, si: Any, vertex: Any, ds: Any, specular: Any, own: Any, active: Any
+    emitter: Any,
+    si: Any,
+    vertex: Any,
+    ds: Any,
+    specular: Any,
+    own: Any,
+    pdf: Any,
+    chance: Any,
+    active: Any,
 ) -> tuple[Any, Any, Any, Any, Any]:
     """Radiance of an emitter that was hit, T if it is a proxy, density, and whether it is one.
 
@@ -218,7 +230,8 @@ def _emitted(
     """
     no = mi.Bool(False)
     if isinstance(emitter, DeferredEmitter):
-        return *emitter.eval_with_transmittance(si, vertex, specular, active), mi.Bool(True), no
+        hit = emitter.eval_with_transmittance(si, vertex, specular, pdf, chance, active)
+        return *hit, mi.Bool(True), no
     if isinstance(emitter, ModelEmitter):
         return *_own(emitter.eval_own(si, vertex, ds, active & own), own), no, mi.Bool(True)
     pdf = emitter.pdf_direction(vertex, ds, active)
@@ -246,22 +259,30 @@ def _own_radiance(emitter: Any, ds: Any, active: Any) -> Any:
 
 
 def _sample_target(emitter: Any, it: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
-    """Direction sampled towards an emitter, its weight, and the distance that `_eval_target` takes.
+    """Direction sampled towards an emitter, its weight, and what `_eval_target` needs of it.
 
     Weight and density of a `DeferredEmitter` are for `_eval_target` to find.
     """
     if isinstance(emitter, DeferredEmitter):
-        ds, distance = emitter.sample_target(it, sample, active)
-        return ds, mi.Color3f(1), distance
-    return *emitter.sample_direction(it, sample, active), mi.Float(0)
+        ds, target = emitter.sample_target(it, sample, active)
+        return ds, mi.Color3f(1), target
+    none = mi.Float(0), mi.UInt32(0), mi.Float(0)
+    return *emitter.sample_direction(it, sample, active), none
 
 
 def _eval_target(
-    emitter: Any, it: Any, ds: Any, weight: Any, distance: Any, active: Any
+    emitter: Any,
+    it: Any,
+    ds: Any,
+    weight: Any,
+    target: Any,
+    pdf: Any,
+    chance: Any,
+    active: Any,
 ) -> tuple[Any, Any]:
     """Weight and density of a direction of `_sample_target`."""
     if isinstance(emitter, DeferredEmitter):
-        return emitter.eval_target(it, ds, distance, active)
+        return emitter.eval_target(it, ds, target, pdf, chance, active)
     return mi.Color3f(weight), mi.Float(ds.pdf)
 
 
