@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.materials import Json, is_specular
 from lumitree.asset.model import AssetModel
+from lumitree.core.device import on_device
 from lumitree.core.frames import similarity_scale
 from lumitree.rendering.model_plugins import model_emitter_class, model_glass_class
 from lumitree.rendering.own_lights import OwnLights
@@ -88,11 +89,10 @@ class _Builder:
             props=props,
         )
         if len(mesh["colours"]):
-            shape.add_attribute(_COLOURS, 3, np.ravel(mesh["colours"]))
+            shape.add_attribute(_COLOURS, 3, on_device(mi.Float, mesh["colours"]))
         parameters = mi.traverse(shape)
         for name, values in placed.items():
-            kind = np.uint32 if name == "faces" else np.float32
-            parameters[name] = np.ravel(values).astype(kind)
+            parameters[name] = on_device(mi.UInt32 if name == "faces" else mi.Float, values)
         parameters.update()
         return shape
 
