@@ -7,6 +7,7 @@ import pytest
 
 from lamps import AREA, GLASS, cube, scene, sphere
 from lumitree.asset.file import load, save
+from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
 from lumitree.luminaire.luminaire import load_luminaire
 from lumitree.luminaire.stored_model import stored_model
@@ -64,17 +65,22 @@ def luminaire(mi, tmp_path):
     return made
 
 
+def rows(mi, values):
+    return [on_device(mi.Float, row) for row in values]
+
+
 def seen(mi, loaded):
     """What rays from all sides meet in a scene: places, normals and scattered light."""
     random = np.random.default_rng(1)
     count = 4096
     origin = random.normal(size=(3, count)) * 3 + [[1], [0], [0]]
     direction = np.array([[1.0], [0], [0]]) + random.uniform(-1.2, 1.2, (3, count)) - origin
-    ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(direction / np.linalg.norm(direction, axis=0)))
+    direction /= np.linalg.norm(direction, axis=0)
+    ray = mi.Ray3f(mi.Point3f(*rows(mi, origin)), mi.Vector3f(*rows(mi, direction)))
     si = loaded.ray_intersect(ray)
     bsdf = si.bsdf()
     out = random.normal(size=(3, count))
-    wo = si.to_local(mi.Vector3f(out / np.linalg.norm(out, axis=0)))
+    wo = si.to_local(mi.Vector3f(*rows(mi, out / np.linalg.norm(out, axis=0))))
     context = mi.BSDFContext()
     valid = si.is_valid()
     value = bsdf.eval(context, si, wo, valid)
