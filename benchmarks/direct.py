@@ -39,10 +39,15 @@ def measure(name: str, method: str, options: argparse.Namespace, folder: Path) -
     title = label(name)
     asset = str(options.assets / f"{title}-{method}.lumitree")
     if method == NETWORK:
-        baked = lumitree.bake_network(name, asset, variant=options.variant)
+        baked = lumitree.bake_network(name, asset, irradiance_paths=0, variant=options.variant)
     else:
         baked = lumitree.bake(
-            name, asset, quality=cast(Quality, method), seed=options.seed, variant=options.variant
+            name,
+            asset,
+            quality=cast(Quality, method),
+            irradiance_paths=0,
+            seed=options.seed,
+            variant=options.variant,
         )
     bake = {
         "luminaire": title,

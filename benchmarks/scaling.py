@@ -42,7 +42,7 @@ def measure(name: str, views: str, folder: Path, **how: Any) -> dict:
     """One bake and its errors."""
     asset = str(folder / "lamp.lumitree")
     Path(asset).unlink(missing_ok=True)
-    baked = lumitree.bake(name, asset, quality="preview", **how)
+    baked = lumitree.bake(name, asset, quality="preview", irradiance_paths=0, **how)
     sheet = str(folder / "sheet.png")
     metrics = lumitree.evaluate(asset, views, sheet).metrics
     return {

@@ -2,11 +2,16 @@
 
 import numpy as np
 
-from lumitree.asset.exitant import ExitantField, make_exitant_field
+from lumitree.asset.exitant import ExitantField, TracedPaths, make_exitant_field
 
 
 def random_exitant(
-    seed: int, *, depth: int = 2, resolution: int = 4, count: int = 5
+    seed: int,
+    *,
+    depth: int = 2,
+    resolution: int = 4,
+    count: int = 5,
+    traced: TracedPaths | None = None,
 ) -> ExitantField:
     """A field of `count` random cells; about half of each cell's bins emit."""
     random = np.random.default_rng(seed)
@@ -16,7 +21,7 @@ def random_exitant(
     intensity = random.exponential(3.0, (count, resolution**2, 3))
     intensity *= random.random((count, resolution**2, 1)) < 0.5
     intensity[:, 0] = 1
-    return make_exitant_field(cells, intensity, depth)
+    return make_exitant_field(cells, intensity, depth, traced)
 
 
 def assert_equal_fields(first: ExitantField, second: ExitantField) -> None:
@@ -25,5 +30,5 @@ def assert_equal_fields(first: ExitantField, second: ExitantField) -> None:
         one, other = getattr(first, name), getattr(second, name)
         assert one.dtype == other.dtype
         assert np.array_equal(one, other)
-    for name in ("depth", "resolution", "scale"):
+    for name in ("depth", "resolution", "scale", "traced"):
         assert getattr(first, name) == getattr(second, name)

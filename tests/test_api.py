@@ -12,9 +12,11 @@ import pytest
 
 import lumitree
 import tiny_bakes
+from exitant_fields import assert_equal_fields
 from fields import random_asset
 from lumitree import demo
 from lumitree.api import network
+from lumitree.cli import main
 from lumitree.cli.output import print_metrics
 from lumitree.core.frames import rotation, similarity
 from lumitree.core.images import read_exr
@@ -41,7 +43,8 @@ def tiny(mi, monkeypatch):
 
 @pytest.fixture
 def tiny_network(monkeypatch):
-    """A network's bake of seconds: few views, a small network."""
+    """A network's bake of seconds: few views, a small network, few light paths."""
+    tiny_bakes.set_qualities(monkeypatch.setitem)
     preset = tiny_bakes.network_preset()
     monkeypatch.setitem(PRESETS, "preview", preset.train)
     monkeypatch.setitem(network.NETWORK_BAKES, "preview", preset)
@@ -54,7 +57,7 @@ def test_bake_evaluate_render(mi, tiny, tmp_path, monkeypatch):
     assert baked.asset.info.leaves > 50
     assert baked.asset.tree_depth == 5
     assert tiny_bakes.RAYS <= baked.rays < tiny_bakes.RAYS + 6 * (1 << 14)
-    assert set(baked.seconds) == {"exitant", "bake"}
+    assert set(baked.seconds) == {"exitant", "bake", "irradiance"}
     assert not (tmp_path / "lamp.work").exists()
     json.dumps(baked.to_json(), allow_nan=False)
     report = lumitree.evaluate(
@@ -100,13 +103,68 @@ def test_network_bake_evaluate(mi, tiny_network, tmp_path, monkeypatch):
     (tmp_path / "lamp.xml").write_text(LAMP)
     baked = lumitree.bake_network("lamp.xml", "lamp.lumitree")
     assert baked.asset.info.leaves > 50
-    assert set(baked.seconds) == {"capture", "train", "extract"}
+    assert set(baked.seconds) == {"exitant", "capture", "train", "extract", "irradiance"}
+    lit = lumitree.bake("lamp.xml", parts=["exitant"], irradiance_paths=0).asset
+    assert_equal_fields(baked.asset.exitant, lit.exitant)
+    assert baked.irradiance["irradiance_ratio"] == pytest.approx(1, abs=0.05)
     assert not (tmp_path / "lamp.work").exists()
     metrics = lumitree.evaluate(
         "lamp.lumitree", "lamp.xml", num_views=3, resolution=48, samples_per_pixel=64,
         irradiance_paths=0,
     ).metrics  # fmt: skip
     assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 6
+
+
+def test_a_network_bakes_the_parts_that_are_chosen(mi, tiny_network, tmp_path, monkeypatch, capsys):
+    """In one command and in steps; all random numbers but those of views depend on the seed."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "lamp.xml").write_text(LAMP)
+    preset = network.NETWORK_BAKES["preview"]
+    short = dataclasses.replace(preset.train, num_steps=20)
+    monkeypatch.setitem(PRESETS, "preview", short)
+    monkeypatch.setitem(network.NETWORK_BAKES, "preview", dataclasses.replace(preset, train=short))
+    whole = ["bake", "lamp.xml", "-o", "whole.lumitree", "--method", "nerf", "--seed", "3"]
+    assert main([*whole, "--work", "state"]) == 0
+    assert "irradiance, ratio" in capsys.readouterr().out
+    both = lumitree.load("whole.lumitree")
+    assert both.exitant.traced.seeds == (3,)
+    # The finished views and the finished training of the same folder.
+    field = lumitree.bake_network(
+        "lamp.xml", "field.lumitree", parts=["field"], seed=3, work="state", irradiance_paths=0
+    )
+    assert field.asset.exitant is field.irradiance is None
+    for name in ("children", "density", "coefficients"):
+        assert np.array_equal(getattr(both, name), getattr(field.asset, name))
+    # A run lacks the luminaire.
+    line = ["extract", "state/run", "-o", "again.lumitree", "--depth", "3"]
+    assert main(line) == 0
+    assert "irradiance" not in capsys.readouterr().out
+    assert lumitree.load("again.lumitree").exitant is None
+    assert main([*line, "--luminaire", "lamp.xml", "--seed", "3"]) == 0
+    assert "irradiance, ratio" in capsys.readouterr().out
+    again = lumitree.load("again.lumitree")
+    assert_equal_fields(again.exitant, both.exitant)
+    assert again.num_leaves > 0
+    with pytest.raises(lumitree.LumitreeError, match="other settings"):
+        lumitree.train("state/dataset", "state/run", seed=4, resume=True)
+    (tmp_path / "other.xml").write_text(LAMP.replace('x="1"', 'x="2"'))
+    assert main(["extract", "state/run", "-o", "no.lumitree", "--luminaire", "other.xml"]) == 2
+    assert "give the luminaire that was captured" in capsys.readouterr().err
+    assert not (tmp_path / "no.lumitree").exists()
+
+
+def test_a_network_needs_the_part_field(mi, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for parts, message in (
+        (["exitant"], "parts are exitant; expected field"),
+        ([], "parts are none; expected field"),
+        (["nonsense"], "part is 'nonsense'; expected exitant, field"),
+    ):
+        with pytest.raises(lumitree.LumitreeError, match=message):
+            lumitree.bake_network("lamp.xml", "lamp.lumitree", parts=parts)
+    with pytest.raises(lumitree.LumitreeError, match="seed is -1"):
+        lumitree.bake_network("lamp.xml", "lamp.lumitree", seed=-1)
+    assert os.listdir() == []
 
 
 def test_an_interrupted_bake_keeps_its_best_and_continues(mi, tiny, tmp_path, monkeypatch):
@@ -126,12 +184,14 @@ def test_an_interrupted_bake_keeps_its_best_and_continues(mi, tiny, tmp_path, mo
     monkeypatch.setattr(Refiner, "advance", interrupt)
     stopped = lumitree.bake("lamp.xml", "lamp.lumitree")
     assert stopped.stopped_by == signal.SIGINT
+    assert stopped.irradiance is None
     assert steps == [1, 2, 3]
     assert load("lamp.lumitree").num_leaves > 50
     assert (tmp_path / "lamp.work").exists()
     report = lumitree.bake("lamp.xml", "lamp.lumitree")
     assert steps == list(range(1, len(steps) + 1))
     assert report.rays >= tiny_bakes.RAYS
+    assert report.irradiance is not None
     assert not (tmp_path / "lamp.work").exists()
 
 
@@ -210,7 +270,7 @@ def test_results_are_readable_and_fit_json(mi, tiny, tmp_path, monkeypatch):
     with pytest.raises(dataclasses.FrozenInstanceError):
         result.rays = 0
     tasks = {each.task.partition(" ")[0] for each in seen}
-    assert tasks == {"light", "bake", "calibrate"}
+    assert tasks == {"light", "bake", "calibrate", "irradiance"}
     assert all(0 <= each.done <= each.total * (1 + 1e-9) for each in seen)
     assert seen[-1].finished
 

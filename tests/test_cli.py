@@ -93,8 +93,8 @@ def fails(capsys, *arguments):
         (["bake", "no.xml", "-o", "a.lumitree"], "neither a file nor built in"),
         (["bake", "lamp.xml", "-o", "a"], "does not end in .lumitree"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--method", "magic"], "invalid choice: 'magic'"),
-        (["bake", "lamp.xml", "-o", "a.lumitree", "--method", "nerf", "--rays", "9", "--seed", "1"],
-         "--rays, --seed: not for --method nerf"),
+        (["bake", "lamp.xml", "-o", "a.lumitree", "--method", "nerf", "--rays", "9",
+          "--l-max", "1"], "--rays, --l-max: not for --method nerf"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--preset", "paper"],
          "--preset: not for --method direct"),
         (["info", "no.lumitree"], "no.lumitree does not exist"),
@@ -156,6 +156,13 @@ def fails(capsys, *arguments):
         (["evaluate", "lamp.lumitree", "lamp.xml", "--views", "0"], "views is 0"),
         (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--rotate", "0,0,0,9"],
          "no direction"),
+        (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--gain", "-1,1,1"],
+         "gain is [-1.0, 1.0, 1.0]; expected one number or three (R, G, B) from 0 to 1,000,000"),
+        (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--gain", "1,2"],
+         "argument --gain: '1,2' is not 1 or 3 numbers separated by commas"),
+        (["render", "room.xml", "-o", "a.png", "--place", "lamp.xml", "--gain", "2"],
+         "is placed as explicit geometry"),
+        (["render", "room.xml", "-o", "a.png", "--gain", "2"], "--gain comes before any --place"),
         (["render", "room.xml", "-o", "a.png", "--place", "no.lumitree"], "does not exist"),
         (["render", "room.xml", "-o", "a.png", "--place", "no_lamp"], "neither a file nor"),
         (["demo", "--variant", "cuda_ad_spectral"], "choose llvm_ad_rgb"),
@@ -399,6 +406,26 @@ def test_render_places_several(capsys, folder):
     with open("report.json") as file:
         assert json.load(file)["resolution"] == [60, 40]
     assert capsys.readouterr().err == ""
+
+
+def test_render_with_gains(capsys, folder):
+    """Each --gain is for the placement before it."""
+    from lumitree.core.images import read_exr
+
+    one = ["--place", "lamp.lumitree", "--at", "-1.5,1,0", "--size", "1"]
+    other = ["--place", "lamp.lumitree", "--at", "1.5,1,0", "--size", "1"]
+    images = []
+    for gains in (("0", "0"), ("2,0,0", "0"), ("0", "0,0.5,0")):
+        line = [*one, "--gain", gains[0], *other, "--gain", gains[1]]
+        assert main(["render", "room.xml", "-o", "image.exr", "--spp", "4", "--width", "30",
+                     *line]) == 0  # fmt: skip
+        images.append(read_exr("image.exr")["RGB"])
+    dark, left, right = images
+    assert not dark.any()
+    assert not left[..., 1:].any()
+    assert not right[..., [0, 2]].any()
+    assert left[:, :15, 0].sum() > left[:, 15:, 0].sum() > 0
+    assert right[:, 15:, 1].sum() > right[:, :15, 1].sum() > 0
 
 
 def test_render_warns_of_what_is_inside_the_proxy(capsys, folder):

@@ -4,6 +4,7 @@ import dataclasses
 import sys
 
 from lumitree.api import network
+from lumitree.api.irradiance import IRRADIANCE_PATHS
 from lumitree.cli import main
 from lumitree.direct.config import (
     QUALITIES,
@@ -67,6 +68,7 @@ def set_qualities(set_item, **options):
     for name in QUALITIES:
         set_item(QUALITIES, name, direct_config(**options))
         set_item(EXITANT_QUALITIES, name, EXITANT)
+        set_item(IRRADIANCE_PATHS, name, 1 << 14)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,9 @@ def white(mi, point, normal, half=0.04):
     }
 
 
-def irradiance(mi, things, point, normal, seed=0, samples=1 << 20, kind="lumitree_path"):
+def irradiance(
+    mi, things, point, normal, seed=0, samples=1 << 20, kind="lumitree_path", path_depth=2
+):
     """Irradiance [3] of a wall at a point by next-event estimation with MIS, and standard error."""
     normal = np.array(normal) / np.linalg.norm(normal)
     scene = mi.load_dict(
@@ -31,7 +33,7 @@ def irradiance(mi, things, point, normal, seed=0, samples=1 << 20, kind="lumitre
             **things,
         }
     )
-    integrator = mi.load_dict({"type": kind, "max_depth": 2})
+    integrator = mi.load_dict({"type": kind, "max_depth": path_depth})
     seen = [
         np.array(mi.render(scene, integrator=integrator, spp=samples // 16, seed=seed + i)).ravel()
         for i in range(16)

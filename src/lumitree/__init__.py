@@ -15,13 +15,16 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 if TYPE_CHECKING:
     from lumitree.api.baking import bake, refine
     from lumitree.api.luminaires import builtin_luminaires, load_luminaire
+    from lumitree.api.merging import merge
     from lumitree.api.network import bake_network, capture, extract, train
+    from lumitree.api.photometry import photometry
     from lumitree.api.results import (
         BakeResult,
         CaptureResult,
         EvaluateResult,
         Flux,
         MissedFlux,
+        PhotometryResult,
         PreviewResult,
         RenderResult,
         Result,
@@ -31,6 +34,8 @@ if TYPE_CHECKING:
     from lumitree.asset.asset import Asset, AssetInfo
     from lumitree.asset.file import load, save
     from lumitree.core.frames import LocalFrame
+    from lumitree.goniophotometry.figures import Estimate, PhotometricFigures
+    from lumitree.goniophotometry.near_field import NearFieldLimit
     from lumitree.luminaire.luminaire import Luminaire
     from lumitree.luminaire.source import LuminaireSource
     from lumitree.rendering.placement import Placement
@@ -45,12 +50,16 @@ _HOMES = {
     "AssetInfo": "asset.asset",
     "BakeResult": "api.results",
     "CaptureResult": "api.results",
+    "Estimate": "goniophotometry.figures",
     "EvaluateResult": "api.results",
     "Flux": "api.results",
     "LocalFrame": "core.frames",
     "Luminaire": "luminaire.luminaire",
     "LuminaireSource": "luminaire.source",
     "MissedFlux": "api.results",
+    "NearFieldLimit": "goniophotometry.near_field",
+    "PhotometricFigures": "goniophotometry.figures",
+    "PhotometryResult": "api.results",
     "Placement": "rendering.placement",
     "PreviewResult": "api.results",
     "RenderResult": "api.results",
@@ -64,6 +73,8 @@ _HOMES = {
     "extract": "api.network",
     "load": "asset.file",
     "load_luminaire": "api.luminaires",
+    "merge": "api.merging",
+    "photometry": "api.photometry",
     "preview": "api.viewing",
     "refine": "api.baking",
     "register": "rendering.plugins",
@@ -77,6 +88,7 @@ __all__ = [
     "AssetInfo",
     "BakeResult",
     "CaptureResult",
+    "Estimate",
     "EvaluateResult",
     "Flux",
     "Interrupted",
@@ -86,6 +98,9 @@ __all__ = [
     "LumitreeError",
     "LumitreeWarning",
     "MissedFlux",
+    "NearFieldLimit",
+    "PhotometricFigures",
+    "PhotometryResult",
     "Placement",
     "PreviewResult",
     "Progress",
@@ -100,6 +115,8 @@ __all__ = [
     "extract",
     "load",
     "load_luminaire",
+    "merge",
+    "photometry",
     "preview",
     "refine",
     "register",

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from exitant_fields import assert_equal_fields, random_exitant
 from fields import make_asset, random_asset
 from lumitree.asset.asset import exitant_asset
-from lumitree.asset.exitant import make_exitant_field
+from lumitree.asset.exitant import TracedPaths, make_exitant_field
 from lumitree.asset.file import load, save
 from lumitree.errors import LumitreeError
 
@@ -40,6 +40,20 @@ def exitant_only(tmp_path_factory):
     path = tmp_path_factory.mktemp("only") / "lamp.lumitree"
     save(exitant_asset(random_exitant(0), random_asset(0).frame, "test"), path)
     return path
+
+
+TRACED = {"count": 3, "seeds": [1, 5], "luminaire": 64 * "0", "noise": 0.5}
+
+
+@pytest.mark.parametrize("noise", [0.25, None])
+def test_the_record_of_light_paths_is_kept(tmp_path, noise):
+    traced = TracedPaths(1 << 40, (0, 2, 2**31 - 1), 64 * "f", noise)
+    asset = replace(random_asset(0), exitant=random_exitant(0, traced=traced))
+    save(asset, tmp_path / "lamp.lumitree")
+    found = load(tmp_path / "lamp.lumitree")
+    assert found.exitant.traced == traced
+    assert (found.info.exitant_paths, found.info.exitant_noise) == (1 << 40, noise)
+    assert random_asset(0).info.exitant_paths is None
 
 
 FILES = ("original", "with_exitant", "exitant_only")
@@ -204,7 +218,7 @@ def test_broken_tensors_are_refused(original, tmp_path, change, message):
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("version", 3, "version 3, this lumitree reads 1 and 2"),
+        ("version", 4, "version 4, this lumitree reads 1 and 2 and 3"),
         ("version", 2, 'lacks "exitant"'),
         ("version", 0, "version 0, this"),
         ("version", 1.0, "version 1.0, this"),
@@ -295,6 +309,19 @@ def test_broken_tensors_of_the_exitant_light_field_are_refused(
         ({"scale": "1"}, 'scale of exitant of the description is "1"; expected a number'),
         ({"scale": 1e16}, "scale 1e"),
         ({"extra": 1}, 'exitant of the description has the unknown key "extra"'),
+        ({"traced": None}, "traced of exitant of the description is null; expected a JSON object"),
+        ({"traced": {"count": 1}}, 'traced of exitant of the description lacks "luminaire"'),
+        ({"traced": TRACED | {"extra": 1}}, 'has the unknown key "extra"'),
+        ({"traced": TRACED | {"count": 0}}, r"record of light paths: count 0, expected 1 to 2\^50"),
+        ({"traced": TRACED | {"count": 2.0}}, "count of traced .* expected an integer"),
+        ({"traced": TRACED | {"seeds": []}}, r"seeds \(\), expected 1 to 4096 increasing"),
+        ({"traced": TRACED | {"seeds": [2, 2]}}, r"seeds \(2, 2\), expected"),
+        ({"traced": TRACED | {"seeds": [-1]}}, r"seeds \(-1,\), expected"),
+        ({"traced": TRACED | {"seeds": list(range(4097))}}, "expected 1 to 4096"),
+        ({"traced": TRACED | {"luminaire": "x"}}, "luminaire x, expected 64 hexadecimal digits"),
+        ({"traced": TRACED | {"luminaire": 65 * "a"}}, "at most 64 characters"),
+        ({"traced": TRACED | {"noise": -0.1}}, "noise -0.1, expected a number of at least 0"),
+        ({"traced": TRACED | {"noise": "0"}}, 'noise of traced .* is "0"; expected a number'),
     ],
 )
 def test_broken_descriptions_of_the_exitant_light_field_are_refused(
@@ -311,12 +338,15 @@ def test_broken_descriptions_of_the_exitant_light_field_are_refused(
     [
         # A version 1 that keeps the member, and one that keeps the tensors only.
         (lambda d: d.update(version=1), 'unknown key "exitant"'),
-        (lambda d: d.update(version=1) or d.pop("exitant"), "version 1 has no exitant light"),
+        (
+            lambda d: d.update(version=1) or d.pop("exitant"),
+            "version 1 has no tensor exitant.cells",
+        ),
         (lambda d: d.pop("exitant"), 'lacks "exitant"'),
         (lambda d: d.update(exitant=None), "exitant of the description is null; expected a JSON"),
         (lambda d: d.update(exitant=[2, 4, 1.0]), "exitant of the description is a list of 3"),
         (lambda d: d["exitant"].pop("scale"), 'exitant of the description lacks "scale"'),
-        (lambda d: d.update(version=3), "version 3, this lumitree reads 1 and 2"),
+        (lambda d: d.update(version=3), "the tensors of the model are missing"),
     ],
 )
 def test_version_and_exitant_light_field_belong_together(with_exitant, tmp_path, change, message):

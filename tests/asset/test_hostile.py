@@ -2,7 +2,7 @@
 
 import json
 import struct
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from lumitree.asset.asset import (
     MIN_RADIANCE,
     exitant_asset,
 )
-from lumitree.asset.exitant import MAX_BINS, MAX_DEPTH, MAX_RESOLUTION, unpack
+from lumitree.asset.exitant import MAX_BINS, MAX_DEPTH, MAX_RESOLUTION, TracedPaths, unpack
 from lumitree.asset.file import _digest, load, save
 from lumitree.core.frames import MAX_SCALE, MIN_HALF_EXTENT, MIN_SCALE, similarity_scale
 from lumitree.core.harmonics import MAX_L, num_coefficients
@@ -26,6 +26,7 @@ from lumitree.errors import LumitreeError
 from lumitree.rendering.reference import leaf_boxes
 
 ROUNDS = 100
+TRACED = TracedPaths(1 << 20, (0, 7), 64 * "a", 0.02)
 DEEP = "[" * 100_000 + "]" * 100_000
 # JSON texts in place of a value.
 VALUES = [
@@ -66,6 +67,8 @@ class Draft:
                 self.tensors[f"exitant.{name}"] = np.array(getattr(field, name))
             self.members[1] = ("version", "2")
             scalars = {name: getattr(field, name) for name in ("depth", "resolution", "scale")}
+            if field.traced is not None:
+                scalars["traced"] = asdict(field.traced)
             self.members.append(("exitant", json.dumps(scalars)))
 
     @property
@@ -269,7 +272,7 @@ def asset(request):
     plain = random_asset(0, tree_depth=3, l_max=1, half_extents=np.array([1.0, 0.5, 0.25]))
     return {
         "field": plain,
-        "both": replace(plain, exitant=random_exitant(0)),
+        "both": replace(plain, exitant=random_exitant(0, traced=TRACED)),
         "exitant": exitant_asset(random_exitant(0), plain.frame, "test"),
     }[request.param]
 

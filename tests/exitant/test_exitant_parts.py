@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import re
 import signal
 
 import numpy as np
@@ -51,7 +52,7 @@ def test_the_exitant_light_field_alone(tmp_path):
     assert (asset.exitant.depth, asset.exitant.resolution) == (config.depth, config.resolution)
     assert asset.luminaire == load_luminaire("lamp.xml").name
     assert asset.frame.size == pytest.approx([2, 1, 1])
-    assert set(baked.seconds) == {"exitant"}
+    assert set(baked.seconds) == {"exitant", "irradiance"}
     assert baked.held_out_psnr is baked.rays is baked.stopped_by is None
     json.dumps(baked.to_json(), allow_nan=False)
     # Neither the folder nor the state is left.
@@ -77,14 +78,14 @@ def test_the_field_alone(untraced):
     assert baked.asset.exitant is None
     assert baked.asset.info.exitant_cells == 0
     assert baked.asset.info.leaves > 10
-    assert set(baked.seconds) == {"bake"}
+    assert set(baked.seconds) == {"bake", "irradiance"}
     assert lumitree.load("lamp.lumitree").exitant is None
 
 
 def test_both_parts_and_their_refinement():
     """Each part is that of a bake of it alone, and `refine` keeps the exitant light field."""
     both = lumitree.bake("lamp.xml", "both.lumitree", work="state")
-    assert set(both.seconds) == {"exitant", "bake"}
+    assert set(both.seconds) == {"exitant", "bake", "irradiance"}
     assert EXITANT_STATE in os.listdir("state")
     alone = lumitree.bake("lamp.xml", parts=("exitant",)).asset
     assert_equal_fields(both.asset.exitant, alone.exitant)
@@ -115,7 +116,7 @@ def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ((), r"^no parts; expected"),
+        ((), r"^parts are none; expected"),
         (["nonsense"], "part is 'nonsense'; expected exitant, field"),
         (["exitant", "nonsense"], "part is 'nonsense'; expected exitant, field"),
         ("exitant", "part is 'e'; expected exitant, field"),
@@ -152,12 +153,6 @@ def test_a_command_refuses_unknown_parts(capsys, untraced, parts, message):
     assert os.listdir() == ["lamp.xml"]
 
 
-def test_parts_are_not_for_networks(capsys):
-    command = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--method", "nerf", "--parts", "field"]
-    assert main(command) == 2
-    assert "--parts: not for --method nerf" in capsys.readouterr().err
-
-
 def test_a_command_bakes_one_part(capsys):
     command = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "exitant"]
     assert main([*command, "--json", "report.json"]) == 0
@@ -175,9 +170,75 @@ def test_datasets_have_a_field_only(untraced):
     lumitree.capture("lamp.xml", "views", **views)
     baked = lumitree.bake("views", "lamp.lumitree", parts=["exitant", "field"])
     assert baked.asset.exitant is None
+    assert baked.irradiance is None
     assert baked.asset.info.leaves > 0
     with pytest.raises(lumitree.LumitreeError, match="is a dataset"):
         lumitree.bake("views", parts=["exitant"])
+
+
+@pytest.mark.parametrize("parts", [("exitant",), ("field",), ("exitant", "field")])
+def test_a_bake_states_the_error_of_its_irradiance(parts):
+    """By the same function as `evaluate`, with the same rays."""
+    from lumitree.evaluation.evaluate import evaluate_irradiance
+
+    baked = lumitree.bake("lamp.xml", parts=parts)
+    lamp = load_luminaire("lamp.xml")
+    expected = evaluate_irradiance(baked.asset, lamp, 1 << 14)
+    assert baked.irradiance["paths"] == 1 << 14
+    assert baked.irradiance["faces"].keys() == expected.report()["faces"].keys()
+    ratio = baked.irradiance["irradiance_ratio"]
+    assert ratio == pytest.approx(expected.metrics["irradiance_ratio"], rel=1e-4)
+    if "exitant" in parts:
+        assert ratio == pytest.approx(1, abs=5 * baked.irradiance["ratio_error"] + 0.005)
+
+
+def test_the_irradiance_is_compared_on_request(capsys):
+    command = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "exitant", "--json", "r.json"]
+    for paths, lines in ((None, 3), (4096, 3), (0, 0)):
+        chosen = [] if paths is None else ["--irradiance-paths", str(paths)]
+        assert main([*command, *chosen]) == 0
+        out = capsys.readouterr().out.splitlines()
+        found = [line for line in out if "irradiance, ratio" in line or "RMS error" in line]
+        assert len(found) == lines
+        with open("r.json") as file:
+            report = json.load(file)
+        assert ("irradiance" in report) == (lines > 0)
+        if lines:
+            assert report["irradiance"]["paths"] == (paths or 1 << 14)
+            assert re.search(r"irradiance, ratio  \d\.\d{4} ± 0\.\d{4}$", found[0])
+            assert re.search(r"RMS error  \d+\.\d %$", found[1])
+            assert re.search(r"RMS error touching  \d+\.\d %$", found[2])
+
+
+@pytest.mark.parametrize("paths", [-1, 1 << 27])
+def test_irradiance_paths_out_of_range_are_refused_before_any_work(untraced, paths):
+    with pytest.raises(lumitree.LumitreeError, match="irradiance paths is"):
+        lumitree.bake("lamp.xml", "lamp.lumitree", irradiance_paths=paths)
+    with pytest.raises(lumitree.LumitreeError, match="irradiance paths is"):
+        lumitree.refine(random_asset(0), "lamp.xml", irradiance_paths=paths)
+    assert os.listdir() == ["lamp.xml"]
+
+
+def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch):
+    """The asset is written before its irradiance is compared; the same call continues."""
+    from lumitree.evaluation import evaluate
+
+    compare = evaluate.evaluate_irradiance
+
+    def interrupt(*_):
+        raise lumitree.Interrupted("the same command continues", signal.SIGINT)
+
+    monkeypatch.setattr(evaluate, "evaluate_irradiance", interrupt)
+    with pytest.raises(lumitree.Interrupted):
+        lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant"])
+    kept = lumitree.load("lamp.lumitree")
+    assert os.path.exists("lamp.work")
+    monkeypatch.setattr(evaluate, "evaluate_irradiance", compare)
+    monkeypatch.setattr(exitant_bake, "trace_light", None)
+    again = lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant"])
+    assert again.irradiance is not None
+    assert_equal_fields(again.asset.exitant, kept.exitant)
+    assert sorted(os.listdir()) == ["lamp.lumitree", "lamp.xml"]
 
 
 def test_an_exitant_light_field_alone_is_evaluated():

@@ -69,6 +69,14 @@ def boxes(field):
     return np.maximum(lower, -HALF), np.minimum(lower + side, HALF)
 
 
+def chances(mi, light, x):
+    """Probability [C] of each cell for a receiver."""
+    import drjit as dr
+
+    cells = dr.arange(mi.UInt32, len(some_light().cells))
+    return np.array(light._table.probability(light._around.index(x), cells), np.float64)
+
+
 @pytest.mark.parametrize("name", POINTS)
 def test_radiance_and_density_are_sums_over_all_cells(mi, light, name):
     from lumitree.core.octahedral import bin_of
@@ -96,8 +104,7 @@ def test_radiance_and_density_are_sums_over_all_cells(mi, light, name):
     assert np.abs(found[meets] - expected[meets]).max() < 2e-3 * max(scale, expected.max())
     assert not found[~meets].any()
     # The table's row of the receiver, from its own definition.
-    row = int(np.array(light._around.index(origin))[0])
-    third = np.array(light._shares, np.float64).reshape(-1, len(field.cells))[row]
+    third = chances(mi, light, origin) / (3 * volume)
     assert (third * 3 * volume).sum() == pytest.approx(1, abs=1e-4)
     assert third.min() > 0
     uniform = float(np.array(cone_pdf(origin, radius))[0])
@@ -139,6 +146,60 @@ def test_samples_follow_their_density_and_weigh_the_same_light(mi, light, name):
     assert chi < used.sum() + 5 * np.sqrt(2 * used.sum())
     # A tenth of the samples is uniform, which bounds every weight.
     assert weight.max() <= np.array(dr.mean(radiance)).max() / (0.099 * uniform)
+
+
+@pytest.mark.parametrize("name", POINTS)
+@pytest.mark.parametrize("other", [0.0, 0.02, 50.0])
+def test_points_and_rays_share_the_light(mi, light, name, other):
+    """By direction and distance: both parts add up to the radiance, for each bin of direction.
+
+    `other` is b at the lamp's centre; it depends on the direction, as a BSDF's density does.
+    """
+    import drjit as dr
+
+    from lumitree.core.octahedral import bin_of
+    from lumitree.rendering.proxy import BoxProxy, cone_pdf, sample_cone
+
+    count, coarse = 1 << 20, 4
+    origin = device_point(mi, name)
+    axis = dr.normalize(mi.Vector3f(origin))
+
+    def density(direction):
+        return other * (0.01 + dr.square(dr.dot(axis, direction)))
+
+    point, cell, chance = light.sample_point(origin, samples(mi, count).next_2d())
+    offset = mi.Vector3f(point - origin)
+    distance = dr.norm(offset)
+    direction = offset / distance
+    arrives = BoxProxy(HALF).enter(origin, direction)[2]
+    weight = light.contribution(
+        direction, distance, cell, chance, mi.Float(density(direction)), arrives
+    )
+    radius = float(np.linalg.norm(HALF))
+    plain = sample_cone(origin, radius, samples(mi, count, 1).next_2d())
+    whole, _ = seen_from(mi, light, origin, plain)
+    rest = mi.Color3f(0)
+    if other:
+        near, _, enters = BoxProxy(HALF).enter(origin, plain)
+        inverse = dr.rcp(density(plain))
+        rest = light.received(origin, origin + near * plain, plain, near, inverse, enters)
+        # Only the balance heuristic with a positive b bounds the weights of near points.
+        volume = np.array(light._volume)
+        brightest = unpack(some_light().intensity).max() * some_light().scale
+        least = np.array(density(direction)).min()
+        assert np.array(weight).max() <= brightest / (volume.min() * least) * 1.001
+    solid_angle = 1 / np.array(cone_pdf(origin, radius))[0]
+    missing = np.array(whole - rest, np.float64)[1] * solid_angle
+    found = np.array(weight, np.float64)[1]
+    assert (missing >= -1e-3 * missing.max()).all()
+    parts = [
+        (np.bincount(np.array(bin_of(d, coarse)), v**k, coarse**2) / count)
+        for d, v in ((direction, found), (plain, missing))
+        for k in (1, 2)
+    ]
+    error = np.sqrt((parts[1] + parts[3]) / count)
+    assert error.max() < 0.05 * parts[2].max()
+    assert (np.abs(parts[0] - parts[2]) < 4.5 * error + 1e-6 * parts[2].max()).all()
 
 
 def test_rays_carry_the_flux_of_every_bin(mi, light):
@@ -228,6 +289,100 @@ def test_a_wall_gets_the_light_of_all_points_of_the_cells(mi, kind, point, norma
     expected = part.mean() * np.array([4.0, 2.0, 1.0])
     noise = part.std() / np.sqrt(len(part)) * 4
     agree((found, error), (expected, noise))
+
+
+SURFACES = {
+    "diffuse": {"type": "diffuse"},
+    "sharp": {"type": "roughconductor", "alpha": 0.05},
+    "glossy": {"type": "roughconductor", "alpha": 0.15},
+    "rough": {"type": "roughconductor", "alpha": 0.5},
+    "both": {"type": "roughplastic", "alpha": 0.1},
+    "coated": {"type": "plastic"},
+}
+
+
+@pytest.mark.parametrize("bsdf", SURFACES)
+@pytest.mark.parametrize("height", [0.01, 3.0])
+def test_each_surface_gets_the_light_once(mi, bsdf, height):
+    """Against uniform sampling of the proxy, whose weights are by direction alone; two lamps."""
+    asset = exitant_asset(some_light(), LocalFrame(HALF, np.eye(4)), "test")
+    to = mi.ScalarTransform4f
+    # The lowest point of the first lamp's box is at 0.
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1) * HALF[:, None]
+    turn = rotation([0, 1, 1], 25)
+    lift = -0.3 * (turn @ corners)[1].min()
+    places = [similarity(turn, 0.3, [0, lift, 0]), similarity(turn, 0.2, [1.2, lift, 0.3])]
+    sensor = {
+        "type": "perspective",
+        "fov": 30,
+        "to_world": to().look_at([1.5, 1.5, 2.5], [0.2, -height, 0], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}},
+    }
+    floor = {
+        "type": "rectangle",
+        "to_world": to().translate([0, -height, 0]).rotate([1, 0, 0], -90).scale(4),
+        "bsdf": SURFACES[bsdf],
+    }
+    # Directly seen lamps would add noise and hide errors.
+    integrator = {"type": "lumitree_path", "max_depth": 2, "hide_emitters": True}
+    found = {}
+    for index, kind in enumerate(("emission", "uniform")):
+        lamps = {f"lamp{i}": lumitree.shape(asset, p, sampling=kind) for i, p in enumerate(places)}
+        scene = mi.load_dict({"type": "scene", "sensor": sensor, "floor": floor, **lamps})
+        images = [
+            np.array(
+                mi.render(
+                    scene,
+                    integrator=mi.load_dict(integrator),
+                    spp=1024,
+                    seed=100 * index + seed,
+                )
+            )[..., :3]
+            for seed in range(12)
+        ]
+        found[kind] = np.array(images, np.float64)
+    mean = {kind: v.mean(0) for kind, v in found.items()}
+    error = np.sqrt(sum(v.var(0, ddof=1) / len(v) for v in found.values()))
+    z = (mean["emission"] - mean["uniform"]) / np.maximum(error, 1e-9)
+    assert (np.abs(z) < 6).all()
+    total = [v.mean(axis=(1, 2, 3)) for v in found.values()]
+    noise = np.sqrt(sum(v.var(ddof=1) / len(v) for v in total))
+    assert noise < 0.02 * total[1].mean()
+    assert total[0].mean() == pytest.approx(total[1].mean(), abs=4 * noise)
+
+
+def test_light_by_way_of_a_mirror_counts_in_full(mi):
+    """A wall that gets the lamp's light by a mirror alone: next-event estimation finds none."""
+    asset = exitant_asset(sphere_like([4.0, 2.0, 1.0]), LocalFrame([1, 1, 1], np.eye(4)), "test")
+    to = mi.ScalarTransform4f
+    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
+    mirror = {
+        "type": "rectangle",
+        "to_world": to().look_at([0, 0, -2], [0, 0, 0], [0, 1, 0]).scale(3),
+        "bsdf": {"type": "conductor", "material": "none"},
+    }
+    # Between the lamp and the wall.
+    screen = {
+        "type": "rectangle",
+        "to_world": to().look_at([0, 0.5, 0], [0, 2, 0], [0, 0, 1]).scale([0.8, 0.8, 1]),
+        "bsdf": {"type": "twosided", "bsdf": grey},
+    }
+    lamp = similarity(rotation([0, 1, 1], 25), 0.3, [0, 1, 0])
+    wall = [0.0, 0.0, 0.1], [0, 0.3, -1]
+    found = irradiance(
+        mi,
+        {"lamp": lumitree.shape(asset, lamp), "mirror": mirror, "screen": screen},
+        *wall,
+        samples=1 << 24,
+        path_depth=3,
+    )
+    # The mirror image of the lamp, seen directly. Its orientation does not matter.
+    image = similarity(np.eye(3), 0.3, [0, 1, -4])
+    direct = irradiance(mi, {"lamp": lumitree.shape(asset, image)}, *wall)
+    (a, error_a), (b, error_b) = found, direct
+    error = np.hypot(error_a, error_b)
+    assert (error < 0.03 * b).all()
+    assert (np.abs(a - b) < 4 * error).all()
 
 
 def test_a_camera_sees_the_field_and_a_wall_gets_the_exitant_light(mi):

@@ -1,16 +1,20 @@
 """The direct bake: `bake` makes an asset from traced rays, and `refine` improves one."""
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Literal, get_args
 
 from lumitree.api.files import FilePath, open_work_folder, save_asset
+from lumitree.api.irradiance import IRRADIANCE_PATHS, check_irradiance_paths, measure_irradiance
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
+from lumitree.api.photometry import bake_photometric_file, is_photometric_file
 from lumitree.api.results import BakeResult
-from lumitree.asset.asset import Asset, exitant_asset
+from lumitree.asset.asset import PARTS, Asset, Part, exitant_asset
 from lumitree.asset.exitant import ExitantField
 from lumitree.asset.file import load
+from lumitree.asset.model import AssetModel
 from lumitree.core.arguments import check_asset_output, check_choice
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import Dataset
@@ -18,17 +22,16 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.transmittance import Law
 from lumitree.core.work_folder import WorkFolder
 from lumitree.direct.config import QUALITIES
-from lumitree.errors import LumitreeError, explained
+from lumitree.errors import LumitreeError, LumitreeWarning, explained
 from lumitree.exitant.config import EXITANT_QUALITIES
 from lumitree.exitant.saved_field import EXITANT_STATE
 
 if TYPE_CHECKING:
     from lumitree.direct.bake import DirectResult
-    from lumitree.luminaire.luminaire import LuminaireLike
+    from lumitree.luminaire.luminaire import Luminaire, LuminaireLike
 
 Quality = Literal["preview", "standard", "high"]
-Part = Literal["exitant", "field"]
-PARTS: tuple[Part, ...] = get_args(Part)
+DEFAULT_PARTS: tuple[Part, ...] = ("exitant", "field")
 
 
 @explained
@@ -42,7 +45,10 @@ def bake(
     tree_depth: int | None = None,
     l_max: int | None = None,
     law: Law | None = None,
-    parts: Collection[Part] = PARTS,
+    parts: Collection[Part] = DEFAULT_PARTS,
+    irradiance_paths: int | None = None,
+    lumens: float | None = None,
+    temperature: float | None = None,
     seed: int = 0,
     work: FilePath | None = None,
     variant: str | None = None,
@@ -64,7 +70,9 @@ def bake(
         luminaire: what to bake. One of: the name of a built-in luminaire; the path of a Mitsuba 3
             scene (`.xml`) or of a model (`.obj`, `.gltf`, `.glb`); a dictionary as for
             `mitsuba.load_dict`; a `mitsuba.Scene`; a `LuminaireSource`; a `Luminaire` that
-            `load_luminaire` returned; or the folder of a dataset that `capture` made.
+            `load_luminaire` returned; or the folder of a dataset that `capture` made. Of a
+            photometric file (`.ies`, `.ldt`) or an IES TM-25 ray file (`.ray`, `.tm25ray`) the
+            asset has only the exitant light field.
         output: path of the `.lumitree` file to write. Default: no file is written.
         quality: preset of tree depth and time: "preview" (depth 7, 1 minute on 2 CPU cores),
             "standard" (depth 8, 5 minutes) or "high" (depth 10, 30 minutes).
@@ -82,7 +90,19 @@ def bake(
         parts: what the asset gets. "exitant": the exitant light field, 5 to 20 s on 2 CPU cores;
             it illuminates scenes. "field": the radiance field; images show it, and it illuminates
             if there is no exitant light field. Without it images show the exitant light field,
-            which is blurred and lets all light through. For a dataset only "field" is made.
+            which is blurred and lets all light through. "model": the luminaire itself, which
+            images under `lumitree_path` show in place of the field; beside one of the other two.
+            A luminaire that cannot be stored, because it has participating media or what is not
+            listed in docs/format.md, is left out with a warning. For a dataset only "field" is
+            made. Default: "exitant" and "field".
+        irradiance_paths: number of light paths, and of rays of the asset, by which the irradiance
+            around the asset is compared with that around the luminaire at the end, as in
+            `evaluate`; up to 67,108,864. 0: it is not compared. Default: by `quality`, 2¹⁸ to 2²⁰,
+            which take 1 to 10 s on 2 CPU cores. For a dataset it is not compared.
+        lumens: luminous flux of the asset of a photometric file or ray file, lm. Default: that of
+            the file.
+        temperature: colour temperature of the asset of a photometric file, K, 1000 to 20,000.
+            Default: R = G = B.
         seed: root seed of all random numbers, 0 to 2³¹ - 1. With `rays` and without `time`, equal
             seeds and settings give equal files on one machine.
         work: folder for the state: empty, new, or that of an earlier call. It is kept. Default:
@@ -93,9 +113,9 @@ def bake(
             bar, or lines on standard error if that is not a terminal. None shows nothing.
 
     Returns:
-        The asset (`asset`), its file (`path`), the PSNR on held-out rays in dB
-        (`held_out_psnr`), and the number of traced rays (`rays`). `stopped_by` is the number of
-        the signal that interrupted the bake, or None.
+        The asset (`asset`), its file (`path`), the error of the irradiance around it
+        (`irradiance`), the PSNR on held-out rays in dB (`held_out_psnr`), and the number of traced
+        rays (`rays`). `stopped_by` is the number of the signal that interrupted the bake, or None.
 
     Raises:
         LumitreeError: an argument is out of range; the luminaire cannot be read or emits no
@@ -111,12 +131,25 @@ def bake(
     check_choice("quality", quality, get_args(Quality))
     for part in parts:
         check_choice("part", part, PARTS)
-    if not parts:
-        raise LumitreeError(f"no parts; expected some of {PARTS}")
+    if not set(parts) - {"model"}:
+        raise LumitreeError(
+            f"parts are {', '.join(parts) or 'none'}; expected exitant, field or both, and model"
+        )
+    paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS[quality])
     config = QUALITIES[quality].with_options(
         tree_depth=tree_depth, l_max=l_max, law=law, seconds=time, rays=rays, seed=seed
     )
     load_mitsuba(variant)
+    if is_photometric_file(luminaire):
+        if "exitant" not in parts:
+            raise LumitreeError("a photometric file has no part field; give the part exitant")
+        others = {"time": time, "rays": rays, "tree_depth": tree_depth, "l_max": l_max, "law": law}
+        return bake_photometric_file(luminaire, output, quality, lumens, temperature, others)
+    if lumens is not None or temperature is not None:
+        raise LumitreeError(
+            "lumens and temperature are for photometric files; state those of a model's emitters "
+            "in its .toml file"
+        )
     from lumitree.direct import bake as direct
     from lumitree.exitant.bake import bake_exitant
     from lumitree.luminaire.luminaire import load_luminaire
@@ -133,6 +166,7 @@ def bake(
         lamp = load_luminaire(luminaire)
         warn_of_faults(lamp)
         watch = Stopwatch()
+        model = _stored_model(lamp) if "model" in parts else None
         exitant = None
         if "exitant" in parts:
             light_config = dataclasses.replace(EXITANT_QUALITIES[quality], seed=seed)
@@ -140,11 +174,29 @@ def bake(
                 exitant = bake_exitant(lamp, light_config, at.path)
             if "field" not in parts:
                 asset = exitant_asset(exitant, lamp.frame, lamp.name)
-                result = BakeResult(asset=asset, path=save_asset(asset, output), **watch.costs())
+                asset = dataclasses.replace(asset, model=model)
+                path = save_asset(asset, output)
+                irradiance = measure_irradiance(asset, lamp, paths, watch)
                 if work is None:
                     at.remove([EXITANT_STATE])
-                return result
-        return _finish(output, work, at, lambda: direct.bake(lamp, config, at.path), exitant, watch)
+                return BakeResult(asset=asset, path=path, irradiance=irradiance, **watch.costs())
+        job = lambda: direct.bake(lamp, config, at.path)  # noqa: E731
+        return _finish(output, work, at, job, exitant, model, watch, lamp, paths)
+
+
+def _stored_model(lamp: "Luminaire") -> AssetModel | None:
+    """The model of a luminaire, or None with a warning if it cannot be stored."""
+    from lumitree.luminaire.stored_model import stored_model
+
+    try:
+        return stored_model(lamp)
+    except LumitreeError as error:
+        warnings.warn(
+            f"the asset gets no model: {error}; images show its field",
+            LumitreeWarning,
+            stacklevel=3,
+        )
+        return None
 
 
 @explained
@@ -155,6 +207,7 @@ def refine(
     *,
     time: float | None = None,
     rays: int | None = None,
+    irradiance_paths: int | None = None,
     seed: int = 0,
     work: FilePath | None = None,
     variant: str | None = None,
@@ -175,6 +228,7 @@ def refine(
             `rays` is given.
         rays: budget of rays, 1 to 2⁵⁰. If `time` is given too, the call ends at whichever is
             reached first. Default: no limit.
+        irradiance_paths: see `bake`. Default: 2¹⁹.
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
         work: folder for the state; see `bake`.
         variant: Mitsuba variant; see `bake`.
@@ -189,6 +243,7 @@ def refine(
     if output is not None:
         check_asset_output(output)
     config = QUALITIES["standard"].with_options(seconds=time, rays=rays, seed=seed)
+    paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS["standard"])
     load_mitsuba(variant)
     from lumitree.direct import bake as direct
     from lumitree.luminaire.luminaire import load_luminaire
@@ -201,7 +256,7 @@ def refine(
     with reporting(progress), open_work_folder(output, work) as at:
         lamp = load_luminaire(luminaire)
         job = lambda: direct.refine(rough, lamp, config, at.path)  # noqa: E731
-        return _finish(output, work, at, job, rough.exitant)
+        return _finish(output, work, at, job, rough.exitant, rough.model, None, lamp, paths)
 
 
 def _finish(
@@ -210,9 +265,12 @@ def _finish(
     folder: WorkFolder,
     job: "Callable[[], DirectResult]",
     exitant: ExitantField | None = None,
+    model: AssetModel | None = None,
     watch: Stopwatch | None = None,
+    luminaire: "Luminaire | None" = None,
+    irradiance_paths: int = 0,
 ) -> BakeResult:
-    """Run a direct bake and write its asset, with an exitant light field.
+    """Run a direct bake, write its asset with the other parts, and measure its irradiance.
 
     Removes the saved state, unless the user chose its folder or the bake was interrupted.
     """
@@ -221,13 +279,17 @@ def _finish(
     watch = Stopwatch() if watch is None else watch
     with watch.stage("bake"):
         result = job()
-        asset = dataclasses.replace(result.asset, exitant=exitant)
+        asset = dataclasses.replace(result.asset, exitant=exitant, model=model)
         path = save_asset(asset, output)
+    irradiance = None
+    if luminaire is not None and result.stopped_by is None:
+        irradiance = measure_irradiance(asset, luminaire, irradiance_paths, watch)
     if work is None and result.stopped_by is None:
         folder.remove([STATE, EXITANT_STATE])
     return BakeResult(
         asset=asset,
         path=path,
+        irradiance=irradiance,
         held_out_psnr=round(result.score.psnr, 3),
         held_out_psnr_uncertainty=round(result.score.uncertainty, 3),
         rays=result.rays,

@@ -1,10 +1,12 @@
 """The bake by the paper's network: `bake_network`, and its steps `capture`, `train`, `extract`."""
 
 import dataclasses
+from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from lumitree.api.files import FilePath, open_work_folder, save_asset
+from lumitree.api.irradiance import IRRADIANCE_PATHS, check_irradiance_paths, measure_irradiance
 from lumitree.api.luminaires import warn_of_faults
 from lumitree.api.measures import Stopwatch, peak_memory_bytes
 from lumitree.api.results import BakeResult, CaptureResult, TrainResult
@@ -21,14 +23,21 @@ from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
 from lumitree.core.files import check_writable
 from lumitree.core.interrupt import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.errors import explained
+from lumitree.core.seeds import check_seed
+from lumitree.core.work_folder import scratch_folder
+from lumitree.errors import LumitreeError, explained
+from lumitree.exitant.config import EXITANT_QUALITIES
+from lumitree.exitant.saved_field import EXITANT_STATE
 from lumitree.nerf.config import PRESETS, TrainConfig
 from lumitree.octree.build import check_tree_depth
 
 if TYPE_CHECKING:
-    from lumitree.luminaire.luminaire import LuminaireLike
+    from lumitree.asset.exitant import ExitantField
+    from lumitree.luminaire.luminaire import Luminaire, LuminaireLike
 
 Preset = Literal["preview", "paper"]
+NetworkPart = Literal["exitant", "field"]
+NETWORK_PARTS: tuple[NetworkPart, ...] = get_args(NetworkPart)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,6 +51,7 @@ class NetworkBake:
         tree_depth: level of the leaves.
         train: settings of the network and of its training.
         samples_per_leaf: positions at which the network is evaluated per leaf.
+        quality: of the exitant light field, and of the comparison of irradiance, see `bake`.
     """
 
     num_views: int
@@ -50,12 +60,13 @@ class NetworkBake:
     tree_depth: int
     train: TrainConfig
     samples_per_leaf: int = 256
+    quality: str = "preview"
 
 
 NETWORK_BAKES: dict[str, NetworkBake] = {
     "preview": NetworkBake(60, 192, 48, 7, PRESETS["preview"], samples_per_leaf=64),
     # The paper does not state its samples per pixel.
-    "paper": NetworkBake(100, 800, 256, 10, PRESETS["paper"]),
+    "paper": NetworkBake(100, 800, 256, 10, PRESETS["paper"], quality="high"),
 }
 
 
@@ -66,13 +77,17 @@ def bake_network(
     *,
     preset: Preset = "preview",
     tree_depth: int | None = None,
+    parts: Collection[NetworkPart] = NETWORK_PARTS,
+    irradiance_paths: int | None = None,
+    seed: int = 0,
     work: FilePath | None = None,
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> BakeResult:
     """Bake a luminaire with the method of the paper: `capture`, `train` and `extract` in one call.
 
-    If the call is interrupted, the same call continues it.
+    The exitant light field is made first, from light paths, as `bake` makes it. If the call is
+    interrupted, the same call continues it.
 
     Args:
         luminaire: what to bake, in any form that `bake` takes except the folder of a dataset.
@@ -80,12 +95,18 @@ def bake_network(
         preset: settings of views, network and octree: "preview" (minutes on 2 CPU cores) or
             "paper" (days on a GPU).
         tree_depth: level of the leaves, 1 to 10. Default: 7 for "preview", 10 for "paper".
+        parts: what the asset gets, see `bake`: "field", which the network is trained for, and
+            "exitant".
+        irradiance_paths: see `bake`. Default: 2¹⁸ for "preview", 2²⁰ for "paper".
+        seed: root seed of the training and of the exitant light field, 0 to 2³¹ - 1. Views do not
+            depend on it.
         work: folder for the dataset and the run; see `bake`.
         variant: Mitsuba variant; see `bake`.
         progress: function that is called with a `Progress` after each step; see `bake`.
 
     Returns:
-        The asset (`asset`) and its file (`path`).
+        The asset (`asset`), its file (`path`), and the error of the irradiance around it
+        (`irradiance`).
 
     Raises:
         LumitreeError: an argument is out of range; the luminaire cannot be read; the work folder
@@ -97,9 +118,26 @@ def bake_network(
     settings = NETWORK_BAKES[preset]
     tree_depth = settings.tree_depth if tree_depth is None else tree_depth
     check_tree_depth(tree_depth)
+    for part in parts:
+        check_choice("part", part, NETWORK_PARTS)
+    if "field" not in parts:
+        raise LumitreeError(
+            f"parts are {', '.join(parts) or 'none'}; expected field, which the network is trained "
+            "for: use bake for the others alone"
+        )
+    paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS[settings.quality])
+    check_seed(seed)
+    load_mitsuba(variant)
+    from lumitree.luminaire.luminaire import load_luminaire
+
+    watch, exitant = Stopwatch(), None
     with open_work_folder(output, work) as folder:
+        with reporting(progress):
+            lamp = load_luminaire(luminaire)
+            if "exitant" in parts:
+                exitant = _bake_exitant(lamp, settings.quality, seed, folder.path, watch)
         captured = capture(
-            luminaire,
+            lamp,
             folder.path / "dataset",
             num_views=settings.num_views,
             resolution=settings.resolution,
@@ -111,21 +149,18 @@ def bake_network(
 
         run = folder.path / "run"
         trained = train(
-            captured.dataset, run, preset=preset, resume=run.exists(), progress=progress
+            captured.dataset, run, preset=preset, seed=seed, resume=run.exists(), progress=progress
         )
         if trained.stopped_by is not None:
             raise Interrupted("the same command continues", trained.stopped_by)
-        extracted = extract(
-            run,
-            output,
-            tree_depth=tree_depth,
-            samples_per_leaf=settings.samples_per_leaf,
-            progress=progress,
-        )
+        with reporting(progress):
+            extracted = _extract(
+                run, output, tree_depth, settings.samples_per_leaf, exitant, lamp, paths
+            )
         if work is None:
             names = [f"dataset/{name}" for name in DATASET_FILES]
-            folder.remove([*names, *(f"run/{name}" for name in RUN_FILES)])
-    seconds = captured.seconds | trained.seconds | extracted.seconds
+            folder.remove([*names, *(f"run/{name}" for name in RUN_FILES), EXITANT_STATE])
+    seconds = watch.seconds | captured.seconds | trained.seconds | extracted.seconds
     return dataclasses.replace(extracted, seconds=seconds, peak_memory_bytes=peak_memory_bytes())
 
 
@@ -198,6 +233,7 @@ def train(
     output: FilePath,
     *,
     preset: Preset = "preview",
+    seed: int = 0,
     resume: bool = False,
     progress: ProgressCallback | None = show_progress,
 ) -> TrainResult:
@@ -208,6 +244,8 @@ def train(
         output: folder of the run, for checkpoints and the history of the loss.
         preset: settings of the network: "preview" (minutes on 2 CPU cores) or "paper" (days on a
             GPU).
+        seed: seed of the initial weights, the batches and the jitter, 0 to 2³¹ - 1. With `resume`
+            it must be that of the run.
         resume: continue from the newest checkpoint in `output`. The result equals, bit for bit,
             that of a run without interruption.
         progress: function that is called with a `Progress` after each step; see `bake`.
@@ -222,12 +260,13 @@ def train(
             another run; or there is nothing to resume.
     """
     check_choice("preset", preset, PRESETS)
+    config = dataclasses.replace(PRESETS[preset], seed=seed)
     check_writable(Path(output) / MANIFEST)
     from lumitree.nerf.train import train as train_network
 
     watch = Stopwatch()
     with reporting(progress), watch.stage("train"):
-        result = train_network(dataset, output, PRESETS[preset], resume=resume)
+        result = train_network(dataset, output, config, resume=resume)
     return TrainResult(
         run=Path(output),
         steps=result.steps,
@@ -246,11 +285,16 @@ def extract(
     *,
     tree_depth: int = 8,
     samples_per_leaf: int = 256,
+    luminaire: "LuminaireLike | None" = None,
+    irradiance_paths: int | None = None,
+    seed: int = 0,
+    variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> BakeResult:
     """Convert a trained network into an asset.
 
-    Each leaf of the octree stores the mean of the network's output at positions inside it.
+    Each leaf of the octree stores the mean of the network's output at positions inside it. The
+    exitant light field needs the luminaire, which the run does not contain.
 
     Args:
         run: folder of the run, made by `train`.
@@ -258,23 +302,79 @@ def extract(
         tree_depth: level of the leaves, 1 to 10. Their side is the longest side of the bounding box
             divided by 2^tree_depth.
         samples_per_leaf: positions per leaf, 1 to 1,048,576.
+        luminaire: the luminaire that the views are of, in any form that `bake` takes except the
+            folder of a dataset. If it is given, the asset gets the exitant light field too, and
+            the irradiance around it is compared with that around the luminaire.
+        irradiance_paths: see `bake`. Default: 2¹⁹.
+        seed: root seed of the exitant light field, 0 to 2³¹ - 1.
+        variant: Mitsuba variant; see `bake`.
         progress: function that is called with a `Progress` after each step; see `bake`.
 
     Returns:
-        The asset (`asset`) and its file (`path`).
+        The asset (`asset`), its file (`path`), and with a luminaire the error of the irradiance
+        around it (`irradiance`).
 
     Raises:
-        LumitreeError: an argument is out of range; the run cannot be read; or the field is empty.
+        LumitreeError: an argument is out of range; the run cannot be read; the field is empty; the
+            luminaire cannot be read, or its bounding box is not that of the views.
     """
     if output is not None:
         check_asset_output(output)
     check_tree_depth(tree_depth)
     check_range("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
+    paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS["standard"])
+    check_seed(seed)
+    if luminaire is None:
+        with reporting(progress):
+            return _extract(run, output, tree_depth, samples_per_leaf)
+    load_mitsuba(variant)
+    from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.nerf.trained_field import load_field
+
+    watch = Stopwatch()
+    with reporting(progress), scratch_folder() as folder:
+        lamp = load_luminaire(luminaire)
+        if (frame := load_field(run).frame) != lamp.frame:
+            raise LumitreeError(
+                f"{lamp.name} has a bounding box of {_sides(lamp.frame.size)} and the views of "
+                f"{run} one of {_sides(frame.size)}, or another place; give the luminaire that was "
+                "captured"
+            )
+        exitant = _bake_exitant(lamp, "standard", seed, folder, watch)
+        result = _extract(run, output, tree_depth, samples_per_leaf, exitant, lamp, paths)
+    return dataclasses.replace(result, seconds=watch.seconds | result.seconds)
+
+
+def _sides(size: Any) -> str:
+    return " x ".join(f"{side:.4g}" for side in size)
+
+
+def _bake_exitant(
+    lamp: "Luminaire", quality: str, seed: int, folder: Path, watch: Stopwatch
+) -> "ExitantField":
+    """The exitant light field of a quality of `bake`; see `exitant.bake`."""
+    from lumitree.exitant.bake import bake_exitant
+
+    with watch.stage("exitant"):
+        config = dataclasses.replace(EXITANT_QUALITIES[quality], seed=seed)
+        return bake_exitant(lamp, config, folder)
+
+
+def _extract(
+    run: FilePath,
+    output: FilePath | None,
+    tree_depth: int,
+    samples_per_leaf: int,
+    exitant: "ExitantField | None" = None,
+    lamp: "Luminaire | None" = None,
+    irradiance_paths: int = 0,
+) -> BakeResult:
+    """As `extract`, with an exitant light field; compares the irradiance with that of a lamp."""
     from lumitree.nerf.trained_field import load_field
     from lumitree.octree.extract import extract as extract_octree
 
     watch = Stopwatch()
-    with reporting(progress), watch.stage("extract"):
+    with watch.stage("extract"):
         field = load_field(run)
         children, density, coefficients = extract_octree(
             field.query, field.frame.half_extents, tree_depth, samples_per_leaf=samples_per_leaf
@@ -289,6 +389,10 @@ def extract(
             max_radiance=field.max_radiance,
             frame=field.frame,
             luminaire=field.luminaire,
+            exitant=exitant,
         )
         path = save_asset(asset, output)
-    return BakeResult(asset=asset, path=path, **watch.costs())
+    irradiance = None
+    if lamp is not None:
+        irradiance = measure_irradiance(asset, lamp, irradiance_paths, watch)
+    return BakeResult(asset=asset, path=path, irradiance=irradiance, **watch.costs())

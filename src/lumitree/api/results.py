@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.errors import shown
+from lumitree.goniophotometry.figures import PhotometricFigures
+from lumitree.goniophotometry.near_field import NearFieldLimit
 
 Json = dict[str, Any]
 
@@ -46,6 +48,10 @@ class BakeResult(Result):
     Attributes:
         asset: the baked luminaire.
         path: file of the asset; None if none was written.
+        irradiance: error of the irradiance around the asset: `irradiance_ratio`, `irradiance_rms`
+            and `irradiance_rms_touching`, as in `EvaluateResult.metrics`, and `paths`,
+            `ratio_error` and `faces`, as in `EvaluateResult.irradiance`. None if it was not
+            compared: for a dataset, for 0 `irradiance_paths`, and after an interruption.
         held_out_psnr: PSNR on held-out rays, dB; None if no field was baked from
             rays.
         held_out_psnr_uncertainty: half the width of the 68 % interval of `held_out_psnr`, dB.
@@ -57,6 +63,7 @@ class BakeResult(Result):
 
     asset: Asset
     path: Path | None
+    irradiance: Json | None = None
     held_out_psnr: float | None = None
     held_out_psnr_uncertainty: float | None = None
     rays: int | None = None
@@ -247,6 +254,35 @@ class PreviewResult(ImageResult):
     faults: list[str]
     sheet: Path | None
     bounces: list[MissedFlux] | None = None
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class PhotometryResult(ImageResult, PhotometricFigures):
+    """Result of a photometric measurement: the figures of `PhotometricFigures`, and more.
+
+    `png` shows a polar plot and an isocandela plot.
+
+    Attributes:
+        luminaire: name of the luminaire.
+        near_field: for some directions, the distance from which the far field is within 5 %.
+        step: of the angles, degrees.
+        size: [3] sides of the bounding box, m.
+        rays: number of light paths, or of rays of an asset.
+        c_angles, gamma_angles: [C] and [G] angles of the intensities, degrees.
+        intensity, intensity_error: [C, G] luminous intensities and standard errors, cd.
+        files: files that were written.
+    """
+
+    luminaire: str
+    near_field: list[NearFieldLimit]
+    step: float
+    size: tuple[float, ...]
+    rays: int
+    c_angles: NDArray[np.float64] = dataclasses.field(repr=False)
+    gamma_angles: NDArray[np.float64] = dataclasses.field(repr=False)
+    intensity: NDArray[np.float64] = dataclasses.field(repr=False)
+    intensity_error: NDArray[np.float64] = dataclasses.field(repr=False)
+    files: list[Path]
 
 
 def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lumitree.api.files import FilePath
+from lumitree.api.irradiance import check_irradiance_paths
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
 from lumitree.api.results import (
@@ -43,8 +44,6 @@ FLUX_PATHS, BOUNCE_PATHS = 1 << 22, 1 << 20
 # Light paths, and rays of the asset, of an evaluation's irradiance: 4 to 9 s each on 2 CPU cores,
 # for a standard error of about 0.5 % of the mean of a face (decision D14).
 IRRADIANCE_PATHS = 1 << 20
-# More would need more than some gigabytes of memory.
-MAX_IRRADIANCE_PATHS = 1 << 26
 
 
 @explained
@@ -191,7 +190,7 @@ def evaluate(
         irradiance_sheet = Path(sheet).with_stem(f"{Path(sheet).stem}-irradiance")
         check_sheet_output(irradiance_sheet)
     check_range("views", num_views, 1, MAX_VIEWS)
-    check_range("irradiance paths", irradiance_paths, 0, MAX_IRRADIANCE_PATHS)
+    check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     load_mitsuba(variant)
     from lumitree.evaluation.evaluate import evaluate_irradiance, evaluate_views
@@ -294,6 +293,7 @@ def render(
     load_mitsuba(variant)
     from lumitree.rendering.scene import (
         PlacedLuminaire,
+        appearance_for,
         load_scene,
         place_luminaires,
         render_scene,
@@ -307,7 +307,8 @@ def render(
             loaded, integrator = load_scene(str(scene), placed)
             if width is not None:
                 set_film_width(loaded, width)
-            whole = place_luminaires(loaded, placed, proxy)
+            appearance = appearance_for(integrator)
+            whole = place_luminaires(loaded, placed, proxy, appearance=appearance)
         with watch.stage("render"):
             pixels = render_scene(whole, integrator, samples_per_pixel, seed=seed)
     if output is not None:

@@ -7,12 +7,14 @@ Symbols
 
 import dataclasses
 import functools
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.asset.checks import expect, expect_arrays
 from lumitree.asset.exitant import ExitantField
+from lumitree.asset.model import AssetModel
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import MAX_L, num_coefficients
@@ -24,6 +26,9 @@ from lumitree.octree.build import MAX_TREE_DEPTH
 # What a renderer computes from values within these bounds is finite in float32, squares included.
 MIN_RADIANCE, MAX_RADIANCE = 1e-15, 1e15
 MAX_DENSITY = 1e15
+# What an asset may have: its illumination, its image without and with the luminaire itself.
+Part = Literal["exitant", "field", "model"]
+PARTS: tuple[Part, ...] = get_args(Part)
 _expect = functools.partial(expect, "asset")
 
 
@@ -48,6 +53,8 @@ class Asset:
         luminaire: name of the luminaire, for messages; kept as a `core.reading.label`.
         exitant: what the luminaire sends to receivers outside its box; None if the field serves
             for that too.
+        model: the luminaire itself, which `lumitree_path` shows in place of the field; None if
+            there is none.
 
     Raises:
         LumitreeError: a member has a wrong type, shape or range, or the tree is inconsistent.
@@ -63,6 +70,7 @@ class Asset:
     frame: LocalFrame
     luminaire: str
     exitant: ExitantField | None = None
+    model: AssetModel | None = None
 
     def __post_init__(self) -> None:
         """Refuse anything that a renderer could not traverse safely."""
@@ -70,6 +78,9 @@ class Asset:
         _check_scalars(self)
         _check_payload(self)
         _check_tree(self.children, len(self.density), self.tree_depth)
+        if self.model is not None:
+            self.model.check_inside(self.frame)
+            _expect(self.num_leaves or self.exitant, "a model without anything that illuminates")
 
     @property
     def num_leaves(self) -> int:
@@ -78,13 +89,20 @@ class Asset:
 
     @property
     def num_bytes(self) -> int:
-        """Bytes of the octree, the densities, the coefficients and the exitant light field."""
-        exitant = 0 if self.exitant is None else self.exitant.num_bytes
-        return self.children.nbytes + self.density.nbytes + self.coefficients.nbytes + exitant
+        """Bytes of the octree, the densities, the coefficients and the other parts."""
+        others = sum(part.num_bytes for part in (self.exitant, self.model) if part is not None)
+        return self.children.nbytes + self.density.nbytes + self.coefficients.nbytes + others
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """Which of "exitant", "field" and "model" it has."""
+        present = (self.exitant is not None, self.num_leaves > 0, self.model is not None)
+        return tuple(name for name, has in zip(PARTS, present, strict=True) if has)
 
     @property
     def info(self) -> "AssetInfo":
         """Size, depth and bounds of the asset."""
+        traced = None if self.exitant is None else self.exitant.traced
         return AssetInfo(
             luminaire=self.luminaire,
             tree_depth=self.tree_depth,
@@ -96,6 +114,10 @@ class Asset:
             size=tuple(self.frame.size.tolist()),
             centre=tuple(self.frame.centre.tolist()),
             exitant_cells=0 if self.exitant is None else len(self.exitant.cells),
+            exitant_paths=None if traced is None else traced.count,
+            exitant_noise=None if traced is None else traced.noise,
+            model_triangles=0 if self.model is None else self.model.num_triangles,
+            parts=self.parts,
         )
 
     def eval(
@@ -151,6 +173,11 @@ class AssetInfo:
         size: [3] sides of the bounding box, in the unit of the luminaire's file.
         centre: [3] centre of the bounding box, in the frame of the luminaire's file.
         exitant_cells: number of cells of the exitant light field; 0 if there is none.
+        exitant_paths: number of light paths that it was estimated from; None if it is not known.
+        exitant_noise: relative standard error of its intensity by direction, see `TracedPaths`;
+            None if it is not known.
+        model_triangles: number of triangles of the model; 0 if there is none.
+        parts: which of "exitant", "field" and "model" it has.
     """
 
     luminaire: str
@@ -163,6 +190,10 @@ class AssetInfo:
     size: tuple[float, ...]
     centre: tuple[float, ...]
     exitant_cells: int
+    model_triangles: int
+    parts: tuple[Part, ...]
+    exitant_paths: int | None = None
+    exitant_noise: float | None = None
 
 
 def exitant_asset(exitant: ExitantField, frame: LocalFrame, luminaire: str) -> Asset:

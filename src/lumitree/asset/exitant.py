@@ -7,13 +7,15 @@ Symbols
 
 import dataclasses
 import functools
+import math
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.checks import expect, expect_arrays
-from lumitree.errors import LumitreeError
+from lumitree.core.seeds import MAX_SEED
+from lumitree.errors import LumitreeError, shown
 from lumitree.octree.build import morton
 
 Number = TypeVar("Number", bound=np.generic)
@@ -22,6 +24,8 @@ _expect = functools.partial(expect, _WHAT)
 # A cell is named by 10 bits a coordinate, and a device array of all bins holds at most 2³¹.
 MAX_DEPTH, MAX_RESOLUTION = 7, 128
 MAX_BINS = 1 << 28
+# Of `TracedPaths`.
+MAX_PATHS, MAX_SEEDS = 1 << 50, 1 << 12
 # Red, green and blue of 9 bits with a common exponent of 5 bits, as OpenGL's RGB9_E5. Colours
 # are at most 1, so the exponent's offset is 31 in place of 15: darker colours can be stored.
 _EXPONENT_OFFSET, _MANTISSA_BITS, _EXPONENT_BITS = 31, 9, 5
@@ -31,6 +35,53 @@ MANTISSA_SHIFTS = (0, _MANTISSA_BITS, 2 * _MANTISSA_BITS)
 EXPONENT_SHIFT = 3 * _MANTISSA_BITS
 MANTISSA = (1 << _MANTISSA_BITS) - 1
 EXPONENT_OF_ONE = _MANTISSA_BITS + _EXPONENT_OFFSET - 1
+
+
+@dataclasses.dataclass(frozen=True)
+class TracedPaths:
+    """The light paths that an exitant light field was estimated from.
+
+    Attributes:
+        count: number of paths that were started, 1 to 2⁵⁰.
+        seeds: root seeds of their random numbers, in increasing order, at most 4096.
+        luminaire: fingerprint of the luminaire, 64 hexadecimal digits.
+        noise: relative standard error of the luminous intensity in the bins of direction, summed
+            over all cells; root mean square over the sphere. None if it is not known.
+
+    Raises:
+        LumitreeError: a member has a wrong type or range.
+    """
+
+    count: int
+    seeds: tuple[int, ...]
+    luminaire: str
+    noise: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what could not be merged."""
+        what, seeds = functools.partial(expect, "record of light paths"), self.seeds
+        what(
+            type(self.count) is int and 1 <= self.count <= MAX_PATHS,
+            f"count {self.count!r}, expected 1 to 2^50",
+        )
+        what(
+            type(seeds) is tuple
+            and 1 <= len(seeds) <= MAX_SEEDS
+            and all(type(seed) is int and 0 <= seed <= MAX_SEED for seed in seeds)
+            and list(seeds) == sorted(set(seeds)),
+            f"seeds {shown(seeds, 60)}, expected 1 to {MAX_SEEDS} increasing integers from 0 to "
+            f"{MAX_SEED}",
+        )
+        digits = self.luminaire
+        what(
+            type(digits) is str and len(digits) == 64 and set(digits) <= set("0123456789abcdef"),
+            f"luminaire {shown(digits, 80)}, expected 64 hexadecimal digits",
+        )
+        noise = self.noise
+        what(
+            noise is None or (type(noise) is float and noise >= 0 and math.isfinite(noise)),
+            f"noise {noise!r}, expected a number of at least 0",
+        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -49,6 +100,7 @@ class ExitantField:
         depth: the grid has 2**depth cells a side, 1 to 7.
         resolution: R, a power of two from 4 to 128.
         scale: the largest intensity that occurs.
+        traced: the light paths that it was estimated from; None if they are not known.
 
     Raises:
         LumitreeError: a member has a wrong type, shape or range.
@@ -60,6 +112,7 @@ class ExitantField:
     depth: int
     resolution: int
     scale: float
+    traced: TracedPaths | None = None
 
     def __post_init__(self) -> None:
         """Refuse what a renderer could not use safely."""
@@ -101,7 +154,10 @@ class ExitantField:
 
 
 def make_exitant_field(
-    cells: NDArray[np.integer], intensity: NDArray[np.floating], depth: int
+    cells: NDArray[np.integer],
+    intensity: NDArray[np.floating],
+    depth: int,
+    traced: TracedPaths | None = None,
 ) -> ExitantField:
     """An exitant light field from the intensities of all bins.
 
@@ -109,6 +165,7 @@ def make_exitant_field(
         cells: [C, 3] coordinates, each once, in any order; those that emit nothing are left out.
         intensity: [C, R², 3] radiant intensity, local units, at least 0.
         depth: of the grid.
+        traced: the light paths that the intensities were estimated from, if they are known.
 
     Raises:
         LumitreeError: nothing is emitted, or a number is out of range.
@@ -131,6 +188,7 @@ def make_exitant_field(
         depth=depth,
         resolution=int(np.sqrt(bins)),
         scale=scale,
+        traced=traced,
     )
 
 

@@ -1,5 +1,6 @@
 """The `.lumitree` file: one safetensors container, laid out in docs/format.md."""
 
+import dataclasses
 import hashlib
 import json
 import os
@@ -12,7 +13,8 @@ import safetensors.numpy
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.exitant import ExitantField
+from lumitree.asset.exitant import ExitantField, TracedPaths
+from lumitree.asset.model_bytes import MODEL_TENSORS, build_model, model_tensors
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import FRAME_KEYS, LocalFrame
 from lumitree.core.reading import Record, parse_json, read_bytes
@@ -20,8 +22,9 @@ from lumitree.core.transmittance import LAWS
 from lumitree.errors import LumitreeError
 
 FORMAT = "lumitree"
-# Files without an exitant light field have the first version, which older readers know.
-VERSION, VERSION_WITH_EXITANT = 1, 2
+# Files without an exitant light field have the first version, those without a model at most the
+# second, which older readers know.
+VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL = 1, 2, 3
 ACTIVATION = "sigmoid"
 _MAX_HEADER_BYTES = 1 << 20
 # Three million leaves, the most that a bake makes, take at most 0.6 GB.
@@ -29,6 +32,7 @@ MAX_BYTES = 1 << 32
 _TENSORS = {"children": "I32", "density": "F32", "coefficients": "F16"}
 _EXITANT_TENSORS = {"exitant.cells": "U8", "exitant.lit": "U8", "exitant.intensity": "U32"}
 _EXITANT_KEYS = ("depth", "resolution", "scale")
+_TRACED_KEYS = ("count", "seeds", "luminaire", "noise")
 _KEYS = (
     "format",
     "version",
@@ -77,7 +81,13 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
             "exitant.intensity": exitant.intensity,
         }
         description["version"] = VERSION_WITH_EXITANT
-        description["exitant"] = {key: getattr(exitant, key) for key in _EXITANT_KEYS}
+        members = {key: getattr(exitant, key) for key in _EXITANT_KEYS}
+        if exitant.traced is not None:
+            members["traced"] = dataclasses.asdict(exitant.traced)
+        description["exitant"] = members
+    if asset.model is not None:
+        tensors |= model_tensors(asset.model)
+        description["version"] = VERSION_WITH_MODEL
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     # One key only: safetensors does not keep the order of several keys.
     metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
@@ -119,14 +129,17 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
     description = Record(value, "the description")
     # Checked first, because files of other versions may have other members.
     description.choice("format", (FORMAT,))
-    version = description.expect_version(VERSION, VERSION_WITH_EXITANT)
-    description.expect_keys(*_KEYS, *(["exitant"] if version == VERSION_WITH_EXITANT else []))
+    version = description.expect_version(VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL)
+    # A file of the third version may have an exitant light field.
+    optional = version == VERSION_WITH_MODEL and description.has("exitant")
+    has_exitant = version == VERSION_WITH_EXITANT or optional
+    description.expect_keys(*_KEYS, *(["exitant"] if has_exitant else []))
     description.choice("activation", (ACTIVATION,))
-    exitant = None
-    if version == VERSION_WITH_EXITANT:
-        exitant = _build_exitant(description.record("exitant"), tensors)
-    elif len(tensors) != len(_TENSORS):
-        raise LumitreeError(f"version {VERSION} has no exitant light field")
+    exitant = _build_exitant(description.record("exitant"), tensors) if has_exitant else None
+    model = build_model(tensors) if version == VERSION_WITH_MODEL else None
+    expected = {*_TENSORS, *(_EXITANT_TENSORS if has_exitant else ())}
+    if extra := tensors.keys() - expected - (MODEL_TENSORS.keys() if model is not None else set()):
+        raise LumitreeError(f"version {version} has no tensor {min(extra)}")
     return Asset(
         **{name: tensors[name] for name in _TENSORS},
         tree_depth=description.integer("tree_depth"),
@@ -136,11 +149,14 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
         frame=LocalFrame.of_record(description),
         luminaire=description.label("luminaire"),
         exitant=exitant,
+        model=model,
     )
 
 
 def _build_exitant(description: Record, tensors: dict[str, NDArray[Any]]) -> ExitantField:
-    description.expect_keys(*_EXITANT_KEYS)
+    # Files of earlier versions lack it.
+    traced = description.has("traced")
+    description.expect_keys(*_EXITANT_KEYS, *(["traced"] if traced else []))
     if not tensors.keys() >= _EXITANT_TENSORS.keys():
         raise LumitreeError("the tensors of the exitant light field are missing")
     return ExitantField(
@@ -150,6 +166,17 @@ def _build_exitant(description: Record, tensors: dict[str, NDArray[Any]]) -> Exi
         depth=description.integer("depth"),
         resolution=description.integer("resolution"),
         scale=description.number("scale"),
+        traced=_build_traced(description.record("traced")) if traced else None,
+    )
+
+
+def _build_traced(description: Record) -> TracedPaths:
+    description.expect_keys(*_TRACED_KEYS)
+    return TracedPaths(
+        count=description.integer("count"),
+        seeds=tuple(description.integers("seeds")),
+        luminaire=description.text("luminaire", 64),
+        noise=None if description.is_null("noise") else description.number("noise"),
     )
 
 
@@ -168,6 +195,8 @@ def _read_header(content: bytes) -> str:
     tensors = dict(_TENSORS)
     if header.has("exitant.cells"):
         tensors |= _EXITANT_TENSORS
+    if header.has("model.shapes"):
+        tensors |= MODEL_TENSORS
     header.expect_keys("__metadata__", *tensors)
     for name, dtype in tensors.items():
         tensor = header.record(name)

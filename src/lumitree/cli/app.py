@@ -14,6 +14,8 @@ from lumitree.cli import (
     extract,
     info,
     list_luminaires,
+    merge,
+    photometry,
     preview,
     refine,
     render,
@@ -27,7 +29,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 DEBUG = "LUMITREE_DEBUG"
 # Options whose values may begin with a minus sign, which argparse would parse as an option.
-_VECTOR_OPTIONS = ("--at", "--rotate")
+_VECTOR_OPTIONS = ("--at", "--rotate", "--gain")
 _COMMANDS = (
     list_luminaires,
     preview,
@@ -36,8 +38,10 @@ _COMMANDS = (
     extract,
     bake,
     refine,
+    merge,
     info,
     evaluate,
+    photometry,
     render,
     demo,
 )

@@ -8,13 +8,15 @@ from lumitree.cli.output import print_result
 from lumitree.errors import LumitreeError
 
 # Options that apply to one method only.
-_DIRECT_ONLY = ("quality", "time", "rays", "seed", "l_max", "law", "parts")
+_DIRECT_ONLY = ("quality", "time", "rays", "l_max", "law", "lumens", "temperature")
 _NETWORK_ONLY = ("preset",)
 
 
 def add(commands: Any) -> None:
     parser = options.command(commands, "bake", "convert a luminaire into an asset", run)
-    options.add_luminaire(parser, "; or the folder of a dataset")
+    options.add_luminaire(
+        parser, "; or the folder of a dataset, or a photometric file (.ies, .ldt, .ray, .tm25ray)"
+    )
     options.add_output(
         parser,
         "ASSET",
@@ -57,8 +59,22 @@ def add(commands: Any) -> None:
         "--parts",
         type=lambda text: tuple(text.split(",")),
         metavar="PARTS",
-        help="direct only: what the asset gets, separated by commas. exitant: what the luminaire "
-        "sends to its surroundings; field: what images show of it (default: exitant,field)",
+        help="what the asset gets, separated by commas. exitant: what the luminaire "
+        "sends to its surroundings; field: what images show of it; model: the luminaire itself, "
+        "which images show in place of the field, not for --method nerf (default: exitant,field)",
+    )
+    options.add_irradiance_paths(parser, None)
+    parser.add_argument(
+        "--lumens",
+        type=float,
+        metavar="LM",
+        help="photometric files only: luminous flux of the asset, lm (default: that of the file)",
+    )
+    parser.add_argument(
+        "--temperature",
+        type=float,
+        metavar="K",
+        help=".ies and .ldt only: colour temperature, 1000 to 20000 K (default: R = G = B)",
     )
     options.add_work(parser)
     options.add_variant(parser)
@@ -78,6 +94,9 @@ def run(args: argparse.Namespace) -> Any:
             args.output,
             preset=args.preset or "preview",
             tree_depth=args.depth,
+            parts=args.parts or ("exitant", "field"),
+            irradiance_paths=args.irradiance_paths,
+            seed=args.seed or 0,
             work=args.work,
             variant=args.variant,
         )
@@ -92,6 +111,9 @@ def run(args: argparse.Namespace) -> Any:
             l_max=args.l_max,
             law=args.law,
             parts=args.parts or ("exitant", "field"),
+            irradiance_paths=args.irradiance_paths,
+            lumens=args.lumens,
+            temperature=args.temperature,
             seed=args.seed or 0,
             work=args.work,
             variant=args.variant,

@@ -27,13 +27,7 @@ def add(commands: Any) -> None:
         "irradiance in false colour is written beside it, with -irradiance.png",
     )
     options.add_views(parser, 8, 256, 256)
-    parser.add_argument(
-        "--irradiance-paths",
-        type=int,
-        metavar="N",
-        default=1 << 20,
-        help="light paths that estimate the irradiance; 0: it is not compared",
-    )
+    options.add_irradiance_paths(parser, 1 << 20)
     options.add_variant(parser)
 
 

@@ -21,11 +21,32 @@ def add(commands: Any) -> None:
         default=8,
         help="tree depth, 1 to 10; there are 2^D leaves along the longest side of the luminaire",
     )
+    parser.add_argument(
+        "--luminaire",
+        metavar="LUMINAIRE",
+        help="the luminaire that the views are of; with it the asset gets the exitant light field "
+        f"too ({options.LUMINAIRE})",
+    )
+    options.add_reading(parser)
+    options.add_irradiance_paths(parser, None)
+    parser.add_argument(
+        "--seed", type=int, metavar="S", default=0, help="seed of the exitant light field"
+    )
+    options.add_variant(parser)
 
 
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    result = lumitree.extract(args.run_folder, args.output, tree_depth=args.depth)
+    luminaire = None if args.luminaire is None else options.luminaire(args, args.luminaire)
+    result = lumitree.extract(
+        args.run_folder,
+        args.output,
+        tree_depth=args.depth,
+        luminaire=luminaire,
+        irradiance_paths=args.irradiance_paths,
+        seed=args.seed,
+        variant=args.variant,
+    )
     print_result(result)
     return result

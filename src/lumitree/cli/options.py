@@ -150,6 +150,19 @@ def add_budget(parser: argparse.ArgumentParser, seed: int | None = 0) -> None:
     )
 
 
+def add_irradiance_paths(parser: argparse.ArgumentParser, default: int | None) -> None:
+    """Add `--irradiance-paths`."""
+    by_quality = " (default: by the quality, some seconds)" if default is None else ""
+    parser.add_argument(
+        "--irradiance-paths",
+        type=int,
+        metavar="N",
+        default=default,
+        help="light paths that estimate the irradiance around the luminaire, with which that "
+        f"around the asset is compared; 0: it is not compared{by_quality}",
+    )
+
+
 def add_work(parser: argparse.ArgumentParser) -> None:
     """Add `--work`."""
     parser.add_argument(

@@ -26,10 +26,13 @@ def print_report(report: dict[str, Any]) -> None:
             flat |= {f"{stage} (s)": round(seconds, 1) for stage, seconds in value.items()}
         elif name.endswith("_bytes"):
             flat[name.removesuffix("_bytes").replace("_", " ")] = _megabytes(value)
+        elif name == "irradiance":
+            flat |= _irradiance_lines(value)
         elif isinstance(value, dict):
             flat |= {
                 key: _megabytes(item) if key.endswith("_bytes") else _rounded(item)
                 for key, item in value.items()
+                if item is not None
             }
         elif value is not None:
             flat[name.replace("_", " ")] = _rounded(value)
@@ -55,6 +58,19 @@ def print_metrics(report: dict[str, Any]) -> None:
         if report[name] is not None:
             label = "contact sheet" if name == "sheet" else "irradiance"
             print(f"{label}: {shown(report[name], LONGEST_LINE)}")
+
+
+def _irradiance_lines(irradiance: dict[str, Any]) -> dict[str, str]:
+    """Lines of a bake: flux through a cube over that of the luminaire, and RMS errors."""
+    lines = {}
+    if "irradiance_ratio" in irradiance:
+        error = irradiance["ratio_error"]
+        margin = "" if error is None else f" ± {error:.4f}"
+        lines["irradiance, ratio"] = f"{irradiance['irradiance_ratio']:.4f}{margin}"
+    for name, where in (("irradiance_rms", ""), ("irradiance_rms_touching", " touching")):
+        if name in irradiance:
+            lines[f"RMS error{where}"] = f"{100 * irradiance[name]:.1f} %"
+    return lines
 
 
 def _print_irradiance(irradiance: dict[str, Any] | None) -> None:

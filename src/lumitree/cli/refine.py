@@ -18,6 +18,7 @@ def add(commands: Any) -> None:
         "the .lumitree file to write; the same command continues an interrupted call",
     )
     options.add_budget(parser)
+    options.add_irradiance_paths(parser, None)
     options.add_work(parser)
     options.add_variant(parser)
 
@@ -31,6 +32,7 @@ def run(args: argparse.Namespace) -> Any:
         args.output,
         time=args.time,
         rays=args.rays,
+        irradiance_paths=args.irradiance_paths,
         seed=args.seed,
         work=args.work,
         variant=args.variant,

@@ -10,7 +10,7 @@ from lumitree.cli.output import print_result
 
 
 class _Place(argparse.Action):
-    """`--place` adds a placement; `--at`, `--size` and `--rotate` set values of the latest one."""
+    """`--place` adds a placement; `--at` and the others set values of the latest one."""
 
     def __call__(self, parser, namespace, values, option_string=None):
         if self.dest == "place":
@@ -35,7 +35,7 @@ def add(commands: Any) -> None:
         action=_Place,
         metavar="ASSET",
         help="a .lumitree file, or a LUMINAIRE, which is placed as explicit geometry; may be "
-        "repeated, each with its own --at, --size and --rotate",
+        "repeated, each with its own --at, --size, --rotate and --gain",
     )
     parser.add_argument(
         "--at",
@@ -57,6 +57,14 @@ def add(commands: Any) -> None:
         type=_vector(4),
         metavar="AX,AY,AZ,DEG",
         help="rotation about the centre: axis, and angle in degrees",
+    )
+    parser.add_argument(
+        "--gain",
+        action=_Place,
+        type=_vector(1, 3),
+        metavar="R,G,B",
+        help="factors on the red, green and blue light of a .lumitree file, or one number for all "
+        "(default: 1)",
     )
     parser.add_argument("--spp", type=int, metavar="N", default=64, help="samples per pixel")
     parser.add_argument(
@@ -90,14 +98,17 @@ def run(args: argparse.Namespace) -> Any:
     return result
 
 
-def _vector(count: int) -> Callable[[str], tuple[float, ...]]:
+def _vector(*counts: int) -> Callable[[str], tuple[float, ...]]:
     def parse(text: str) -> tuple[float, ...]:
         try:
             values = tuple(float(part) for part in text.split(","))
         except ValueError:
             values = ()
-        if len(values) != count or not all(math.isfinite(value) for value in values):
-            raise argparse.ArgumentTypeError(f"{text!r} is not {count} numbers separated by commas")
+        if len(values) not in counts or not all(math.isfinite(value) for value in values):
+            expected = " or ".join(map(str, counts))
+            raise argparse.ArgumentTypeError(
+                f"{text!r} is not {expected} numbers separated by commas"
+            )
         return values
 
     return parse

@@ -15,12 +15,17 @@ def add(commands: Any) -> None:
     )
     options.add_output(parser, "RUN", "folder of the run, for checkpoints and history")
     options.add_preset(parser)
+    parser.add_argument(
+        "--seed", type=int, metavar="S", default=0, help="seed of all random numbers"
+    )
     parser.add_argument("--resume", action="store_true", help="continue an interrupted run")
 
 
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    result = lumitree.train(args.dataset, args.output, preset=args.preset, resume=args.resume)
+    result = lumitree.train(
+        args.dataset, args.output, preset=args.preset, seed=args.seed, resume=args.resume
+    )
     print_result(result)
     return result

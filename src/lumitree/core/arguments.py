@@ -3,6 +3,9 @@
 import os
 from collections.abc import Collection
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from lumitree.core.files import check_writable
 from lumitree.errors import LumitreeError, shown
@@ -12,6 +15,8 @@ MAX_PIXELS_A_SIDE = 1 << 14
 MAX_SAMPLES = 1 << 20
 # Limits of a bake: rays, and seconds (one year).
 MAX_RAYS, MAX_SECONDS = 1 << 50, 365 * 24 * 3600.0
+# Largest factor on the light of a lamp.
+MAX_GAIN = 1e6
 
 
 def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
@@ -30,6 +35,29 @@ def check_choice(name: str, value: str, choices: Collection[str]) -> None:
     """Refuse a name that is not among the choices."""
     if value not in choices:
         raise LumitreeError(f"{name} is {shown(repr(value), 60)}; expected {', '.join(choices)}")
+
+
+def check_gain(value: Any) -> tuple[float, float, float]:
+    """Factors on the R, G and B of a lamp's light, from one number for all or from three.
+
+    Args:
+        value: a number or [3] numbers, 0 to `MAX_GAIN`.
+
+    Raises:
+        LumitreeError: it is something else.
+    """
+    try:
+        gain = np.asarray(value, np.float64).ravel()
+    except (TypeError, ValueError, RuntimeError):
+        gain = np.zeros(0)
+    if gain.size not in (1, 3) or not ((gain >= 0) & (gain <= MAX_GAIN)).all():
+        found = gain.tolist() if gain.size > 1 else value
+        raise LumitreeError(
+            f"gain is {shown(found, 60)}; expected one number or three (R, G, B) from 0 to "
+            f"{MAX_GAIN:,.0f}"
+        )
+    red, green, blue = np.broadcast_to(gain, 3).tolist()
+    return red, green, blue
 
 
 def check_image_settings(**settings: int) -> None:

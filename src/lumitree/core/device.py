@@ -10,6 +10,21 @@ from numpy.typing import ArrayLike, NDArray
 _PACKET = 64
 
 
+def parameter(kind: Any, *values: float) -> Any:
+    """Small device array of the numbers given, which kernels read from memory.
+
+    A number that is a part of a kernel's code gives each lamp a kernel of its own. Lamps whose
+    numbers are parameters share one.
+
+    Args:
+        kind: type of the result, such as `mi.Float` or `mi.Point3f`.
+        values: its components.
+    """
+    result = kind(*values)
+    dr.make_opaque(result)
+    return result
+
+
 def on_device(kind: Any, values: ArrayLike) -> Any:
     """Device array of a copy of some values, converted.
 

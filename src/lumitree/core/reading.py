@@ -148,6 +148,10 @@ class Record:
         """Whether the object has a member."""
         return key in self._members
 
+    def is_null(self, key: str) -> bool:
+        """Whether a member is null."""
+        return self._members.get(key) is None
+
     def expect_keys(self, *keys: str) -> None:
         """Refuse an object that lacks one of these keys, or has another one."""
         for verb, names in (

@@ -38,6 +38,7 @@ class Purpose(enum.IntEnum):
     CONTINUATION = 15  # root seed of a bake that goes on with an asset; step: checksum of the asset
     IRRADIANCE = 16  # rays that leave a luminaire; step: batch, draw: 0 traced, 1 from a field
     EXITANT = 17  # light paths of the exitant light field; step: batch
+    PHOTOMETRY = 18  # rays that leave a luminaire, for intensities; step: batch
 
 
 @dataclasses.dataclass(frozen=True)

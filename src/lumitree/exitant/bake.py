@@ -8,20 +8,22 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.exitant import ExitantField, make_exitant_field
+from lumitree.asset.exitant import ExitantField, TracedPaths, make_exitant_field
 from lumitree.core.octahedral import bin_of, solid_angles
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.exitant.config import ExitantConfig
+from lumitree.exitant.merge import relative_noise
 from lumitree.exitant.saved_field import SavedExitantField
 from lumitree.luminaire.luminaire import Luminaire
+from lumitree.model.photometry import luminance
 from lumitree.transport.light_paths import trace_light
 from lumitree.transport.tracing import PATH_DEPTH, check_finite
 
 
 def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> ExitantField:
-    """Estimate the exitant light field of a luminaire.
+    """Estimate the exitant light field of a luminaire, and its noise from the batches' spread.
 
     Args:
         luminaire: what is baked.
@@ -34,8 +36,9 @@ def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> E
     saved = SavedExitantField(folder, luminaire, config)
     if (field := saved.load()) is not None:
         return field
-    histogram = _Histogram(config.depth, config.resolution)
+    histogram = Histogram(config.depth, config.resolution)
     batches = -(-config.paths // config.batch)
+    by_direction = []
     with progress(f"light of {luminaire.name}", batches) as advance:
         for step in range(batches):
             sampler = mi.load_dict({"type": "independent"})
@@ -44,19 +47,27 @@ def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> E
             flux = np.array(paths.flux, np.float64).reshape(3, -1)
             check_finite(luminaire, flux)
             # Paths have the direction of the camera ray that meets them.
-            histogram.add(paths.origin, -paths.direction, flux / batches)
+            bins = histogram.add(paths.origin, -paths.direction, flux / batches)
+            by_direction.append(np.bincount(bins, luminance(flux.T), config.resolution**2))
             advance(1)
     if not histogram.flux.any():
         raise LumitreeError(
             f"no light leaves {luminaire.name}; look for emitters that are enclosed or black"
         )
-    intensity = histogram.flux / solid_angles(config.resolution)[:, None]
-    field = make_exitant_field(histogram.cells, intensity, config.depth)
+    solid_angle = solid_angles(config.resolution)
+    traced = TracedPaths(
+        count=batches * config.batch,
+        seeds=(config.seed,),
+        luminaire=luminaire.fingerprint,
+        noise=relative_noise(np.array(by_direction) / solid_angle, np.ones(batches)),
+    )
+    intensity = histogram.flux / solid_angle[:, None]
+    field = make_exitant_field(histogram.cells, intensity, config.depth, traced)
     saved.save(field)
     return field
 
 
-class _Histogram:
+class Histogram:
     """Flux by cell and bin of direction.
 
     Attributes:
@@ -77,8 +88,12 @@ class _Histogram:
         codes = self._codes
         return np.stack([codes % side, codes // side % side, codes // side**2], axis=1)
 
-    def add(self, origin: Any, direction: Any, flux: NDArray[np.float64]) -> None:
-        """Add rays (mi.Point3f, mi.Vector3f, [3, N]) that start inside the grid."""
+    def add(self, origin: Any, direction: Any, flux: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Add rays (mi.Point3f, mi.Vector3f, [3, N]) that start inside the grid.
+
+        Returns:
+            [N] bins of their directions.
+        """
         side = self._side
         cell = mi.Point3i(dr.clip(mi.Point3i(dr.floor((origin + 1) * (side / 2))), 0, side - 1))
         code = np.array((cell.z * side + cell.y) * side + cell.x).astype(np.int64)
@@ -91,3 +106,4 @@ class _Histogram:
         flat = self.flux.reshape(-1, 3)
         for channel in range(3):
             flat[:, channel] += np.bincount(index, flux[channel], len(flat))
+        return bins

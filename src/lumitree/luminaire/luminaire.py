@@ -88,7 +88,7 @@ def load_luminaire(luminaire: "LuminaireLike | Any") -> Luminaire:
     if isinstance(luminaire, load_mitsuba().Scene):
         return _luminaire_of_scene(luminaire)
     source = luminaire_source(luminaire)
-    file = _open(source)
+    file = open_scene_file(source)
     media = file.nodes("Medium")
     _check_media(str(file.path), {node.props.plugin_name() for node in media})
     # Computed first: creating the scene clears the parsed file, with the names of other files.
@@ -237,7 +237,7 @@ def place_shapes(luminaire: LuminaireLike, scene_from_world: ArrayLike) -> dict[
     mi = load_mitsuba()
     matrix = np.asarray(scene_from_world, np.float64)
     scale = similarity_scale(matrix, "placement")
-    file = _open(luminaire_source(luminaire))
+    file = open_scene_file(luminaire_source(luminaire))
     for node in file.nodes("Shape"):
         # The parser keeps transforms in double precision.
         own = node.props.get("to_world", mi.ScalarTransform4d())
@@ -312,7 +312,7 @@ _until_exit = contextlib.ExitStack()
 atexit.register(_until_exit.close)
 
 
-def _open(source: LuminaireSource) -> SceneFile:
+def open_scene_file(source: LuminaireSource) -> SceneFile:
     """The parsed and checked scene of a source; its patterns are applied if its file is a scene."""
     path = luminaire_path(source)
     own = path == Path(source.name)

@@ -134,6 +134,16 @@ class SceneFile:
         kind = getattr(load_mitsuba().ObjectType, kind)
         return [node for node in self._used() if node.type == kind]
 
+    def children(self, props: Any) -> dict[str, Any]:
+        """Nodes that a node's properties refer to, by the names of the properties."""
+        names = [key for key in list(props.keys()) if _is_reference(props, key)]
+        return {key: self._state.nodes[props[key].index()] for key in names}
+
+    def resolve(self, name: str) -> Path:
+        """Path of a file that the scene refers to."""
+        with self._searching() as resolver:
+            return Path(str(resolver.resolve(name)))
+
     def _used(self) -> list[Any]:
         """Nodes that belong to the scene, directly or within others, in the order of the file."""
         found, waiting = {0}, [0]

@@ -28,6 +28,12 @@ _SRGB_FROM_XYZ = np.array(
         [0.0556434, -0.2040259, 1.0572252],
     ]
 )
+# The other way; the rows are x, y and z, so the second is `LUMA` of IEC 61966-2-1, rounded.
+_XYZ_FROM_SRGB = np.linalg.inv(_SRGB_FROM_XYZ)
+# Temperatures of the Planckian locus, K: neighbours differ by 0.5 %.
+_LOCUS_TEMPERATURES = np.geomspace(900.0, 1e5, 950)
+# Largest distance from the locus for which a correlated colour temperature is defined (CIE 15).
+MAX_DUV = 0.05
 
 
 def luminance(rgb: ArrayLike) -> NDArray[np.float64]:
@@ -61,11 +67,65 @@ def blackbody_colour(temperature: float) -> RGB:
     Args:
         temperature: in kelvin, from 1000 to 20000.
     """
-    wavelength = np.arange(360.0, 831.0)
-    # Planck's law up to a factor; 1.438777e7 nm K is hc/k.
-    spectrum = wavelength**-5 / np.expm1(1.438777e7 / (wavelength * temperature))
-    mi = load_mitsuba()
-    matching = np.array(mi.cie1931_xyz(on_device(mi.Float, wavelength)), np.float64)
-    rgb = np.maximum(_SRGB_FROM_XYZ @ (matching @ spectrum), 0.0)
+    rgb = np.maximum(_SRGB_FROM_XYZ @ _blackbody_xyz(np.array([temperature]))[0], 0.0)
     rgb /= rgb @ LUMA
     return (float(rgb[0]), float(rgb[1]), float(rgb[2]))
+
+
+def xyz_from_srgb(rgb: ArrayLike) -> NDArray[np.float64]:
+    """CIE 1931 XYZ [..., 3] of linear sRGB [..., 3]; white of luminance 1 has Y = 1."""
+    return np.asarray(rgb, np.float64) @ _XYZ_FROM_SRGB.T
+
+
+def srgb_from_xyz(xyz: ArrayLike) -> NDArray[np.float64]:
+    """Linear sRGB [..., 3] of CIE 1931 XYZ [..., 3]; inverse of `xyz_from_srgb`."""
+    return np.asarray(xyz, np.float64) @ _SRGB_FROM_XYZ.T
+
+
+def colour_temperature(rgb: ArrayLike) -> tuple[float, float]:
+    """Correlated colour temperature and Duv of a colour (CIE 15; ANSI C78.377).
+
+    The nearest point of the Planckian locus in the CIE 1960 (u, v) diagram.
+
+    Args:
+        rgb: [3] linear sRGB; only its ratios matter.
+
+    Returns:
+        Temperature, K: NaN if the colour is black, more than 0.05 from the locus, or its
+        temperature is not within 1000 to 90000 K. And Duv, the distance from the locus, positive
+        above it (greenish); NaN for black.
+    """
+    xyz = xyz_from_srgb(rgb)
+    if not (xyz.sum() > 0):
+        return math.nan, math.nan
+    locus, point = _uv(_blackbody_xyz(_LOCUS_TEMPERATURES)), _uv(xyz)
+    # Nearest points of the straight lines between neighbours.
+    edge = np.diff(locus, axis=0)
+    along = ((point - locus[:-1]) * edge).sum(axis=1) / (edge**2).sum(axis=1)
+    along = np.clip(along, 0, 1)
+    distance = np.linalg.norm(locus[:-1] + along[:, None] * edge - point, axis=1)
+    nearest = int(distance.argmin())
+    first, second = 1 / _LOCUS_TEMPERATURES[nearest : nearest + 2]
+    temperature = 1 / (first + along[nearest] * (second - first))
+    # The locus goes from red to blue, so what is above it is on the right of its edges.
+    offset = point - locus[nearest]
+    above = edge[nearest, 0] * offset[1] - edge[nearest, 1] * offset[0] < 0
+    duv = math.copysign(float(distance[nearest]), 1 if above else -1)
+    known = abs(duv) <= MAX_DUV and 1000 <= temperature <= 9e4
+    return (float(temperature) if known else math.nan), duv
+
+
+def _uv(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """CIE 1960 chromaticity [..., 2] of XYZ [..., 3]."""
+    x, y, z = np.moveaxis(xyz, -1, 0)
+    return np.stack([4 * x, 6 * y], axis=-1) / (x + 15 * y + 3 * z)[..., None]
+
+
+def _blackbody_xyz(temperature: NDArray[np.float64]) -> NDArray[np.float64]:
+    """CIE 1931 XYZ [N, 3], up to a factor, of black bodies [N], K."""
+    wavelength = np.arange(360.0, 831.0)
+    # Planck's law up to a factor; 1.438777e7 nm K is hc/k.
+    spectrum = wavelength**-5 / np.expm1(1.438777e7 / (wavelength * temperature[:, None]))
+    mi = load_mitsuba()
+    matching = np.array(mi.cie1931_xyz(on_device(mi.Float, wavelength)), np.float64)
+    return spectrum @ matching.T

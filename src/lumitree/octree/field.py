@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device
+from lumitree.core.device import on_device, parameter
 from lumitree.core.frames import LocalFrame, towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.transmittance import BLOCKED, Law, transmittance
@@ -76,7 +76,9 @@ class Field:
         self._octree = Octree(children, asset.tree_depth, asset.frame.half_extents)
         # Device arrays cannot be empty: an asset without leaves gets one that nothing refers to.
         self._density = on_device(mi.Float, asset.density if asset.num_leaves else [0.0])
-        packets, self._unit = _packets(asset)
+        packets, unit = _packets(asset)
+        self._unit = parameter(mi.Float, 2.0**112 * unit)
+        self._max_radiance = parameter(mi.Float, asset.max_radiance)
         self._coefficients = on_device(mi.UInt32, packets)
         dr.eval(self._density, self._coefficients)
 
@@ -186,7 +188,7 @@ class Field:
             for k in range(count):
                 total = dr.fma(flat[channel * count + k], y[k], total)
             channels.append(dr.rcp(1 + dr.exp(-total)))
-        return self.asset.max_radiance * mi.Color3f(*channels)
+        return self._max_radiance * mi.Color3f(*channels)
 
 
 def _nothing(recorded, *_):
@@ -214,11 +216,13 @@ def _packets(asset: FieldData) -> tuple[NDArray[np.uint32], float]:
 
 
 def _from_half(bits, unit):
-    """Value (mi.Float) of the half-precision number in the upper 16 of 32 bits, times `unit`."""
-    # Sign; exponent and mantissa moved to their places; then the difference of the exponents'
-    # offsets. There are no infinities in an asset.
+    """Value (mi.Float) of the half-precision number in the upper 16 of 32 bits, times `unit`.
+
+    `unit` contains a factor of 2¹¹², the difference of the exponents' offsets.
+    """
+    # Sign; exponent and mantissa moved to their places. There are no infinities in an asset.
     word = (bits & 0x80000000) | ((bits & 0x7FFF0000) >> 3)
-    return dr.reinterpret_array(mi.Float, word) * (2.0**112 * unit)
+    return dr.reinterpret_array(mi.Float, word) * unit
 
 
 _LOCK = threading.Lock()

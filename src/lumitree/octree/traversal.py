@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device
+from lumitree.core.device import on_device, parameter
 from lumitree.octree.wide_nodes import LEAF, wide_levels, wide_nodes
 
 # visit(state, leaf, start, length, active) -> state, active; shade(state, leaf, start, length,
@@ -63,7 +63,7 @@ class Octree:
         half_extents: NDArray[np.float64],
     ) -> None:
         self.tree_depth = tree_depth
-        self._half_extents = half_extents
+        self._half = parameter(mi.Vector3f, *half_extents.tolist())
         # Device arrays cannot be empty: a level without nodes gets one that nothing refers to.
         self._nodes = [
             on_device(mi.Int32, level if len(level) else [0])
@@ -89,7 +89,9 @@ class Octree:
             The last state.
         """
         ray, t_exit, ahead, active = self._enter(origin, direction, active)
-        while active:
+        # Symbolic even where derivatives make the caller's loop an evaluated one: within a call of
+        # an emitter there are no other loops, and Dr.Jit would warn of each.
+        while dr.hint(active, mode="symbolic"):
             t = mi.Float(t_exit)
             entry, t_exit, ahead, ends = self._step(ray, t, ahead, active)
             # A leaf may be the last cell of its ray.
@@ -121,10 +123,10 @@ class Octree:
         ray, t_exit, ahead, active = self._enter(origin, direction, active)
         # In registers: Dr.Jit 1.5 has no local memory in functions that are called.
         queue = _DEFERRED * [(mi.UInt32(0), mi.Float(0), mi.Float(0))]
-        while active:
+        while dr.hint(active, mode="symbolic"):
             count = mi.UInt32(0)
             seeking = mi.Bool(active)
-            while seeking:
+            while dr.hint(seeking, mode="symbolic"):
                 t = mi.Float(t_exit)
                 entry, t_exit, ahead, ends = self._step(ray, t, ahead, seeking)
                 found, crossing = entry > 0, (_leaf(entry), t, t_exit - t)
@@ -133,7 +135,7 @@ class Octree:
                 queue = _with(queue, count, crossing, found)
                 count += dr.select(found, mi.UInt32(1), 0)
                 seeking = active & (count < _DEFERRED)
-            while count > 0:
+            while dr.hint(count > 0, mode="symbolic"):
                 leaf, start, length = queue[0]
                 shaded = shade(shaded, leaf, start, length, count > 0)
                 queue = [*queue[1:], queue[-1]]
@@ -174,7 +176,7 @@ class Octree:
     def find_leaf(self, point: Any, active: Any = True) -> tuple[Any, Any]:
         """Index (mi.UInt32) of the leaf that holds a point in the box, and whether one does."""
         size = 1 << self.tree_depth
-        half = mi.Point3f(*self._half_extents.tolist())
+        half = mi.Point3f(self._half)
         inside = mi.Bool(active) & dr.all(dr.abs(point) <= half + _BORDER)
         # What a lamp ends with, a canopy's top say, is on the border: within, not in the next cell.
         point = dr.clip(point, -half, half - _BORDER)
@@ -188,8 +190,7 @@ class Octree:
 
     def _clip(self, o, moving, inverse):
         """Entry and exit distance of the proxy box, and whether the line meets it."""
-        half = mi.Vector3f(*self._half_extents.tolist())
-        scale = (1 << self.tree_depth) / 2
+        half, scale = self._half, (1 << self.tree_depth) / 2
         first = ((1 - half) * scale - o) * inverse
         second = ((1 + half) * scale - o) * inverse
         entry = dr.max(dr.select(moving, dr.minimum(first, second), -dr.inf))

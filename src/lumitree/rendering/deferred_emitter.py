@@ -23,17 +23,22 @@ class DeferredEmitter(Protocol):
             active: mi.Bool mask.
 
         Returns:
-            mi.DirectionSample3f, whose `pdf` is 1 where there is a direction and 0 elsewhere; and
-            mi.Float, the distance of the sampled point, for `eval_target`.
+            mi.DirectionSample3f, whose `pdf` is 1 where there is a direction and 0 elsewhere, and
+            whose `delta` says that `eval_target` returns a weight that includes multiple importance
+            sampling; and what `eval_target` needs of the sample: mi.Float, mi.UInt32, mi.Float.
         """
         ...
 
-    def eval_target(self, it: Any, ds: Any, distance: Any, active: Any) -> tuple[Any, Any]:
+    def eval_target(
+        self, it: Any, ds: Any, target: Any, pdf: Any, chance: Any, active: Any
+    ) -> tuple[Any, Any]:
         """Second half of `sample_direction`: what a sampled direction is worth.
 
         Args:
             it: as for `sample_target`.
-            ds, distance: what `sample_target` returned.
+            ds, target: what `sample_target` returned.
+            pdf: mi.Float, density per steradian with which the BSDF samples the direction.
+            chance: mi.Float, probability with which this emitter was chosen.
             active: mi.Bool mask.
 
         Returns:
@@ -43,7 +48,7 @@ class DeferredEmitter(Protocol):
         ...
 
     def eval_with_transmittance(
-        self, si: Any, it: Any, sees: Any, active: Any
+        self, si: Any, it: Any, sees: Any, pdf: Any, chance: Any, active: Any
     ) -> tuple[Any, Any, Any]:
         """`eval`, `eval_null_transmission` and `pdf_direction` in one traversal.
 
@@ -52,10 +57,14 @@ class DeferredEmitter(Protocol):
             it: mi.Interaction3f, the vertex that the ray comes from.
             sees: mi.Bool, whether the ray belongs to an image of the emitter: it comes from the
                 camera, directly or by specular reflections and refractions alone.
+            pdf: mi.Float, density per steradian with which the BSDF sampled the ray.
+            chance: mi.Float, probability with which next-event estimation chooses this emitter; 0
+                if it could not have found the ray.
             active: mi.Bool mask.
 
         Returns:
             mi.Color3f, radiance; mi.Float, transmittance; mi.Float, density with which
-            `sample_direction` gives this direction from `it`.
+            `sample_direction` gives this direction from `it`, 0 if the radiance includes the weight
+            of multiple importance sampling.
         """
         ...

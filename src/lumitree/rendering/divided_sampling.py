@@ -4,23 +4,30 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from lumitree.asset.asset import Asset
+from lumitree.core.device import parameter
 from lumitree.octree.field import Field
-from lumitree.rendering.emitter_sampling import EmitterSampler, Sampling
+from lumitree.rendering.emitter_sampling import DirectionSampler, EmitterSampler, Sampling
 from lumitree.rendering.exitant_light import exitant_light
 from lumitree.rendering.light_leaves import light_leaves
-from lumitree.rendering.proxy import Proxy
+from lumitree.rendering.proxy import Proxy, cone_pdf
+
+# Where the BSDF's density is below this part of a uniform density over the lamp's bounding sphere,
+# next-event estimation alone finds the light. The sphere is enlarged by the second number, and
+# within it this is never so: there the distance to a sampled point may be small.
+_CUTOFF, _CUTOFF_RADIUS = 0.5, 1.25
 
 
 def emitter_sampler(
     asset: Asset, field: Field, proxy: Proxy, sampling: Sampling = "emission"
-) -> "EmitterSampler | DividedSampler":
+) -> DirectionSampler:
     """Sampler of what an asset emits; arguments as for `EmitterSampler` and `lumitree.shape`."""
     uniform = sampling == "uniform"
     if asset.exitant is None:
         return EmitterSampler(proxy, field, None if uniform else light_leaves(field))
-    return DividedSampler(asset, field, proxy if uniform else None)
+    return DividedSampler(asset, field, proxy) if uniform else CellSampler(asset, field)
 
 
 def look(asset: Asset, field: Field, origin: Any, direction: Any, active: Any) -> tuple[Any, Any]:
@@ -35,7 +42,7 @@ def look(asset: Asset, field: Field, origin: Any, direction: Any, active: Any) -
     return radiance, dr.full(mi.Float, 1, dr.width(radiance))
 
 
-class DividedSampler:
+class DividedSampler(DirectionSampler):
     """As `EmitterSampler`, for a lamp with an exitant light field.
 
     Directions are sampled by the exitant light field. It is also the radiance that receivers get.
@@ -74,11 +81,18 @@ class DividedSampler:
     ) -> tuple[Any, Any, Any]:
         """As `EmitterSampler.eval`."""
         radiance, density = self._eval(x, entry, direction, distance, active)
+        radiance, through = self._divide(radiance, entry, direction, active, sees)
+        return radiance, through, density
+
+    def _divide(
+        self, radiance: Any, entry: Any, direction: Any, active: Any, sees: Any
+    ) -> tuple[Any, Any]:
+        """What rays get of a radiance for receivers, and their transmittance."""
         if not self._asset.num_leaves:
-            return radiance, mi.Float(1), density
+            return radiance, mi.Float(1)
         seen, through = self._field.emission(entry, direction, active & sees)
         passed = self._field.transmittance(entry, direction, active & ~mi.Bool(sees))
-        return dr.select(sees, seen, radiance), dr.select(sees, through, passed), density
+        return dr.select(sees, seen, radiance), dr.select(sees, through, passed)
 
     def pdf(self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True) -> Any:
         """As `EmitterSampler.pdf`."""
@@ -95,3 +109,66 @@ class DividedSampler:
     ) -> tuple[Any, Any, Any]:
         """As `EmitterSampler.sample_ray`."""
         return self._light.sample_ray(choice, sample1, sample2, active)
+
+
+class CellSampler(DividedSampler):
+    """As `DividedSampler`; next-event estimation takes the light of one cell, without a traversal.
+
+    Multiple importance sampling is by direction and distance, so this sampler computes its weights
+    (`exitant_light`). A direction that the BSDF hardly ever samples is left to next-event
+    estimation, so that few paths need the radiance of a whole ray.
+    """
+
+    weighs = True
+
+    def __init__(self, asset: Asset, field: Field) -> None:
+        super().__init__(asset, field)
+        self._radius = parameter(mi.Float, float(np.linalg.norm(asset.frame.half_extents)))
+
+    def sample_target(self, x: Any, sample: Any, active: Any) -> tuple[Any, tuple[Any, Any, Any]]:
+        """As `DirectionSampler.sample_target`."""
+        point, cell, chance = self._light.sample_point(x, sample, active)
+        offset = mi.Vector3f(point - x)
+        distance = dr.norm(offset)
+        return offset / distance, (distance, cell, chance)
+
+    def eval_target(
+        self,
+        x: Any,
+        direction: Any,
+        entry_distance: Any,
+        target: tuple[Any, Any, Any],
+        pdf: Any,
+        chance: Any,
+        active: Any,
+    ) -> tuple[Any, Any]:
+        """As `DirectionSampler.eval_target`."""
+        other = dr.select(self._left_out(x, pdf), 0, pdf / (self._radius * chance))
+        weight = self._light.contribution(direction, *target, other, active)
+        return weight, dr.select(active, mi.Float(1), 0)
+
+    def eval_hit(
+        self,
+        x: Any,
+        entry: Any,
+        direction: Any,
+        distance: Any,
+        sees: Any,
+        pdf: Any,
+        chance: Any,
+        active: Any,
+    ) -> tuple[Any, Any, Any]:
+        """As `DirectionSampler.eval_hit`."""
+        gets = active & ~((chance > 0) & self._left_out(x, pdf))
+        if self._asset.num_leaves:
+            gets &= ~mi.Bool(sees)
+        inverse = dr.select(chance > 0, self._radius * chance / pdf, 0)
+        radiance = self._light.received(x, entry, direction, distance, inverse, gets)
+        radiance, through = self._divide(radiance, entry, direction, active, sees)
+        return radiance, through, mi.Float(0)
+
+    def _left_out(self, x, pdf):
+        """Whether a direction is left to next-event estimation."""
+        radius = _CUTOFF_RADIUS * self._radius
+        far = dr.squared_norm(mi.Vector3f(x)) > radius**2
+        return far & (pdf < _CUTOFF * cone_pdf(x, radius))

@@ -5,6 +5,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from lumitree.core.arguments import check_gain
 from lumitree.errors import LumitreeError
 from lumitree.rendering.divided_sampling import emitter_sampler
 from lumitree.rendering.placed import Placed
@@ -14,7 +15,9 @@ def emitter_class() -> type:
     """Class of the emitter for the variant of Mitsuba that is set, whose base class it extends.
 
     It is a `DeferredEmitter`. Radiance is that of the whole line through the proxy, on the face
-    where the line enters; on the face where it leaves it is 0.
+    where the line enters; on the face where it leaves it is 0. `gain` [3] (R, G, B) multiplies all
+    radiance and flux, but neither transmittance nor densities. It is a differentiable parameter of
+    `mitsuba.traverse`.
     """
 
     class LumitreeEmitter(mi.Emitter):
@@ -25,28 +28,72 @@ def emitter_class() -> type:
                 placed.asset, placed.field, placed.proxy, placed.sampling
             )
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
+            self.gain = mi.Color3f(*check_gain(props.get("gain", 1.0)))
+            self._set_gain()
+
+        def traverse(self, callback):
+            super().traverse(callback)
+            callback.put("gain", self.gain, mi.ParamFlags.Differentiable)
+
+        def parameters_changed(self, keys=()):
+            if not keys or "gain" in keys:
+                self._set_gain()
+
+        def _set_gain(self):
+            """Accept the value of `gain`, or raise and return to the one before."""
+            try:
+                check_gain(dr.detach(self.gain))
+            except LumitreeError:
+                mi.set_property(self.gain, self._accepted)
+                raise
+            # Opaque: another gain does not compile new kernels.
+            dr.make_opaque(self.gain)
+            self._accepted = mi.Color3f(self.gain)
 
         def eval(self, si, active=True):
             line, entering = self.placed.entering_line(si, active)
-            return self.sampler.look(*line, entering)[0] & entering
+            return self.gain * self.sampler.look(*line, entering)[0] & entering
 
-        def eval_with_transmittance(self, si, it, sees, active):
+        def eval_with_transmittance(self, si, it, sees, pdf, chance, active):
             line, entering = self.placed.entering_line(si, active)
             distance = dr.norm(si.p - it.p) / self.placed.scale
             x = self.placed.local_point(it.p)
-            radiance, through, pdf = self.sampler.eval(x, *line, distance, entering, sees=sees)
-            return radiance & entering, dr.select(entering, through, 1), pdf
+            shows_model = self.placed.shows_model
+            if shows_model:
+                # Images show the model's own shapes, which also hide what is behind them.
+                entering &= ~sees
+            radiance, through, density = self.sampler.eval_hit(
+                x, *line, distance, sees, pdf, chance, entering
+            )
+            if shows_model:
+                through = mi.Float(1)
+            return self.gain * radiance & entering, dr.select(entering, through, 1), density
 
         def sample_direction(self, it, sample, active=True):
-            ds, distance = self.sample_target(it, sample, active)
+            placed = self.placed
+            x = placed.local_point(it.p)
+            direction, target = self.sampler.sample(x, sample, active)
+            ds = self._towards(it, x, direction, active)
+            active &= ds.pdf > 0
+            # As a ray that is given by the scene has it, for `pdf_direction` to agree.
+            direction, near = placed.local_direction(ds.d), ds.dist / placed.scale
+            entry = x + near * direction
             # `eval` does not know whether it is for an image, so both are what an image shows.
-            weight, ds.pdf = self._eval_target(it, ds, distance, True, active & (ds.pdf > 0))
-            return ds, weight
+            radiance, _, ds.pdf = self.sampler.eval(
+                x, entry, direction, near, active, target, sees=True
+            )
+            return ds, dr.select(ds.pdf > 0, self.gain * radiance / ds.pdf, 0)
 
         def sample_target(self, it, sample, active):
+            x = self.placed.local_point(it.p)
+            direction, target = self.sampler.sample_target(x, sample, active)
+            ds = self._towards(it, x, direction, active)
+            ds.delta |= self.sampler.weighs
+            return ds, target
+
+        def _towards(self, it, origin, direction, active):
+            """Sample of a direction (local frame), without its density, which is 1 where it is."""
             placed = self.placed
-            origin = placed.local_point(it.p)
-            direction, target = self.sampler.sample(origin, sample, active)
             distance, n, enters = placed.proxy.enter(origin, direction)
             ds = dr.zeros(mi.DirectionSample3f)
             ds.p = placed.scene_point(origin + distance * direction)
@@ -56,19 +103,21 @@ def emitter_class() -> type:
             ds.dist = distance * placed.scale
             ds.time = it.time
             ds.pdf = dr.select(active & enters, 1, 0)
-            ds.delta = False
+            # Rays that start within the margin of a proxy do not meet it, so that next-event
+            # estimation alone finds the lamp.
+            ds.delta = placed.in_margin(origin)
             ds.emitter = mi.EmitterPtr(self)
-            return ds, target
+            return ds
 
-        def eval_target(self, it, ds, distance, active):
-            return self._eval_target(it, ds, distance, False, active)
-
-        def _eval_target(self, it, ds, distance, sees, active):
+        def eval_target(self, it, ds, target, pdf, chance, active):
             x, direction = self.placed.local_line(it.p, ds.d)
             near = ds.dist / self.placed.scale
-            entry = x + near * direction
-            radiance, _, pdf = self.sampler.eval(x, entry, direction, near, active, distance, sees)
-            return dr.select(pdf > 0, radiance / pdf, 0), pdf
+            # A receiver in the margin is not found by rays of its BSDF.
+            pdf = dr.select(self.placed.in_margin(x), 0, pdf)
+            weight, density = self.sampler.eval_target(
+                x, direction, near, target, pdf, chance, active
+            )
+            return self.gain * weight, density
 
         def pdf_direction(self, it, ds, active=True):
             entry, direction = self.placed.local_line(ds.p, ds.d)
@@ -81,7 +130,7 @@ def emitter_class() -> type:
             line = self.placed.local_line(it.p, ds.d)
             facing = active & (dr.dot(ds.d, ds.n) < 0)
             radiance, _ = self.sampler.look(*line, facing)
-            return radiance & facing
+            return self.gain * radiance & facing
 
         def sample_wavelengths(self, si, sample, active=True):
             return mi.Color0f(), self.eval(si, active)
@@ -96,7 +145,7 @@ def emitter_class() -> type:
             si.n = placed.scene_direction(n)
             si.time = time
             ray = si.spawn_ray(placed.scene_direction(direction))
-            return ray, flux * dr.square(placed.scale) & active
+            return ray, self.gain * flux * dr.square(placed.scale) & active
 
         def sample_position(self, time, sample, active=True):
             raise LumitreeError(

@@ -8,12 +8,13 @@ The density of a direction is computed along its ray, together with its radiance
 """
 
 import math
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Protocol, get_args
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from lumitree.core.device import parameter
 from lumitree.octree.field import Field
 from lumitree.rendering.light_leaves import LightLeaves, is_reached
 from lumitree.rendering.proxy import Proxy, cone_pdf, point_on_box, projected_areas, sample_cone
@@ -25,7 +26,89 @@ SAMPLING_KINDS: tuple[Sampling, ...] = get_args(Sampling)
 UNIFORM_FRACTION = 0.1
 
 
-class EmitterSampler:
+class DirectionSampler(Protocol):
+    """What an emitter needs of its sampler; all quantities are in the lamp's local frame.
+
+    `EmitterSampler` documents what is not documented here.
+    """
+
+    # Whether `eval_target` and `eval_hit` return radiance times its weight of multiple importance
+    # sampling, and not densities to compute the weight from.
+    weighs = False
+
+    def sample(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]: ...
+
+    def look(self, entry: Any, direction: Any, active: Any) -> tuple[Any, Any]: ...
+
+    def eval(
+        self,
+        x: Any,
+        entry: Any,
+        direction: Any,
+        distance: Any,
+        active: Any,
+        target: Any = -dr.inf,
+        sees: Any = False,
+    ) -> tuple[Any, Any, Any]: ...
+
+    def pdf(self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True) -> Any: ...
+
+    def sample_ray(
+        self, choice: Any, sample1: Any, sample2: Any, active: Any = True
+    ) -> tuple[Any, Any, Any]: ...
+
+    def sample_target(self, x: Any, sample: Any, active: Any) -> tuple[Any, tuple[Any, Any, Any]]:
+        """Direction as `sample` returns it, and what `eval_target` needs of the sample."""
+        direction, distance = self.sample(x, sample, active)
+        return direction, (distance, mi.UInt32(0), mi.Float(0))
+
+    def eval_target(
+        self,
+        x: Any,
+        direction: Any,
+        entry_distance: Any,
+        target: tuple[Any, Any, Any],
+        pdf: Any,
+        chance: Any,
+        active: Any,
+    ) -> tuple[Any, Any]:
+        """Radiance over density (mi.Color3f) of a direction of `sample_target`, and its density.
+
+        Args:
+            x: mi.Point3f, the shading point.
+            direction: mi.Vector3f, unit direction from it.
+            entry_distance: mi.Float, distance at which the ray enters the proxy.
+            target: as `sample_target` returned it.
+            pdf: mi.Float, density per steradian with which the BSDF samples the direction.
+            chance: mi.Float, probability with which next-event estimation chooses the emitter.
+            active: mi.Bool mask.
+        """
+        entry = x + entry_distance * direction
+        radiance, _, density = self.eval(x, entry, direction, entry_distance, active, target[0])
+        return dr.select(density > 0, radiance / density, 0), density
+
+    def eval_hit(
+        self,
+        x: Any,
+        entry: Any,
+        direction: Any,
+        distance: Any,
+        sees: Any,
+        pdf: Any,
+        chance: Any,
+        active: Any,
+    ) -> tuple[Any, Any, Any]:
+        """Radiance, transmittance and density of a ray that has hit the proxy.
+
+        Args:
+            x, entry, direction, distance, sees, active: as for `eval`.
+            pdf, chance: as for `eval_target`; a chance of 0 if next-event estimation could not have
+                found the direction.
+        """
+        return self.eval(x, entry, direction, distance, active, sees=sees)
+
+
+class EmitterSampler(DirectionSampler):
     """Samples directions towards a field, by its leaves and uniformly.
 
     Args:
@@ -36,8 +119,9 @@ class EmitterSampler:
 
     def __init__(self, proxy: Proxy, field: Field, leaves: LightLeaves | None) -> None:
         self._proxy, self._field, self._leaves = proxy, field, leaves
-        self._half = mi.Vector3f(*field.asset.frame.half_extents.tolist())
-        self._radius = float(np.linalg.norm(field.asset.frame.half_extents))
+        half_extents = field.asset.frame.half_extents
+        self._half = parameter(mi.Vector3f, *half_extents.tolist())
+        self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
 
     def sample(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
         """Unit direction from `x` for a sample in the unit square, and its target's distance.

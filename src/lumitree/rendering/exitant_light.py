@@ -6,15 +6,25 @@ occlusion. The density of a direction is a sum over the same cells, so one trave
 in at most three times as many steps as the grid has cells a side.
 
 A cell is sampled from a table that depends on the receiver, in proportion to the root mean square
-of the light that it sends to the receiver's surroundings; then a point of the cell, uniformly. A
-tenth of the samples is uniform over the lamp's bounding sphere, and another part of them by the
-flux of cells. So no weight exceeds the radiance times 4π over that tenth.
+of the light that it sends to the receiver's surroundings, a part of the samples by the flux of
+cells; then a point of the cell, uniformly.
+
+A sampled point is used in two ways. Integrators that ask for directions alone get the radiance of
+the whole ray through the point, over its density, for which a tenth of the directions is uniform
+over the lamp's bounding sphere: no weight exceeds the radiance times 4π over that tenth. An
+integrator that leaves the weights to the lamp gets the light of the sampled cell alone, without a
+traversal. A path that samples its direction by the BSDF then gets the rest (`received`).
 
 Symbols
     x   receiver, outside the lamp's box        C   cells        R   bins of direction a side
+    I   radiant intensity of a cell             f   BSDF times cosine
     p   probability with which a cell is sampled
     V   volume of the part of a cell that is inside the lamp's box. A cell adds
         p (r₁³ - r₀³) / 3V to the density of a direction whose ray is in it from r₀ to r₁
+    a   p / V: points at a distance r are sampled with density a r² per steradian and length
+    b   what stands for the density of a direction sampled by the BSDF, per steradian and length.
+        With the balance heuristic a sampled point has the weight I f / (V (a r² + b)), and a point
+        of a ray that was sampled by the BSDF has a part b / (a r² + b) of its light
 """
 
 import weakref
@@ -33,12 +43,13 @@ from lumitree.asset.exitant import (
     ExitantField,
     unpack,
 )
-from lumitree.core.device import on_device
+from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
 from lumitree.model.photometry import luminance
 from lumitree.octree.build import build_children
 from lumitree.octree.leaves import boxes_inside
 from lumitree.octree.traversal import Octree
+from lumitree.rendering.alias_table import AliasTable
 from lumitree.rendering.emitter_sampling import UNIFORM_FRACTION
 from lumitree.rendering.proxy import cone_pdf, sample_cone
 from lumitree.rendering.receiver_cells import ReceiverCells
@@ -47,8 +58,10 @@ from lumitree.rendering.samples import divide_sample, sample_row, scrambled
 # Part of the samples of a cell that is by flux alone.
 _FLUX_FRACTION = 0.1
 # Cells of receivers, see `receiver_cells`, and points in each that a row of the table is made from.
-_RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 8, 4, 0.3
-_POINTS_PER_CELL = 64
+_RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 16, 4, 0.3
+_POINTS_PER_CELL = 16
+# Entries of the table, of 8 bytes: lamps with more cells have fewer rows.
+_MAX_ENTRIES = 1 << 24
 # Rows of the table that are made at once.
 _ROWS_AT_ONCE = 16
 
@@ -78,8 +91,13 @@ class ExitantLight:
     def __init__(self, field: ExitantField, half_extents: NDArray[np.float64]) -> None:
         count = len(field.cells)
         self._count, self._resolution = count, field.resolution
-        self._radius = float(np.linalg.norm(half_extents))
-        self._around = ReceiverCells(half_extents, _RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH)
+        self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
+        # Number of cells, as a number on the device.
+        self._cells = parameter(mi.UInt32, count)
+        resolution = _RESOLUTION
+        while resolution > 2 and resolution**2 * _NUM_SHELLS * count > _MAX_ENTRIES:
+            resolution //= 2
+        self._around = ReceiverCells(half_extents, resolution, _NUM_SHELLS, _SHELL_WIDTH)
         cells, levels = field.cells.astype(np.int64), np.full(count, field.depth)
         self._octree = Octree(build_children(cells, levels), field.depth, half_extents)
         lower, upper = boxes_inside(half_extents, cells, levels)
@@ -96,33 +114,53 @@ class ExitantLight:
         cumulated = np.cumsum(flux, axis=1)
         self._bin_chances = on_device(mi.Float, cumulated / cumulated[:, -1:])
         self._cell_chances = on_device(mi.Float, np.cumsum(self._flux_shares))
-        shares = self._tabulate()
-        self._shares = on_device(mi.Float, shares / (3 * volume))
-        self._cumulated = on_device(mi.Float, np.cumsum(shares, axis=1))
+        self._table = AliasTable(self._shares())
 
-    def _tabulate(self) -> NDArray[np.float64]:
-        """Probability [cells of receivers, C] of each cell."""
-        cell = dr.arange(mi.UInt32, self._count)
+    def _shares(self) -> NDArray[np.float64]:
+        """Share [cells of receivers, C] of samples that each cell is to get."""
         rows = []
         for first in range(0, self._around.count, _ROWS_AT_ONCE):
             points = _ROWS_AT_ONCE * _POINTS_PER_CELL
-            rng = mi.PCG32(points, initstate=first)
-            row = first + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
+            rng = mi.PCG32(points, initstate=dr.opaque(mi.UInt64, first))
+            row = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
             sample = mi.Point2f(rng.next_float32(), rng.next_float32())
             x = self._around.point(row, sample, rng.next_float32())
-            x = mi.Point3f(dr.repeat(x, self._count))
-            each = dr.tile(cell, points)
-            rng = mi.PCG32(dr.width(each), initstate=first)
-            within = mi.Point3f(rng.next_float32(), rng.next_float32(), rng.next_float32())
-            offset = x - self._point(each, within, True)
-            light = dr.mean(self._intensity(each, bin_of(offset, self._resolution), True))
-            light *= dr.squared_norm(mi.Vector3f(x)) / dr.squared_norm(offset)
-            light = np.array(light, np.float64).reshape(_ROWS_AT_ONCE, _POINTS_PER_CELL, -1)
-            rows.append(np.sqrt((light**2).mean(axis=1)))
+            square = self._mean_square(x, first)
+            rows.append(np.sqrt(np.array(square, np.float64).reshape(_ROWS_AT_ONCE, -1)))
         light = np.concatenate(rows)
         total = light.sum(axis=1, keepdims=True)
         shares = np.where(total > 0, light / np.maximum(total, 1e-300), self._flux_shares)
         return (1 - _FLUX_FRACTION) * shares + _FLUX_FRACTION * self._flux_shares
+
+    @dr.syntax
+    def _mean_square(self, points: Any, seed: int) -> Any:
+        """Mean square of the light that cells send to receivers, relative to `_scale`.
+
+        Args:
+            points: mi.Point3f, `_POINTS_PER_CELL` receivers for each of `_ROWS_AT_ONCE` rows.
+            seed: of the points in the cells.
+
+        Returns:
+            mi.Float, for all cells in each row.
+        """
+        index = dr.arange(mi.UInt32, _ROWS_AT_ONCE * self._count)
+        row, cell = index // self._cells, index % self._cells
+        lower = dr.gather(mi.Point3f, self._corners, 2 * cell)
+        upper = dr.gather(mi.Point3f, self._corners, 2 * cell + 1)
+        rng = mi.PCG32(dr.width(index), initstate=dr.opaque(mi.UInt64, seed))
+        done, total = mi.UInt32(0), mi.Float(0)
+        # In a loop, since the table is made of some ten million terms, which need not be stored.
+        while done < _POINTS_PER_CELL:
+            x = dr.gather(mi.Point3f, points, row * _POINTS_PER_CELL + done)
+            within = mi.Point3f(rng.next_float32(), rng.next_float32(), rng.next_float32())
+            offset = mi.Vector3f(x - dr.lerp(lower, upper, within))
+            # Not the mean over channels: its divisor would be a constant that depends on the width.
+            light = dr.sum(self._intensity(cell, bin_of(offset, self._resolution), True))
+            # Relative to the largest intensity: squares of others may be out of range.
+            light *= dr.squared_norm(mi.Vector3f(x)) / (dr.squared_norm(offset) * self._scale)
+            total += dr.square(light)
+            done += 1
+        return total / _POINTS_PER_CELL
 
     def sample(self, x: Any, sample: Any, active: Any = True) -> Any:
         """Unit direction (mi.Vector3f) from a receiver.
@@ -134,8 +172,7 @@ class ExitantLight:
         """
         uniform, rest = divide_sample(sample.x, UNIFORM_FRACTION)
         sample = mi.Point2f(rest, sample.y)
-        first = self._around.index(x) * self._count
-        cell = sample_row(self._cumulated, first, self._count, sample.x, active)
+        cell, _ = self._table.sample(self._around.index(x), sample.x, active)
         point = self._point(cell, scrambled(sample), active)
         return dr.select(
             uniform, sample_cone(x, self._radius, sample), dr.normalize(mi.Vector3f(point - x))
@@ -156,16 +193,16 @@ class ExitantLight:
         Returns:
             mi.Color3f, and mi.Float per steradian; 0 where `active` is false.
         """
-        row = self._around.index(x) * self._count
+        row = self._around.index(x)
         bins = bin_of(-direction, self._resolution)
 
         def visit(state, cell, start, length, active):
             radiance, density = state
             near = start + distance
             far = near + length
-            share = dr.gather(mi.Float, self._shares, row + cell, active)
-            part = share * length * (near * near + near * far + far * far)
             per_volume = length * dr.rcp(dr.gather(mi.Float, self._volume, cell, active))
+            third = self._table.probability(row, cell, active) * per_volume / 3
+            part = third * (near * near + near * far + far * far)
             light = self._intensity(cell, bins, active) * per_volume
             return (
                 radiance + dr.select(active, light, 0),
@@ -176,6 +213,64 @@ class ExitantLight:
         radiance, density = self._octree.traverse(entry, direction, active, visit, state)
         density = dr.lerp(density, cone_pdf(x, self._radius), UNIFORM_FRACTION)
         return radiance, dr.select(active, density, 0)
+
+    def sample_point(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any, Any]:
+        """Point (mi.Point3f) of a cell, the cell (mi.UInt32), and its probability p (mi.Float).
+
+        Args:
+            x: mi.Point3f, the receiver, local frame.
+            sample: mi.Point2f in the unit square.
+            active: mi.Bool mask.
+        """
+        cell, chance = self._table.sample(self._around.index(x), sample.x, active)
+        return self._point(cell, scrambled(sample), active), cell, chance
+
+    def contribution(
+        self, direction: Any, distance: Any, cell: Any, chance: Any, other: Any, active: Any = True
+    ) -> Any:
+        """I / (V (a r² + b)) of a point of `sample_point` (mi.Color3f).
+
+        Args:
+            direction: mi.Vector3f, unit direction from the receiver to the point.
+            distance: mi.Float, r.
+            cell, chance: as `sample_point` returned them.
+            other: mi.Float, b.
+            active: mi.Bool mask.
+        """
+        volume = dr.gather(mi.Float, self._volume, cell, active)
+        density = chance * dr.square(distance) + other * volume
+        light = self._intensity(cell, bin_of(-direction, self._resolution), active)
+        return dr.select(active, light / density, 0)
+
+    def received(
+        self, x: Any, entry: Any, direction: Any, distance: Any, inverse: Any, active: Any = True
+    ) -> Any:
+        """Part of the radiance from a direction that `contribution` leaves (mi.Color3f).
+
+        In a cell from r₀ to r₁ with k² = a / b it is ∫ dr / (1 + k² r²), or atan(z) / k with
+        z = k (r₁ - r₀) / (1 + k² r₀ r₁), times I / V.
+
+        Args:
+            x, entry, direction, distance, active: as for `eval`.
+            inverse: mi.Float, 1 / b; 0 for the whole radiance.
+        """
+        row = self._around.index(x)
+        bins = bin_of(-direction, self._resolution)
+        shared = mi.Bool(active) & (inverse > 0)
+
+        def visit(state, cell, start, length, active):
+            near = start + distance
+            inverse_volume = dr.rcp(dr.gather(mi.Float, self._volume, cell, active))
+            chance = self._table.probability(row, cell, active & shared)
+            k = dr.sqrt(chance * inverse_volume * inverse)
+            left = length * dr.rcp(dr.fma(k * k, near * (near + length), 1))
+            z = k * left
+            left *= dr.select(z > 1e-3, dr.atan(z) / z, 1)
+            light = self._intensity(cell, bins, active) * (left * inverse_volume)
+            return (state[0] + dr.select(active, light, 0),), active
+
+        (radiance,) = self._octree.traverse(entry, direction, active, visit, (mi.Color3f(0),))
+        return radiance
 
     def sample_ray(
         self, choice: Any, sample1: Any, sample2: Any, active: Any = True

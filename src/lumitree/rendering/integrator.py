@@ -11,6 +11,12 @@ from the origin, that is no longer small beside it: 0.9 units at a coordinate of
 rectangles are hit with an error of a few units in the last place, so rays leave them from as near
 (`_spawn`); curved shapes and instances, whose hits are less precise, keep Mitsuba's distance.
 
+Where images show the model of a lamp, its shapes are in the scene, and each path gets its light
+once. If all vertices since the camera are specular, a path that enters the lamp's box gets what its
+shapes emit. Otherwise it gets the exitant light field where it enters, and its shapes emit nothing
+(`own`). After the first vertex that is not specular, the lamp's glass bends no ray
+(`model_plugins`), and a crossing of it is a null interaction.
+
 Symbols
     β, η    throughput of the path, product of its relative indices of refraction
 """
@@ -22,6 +28,7 @@ import mitsuba as mi
 
 from lumitree.errors import LumitreeError
 from lumitree.rendering.deferred_emitter import DeferredEmitter
+from lumitree.rendering.model_plugins import CROSSED_STRAIGHT, ModelEmitter
 
 _DEFAULT_RR_DEPTH = 5
 # Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
@@ -40,6 +47,9 @@ def integrator_class() -> type:
     """
 
     class LumitreePath(mi.SamplingIntegrator):
+        # Other integrators cannot divide the light of a lamp whose model is in the scene.
+        shows_models = True
+
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.max_depth = int(props.get("max_depth", -1))
@@ -67,6 +77,7 @@ def _trace(settings, scene, sampler, ray, active):
     """Radiance along camera rays, and whether they met something (for the film's alpha)."""
     max_depth = mi.UInt32(settings.max_depth % (1 << 32))  # no limit: the largest number
     sees_null = has_null_surfaces(scene)
+    shows_models = any(isinstance(emitter, ModelEmitter) for emitter in scene.emitters())
     sees_environment = scene.environment() is not None and not settings.hide_emitters
     extent = _extent(scene)
     sampling_weight = sum(emitter.sampling_weight() for emitter in scene.emitters())
@@ -81,6 +92,9 @@ def _trace(settings, scene, sampler, ray, active):
     pdf, delta = mi.Float(1), mi.Bool(True)
     # Whether all interactions since the camera were specular, so that the image shows what is met.
     specular = mi.Bool(True)
+    # Whether the emission of a lamp's own shapes counts; and whether next-event estimation at the
+    # vertex could have found it.
+    own, sampled_own = mi.Bool(True), mi.Bool(False)
     active &= depth < max_depth
     pi = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
 
@@ -104,16 +118,26 @@ def _trace(settings, scene, sampler, ray, active):
         if dr.hint(settings.hide_emitters, mode="scalar"):
             seen &= depth > 0
         ds = mi.DirectionSample3f(scene, si, vertex)
-        emitted, through, emitter_pdf, proxy = dr.dispatch(
-            ds.emitter, _emitted, si, vertex, ds, specular, active
+        share = ds.emitter.sampling_weight() * dr.rcp(sampling_weight)
+        chance = dr.select(delta, 0, share)
+        emitted, through, emitter_pdf, proxy, of_lamp = dr.dispatch(
+            ds.emitter, _emitted, si, vertex, ds, specular, own, pdf, chance, active
         )
-        emitter_pdf *= ds.emitter.sampling_weight() * dr.rcp(sampling_weight)
-        emitter_pdf[delta] = 0
+        own_chance = dr.select(sampled_own & ~delta, 1, 0)
+        emitter_pdf *= dr.select(of_lamp, own_chance, chance)
         radiance[seen] += β * _mis_weight(pdf, emitter_pdf) * emitted
 
         # A proxy is left the way it was entered; every other surface is sampled.
         proxy &= active & si.is_valid()
         scatters = active & ~proxy & si.is_valid() & (depth + 1 < max_depth)
+
+        glass, behind, shows = mi.Bool(False), mi.Bool(False), mi.Bool(False)
+        if dr.hint(shows_models, mode="scalar"):
+            own[proxy & (mi.Frame3f.cos_theta(si.wi) > 0)] = specular
+            # Glass that light crosses straight is seen from outside on both sides.
+            glass = scatters & ~specular & ((bsdf.flags() & CROSSED_STRAIGHT) != 0)
+            behind = glass & (si.wi.z < 0)
+            si.wi.z = dr.select(behind, -si.wi.z, si.wi.z)
 
         # Next-event estimation. Whether light arrives is asked before how much a baked luminaire
         # sends, which costs a traversal.
@@ -121,7 +145,7 @@ def _trace(settings, scene, sampler, ray, active):
         sample = sampler.next_2d()
         index, emitter_weight, sample.x = scene.sample_emitter(sample.x, estimates)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index, estimates)
-        ds, weight, distance = dr.dispatch(emitter, _sample_target, si, sample, estimates)
+        ds, weight, target = dr.dispatch(emitter, _sample_target, si, sample, estimates)
         estimates &= ds.pdf != 0
         wo = si.to_local(ds.d)
         value, value_pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
@@ -131,20 +155,44 @@ def _trace(settings, scene, sampler, ray, active):
         estimates &= dr.max(direct) > 0
         direct *= _visible(scene, si, ds, sees_null, extent, estimates)
         estimates &= dr.max(direct) > 0
-        weight, ds.pdf = dr.dispatch(emitter, _eval_target, si, ds, weight, distance, estimates)
+        chance = dr.rcp(emitter_weight)
+        weight, ds.pdf = dr.dispatch(
+            emitter, _eval_target, si, ds, weight, target, value_pdf, chance, estimates
+        )
         weight *= emitter_weight
-        ds.pdf *= dr.rcp(emitter_weight)
+        ds.pdf *= chance
         direct *= weight * dr.select(ds.delta, 1, _mis_weight(ds.pdf, value_pdf))
         radiance[estimates] += direct
 
+        # The same from a surface of a lamp, for the lamp's own light.
+        if dr.hint(shows_models, mode="scalar"):
+            shows = scatters & own & of_lamp & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            sample = sampler.next_2d()
+            shape, chance, sample.x = dr.dispatch(si.emitter(scene), _sample_own, sample.x, shows)
+            ds = shape.sample_direction(si, sample, shows)
+            ds.pdf *= chance
+            found = shows & (ds.pdf > 0)
+            value, value_pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), found)
+            direct = β * value * _visible(scene, si, ds, sees_null, extent, found)
+            found &= dr.max(direct) > 0
+            direct *= dr.dispatch(shape.emitter(), _own_radiance, ds, found)
+            radiance[found] += direct * _mis_weight(ds.pdf, value_pdf) / ds.pdf
+
         # The next ray.
         null = proxy | (scatters & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null))
+        if dr.hint(shows_models, mode="scalar"):
+            straight = glass & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaTransmission)
+            null |= straight
+            # Radiance is not compressed, as it would be in a denser medium.
+            β[straight] *= dr.square(bs.eta)
+            bs.wo.z = dr.select(behind, -bs.wo.z, bs.wo.z)
         bounces = scatters & ~null
         β[proxy] *= through
         β[scatters] *= bsdf_weight
         η[bounces] *= bs.eta
         vertex[bounces] = mi.Interaction3f(si)
         pdf[bounces] = bs.pdf
+        sampled_own[bounces] = shows
         delta[bounces] = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
         specular &= ~bounces | delta
         depth[bounces] += 1
@@ -166,32 +214,75 @@ def _trace(settings, scene, sampler, ray, active):
 
 
 def _emitted(
-    emitter: Any, si: Any, vertex: Any, ds: Any, specular: Any, active: Any
-) -> tuple[Any, Any, Any, Any]:
-    """Radiance of an emitter that was hit, T if it is a proxy, density, and whether it is one."""
+    emitter: Any,
+    si: Any,
+    vertex: Any,
+    ds: Any,
+    specular: Any,
+    own: Any,
+    pdf: Any,
+    chance: Any,
+    active: Any,
+) -> tuple[Any, Any, Any, Any, Any]:
+    """Radiance of an emitter that was hit, T if it is a proxy, density, and whether it is one.
+
+    Last, whether it belongs to a shape of a lamp's model.
+    """
+    no = mi.Bool(False)
     if isinstance(emitter, DeferredEmitter):
-        return *emitter.eval_with_transmittance(si, vertex, specular, active), mi.Bool(True)
+        hit = emitter.eval_with_transmittance(si, vertex, specular, pdf, chance, active)
+        return *hit, mi.Bool(True), no
+    if isinstance(emitter, ModelEmitter):
+        return *_own(emitter.eval_own(si, vertex, ds, active & own), own), no, mi.Bool(True)
     pdf = emitter.pdf_direction(vertex, ds, active)
-    return emitter.eval(si, active), mi.Float(1), pdf, mi.Bool(False)
+    return emitter.eval(si, active), mi.Float(1), pdf, no, no
+
+
+def _own(evaluated: tuple[Any, Any], own: Any) -> tuple[Any, Any, Any]:
+    """Radiance, transmittance and density of a lamp's shape."""
+    radiance, pdf = evaluated
+    return radiance & own, mi.Float(1), pdf
+
+
+def _sample_own(emitter: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+    """From a surface of a lamp: a shape of the lamp that emits, its chance, and a new sample."""
+    if isinstance(emitter, ModelEmitter):
+        return emitter.sample_own(sample, active)
+    return dr.zeros(mi.ShapePtr), mi.Float(0), mi.Float(0)
+
+
+def _own_radiance(emitter: Any, ds: Any, active: Any) -> Any:
+    """Radiance of a sampled point of a lamp's shape."""
+    if isinstance(emitter, ModelEmitter):
+        return emitter.radiance_at(ds, active)
+    return mi.Color3f(0)
 
 
 def _sample_target(emitter: Any, it: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
-    """Direction sampled towards an emitter, its weight, and the distance that `_eval_target` takes.
+    """Direction sampled towards an emitter, its weight, and what `_eval_target` needs of it.
 
     Weight and density of a `DeferredEmitter` are for `_eval_target` to find.
     """
     if isinstance(emitter, DeferredEmitter):
-        ds, distance = emitter.sample_target(it, sample, active)
-        return ds, mi.Color3f(1), distance
-    return *emitter.sample_direction(it, sample, active), mi.Float(0)
+        ds, target = emitter.sample_target(it, sample, active)
+        return ds, mi.Color3f(1), target
+    none = mi.Float(0), mi.UInt32(0), mi.Float(0)
+    return *emitter.sample_direction(it, sample, active), none
 
 
 def _eval_target(
-    emitter: Any, it: Any, ds: Any, weight: Any, distance: Any, active: Any
+    emitter: Any,
+    it: Any,
+    ds: Any,
+    weight: Any,
+    target: Any,
+    pdf: Any,
+    chance: Any,
+    active: Any,
 ) -> tuple[Any, Any]:
     """Weight and density of a direction of `_sample_target`."""
     if isinstance(emitter, DeferredEmitter):
-        return emitter.eval_target(it, ds, distance, active)
+        return emitter.eval_target(it, ds, target, pdf, chance, active)
     return mi.Color3f(weight), mi.Float(ds.pdf)
 
 

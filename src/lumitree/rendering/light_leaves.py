@@ -28,7 +28,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device
+from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_density, bin_of, direction_in_bin
 from lumitree.octree.field import Field
 from lumitree.octree.leaves import boxes_inside, leaf_cells
@@ -88,7 +88,7 @@ class LightLeaves:
         power: NDArray[np.float64],
     ) -> None:
         half_extents = field.asset.frame.half_extents
-        self._half = mi.Point3f(*half_extents.tolist())
+        self._half = parameter(mi.Point3f, *half_extents.tolist())
         self._around = ReceiverCells(half_extents, _RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH)
         emits = np.flatnonzero(power > 0)
         cells, levels, power = cells[emits], levels[emits], power[emits]

@@ -1,17 +1,24 @@
 """Where a baked luminaire stands in a scene: what its emitter and its BSDF share."""
 
-from typing import Any
+from typing import Any, Literal, get_args
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from lumitree.asset.asset import Asset
 from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError
+from lumitree.octree.field import FieldData
 from lumitree.rendering.opened import open_asset, open_field
 from lumitree.rendering.proxy import make_proxy
 
-_OPTIONS = ("min_density", "max_opacity", "proxy", "sampling", "to_world")
+Appearance = Literal["field", "model"]
+APPEARANCES: tuple[Appearance, ...] = get_args(Appearance)
+# A proxy around a model is larger than its box by this part of the box's longest half-side. Else
+# rays that pass the proxy would also pass surfaces that lie in its faces, as of a canopy.
+MODEL_MARGIN = 1e-3
+_OPTIONS = ("gain", "min_density", "max_opacity", "proxy", "sampling", "appearance", "to_world")
 
 
 def plugin_options(props: Any) -> dict[str, Any]:
@@ -29,6 +36,11 @@ def plugin_options(props: Any) -> dict[str, Any]:
     return {"asset": str(mi.file_resolver().resolve(props["filename"])), **options}
 
 
+def shows_model(asset: FieldData, appearance: Appearance) -> bool:
+    """Whether images show the luminaire itself."""
+    return appearance == "model" and isinstance(asset, Asset) and asset.model is not None
+
+
 class Placed:
     """What the emitter and the BSDF share: a field, its proxy and where they stand."""
 
@@ -39,6 +51,7 @@ class Placed:
         self.field = open_field(asset, **thresholds)
         self.proxy = make_proxy(options.get("proxy", "box"), asset.frame.half_extents)
         self.sampling = options.get("sampling", "emission")
+        self.shows_model = shows_model(asset, options.get("appearance", "field"))
         scene_from_local = options.get("to_world", np.eye(4)) @ asset.frame.world_from_local
         scale = similarity_scale(scene_from_local, "to_world")
         self.scale = mi.Float(scale)
@@ -46,6 +59,13 @@ class Placed:
         self._rotation = mi.Matrix3f(scene_from_local[:3, :3] / scale)
         # Opaque: moving a luminaire does not compile new kernels.
         dr.make_opaque(self.scale, self._centre, self._rotation)
+
+    def in_margin(self, point: Any) -> Any:
+        """Whether a point of the local frame is inside the proxy of a model."""
+        if not self.shows_model:
+            return mi.Bool(False)
+        half = mi.Vector3f(*(self.asset.frame.half_extents + MODEL_MARGIN).tolist())
+        return dr.all(dr.abs(point) <= half)
 
     def entering_line(self, si: Any, active: Any) -> tuple[tuple[Any, Any], Any]:
         """Local line of what looks at an interaction with the proxy, and where it enters there."""

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lumitree.asset.asset import Asset
+from lumitree.core.arguments import check_gain
 from lumitree.core.frames import check_placement
-from lumitree.errors import shown
+from lumitree.errors import LumitreeError, shown
 
 if TYPE_CHECKING:
     from lumitree.luminaire.luminaire import LuminaireLike
@@ -23,18 +24,26 @@ class Placement:
         at: [3] centre of its bounding box, scene units; default: where its own file has it.
         size: largest side of its bounding box, scene units; default: its own size.
         rotate: [4] axis x, y, z and angle in degrees, about the centre.
+        gain: [3] factors on the R, G and B of its light, or one number for all; 0 to 10⁶. For an
+            asset only.
 
     Raises:
-        LumitreeError: a number is out of range.
+        LumitreeError: a number is out of range, or there is a gain for explicit geometry.
     """
 
     source: "Asset | LuminaireLike"
     at: tuple[float, float, float] | None = None
     size: float | None = None
     rotate: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 0.0)
+    gain: float | tuple[float, float, float] = 1.0
 
     def __post_init__(self) -> None:
         check_placement(self.at, self.size, self.rotate)
+        if check_gain(self.gain) != (1.0, 1.0, 1.0) and not self.is_baked:
+            raise LumitreeError(
+                f"{self.name} has a gain of {shown(self.gain, 60)}, but is placed as explicit "
+                "geometry; bake it first, or change its emitters"
+            )
 
     @property
     def is_baked(self) -> bool:

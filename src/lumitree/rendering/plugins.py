@@ -8,9 +8,14 @@ first three take the same properties:
     proxy         "box" (default) or "sphere"
     min_density, max_opacity    see `lumitree.octree.field.Field`; exact by default
     sampling      "emission" (default), or "uniform" over the proxy
+    gain          factor on the emitted light, a number or R, G, B; default 1. The BSDF ignores it
+    appearance    "field" (default), or "model": images show the luminaire itself, if the asset has
+                  it; for the integrator `lumitree_path` only
 
 `lumitree_proxy` is the proxy shape with the emitter and the BSDF attached: what a scene XML names.
-L_o = L_e + T · L_i (Eq. 2 with D1): the emitter returns L_e, the BSDF T.
+With the appearance "model" it is several shapes: the proxy and those of the luminaire.
+L_o = gain · L_e + T · L_i (Eq. 2 with D1): the emitter returns gain · L_e, the BSDF T. The gain is
+a differentiable parameter of `mitsuba.traverse`, `<name of the shape>.emitter.gain`.
 """
 
 import importlib
@@ -24,6 +29,7 @@ from lumitree.core.backend import load_mitsuba
 if TYPE_CHECKING:
     from lumitree.asset.asset import Asset
     from lumitree.rendering.emitter_sampling import Sampling
+    from lumitree.rendering.placed import Appearance
     from lumitree.rendering.proxy import ProxyKind
 
 _registered: set[str] = set()
@@ -42,12 +48,12 @@ def register() -> None:
     emitter = importlib.import_module("lumitree.rendering.emitter").emitter_class()
     bsdf = importlib.import_module("lumitree.rendering.null_bsdf").null_bsdf_class()
     integrator = importlib.import_module("lumitree.rendering.integrator").integrator_class()
-    describe = importlib.import_module("lumitree.rendering.proxy_shape").describe_proxy
+    make = importlib.import_module("lumitree.rendering.proxy_shape").make_shapes
     options = importlib.import_module("lumitree.rendering.placed").plugin_options
     mi.register_emitter("lumitree", emitter)
     mi.register_bsdf("lumitree_null", bsdf)
     mi.register_integrator("lumitree_path", integrator)
-    mi.register_shape("lumitree_proxy", lambda props: mi.load_dict(describe(**options(props))))
+    mi.register_shape("lumitree_proxy", lambda props: make(**options(props)))
     _registered.add(mi.variant())
 
 
@@ -58,6 +64,8 @@ def shape(
     min_density: float = 0.0,
     max_opacity: float = 1.0,
     sampling: "Sampling" = "emission",
+    gain: ArrayLike | Any = 1.0,
+    appearance: "Appearance" = "field",
 ) -> dict[str, Any]:
     """A baked luminaire as a shape dictionary for `mitsuba.load_dict`.
 
@@ -69,14 +77,21 @@ def shape(
         min_density: leaves below this density count as empty (the paper: 0.1).
         max_opacity: rays end at this opacity (the paper: 0.9).
         sampling: of directions: "emission", about in proportion to it, or "uniform" over the proxy.
+        gain: [3] factors on the R, G and B of the emitted light, or one number for all; 0 to 10⁶.
+        appearance: what images show. "field": the radiance field. "model": the luminaire itself,
+            if the asset has it; only for the integrator `lumitree_path`.
 
     Returns:
-        The proxy shape with the emitter `lumitree` and the BSDF `lumitree_null` attached.
+        The proxy shape with the emitter `lumitree` and the BSDF `lumitree_null` attached; and with
+        the shapes of the luminaire, if images show it.
 
     Raises:
-        LumitreeError: the asset cannot be read, or `to_world` shears or scales non-uniformly.
+        LumitreeError: the asset cannot be read; `to_world` shears or scales non-uniformly; or the
+            gain is out of range.
     """
     register()
     from lumitree.rendering.proxy_shape import describe_proxy
 
-    return describe_proxy(asset, to_world, proxy, min_density, max_opacity, sampling)
+    return describe_proxy(
+        asset, to_world, proxy, min_density, max_opacity, sampling, gain, appearance
+    )

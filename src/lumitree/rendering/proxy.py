@@ -15,6 +15,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.device import parameter
+
 ProxyKind = Literal["box", "sphere"]
 _PARALLEL = 1e-12
 
@@ -25,7 +27,7 @@ class BoxProxy:
     """The bounding box; its visible faces are sampled uniformly by area."""
 
     def __init__(self, half_extents: NDArray[np.float64]) -> None:
-        self.half = mi.Vector3f(*half_extents.tolist())
+        self.half = parameter(mi.Vector3f, *half_extents.tolist())
         self.shape = {"type": "cube"}
         self.shape_scale = half_extents
 

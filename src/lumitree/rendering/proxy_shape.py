@@ -1,4 +1,4 @@
-"""The proxy of a baked luminaire as a shape dictionary."""
+"""The proxy of a baked luminaire as a shape dictionary, and its shapes in a scene."""
 
 import os
 from typing import Any
@@ -8,17 +8,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lumitree.asset.asset import Asset
-from lumitree.core.arguments import check_choice
+from lumitree.core.arguments import check_choice, check_gain
 from lumitree.core.frames import similarity_scale
+from lumitree.octree.field import Field
 from lumitree.rendering.emitter_sampling import SAMPLING_KINDS, Sampling
-from lumitree.rendering.opened import file_name, open_field
+from lumitree.rendering.model_shapes import model_shapes
+from lumitree.rendering.opened import file_name, open_asset, open_field
+from lumitree.rendering.placed import APPEARANCES, MODEL_MARGIN, Appearance, Placed, shows_model
+from lumitree.rendering.plugin_objects import make_object, make_properties
 from lumitree.rendering.proxy import PROXY_KINDS, ProxyKind, make_proxy
 
 
 class _Shape(dict[str, Any]):
     """A shape dictionary that keeps its field open, so that its plugins need not read it again."""
 
-    field: Any
+    field: Field
 
 
 def describe_proxy(
@@ -28,18 +32,20 @@ def describe_proxy(
     min_density: float = 0.0,
     max_opacity: float = 1.0,
     sampling: Sampling = "emission",
+    gain: ArrayLike | Any = 1.0,
+    appearance: Appearance = "field",
 ) -> dict[str, Any]:
-    """Proxy shape with emitter and BSDF attached; arguments as for `lumitree.shape`."""
+    """What `lumitree.shape` returns, with its arguments."""
     check_choice("proxy", proxy, PROXY_KINDS)
     check_choice("sampling", sampling, SAMPLING_KINDS)
+    factors = check_gain(gain)
+    check_choice("appearance", appearance, APPEARANCES)
     matrix = np.asarray(getattr(to_world, "matrix", np.eye(4) if to_world is None else to_world))
     if matrix.shape == (4, 4, 1):
         matrix = matrix[..., 0]
     similarity_scale(matrix, "to_world")
-    field = open_field(asset, min_density, max_opacity)
-    frame = field.asset.frame
-    surface = make_proxy(proxy, frame.half_extents)
-    scene_from_shape = matrix @ frame.world_from_local @ np.diag([*surface.shape_scale, 1])
+    opened = open_asset(asset)
+    field = open_field(opened, min_density, max_opacity)
     options = {
         "filename": file_name(asset),
         "to_world": mi.ScalarTransform4f(matrix),
@@ -47,12 +53,56 @@ def describe_proxy(
         "min_density": min_density,
         "max_opacity": max_opacity,
         "sampling": sampling,
+        "appearance": appearance,
     }
-    description = _Shape(
-        **surface.shape,
-        to_world=mi.ScalarTransform4f(scene_from_shape),
-        emitter={"type": "lumitree", **options},
-        bsdf={"type": "lumitree_null", **options},
-    )
+    if shows_model(opened, appearance):
+        # One dictionary cannot describe several shapes; the plugin calls `make_shapes`.
+        description = _Shape(type="lumitree_proxy", gain=list(factors), **options)
+    else:
+        description = _proxy(opened, matrix, proxy, 0.0, list(factors), options)
     description.field = field
     return description
+
+
+def make_shapes(**options: Any) -> Any:
+    """The mi.Shape of a proxy; or the shapes of a model and its proxy, as one that holds them."""
+    description = describe_proxy(**options)
+    if description["type"] != "lumitree_proxy":
+        return mi.load_dict(description)
+    properties = {n: value for n, value in description.items() if n not in ("type", "gain")}
+    placed = Placed(make_properties("lumitree_proxy", properties))
+    matrix = np.array(properties["to_world"].matrix, np.float64).reshape(4, 4)
+    proxy = mi.load_dict(
+        _proxy(
+            placed.asset,
+            matrix,
+            properties["proxy"],
+            MODEL_MARGIN,
+            description["gain"],
+            properties,
+        )
+    )
+    # The plugin `merge` expands into the shapes that it is given.
+    assert placed.asset.model is not None
+    shapes = model_shapes(placed.asset.model, matrix, proxy.emitter())
+    together = {f"model_{index}": shape for index, shape in enumerate(shapes)}
+    return make_object("merge", {"proxy": proxy, **together})
+
+
+def _proxy(
+    asset: Asset,
+    matrix: Any,
+    proxy: ProxyKind,
+    margin: float,
+    gain: list[float],
+    options: dict[str, Any],
+) -> _Shape:
+    """The surface, larger than the box by a margin, with emitter and BSDF attached."""
+    surface = make_proxy(proxy, asset.frame.half_extents)
+    scale = np.diag([*(np.asarray(surface.shape_scale) + margin), 1])
+    return _Shape(
+        **surface.shape,
+        to_world=mi.ScalarTransform4f(matrix @ asset.frame.world_from_local @ scale),
+        emitter={"type": "lumitree", "gain": gain, **options},
+        bsdf={"type": "lumitree_null", **options},
+    )

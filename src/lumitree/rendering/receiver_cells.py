@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.device import parameter
 from lumitree.core.octahedral import bin_of, direction_in_bin
 
 
@@ -36,8 +37,8 @@ class ReceiverCells:
         self.num_bins = resolution**2
         self.count = num_shells * self.num_bins
         self._width = shell_width
-        self._radius = float(np.linalg.norm(half_extents))
-        self._half = mi.Point3f(*half_extents.tolist())
+        self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
+        self._half = parameter(mi.Point3f, *half_extents.tolist())
 
     def index(self, x: Any) -> Any:
         """Index (mi.UInt32) of the cell of a point (mi.Point3f)."""

@@ -32,7 +32,11 @@ def sample_row(cumulated: Any, first: Any, count: int, sample: Any, active: Any)
         active: mi.Bool mask.
     """
 
-    def below(index):
-        return dr.gather(mi.Float, cumulated, first + index, active) <= sample
+    # The search is over the next power of two, so that rows of similar lengths share a kernel.
+    length, bound = dr.opaque(mi.UInt32, count), 1 << (count - 1).bit_length()
 
-    return dr.binary_search(0, count - 1, below)
+    def below(index):
+        inside = active & (index < length)
+        return inside & (dr.gather(mi.Float, cumulated, first + index, inside) <= sample)
+
+    return dr.minimum(dr.binary_search(0, bound - 1, below), length - 1)

@@ -18,6 +18,7 @@ from lumitree.luminaire.scene_file import SceneFile
 from lumitree.octree.field import Field
 from lumitree.rendering.emitter_sampling import Sampling
 from lumitree.rendering.opened import open_field
+from lumitree.rendering.placed import Appearance, shows_model
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.plugins import register, shape
 from lumitree.rendering.proxy import ProxyKind
@@ -62,12 +63,19 @@ class PlacedLuminaire:
         """Whether paths through it cross participating media."""
         return self.luminaire is not None and self.luminaire.has_media
 
-    def shapes(self, proxy: ProxyKind, sampling: Sampling) -> dict[str, Any]:
+    def shapes(
+        self, proxy: ProxyKind, sampling: Sampling, appearance: Appearance
+    ) -> dict[str, Any]:
         """Shapes for `mitsuba.load_dict`."""
         if self.luminaire is not None:
             return place_shapes(self.luminaire, self.scene_from_world)
         source = cast(Any, self.placement.source)
-        return {"proxy": shape(source, self.scene_from_world, proxy, sampling=sampling)}
+        options: dict[str, Any] = {
+            "sampling": sampling,
+            "gain": self.placement.gain,
+            "appearance": appearance,
+        }
+        return {"proxy": shape(source, self.scene_from_world, proxy, **options)}
 
 
 def place_luminaires(
@@ -75,8 +83,11 @@ def place_luminaires(
     luminaires: Sequence[PlacedLuminaire],
     proxy: ProxyKind = "box",
     sampling: Sampling = "emission",
+    appearance: Appearance = "field",
 ) -> Any:
     """Scene with the objects of another one and the placed luminaires.
+
+    The appearance "model" is for `lumitree_path` only (`appearance_for`).
 
     Warns on standard error where an object, or the camera, is inside a proxy: there a baked
     luminaire neither shades nor lights it correctly (D10).
@@ -99,8 +110,8 @@ def place_luminaires(
             )
         taken.append(place_taken)
         if placement.is_baked:
-            _warn_inside(scene, placed)
-        shapes = placed.shapes(proxy, sampling)
+            _warn_inside(scene, placed, appearance)
+        shapes = placed.shapes(proxy, sampling, appearance)
         objects |= {f"placed_{index}_{name}": value for name, value in shapes.items()}
     return mi.load_dict(objects)
 
@@ -146,6 +157,11 @@ def default_integrator(path_depth: int = _DEFAULT_PATH_DEPTH, *, has_media: bool
     """Integrator for scenes that name none."""
     register()
     return mi.load_dict({"type": _path_tracer(has_media), "max_depth": path_depth})
+
+
+def appearance_for(integrator: Any) -> Appearance:
+    """What an integrator can show of lamps whose assets have a model."""
+    return "model" if getattr(integrator, "shows_models", False) else "field"
 
 
 def _path_tracer(has_media: bool) -> str:
@@ -210,8 +226,10 @@ def _warn_far(placed: PlacedLuminaire) -> None:
         )
 
 
-def _warn_inside(scene: Any, placed: PlacedLuminaire) -> None:
+def _warn_inside(scene: Any, placed: PlacedLuminaire, appearance: Appearance) -> None:
     """Look for geometry inside the proxy with random segments, and for the camera."""
+    assert placed.field is not None
+    model = shows_model(placed.field.asset, appearance)
     box, name = placed.scene_from_box, placed.placement.name
     samples = 1 << 14
     random = np.random.default_rng(0)
@@ -226,10 +244,12 @@ def _warn_inside(scene: Any, placed: PlacedLuminaire) -> None:
     if dr.any(scene.ray_test(ray)):
         warnings.warn(
             f"{name}: an object of the room is inside its proxy; it is not lit or shaded "
-            "correctly there (a baked luminaire is rendered from outside only)",
+            "correctly there (a baked luminaire illuminates what is outside only)",
             LumitreeWarning,
             stacklevel=2,
         )
+    if model:
+        return
     camera = scene.sensors()[0].world_transform().translation()
     local = np.linalg.solve(box[:3, :3], np.ravel(camera) - box[:3, 3])
     if (np.abs(local) < 1).all():

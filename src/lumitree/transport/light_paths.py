@@ -75,15 +75,24 @@ def trace_light(
     return paths
 
 
+def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> Any:
+    """Flux (mi.Color3f) with which `count` light paths start, before the luminaire absorbs any.
+
+    Args:
+        sampler: mi.Sampler, seeded for as many paths. Seeded as for `trace_light`, the paths start
+            alike.
+
+    Returns:
+        Flux of each path, local units; the sum is an estimate of the flux of the bare emitters.
+    """
+    _, flux = _emit(luminaire.scene, sampler)
+    return flux * dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2))
+
+
 @dr.syntax
 def _trace(scene, sampler, path_depth):
     context = mi.BSDFContext(mi.TransportMode.Importance)
-    index, chance, _ = scene.sample_emitter(sampler.next_1d())
-    emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index)
-    samples = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
-    ray, weight = emitter.sample_ray(0, *samples)
-    ray, factor = _emit_about_true_normal(scene, emitter, *samples, mi.Ray3f(ray))
-    light = mi.Color3f(weight * chance * factor)
+    ray, light = _emit(scene, sampler)
     flux = mi.Color3f(light)
     # Where the last chain of transmissions began, and its direction there.
     start, start_direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
@@ -167,6 +176,16 @@ def _trace(scene, sampler, path_depth):
     at_first = sampler.next_1d() < 0.5
     termination = termination_point(scene.bbox(), -ray.d, ray.o, start, deflected & at_first)
     return ray.o, ray.d, flux, termination, leaves, smooth
+
+
+def _emit(scene, sampler):
+    """Rays of light paths that start, and their flux (mi.Color3f), world units."""
+    index, chance, _ = scene.sample_emitter(sampler.next_1d())
+    emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index)
+    samples = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
+    ray, weight = emitter.sample_ray(0, *samples)
+    ray, factor = _emit_about_true_normal(scene, emitter, *samples, mi.Ray3f(ray))
+    return ray, mi.Color3f(weight * chance * factor)
 
 
 def _emit_about_true_normal(scene, emitter, wavelength, place, chosen, ray):

@@ -1,0 +1,208 @@
+"""Photometry of luminaires and assets, and assets from photometric files."""
+
+import dataclasses
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from lumitree.api.files import FilePath, save_asset
+from lumitree.api.measures import Stopwatch
+from lumitree.api.results import BakeResult, PhotometryResult
+from lumitree.asset.asset import Asset
+from lumitree.asset.file import load
+from lumitree.core.arguments import check_choice, check_range
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.files import check_writable
+from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.seeds import check_seed
+from lumitree.errors import LumitreeError, explained, shown
+from lumitree.exitant.config import EXITANT_QUALITIES
+from lumitree.importers.overrides_file import UNITS
+from lumitree.luminaire.source import LuminaireSource, as_source
+
+if TYPE_CHECKING:
+    from lumitree.goniophotometry.figures import PhotometricData
+    from lumitree.luminaire.luminaire import LuminaireLike
+
+# Light paths of a measurement: 15 to 30 s on 2 CPU cores.
+PATHS = 1 << 22
+# With fewer the standard errors are not reliable.
+MIN_PATHS = 1 << 14
+# More would take days. A ray file has 36 bytes a ray.
+MAX_PATHS, MAX_FILE_RAYS = 1 << 32, 1 << 24
+# Samples whose rays a ray file gets.
+FILE_RAYS = 1 << 18
+RAY_SUFFIXES = (".ray", ".tm25ray")
+OUTPUTS = (".ies", ".ldt", *RAY_SUFFIXES, ".html", ".pdf")
+PHOTOMETRIC_FILES = (".ies", ".ldt", *RAY_SUFFIXES)
+
+
+@explained
+def photometry(
+    source: "Asset | LuminaireLike",
+    output: FilePath | Sequence[FilePath] = (),
+    *,
+    step: float | None = None,
+    unit: float | str = "m",
+    up: Literal["y", "z"] = "y",
+    paths: int = PATHS,
+    file_rays: int = FILE_RAYS,
+    seed: int = 0,
+    variant: str | None = None,
+    progress: ProgressCallback | None = show_progress,
+) -> PhotometryResult:
+    """Measure the far field of a luminaire or an asset, and write photometric files.
+
+    The luminous intensity by direction, Type C, is estimated from light paths of a luminaire, or
+    from rays of an asset: of its exitant light field if it has one. All figures have standard
+    errors.
+
+    Args:
+        source: an asset, the path of a `.lumitree` file, or a luminaire in any form that `bake`
+            takes except the folder of a dataset and photometric files.
+        output: path of a file to write, or several. The suffix decides: `.ies` (IES LM-63-2019),
+            `.ldt` (EULUMDAT), `.ray` or `.tm25ray` (IES TM-25 ray file), `.html` or `.pdf`
+            (report). Default: none.
+        step: angular step of the intensities in C and gamma, degrees: 0.5 to 30, a divisor of 90.
+            Default: the finest of 1, 2.5, 5 and 10 at which the noise of the intensities is at
+            most 2 % RMS.
+        unit: unit of length of the source: "m", "cm", "mm", "in", "ft", or the metres in a unit,
+            1e-6 to 1e6. Models (`.obj`, `.gltf`, `.glb`) and photometric files are in metres once
+            they are loaded.
+        up: upward axis of the source, "y" or "z". Models have y up once they are loaded.
+        paths: number of light paths, or of rays of an asset, 16,384 to 2³²; rounded up to a
+            multiple of 16.
+        file_rays: number of light paths whose rays a ray file gets, up to 16,777,216. Those that
+            end inside the luminaire are not in the file.
+        seed: root seed of all random numbers, 0 to 2³¹ - 1.
+        variant: Mitsuba variant; see `bake`.
+        progress: function that is called with a `Progress` after each step; see `bake`.
+
+    Returns:
+        The figures, the intensities (`intensity`), and plots as `png`.
+
+    Raises:
+        LumitreeError: an argument is out of range; the source cannot be read or emits no light; or
+            a file cannot be written.
+
+    Example:
+        >>> result = lumitree.photometry("bulbs", ["bulbs.ies", "bulbs.pdf"])
+        >>> print(result.lumens, "lm")
+    """
+    outputs = [output] if isinstance(output, str | os.PathLike) else list(output)
+    for path in outputs:
+        if Path(path).suffix.lower() not in OUTPUTS:
+            name = shown(repr(os.fspath(path)), 300)
+            raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
+        check_writable(path)
+    check_range("light paths", paths, MIN_PATHS, MAX_PATHS)
+    check_range("rays of a ray file", file_rays, 1, MAX_FILE_RAYS)
+    check_seed(seed)
+    check_choice("up", up, ("y", "z"))
+    metres = UNITS.get(unit, 0.0) if isinstance(unit, str) else unit
+    if not (isinstance(metres, int | float) and 1e-6 <= metres <= 1e6):
+        expected = f"{', '.join(UNITS)}, or 1e-6 to 1e6 metres"
+        raise LumitreeError(f"unit is {shown(repr(unit), 40)}; expected {expected}")
+    load_mitsuba(variant)
+    from lumitree.goniophotometry.evaluate import evaluated
+    from lumitree.goniophotometry.measure import asset_source, luminaire_source, measure, oriented
+    from lumitree.goniophotometry.report import plots_png
+    from lumitree.goniophotometry.type_c import Grid
+    from lumitree.luminaire.luminaire import load_luminaire
+
+    if step is not None:
+        Grid(step)
+    if isinstance(source, str | os.PathLike) and Path(source).suffix == ".lumitree":
+        source = load(source)
+    wanted = file_rays if any(_suffix(path) in RAY_SUFFIXES for path in outputs) else 0
+    watch = Stopwatch()
+    with reporting(progress), watch.stage("measure"):
+        if isinstance(source, Asset):
+            measured = asset_source(source)
+        else:
+            measured = luminaire_source(load_luminaire(source))
+        measured = oriented(measured, metres, up)
+        measurement = measure(measured, paths, step=step, kept_rays=wanted, seed=seed)
+        data = evaluated(measurement)
+    with watch.stage("write"):
+        for path in outputs:
+            _writer(_suffix(path), data, measurement.rays)(path)
+    figures = data.figures
+    return PhotometryResult(
+        luminaire=measurement.name,
+        **{field.name: getattr(figures, field.name) for field in dataclasses.fields(figures)},
+        near_field=data.near_field,
+        step=data.step,
+        size=tuple(data.size.tolist()),
+        rays=data.num_rays,
+        c_angles=data.distribution.c,
+        gamma_angles=data.distribution.gamma,
+        intensity=data.distribution.intensity,
+        intensity_error=data.intensity_error,
+        files=[Path(path) for path in outputs],
+        png=plots_png(data),
+        **watch.costs(),
+    )
+
+
+def is_photometric_file(source: object) -> bool:
+    """Whether a source is the path of a photometric file or ray file, by its suffix."""
+    name = source.name if isinstance(source, LuminaireSource) else source
+    return isinstance(name, str | os.PathLike) and _suffix(name) in PHOTOMETRIC_FILES
+
+
+def bake_photometric_file(
+    source: Any,
+    output: FilePath | None,
+    quality: str,
+    lumens: float | None,
+    temperature: float | None,
+    others: dict[str, Any],
+) -> BakeResult:
+    """`bake` for a photometric file or ray file.
+
+    Args:
+        source: path, or a `LuminaireSource` of one.
+        output, quality, lumens, temperature: as for `bake`.
+        others: arguments of `bake` that do not apply; all must be None.
+    """
+    described = as_source(source)
+    path = described.name
+    given = [name for name, value in others.items() if value is not None]
+    given += [name for name in ("materials", "keep", "drop") if getattr(described, name)]
+    if given:
+        raise LumitreeError(
+            f"{', '.join(given)}: not for a photometric file such as {shown(path, 300)}, from "
+            "which only the exitant light field is made; leave it out"
+        )
+    if lumens is not None:
+        check_range("lumens", lumens, 1e-6, 1e9, "lm")
+    if temperature is not None:
+        check_range("temperature", temperature, 1000, 20000, "K")
+    from lumitree.goniophotometry.baking import bake_file
+
+    watch = Stopwatch()
+    with watch.stage("exitant"):
+        config = EXITANT_QUALITIES[quality]
+        asset = bake_file(path, config, lumens=lumens, temperature=temperature)
+    return BakeResult(asset=asset, path=save_asset(asset, output), **watch.costs())
+
+
+def _suffix(path: FilePath) -> str:
+    return Path(path).suffix.lower()
+
+
+def _writer(suffix: str, data: "PhotometricData", rays: Any) -> Callable[[FilePath], None]:
+    """Function that writes a file of the given kind."""
+    from lumitree.goniophotometry.files import write_ies, write_ldt
+    from lumitree.goniophotometry.report import write_html, write_pdf
+    from lumitree.goniophotometry.tm25 import write_tm25
+
+    distribution = data.distribution
+    return {
+        ".ies": lambda path: write_ies(path, distribution),
+        ".ldt": lambda path: write_ldt(path, distribution),
+        ".html": lambda path: write_html(path, data),
+        ".pdf": lambda path: write_pdf(path, data),
+    }.get(suffix, lambda path: write_tm25(path, rays, distribution.name))

@@ -1,0 +1,224 @@
+"""The model of an asset: the luminaire itself, which images show in place of the field.
+
+It is plain data. Meshes and images are arrays; shapes and materials are JSON objects whose members
+are checked one by one (`asset.materials`). Nothing in it names a file or is executed.
+
+Symbols
+    V, F    vertices and faces of all meshes together
+"""
+
+import dataclasses
+import functools
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.checks import expect, expect_arrays
+from lumitree.asset.materials import (
+    Json,
+    check_material,
+    check_radiance,
+    uses_vertex_colours,
+)
+from lumitree.core.frames import LocalFrame
+from lumitree.core.reading import Record
+
+_WHAT = "model"
+_expect = functools.partial(expect, _WHAT)
+MAX_SHAPES, MAX_MATERIALS, MAX_IMAGES = 5000, 5000, 1000
+MAX_IMAGE_SIDE = 16384
+_MAX_COORDINATE = 1e15
+# How far the model may be outside the luminaire's box, local units: rounding alone.
+_OUTSIDE = 1e-4
+# Shapes without a mesh: each is the plugin's unit shape, moved by `to_world`.
+_ANALYTIC = ("sphere", "disk", "cylinder", "rectangle")
+_MESH_KEYS = ("vertices", "faces", "normals", "texcoords", "colours")
+_SHAPE_KEYS = ("type", "material", "flipped", "radiance")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AssetModel:
+    """Shapes, materials and images of a luminaire, in the frame and unit of its file.
+
+    Attributes:
+        vertices: float32 [V, 3] positions of all meshes, one mesh after the other.
+        normals: float32 [Vn, 3] shading normals of the vertices of meshes that have them.
+        texcoords: float32 [Vt, 2], likewise.
+        colours: float32 [Vc, 3] linear colours of vertices, likewise.
+        faces: uint32 [F, 3] indices of vertices, counted within each mesh.
+        images: uint8 or float32 [H, W, C] with C = 1, 3 or 4; row 0 is at v = 1 as in a file.
+        shapes: JSON objects, in the order of their arrays. All have the keys `type`, `material`,
+            an index; `flipped`, whether normals point to the other side; and `radiance`, None or
+            a colour or a texture, W/(m² sr). A "mesh" has the counts `vertices` and `faces`, and
+            `normals`, `texcoords` and `colours`, whether it has these. A "sphere", "disk",
+            "cylinder" or "rectangle" has `to_world` [4][4].
+        materials: JSON objects, see `asset.materials`.
+
+    Raises:
+        LumitreeError: a member has a wrong type, shape or range.
+    """
+
+    vertices: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    texcoords: NDArray[np.float32]
+    colours: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+    images: tuple[NDArray[Any], ...]
+    shapes: tuple[Json, ...]
+    materials: tuple[Json, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse what a renderer could not use safely."""
+        _check_images(self.images)
+        _expect(0 < len(self.materials) <= MAX_MATERIALS, f"{len(self.materials)} materials")
+        for material in self.materials:
+            check_material(material, len(self.images))
+        _expect(0 < len(self.shapes) <= MAX_SHAPES, f"{len(self.shapes)} shapes")
+        for shape in self.shapes:
+            _check_shape(shape, self)
+        _check_arrays(self)
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of all arrays and images."""
+        return sum(array.nbytes for array in (*self.arrays.values(), *self.images))
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays of the meshes by name."""
+        return {name: getattr(self, name) for name in ARRAYS}
+
+    @property
+    def num_triangles(self) -> int:
+        """Number of triangles of the meshes."""
+        return len(self.faces)
+
+    def meshes(self) -> "list[dict[str, NDArray[Any]] | None]":
+        """Arrays of each shape by name, or None if it is not a mesh; the inverse of `join`."""
+        taken = dict.fromkeys(ARRAYS, 0)
+        found: list[dict[str, NDArray[Any]] | None] = []
+        for shape in self.shapes:
+            found.append(None)
+            if shape["type"] == "mesh":
+                found[-1] = mesh = {}
+                for name, count in _counts(shape).items():
+                    mesh[name] = getattr(self, name)[taken[name] : taken[name] + count]
+                    taken[name] += count
+        return found
+
+    def check_inside(self, frame: LocalFrame) -> None:
+        """Refuse a model of which a part is outside the luminaire's box."""
+        corners = [self.vertices.astype(np.float64)]
+        corners += [_bounds(shape) for shape in self.shapes if shape["type"] != "mesh"]
+        points = np.concatenate(corners)
+        local = (points - frame.centre) @ frame.rotation / frame.scale
+        outside = float((np.abs(local) - frame.half_extents).max())
+        _expect(
+            outside <= _OUTSIDE + 1e-6 * np.abs(points).max() / frame.scale,
+            f"a shape is {outside:.3g} local units outside the box",
+        )
+
+
+# The arrays of meshes: type and width.
+ARRAYS: dict[str, tuple[type[np.generic], int]] = {
+    "vertices": (np.float32, 3),
+    "normals": (np.float32, 3),
+    "texcoords": (np.float32, 2),
+    "colours": (np.float32, 3),
+    "faces": (np.uint32, 3),
+}
+
+
+def _counts(shape: Json) -> dict[str, int]:
+    """Rows of each array that belong to a mesh."""
+    count = shape["vertices"]
+    flags = {name: count * shape[name] for name in ("normals", "texcoords", "colours")}
+    return {"vertices": count, **flags, "faces": shape["faces"]}
+
+
+def _check_shape(shape: Json, model: AssetModel) -> None:
+    record = Record(shape, "a shape")
+    kind = record.choice("type", ("mesh", *_ANALYTIC))
+    record.expect_keys(*_SHAPE_KEYS, *(_MESH_KEYS if kind == "mesh" else ("to_world",)))
+    index = record.integer("material")
+    _expect(0 <= index < len(model.materials), f"a shape has the material {index}")
+    flags = ["flipped"]
+    colours = False
+    if kind == "mesh":
+        flags += ["normals", "texcoords", "colours"]
+        for name in ("vertices", "faces"):
+            _expect(record.integer(name) > 0, f"a mesh has {record.integer(name)} {name}")
+        colours = shape["colours"] is True
+    else:
+        matrix = record.array("to_world", 4, 4)
+        bounded = np.abs(matrix).max() <= _MAX_COORDINATE and (matrix[3] == [0, 0, 0, 1]).all()
+        _expect(
+            bounded and np.linalg.det(matrix[:3, :3]) != 0, f"to_world of a {kind} is not affine"
+        )
+        if kind == "sphere":
+            scale = np.linalg.norm(matrix[:3, :3], axis=0)
+            _expect(np.ptp(scale) <= 1e-4 * scale.max(), "a sphere is scaled non-uniformly")
+    for name in flags:
+        _expect(isinstance(shape[name], bool), f"{name} of a {kind} is not true or false")
+    radiance = shape["radiance"]
+    if radiance is not None:
+        check_radiance(radiance, len(model.images))
+    if not colours:
+        used = uses_vertex_colours([model.materials[index], radiance])
+        _expect(not used, f"a {kind} without colours of vertices has a material that uses them")
+
+
+def _check_images(images: tuple[NDArray[Any], ...]) -> None:
+    _expect(len(images) <= MAX_IMAGES, f"{len(images)} images, expected at most {MAX_IMAGES}")
+    for image in images:
+        sides, channels = image.shape[:2], image.shape[2:]
+        _expect(
+            len(sides) == 2 and all(0 < side <= MAX_IMAGE_SIDE for side in sides),
+            f"an image is {image.shape}, expected [height, width, channels]",
+        )
+        _expect(channels in ((1,), (3,), (4,)), f"an image has {channels} channels")
+        _expect(
+            image.dtype in (np.uint8, np.float32) and np.isfinite(image).all(),
+            f"an image is {image.dtype}, expected uint8 or finite float32",
+        )
+
+
+def _check_arrays(model: AssetModel) -> None:
+    counts = dict.fromkeys(ARRAYS, 0)
+    for shape in model.shapes:
+        if shape["type"] == "mesh":
+            for name, count in _counts(shape).items():
+                counts[name] += count
+    expect_arrays(
+        _WHAT,
+        {
+            name: (getattr(model, name), dtype, (counts[name], width))
+            for name, (dtype, width) in ARRAYS.items()
+        },
+    )
+    for name in ("vertices", "normals", "texcoords", "colours"):
+        _expect(
+            (np.abs(getattr(model, name)) <= _MAX_COORDINATE).all(),
+            f"{name} hold NaN or values above {_MAX_COORDINATE:g}",
+        )
+    for shape, mesh in zip(model.shapes, model.meshes(), strict=True):
+        if mesh is not None:
+            _expect(mesh["faces"].max() < shape["vertices"], "a face has an unknown vertex")
+
+
+def _bounds(shape: Json) -> NDArray[np.float64]:
+    """Two corners [2, 3] of the bounding box of a shape without a mesh."""
+    matrix = np.array(shape["to_world"], np.float64)
+    linear, centre = matrix[:3, :3], matrix[:3, 3]
+    if shape["type"] == "sphere":
+        extent = np.linalg.norm(linear, axis=1)
+    elif shape["type"] == "rectangle":
+        extent = np.abs(linear[:, :2]).sum(axis=1)
+    else:
+        extent = np.linalg.norm(linear[:, :2], axis=1)
+    lower, upper = centre - extent, centre + extent
+    if shape["type"] == "cylinder":
+        lower = np.minimum(lower, lower + linear[:, 2])
+        upper = np.maximum(upper, upper + linear[:, 2])
+    return np.stack([lower, upper])

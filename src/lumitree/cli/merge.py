@@ -1,0 +1,28 @@
+"""`lumitree merge`."""
+
+import argparse
+from typing import Any
+
+from lumitree.cli import options
+from lumitree.cli.output import print_result
+
+
+def add(commands: Any) -> None:
+    text = "combine exitant light fields of one luminaire that were baked with different seeds"
+    parser = options.command(commands, "merge", text, run)
+    parser.add_argument(
+        "assets",
+        metavar="ASSET",
+        nargs="+",
+        help=".lumitree files, at least two; all other parts are those of the first that has a "
+        "field",
+    )
+    options.add_output(parser, "ASSET", "the .lumitree file to write")
+
+
+def run(args: argparse.Namespace) -> Any:
+    import lumitree
+
+    result = lumitree.merge(args.assets, args.output)
+    print_result(result)
+    return result

@@ -1,0 +1,104 @@
+"""`lumitree photometry`."""
+
+import argparse
+from typing import Any
+
+from lumitree.cli import options
+from lumitree.cli.output import LONGEST_LINE, print_lines
+from lumitree.errors import shown
+
+
+def add(commands: Any) -> None:
+    text = "measure intensities and flux of a lamp; write IES, EULUMDAT and ray files, and reports"
+    parser = options.command(commands, "photometry", text, run)
+    parser.add_argument(
+        "source", metavar="ASSET|LUMINAIRE", help=f"a .lumitree file, or: {options.LUMINAIRE}"
+    )
+    options.add_reading(parser)
+    parser.add_argument(
+        "-o",
+        dest="output",
+        metavar="FILE",
+        action="append",
+        default=[],
+        help="file to write: .ies (IES LM-63-2019), .ldt (EULUMDAT), .ray or .tm25ray (IES TM-25 "
+        "ray file), .html or .pdf (report); may be repeated",
+    )
+    parser.add_argument(
+        "--step",
+        type=float,
+        metavar="DEGREES",
+        help="angular step, 0.5 to 30, a divisor of 90 (default: the finest of 1, 2.5, 5 and 10 "
+        "with at most 2 %% of noise)",
+    )
+    parser.add_argument(
+        "--unit",
+        metavar="UNIT",
+        default="m",
+        help="unit of length of a scene or an asset: m, cm, mm, in, ft, or the metres in a unit",
+    )
+    parser.add_argument(
+        "--up", choices=("y", "z"), default="y", help="upward axis of a scene or an asset"
+    )
+    parser.add_argument(
+        "--paths", type=int, metavar="N", default=1 << 22, help="light paths, or rays of an asset"
+    )
+    parser.add_argument(
+        "--file-rays",
+        type=int,
+        metavar="N",
+        default=1 << 18,
+        help="light paths whose rays a ray file gets",
+    )
+    parser.add_argument(
+        "--seed", type=int, metavar="S", default=0, help="root seed of all random numbers"
+    )
+    options.add_variant(parser)
+
+
+def run(args: argparse.Namespace) -> Any:
+    import lumitree
+
+    asset = args.source.endswith(".lumitree")
+    result = lumitree.photometry(
+        args.source if asset else options.luminaire(args, args.source),
+        args.output,
+        step=args.step,
+        unit=_number(args.unit),
+        up=args.up,
+        paths=args.paths,
+        file_rays=args.file_rays,
+        seed=args.seed,
+        variant=args.variant,
+    )
+    from lumitree.goniophotometry.tables import figure_rows
+
+    rows = figure_rows(result, result.size, result.step, result.rays)
+    print_lines({"luminaire": result.luminaire, **dict(rows)})
+    _print_near_field(result)
+    for path in result.files:
+        print(f"written: {shown(path, LONGEST_LINE)}")
+    return result
+
+
+def _number(text: str) -> float | str:
+    """A number, or the text if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _print_near_field(result: Any) -> None:
+    """The table of the inverse-square test."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from lumitree.goniophotometry.tables import NEAR_FIELD_HEADER, near_field_rows
+
+    table = Table(title="far field, intensity / distance², within 5 %")
+    for heading in NEAR_FIELD_HEADER:
+        table.add_column(heading, justify="left" if heading == "direction" else "right")
+    for row in near_field_rows(result.near_field):
+        table.add_row(*row)
+    Console().print(table)

@@ -1,0 +1,141 @@
+"""The shapes of an asset's model in a scene."""
+
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.materials import Json, is_specular
+from lumitree.asset.model import AssetModel
+from lumitree.core.device import on_device
+from lumitree.core.frames import similarity_scale
+from lumitree.rendering.model_plugins import model_emitter_class, model_glass_class
+from lumitree.rendering.own_lights import OwnLights
+from lumitree.rendering.plugin_objects import make_object, make_properties
+
+_COLOURS = "vertex_color"
+
+
+def model_shapes(model: AssetModel, scene_from_world: NDArray[np.float64], lamp: Any) -> list[Any]:
+    """The shapes (mi.Shape) of a model.
+
+    Args:
+        model: what to place.
+        scene_from_world: [4, 4] similarity, from the frame of the luminaire's file to the scene.
+        lamp: emitter `lumitree` of the proxy, whose gain applies to the shapes too.
+    """
+    builder = _Builder(model, scene_from_world, lamp)
+    shapes = [
+        builder.shape(shape, mesh) for shape, mesh in zip(model.shapes, model.meshes(), strict=True)
+    ]
+    builder.complete()
+    return shapes
+
+
+class _Builder:
+    def __init__(self, model: AssetModel, scene_from_world: NDArray[np.float64], lamp: Any) -> None:
+        self._model, self._matrix, self._lamp = model, scene_from_world, lamp
+        self._lights, self._emitting = OwnLights(), []
+        self._scale = similarity_scale(scene_from_world, "to_world")
+        self._emitter, self._glass = model_emitter_class(), model_glass_class()
+        self._textures: dict[str, Any] = {}
+        self._bsdfs = [self._top(material) for material in model.materials]
+
+    def shape(self, shape: Json, mesh: "dict[str, NDArray[Any]] | None") -> Any:
+        """The mi.Shape of a shape of the model, with its BSDF and its emitter."""
+        material = self._model.materials[shape["material"]]
+        radiance = shape["radiance"]
+        values = {"flip_normals": shape["flipped"], "bsdf": self._bsdfs[shape["material"]]}
+        # A surface that shows other things needs no emitter: it neither emits nor scatters.
+        emitted = None if radiance is None else self._texture_of(radiance)
+        if radiance is not None or not is_specular(material):
+            values["emitter"] = self._emitter(
+                self._lamp, self._lights, emitted, len(self._emitting)
+            )
+        if mesh is None:
+            matrix = self._matrix @ np.array(shape["to_world"], np.float64)
+            values["to_world"] = mi.ScalarTransform4d(matrix)
+            made = make_object(shape["type"], values)
+        else:
+            made = self._mesh(mesh, make_properties("", values))
+        if emitted is not None:
+            self._emitting.append((made, emitted))
+        return made
+
+    def complete(self) -> None:
+        """Sample what emits by its flux."""
+        if self._emitting:
+            shapes, radiances = zip(*self._emitting, strict=True)
+            area = [float(np.ravel(shape.surface_area())[0]) for shape in shapes]
+            mean = [float(np.ravel(radiance.mean())[0]) for radiance in radiances]
+            # A shape of which nothing is known is not left out.
+            power = np.maximum(np.array(area) * np.array(mean), 1e-30)
+            self._lights.set_shapes(list(shapes), power)
+
+    def _mesh(self, mesh: dict[str, NDArray[Any]], props: Any) -> Any:
+        rotation = self._matrix[:3, :3] / self._scale
+        placed = {
+            "vertex_positions": mesh["vertices"] @ self._matrix[:3, :3].T + self._matrix[:3, 3],
+            "faces": mesh["faces"],
+        }
+        if len(mesh["normals"]):
+            placed["vertex_normals"] = mesh["normals"] @ rotation.T
+        if len(mesh["texcoords"]):
+            placed["vertex_texcoords"] = mesh["texcoords"]
+        shape = mi.Mesh(
+            "model",
+            len(mesh["vertices"]),
+            len(mesh["faces"]),
+            has_vertex_normals="vertex_normals" in placed,
+            has_vertex_texcoords="vertex_texcoords" in placed,
+            props=props,
+        )
+        if len(mesh["colours"]):
+            shape.add_attribute(_COLOURS, 3, on_device(mi.Float, mesh["colours"]))
+        parameters = mi.traverse(shape)
+        for name, values in placed.items():
+            parameters[name] = on_device(mi.UInt32 if name == "faces" else mi.Float, values)
+        parameters.update()
+        return shape
+
+    def _top(self, material: Json) -> Any:
+        bsdf = self._bsdf(material)
+        return self._glass(bsdf) if material["type"] == "dielectric" else bsdf
+
+    def _bsdf(self, material: Json) -> Any:
+        values = {f"nested_{i}": self._bsdf(m) for i, m in enumerate(material.get("nested", []))}
+        for name in material.keys() - {"type", "nested"}:
+            values[name] = self._value(material[name])
+        return make_object(material["type"], values)
+
+    def _value(self, value: Any) -> Any:
+        if isinstance(value, list):
+            return mi.ScalarColor3d(value)
+        return self._texture(value) if isinstance(value, dict) else value
+
+    def _texture_of(self, radiance: Any) -> Any:
+        """Radiance as a mi.Texture."""
+        values = {"radiance": self._value(radiance)}
+        return make_properties("", values).get_emissive_texture("radiance")
+
+    def _texture(self, texture: Json) -> Any:
+        key = repr(sorted(texture.items()))
+        if key not in self._textures:
+            self._textures[key] = mi.load_dict(self._description(texture))
+        return self._textures[key]
+
+    def _description(self, texture: Json) -> dict[str, Any]:
+        if "attribute" in texture:
+            return {"type": "mesh_attribute", "name": texture["attribute"]}
+        image = self._model.images[texture["image"]]
+        bitmap = mi.Bitmap(np.ascontiguousarray(image))
+        bitmap.set_srgb_gamma(image.dtype == np.uint8 and not texture["raw"])
+        return {
+            "type": "bitmap",
+            "bitmap": bitmap,
+            "raw": texture["raw"],
+            "filter_type": texture["filter_type"],
+            "wrap_mode": texture["wrap_mode"],
+            "to_uv": mi.ScalarTransform4f(np.array(texture["to_uv"])),
+        }

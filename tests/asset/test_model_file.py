@@ -1,0 +1,254 @@
+"""The model in a file: it comes back as it was, and nothing damaged gets in."""
+
+import json
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import safetensors.numpy
+
+from damage import refused
+from exitant_fields import random_exitant
+from fields import random_asset
+from lumitree.asset.asset import exitant_asset
+from lumitree.asset.file import _digest, load, save
+from lumitree.asset.materials import CONDUCTORS, check_material
+from lumitree.asset.model import AssetModel
+from lumitree.core.frames import LocalFrame
+from lumitree.errors import LumitreeError
+from model_assets import small_model, with_model
+
+ROUNDS = 300
+WORDS = (
+    *(
+        "-1",
+        "0",
+        "1e300",
+        "NaN",
+        "1e999",
+        "true",
+        "null",
+        "[]",
+        "{}",
+        '"x"',
+        "99999999999999999999",
+    ),
+    *('"../../etc/passwd"', '"/dev/zero"', '"mesh"', '"hair"', '"dielectric"', "[1,2,3]", "[[]]"),
+    *("[" * 5000, '"\\u001b[2J"', '"ggx"', "0.5", "1000000"),
+)
+
+
+def version(path):
+    content = path.read_bytes()
+    header = json.loads(content[8 : 8 + struct.unpack("<Q", content[:8])[0]])
+    return json.loads(header["__metadata__"]["lumitree"].partition(" ")[2])["version"]
+
+
+def equal(first, second):
+    assert first.shapes == second.shapes
+    assert first.materials == second.materials
+    arrays = [*first.arrays.values(), *first.images]
+    others = [*second.arrays.values(), *second.images]
+    for one, other in zip(arrays, others, strict=True):
+        assert one.dtype == other.dtype
+        assert np.array_equal(one, other)
+
+
+def rewrite(source, path, change):
+    """Change the tensors of a file, with a checksum that is right."""
+    content = source.read_bytes()
+    header = json.loads(content[8 : 8 + struct.unpack("<Q", content[:8])[0]])
+    text = header["__metadata__"]["lumitree"].partition(" ")[2]
+    tensors = dict(safetensors.numpy.load(content))
+    change(tensors)
+    metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
+    path.write_bytes(safetensors.numpy.save(tensors, metadata))
+
+
+def change_text(tensors, change):
+    description = json.loads(tensors["model.shapes"].tobytes())
+    change(description)
+    tensors["model.shapes"] = np.frombuffer(json.dumps(description).encode(), np.uint8)
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    path = tmp_path_factory.mktemp("model") / "lamp.lumitree"
+    save(with_model(small_model()), path)
+    return path
+
+
+def test_it_comes_back_byte_for_byte(original, tmp_path):
+    found = load(original)
+    equal(found.model, small_model())
+    save(found, tmp_path / "again.lumitree")
+    assert (tmp_path / "again.lumitree").read_bytes() == original.read_bytes()
+    assert version(original) == 3
+
+
+def test_parts_in_all_combinations(tmp_path):
+    field = random_asset(0, tree_depth=3, l_max=1)
+    light, model = random_exitant(0), small_model()
+    cases = {
+        ("field",): (field, 1),
+        ("exitant",): (exitant_asset(light, field.frame, "test"), 2),
+        ("exitant", "field"): (replace(field, exitant=light), 2),
+        ("field", "model"): (replace(field, model=model), 3),
+        ("exitant", "model"): (with_model(model), 3),
+        ("exitant", "field", "model"): (replace(field, exitant=light, model=model), 3),
+    }
+    for parts, (asset, expected) in cases.items():
+        path = tmp_path / f"{'-'.join(parts)}.lumitree"
+        save(asset, path)
+        found = load(path)
+        assert found.parts == found.info.parts == parts
+        assert version(path) == expected
+        assert found.info.model_triangles == (8 if "model" in parts else 0)
+        assert found.num_bytes == asset.num_bytes
+
+
+def test_a_model_alone_illuminates_nothing_and_is_refused():
+    with pytest.raises(LumitreeError, match="a model without anything that illuminates"):
+        replace(with_model(small_model()), exitant=None)
+
+
+def test_a_model_outside_the_box_is_refused():
+    frame = LocalFrame(np.array([1.0, 0.3, 1.0]), np.eye(4))
+    with pytest.raises(LumitreeError, match="outside the box"):
+        with_model(small_model(), frame)
+    far = [*small_model().shapes]
+    far[2] = {**far[2], "to_world": (np.eye(4) * [1, 1, 1, 1] + np.eye(4, k=3)).tolist()}
+    with pytest.raises(LumitreeError, match="outside the box"):
+        with_model(small_model(shapes=tuple(far)))
+
+
+def test_the_names_of_conductors_are_mitsubas(mi):
+    from pathlib import Path
+
+    folder = Path(mi.__file__).parent / "data" / "ior"
+    found = {path.name.removesuffix(".eta.spd") for path in folder.glob("*.eta.spd")}
+    assert found | {"none"} == CONDUCTORS
+
+
+BROKEN = {
+    "no shapes": (lambda d: d.update(shapes=[]), "0 shapes"),
+    "an unknown key": (lambda d: d.update(scripts=[]), 'unknown key "scripts"'),
+    "an unknown shape": (lambda d: d["shapes"][0].update(type="obj"), "type of a shape"),
+    "a file": (lambda d: d["shapes"][0].update(filename="a.ply"), 'unknown key "filename"'),
+    "an unknown plugin": (lambda d: d["materials"][1].update(type="hair"), "type of a material"),
+    "a file of a plugin": (lambda d: d["materials"][1].update(filename="x"), "'filename' that is"),
+    "a path as a conductor": (
+        lambda d: d["materials"][1].update(material="../../../x"),
+        "material of roughconductor is ../../../x; expected a name such as",
+    ),
+    "a rough number": (
+        lambda d: d["materials"][1].update(alpha=-1),
+        "alpha of roughconductor is -1",
+    ),
+    "an index": (lambda d: d["materials"][2].update(int_ior=0), "int_ior of dielectric is 0"),
+    "a colour": (
+        lambda d: d["materials"][0]["nested"][0]["nested"][0].update(reflectance=[1, 2, 0]),
+        "reflectance of diffuse",
+    ),
+    "an image that is not there": (
+        lambda d: d["materials"][0]["opacity"].update(image=2),
+        "a texture has no image 2",
+    ),
+    "a count": (lambda d: d["shapes"][0].update(vertices=5), "vertices is float32"),
+    "a negative count": (lambda d: d["shapes"][0].update(vertices=-4), "has -4 vertices"),
+    "a flag": (
+        lambda d: d["shapes"][0].update(normals=1),
+        "normals of a mesh is not true or false",
+    ),
+    "radiance": (lambda d: d["shapes"][1].update(radiance=[1, 2, -3]), "radiance is"),
+    "a material": (lambda d: d["shapes"][1].update(material=3), "has the material 3"),
+    "colours": (
+        lambda d: d["materials"][1].update(specular_reflectance={"attribute": "vertex_color"}),
+        "without colours of vertices",
+    ),
+    "a squeezed sphere": (
+        lambda d: d["shapes"][2].update(to_world=np.diag([0.1, 0.2, 0.2, 1]).tolist()),
+        "scaled non-uniformly",
+    ),
+    "a flat sphere": (
+        lambda d: d["shapes"][2].update(to_world=np.diag([0.0, 0.0, 0.0, 1]).tolist()),
+        "not affine",
+    ),
+    "an image's size": (lambda d: d["images"][0].update(shape=[1 << 40, 1, 1]), "has the shape"),
+    "an image's bytes": (lambda d: d["images"][0].update(shape=[4, 4, 1]), "images of the model"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_descriptions_are_refused(original, tmp_path, name):
+    change, message = BROKEN[name]
+    rewrite(original, tmp_path / "bad.lumitree", lambda t: change_text(t, change))
+    with pytest.raises(LumitreeError, match=message) as caught:
+        load(tmp_path / "bad.lumitree")
+    assert str(caught.value).isprintable()
+
+
+def set_to(name, index, value):
+    def change(tensors):
+        tensors[name] = tensors[name].copy()
+        tensors[name][index] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (set_to("model.faces", (0, 0), 4), "a face has an unknown vertex"),
+        (set_to("model.vertices", (0, 0), np.nan), "vertices hold NaN"),
+        (set_to("model.vertices", (0, 0), 1.2), "outside the box"),
+        (set_to("model.normals", (0, 0), np.inf), "normals hold NaN"),
+        (lambda t: t.pop("model.faces"), "lacks"),
+        (lambda t: t.pop("model.shapes"), "unknown key"),
+    ],
+)
+def test_broken_tensors_are_refused(original, tmp_path, change, message):
+    rewrite(original, tmp_path / "bad.lumitree", change)
+    with pytest.raises(LumitreeError, match=message):
+        load(tmp_path / "bad.lumitree")
+
+
+def test_mutated_models_load_soundly_or_are_refused_in_a_line(original, tmp_path):
+    random = np.random.default_rng(4)
+    path, refusals = tmp_path / "bad.lumitree", 0
+    source = dict(safetensors.numpy.load(original.read_bytes()))
+    text = source["model.shapes"].tobytes().decode()
+    starts = [i for i, char in enumerate(text) if char in ":,["]
+    for _ in range(ROUNDS):
+
+        def mutate(tensors):
+            name = random.choice([n for n in tensors if n.startswith("model.")])
+            if random.random() < 0.7 or not tensors[name].size:
+                at = int(random.choice(starts)) + 1
+                end = at + min(text[at:].find(char) % (1 << 30) for char in ",]}")
+                word = WORDS[random.integers(len(WORDS))]
+                changed = (text[:at] + word + text[end:]).encode()
+                tensors["model.shapes"] = np.frombuffer(changed, np.uint8)
+            else:
+                data = bytearray(tensors[name].tobytes())
+                data[random.integers(len(data))] ^= 1 << random.integers(8)
+                kind = tensors[name].dtype
+                tensors[name] = np.frombuffer(bytes(data), kind).reshape(tensors[name].shape)
+
+        rewrite(original, path, mutate)
+        if refused(lambda: load(path)):
+            refusals += 1
+        else:
+            # What is accepted can be made again.
+            model = load(path).model
+            equal(AssetModel(**{name: getattr(model, name) for name in vars(model)}), model)
+    assert refusals > ROUNDS / 3
+
+
+def test_deep_materials_are_refused():
+    material = {"type": "diffuse"}
+    for _ in range(8):
+        material = {"type": "twosided", "nested": [material]}
+    with pytest.raises(LumitreeError, match="nested more than 8 deep"):
+        check_material(material, 0)

@@ -1,0 +1,175 @@
+"""The model of an asset: it renders as the luminaire that it was made from, or is refused."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lamps import AREA, GLASS, cube, scene, sphere
+from lumitree.asset.file import load, save
+from lumitree.core.device import on_device
+from lumitree.errors import LumitreeError
+from lumitree.luminaire.luminaire import load_luminaire
+from lumitree.luminaire.stored_model import stored_model
+from model_assets import with_model
+
+ID = '<transform name="to_world"><rotate y="1" angle="30"/><translate x="2"/></transform>'
+TEXTURE = (
+    '<texture type="bitmap" name="reflectance"><string name="filename" value="image.png"/>'
+    '<string name="wrap_mode" value="clamp"/><string name="filter_type" value="nearest"/></texture>'
+)
+RAW = (
+    '<texture type="bitmap" name="opacity"><string name="filename" value="grey.exr"/>'
+    '<boolean name="raw" value="true"/></texture>'
+)
+SURFACES = {
+    "texture": f'<bsdf type="diffuse">{TEXTURE}</bsdf>',
+    "mask": f'<bsdf type="mask">{RAW}<bsdf type="twosided"><bsdf type="diffuse"/></bsdf></bsdf>',
+    "glass": GLASS,
+    "metal": '<bsdf type="roughconductor"><string name="material" value="Au"/>'
+    '<float name="alpha" value="0.2"/><rgb name="specular_reflectance" value="1,0.5,0.2"/></bsdf>',
+    "eta": '<bsdf type="conductor"><rgb name="eta" value="1.6,0.9,0.5"/>'
+    '<rgb name="k" value="9,6,5"/></bsdf>',
+    "plastic": '<bsdf type="twosided"><bsdf type="roughplastic"><float name="alpha" value="0.3"/>'
+    '<rgb name="diffuse_reflectance" value="0.1,0.2,0.3"/></bsdf></bsdf>',
+    "frosted": '<bsdf type="roughdielectric"><string name="int_ior" value="bk7"/>'
+    '<float name="alpha" value="0.3"/></bsdf>',
+    "principled": '<bsdf type="principled"><rgb name="base_color" value="0.8,0.2,0.1"/>'
+    '<float name="metallic" value="0.4"/><float name="roughness" value="0.3"/></bsdf>',
+    "blend": '<bsdf type="blendbsdf"><float name="weight" value="0.3"/><bsdf type="diffuse"/>'
+    '<bsdf type="principledthin"><float name="diff_trans" value="0.7"/></bsdf></bsdf>',
+    "default": "",
+}
+SHAPES = {
+    "sphere": lambda inside: sphere("other", 0.4, (2, 0.1, 0), inside),
+    "inside out": lambda inside: sphere("other", 0.4, (2, 0.1, 0), inside, flip=True),
+    "cube": lambda inside: cube("other", (0.4, 0.2, 0.3), (2, 0, 0), inside),
+    "disk": lambda inside: f'<shape type="disk" id="other">{ID}{inside}</shape>',
+    "cylinder": lambda inside: f'<shape type="cylinder" id="other">{ID}{inside}</shape>',
+    "rectangle": lambda inside: f'<shape type="rectangle" id="other">{ID}{inside}</shape>',
+}
+
+
+@pytest.fixture
+def luminaire(mi, tmp_path):
+    """A function: the luminaire of an emissive ball and another shape."""
+    random = np.random.default_rng(0)
+    mi.Bitmap(random.integers(0, 256, (5, 3, 3), np.uint8)).write(str(tmp_path / "image.png"))
+    grey = random.random((4, 4, 1)).astype(np.float32)
+    mi.Bitmap(grey).write(str(tmp_path / "grey.exr"))
+
+    def made(*shapes):
+        (tmp_path / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=AREA), *shapes))
+        return load_luminaire(tmp_path / "lamp.xml")
+
+    return made
+
+
+def rows(mi, values):
+    return [on_device(mi.Float, row) for row in values]
+
+
+def seen(mi, loaded):
+    """What rays from all sides meet in a scene: places, normals and scattered light."""
+    random = np.random.default_rng(1)
+    count = 4096
+    origin = random.normal(size=(3, count)) * 3 + [[1], [0], [0]]
+    direction = np.array([[1.0], [0], [0]]) + random.uniform(-1.2, 1.2, (3, count)) - origin
+    direction /= np.linalg.norm(direction, axis=0)
+    ray = mi.Ray3f(mi.Point3f(*rows(mi, origin)), mi.Vector3f(*rows(mi, direction)))
+    si = loaded.ray_intersect(ray)
+    bsdf = si.bsdf()
+    out = random.normal(size=(3, count))
+    wo = si.to_local(mi.Vector3f(*rows(mi, out / np.linalg.norm(out, axis=0))))
+    context = mi.BSDFContext()
+    valid = si.is_valid()
+    value = bsdf.eval(context, si, wo, valid)
+    sample, weight = bsdf.sample(context, si, mi.Float(0.7), mi.Point2f(0.3, 0.6), valid)
+    values = (si.t, si.n, si.sh_frame.n, value, weight, sample.wo, sample.eta)
+    return [np.nan_to_num(np.array(each, np.float64), posinf=0) for each in values]
+
+
+@pytest.mark.parametrize(
+    ("shape", "surface"),
+    [*(("cube", name) for name in SURFACES), *((name, "plastic") for name in SHAPES)],
+)
+def test_it_is_the_luminaire(mi, luminaire, tmp_path, shape, surface):
+    from lumitree.rendering.model_shapes import model_shapes
+
+    lamp = luminaire(SHAPES[shape](SURFACES[surface]))
+    save(with_model(stored_model(lamp), lamp.frame), tmp_path / "lamp.lumitree")
+    shapes = model_shapes(load(tmp_path / "lamp.lumitree").model, np.eye(4))
+    background = {"type": "scene", "light": {"type": "constant"}}
+    names = {f"s{index}": each for index, each in enumerate(shapes)}
+    again = mi.load_dict(background | names)
+    for first, second in zip(seen(mi, lamp.scene), seen(mi, again), strict=True):
+        assert np.abs(first - second).max() <= 2e-3 * max(np.abs(first).max(), 1)
+        # A few rays pass edges on the other side.
+        assert np.mean(np.abs(first - second) > 2e-4 * (1 + np.abs(first))) < 0.01
+
+
+def test_radiance_is_stored(luminaire):
+    texture = TEXTURE.replace("reflectance", "radiance")
+    image = AREA.replace('<rgb name="radiance" value="3,2,1"/>', texture)
+    model = stored_model(luminaire(cube("other", 0.2, (2, 0, 0), image)))
+    assert sorted(str(shape["radiance"])[:4] for shape in model.shapes) == ["[3.0", "{'im"]
+    assert model.images[0].shape == (5, 3, 3)
+    assert model.images[0].dtype == np.uint8
+
+
+def test_meshes_of_one_material_are_joined(luminaire):
+    metal, other = SURFACES["metal"], SURFACES["eta"]
+    lamp = luminaire(
+        cube("a", 0.1, (1, 0, 0), metal),
+        cube("b", 0.1, (2, 0, 0), other),
+        cube("c", 0.1, (3, 0, 0), metal),
+    )
+    model = stored_model(lamp)
+    assert [shape["type"] for shape in model.shapes] == ["mesh", "mesh", "sphere"]
+    assert [shape.get("faces") for shape in model.shapes] == [24, 12, None]
+    assert model.num_triangles == 36
+
+
+MEDIUM = '<medium type="homogeneous" name="interior"><rgb name="sigma_t" value="1,1,1"/></medium>'
+REFUSED = {
+    "media": (cube("a", 0.2, (2, 0, 0), GLASS + MEDIUM), "participating media"),
+    "a BSDF": (cube("a", 0.2, (2, 0, 0), '<bsdf type="hair"/>'), "hair"),
+    "a parameter": (
+        cube(
+            "a",
+            0.2,
+            (2, 0, 0),
+            '<bsdf type="principled"><float name="main_specular_sampling_rate" value="2"/></bsdf>',
+        ),
+        "principled has a parameter 'main_specular_sampling_rate'",
+    ),
+    "a texture": (
+        cube(
+            "a",
+            0.2,
+            (2, 0, 0),
+            '<bsdf type="diffuse"><texture type="checkerboard" name="reflectance"/></bsdf>',
+        ),
+        "checkerboard",
+    ),
+    "instances": (
+        '<shape type="shapegroup" id="g"><shape type="sphere"/></shape>'
+        '<shape type="instance"><ref id="g"/></shape>',
+        "shape 'shapegroup'|shape 'instance'|instances",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_stored_is_refused_in_a_line(luminaire, name):
+    shape, reason = REFUSED[name]
+    with pytest.raises(LumitreeError, match=reason) as caught:
+        stored_model(luminaire(shape))
+    assert str(caught.value).isprintable()
+
+
+def test_a_scene_without_a_file_is_refused(mi, luminaire):
+    lamp = load_luminaire(luminaire().scene)
+    with pytest.raises(LumitreeError, match=r"mi\.Scene"):
+        stored_model(lamp)
+    assert dataclasses.is_dataclass(lamp)
