@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lumitree.api.baking import bake
 from lumitree.api.measures import Stopwatch, peak_memory_bytes
 from lumitree.api.viewing import IRRADIANCE_PATHS, evaluate
+from lumitree.asset.asset import PARTS
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import write_json
 from lumitree.core.images import write_exr
@@ -27,7 +28,9 @@ def run(folder: str = "demo-output", variant: str | None = None) -> dict[str, An
     output = Path(folder)
     asset = output / "lamp.lumitree"
     # `evaluate` compares the irradiance.
-    baked = bake(LUMINAIRE, asset, time=BAKE_SECONDS, irradiance_paths=0, variant=variant)
+    baked = bake(
+        LUMINAIRE, asset, time=BAKE_SECONDS, parts=PARTS, irradiance_paths=0, variant=variant
+    )
     if baked.stopped_by is not None:
         raise Interrupted("the same command continues", baked.stopped_by)
     evaluation = evaluate(
@@ -66,6 +69,7 @@ def _render_room(output: Path, asset: str, watch: Stopwatch) -> dict[str, Any]:
     from lumitree.rendering.demo_room import demo_room, lamp
     from lumitree.rendering.scene import (
         PlacedLuminaire,
+        appearance_for,
         default_integrator,
         place_luminaires,
         render_scene,
@@ -75,7 +79,11 @@ def _render_room(output: Path, asset: str, watch: Stopwatch) -> dict[str, Any]:
     images: dict[str, NDArray[np.float32]] = {}
     report: dict[str, Any] = {}
     for name, source in (("baked", asset), ("explicit", LUMINAIRE)):
-        scene = place_luminaires(demo_room(WIDTH), [PlacedLuminaire(lamp(source))])
+        scene = place_luminaires(
+            demo_room(WIDTH),
+            [PlacedLuminaire(lamp(source))],
+            appearance=appearance_for(integrator),
+        )
         samples = SAMPLES
         if name == "explicit":
             # Twice, because the first compiles the kernels.
