@@ -55,6 +55,7 @@ def test_no_random_numbers_are_used_twice(bulb, small, tmp_path, seeds):
         Purpose.FLUX,
         Purpose.IRRADIANCE,
         Purpose.LONG_PATHS,
+        Purpose.PHOTOMETRY,
         Purpose.RENDER,
     }
     keys, values = zip(*seeds, strict=True)

@@ -70,7 +70,7 @@ def names(count):
 
 def test_merging_is_one_histogram_of_all_paths(mi, lamp, bakes):
     """The same light paths in one histogram: every bin is the same up to two roundings."""
-    histogram = module._Histogram(CONFIG.depth, RESOLUTION)
+    histogram = module.Histogram(CONFIG.depth, RESOLUTION)
     for seed, batches in ((1, 8), (2, 16)):
         for step in range(batches):
             sampler = mi.load_dict({"type": "independent"})

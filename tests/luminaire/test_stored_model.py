@@ -1,6 +1,7 @@
 """The model of an asset: it renders as the luminaire that it was made from, or is refused."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -98,7 +99,8 @@ def test_it_is_the_luminaire(mi, luminaire, tmp_path, shape, surface):
 
     lamp = luminaire(SHAPES[shape](SURFACES[surface]))
     save(with_model(stored_model(lamp), lamp.frame), tmp_path / "lamp.lumitree")
-    shapes = model_shapes(load(tmp_path / "lamp.lumitree").model, np.eye(4))
+    plain = SimpleNamespace(gain=mi.Color3f(1))
+    shapes = model_shapes(load(tmp_path / "lamp.lumitree").model, np.eye(4), plain)
     background = {"type": "scene", "light": {"type": "constant"}}
     names = {f"s{index}": each for index, each in enumerate(shapes)}
     again = mi.load_dict(background | names)

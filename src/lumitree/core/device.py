@@ -1,8 +1,11 @@
-"""NumPy arrays on the device."""
+"""NumPy arrays on the device.
+
+Dr.Jit is imported when it is used. Modules that import this one are imported before
+`load_mitsuba`, which explains what is missing before Dr.Jit does.
+"""
 
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -20,6 +23,8 @@ def parameter(kind: Any, *values: float) -> Any:
         kind: type of the result, such as `mi.Float` or `mi.Point3f`.
         values: its components.
     """
+    import drjit as dr
+
     result = kind(*values)
     dr.make_opaque(result)
     return result
@@ -36,6 +41,8 @@ def on_device(kind: Any, values: ArrayLike) -> Any:
         kind: type of the result: `mi.Float` or another flat array, or vectors such as `mi.Point3f`.
         values: numbers, which are flattened; for vectors of D components [N, D].
     """
+    import drjit as dr
+
     if dr.depth_v(kind) == 1:
         return kind(_padded(np.ravel(values), kind))
     columns = np.asarray(values)
@@ -47,6 +54,8 @@ def on_device(kind: Any, values: ArrayLike) -> Any:
 
 def _padded(values: NDArray[Any], kind: Any) -> NDArray[Any]:
     """A copy, followed by memory that may be read."""
+    import drjit as dr
+
     padded = np.empty(len(values) + _PACKET, np.dtype(dr.type_v(kind).name.lower()))
     padded[: len(values)] = values
     return padded[: len(values)]
