@@ -178,7 +178,10 @@ def test_datasets_have_a_field_only(untraced):
 
 @pytest.mark.parametrize("parts", [("exitant",), ("field",), ("exitant", "field")])
 def test_a_bake_states_the_error_of_its_irradiance(parts):
-    """By the same function as `evaluate`, with the same rays."""
+    """By the same function as `evaluate`, with the same light paths and random numbers.
+
+    The tables from which rays of a field are sampled are sums in any order, and differ by rounding.
+    """
     from lumitree.evaluation.evaluate import evaluate_irradiance
 
     baked = lumitree.bake("lamp.xml", parts=parts)
@@ -187,7 +190,9 @@ def test_a_bake_states_the_error_of_its_irradiance(parts):
     assert baked.irradiance["paths"] == 1 << 14
     assert baked.irradiance["faces"].keys() == expected.report()["faces"].keys()
     ratio = baked.irradiance["irradiance_ratio"]
-    assert ratio == pytest.approx(expected.metrics["irradiance_ratio"], rel=1e-4)
+    # Where rounding moves a few rays, the ratio moves by a small part of its standard error.
+    slack = 1e-4 + 0.5 * baked.irradiance["ratio_error"]
+    assert ratio == pytest.approx(expected.metrics["irradiance_ratio"], abs=slack)
     if "exitant" in parts:
         assert ratio == pytest.approx(1, abs=5 * baked.irradiance["ratio_error"] + 0.005)
 
