@@ -50,3 +50,11 @@ def test_vectors_have_a_row_each(mi):
     assert np.array_equal(on_device(mi.Vector3i, values.tolist()), values.T)
     with pytest.raises(ValueError, match=r"\[N, 2\]"):
         on_device(mi.Point2f, values)
+
+
+def test_kernels_do_not_depend_on_where_numpy_puts_an_array(mi):
+    """An array at an odd address is read by other instructions: by another kernel."""
+    from lumitree.core.device import on_device
+
+    copies = [on_device(mi.Float, np.arange(count)).numpy() for count in range(1, 40)]
+    assert [copy.ctypes.data % 64 for copy in copies] == [0] * len(copies)

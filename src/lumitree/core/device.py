@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 # Dr.Jit may read this many values beyond an array's end: a packet of the widest vector unit.
 _PACKET = 64
+# Bytes. Kernels differ by whether arrays begin at a multiple of it, where NumPy puts some only.
+_ALIGNMENT = 64
 
 
 def parameter(kind: Any, *values: float) -> Any:
@@ -34,8 +36,10 @@ def on_device(kind: Any, values: ArrayLike) -> Any:
     """Device array of a copy of some values, converted.
 
     Dr.Jit 1.5 reads NumPy arrays without copying them, and in whole packets, so it also reads
-    memory beyond their end. If that memory is not mapped, the process is killed. The copy is
-    followed by padding. So every NumPy array goes to the device through this function.
+    memory beyond their end. If that memory is not mapped, the process is killed. And it compiles
+    one kernel for arrays that begin at a multiple of 64 bytes, and another for all others. The copy
+    is aligned and followed by padding. So every NumPy array goes to the device through this
+    function.
 
     Args:
         kind: type of the result: `mi.Float` or another flat array, or vectors such as `mi.Point3f`.
@@ -53,9 +57,12 @@ def on_device(kind: Any, values: ArrayLike) -> Any:
 
 
 def _padded(values: NDArray[Any], kind: Any) -> NDArray[Any]:
-    """A copy, followed by memory that may be read."""
+    """An aligned copy, followed by memory that may be read."""
     import drjit as dr
 
-    padded = np.empty(len(values) + _PACKET, np.dtype(dr.type_v(kind).name.lower()))
-    padded[: len(values)] = values
-    return padded[: len(values)]
+    dtype = np.dtype(dr.type_v(kind).name.lower())
+    memory = np.empty(_ALIGNMENT + (len(values) + _PACKET) * dtype.itemsize, np.uint8)
+    start = -memory.ctypes.data % _ALIGNMENT
+    copy = memory[start : start + len(values) * dtype.itemsize].view(dtype)
+    copy[:] = values
+    return copy
