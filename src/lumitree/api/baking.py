@@ -5,8 +5,9 @@ import warnings
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Literal, get_args
 
-from lumitree.api.files import FilePath, open_work_folder, save_asset
-from lumitree.api.irradiance import IRRADIANCE_PATHS, check_irradiance_paths, measure_irradiance
+from lumitree.api.files import FilePath, open_work_folder
+from lumitree.api.finishing import finish_bake
+from lumitree.api.irradiance import IRRADIANCE_PATHS, check_irradiance_paths
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
 from lumitree.api.photometry import bake_photometric_file, is_photometric_file
@@ -175,11 +176,10 @@ def bake(
             if "field" not in parts:
                 asset = exitant_asset(exitant, lamp.frame, lamp.name)
                 asset = dataclasses.replace(asset, model=model)
-                path = save_asset(asset, output)
-                irradiance = measure_irradiance(asset, lamp, paths, watch)
-                if work is None:
+                result = finish_bake(asset, output, watch, lamp, paths)
+                if work is None and result.stopped_by is None:
                     at.remove([EXITANT_STATE])
-                return BakeResult(asset=asset, path=path, irradiance=irradiance, **watch.costs())
+                return result
         job = lambda: direct.bake(lamp, config, at.path)  # noqa: E731
         return _finish(output, work, at, job, exitant, model, watch, lamp, paths)
 
@@ -279,20 +279,17 @@ def _finish(
     watch = Stopwatch() if watch is None else watch
     with watch.stage("bake"):
         result = job()
-        asset = dataclasses.replace(result.asset, exitant=exitant, model=model)
-        path = save_asset(asset, output)
-    irradiance = None
-    if luminaire is not None and result.stopped_by is None:
-        irradiance = measure_irradiance(asset, luminaire, irradiance_paths, watch)
-    if work is None and result.stopped_by is None:
-        folder.remove([STATE, EXITANT_STATE])
-    return BakeResult(
-        asset=asset,
-        path=path,
-        irradiance=irradiance,
+    finished = finish_bake(
+        dataclasses.replace(result.asset, exitant=exitant, model=model),
+        output,
+        watch,
+        luminaire,
+        irradiance_paths,
+        result.stopped_by,
         held_out_psnr=round(result.score.psnr, 3),
         held_out_psnr_uncertainty=round(result.score.uncertainty, 3),
         rays=result.rays,
-        stopped_by=result.stopped_by,
-        **watch.costs(),
     )
+    if work is None and finished.stopped_by is None:
+        folder.remove([STATE, EXITANT_STATE])
+    return finished

@@ -5,8 +5,9 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from lumitree.api.files import FilePath, open_work_folder, save_asset
-from lumitree.api.irradiance import IRRADIANCE_PATHS, check_irradiance_paths, measure_irradiance
+from lumitree.api.files import FilePath, open_work_folder
+from lumitree.api.finishing import finish_bake
+from lumitree.api.irradiance import IRRADIANCE_PATHS, check_irradiance_paths
 from lumitree.api.luminaires import warn_of_faults
 from lumitree.api.measures import Stopwatch, peak_memory_bytes
 from lumitree.api.results import BakeResult, CaptureResult, TrainResult
@@ -157,7 +158,7 @@ def bake_network(
             extracted = _extract(
                 run, output, tree_depth, settings.samples_per_leaf, exitant, lamp, paths
             )
-        if work is None:
+        if work is None and extracted.stopped_by is None:
             names = [f"dataset/{name}" for name in DATASET_FILES]
             folder.remove([*names, *(f"run/{name}" for name in RUN_FILES), EXITANT_STATE])
     seconds = watch.seconds | captured.seconds | trained.seconds | extracted.seconds
@@ -391,8 +392,4 @@ def _extract(
             luminaire=field.luminaire,
             exitant=exitant,
         )
-        path = save_asset(asset, output)
-    irradiance = None
-    if lamp is not None:
-        irradiance = measure_irradiance(asset, lamp, irradiance_paths, watch)
-    return BakeResult(asset=asset, path=path, irradiance=irradiance, **watch.costs())
+    return finish_bake(asset, output, watch, lamp, irradiance_paths)

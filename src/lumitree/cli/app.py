@@ -24,7 +24,7 @@ from lumitree.cli import (
 from lumitree.cli.options import Parser
 from lumitree.cli.output import LONGEST_LINE
 from lumitree.core.backend import quieten
-from lumitree.core.interrupt import Interrupted, interruptible
+from lumitree.core.interrupt import interruptible, interruption_behind
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 DEBUG = "LUMITREE_DEBUG"
@@ -107,7 +107,7 @@ def _check_json_output(path: str | None) -> None:
 
 def _explain(error: BaseException) -> int:
     """Print an error in one line; returns the exit status."""
-    interrupted = _interruption(error)
+    interrupted = interruption_behind(error)
     if interrupted is not None:
         done = str(interrupted) or "the same command continues where that is possible"
         return _fail(f"interrupted; {done}", 128 + interrupted.number)
@@ -119,16 +119,6 @@ def _explain(error: BaseException) -> int:
     return _fail(
         f"unexpected {type(error).__name__}: {reason} (set {DEBUG}=1 for the traceback)", 1
     )
-
-
-def _interruption(error: BaseException | None) -> Interrupted | None:
-    """The signal that caused an error; None if it was not a signal.
-
-    Dr.Jit wraps an exception that is raised while it traces a loop.
-    """
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error if error is None or isinstance(error, Interrupted) else Interrupted()
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:

@@ -33,6 +33,16 @@ class Interrupted(KeyboardInterrupt):
         self.number = int(number)
 
 
+def interruption_behind(error: BaseException | None) -> Interrupted | None:
+    """The signal that caused an error; None if it was not a signal.
+
+    Dr.Jit wraps an exception that is raised while it traces a loop.
+    """
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error if error is None or isinstance(error, Interrupted) else Interrupted()
+
+
 class Interruption:
     """Whether a stop signal was received, and which one.
 

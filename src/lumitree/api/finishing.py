@@ -1,0 +1,59 @@
+"""The end of every bake: the asset is written, and the irradiance around it is measured."""
+
+from typing import TYPE_CHECKING, Any
+
+from lumitree.api.files import FilePath, save_asset
+from lumitree.api.irradiance import measure_irradiance
+from lumitree.api.measures import Stopwatch
+from lumitree.api.results import BakeResult
+from lumitree.asset.asset import Asset
+from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
+
+if TYPE_CHECKING:
+    from lumitree.luminaire.luminaire import Luminaire
+
+
+def finish_bake(
+    asset: Asset,
+    output: FilePath | None,
+    watch: Stopwatch,
+    luminaire: "Luminaire | None" = None,
+    irradiance_paths: int = 0,
+    stopped_by: int | None = None,
+    **figures: Any,
+) -> BakeResult:
+    """Write an asset, and compare the irradiance around it with that around its luminaire.
+
+    Args:
+        output: path of the file to write; None: no file is written.
+        watch: measures the stages "write" and "irradiance"; all its times become the result's.
+        luminaire: what was baked; None: the irradiance is not compared.
+        irradiance_paths: as for `measure_irradiance`.
+        stopped_by: number of the signal that interrupted the bake; the irradiance is not compared
+            then.
+        figures: other fields of the result.
+
+    Returns:
+        The result. `stopped_by` is set if a signal arrived here, too: the asset is written then,
+        but its irradiance is not known.
+    """
+    irradiance = None
+    with deferred_interrupt() as interruption, watch.stage("write"):
+        path = save_asset(asset, output)
+    stopped_by = interruption.number if stopped_by is None else stopped_by
+    if luminaire is not None and stopped_by is None:
+        try:
+            with interruptible():
+                irradiance = measure_irradiance(asset, luminaire, irradiance_paths, watch)
+        except (Exception, KeyboardInterrupt) as error:
+            if (interrupted := interruption_behind(error)) is None:
+                raise
+            stopped_by = interrupted.number
+    return BakeResult(
+        asset=asset,
+        path=path,
+        irradiance=irradiance,
+        stopped_by=stopped_by,
+        **figures,
+        **watch.costs(),
+    )
