@@ -12,6 +12,15 @@ def scene(*shapes):
     return f'<scene version="3.0.0">{"".join(shapes)}</scene>'
 
 
+def lamp_of(folder, *shapes):
+    """The luminaire of a scene file, which is written."""
+    from lumitree.luminaire.luminaire import load_luminaire
+
+    path = folder / "lamp.xml"
+    path.write_text(scene(*shapes))
+    return load_luminaire(path)
+
+
 def sphere(name, radius, centre=(0, 0, 0), inside="", flip=False):
     """A sphere; `inside` is what the element holds besides, such as a BSDF."""
     x, y, z = centre

@@ -8,7 +8,7 @@ import pytest
 
 import lumitree
 from exitant_fields import assert_equal_fields
-from lamps import AREA, cube, scene, sphere
+from lamps import AREA, cube, lamp_of, sphere
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.exitant import unpack
 from lumitree.asset.file import save
@@ -20,7 +20,6 @@ from lumitree.exitant import bake as module
 from lumitree.exitant.bake import bake_exitant
 from lumitree.exitant.config import ExitantConfig
 from lumitree.exitant.saved_field import EXITANT_STATE
-from lumitree.luminaire.luminaire import load_luminaire
 from lumitree.transport.light_paths import trace_light
 from lumitree.transport.tracing import PATH_DEPTH
 
@@ -36,12 +35,6 @@ def rectangle(half, height, inside):
         f'<scale x="{half}" y="{half}" z="1"/><rotate x="1" angle="180"/>'
         f'<translate x="0" y="0" z="{height}"/></transform>{inside}</shape>'
     )
-
-
-def lamp_of(folder, *shapes):
-    path = folder / "lamp.xml"
-    path.write_text(scene(*shapes))
-    return load_luminaire(path)
 
 
 @pytest.fixture(scope="module")

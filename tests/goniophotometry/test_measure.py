@@ -7,7 +7,7 @@ import pytest
 
 from exitant_fields import random_exitant
 from fields import uniform_asset
-from lamps import AREA, scene, sphere
+from lamps import AREA, lamp_of, sphere
 from lumitree.asset.asset import exitant_asset
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, rotation, similarity
@@ -28,7 +28,6 @@ from lumitree.goniophotometry.measure import (
 )
 from lumitree.goniophotometry.near_field import DISTANCES, NearFieldTest
 from lumitree.goniophotometry.type_c import Grid, angles_of, node_solid_angles
-from lumitree.luminaire.luminaire import load_luminaire
 from lumitree.model.photometry import luminance
 from lumitree.transport.flux import estimate_flux
 
@@ -42,12 +41,6 @@ def disk(radius, emitter=AREA):
         '<shape type="disk"><transform name="to_world">'
         f'<scale value="{radius}"/><rotate x="1" angle="90"/></transform>{emitter}</shape>'
     )
-
-
-def lamp_of(folder, *shapes):
-    path = folder / "lamp.xml"
-    path.write_text(scene(*shapes))
-    return load_luminaire(path)
 
 
 @pytest.fixture(scope="module")

@@ -7,17 +7,7 @@ import lumitree
 from fields import make_asset, random_asset, uniform_asset
 from lumitree.core.frames import rotation, similarity
 from lumitree.errors import LumitreeError
-
-HALF = np.array([1.0, 0.75, 0.5])
-# Far and near, past an edge, past a corner, and just off a face that shines.
-POINTS = {
-    "far": (3.0, -40.0, 9.0),
-    "below": (0.4, -4.0, 0.3),
-    "beside": (2.5, 0.1, 0.2),
-    "near": (0.2, 0.9, -0.1),
-    "corner": (1.1, 0.8, 0.6),
-    "touching": (-0.9, -0.7501, 0.2),
-}
+from receivers import HALF, POINTS, device_point, uniform_samples
 
 
 def visible_points(kind):
@@ -81,23 +71,11 @@ class Drawn:
         return self.sampler.pdf(origin, entry, direction, distance, enters)
 
 
-def point(mi, name):
-    import drjit as dr
-
-    return mi.Point3f(*(dr.opaque(mi.Float, x) for x in POINTS[name]))
-
-
-def uniform_samples(mi, count, seed=0):
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed, count)
-    return sampler
-
-
 def estimates(mi, sampler, name, count=1 << 17):
     """Mean radiance over density [count] of the directions that `sampler` draws from a point."""
     import drjit as dr
 
-    _, pdf, radiance = sampler.sample(point(mi, name), uniform_samples(mi, count).next_2d())
+    _, pdf, radiance = sampler.sample(device_point(mi, name), uniform_samples(mi, count).next_2d())
     return np.array(dr.mean(radiance) * dr.select(pdf > 0, dr.rcp(pdf), 0), np.float64)
 
 
@@ -110,7 +88,7 @@ def test_density_is_that_of_the_samples(mi, samplers, kind, name):
     from mitsuba.chi2 import ChiSquareTest, PlanarDomain
 
     sampler = samplers[1][kind][0]
-    origin = point(mi, name)
+    origin = device_point(mi, name)
     distance = np.linalg.norm(POINTS[name])
     frame = mi.Frame3f(mi.Vector3f((-np.array(POINTS[name]) / distance).tolist()))
     radius = np.linalg.norm(HALF)
@@ -156,7 +134,7 @@ def seen(mi, samplers):
     radius = float(np.linalg.norm(HALF))
     found = {}
     for name in POINTS:
-        origin = point(mi, name)
+        origin = device_point(mi, name)
         direction = sample_cone(origin, radius, uniform_samples(mi, 1 << 20, 1).next_2d())
         d = np.array(direction, np.float64).T
         first, second = (np.stack([-HALF, HALF])[:, None] - POINTS[name]) / d
@@ -185,9 +163,9 @@ def test_density_adds_up_to_what_is_not_drawn_in_vain(mi, samplers, seen, kind):
     sampler = samplers[1][kind][0]
     for name in visible_points(kind):
         direction, solid_angle, radiance = seen[name]
-        pdf = np.array(sampler.pdf(point(mi, name), direction), np.float64)
+        pdf = np.array(sampler.pdf(device_point(mi, name), direction), np.float64)
         # Some samples miss the proxy, and some would come from leaves that others hide.
-        drawn = sampler.sample(point(mi, name), uniform_samples(mi, 1 << 18).next_2d())[1]
+        drawn = sampler.sample(device_point(mi, name), uniform_samples(mi, 1 << 18).next_2d())[1]
         kept = np.mean(np.array(drawn) > 0)
         share = pdf * solid_angle
         error = np.sqrt(share.var() / len(share) + kept * (1 - kept) / (1 << 18))
@@ -211,7 +189,7 @@ def test_density_of_a_sample_is_that_of_its_direction(mi, samplers):
     """Where rounding puts a direction past the edge of a leaf the two may differ."""
     sampler = samplers[1]["box"][0]
     for name in POINTS:
-        origin = point(mi, name)
+        origin = device_point(mi, name)
         direction, pdf, _ = sampler.sample(origin, uniform_samples(mi, 1 << 16).next_2d())
         again = np.array(sampler.pdf(origin, direction))
         pdf = np.array(pdf)

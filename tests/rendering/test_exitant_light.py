@@ -10,17 +10,10 @@ from fields import make_asset, uniform_asset
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.exitant import make_exitant_field, unpack
 from lumitree.core.frames import LocalFrame, rotation, similarity
+from receivers import HALF, POINTS, device_point, uniform_samples
 from walls import agree, irradiance
 
-HALF = np.array([1.0, 0.75, 0.5])
 DEPTH, RESOLUTION = 3, 8
-POINTS = {
-    "far": (3.0, -40.0, 9.0),
-    "below": (0.4, -4.0, 0.3),
-    "beside": (2.5, 0.1, 0.2),
-    "near": (0.2, 0.9, -0.1),
-    "touching": (-0.9, -0.7501, 0.2),
-}
 TURNED = similarity(rotation([0, 1, 1], 25), 0.3, [0, 1.0, 0])
 
 
@@ -40,18 +33,6 @@ def light(mi):
     from lumitree.rendering.exitant_light import ExitantLight
 
     return ExitantLight(some_light(), HALF)
-
-
-def device_point(mi, name):
-    import drjit as dr
-
-    return mi.Point3f(*(dr.opaque(mi.Float, x) for x in POINTS[name]))
-
-
-def samples(mi, count, seed=0):
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed, count)
-    return sampler
 
 
 def seen_from(mi, light, x, direction):
@@ -86,7 +67,7 @@ def test_radiance_and_density_are_sums_over_all_cells(mi, light, name):
     count = 4096
     origin = device_point(mi, name)
     radius = float(np.linalg.norm(HALF))
-    direction = sample_cone(origin, radius, samples(mi, count).next_2d())
+    direction = sample_cone(origin, radius, uniform_samples(mi, count).next_2d())
     radiance, density = seen_from(mi, light, origin, direction)
     meets = np.array(density) > 0
     d, x = np.array(direction, np.float64).T, np.array(POINTS[name])
@@ -121,13 +102,13 @@ def test_samples_follow_their_density_and_weigh_the_same_light(mi, light, name):
 
     count, coarse = 1 << 19, 16
     origin = device_point(mi, name)
-    direction = light.sample(origin, samples(mi, count).next_2d())
+    direction = light.sample(origin, uniform_samples(mi, count).next_2d())
     radiance, density = seen_from(mi, light, origin, direction)
     hit = np.array(density) > 0
     weight = np.where(hit, np.array(dr.mean(radiance)) / np.maximum(density, 1e-30), 0)
     # The same from directions that are uniform over the bounding sphere.
     radius = float(np.linalg.norm(HALF))
-    plain = sample_cone(origin, radius, samples(mi, count, 1).next_2d())
+    plain = sample_cone(origin, radius, uniform_samples(mi, count, 1).next_2d())
     other, pdf = seen_from(mi, light, origin, plain)
     uniform = np.array(cone_pdf(origin, radius))[0]
     plain_weight = np.array(dr.mean(other), np.float64) / uniform
@@ -167,7 +148,7 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
     def density(direction):
         return other * (0.01 + dr.square(dr.dot(axis, direction)))
 
-    point, cell, chance = light.sample_point(origin, samples(mi, count).next_2d())
+    point, cell, chance = light.sample_point(origin, uniform_samples(mi, count).next_2d())
     offset = mi.Vector3f(point - origin)
     distance = dr.norm(offset)
     direction = offset / distance
@@ -176,7 +157,7 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
         direction, distance, cell, chance, mi.Float(density(direction)), arrives
     )
     radius = float(np.linalg.norm(HALF))
-    plain = sample_cone(origin, radius, samples(mi, count, 1).next_2d())
+    plain = sample_cone(origin, radius, uniform_samples(mi, count, 1).next_2d())
     whole, _ = seen_from(mi, light, origin, plain)
     rest = mi.Color3f(0)
     if other:
@@ -206,7 +187,7 @@ def test_rays_carry_the_flux_of_every_bin(mi, light):
     from lumitree.core.octahedral import bin_of, solid_angles
 
     field, count = some_light(), 1 << 20
-    sampler = samples(mi, count)
+    sampler = uniform_samples(mi, count)
     point, direction, flux = light.sample_ray(
         sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
     )

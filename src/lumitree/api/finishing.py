@@ -26,7 +26,7 @@ def finish_bake(
 
     Args:
         output: path of the file to write; None: no file is written.
-        watch: measures the stages "write" and "irradiance"; all its times become the result's.
+        watch: measures the stage "irradiance"; all its times become the result's.
         luminaire: what was baked; None: the irradiance is not compared.
         irradiance_paths: as for `measure_irradiance`.
         stopped_by: number of the signal that interrupted the bake; the irradiance is not compared
@@ -38,7 +38,7 @@ def finish_bake(
         but its irradiance is not known.
     """
     irradiance = None
-    with deferred_interrupt() as interruption, watch.stage("write"):
+    with deferred_interrupt() as interruption:
         path = save_asset(asset, output)
     stopped_by = interruption.number if stopped_by is None else stopped_by
     if luminaire is not None and stopped_by is None:

@@ -15,6 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 import drjit as dr
 import mitsuba as mi
 
+from lumitree.rendering.delta_bsdf import delta_bsdf_class
 from lumitree.rendering.own_lights import OwnLights
 from lumitree.rendering.plugin_objects import make_properties
 
@@ -112,7 +113,7 @@ def model_emitter_class() -> type:
 def model_glass_class() -> type:
     """Class of the glass for the variant of Mitsuba that is set, whose base class it extends."""
 
-    class LumitreeModelGlass(mi.BSDF):
+    class LumitreeModelGlass(delta_bsdf_class()):
         def __init__(self, glass: Any) -> None:
             """A smooth dielectric that light may also cross straight.
 
@@ -129,15 +130,6 @@ def model_glass_class() -> type:
 
         def sample(self, ctx, si, sample1, sample2, active=True):
             return self._glass.sample(ctx, si, sample1, sample2, active)
-
-        def eval(self, ctx, si, wo, active=True):
-            return mi.Color3f(0)
-
-        def pdf(self, ctx, si, wo, active=True):
-            return mi.Float(0)
-
-        def eval_pdf(self, ctx, si, wo, active=True):
-            return mi.Color3f(0), mi.Float(0)
 
         def eval_null_transmission(self, si, active=True):
             # By the angle outside the glass on both sides: a ray that leaves a pane has the same

@@ -5,6 +5,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from lumitree.rendering.delta_bsdf import delta_bsdf_class
 from lumitree.rendering.placed import Placed
 
 
@@ -16,7 +17,7 @@ def null_bsdf_class() -> type:
     shapes take away light, and the transmittance is 1.
     """
 
-    class LumitreeNull(mi.BSDF):
+    class LumitreeNull(delta_bsdf_class()):
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.placed = Placed(props)
@@ -33,15 +34,6 @@ def null_bsdf_class() -> type:
             bs.eta = 1
             bs.pdf = dr.select(enabled, 1, 0)
             return bs, self.eval_null_transmission(si, enabled) & enabled
-
-        def eval(self, ctx, si, wo, active=True):
-            return mi.Color3f(0)
-
-        def pdf(self, ctx, si, wo, active=True):
-            return mi.Float(0)
-
-        def eval_pdf(self, ctx, si, wo, active=True):
-            return mi.Color3f(0), mi.Float(0)
 
         def eval_null_transmission(self, si, active=True):
             if self.placed.shows_model:
