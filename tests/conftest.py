@@ -1,5 +1,6 @@
 """Fixtures that many tests share."""
 
+import gc
 import math
 import signal
 
@@ -20,6 +21,12 @@ def _default_signals():
 def _no_progress(monkeypatch):
     """Progress is shown after some seconds, so what a test prints would depend on the machine."""
     monkeypatch.setattr(progress, "_QUIET_SECONDS", math.inf)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_scenes_of_other_modules():
+    """Kernels contain the emitters and BSDFs of all scenes that exist."""
+    gc.collect()
 
 
 @pytest.fixture(scope="session")

@@ -98,6 +98,7 @@ def test_irradiance_is_left_out_on_request_and_for_a_dataset(mi, tmp_path, monke
         lumitree.evaluate("lamp.lumitree", "lamp.xml", irradiance_paths=-1)
 
 
+@pytest.mark.slow
 def test_network_bake_evaluate(mi, tiny_network, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lamp.xml").write_text(LAMP)
@@ -195,6 +196,7 @@ def test_an_interrupted_bake_keeps_its_best_and_continues(mi, tiny, tmp_path, mo
     assert not (tmp_path / "lamp.work").exists()
 
 
+@pytest.mark.slow
 def test_an_interrupted_network_bake_continues(mi, tiny_network, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lamp.xml").write_text(LAMP)

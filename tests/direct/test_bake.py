@@ -41,7 +41,7 @@ def ball(lamp):
     return lamp(sphere("lamp", 2, (1, 0, 0), AREA))
 
 
-@pytest.mark.parametrize("law", ["linear", "exponential"])
+@pytest.mark.parametrize("law", [pytest.param("linear", marks=pytest.mark.slow), "exponential"])
 def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     from lumitree.direct.bake import bake
     from lumitree.direct.traced import TracedRays
@@ -69,6 +69,7 @@ def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     assert flux.sum() == pytest.approx(expected.sum(), rel=0.015)
 
 
+@pytest.mark.slow
 def test_score_is_that_of_the_asset_even_where_descent_makes_it_worse(ball, tmp_path):
     """With far too large steps, the field that is returned is the one of the score."""
     from lumitree.direct.bake import bake
@@ -131,6 +132,7 @@ def test_interrupted_bake_continues(ball, tmp_path, monkeypatch):
     assert second.asset.num_leaves == whole.asset.num_leaves
 
 
+@pytest.mark.slow
 def test_budget_may_be_raised_other_settings_may_not(ball, lamp, tmp_path, monkeypatch):
     from lumitree.direct.bake import bake
 

@@ -31,7 +31,7 @@ def score(mi, truth, field):
 
 
 @pytest.mark.parametrize("split", [False, True])
-@pytest.mark.parametrize("law", ["linear", "exponential"])
+@pytest.mark.parametrize("law", [pytest.param("linear", marks=pytest.mark.slow), "exponential"])
 def test_a_wrong_start_becomes_the_truth(mi, law, split):
     truth, start = truth_and_start(law)
     before, opacity_before = score(mi, truth, start)

@@ -50,7 +50,9 @@ def score(luminaire, asset):
     )
 
 
-@pytest.mark.parametrize(("law", "l_max"), [("linear", 0), ("exponential", 1)])
+@pytest.mark.parametrize(
+    ("law", "l_max"), [pytest.param("linear", 0, marks=pytest.mark.slow), ("exponential", 1)]
+)
 def test_a_rough_asset_becomes_better(ball, tmp_path, law, l_max):
     from lumitree.direct.bake import refine
 
@@ -108,6 +110,7 @@ def test_a_dark_luminaire_is_refused(lamp, tmp_path):
         refine(rough(dark), dark, small_config(), tmp_path)
 
 
+@pytest.mark.slow
 def test_an_interrupted_refinement_continues(ball, tmp_path, monkeypatch):
     from lumitree.direct.bake import refine
 

@@ -40,6 +40,7 @@ def small():
     return small_config(tree_depth=5, rays=1 << 16)
 
 
+@pytest.mark.slow
 def test_no_random_numbers_are_used_twice(bulb, small, tmp_path, seeds):
     """Not by the estimate and the descent, nor by the score, nor by a bake and its refinement."""
     from lumitree.direct.bake import bake, refine

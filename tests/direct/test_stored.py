@@ -98,6 +98,7 @@ def test_hull_holds_the_lamp_and_little_else(mi, dataset):
     assert 0.4 < np.linalg.norm(beyond, axis=1).max() < 0.75
 
 
+@pytest.mark.slow
 def test_bake_from_views(mi, dataset, tmp_path):
     from lumitree.direct.bake import bake_stored
     from lumitree.evaluation.evaluate import evaluate_views
