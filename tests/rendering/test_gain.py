@@ -141,11 +141,10 @@ def test_lamps_of_one_asset_have_gains_of_their_own(mi):
 def test_another_gain_needs_no_reload_and_no_new_kernel(mi, asset):
     import drjit as dr
 
+    # Emitters of scenes that are freed only after the first rendering would change its kernel.
+    gc.collect()
     scene = scene_with(mi, asset)
     params = mi.traverse(scene)
-    render(mi, scene)
-    # Emitters of other scenes that are freed only now would change the kernel of the next image.
-    gc.collect()
     plain = np.array(render(mi, scene))
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         for gain in (GAIN, (0.0, 1.0, 7.0)):
@@ -153,7 +152,9 @@ def test_another_gain_needs_no_reload_and_no_new_kernel(mi, asset):
             params[NAME] = mi.Color3f(*map(float, gain))
             params.update()
             image = np.array(render(mi, scene))
-            kernels = dr.kernel_history([dr.KernelType.JIT])
+            # One of size 1 stores the numbers of the gain, which are a part of it.
+            history = dr.kernel_history([dr.KernelType.JIT])
+            kernels = [kernel for kernel in history if kernel["size"] > 1]
             assert kernels
             assert all(kernel["cache_hit"] for kernel in kernels)
             assert image == pytest.approx(plain * gain, rel=1e-4, abs=1e-5)
