@@ -107,12 +107,14 @@ def bake_network(
 
     Returns:
         The asset (`asset`), its file (`path`), and the error of the irradiance around it
-        (`irradiance`).
+        (`irradiance`). `stopped_by` is the number of a signal that arrived once the asset was
+        complete, or None.
 
     Raises:
         LumitreeError: an argument is out of range; the luminaire cannot be read; the work folder
             holds the state of another bake; or a file cannot be written.
-        Interrupted: SIGINT, SIGTERM or SIGHUP was received. The work folder is kept.
+        Interrupted: SIGINT, SIGTERM or SIGHUP was received before the asset was complete. The work
+            folder is kept.
     """
     check_asset_output(output)
     check_choice("preset", preset, NETWORK_BAKES)
