@@ -4,6 +4,7 @@ Symbols
     tau, T      optical depth and transmittance so far
 """
 
+import functools
 import threading
 import weakref
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from lumitree.core.device import on_device, parameter
 from lumitree.core.frames import LocalFrame, towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.transmittance import BLOCKED, Law, transmittance
+from lumitree.octree.coarse import COARSE_DEPTH, coarsened
 from lumitree.octree.traversal import Octree
 
 # record(recorded, leaf, start, length, active[, emission]) -> recorded: see `Field.integrate`.
@@ -68,6 +70,7 @@ class Field:
         self, asset: FieldData, min_density: float = 0.0, max_opacity: float = 1.0
     ) -> None:
         self.asset = asset
+        self._min_density, self._max_opacity = min_density, max_opacity
         self._blocked = max(1.0 - max_opacity, 0.0 if asset.law == "linear" else BLOCKED)
         children = asset.children
         if min_density > 0:
@@ -81,6 +84,13 @@ class Field:
         self._max_radiance = parameter(mi.Float, asset.max_radiance)
         self._coefficients = on_device(mi.UInt32, packets)
         dr.eval(self._density, self._coefficients)
+
+    @functools.cached_property
+    def coarse(self) -> "Field":
+        """Field of few leaves whose transmittance is about the same (`octree.coarse`)."""
+        if self.asset.tree_depth <= COARSE_DEPTH:
+            return self
+        return Field(coarsened(self.asset, self._min_density), max_opacity=self._max_opacity)
 
     def emission(self, origin: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
         """Emitted radiance L_e (Eq. 3) and transmittance T (Eq. 4) of the line through the proxy.

@@ -2,6 +2,8 @@
 
 from typing import Any, Protocol, runtime_checkable
 
+from lumitree.rendering.placed import Placed
+
 
 @runtime_checkable
 class DeferredEmitter(Protocol):
@@ -12,7 +14,12 @@ class DeferredEmitter(Protocol):
     in three calls that make the same traversal. An integrator that knows this protocol saves both.
     Emitters that do not follow it are used through `mi.Emitter` alone. All quantities are those of
     the methods of `mi.Emitter` and `mi.BSDF` that are named.
+
+    Attributes:
+        placed: its proxy, and where it stands.
     """
+
+    placed: Placed
 
     def sample_target(self, it: Any, sample: Any, active: Any) -> tuple[Any, Any]:
         """First half of `sample_direction`: a direction towards the proxy.
@@ -47,13 +54,14 @@ class DeferredEmitter(Protocol):
         """
         ...
 
-    def eval_with_transmittance(
-        self, si: Any, it: Any, sees: Any, pdf: Any, chance: Any, active: Any
+    def eval_entered(
+        self, ray: Any, distance: Any, it: Any, sees: Any, pdf: Any, chance: Any, active: Any
     ) -> tuple[Any, Any, Any]:
         """`eval`, `eval_null_transmission` and `pdf_direction` in one traversal.
 
         Args:
-            si: mi.SurfaceInteraction3f on the proxy.
+            ray: mi.Ray3f that enters the proxy.
+            distance: mi.Float, from its origin to the proxy.
             it: mi.Interaction3f, the vertex that the ray comes from.
             sees: mi.Bool, whether the ray belongs to an image of the emitter: it comes from the
                 camera, directly or by specular reflections and refractions alone.
@@ -66,5 +74,13 @@ class DeferredEmitter(Protocol):
             mi.Color3f, radiance; mi.Float, transmittance; mi.Float, density with which
             `sample_direction` gives this direction from `it`, 0 if the radiance includes the weight
             of multiple importance sampling.
+        """
+        ...
+
+    def transmittance(self, ray: Any, distance: Any, active: Any) -> Any:
+        """Transmittance (mi.Float) for a shadow ray that enters the proxy.
+
+        Args:
+            ray, distance, active: as for `eval_entered`.
         """
         ...

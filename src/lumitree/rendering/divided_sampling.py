@@ -91,7 +91,7 @@ class DividedSampler(DirectionSampler):
         if not self._asset.num_leaves:
             return radiance, mi.Float(1)
         seen, through = self._field.emission(entry, direction, active & sees)
-        passed = self._field.transmittance(entry, direction, active & ~mi.Bool(sees))
+        passed = self._field.coarse.transmittance(entry, direction, active & ~mi.Bool(sees))
         return dr.select(sees, seen, radiance), dr.select(sees, through, passed)
 
     def pdf(self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True) -> Any:

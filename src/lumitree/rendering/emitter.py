@@ -54,20 +54,26 @@ def emitter_class() -> type:
             line, entering = self.placed.entering_line(si, active)
             return self.gain * self.sampler.look(*line, entering)[0] & entering
 
-        def eval_with_transmittance(self, si, it, sees, pdf, chance, active):
-            line, entering = self.placed.entering_line(si, active)
-            distance = dr.norm(si.p - it.p) / self.placed.scale
-            x = self.placed.local_point(it.p)
-            shows_model = self.placed.shows_model
-            if shows_model:
+        def eval_entered(self, ray, distance, it, sees, pdf, chance, active):
+            placed = self.placed
+            x, (entry, direction) = placed.local_point(it.p), placed.entry(ray, distance)
+            if placed.shows_model:
                 # Images show the model's own shapes, which also hide what is behind them.
-                entering &= ~sees
+                active &= ~sees
+            # Next-event estimation alone finds the light for receivers in the margin.
+            active &= (chance <= 0) | ~placed.in_margin(x)
             radiance, through, density = self.sampler.eval_hit(
-                x, *line, distance, sees, pdf, chance, entering
+                x, entry, direction, dr.norm(entry - x), sees, pdf, chance, active
             )
-            if shows_model:
+            if not placed.dims:
                 through = mi.Float(1)
-            return self.gain * radiance & entering, dr.select(entering, through, 1), density
+            return self.gain * radiance & active, dr.select(active, through, 1), density
+
+        def transmittance(self, ray, distance, active):
+            if not self.placed.dims:
+                return mi.Float(1)
+            line = self.placed.entry(ray, distance)
+            return dr.select(active, self.placed.shadow_field.transmittance(*line, active), 1)
 
         def sample_direction(self, it, sample, active=True):
             placed = self.placed

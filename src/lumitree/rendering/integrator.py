@@ -11,6 +11,10 @@ from the origin, that is no longer small beside it: 0.9 units at a coordinate of
 rectangles are hit with an error of a few units in the last place, so rays leave them from as near
 (`_spawn`); curved shapes and instances, whose hits are less precise, keep Mitsuba's distance.
 
+Proxies are not traced. The integrator traces the other shapes as a scene of their own, and finds
+the proxies that a ray enters by itself (`proxies.DividedScene`). Where a scene cannot be divided, a
+ray crosses a proxy as any null surface.
+
 Where images show the model of a lamp, its shapes are in the scene, and each path gets its light
 once. If all vertices since the camera are specular, a path that enters the lamp's box gets what its
 shapes emit. Otherwise it gets the exitant light field where it enters, and its shapes emit nothing
@@ -29,6 +33,7 @@ import mitsuba as mi
 from lumitree.errors import LumitreeError
 from lumitree.rendering.deferred_emitter import DeferredEmitter
 from lumitree.rendering.model_plugins import CROSSED_STRAIGHT, ModelEmitter
+from lumitree.rendering.proxies import NONE, DividedScene, is_instance
 
 _DEFAULT_RR_DEPTH = 5
 # Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
@@ -54,6 +59,7 @@ def integrator_class() -> type:
             super().__init__(props)
             self.max_depth = int(props.get("max_depth", -1))
             self.rr_depth = int(props.get("rr_depth", _DEFAULT_RR_DEPTH))
+            self._divided = DividedScene()
             if self.max_depth < -1 or self.rr_depth < 1:
                 raise LumitreeError(
                     f"lumitree_path has max_depth {self.max_depth} and rr_depth {self.rr_depth}; "
@@ -63,7 +69,8 @@ def integrator_class() -> type:
         def sample(self, scene, sampler, ray, medium=None, active=True):
             if not scene.emitters():
                 return mi.Color3f(0), scene.ray_test(ray, active), []
-            radiance, valid = _trace(self, scene, sampler, mi.Ray3f(ray), mi.Bool(active))
+            divided = self._divided.of(scene)
+            radiance, valid = _trace(self, scene, *divided, sampler, mi.Ray3f(ray), mi.Bool(active))
             return radiance, valid, []
 
         def to_string(self) -> str:
@@ -73,10 +80,10 @@ def integrator_class() -> type:
 
 
 @dr.syntax
-def _trace(settings, scene, sampler, ray, active):
+def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
     """Radiance along camera rays, and whether they met something (for the film's alpha)."""
     max_depth = mi.UInt32(settings.max_depth % (1 << 32))  # no limit: the largest number
-    sees_null = has_null_surfaces(scene)
+    sees_null = has_null_surfaces(surfaces)
     shows_models = any(isinstance(emitter, ModelEmitter) for emitter in scene.emitters())
     sees_environment = scene.environment() is not None and not settings.hide_emitters
     extent = _extent(scene)
@@ -96,7 +103,7 @@ def _trace(settings, scene, sampler, ray, active):
     # vertex could have found it.
     own, sampled_own = mi.Bool(True), mi.Bool(False)
     active &= depth < max_depth
-    pi = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+    pi = surfaces.ray_intersect_preliminary(ray, coherent=True, active=active)
 
     while active:
         if dr.hint(settings.hide_emitters, mode="scalar"):
@@ -105,10 +112,32 @@ def _trace(settings, scene, sampler, ray, active):
             while hidden:
                 passed = pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
                 ray[hidden] = _spawn(passed, ray.d, extent)
-                pi[hidden] = scene.ray_intersect_preliminary(ray, coherent=True, active=hidden)
+                pi[hidden] = surfaces.ray_intersect_preliminary(ray, coherent=True, active=hidden)
                 crossings[hidden] += 1
                 active &= crossings < _MAX_CROSSINGS
                 hidden &= active & pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711
+
+        # Lamps whose proxies the ray enters before it meets a surface.
+        if dr.hint(proxies.exist, mode="scalar"):
+            entered = mi.Bool(active)
+            if dr.hint(settings.hide_emitters, mode="scalar"):
+                entered &= depth > 0
+            end = dr.select(pi.is_valid(), pi.t, dr.inf)
+            distance, lamp = proxies.first(ray, end, entered)
+            entered &= lamp != NONE
+            while entered:
+                emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), lamp, entered)
+                chance = dr.select(delta, 0, emitter.sampling_weight() * dr.rcp(sampling_weight))
+                emitted, through, emitter_pdf = dr.dispatch(
+                    emitter, _entered, ray, distance, vertex, specular, pdf, chance, entered
+                )
+                emitted *= β * _mis_weight(pdf, emitter_pdf * chance)
+                radiance[entered] += emitted
+                β[entered] *= through
+                own[entered] = specular
+                valid |= entered & (dr.max(emitted) > 0)
+                distance, lamp = proxies.next(ray, distance, lamp, end, entered)
+                entered &= lamp != NONE
 
         si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
         bsdf = si.bsdf(ray)
@@ -153,7 +182,7 @@ def _trace(settings, scene, sampler, ray, active):
         )
         direct = β * value
         estimates &= dr.max(direct) > 0
-        direct *= _visible(scene, si, ds, sees_null, extent, estimates)
+        direct *= _visible(scene, surfaces, proxies, si, ds, sees_null, extent, estimates)
         estimates &= dr.max(direct) > 0
         chance = dr.rcp(emitter_weight)
         weight, ds.pdf = dr.dispatch(
@@ -173,7 +202,9 @@ def _trace(settings, scene, sampler, ray, active):
             ds.pdf *= chance
             found = shows & (ds.pdf > 0)
             value, value_pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), found)
-            direct = β * value * _visible(scene, si, ds, sees_null, extent, found)
+            direct = (
+                β * value * _visible(scene, surfaces, proxies, si, ds, sees_null, extent, found)
+            )
             found &= dr.max(direct) > 0
             direct *= dr.dispatch(shape.emitter(), _own_radiance, ds, found)
             radiance[found] += direct * _mis_weight(ds.pdf, value_pdf) / ds.pdf
@@ -208,7 +239,7 @@ def _trace(settings, scene, sampler, ray, active):
         survives = ~roulette | (sampler.next_1d() < survival)
         β[roulette] *= dr.rcp(survival)
         active = (proxy | scatters) & survives & (brightest != 0) & (crossings < _MAX_CROSSINGS)
-        pi = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+        pi = surfaces.ray_intersect_preliminary(ray, coherent=False, active=active)
 
     return radiance, valid
 
@@ -230,12 +261,38 @@ def _emitted(
     """
     no = mi.Bool(False)
     if isinstance(emitter, DeferredEmitter):
-        hit = emitter.eval_with_transmittance(si, vertex, specular, pdf, chance, active)
+        # Only where the scene is not divided.
+        ray = mi.Ray3f(si.p, -si.to_world(si.wi))
+        entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+        hit = _entered(emitter, ray, mi.Float(0), vertex, specular, pdf, chance, entering)
         return *hit, mi.Bool(True), no
     if isinstance(emitter, ModelEmitter):
         return *_own(emitter.eval_own(si, vertex, ds, active & own), own), no, mi.Bool(True)
     pdf = emitter.pdf_direction(vertex, ds, active)
     return emitter.eval(si, active), mi.Float(1), pdf, no, no
+
+
+def _entered(
+    emitter: Any,
+    ray: Any,
+    distance: Any,
+    vertex: Any,
+    specular: Any,
+    pdf: Any,
+    chance: Any,
+    active: Any,
+) -> tuple[Any, Any, Any]:
+    """Radiance, transmittance and density of a lamp whose proxy a ray enters."""
+    if isinstance(emitter, DeferredEmitter):
+        return emitter.eval_entered(ray, distance, vertex, specular, pdf, chance, active)
+    return mi.Color3f(0), mi.Float(1), mi.Float(0)
+
+
+def _shadow(emitter: Any, ray: Any, distance: Any, active: Any) -> Any:
+    """Transmittance of a lamp whose proxy a shadow ray enters."""
+    if isinstance(emitter, DeferredEmitter):
+        return emitter.transmittance(ray, distance, active)
+    return mi.Float(1)
 
 
 def _own(evaluated: tuple[Any, Any], own: Any) -> tuple[Any, Any, Any]:
@@ -287,19 +344,20 @@ def _eval_target(
 
 
 @dr.syntax
-def _visible(scene, si, ds, sees_null, extent, active):
+def _visible(scene, surfaces, proxies, si, ds, sees_null, extent, active):
     """Transmittance of the way from a surface to a sampled point: 0 behind what is not null."""
     through = mi.Color3f(1)
     # Like Mitsuba's, a shadow ray ends before its goal; and by no less than it starts after its
     # origin, so that rounding does not bring it to the goal.
     margin = dr.maximum(ds.dist * mi.math.ShadowEpsilon, _offset(si, extent))
     ray, active = _spawn_to(si, ds, margin, extent, active)
+    way, wanted = mi.Ray3f(ray), mi.Bool(active)
     if dr.hint(not sees_null, mode="scalar"):
-        through[scene.ray_test(ray, active)] = 0
+        through[surfaces.ray_test(ray, active)] = 0
     else:
         crossings = mi.UInt32(0)
         while active:
-            pi = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+            pi = surfaces.ray_intersect_preliminary(ray, coherent=False, active=active)
             hit = active & pi.is_valid()
             bsdf = pi.shape.bsdf()
             null = hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
@@ -309,6 +367,15 @@ def _visible(scene, si, ds, sees_null, extent, active):
             through[null & (crossings >= _MAX_CROSSINGS)] = 0
             null &= dr.max(through) > 0
             ray[null], active = _spawn_to(crossing, ds, margin, extent, null)
+    if dr.hint(proxies.dim, mode="scalar"):
+        crossed = wanted & (dr.max(through) > 0)
+        distance, lamp = proxies.first(way, way.maxt, crossed)
+        crossed &= lamp != NONE
+        while crossed:
+            emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), lamp, crossed)
+            through[crossed] *= dr.dispatch(emitter, _shadow, way, distance, crossed)
+            distance, lamp = proxies.next(way, distance, lamp, way.maxt, crossed)
+            crossed &= lamp != NONE
     return through
 
 
@@ -351,9 +418,7 @@ def _spawn(si: Any, direction: Any, extent: Any) -> Any:
 def has_null_surfaces(scene: Any) -> bool:
     """Whether light may pass some shape of the scene without being bent."""
     for shape in scene.shapes():
-        bsdf = shape.bsdf()
-        # An instance has no BSDF of its own; what it repeats may have any.
-        if bsdf is None or mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null):
+        if is_instance(shape) or mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null):
             return True
     return False
 

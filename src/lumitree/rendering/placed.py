@@ -5,11 +5,12 @@ from typing import Any, Literal, get_args
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError
-from lumitree.octree.field import FieldData
+from lumitree.octree.field import Field, FieldData
 from lumitree.rendering.opened import open_asset, open_field
 from lumitree.rendering.proxy import make_proxy
 
@@ -54,11 +55,33 @@ class Placed:
         self.shows_model = shows_model(asset, options.get("appearance", "field"))
         scene_from_local = options.get("to_world", np.eye(4)) @ asset.frame.world_from_local
         scale = similarity_scale(scene_from_local, "to_world")
+        self._scale, self._origin = scale, scene_from_local[:3, 3]
+        self._axes = scene_from_local[:3, :3] / scale
         self.scale = mi.Float(scale)
-        self._centre = mi.Point3f(scene_from_local[:3, 3])
-        self._rotation = mi.Matrix3f(scene_from_local[:3, :3] / scale)
+        self._centre = mi.Point3f(self._origin)
+        self._rotation = mi.Matrix3f(self._axes)
         # Opaque: moving a luminaire does not compile new kernels.
         dr.make_opaque(self.scale, self._centre, self._rotation)
+
+    def unit_proxy(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The transform that makes the proxy the cube of [-1, 1]³, or the unit sphere.
+
+        Returns:
+            [3, 3] and [3], M and c, which take a point p of the scene to M (p - c).
+        """
+        margin = MODEL_MARGIN if self.shows_model else 0.0
+        side = self._scale * (np.asarray(self.proxy.shape_scale) + margin)
+        return self._axes.T / side[:, None], self._origin
+
+    @property
+    def dims(self) -> bool:
+        """Whether its field takes away light of what is behind it."""
+        return not self.shows_model and self.asset.num_leaves > 0
+
+    @property
+    def shadow_field(self) -> Field:
+        """Field whose transmittance shadow rays get: of less detail beside an exitant part."""
+        return self.field if self.asset.exitant is None else self.field.coarse
 
     def in_margin(self, point: Any) -> Any:
         """Whether a point of the local frame is inside the proxy of a model."""
@@ -71,6 +94,11 @@ class Placed:
         """Local line of what looks at an interaction with the proxy, and where it enters there."""
         line = self.local_line(si.p, -si.to_world(si.wi))
         return line, active & (mi.Frame3f.cos_theta(si.wi) > 0)
+
+    def entry(self, ray: Any, distance: Any) -> tuple[Any, Any]:
+        """Where a ray of the scene enters the proxy, and its direction, as `local_line`."""
+        origin, direction = self.local_line(ray.o, ray.d)
+        return origin + distance / self.scale * direction, direction
 
     def local_line(self, point: Any, direction: Any) -> tuple[Any, Any]:
         """A point of a scene line and its unit direction of travel, in the local frame."""

@@ -1,0 +1,163 @@
+"""Proxies of baked luminaires, which an integrator tests itself instead of tracing them.
+
+A null shape that every ray may meet costs more time than a lamp's light. Rays are traced in
+packets, and a packet takes as long as its longest ray: one ray that crosses a proxy is traced three
+times. So `DividedScene` divides a scene into its surfaces, which are traced, and its proxies, which
+are few and need no acceleration structure.
+"""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from lumitree.core.device import on_device
+from lumitree.rendering.deferred_emitter import DeferredEmitter
+from lumitree.rendering.plugin_objects import make_object
+from lumitree.rendering.proxy import SphereProxy, safe_inverse, slab
+
+# What stands for no emitter.
+NONE = 0xFFFFFFFF
+# Numbers of a proxy on the device: a point, a matrix, and whether it is a sphere.
+_NUMBERS = 13
+
+
+class Proxies:
+    """The proxies of the baked luminaires of a scene.
+
+    Args:
+        emitters: `mi.Scene.emitters()`; those that are no `DeferredEmitter` are left out.
+    """
+
+    def __init__(self, emitters: list[Any]) -> None:
+        rows, indices, dims = [], [], False
+        for index, emitter in enumerate(emitters):
+            if isinstance(emitter, DeferredEmitter):
+                matrix, centre = emitter.placed.unit_proxy()
+                is_sphere = isinstance(emitter.placed.proxy, SphereProxy)
+                rows.append([*centre, *matrix.ravel(), is_sphere])
+                indices.append(index)
+                dims |= emitter.placed.dims
+        # Whether there are any, and whether any has a transmittance below 1.
+        self.exist, self.dim = bool(rows), dims
+        if rows:
+            # On the device: numbers of lamps do not compile new kernels.
+            self._count = dr.opaque(mi.UInt32, len(rows))
+            self._rows = on_device(mi.Float, np.array(rows))
+            self._indices = on_device(mi.UInt32, np.array(indices))
+
+    def first(self, ray: Any, end: Any, active: Any) -> tuple[Any, Any]:
+        """As `next`, for the first proxy on a ray."""
+        return self.next(ray, mi.Float(0), mi.UInt32(NONE), end, active)
+
+    @dr.syntax
+    def next(self, ray: Any, after: Any, last: Any, end: Any, active: Any) -> tuple[Any, Any]:
+        """The proxy that a ray enters next. A ray does not enter a proxy in which it starts.
+
+        Args:
+            ray: mi.Ray3f.
+            after, last: what was returned for the proxy before.
+            end: mi.Float, distance at which the ray ends.
+            active: mi.Bool mask.
+
+        Returns:
+            mi.Float, distance from the origin of the ray; and mi.UInt32, index of the emitter in
+            the scene, `NONE` where there is no further proxy.
+        """
+        distance, found = mi.Float(end), dr.full(mi.UInt32, NONE, dr.width(end))
+        proxy = mi.UInt32(0)
+        while active & (proxy < self._count):
+            entry, enters = self._enter(proxy, ray, active)
+            index = dr.gather(mi.UInt32, self._indices, proxy, active)
+            # Proxies that are entered at the same distance come in the order of their emitters.
+            enters &= (entry > after) | ((entry == after) & (last != NONE) & (index > last))
+            enters &= entry < distance
+            distance[enters] = entry
+            found[enters] = index
+            proxy += 1
+        return distance, found
+
+    def _enter(self, proxy: Any, ray: Any, active: Any) -> tuple[Any, Any]:
+        """Distance at which a ray enters a proxy, and whether it does."""
+        first = proxy * _NUMBERS
+        values = [dr.gather(mi.Float, self._rows, first + i, active) for i in range(_NUMBERS)]
+        matrix, is_sphere = mi.Matrix3f(*values[3:12]), values[12] > 0
+        # In these coordinates the proxy is the cube of [-1, 1]³, or the unit sphere.
+        o, d = mi.Vector3f(matrix @ (ray.o - mi.Point3f(*values[:3]))), matrix @ ray.d
+        near, far = slab(-o, mi.Vector3f(1), safe_inverse(d))
+        inverse_square = dr.rcp(dr.squared_norm(d))
+        middle = -dr.dot(o, d) * inverse_square
+        off_axis = dr.squared_norm(o + middle * d)
+        sphere_entry = middle - dr.safe_sqrt((1 - off_axis) * inverse_square)
+        entry = dr.select(is_sphere, sphere_entry, dr.max(near))
+        crosses = dr.select(is_sphere, off_axis < 1, dr.max(near) <= dr.min(far))
+        return entry, active & crosses & (entry > 0)
+
+
+class DividedScene:
+    """The surfaces of a scene as a scene of their own, and its proxies.
+
+    An integrator keeps one, so that the surfaces' acceleration structure is built once. It holds
+    the shapes of the scene but not the scene, which may hold the integrator.
+    """
+
+    def __init__(self) -> None:
+        self._shapes: list[Any] | None = None
+        self._geometry: list[list[Any]] = []
+        self._surfaces: Any = None
+
+    def of(self, scene: Any) -> tuple[Any, Proxies]:
+        """What rays of a scene (mi.Scene) are traced against, and the proxies that it leaves out.
+
+        The scene itself and no proxies, if it has none or cannot be divided: under OptiX one kernel
+        traces one scene, and instances belong to the scene that they were loaded with.
+        """
+        shapes = scene.shapes()
+        surfaces = [s for s in shapes if not isinstance(s.emitter(), DeferredEmitter)]
+        on_gpu = dr.backend_v(mi.Float) == dr.JitBackend.CUDA
+        if len(surfaces) == len(shapes) or on_gpu or any(map(is_instance, surfaces)):
+            return scene, Proxies([])
+        geometry = [_geometry(shape) for shape in surfaces]
+        same = surfaces == self._shapes and all(map(_same, geometry, self._geometry))
+        if not same:
+            described: dict[str, Any] = {f"shape_{i}": shape for i, shape in enumerate(surfaces)}
+            emitters = [shape.emitter() for shape in surfaces if shape.is_emitter()]
+            if emitters and not any(emitter.sampling_weight() for emitter in emitters):
+                # Mitsuba accepts no scene whose emitters are never sampled. Nothing is asked of it.
+                described["light"] = make_object("point", {})
+            # Not by `load_dict`, which would rename the shapes.
+            self._surfaces = make_object("scene", described)
+            self._shapes, self._geometry = surfaces, geometry
+        return self._surfaces, Proxies(scene.emitters())
+
+
+def is_instance(shape: Any) -> bool:
+    """Whether a shape repeats others, whose BSDFs it does not tell."""
+    return shape.class_name() == "Instance"
+
+
+def _geometry(shape: Any) -> list[Any]:
+    """The parameters of a shape itself, without those of its BSDF and its emitter."""
+    parameters = mi.traverse(shape)
+    values = (parameters[name] for name in parameters.properties if "." not in name)
+    # Mitsuba returns references to some values, which change with the shape.
+    return [type(value)(value) for value in values]
+
+
+def _same(first: list[Any], second: list[Any]) -> bool:
+    """Whether two lists of `_geometry` have the same numbers."""
+    return all(map(_equal, first, second))
+
+
+def _equal(first: Any, second: Any) -> bool:
+    # Arrays of equal index are one array, which is not changed as long as both refer to it.
+    if _indices(first) == _indices(second) != []:
+        return True
+    first, second = (getattr(each, "matrix", each) for each in (first, second))
+    return np.array_equal(np.array(first), np.array(second))
+
+
+def _indices(value: Any) -> list[int]:
+    """Indices of the arrays of a value, as `mitsuba.SceneParameters` compares them."""
+    return dr.detail.collect_indices(value)
