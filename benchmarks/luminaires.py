@@ -16,14 +16,13 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from benchmarks.common.lamps import add_luminaires, sources
 from benchmarks.common.options import add_pixels, add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.common.timing import Job, interleaved, ratios
-from lumitree.builtin.registry import BUILTIN
 from lumitree.luminaire.source import LuminaireSource
 
-OVERRIDES = Path(__file__).parents[1] / "examples" / "overrides"
 PATHS = 1 << 20  # of the flux, and of what short paths miss
 BASELINE = "plain cube"
 PLAIN_CUBE = (
@@ -31,16 +30,6 @@ PLAIN_CUBE = (
     '<rgb name="radiance" value="1"/></emitter></shape></scene>'
 )
 PATH_DEPTHS = (32, 64, 128)
-# File, overrides, and metres in a unit of what is loaded.
-DATA = (
-    ("scopia_chandelier/luminaire.xml", None, 0.01),
-    ("scopia_chandelier/original/chandelier-lamp.obj", "chandelier-lamp.toml", 1.0),
-    ("megeon_chandelier/luminaire.xml", None, 0.01),
-    ("megeon_chandelier/original/lamp2.obj", "lamp2.toml", 1.0),
-    ("little_lamp/luminaire.xml", None, 0.1),
-    ("barn_lamp/AnisotropyBarnLamp.gltf", None, 1.0),
-    ("stained_glass_lamp/StainedGlassLamp.gltf", "stained_glass_lamp.toml", 1.0),
-)
 
 
 def measure(
@@ -123,20 +112,8 @@ def table(rows: list[dict]) -> Table:
     return Table(heads, lines)
 
 
-def sources(names: list[str], data: Path | None) -> list[tuple[LuminaireSource, float]]:
-    """What to measure, and the metres in a unit of each."""
-    found = [(LuminaireSource(name), 1.0) for name in names]
-    if data is None:
-        return found
-    for file, overrides, unit in DATA:
-        materials = None if overrides is None else str(OVERRIDES / overrides)
-        found.append((LuminaireSource(str(data / file), materials=materials), unit))
-    return found
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("luminaires", metavar="LUMINAIRE", nargs="*", default=list(BUILTIN))
-    parser.add_argument("--data", metavar="FOLDER", type=Path, help="with the luminaires of others")
+    add_luminaires(parser)
     add_pixels(parser, "--resolution", 192, 32)
     add_seed(parser)
 

@@ -1,0 +1,253 @@
+"""What lamps cost in a room, against an emissive sphere and against the explicit lamps.
+
+    python -m benchmarks illumination [--data FOLDER] [--assets FOLDER] [LUMINAIRE ...]
+
+Each luminaire hangs in the demonstration's room, in turn as an emissive sphere of the same flux
+(the baseline), as explicit geometry, as an asset with an exitant light field alone, and as one with
+a model. Writes `illumination.md` and `illumination.json`: the bake (seconds, bytes, irradiance error,
+decision 14); CPU time of a sample over the sphere's and over the explicit lamp's; variance of the
+pixels that show diffuse surfaces, relative to their squared mean and without the 0.1 % of largest,
+over the sphere's; and the product of time and variance.
+
+Without a name, all built-in luminaires; `--data` adds those of a folder.
+"""
+
+import argparse
+import math
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.common.lamps import add_luminaires, sources
+from benchmarks.common.options import add_pixels, add_seed
+from benchmarks.common.results import Results, notes
+from benchmarks.common.tables import Table
+from benchmarks.common.timing import Job, interleaved, ratios
+from benchmarks.equal_error.error_against_time import trimmed_mean
+from lumitree.luminaire.source import LuminaireSource
+
+PATH_DEPTH = 8
+BASELINE = "sphere"
+LAMPS = ("explicit", "exitant", "model")
+# Rays of a pixel, a side, that tell whether it shows diffuse surfaces alone.
+STRATA = 4
+
+
+def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) -> dict:
+    """A row of the table.
+
+    Args:
+        source: the luminaire.
+        path: of its asset, which is baked where it is missing.
+    """
+    import lumitree
+
+    made = None
+    if not path.exists():
+        made = lumitree.bake(source, path, parts=("exitant", "model"), seed=options.seed)
+    asset = lumitree.load(path)
+    scenes = rooms(source, asset, options.width)
+    mask = shows_diffuse(asset, options.width)
+    times, variances = render(scenes, mask, options)
+    over_sphere, product = ratios(times, BASELINE), {}
+    for name in scenes:
+        product[name] = over_sphere[name] * variances[name] / variances[BASELINE]
+    row = {
+        "luminaire": asset.luminaire,
+        "bytes": path.stat().st_size,
+        "diffuse_share": float(mask.mean()),
+        "seconds_per_sample": {name: times[name] / options.spp for name in scenes},
+        "relative_variance": variances,
+        "time_over_sphere": over_sphere,
+        "time_over_explicit": ratios(times, "explicit"),
+        "product_over_sphere": product,
+    }
+    if made is not None:
+        row |= {"bake_seconds": made.seconds, "irradiance": made.irradiance}
+    return row
+
+
+def rooms(source: LuminaireSource, asset: Any, width: int) -> dict[str, tuple[Any, str]]:
+    """Scene and type of integrator, by what hangs in the room."""
+    from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.rendering.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
+
+    def placed(what: Any, **options: Any) -> Any:
+        lamp = Placement(what, at=LAMP_CENTRE, size=LAMP_SIZE)
+        return place_luminaires(demo_room(width), [PlacedLuminaire(lamp)], **options)
+
+    has_media = load_luminaire(source).has_media
+    scenes = {
+        BASELINE: (sphere_room(asset, width), "lumitree_path"),
+        "explicit": (placed(source), "volpath" if has_media else "lumitree_path"),
+        "exitant": (placed(asset), "lumitree_path"),
+    }
+    if asset.model is not None:
+        scenes["model"] = placed(asset, appearance="model"), "lumitree_path"
+    return scenes
+
+
+def sphere_room(asset: Any, width: int) -> Any:
+    """The room with a sphere that emits the same flux, evenly.
+
+    Its radius is the geometric mean of the half extents of the lamp's box.
+    """
+    import mitsuba as mi
+
+    from lumitree.asset.exitant import unpack
+    from lumitree.core.octahedral import solid_angles
+    from lumitree.rendering.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
+
+    field, half = asset.exitant, asset.frame.half_extents
+    intensity = unpack(field.dense(field.intensity)) * field.scale
+    weights = solid_angles(field.resolution)[None, :, None]
+    scale = LAMP_SIZE / (2 * float(half.max()))
+    flux = (intensity * weights).sum(axis=(0, 1)) * scale**2
+    radius = float(half.prod() ** (1 / 3)) * scale
+    radiance = flux / (4 * math.pi**2 * radius**2)
+    room = demo_room(width)
+    objects: dict[str, Any] = {f"shape_{i}": shape for i, shape in enumerate(room.shapes())}
+    objects |= {
+        "sensor": room.sensors()[0],
+        "lamp": {
+            "type": "sphere",
+            "center": list(LAMP_CENTRE),
+            "radius": radius,
+            "bsdf": {"type": "diffuse", "reflectance": 0.0},
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance.tolist()}},
+        },
+    }
+    return mi.load_dict({"type": "scene", **objects})
+
+
+def shows_diffuse(asset: Any, width: int) -> NDArray[np.bool_]:
+    """Mask [H, W] of the pixels that show diffuse surfaces of the room alone."""
+    import drjit as dr
+    import mitsuba as mi
+
+    from lumitree.core.device import on_device
+    from lumitree.rendering.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
+    from lumitree.rendering.proxy import safe_inverse, slab
+
+    room = demo_room(width)
+    sensor = room.sensors()[0]
+    width, height = sensor.film().size()
+    steps = [np.arange(n * STRATA) for n in (height, width)]
+    y, x = np.meshgrid(*((step + 0.5) / len(step) for step in steps), indexing="ij")
+    position = on_device(mi.Point2f, np.stack([x.ravel(), y.ravel()], axis=1))
+    ray, _ = sensor.sample_ray(0, 0.5, position, mi.Point2f(0.5))
+    si = room.ray_intersect(ray)
+    flags = si.bsdf().flags()
+    other = mi.BSDFFlags.Glossy | mi.BSDFFlags.Delta
+    half = asset.frame.half_extents * LAMP_SIZE / (2 * float(asset.frame.half_extents.max()))
+    delta = mi.Vector3f(mi.Point3f(*LAMP_CENTRE) - ray.o)
+    near, far = slab(delta, mi.Vector3f(*half.tolist()), safe_inverse(ray.d))
+    meets_lamp = (dr.max(near) <= dr.min(far)) & (dr.max(near) < si.t)
+    good = ~meets_lamp & ((flags & other) == 0) & ~si.shape.is_emitter()
+    shape = height, STRATA, width, STRATA
+    return np.asarray(np.array(good).reshape(shape).all(axis=(1, 3)), np.bool_)
+
+
+def render(
+    scenes: dict[str, tuple[Any, str]], mask: NDArray[np.bool_], options: argparse.Namespace
+) -> tuple[dict[str, float], dict[str, float]]:
+    """CPU seconds of a pass, and relative variance of a sample in the pixels of the mask."""
+    import mitsuba as mi
+
+    from lumitree.rendering.scene import render_scene
+
+    passes: dict[str, list[Any]] = {name: [] for name in scenes}
+
+    def job(name: str) -> Job:
+        scene, kind = scenes[name]
+        integrator = mi.load_dict({"type": kind, "max_depth": PATH_DEPTH})
+
+        def take(index: int) -> None:
+            seed = options.seed + index
+            passes[name].append(render_scene(scene, integrator, options.spp, seed=seed)[mask])
+
+        return lambda index: lambda: take(index)
+
+    times = interleaved({name: job(name) for name in scenes}, options.passes, clock="cpu")
+    variances = {}
+    for name, images in passes.items():
+        # The first pass compiles kernels, but is an image as any.
+        grey = np.mean(images, axis=-1)
+        relative = grey.var(axis=0, ddof=1) * options.spp / grey.mean(axis=0) ** 2
+        variances[name] = trimmed_mean(relative[None, :, None])
+    return times, variances
+
+
+def table(rows: list[dict]) -> Table:
+    """A line for each luminaire, and one of geometric means."""
+    heads = ["luminaire", "bake", "MB", "ratio of a face", "RMS, mean", "worst", "touching"]
+    heads += [f"time / explicit: {name}" for name in LAMPS[1:]]
+    heads += [f"product / sphere: {name}" for name in LAMPS]
+    lines = [[row["luminaire"], *_bake_cells(row), *_cells(row)] for row in rows]
+    columns = [
+        [v for v in column if v is not None] for column in zip(*map(_values, rows), strict=True)
+    ]
+    means = [f"{math.exp(np.mean(np.log(column))):.2f}" if column else "-" for column in columns]
+    return Table(heads, [*lines, ["geometric mean", *[""] * 6, *means]])
+
+
+def _bake_cells(row: dict) -> list[str]:
+    size = f"{row['bytes'] / 1e6:.1f}"
+    if row.get("irradiance") is None:
+        return ["", size, "", "", "", ""]
+    seconds, found = row["bake_seconds"]["exitant"], row["irradiance"]
+    faces = found["faces"].values()
+    cube = [face for name, face in found["faces"].items() if name != "touching"]
+    ratio = [face["ratio"] for face in cube]
+    rms = [face["rms"] for face in faces]
+    return [
+        f"{seconds:.0f} s",
+        size,
+        f"{min(ratio):.3f} to {max(ratio):.3f}",
+        f"{found['irradiance_rms']:.1%}",
+        f"{max(rms):.1%}",
+        f"{found['irradiance_rms_touching']:.1%}",
+    ]
+
+
+def _values(row: dict) -> list[float | None]:
+    explicit, product = row["time_over_explicit"], row["product_over_sphere"]
+    return [explicit.get(name) for name in LAMPS[1:]] + [product.get(name) for name in LAMPS]
+
+
+def _cells(row: dict) -> list[str]:
+    return ["-" if value is None else f"{value:.2f}" for value in _values(row)]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    add_luminaires(parser)
+    parser.add_argument(
+        "--assets", type=Path, metavar="FOLDER", help="where assets are kept (default: nowhere)"
+    )
+    parser.add_argument("--passes", type=int, default=5, help="of each image, at least 5")
+    add_pixels(parser, "--width", 320, 16)
+    add_seed(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    results = Results(options, path_depth=PATH_DEPTH, baseline="emissive sphere", clock="cpu")
+    rows: list[dict] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = options.assets or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        for source, _ in sources(options.luminaires, options.data):
+            path = Path(source.name)
+            name = path.stem if path.suffix == "" else f"{path.parent.name}-{path.stem}"
+            rows.append(measure(source, folder / f"{name}.lumitree", options))
+            # After every row: all of them take minutes.
+            facts = results.setting()
+            text = f"# Illumination of a room\n\n{table(rows).markdown()}\n{notes(facts)}"
+            results.write({"setting": facts, "luminaires": rows}, text)
+            print(f"measured {name}", file=sys.stderr)
+    print(table(rows).text())
