@@ -212,6 +212,7 @@ class BSDFFlags:
     Transmission: _Flag
     Delta: _Flag
     DeltaTransmission: _Flag
+    Glossy: _Flag
     Smooth: _Flag
     FrontSide: _Flag
     BackSide: _Flag
