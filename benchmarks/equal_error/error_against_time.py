@@ -13,6 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
+from lumitree.core.images import srgb_from_linear
+from lumitree.model.photometry import LUMENS_PER_WATT, luminance
+
 Floats = NDArray[np.floating]
 Kind = Literal["measured", "extrapolated"]
 
@@ -63,6 +66,24 @@ def trimmed_mean(squares: Floats, share: float = TRIMMED_SHARE) -> float:
     """
     pixels = np.sort(squares.mean(axis=-1).ravel())
     return float(pixels[: len(pixels) - round(share * len(pixels))].mean())
+
+
+def display_rmse(images: Floats, reference: Floats) -> Floats:
+    """RMSE of images as they are looked at, on the scale of 8 bits, 0 to 255 (decision 15).
+
+    Both are exposed so that the median luminance of the reference is 0.18, clipped at 1, and
+    encoded as sRGB.
+
+    Args:
+        images: [R, H, W, 3] linear radiance.
+        reference: [H, W, 3].
+
+    Returns:
+        [R]
+    """
+    exposure = 0.18 * LUMENS_PER_WATT / float(np.median(luminance(reference)))
+    encoded, goal = (srgb_from_linear(exposure * each) for each in (images, reference))
+    return 255 * np.sqrt(((encoded - goal) ** 2).mean(axis=(1, 2, 3)))
 
 
 def noise(batches: Floats, weights: Floats | float = 1.0) -> Estimate:

@@ -32,8 +32,11 @@ class Method:
         room, _ = load_scene(pair.room)
         set_film_width(room, options.width)
         source = pair.asset if baked else pair.luminaire
+        # Images show the model of a lamp, if its asset has one.
         scene = place_luminaires(
-            room, [PlacedLuminaire(Placement(source, at=pair.at, size=pair.size))]
+            room,
+            [PlacedLuminaire(Placement(source, at=pair.at, size=pair.size))],
+            appearance="model",
         )
         mi = load_mitsuba()
         if baked:

@@ -8,6 +8,7 @@ from benchmarks.equal_error.error_against_time import (
     Estimate,
     Floats,
     Pace,
+    display_rmse,
     noise,
     relative_weights,
     time_to_reach,
@@ -15,6 +16,8 @@ from benchmarks.equal_error.error_against_time import (
 )
 
 PAPER_SAMPLES = 32
+# `rmse_display` that the paper's equal-quality comparison ends at (its Table 5).
+DISPLAY_LEVELS = (8.0, 5.0, 2.7)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,6 +105,65 @@ def levels(
         row |= _measured(rung, explicit, "rmse", reference.own.value**0.5, "measured")
         row |= _measured(rung, explicit, "trimmed_rel_mse", reference.own_trimmed, "robust")
     return rows
+
+
+def display_rows(
+    explicit: tuple[list[dict], Floats, float], baked: tuple[list[dict], Floats, float], clock: str
+) -> tuple[dict[str, list[dict]], float]:
+    """`rmse_display` of both ladders and of both long runs, and that of the reference.
+
+    The reference is the explicit lamp's long run. Its own error is half the difference between the
+    means of its odd and its even batches, and is subtracted from all others. The last explicit
+    image is the mean of every second batch: its error is that difference over √2.
+
+    Args:
+        explicit, baked: rungs, batches [K, H, W, 3] of the long run, and its seconds.
+    """
+    halves = explicit[1][0::2].mean(0), explicit[1][1::2].mean(0)
+    reference = explicit[1].mean(0)
+    difference = float(display_rmse(halves[0][None], halves[1])[0])
+    own = difference / 2
+    rows = {}
+    for name, (rungs, batches, seconds) in (("explicit", explicit), ("baked", baked)):
+        rows[name] = [
+            {
+                "seconds": float(np.median(rung["seconds"][clock])),
+                "rmse": _without(display_rmse(rung["images"], reference), own),
+            }
+            for rung in rungs
+        ]
+        last = {
+            "seconds": seconds,
+            "rmse": _without(display_rmse(batches.mean(0)[None], reference), own),
+        }
+        if name == "explicit":
+            last = {"seconds": seconds / 2, "rmse": difference / np.sqrt(2)}
+        rows[name].append(last)
+    return rows, own
+
+
+def _without(errors: Floats, own: float) -> float:
+    """Root of the mean of squared errors, without that of the reference."""
+    return float(np.sqrt(max((errors**2).mean() - own**2, 0.0)))
+
+
+def display_levels(rows: dict[str, list[dict]], own: float) -> list[dict]:
+    """Seconds of both methods for each of `DISPLAY_LEVELS`, and the speed-up.
+
+    None for levels below the reference's own error.
+    """
+    found = []
+    for level in DISPLAY_LEVELS:
+        row: dict = {"level": level, "speedup": None}
+        if level > own:
+            for name, points in rows.items():
+                points = sorted(points, key=lambda point: point["seconds"])
+                seconds = np.array([point["seconds"] for point in points])
+                errors = np.array([max(point["rmse"], 1e-9) for point in points])
+                row[name], row[f"{name}_kind"] = time_to_reach(level, seconds, errors)
+            row["speedup"] = row["explicit"] / row["baked"]
+        found.append(row)
+    return found
 
 
 def expected_levels(counts: list[int], explicit: Pace, baked: Pace, floor: float) -> list[dict]:

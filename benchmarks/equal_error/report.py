@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from benchmarks.common.tables import Table
+from benchmarks.equal_error.readings import DISPLAY_LEVELS
 from lumitree.core.files import atomic_path
 from lumitree.core.images import tonemap
 
@@ -78,6 +79,31 @@ def level_table(rows: list[dict], part: str | None = None) -> Table:
         cells = [_level(known.get(count)) for count in counts]
         lines.append([row["luminaire"], row["room"], *cells])
     return Table(["luminaire", "room", *(f"{count} spp" for count in counts)], lines, left=2)
+
+
+def display_table(rows: list[dict]) -> Table:
+    """Times at the levels of `rmse_display`, and the speed-up."""
+    rows = [row for row in rows if "display" in row]
+    lines = [
+        [
+            row["luminaire"],
+            row["room"],
+            *(_display(level) for level in row["display"]["levels"]),
+            f"{row['display']['reference']:.2g}",
+        ]
+        for row in rows
+    ]
+    heads = ["luminaire", "room", *(f"at {level:g}" for level in DISPLAY_LEVELS), "reference"]
+    return Table(heads, lines, left=2)
+
+
+def _display(level: dict) -> str:
+    if level["speedup"] is None:
+        return "below the reference's error"
+    beyond = "~" if level["explicit_kind"] == "extrapolated" else ""
+    short = ">" if level["baked_kind"] == "extrapolated" else ""
+    seconds = f"{_seconds(level['explicit'])} / {short}{_seconds(level['baked'])}"
+    return f"{beyond}{_times(level['speedup'])} ({seconds})"
 
 
 def _level(level: dict | None) -> str:

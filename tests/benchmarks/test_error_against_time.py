@@ -6,6 +6,7 @@ import pytest
 from benchmarks.equal_error.error_against_time import (
     Estimate,
     Pace,
+    display_rmse,
     noise,
     ratio_of_means,
     relative_weights,
@@ -157,3 +158,16 @@ def test_trimming_leaves_out_the_worst_of_each_picture():
     assert kept.sum() == 998
     assert not kept[3, 4]
     assert not kept[5, 6]
+
+
+def test_display_rmse_is_that_of_what_a_screen_shows():
+    """Clipped pixels do not differ, and radiance has no unit."""
+    reference = np.full((4, 4, 3), 0.5)
+    reference[0, 0] = 100.0
+    image = np.array([reference, 2 * reference])
+    image[0, 0, 0] = 5.0
+    found = display_rmse(image, reference)
+    assert found[0] == 0
+    # 0.18 and 0.36 are 118.0 and 162.2 in sRGB; the bright pixel is white in both.
+    assert found[1] == pytest.approx(np.sqrt(15 / 16) * 44.2, rel=0.01)
+    assert display_rmse(7 * image, 7 * reference) == pytest.approx(found, rel=1e-6)
