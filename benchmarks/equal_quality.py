@@ -199,9 +199,8 @@ def compare(pair: Pair, explicit: Method, baked: Method, clock: ClockName) -> di
             ("lit_robust", relative * lit * trimming(*noisy)),
         )
     }
-    display, own = display_rows(
-        *((m.rungs, m.long.batches, m.long.seconds[clock]) for m in (explicit, baked)), clock
-    )
+    runs = [(m.rungs, m.long.batches, m.long.seconds[clock]) for m in (explicit, baked)]
+    display, own = display_rows(runs[0], runs[1], clock)
     saved = (best["explicit_seconds"] or 0.0) - best["baked_seconds"]
     means = ratio_of_means(baked.long.batches, explicit.long.batches)
     rel_mse = squared_difference(baked.long.batches, explicit.long.batches, reference.weights)
