@@ -72,7 +72,7 @@ def display_rmse(images: Floats, reference: Floats) -> Floats:
     """RMSE of images as they are looked at, on the scale of 8 bits, 0 to 255 (decision 15).
 
     Both are exposed so that the median luminance of the reference is 0.18, clipped at 1, and
-    encoded as sRGB.
+    encoded as sRGB. Pixels that are black in the reference do not count for the median.
 
     Args:
         images: [R, H, W, 3] linear radiance.
@@ -81,7 +81,8 @@ def display_rmse(images: Floats, reference: Floats) -> Floats:
     Returns:
         [R]
     """
-    exposure = 0.18 * LUMENS_PER_WATT / float(np.median(luminance(reference)))
+    seen = luminance(reference)
+    exposure = 0.18 * LUMENS_PER_WATT / float(np.median(seen[seen > 0]))
     encoded, goal = (srgb_from_linear(exposure * each) for each in (images, reference))
     return 255 * np.sqrt(((encoded - goal) ** 2).mean(axis=(1, 2, 3)))
 
