@@ -15,6 +15,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 if TYPE_CHECKING:
     from lumitree.api.baking import bake, refine
     from lumitree.api.luminaires import builtin_luminaires, load_luminaire
+    from lumitree.api.many import BakedLamp, BakeManyResult, bake_many
     from lumitree.api.merging import merge
     from lumitree.api.network import bake_network, capture, extract, train
     from lumitree.api.photometry import photometry
@@ -48,7 +49,9 @@ __version__ = "0.1.0"
 _HOMES = {
     "Asset": "asset.asset",
     "AssetInfo": "asset.asset",
+    "BakeManyResult": "api.many",
     "BakeResult": "api.results",
+    "BakedLamp": "api.many",
     "CaptureResult": "api.results",
     "Estimate": "goniophotometry.figures",
     "EvaluateResult": "api.results",
@@ -66,6 +69,7 @@ _HOMES = {
     "Result": "api.results",
     "TrainResult": "api.results",
     "bake": "api.baking",
+    "bake_many": "api.many",
     "bake_network": "api.network",
     "builtin_luminaires": "api.luminaires",
     "capture": "api.network",
@@ -86,7 +90,9 @@ _HOMES = {
 __all__ = [
     "Asset",
     "AssetInfo",
+    "BakeManyResult",
     "BakeResult",
+    "BakedLamp",
     "CaptureResult",
     "Estimate",
     "EvaluateResult",
@@ -108,6 +114,7 @@ __all__ = [
     "Result",
     "TrainResult",
     "bake",
+    "bake_many",
     "bake_network",
     "builtin_luminaires",
     "capture",

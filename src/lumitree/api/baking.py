@@ -3,7 +3,7 @@
 import dataclasses
 import warnings
 from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from lumitree.api.files import FilePath, open_work_folder
 from lumitree.api.finishing import finish_bake
@@ -22,7 +22,7 @@ from lumitree.core.dataset import Dataset
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.transmittance import Law
 from lumitree.core.work_folder import WorkFolder
-from lumitree.direct.config import QUALITIES
+from lumitree.direct.config import QUALITIES, DirectConfig
 from lumitree.errors import LumitreeError, LumitreeWarning, explained
 from lumitree.exitant.config import EXITANT_QUALITIES
 from lumitree.exitant.saved_field import EXITANT_STATE
@@ -129,16 +129,16 @@ def bake(
     """
     if output is not None:
         check_asset_output(output)
-    check_choice("quality", quality, get_args(Quality))
-    for part in parts:
-        check_choice("part", part, PARTS)
-    if not set(parts) - {"model"}:
-        raise LumitreeError(
-            f"parts are {', '.join(parts) or 'none'}; expected exitant, field or both, and model"
-        )
-    paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS[quality])
-    config = QUALITIES[quality].with_options(
-        tree_depth=tree_depth, l_max=l_max, law=law, seconds=time, rays=rays, seed=seed
+    config, paths = check_bake(
+        quality=quality,
+        time=time,
+        rays=rays,
+        tree_depth=tree_depth,
+        l_max=l_max,
+        law=law,
+        parts=parts,
+        irradiance_paths=irradiance_paths,
+        seed=seed,
     )
     load_mitsuba(variant)
     if is_photometric_file(luminaire):
@@ -182,6 +182,36 @@ def bake(
                 return result
         job = lambda: direct.bake(lamp, config, at.path)  # noqa: E731
         return _finish(output, work, at, job, exitant, model, watch, lamp, paths)
+
+
+def check_bake(
+    *,
+    quality: Quality,
+    parts: Collection[Part],
+    irradiance_paths: int | None,
+    time: float | None,
+    **settings: Any,
+) -> tuple[DirectConfig, int]:
+    """Check arguments of `bake`.
+
+    Args:
+        settings: `rays`, `tree_depth`, `l_max`, `law` and `seed`.
+
+    Returns:
+        Settings of the direct bake, and the number of light paths of the comparison.
+
+    Raises:
+        LumitreeError: an argument is out of range.
+    """
+    check_choice("quality", quality, get_args(Quality))
+    for part in parts:
+        check_choice("part", part, PARTS)
+    if not set(parts) - {"model"}:
+        raise LumitreeError(
+            f"parts are {', '.join(parts) or 'none'}; expected exitant, field or both, and model"
+        )
+    paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS[quality])
+    return QUALITIES[quality].with_options(seconds=time, **settings), paths
 
 
 def _stored_model(lamp: "Luminaire") -> AssetModel | None:

@@ -25,7 +25,7 @@ from lumitree.cli.options import Parser
 from lumitree.cli.output import LONGEST_LINE
 from lumitree.core.backend import quieten
 from lumitree.core.interrupt import interruptible, interruption_behind
-from lumitree.errors import LumitreeError, LumitreeWarning, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 
 DEBUG = "LUMITREE_DEBUG"
 # Options whose values may begin with a minus sign, which argparse would parse as an option.
@@ -85,7 +85,15 @@ def _status(result: Any) -> int:
     """Exit status of a command that has returned; prints one line if it was interrupted."""
     number = getattr(result, "stopped_by", None)
     if number is None:
-        return 0
+        failed = getattr(result, "failed", ())
+        if not failed:
+            return 0
+        names = shown_names(lamp.name for lamp in failed)
+        return _fail(
+            f"{len(failed)} of {len(result.lamps)} lamps failed ({names}); the same command keeps "
+            "the others and tries again",
+            2,
+        )
     path = getattr(result, "path", None)
     best = f"the best asset so far is in {path}; " if path is not None else ""
     return _fail(f"interrupted; {best}the same command continues", 128 + number)

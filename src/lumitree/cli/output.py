@@ -1,5 +1,6 @@
 """Printing of results."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from lumitree.errors import shown
@@ -58,6 +59,18 @@ def print_metrics(report: dict[str, Any]) -> None:
         if report[name] is not None:
             label = "contact sheet" if name == "sheet" else "irradiance"
             print(f"{label}: {shown(report[name], LONGEST_LINE)}")
+
+
+def print_lamps(lamps: Sequence[Any]) -> None:
+    """Print one line per `BakedLamp`."""
+    from lumitree.evaluation.index_page import lumens_text
+
+    for lamp in lamps:
+        text = lamp.state if lamp.error is None else f"{lamp.state}: {lamp.error}"
+        if lamp.figures:
+            size = _megabytes(lamp.figures["file_bytes"])
+            text += f", {lumens_text(lamp.figures['lumens'])}, {size}, {lamp.seconds:,.0f} s"
+        print(f"{shown(lamp.name):>20}  {shown(text, LONGEST_LINE)}")
 
 
 def _irradiance_lines(irradiance: dict[str, Any]) -> dict[str, str]:
