@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from lumitree.luminaire.luminaire import Luminaire
     from lumitree.luminaire.source import LuminaireSource
     from lumitree.rendering.placement import Placement
+    from lumitree.rendering.placement_file import read_placements
     from lumitree.rendering.plugins import register, shape
 
 __version__ = "0.1.0"
@@ -80,6 +81,7 @@ _HOMES = {
     "merge": "api.merging",
     "photometry": "api.photometry",
     "preview": "api.viewing",
+    "read_placements": "rendering.placement_file",
     "refine": "api.baking",
     "register": "rendering.plugins",
     "render": "api.viewing",
@@ -125,6 +127,7 @@ __all__ = [
     "merge",
     "photometry",
     "preview",
+    "read_placements",
     "refine",
     "register",
     "render",

@@ -13,7 +13,7 @@ _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem; color: #e7e5e4; background: #1c1917; }
 h1 { font-size: 1.4rem; margin-bottom: 0; }
 p { color: #a8a29e; margin: 0 0 1.5rem; }
-main { display: grid; grid-template-columns: repeat(auto-fill, minmax(15rem, 1fr)); gap: 1.2rem; }
+main { display: grid; grid-template-columns: repeat(auto-fill, minmax(18rem, 1fr)); gap: 1.2rem; }
 article { background: #292524; border-radius: 6px; overflow: hidden; }
 article > div { aspect-ratio: 1; background: #000; display: grid; place-items: center;
                 color: #78716c; }
