@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from lumitree.api.network import bake_network, capture, extract, train
     from lumitree.api.photometry import photometry
     from lumitree.api.results import (
+        AssetPreviewResult,
         BakeResult,
         CaptureResult,
         EvaluateResult,
@@ -50,6 +51,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "Asset": "asset.asset",
     "AssetInfo": "asset.asset",
+    "AssetPreviewResult": "api.results",
     "BakeManyResult": "api.many",
     "BakeResult": "api.results",
     "BakedLamp": "api.many",
@@ -92,6 +94,7 @@ _HOMES = {
 __all__ = [
     "Asset",
     "AssetInfo",
+    "AssetPreviewResult",
     "BakeManyResult",
     "BakeResult",
     "BakedLamp",

@@ -257,6 +257,32 @@ class PreviewResult(ImageResult):
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class AssetPreviewResult(ImageResult):
+    """Figures of an asset, and its views from six sides.
+
+    Attributes:
+        luminaire: name of the luminaire.
+        parts: which of "exitant", "field" and "model" it has.
+        leaves: number of leaves of its field.
+        size: [3] sides of the bounding box, in the unit of the luminaire's file.
+        watts: [3] flux that it emits, R, G and B, W, if lengths are in metres: exact with an
+            exitant light field, else estimated from 2²⁰ rays.
+        lumens: the same as luminous flux, lm.
+        exposure: factor on the radiance in the first row of the contact sheet.
+        sheet: file of the contact sheet; None if none was written.
+    """
+
+    luminaire: str
+    parts: tuple[str, ...]
+    leaves: int
+    size: tuple[float, ...]
+    watts: tuple[float, ...]
+    lumens: float
+    exposure: float
+    sheet: Path | None
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
 class PhotometryResult(ImageResult, PhotometricFigures):
     """Result of a photometric measurement: the figures of `PhotometricFigures`, and more.
 
