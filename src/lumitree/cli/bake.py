@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from lumitree.cli import options
-from lumitree.cli.output import print_lamps, print_result
+from lumitree.cli.output import print_lamps, print_open, print_result
 from lumitree.errors import LumitreeError, shown
 
 # Options that apply to one method only.
@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> Any:
             work=args.work,
             variant=args.variant,
         )
-    print_result(result)
+    print_result(result, result.path)
     return result
 
 
@@ -150,4 +150,5 @@ def _run_many(args: argparse.Namespace) -> Any:
     luminaires = [options.luminaire(args, name) for name in args.luminaires]
     result = lumitree.bake_many(luminaires, args.output, variant=args.variant, **_settings(args))
     print_lamps(result.lamps)
+    print_open(result.index)
     return result

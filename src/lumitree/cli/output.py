@@ -1,5 +1,6 @@
 """Printing of results."""
 
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,9 +15,16 @@ def print_lines(values: dict[str, Any]) -> None:
         print(f"{name:>20}  {shown(value, LONGEST_LINE)}")
 
 
-def print_result(result: Any) -> None:
-    """Print a `Result`."""
+def print_result(result: Any, opens: str | os.PathLike[str] | None = None) -> None:
+    """Print a `Result`, and last what to open; see `print_open`."""
     print_report(result.to_json())
+    print_open(opens)
+
+
+def print_open(path: str | os.PathLike[str] | None) -> None:
+    """Print the last line of a command: the file or folder to look at; None prints nothing."""
+    if path is not None:
+        print(f"Open: {shown(path, LONGEST_LINE)}")
 
 
 def print_report(report: dict[str, Any]) -> None:

@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from lumitree.cli import options
-from lumitree.cli.output import print_lines, print_result
+from lumitree.cli.output import print_lines, print_open, print_result
 
 
 def add(commands: Any) -> None:
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> Any:
         variant=args.variant,
     )
     if isinstance(result, lumitree.AssetPreviewResult):
-        print_result(result)
+        print_result(result, result.sheet)
         return result
     watts = ", ".join(f"{value:.4g}" for value in result.flux.watts)
     errors = ", ".join(f"{value:.2g}" for value in result.flux.watts_error)
@@ -53,4 +53,5 @@ def run(args: argparse.Namespace) -> Any:
         name = f"beyond {item.path_depth} bounces"
         lines[name] = f"{100 * item.share:.2g} ± {100 * item.error:.1g} % of the flux"
     print_lines(lines | {"sheet": result.sheet})
+    print_open(result.sheet)
     return result

@@ -118,7 +118,7 @@ def run(args: argparse.Namespace) -> Any:
         proxy=args.proxy,
         variant=args.variant,
     )
-    print_result(result)
+    print_result(result, result.image)
     return result
 
 

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain
 from lumitree.core.device import on_device
 from lumitree.core.frames import similarity_scale
@@ -67,7 +68,9 @@ class PlacedLuminaire:
         """The gain of a lamp whose lengths in the scene are `scale` times those of its file."""
         placement, gain = self.placement, np.array(check_gain(self.placement.gain))
         if self.field is not None and (placement.lumens, placement.temperature) != (None, None):
-            watts = asset_watts(self.field.asset) * scale**2
+            asset = self.field.asset
+            assert isinstance(asset, Asset)
+            watts = asset_watts(asset) * scale**2
             gain *= gain_to(watts, placement.lumens, placement.temperature, placement.name)
         return check_gain(gain)
 
