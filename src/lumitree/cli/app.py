@@ -21,6 +21,7 @@ from lumitree.cli import (
     render,
     train,
 )
+from lumitree.cli.completion import complete
 from lumitree.cli.options import Parser
 from lumitree.cli.output import LONGEST_LINE
 from lumitree.core.backend import quieten
@@ -65,7 +66,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         warnings.showwarning = _show_warning
         warnings.simplefilter("always", LumitreeWarning)
         try:
-            args = _parser().parse_args(arguments)
+            parser = _parser()
+            complete(parser)
+            args = parser.parse_args(arguments)
             _check_json_output(args.json)
             result = args.run(args)
             if args.json:
