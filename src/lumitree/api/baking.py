@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from lumitree.api.files import FilePath, open_work_folder
-from lumitree.api.finishing import finish_bake
+from lumitree.api.finishing import finish_bake, remove_state
 from lumitree.api.irradiance import IRRADIANCE_PATHS, check_irradiance_paths
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
@@ -177,8 +177,7 @@ def bake(
                 asset = exitant_asset(exitant, lamp.frame, lamp.name)
                 asset = dataclasses.replace(asset, model=model)
                 result = finish_bake(asset, output, watch, lamp, paths)
-                if work is None and result.stopped_by is None:
-                    at.remove([EXITANT_STATE])
+                remove_state(at, work, result, [EXITANT_STATE])
                 return result
         job = lambda: direct.bake(lamp, config, at.path)  # noqa: E731
         return _finish(output, work, at, job, exitant, model, watch, lamp, paths)
@@ -320,6 +319,5 @@ def _finish(
         held_out_psnr_uncertainty=round(result.score.uncertainty, 3),
         rays=result.rays,
     )
-    if work is None and finished.stopped_by is None:
-        folder.remove([STATE, EXITANT_STATE])
+    remove_state(folder, work, finished, [STATE, EXITANT_STATE])
     return finished

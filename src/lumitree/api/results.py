@@ -58,7 +58,9 @@ class BakeResult(Result):
         rays: rays of the gradient descent, including those of the calls that this one continued;
             None if no field was baked from rays.
         stopped_by: number of the signal that interrupted the bake; None if there was none.
-            The asset is then the best so far.
+            The asset is then the best so far, or `complete`.
+        complete: whether the asset is complete. If `stopped_by` is set too, only the irradiance
+            around it was not compared.
     """
 
     asset: Asset
@@ -68,6 +70,7 @@ class BakeResult(Result):
     held_out_psnr_uncertainty: float | None = None
     rays: int | None = None
     stopped_by: int | None = None
+    complete: bool = dataclasses.field(default=True, repr=False)
 
     def to_json(self) -> Json:
         """Dictionary of the result, for `json.dumps`, with `Asset.info` in place of the asset."""

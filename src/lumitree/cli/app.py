@@ -98,6 +98,9 @@ def _status(result: Any) -> int:
             2,
         )
     path = getattr(result, "path", None)
+    if path is not None and getattr(result, "complete", False):
+        done = f"the asset in {path} is complete, but its irradiance was not compared"
+        return _fail(f"interrupted; {done}", 128 + number)
     best = f"the best asset so far is in {path}; " if path is not None else ""
     return _fail(f"interrupted; {best}the same command continues", 128 + number)
 
