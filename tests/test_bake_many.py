@@ -64,7 +64,7 @@ def test_lamps_are_baked_and_kept_while_source_and_settings_are_equal(folder, ba
     assert states(other) == [("b", "baked")]
     # An asset that is not the one of the record.
     (folder / "out/b.lumitree").write_bytes((folder / "out/a.lumitree").read_bytes())
-    (folder / "out/a.json").write_text('{"version": 1}')
+    (folder / "out/index-files/a.json").write_text('{"version": 1}')
     replaced = lumitree.bake_many(["a.xml", "b.xml"], "out", **SETTINGS, seed=1)
     assert states(replaced) == [("a", "baked"), ("b", "baked")]
     assert baked == ["a", "b", "a", "b", "a", "b"]
@@ -80,7 +80,10 @@ def test_one_failure_does_not_lose_the_others(folder, capsys):
     assert "dark  failed: dark.xml holds no emitter" in lines[1]
     assert "no  failed: no luminaire 'no.glb'" in lines[2]
     assert sorted(path.name for path in (folder / "out").iterdir()) == [
-        "a.json", "a.lumitree", "a.png", "index.html",
+        "a.lumitree", "index-files", "index.html",
+    ]  # fmt: skip
+    assert sorted(path.name for path in (folder / "out/index-files").iterdir()) == [
+        "a.json", "a.png",
     ]  # fmt: skip
     page = (folder / "out/index.html").read_text()
     assert page.count("<article>") == 3
@@ -147,6 +150,11 @@ def test_names_and_arguments_are_checked_first(folder):
     ):
         with pytest.raises(lumitree.LumitreeError, match=message):
             lumitree.bake_many(names, "out", **options)
+    (folder / "site").mkdir()
+    (folder / "site/index.html").write_text("<title>mine</title>")
+    with pytest.raises(lumitree.LumitreeError, match=r"site/index.html is not a page of lumitree"):
+        lumitree.bake_many(["a.xml"], "site")
+    assert (folder / "site/index.html").read_text() == "<title>mine</title>"
     with pytest.raises(TypeError, match="'qualty'"):
         lumitree.bake_many(["a.xml"], "out", qualty="high")
     assert not (folder / "out").exists()
@@ -177,7 +185,7 @@ def test_the_page_is_self_contained_and_escapes_names(folder):
     assert re.findall(r'src="([^"]{22})', page) == ["data:image/png;base64,"]
     assert not re.search(r"https?:|url\(|@import|<script|<link", page)
     assert re.findall(r"<dt>flux</dt><dd>57,\d{3} lm</dd>", page)
-    record = json.loads((folder / "out" / f"{name}.json").read_text())
+    record = json.loads((folder / "out/index-files" / f"{name}.json").read_text())
     assert record["figures"]["size"] == [2, 2, 2]
     assert record["figures"]["irradiance_rms"] > 0
     assert lamp_record.LampFiles(folder / "out", name).read().finished

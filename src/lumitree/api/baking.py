@@ -149,7 +149,7 @@ def bake(
     if lumens is not None or temperature is not None:
         raise LumitreeError(
             "lumens and temperature are for photometric files; state those of a model's emitters "
-            "in its .toml file"
+            "in its .toml file, or give them where the asset is placed"
         )
     from lumitree.direct import bake as direct
     from lumitree.exitant.bake import bake_exitant

@@ -12,6 +12,8 @@ from lumitree.core.images import encode_png
 from lumitree.core.reading import Record, parse_json, read_bytes
 from lumitree.errors import LumitreeError
 
+# Folder of the thumbnails and records, within that of the assets.
+INDEX_FILES = "index-files"
 _VERSION = 1
 _MAX_RECORD_BYTES, _MAX_ASSET_BYTES = 1 << 20, 1 << 40
 _MAX_SETTINGS = 10_000
@@ -58,8 +60,9 @@ class LampFiles:
         self.name = name
         # Not `with_suffix`: a name may contain dots.
         self.asset = folder / f"{name}.lumitree"
-        self.thumbnail = folder / f"{name}.png"
-        self._record = folder / f"{name}.json"
+        # Not beside the asset, where images and files of this name may be the user's.
+        self.thumbnail = folder / INDEX_FILES / f"{name}.png"
+        self._record = folder / INDEX_FILES / f"{name}.json"
 
     def read(self) -> LampRecord | None:
         """The record; None if there is none, it is damaged, or the asset is not the one of it."""

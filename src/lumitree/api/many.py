@@ -3,13 +3,14 @@
 import dataclasses
 import hashlib
 import inspect
+import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypedDict, Unpack
 
 from lumitree.api.baking import Quality, bake, check_bake
 from lumitree.api.files import FilePath
-from lumitree.api.lamp_record import LampFiles, LampRecord, settings_text
+from lumitree.api.lamp_record import INDEX_FILES, LampFiles, LampRecord, settings_text
 from lumitree.api.luminaires import dataset_folder
 from lumitree.api.measures import peak_memory_bytes
 from lumitree.api.photometry import is_photometric_file
@@ -26,12 +27,12 @@ from lumitree.core.progress import progress as progress_of
 from lumitree.core.reading import read_bytes
 from lumitree.core.transmittance import Law
 from lumitree.errors import LumitreeError, explained, shown
-from lumitree.evaluation.index_page import Entry, figure_rows, index_page
+from lumitree.evaluation.index_page import GENERATOR, Entry, figure_rows, index_page
 from lumitree.luminaire.source import LuminaireSource, as_source
 
 INDEX = "index.html"
 State = Literal["baked", "kept", "failed", "interrupted", "waiting"]
-_MAX_SOURCE_BYTES = 1 << 26
+_MAX_SOURCE_BYTES, _MAX_INDEX_BYTES = 1 << 26, 1 << 30
 # Arguments of `bake` that do not apply, or do not change the asset.
 _NOT_SETTINGS = ("luminaire", "output", "work", "variant", "progress")
 
@@ -110,9 +111,9 @@ def bake_many(
 ) -> BakeManyResult:
     """Bake luminaires one after another into a folder, with an index page.
 
-    Each lamp gets the files NAME.lumitree, NAME.png (a thumbnail) and NAME.json (a record of the
-    bake); NAME is the file name without its ending, or the built-in name. `index.html` shows all
-    lamps of the folder. It is written again after each lamp.
+    The asset of a lamp is NAME.lumitree; NAME is the file name without its ending, or the built-in
+    name. `index.html` shows all lamps of the folder. It is written again after each lamp. The
+    folder `index-files` within has a thumbnail and a record of each bake.
 
     The same call continues where an earlier one was interrupted. It keeps lamps whose luminaire
     and settings are those of the record, continues the interrupted one, and tries those again that
@@ -133,14 +134,14 @@ def bake_many(
 
     Raises:
         LumitreeError: there is no luminaire, or two have one name; an argument is out of range; or
-            the folder cannot be written.
+            the folder cannot be written, or holds an `index.html` that is not lumitree's.
 
     Example:
         >>> result = lumitree.bake_many(["bulbs", "lamp.glb"], "lamps", quality="preview")
         >>> [(lamp.name, lamp.state) for lamp in result.lamps]
     """
     root = Path(folder)
-    check_writable(root / INDEX)
+    _check_index(root / INDEX)
     named = _named([as_source(each) for each in luminaires], root)
     options = _complete(settings)
     check_bake(**{key: options[key] for key in options if key not in ("lumens", "temperature")})
@@ -166,6 +167,17 @@ def bake_many(
         seconds={lamp.name: round(lamp.seconds, 1) for lamp in lamps},
         peak_memory_bytes=peak_memory_bytes(),
     )
+
+
+def _check_index(path: Path) -> None:
+    """Refuse an index page that cannot be written, or that is not lumitree's."""
+    check_writable(path)
+    if os.path.exists(path):
+        content = read_bytes(path, "an index page", _MAX_INDEX_BYTES)
+        if GENERATOR.encode() not in content[:1000]:
+            raise LumitreeError(
+                f"{shown(path, 300)} is not a page of lumitree; choose another folder, or move it"
+            )
 
 
 def _named(sources: Sequence[LuminaireSource], folder: Path) -> dict[str, LuminaireSource]:
@@ -280,7 +292,7 @@ def _write_index(folder: Path, lamps: Sequence[BakedLamp]) -> None:
     """Write the index page of these lamps, and of others that the folder has records of."""
     names = {lamp.name for lamp in lamps}
     others = []
-    for path in sorted(folder.glob("*.json")):
+    for path in sorted((folder / INDEX_FILES).glob("*.json")):
         record = LampFiles(folder, path.stem).read() if path.stem not in names else None
         if record is not None:
             state: State = "kept" if record.finished else "interrupted"
@@ -295,7 +307,7 @@ def _write_index(folder: Path, lamps: Sequence[BakedLamp]) -> None:
 def _entry(folder: Path, lamp: BakedLamp) -> Entry:
     notes = {
         "failed": f"failed: {lamp.error}",
-        "interrupted": "interrupted; the best so far",
+        "interrupted": "interrupted; the same command continues",
         "waiting": "not baked yet",
     }
     thumbnail = LampFiles(folder, lamp.name).thumbnail

@@ -9,6 +9,8 @@ from urllib.parse import quote
 
 from lumitree.errors import shown
 
+# By this line a page is known as lumitree's.
+GENERATOR = '<meta name="generator" content="lumitree">'
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem; color: #e7e5e4; background: #1c1917; }
 h1 { font-size: 1.4rem; margin-bottom: 0; }
@@ -78,6 +80,7 @@ def index_page(title: str, entries: Sequence[Entry]) -> bytes:
     return f"""<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
+{GENERATOR}
 <meta name="viewport" content="width=device-width">
 <title>{name}</title>
 <style>{_STYLE}</style>
