@@ -102,6 +102,7 @@ def test_an_unexpected_error_is_a_failure_too(monkeypatch):
     assert result.failed[0].error == "unexpected ZeroDivisionError: division by zero"
 
 
+@pytest.mark.slow
 def test_an_interrupted_list_continues(folder, baked, capsys):
     def stop(report):
         if report.task == "light of " + folder.name + "/b" and report.within.done == 1:

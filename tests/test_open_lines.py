@@ -45,16 +45,23 @@ def folder(tmp_path, monkeypatch, mi):
         ((*LAMP, "-o", "new/a.lumitree"), "new/a.lumitree"),
         ((*LAMP, "-o", "new/"), "new/index.html"),
         (("merge", "0.lumitree", "1.lumitree", "-o", "m.lumitree"), "m.lumitree"),
-        (("preview", "lamp.xml", "-o", "s.png", *SMALL), "s.png"),
+        pytest.param(
+            ("preview", "lamp.xml", "-o", "s.png", *SMALL), "s.png", marks=pytest.mark.slow
+        ),
         (("preview", "field.lumitree", "-o", "s.png", *SMALL), "s.png"),
         (("capture", "lamp.xml", "-o", "d", "--views", "1", *SMALL), "d"),
-        (("evaluate", "field.lumitree", "lamp.xml", "--views", "1", *SMALL, "--irradiance-paths",
-          "0"), "field-evaluation.png"),
+        pytest.param(
+            ("evaluate", "field.lumitree", "lamp.xml", "--views", "1", *SMALL,
+             "--irradiance-paths", "0"), "field-evaluation.png", marks=pytest.mark.slow
+        ),
         (("render", "room.xml", "-o", "r.png", "--spp", "1", "--place", "field.lumitree", "--at",
           "0,0,5"), "r.png"),
         (("photometry", "1.lumitree", "-o", "p.ies", "-o", "p.html", "--paths", "16384",
           "--step", "10"), "p.html"),
-        (("photometry", "1.lumitree", "-o", "p.ldt", "--paths", "16384", "--step", "10"), "p.ldt"),
+        pytest.param(
+            ("photometry", "1.lumitree", "-o", "p.ldt", "--paths", "16384", "--step", "10"),
+            "p.ldt", marks=pytest.mark.slow
+        ),
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, tuple) else value,
 )  # fmt: skip

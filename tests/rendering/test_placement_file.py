@@ -106,8 +106,15 @@ def placed_flux(mi, placement):
     return flux.mean(axis=1), flux.std(axis=1) / np.sqrt(flux.shape[1])
 
 
-@pytest.mark.parametrize("asset", [FIELD, EXITANT], ids=["field", "exitant"])
-@pytest.mark.parametrize("size", [None, 0.3])
+@pytest.mark.parametrize(
+    ("asset", "size"),
+    [
+        (EXITANT, None),
+        (EXITANT, 0.3),
+        pytest.param(FIELD, 0.3, marks=pytest.mark.slow),
+        pytest.param(FIELD, None, marks=pytest.mark.slow),
+    ],
+)
 def test_a_placed_lamp_has_the_lumens_and_the_colour(mi, asset, size):
     lumitree.register()
     options = {"size": size, "lumens": 800, "temperature": 2700}
