@@ -15,10 +15,12 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 if TYPE_CHECKING:
     from lumitree.api.baking import bake, refine
     from lumitree.api.luminaires import builtin_luminaires, load_luminaire
+    from lumitree.api.many import BakedLamp, BakeManyResult, bake_many
     from lumitree.api.merging import merge
     from lumitree.api.network import bake_network, capture, extract, train
     from lumitree.api.photometry import photometry
     from lumitree.api.results import (
+        AssetPreviewResult,
         BakeResult,
         CaptureResult,
         EvaluateResult,
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from lumitree.luminaire.luminaire import Luminaire
     from lumitree.luminaire.source import LuminaireSource
     from lumitree.rendering.placement import Placement
+    from lumitree.rendering.placement_file import read_placements
     from lumitree.rendering.plugins import register, shape
 
 __version__ = "0.1.0"
@@ -48,7 +51,10 @@ __version__ = "0.1.0"
 _HOMES = {
     "Asset": "asset.asset",
     "AssetInfo": "asset.asset",
+    "AssetPreviewResult": "api.results",
+    "BakeManyResult": "api.many",
     "BakeResult": "api.results",
+    "BakedLamp": "api.many",
     "CaptureResult": "api.results",
     "Estimate": "goniophotometry.figures",
     "EvaluateResult": "api.results",
@@ -66,6 +72,7 @@ _HOMES = {
     "Result": "api.results",
     "TrainResult": "api.results",
     "bake": "api.baking",
+    "bake_many": "api.many",
     "bake_network": "api.network",
     "builtin_luminaires": "api.luminaires",
     "capture": "api.network",
@@ -76,6 +83,7 @@ _HOMES = {
     "merge": "api.merging",
     "photometry": "api.photometry",
     "preview": "api.viewing",
+    "read_placements": "rendering.placement_file",
     "refine": "api.baking",
     "register": "rendering.plugins",
     "render": "api.viewing",
@@ -86,7 +94,10 @@ _HOMES = {
 __all__ = [
     "Asset",
     "AssetInfo",
+    "AssetPreviewResult",
+    "BakeManyResult",
     "BakeResult",
+    "BakedLamp",
     "CaptureResult",
     "Estimate",
     "EvaluateResult",
@@ -108,6 +119,7 @@ __all__ = [
     "Result",
     "TrainResult",
     "bake",
+    "bake_many",
     "bake_network",
     "builtin_luminaires",
     "capture",
@@ -118,6 +130,7 @@ __all__ = [
     "merge",
     "photometry",
     "preview",
+    "read_placements",
     "refine",
     "register",
     "render",

@@ -224,7 +224,7 @@ def test_irradiance_paths_out_of_range_are_refused_before_any_work(untraced, pat
     assert os.listdir() == ["lamp.xml"]
 
 
-def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch):
+def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch, capsys):
     """The asset is written before its irradiance is compared; the same call continues."""
     from lumitree.evaluation import evaluate
 
@@ -238,7 +238,11 @@ def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch):
             raise RuntimeError("in a loop") from error
 
     monkeypatch.setattr(evaluate, "evaluate_irradiance", interrupt)
+    assert main(["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "exitant"]) == 128 + 15
+    line = "the asset in lamp.lumitree is complete, but its irradiance was not compared"
+    assert capsys.readouterr().err.splitlines()[-1] == f"lumitree: error: interrupted; {line}"
     stopped = lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant"])
+    assert stopped.complete
     assert (stopped.stopped_by, stopped.irradiance) == (signal.SIGTERM, None)
     kept = lumitree.load(stopped.path)
     assert os.path.exists("lamp.work")
@@ -282,6 +286,7 @@ def test_an_interrupted_bake_keeps_the_exitant_light_field(monkeypatch):
 
     monkeypatch.setattr(Refiner, "advance", interrupt)
     cut = lumitree.bake("lamp.xml", "lamp.lumitree")
+    assert not cut.complete
     assert cut.stopped_by == signal.SIGTERM
     assert cut.asset.exitant is not None
     assert EXITANT_STATE in os.listdir("lamp.work")

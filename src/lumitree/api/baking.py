@@ -3,10 +3,10 @@
 import dataclasses
 import warnings
 from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from lumitree.api.files import FilePath, open_work_folder
-from lumitree.api.finishing import finish_bake
+from lumitree.api.finishing import finish_bake, remove_state
 from lumitree.api.irradiance import IRRADIANCE_PATHS, check_irradiance_paths
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
@@ -22,7 +22,7 @@ from lumitree.core.dataset import Dataset
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.transmittance import Law
 from lumitree.core.work_folder import WorkFolder
-from lumitree.direct.config import QUALITIES
+from lumitree.direct.config import QUALITIES, DirectConfig
 from lumitree.errors import LumitreeError, LumitreeWarning, explained
 from lumitree.exitant.config import EXITANT_QUALITIES
 from lumitree.exitant.saved_field import EXITANT_STATE
@@ -129,16 +129,16 @@ def bake(
     """
     if output is not None:
         check_asset_output(output)
-    check_choice("quality", quality, get_args(Quality))
-    for part in parts:
-        check_choice("part", part, PARTS)
-    if not set(parts) - {"model"}:
-        raise LumitreeError(
-            f"parts are {', '.join(parts) or 'none'}; expected exitant, field or both, and model"
-        )
-    paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS[quality])
-    config = QUALITIES[quality].with_options(
-        tree_depth=tree_depth, l_max=l_max, law=law, seconds=time, rays=rays, seed=seed
+    config, paths = check_bake(
+        quality=quality,
+        time=time,
+        rays=rays,
+        tree_depth=tree_depth,
+        l_max=l_max,
+        law=law,
+        parts=parts,
+        irradiance_paths=irradiance_paths,
+        seed=seed,
     )
     load_mitsuba(variant)
     if is_photometric_file(luminaire):
@@ -149,7 +149,7 @@ def bake(
     if lumens is not None or temperature is not None:
         raise LumitreeError(
             "lumens and temperature are for photometric files; state those of a model's emitters "
-            "in its .toml file"
+            "in its .toml file, or give them where the asset is placed"
         )
     from lumitree.direct import bake as direct
     from lumitree.exitant.bake import bake_exitant
@@ -177,11 +177,40 @@ def bake(
                 asset = exitant_asset(exitant, lamp.frame, lamp.name)
                 asset = dataclasses.replace(asset, model=model)
                 result = finish_bake(asset, output, watch, lamp, paths)
-                if work is None and result.stopped_by is None:
-                    at.remove([EXITANT_STATE])
+                remove_state(at, work, result, [EXITANT_STATE])
                 return result
         job = lambda: direct.bake(lamp, config, at.path)  # noqa: E731
         return _finish(output, work, at, job, exitant, model, watch, lamp, paths)
+
+
+def check_bake(
+    *,
+    quality: Quality,
+    parts: Collection[Part],
+    irradiance_paths: int | None,
+    time: float | None,
+    **settings: Any,
+) -> tuple[DirectConfig, int]:
+    """Check arguments of `bake`.
+
+    Args:
+        settings: `rays`, `tree_depth`, `l_max`, `law` and `seed`.
+
+    Returns:
+        Settings of the direct bake, and the number of light paths of the comparison.
+
+    Raises:
+        LumitreeError: an argument is out of range.
+    """
+    check_choice("quality", quality, get_args(Quality))
+    for part in parts:
+        check_choice("part", part, PARTS)
+    if not set(parts) - {"model"}:
+        raise LumitreeError(
+            f"parts are {', '.join(parts) or 'none'}; expected exitant, field or both, and model"
+        )
+    paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS[quality])
+    return QUALITIES[quality].with_options(seconds=time, **settings), paths
 
 
 def _stored_model(lamp: "Luminaire") -> AssetModel | None:
@@ -290,6 +319,5 @@ def _finish(
         held_out_psnr_uncertainty=round(result.score.uncertainty, 3),
         rays=result.rays,
     )
-    if work is None and finished.stopped_by is None:
-        folder.remove([STATE, EXITANT_STATE])
+    remove_state(folder, work, finished, [STATE, EXITANT_STATE])
     return finished

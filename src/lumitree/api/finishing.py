@@ -1,5 +1,6 @@
 """The end of every bake: the asset is written, and the irradiance around it is measured."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from lumitree.api.files import FilePath, save_asset
@@ -8,6 +9,7 @@ from lumitree.api.measures import Stopwatch
 from lumitree.api.results import BakeResult
 from lumitree.asset.asset import Asset
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
+from lumitree.core.work_folder import WorkFolder
 
 if TYPE_CHECKING:
     from lumitree.luminaire.luminaire import Luminaire
@@ -37,7 +39,7 @@ def finish_bake(
         The result. `stopped_by` is set if a signal arrived here, too: the asset is written then,
         but its irradiance is not known.
     """
-    irradiance = None
+    irradiance, complete = None, stopped_by is None
     with deferred_interrupt() as interruption:
         path = save_asset(asset, output)
     stopped_by = interruption.number if stopped_by is None else stopped_by
@@ -54,6 +56,22 @@ def finish_bake(
         path=path,
         irradiance=irradiance,
         stopped_by=stopped_by,
+        complete=complete,
         **figures,
         **watch.costs(),
     )
+
+
+def remove_state(
+    folder: WorkFolder, work: FilePath | None, result: BakeResult, names: Iterable[str]
+) -> None:
+    """Remove the saved state of a bake, unless it was interrupted or its folder is the user's.
+
+    Args:
+        folder: holds the state.
+        work: folder that the user chose, or None.
+        result: of the bake.
+        names: patterns of what to remove, as for `WorkFolder.remove`.
+    """
+    if work is None and result.stopped_by is None:
+        folder.remove(names)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from lumitree.api.files import FilePath, open_work_folder
-from lumitree.api.finishing import finish_bake
+from lumitree.api.finishing import finish_bake, remove_state
 from lumitree.api.irradiance import IRRADIANCE_PATHS, check_irradiance_paths
 from lumitree.api.luminaires import warn_of_faults
 from lumitree.api.measures import Stopwatch, peak_memory_bytes
@@ -160,9 +160,9 @@ def bake_network(
             extracted = _extract(
                 run, output, tree_depth, settings.samples_per_leaf, exitant, lamp, paths
             )
-        if work is None and extracted.stopped_by is None:
-            names = [f"dataset/{name}" for name in DATASET_FILES]
-            folder.remove([*names, *(f"run/{name}" for name in RUN_FILES), EXITANT_STATE])
+        names = [f"dataset/{name}" for name in DATASET_FILES]
+        names += [*(f"run/{name}" for name in RUN_FILES), EXITANT_STATE]
+        remove_state(folder, work, extracted, names)
     seconds = watch.seconds | captured.seconds | trained.seconds | extracted.seconds
     return dataclasses.replace(extracted, seconds=seconds, peak_memory_bytes=peak_memory_bytes())
 

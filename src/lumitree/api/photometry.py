@@ -11,7 +11,7 @@ from lumitree.api.measures import Stopwatch
 from lumitree.api.results import BakeResult, PhotometryResult
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import load
-from lumitree.core.arguments import check_choice, check_range
+from lumitree.core.arguments import check_choice, check_light, check_range
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import check_writable
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
@@ -176,10 +176,7 @@ def bake_photometric_file(
             f"{', '.join(given)}: not for a photometric file such as {shown(path, 300)}, from "
             "which only the exitant light field is made; leave it out"
         )
-    if lumens is not None:
-        check_range("lumens", lumens, 1e-6, 1e9, "lm")
-    if temperature is not None:
-        check_range("temperature", temperature, 1000, 20000, "K")
+    check_light(lumens, temperature)
     from lumitree.goniophotometry.baking import bake_file
 
     watch = Stopwatch()

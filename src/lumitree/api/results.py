@@ -58,7 +58,9 @@ class BakeResult(Result):
         rays: rays of the gradient descent, including those of the calls that this one continued;
             None if no field was baked from rays.
         stopped_by: number of the signal that interrupted the bake; None if there was none.
-            The asset is then the best so far.
+            The asset is then the best so far, or `complete`.
+        complete: whether the asset is complete. If `stopped_by` is set too, only the irradiance
+            around it was not compared.
     """
 
     asset: Asset
@@ -68,6 +70,7 @@ class BakeResult(Result):
     held_out_psnr_uncertainty: float | None = None
     rays: int | None = None
     stopped_by: int | None = None
+    complete: bool = dataclasses.field(default=True, repr=False)
 
     def to_json(self) -> Json:
         """Dictionary of the result, for `json.dumps`, with `Asset.info` in place of the asset."""
@@ -254,6 +257,32 @@ class PreviewResult(ImageResult):
     faults: list[str]
     sheet: Path | None
     bounces: list[MissedFlux] | None = None
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class AssetPreviewResult(ImageResult):
+    """Figures of an asset, and its views from six sides.
+
+    Attributes:
+        luminaire: name of the luminaire.
+        parts: which of "exitant", "field" and "model" it has.
+        leaves: number of leaves of its field.
+        size: [3] sides of the bounding box, in the unit of the luminaire's file.
+        watts: [3] flux that it emits, R, G and B, W, if lengths are in metres: exact with an
+            exitant light field, else estimated from 2²⁰ rays.
+        lumens: the same as luminous flux, lm.
+        exposure: factor on the radiance in the first row of the contact sheet.
+        sheet: file of the contact sheet; None if none was written.
+    """
+
+    luminaire: str
+    parts: tuple[str, ...]
+    leaves: int
+    size: tuple[float, ...]
+    watts: tuple[float, ...]
+    lumens: float
+    exposure: float
+    sheet: Path | None
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)

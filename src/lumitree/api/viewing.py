@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ from lumitree.api.irradiance import check_irradiance_paths
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
 from lumitree.api.results import (
+    AssetPreviewResult,
     EvaluateResult,
     Flux,
     MissedFlux,
@@ -32,7 +34,7 @@ from lumitree.core.images import check_image_name, encode_png, write_image
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
 from lumitree.core.work_folder import scratch_folder
-from lumitree.errors import explained
+from lumitree.errors import LumitreeError, explained
 
 if TYPE_CHECKING:
     from lumitree.luminaire.luminaire import LuminaireLike
@@ -48,7 +50,7 @@ IRRADIANCE_PATHS = 1 << 20
 
 @explained
 def preview(
-    luminaire: "LuminaireLike",
+    luminaire: "Asset | LuminaireLike",
     sheet: FilePath | None = None,
     *,
     resolution: int = 256,
@@ -56,24 +58,28 @@ def preview(
     bounces: bool = False,
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
-) -> PreviewResult:
-    """Render six views of a luminaire, and measure its flux and size, before it is baked.
+) -> PreviewResult | AssetPreviewResult:
+    """Render six views of a luminaire or of an asset, and measure its flux and size.
 
     The contact sheet shows the radiance at two exposures and both opacities, from six sides. Warns
-    of glass that Mitsuba cannot render correctly.
+    of glass that Mitsuba cannot render correctly. Of an asset the sheet shows the field, or the
+    exitant light field if there is no field, and one opacity. Its model is not shown.
 
     Args:
-        luminaire: what to render, in any form that `bake` takes except the folder of a dataset.
+        luminaire: what to render: an asset, the path of a `.lumitree` file, or a luminaire in any
+            form that `bake` takes except the folder of a dataset.
         sheet: path of the PNG file to write. Default: no file is written.
         resolution: pixels per side of each view, 1 to 16,384.
-        samples_per_pixel: paths per pixel, 1 to 1,048,576.
+        samples_per_pixel: paths per pixel, 1 to 1,048,576. It does not apply to an asset, whose
+            pixels have 16 rays without noise.
         bounces: whether to measure the share of the flux that paths of at most 32, 64 and 128
-            bounces miss.
+            bounces miss. Not for an asset.
         variant: Mitsuba variant; see `bake`.
         progress: function that is called with a `Progress` after each step; see `bake`.
 
     Returns:
-        The figures of the luminaire, and the contact sheet as `png`.
+        The figures of the luminaire or the asset (`AssetPreviewResult`), and the contact sheet as
+        `png`.
 
     Raises:
         LumitreeError: an argument is out of range; the luminaire cannot be read; or the file cannot
@@ -83,6 +89,13 @@ def preview(
         check_sheet_output(sheet)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     load_mitsuba(variant)
+    if isinstance(luminaire, str | os.PathLike) and Path(luminaire).suffix == ".lumitree":
+        luminaire = load(luminaire)
+    if isinstance(luminaire, Asset):
+        if bounces:
+            raise LumitreeError("an asset has no paths to count the bounces of; leave bounces out")
+        with reporting(progress):
+            return _preview_asset(luminaire, sheet, resolution)
     from lumitree.core.images import max_radiance
     from lumitree.evaluation.preview import draw_preview, take_preview
     from lumitree.luminaire.luminaire import load_luminaire
@@ -128,6 +141,41 @@ def preview(
     if sheet is not None:
         write_bytes(sheet, png)
     return dataclasses.replace(result, png=png)
+
+
+def _preview_asset(asset: Asset, sheet: FilePath | None, resolution: int) -> AssetPreviewResult:
+    """As `preview`, of an asset."""
+    from lumitree.evaluation.preview import draw_preview, take_asset_preview
+    from lumitree.model.photometry import luminance
+    from lumitree.rendering.asset_flux import asset_watts
+
+    watch = Stopwatch()
+    with watch.stage("views"):
+        views = take_asset_preview(asset, resolution)
+    with watch.stage("flux"):
+        watts = asset_watts(asset)
+    lumens, size = float(luminance(watts)), asset.frame.size
+    facts = [
+        f"{' + '.join(asset.info.parts)}",
+        f"{asset.num_leaves:,} leaves",
+        f"flux {lumens:,.4g} lm",
+        "size " + " x ".join(f"{side:.4g}" for side in size),
+    ]
+    png = draw_preview(views, asset.luminaire, facts, baked=True).png()
+    if sheet is not None:
+        write_bytes(sheet, png)
+    return AssetPreviewResult(
+        luminaire=asset.luminaire,
+        parts=asset.info.parts,
+        leaves=asset.num_leaves,
+        size=tuple(size.tolist()),
+        watts=tuple(watts.tolist()),
+        lumens=lumens,
+        exposure=views.exposure,
+        sheet=None if sheet is None else Path(sheet),
+        png=png,
+        **watch.costs(),
+    )
 
 
 def _facts(result: PreviewResult) -> list[str]:

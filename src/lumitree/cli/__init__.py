@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """The command line. Each command has one file, and calls one function of `lumitree`."""
 
 from lumitree.cli.app import main

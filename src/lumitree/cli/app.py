@@ -21,11 +21,12 @@ from lumitree.cli import (
     render,
     train,
 )
+from lumitree.cli.completion import complete
 from lumitree.cli.options import Parser
 from lumitree.cli.output import LONGEST_LINE
 from lumitree.core.backend import quieten
 from lumitree.core.interrupt import interruptible, interruption_behind
-from lumitree.errors import LumitreeError, LumitreeWarning, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 
 DEBUG = "LUMITREE_DEBUG"
 # Options whose values may begin with a minus sign, which argparse would parse as an option.
@@ -65,7 +66,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         warnings.showwarning = _show_warning
         warnings.simplefilter("always", LumitreeWarning)
         try:
-            args = _parser().parse_args(arguments)
+            parser = _parser()
+            complete(parser)
+            args = parser.parse_args(arguments)
             _check_json_output(args.json)
             result = args.run(args)
             if args.json:
@@ -85,8 +88,19 @@ def _status(result: Any) -> int:
     """Exit status of a command that has returned; prints one line if it was interrupted."""
     number = getattr(result, "stopped_by", None)
     if number is None:
-        return 0
+        failed = getattr(result, "failed", ())
+        if not failed:
+            return 0
+        names = shown_names(lamp.name for lamp in failed)
+        return _fail(
+            f"{len(failed)} of {len(result.lamps)} lamps failed ({names}); the same command keeps "
+            "the others and tries again",
+            2,
+        )
     path = getattr(result, "path", None)
+    if path is not None and getattr(result, "complete", False):
+        done = f"the asset in {path} is complete, but its irradiance was not compared"
+        return _fail(f"interrupted; {done}", 128 + number)
     best = f"the best asset so far is in {path}; " if path is not None else ""
     return _fail(f"interrupted; {best}the same command continues", 128 + number)
 

@@ -4,8 +4,8 @@ import argparse
 from typing import Any
 
 from lumitree.cli import options
-from lumitree.cli.output import print_result
-from lumitree.errors import LumitreeError
+from lumitree.cli.output import print_lamps, print_open, print_result
+from lumitree.errors import LumitreeError, shown
 
 # Options that apply to one method only.
 _DIRECT_ONLY = ("quality", "time", "rays", "l_max", "law", "lumens", "temperature")
@@ -15,12 +15,16 @@ _NETWORK_ONLY = ("preset",)
 def add(commands: Any) -> None:
     parser = options.command(commands, "bake", "convert a luminaire into an asset", run)
     options.add_luminaire(
-        parser, "; or the folder of a dataset, or a photometric file (.ies, .ldt, .ray, .tm25ray)"
+        parser,
+        "; or the folder of a dataset, or a photometric file (.ies, .ldt, .ray, .tm25ray). Several "
+        "are baked into a folder",
+        many=True,
     )
     options.add_output(
         parser,
-        "ASSET",
-        "the .lumitree file to write; the same command continues an interrupted bake",
+        "ASSET|FOLDER/",
+        "the .lumitree file to write; for several luminaires, or with / at the end, a folder for "
+        "the assets and an index page. The same command continues an interrupted bake",
     )
     parser.add_argument(
         "--method",
@@ -87,7 +91,10 @@ def run(args: argparse.Namespace) -> Any:
     if given := [name for name in unused if getattr(args, name) is not None]:
         names = ", ".join("--" + name.replace("_", "-") for name in given)
         raise LumitreeError(f"{names}: not for --method {args.method}; leave it out")
-    luminaire = options.luminaire(args, args.luminaire)
+    many = len(args.luminaires) > 1 or args.output.endswith("/")
+    if many:
+        return _run_many(args)
+    luminaire = options.luminaire(args, args.luminaires[0])
     if args.method == "nerf":
         result = lumitree.bake_network(
             luminaire,
@@ -104,19 +111,44 @@ def run(args: argparse.Namespace) -> Any:
         result = lumitree.bake(
             luminaire,
             args.output,
-            quality=args.quality or "standard",
-            time=args.time,
-            rays=args.rays,
-            tree_depth=args.depth,
-            l_max=args.l_max,
-            law=args.law,
-            parts=args.parts or ("exitant", "field"),
-            irradiance_paths=args.irradiance_paths,
-            lumens=args.lumens,
-            temperature=args.temperature,
-            seed=args.seed or 0,
+            **_settings(args),
             work=args.work,
             variant=args.variant,
         )
-    print_result(result)
+    print_result(result, result.path)
+    return result
+
+
+def _settings(args: argparse.Namespace) -> dict[str, Any]:
+    """Settings of a direct bake."""
+    return {
+        "quality": args.quality or "standard",
+        "time": args.time,
+        "rays": args.rays,
+        "tree_depth": args.depth,
+        "l_max": args.l_max,
+        "law": args.law,
+        "parts": args.parts or ("exitant", "field"),
+        "irradiance_paths": args.irradiance_paths,
+        "lumens": args.lumens,
+        "temperature": args.temperature,
+        "seed": args.seed or 0,
+    }
+
+
+def _run_many(args: argparse.Namespace) -> Any:
+    import lumitree
+
+    if args.method == "nerf" or args.work is not None:
+        what = "--method nerf" if args.method == "nerf" else "--work"
+        raise LumitreeError(f"{what}: for one luminaire at a time; leave it out")
+    if args.output.endswith(".lumitree"):
+        raise LumitreeError(
+            f"{shown(args.output, 300)} is the name of one asset, but there are "
+            f"{len(args.luminaires)} luminaires; give a folder"
+        )
+    luminaires = [options.luminaire(args, name) for name in args.luminaires]
+    result = lumitree.bake_many(luminaires, args.output, variant=args.variant, **_settings(args))
+    print_lamps(result.lamps)
+    print_open(result.index)
     return result

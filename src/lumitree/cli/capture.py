@@ -36,5 +36,5 @@ def run(args: argparse.Namespace) -> Any:
         split=args.split,
         variant=args.variant,
     )
-    print_result(result)
+    print_result(result, result.dataset)
     return result

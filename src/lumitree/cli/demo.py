@@ -1,10 +1,11 @@
 """`lumitree demo`."""
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from lumitree.cli import options
-from lumitree.cli.output import print_metrics, print_report
+from lumitree.cli.output import print_metrics, print_open, print_report
 
 
 def add(commands: Any) -> None:
@@ -33,4 +34,5 @@ def run(args: argparse.Namespace) -> Any:
     )
     print_report({name: report[name] for name in ("seconds", "peak_memory_bytes")})
     print(f"written: {', '.join(report['files'])}")
+    print_open(Path(args.output) / "comparison.png")
     return report

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from lumitree.cli import options
-from lumitree.cli.output import print_metrics
+from lumitree.cli.output import print_metrics, print_open
 
 
 def add(commands: Any) -> None:
@@ -45,4 +45,5 @@ def run(args: argparse.Namespace) -> Any:
         variant=args.variant,
     )
     print_metrics(result.to_json())
+    print_open(result.sheet)
     return result

@@ -48,5 +48,5 @@ def run(args: argparse.Namespace) -> Any:
         seed=args.seed,
         variant=args.variant,
     )
-    print_result(result)
+    print_result(result, result.path)
     return result

@@ -24,5 +24,5 @@ def run(args: argparse.Namespace) -> Any:
     import lumitree
 
     result = lumitree.merge(args.assets, args.output)
-    print_result(result)
+    print_result(result, result.path)
     return result

@@ -49,9 +49,16 @@ def command(
     return parser
 
 
-def add_luminaire(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Add LUMINAIRE and the options of `add_reading`; `more` is added to the help."""
-    parser.add_argument("luminaire", metavar="LUMINAIRE", help=LUMINAIRE + more)
+def add_luminaire(parser: argparse.ArgumentParser, more: str = "", *, many: bool = False) -> None:
+    """Add LUMINAIRE and the options of `add_reading`; `more` is added to the help.
+
+    Args:
+        many: whether there may be several; they become a list, `luminaires`.
+    """
+    if many:
+        parser.add_argument("luminaires", metavar="LUMINAIRE", nargs="+", help=LUMINAIRE + more)
+    else:
+        parser.add_argument("luminaire", metavar="LUMINAIRE", help=LUMINAIRE + more)
     add_reading(parser)
 
 

@@ -1,5 +1,7 @@
 """Printing of results."""
 
+import os
+from collections.abc import Sequence
 from typing import Any
 
 from lumitree.errors import shown
@@ -13,9 +15,16 @@ def print_lines(values: dict[str, Any]) -> None:
         print(f"{name:>20}  {shown(value, LONGEST_LINE)}")
 
 
-def print_result(result: Any) -> None:
-    """Print a `Result`."""
+def print_result(result: Any, opens: str | os.PathLike[str] | None = None) -> None:
+    """Print a `Result`, and last what to open; see `print_open`."""
     print_report(result.to_json())
+    print_open(opens)
+
+
+def print_open(path: str | os.PathLike[str] | None) -> None:
+    """Print the last line of a command: the file or folder to look at; None prints nothing."""
+    if path is not None:
+        print(f"Open: {shown(path, LONGEST_LINE)}")
 
 
 def print_report(report: dict[str, Any]) -> None:
@@ -58,6 +67,18 @@ def print_metrics(report: dict[str, Any]) -> None:
         if report[name] is not None:
             label = "contact sheet" if name == "sheet" else "irradiance"
             print(f"{label}: {shown(report[name], LONGEST_LINE)}")
+
+
+def print_lamps(lamps: Sequence[Any]) -> None:
+    """Print one line per `BakedLamp`."""
+    from lumitree.evaluation.index_page import lumens_text
+
+    for lamp in lamps:
+        text = lamp.state if lamp.error is None else f"{lamp.state}: {lamp.error}"
+        if lamp.figures:
+            size = _megabytes(lamp.figures["file_bytes"])
+            text += f", {lumens_text(lamp.figures['lumens'])}, {size}, {lamp.seconds:,.0f} s"
+        print(f"{shown(lamp.name):>20}  {shown(text, LONGEST_LINE)}")
 
 
 def _irradiance_lines(irradiance: dict[str, Any]) -> dict[str, str]:

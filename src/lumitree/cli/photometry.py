@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from lumitree.cli import options
-from lumitree.cli.output import LONGEST_LINE, print_lines
+from lumitree.cli.output import LONGEST_LINE, print_lines, print_open
 from lumitree.errors import shown
 
 
@@ -78,6 +78,9 @@ def run(args: argparse.Namespace) -> Any:
     _print_near_field(result)
     for path in result.files:
         print(f"written: {shown(path, LONGEST_LINE)}")
+    # A report, if there is one.
+    reports = [path for path in result.files if path.suffix.lower() in (".html", ".pdf")]
+    print_open(next(iter((*reports, *result.files)), None))
     return result
 
 

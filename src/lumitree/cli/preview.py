@@ -4,13 +4,13 @@ import argparse
 from typing import Any
 
 from lumitree.cli import options
-from lumitree.cli.output import print_lines
+from lumitree.cli.output import print_lines, print_open, print_result
 
 
 def add(commands: Any) -> None:
-    text = "render a luminaire from six sides, and print its figures"
+    text = "render a luminaire or an asset from six sides, and print its figures"
     parser = options.command(commands, "preview", text, run)
-    options.add_luminaire(parser)
+    options.add_luminaire(parser, "; or a .lumitree file")
     options.add_output(parser, "SHEET", "contact sheet to write, .png")
     options.add_pixels(parser, 256, 64)
     parser.add_argument(
@@ -24,14 +24,18 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
+    source = args.luminaire
     result = lumitree.preview(
-        options.luminaire(args, args.luminaire),
+        source if source.endswith(".lumitree") else options.luminaire(args, source),
         args.output,
         resolution=args.resolution,
         samples_per_pixel=args.spp,
         bounces=args.bounces,
         variant=args.variant,
     )
+    if isinstance(result, lumitree.AssetPreviewResult):
+        print_result(result, result.sheet)
+        return result
     watts = ", ".join(f"{value:.4g}" for value in result.flux.watts)
     errors = ", ".join(f"{value:.2g}" for value in result.flux.watts_error)
     lines = {
@@ -49,4 +53,5 @@ def run(args: argparse.Namespace) -> Any:
         name = f"beyond {item.path_depth} bounces"
         lines[name] = f"{100 * item.share:.2g} ± {100 * item.error:.1g} % of the flux"
     print_lines(lines | {"sheet": result.sheet})
+    print_open(result.sheet)
     return result

@@ -37,5 +37,5 @@ def run(args: argparse.Namespace) -> Any:
         work=args.work,
         variant=args.variant,
     )
-    print_result(result)
+    print_result(result, result.path)
     return result

@@ -35,7 +35,7 @@ def add(commands: Any) -> None:
         action=_Place,
         metavar="ASSET",
         help="a .lumitree file, or a LUMINAIRE, which is placed as explicit geometry; may be "
-        "repeated, each with its own --at, --size, --rotate and --gain",
+        "repeated, each with its own --at, --size, --rotate, --gain, --lumens and --temperature",
     )
     parser.add_argument(
         "--at",
@@ -66,6 +66,28 @@ def add(commands: Any) -> None:
         help="factors on the red, green and blue light of a .lumitree file, or one number for all "
         "(default: 1)",
     )
+    parser.add_argument(
+        "--lumens",
+        action=_Place,
+        type=float,
+        metavar="LM",
+        help="luminous flux of a .lumitree file in the scene before --gain, lm, if the scene is in "
+        "metres (default: its own)",
+    )
+    parser.add_argument(
+        "--temperature",
+        action=_Place,
+        type=float,
+        metavar="K",
+        help="colour temperature of the light of a .lumitree file before --gain, 1000 to 20000 K "
+        "(default: its own colour)",
+    )
+    parser.add_argument(
+        "--placements",
+        metavar="FILE",
+        help="TOML file with a table [lamps.NAME] for each lamp; its lamps come before those of "
+        "--place",
+    )
     parser.add_argument("--spp", type=int, metavar="N", default=64, help="samples per pixel")
     parser.add_argument(
         "--width",
@@ -85,16 +107,18 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
+    placements = [] if args.placements is None else lumitree.read_placements(args.placements)
+    placements += [lumitree.Placement(**placement) for placement in args.place or ()]
     result = lumitree.render(
         args.scene,
-        [lumitree.Placement(**placement) for placement in args.place or ()],
+        placements,
         args.output,
         samples_per_pixel=args.spp,
         width=args.width,
         proxy=args.proxy,
         variant=args.variant,
     )
-    print_result(result)
+    print_result(result, result.image)
     return result
 
 

@@ -27,5 +27,5 @@ def run(args: argparse.Namespace) -> Any:
     result = lumitree.train(
         args.dataset, args.output, preset=args.preset, seed=args.seed, resume=args.resume
     )
-    print_result(result)
+    print_result(result, result.run)
     return result

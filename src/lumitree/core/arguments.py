@@ -17,6 +17,9 @@ MAX_SAMPLES = 1 << 20
 MAX_RAYS, MAX_SECONDS = 1 << 50, 365 * 24 * 3600.0
 # Largest factor on the light of a lamp.
 MAX_GAIN = 1e6
+# Limits of a luminous flux, lm, and of a colour temperature, K.
+MIN_LUMENS, MAX_LUMENS = 1e-6, 1e9
+MIN_KELVIN, MAX_KELVIN = 1000, 20000
 
 
 def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
@@ -58,6 +61,14 @@ def check_gain(value: Any) -> tuple[float, float, float]:
         )
     red, green, blue = np.broadcast_to(gain, 3).tolist()
     return red, green, blue
+
+
+def check_light(lumens: float | None, temperature: float | None) -> None:
+    """Refuse a luminous flux, lm, or a colour temperature, K, that is out of range."""
+    if lumens is not None:
+        check_range("lumens", lumens, MIN_LUMENS, MAX_LUMENS, "lm")
+    if temperature is not None:
+        check_range("temperature", temperature, MIN_KELVIN, MAX_KELVIN, "K")
 
 
 def check_image_settings(**settings: int) -> None:

@@ -27,6 +27,8 @@ class Progress:
         seconds_left: estimate of the time left; None if there is none yet.
         note: a short remark, such as the current quality; may be empty.
         finished: whether this is the last report of the task, also after an error.
+        within: the latest report of the task that this one is a part of, such as a list of bakes;
+            None if there is none.
     """
 
     task: str
@@ -36,6 +38,7 @@ class Progress:
     seconds_left: float | None
     note: str
     finished: bool
+    within: "Progress | None" = None
 
 
 ProgressCallback = Callable[[Progress], None]
@@ -47,11 +50,15 @@ class Advance(Protocol):
 
 
 class _Display:
-    """The default callback: a bar on a terminal or in a notebook, else a line every 15 seconds."""
+    """The default callback: a bar on a terminal or in a notebook, else a line every 15 seconds.
+
+    A task within another one has a bar below that of the other.
+    """
 
     def __init__(self) -> None:
         self._bar: Any = None
-        self._task: Any = None
+        # Bars by level: that of the outermost task first.
+        self._rows: list[Any] = []
         self._logged = 0.0
 
     def __repr__(self) -> str:
@@ -60,9 +67,11 @@ class _Display:
     def __call__(self, progress: Progress) -> None:
         """Show a report; reports in the first two seconds of a task are not shown."""
         if progress.finished:
-            if self._bar is not None:
+            if self._bar is not None and progress.within is None:
                 self._bar.stop()
-            self._bar, self._logged = None, 0.0
+                self._bar, self._rows = None, []
+            self._remove_rows(len(_with_outer(progress)) - 1)
+            self._logged = 0.0
         elif progress.seconds >= _QUIET_SECONDS:
             if sys.stderr.isatty() or _in_notebook():
                 self._show_bar(progress)
@@ -85,12 +94,23 @@ class _Display:
             )
             self._bar = Bar(*columns, console=Console(stderr=True))
             self._bar.start()
-            self._task = self._bar.add_task(progress.task, total=progress.total, note=progress.note)
-        self._bar.update(self._task, completed=progress.done, note=progress.note)
+        for level, each in enumerate(_with_outer(progress)):
+            if level == len(self._rows):
+                self._rows.append(self._bar.add_task(each.task, total=each.total, note=each.note))
+            self._bar.update(
+                self._rows[level], description=each.task, completed=each.done, note=each.note
+            )
+
+    def _remove_rows(self, first: int) -> None:
+        """Remove the bars of this level and of those within it."""
+        for row in self._rows[first:]:
+            self._bar.remove_task(row)
+        del self._rows[first:]
 
     def _log(self, progress: Progress) -> None:
         percent = 100 * progress.done / progress.total
-        parts = [f"{progress.task}: {percent:.0f} %"]
+        outer = [f"{each.task}, {each.done:.0f} done" for each in _with_outer(progress)[:-1]]
+        parts = ["; ".join([*outer, f"{progress.task}: {percent:.0f} %"])]
         if progress.seconds_left is not None:
             parts.append(f"{progress.seconds_left:.0f} s left")
         if progress.note:
@@ -102,6 +122,8 @@ show_progress: ProgressCallback = _Display()
 _callback: contextvars.ContextVar[ProgressCallback | None] = contextvars.ContextVar(
     "progress", default=show_progress
 )
+# The latest report of the task in whose block the code runs.
+_current: contextvars.ContextVar[Progress | None] = contextvars.ContextVar("current", default=None)
 
 
 @contextlib.contextmanager
@@ -118,30 +140,41 @@ def reporting(callback: ProgressCallback | None) -> Iterator[None]:
 def progress(description: str, total: float, done: float = 0) -> Iterator[Advance]:
     """Context that reports a task's progress; the block calls the yielded function as it works.
 
+    A task that begins in this block is reported as one within this task.
+
     Args:
         description: name of the task, e.g. "capture".
         total: units of work in all.
         done: units that an earlier run has already done.
     """
-    callback = _callback.get()
+    callback, within = _callback.get(), _current.get()
     start, first, latest = time.monotonic(), done, ""
 
     def report(finished: bool) -> None:
-        if callback is None:
-            return
         seconds = time.monotonic() - start
         left = (total - done) * seconds / (done - first) if done > first else None
-        callback(Progress(description, done, total, seconds, left, latest, finished))
+        state = Progress(description, done, total, seconds, left, latest, finished, within)
+        _current.set(state)
+        if callback is not None:
+            callback(state)
 
     def advance(amount: float, note: str = "") -> None:
         nonlocal done, latest
         done, latest = done + amount, note
         report(False)
 
+    _current.set(Progress(description, done, total, 0.0, None, "", False, within))
     try:
         yield advance
     finally:
         report(True)
+        _current.set(within)
+
+
+def _with_outer(progress: Progress) -> list[Progress]:
+    """The tasks that a task is within, outermost first, and itself."""
+    outer = [] if progress.within is None else _with_outer(progress.within)
+    return [*outer, progress]
 
 
 def _in_notebook() -> bool:

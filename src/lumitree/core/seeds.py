@@ -39,6 +39,7 @@ class Purpose(enum.IntEnum):
     IRRADIANCE = 16  # rays that leave a luminaire; step: batch, draw: 0 traced, 1 from a field
     EXITANT = 17  # light paths of the exitant light field; step: batch
     PHOTOMETRY = 18  # rays that leave a luminaire, for intensities; step: batch
+    ASSET_FLUX = 19  # flux of an asset without an exitant light field
 
 
 @dataclasses.dataclass(frozen=True)

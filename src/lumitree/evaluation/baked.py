@@ -18,19 +18,34 @@ def baked_view(
     asset: Asset, manifest: Manifest, frame: Frame
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Radiance [H, W, 3] and opacity [H, W] of a baked luminaire in one view of a dataset."""
-    resolution = manifest.resolution
+    return baked_image(asset, frame.pose, manifest.half_width, manifest.resolution)
+
+
+def baked_image(
+    asset: Asset, local_from_camera: NDArray[np.float64], half_width: float, resolution: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Orthographic image of a baked luminaire: its field, or its exitant light field without one.
+
+    Args:
+        local_from_camera: [4, 4] pose of the camera, which looks along its -z.
+        half_width: half the side of the image, local units.
+        resolution: pixels per side.
+
+    Returns:
+        Radiance [H, W, 3], W/(m² sr), and opacity [H, W].
+    """
     fine = resolution * RAYS_A_SIDE
     index = dr.arange(mi.UInt32, fine * fine)
     # Rays of one pixel have consecutive indices, so that a block sum averages them.
     pixel, sub = index // RAYS_A_SIDE**2, index % RAYS_A_SIDE**2
     column = (pixel % resolution) * RAYS_A_SIDE + sub % RAYS_A_SIDE
     row = (pixel // resolution) * RAYS_A_SIDE + sub // RAYS_A_SIDE
-    step = 2 * manifest.half_width / fine
-    pose = mi.Transform4f(frame.pose)
+    step = 2 * half_width / fine
+    pose = mi.Transform4f(local_from_camera)
     dr.make_opaque(pose)
     origin = pose @ mi.Point3f(
-        (column + 0.5) * step - manifest.half_width,
-        manifest.half_width - (row + 0.5) * step,
+        (column + 0.5) * step - half_width,
+        half_width - (row + 0.5) * step,
         0,
     )
     towards = -(pose @ mi.Vector3f(0, 0, 1))

@@ -1,4 +1,4 @@
-"""Preview of a luminaire before it is baked: six views on a contact sheet."""
+"""Preview of a luminaire before it is baked, or of an asset: six views on a contact sheet."""
 
 import dataclasses
 import math
@@ -8,10 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.asset import Asset
 from lumitree.core.directions import pose_towards
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.evaluation.baked import baked_image
 from lumitree.evaluation.tiles import DARK, Layout, TileSheet, grey
 from lumitree.luminaire.luminaire import Luminaire
 from lumitree.views.camera import Camera, ViewImages
@@ -33,7 +35,7 @@ _MIN_TILE, _MAX_TILE = 192, 640
 
 @dataclasses.dataclass(frozen=True)
 class Preview:
-    """Images of a luminaire.
+    """Images of a luminaire or of an asset.
 
     Attributes:
         images: by the names of `VIEWS`.
@@ -90,34 +92,60 @@ def take_preview(luminaire: Luminaire, resolution: int, samples_per_pixel: int) 
     return Preview(images, paths / sum(seconds[1:]))
 
 
-def preview_layout(resolution: int) -> Layout:
+def take_asset_preview(asset: Asset, resolution: int) -> Preview:
+    """Render the six views of an asset, with the camera of its luminaire's preview.
+
+    Both opacities are that of the field. The camera's sphere contains the bounding box.
+
+    Args:
+        resolution: pixels per side.
+    """
+    radius = float(np.linalg.norm(asset.frame.half_extents))
+    images: dict[str, ViewImages] = {}
+    with progress(f"preview {asset.luminaire}", len(VIEWS)) as advance:
+        for name, (backward, up) in VIEWS.items():
+            pose = pose_towards(backward, up, 2 * radius)
+            radiance, opacity = baked_image(asset, pose, radius, resolution)
+            images[name] = ViewImages(radiance, opacity, opacity)
+            advance(1)
+    return Preview(images, 0.0)
+
+
+def preview_layout(resolution: int, rows: int = NUM_ROWS) -> Layout:
     """Layout of a preview. Tiles have the size of the images, within limits."""
     tile = min(max(resolution, _MIN_TILE), _MAX_TILE)
-    return Layout(len(VIEWS), NUM_ROWS, tile, title=60, caption=6, side=30)
+    return Layout(len(VIEWS), rows, tile, title=60, caption=6, side=30)
 
 
-def draw_preview(preview: Preview, title: str, facts: Sequence[str]) -> TileSheet:
+def draw_preview(
+    preview: Preview, title: str, facts: Sequence[str], *, baked: bool = False
+) -> TileSheet:
     """Contact sheet with a column for each view.
 
-    Rows: radiance at two exposures, geometric opacity and straight-through opacity.
+    Rows: radiance at two exposures, geometric opacity and straight-through opacity; of an asset
+    the two are one.
 
     Args:
         preview: the images.
         title: name of the luminaire.
         facts: short texts for the line below the title.
+        baked: whether the preview is that of an asset.
     """
     exposure, stops = preview.exposure, preview.more_stops
-    sheet = TileSheet(preview_layout(preview.radiance.shape[1]), DARK)
-    sheet.title(title, "   ·   ".join([*facts, f"exposure {exposure:.3g} in all views"]))
+    opacities = (
+        ("geometric opacity", lambda image: grey(image.geometric)),
+        ("straight-through opacity", lambda image: grey(image.straight_through)),
+    )
     rows = (
         ("radiance", lambda image: tonemap(image.radiance, exposure)),
         (
             f"radiance, {stops} stops brighter",
             lambda image: tonemap(image.radiance, exposure * 2**stops),
         ),
-        ("geometric opacity", lambda image: grey(image.geometric)),
-        ("straight-through opacity", lambda image: grey(image.straight_through)),
+        *((("opacity", opacities[0][1]),) if baked else opacities),
     )
+    sheet = TileSheet(preview_layout(preview.radiance.shape[1], len(rows)), DARK)
+    sheet.title(title, "   ·   ".join([*facts, f"exposure {exposure:.3g} in all views"]))
     for column, name in enumerate(preview.images):
         sheet.heading(column, name)
     for row, (name, show) in enumerate(rows):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset, exitant_asset
-from lumitree.asset.exitant import MAX_RESOLUTION, make_exitant_field, unpack
+from lumitree.asset.exitant import MAX_RESOLUTION, make_exitant_field
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import direction_in_bin, solid_angles
@@ -25,6 +25,7 @@ from lumitree.goniophotometry.rays import Rays
 from lumitree.goniophotometry.tm25 import read_tm25
 from lumitree.goniophotometry.type_c import IntensityDistribution
 from lumitree.model.photometry import LUMENS_PER_WATT, blackbody_colour, luminance
+from lumitree.rendering.asset_flux import asset_watts
 
 # Side of the box of a source without extent, m; and the shortest side, as a part of the longest.
 POINT_SIZE = 0.01
@@ -131,10 +132,7 @@ def scaled_to(asset: Asset, lumens: float) -> Asset:
 
 def exitant_lumens(asset: Asset) -> float:
     """Luminous flux of an asset's exitant light field, lm, for lengths in metres."""
-    field = asset.exitant
-    assert field is not None
-    by_bin = field.dense(luminance(unpack(field.intensity))).sum(axis=0)
-    return float(field.scale * (by_bin @ solid_angles(field.resolution)) * asset.frame.scale**2)
+    return float(luminance(asset_watts(asset)))
 
 
 def _bin_means(distribution: IntensityDistribution, resolution: int) -> NDArray[np.float64]:

@@ -4,14 +4,21 @@ Error messages contain the name of the file and the key.
 """
 
 import dataclasses
-import math
-import reprlib
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, NoReturn, TypeGuard, TypeVar
+from typing import Any, Literal
 
-from lumitree.core.reading import read_bytes
+from lumitree.core.toml_table import (
+    Table,
+    UnexpectedError,
+    boolean,
+    dictionary,
+    is_number,
+    number,
+    read_toml,
+    shown_value,
+    text,
+)
 from lumitree.errors import LumitreeError, shown
 from lumitree.importers.overrides import Emission, MaterialOverride, Overrides
 from lumitree.model.model import (
@@ -27,7 +34,6 @@ from lumitree.model.model import (
 from lumitree.model.photometry import MAX_TEMPERATURE, MIN_TEMPERATURE, blackbody_colour
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
-_MAX_BYTES = 2**20
 _MAX_EMISSION = 1e9
 # Mitsuba's measured conductors, and its name for none.
 _CONDUCTORS = """
@@ -38,8 +44,6 @@ _CONDUCTORS = """
     TiC_palik TiN TiN_palik TiO2 TiO2_palik VC VC_palik V_palik VN VN_palik W none
 """
 
-_T = TypeVar("_T")
-
 
 def read_overrides(path: Path) -> Overrides:
     """Read a TOML file of overrides.
@@ -47,22 +51,15 @@ def read_overrides(path: Path) -> Overrides:
     Raises:
         LumitreeError: it is missing or not TOML, or a key or value in it is wrong.
     """
-    data = read_bytes(path, "a TOML file of overrides", _MAX_BYTES)
-    try:
-        table = tomllib.loads(data.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise LumitreeError(
-            f"{shown(path, 300)} is not valid TOML in UTF-8: {shown(error, 200)}"
-        ) from None
-    top = _Table(path, "", table)
-    materials = top.take("material", _dictionary("[material.NAME] tables")) or {}
+    top = read_toml(path, "a TOML file of overrides")
+    materials = top.take("material", dictionary("[material.NAME] tables")) or {}
     result = Overrides(
         file=str(path),
         metres_per_unit=top.take("units", _units) or 1.0,
         up=top.take("up", _up) or "y",
-        variant=top.take("variant", _text),
+        variant=top.take("variant", text),
         materials={
-            name: _material(_Table(path, shown(f"material.{name}"), _as_table(path, name, value)))
+            name: _material(Table(path, shown(f"material.{name}"), _as_table(path, name, value)))
             for name, value in materials.items()
         },
     )
@@ -70,59 +67,15 @@ def read_overrides(path: Path) -> Overrides:
     return result
 
 
-class _UnexpectedError(Exception):
-    """A value is wrong; the message states what was expected."""
-
-
-class _Table:
-    """A TOML table whose keys are taken out one by one; keys that remain are unknown."""
-
-    def __init__(self, path: Path, name: str, values: dict[str, Any]) -> None:
-        self._path, self._name, self._values = path, name, dict(values)
-        self._known: list[str] = []
-
-    def take(self, key: str, read: Callable[[Any], _T]) -> _T | None:
-        """The value of a key, checked; None where the key is absent."""
-        self._known.append(key)
-        if key not in self._values:
-            return None
-        value = self._values.pop(key)
-        try:
-            return read(value)
-        except _UnexpectedError as wrong:
-            self.fail(f"{self._full(key)} is {_shown(value)}; expected {wrong}")
-
-    def table(self, key: str) -> "_Table | None":
-        """The table of a key; None where the key is absent."""
-        values = self.take(key, _dictionary("a table { ... }"))
-        return None if values is None else _Table(self._path, self._full(key), values)
-
-    def finish(self) -> None:
-        """Refuse what has not been taken."""
-        for key in self._values:
-            self.fail(f"unknown key {self._full(key)!r}; known here: {', '.join(self._known)}")
-
-    def fail(self, message: str) -> NoReturn:
-        raise LumitreeError(f"{shown(self._path, 300)}: {' '.join(message.split())}")
-
-    def _full(self, key: str) -> str:
-        return shown(f"{self._name}.{key}" if self._name else key)
-
-
-def _shown(value: Any) -> str:
-    # A list may be of any length and depth.
-    return repr(shown(value if isinstance(value, str) else reprlib.repr(value), 60))
-
-
 def _as_table(path: Path, name: str, value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise LumitreeError(
-            f"{shown(path, 300)}: material.{shown(name)} is {_shown(value)}; expected a table"
+            f"{shown(path, 300)}: material.{shown(name)} is {shown_value(value)}; expected a table"
         )
     return value
 
 
-def _material(table: _Table) -> MaterialOverride:
+def _material(table: Table) -> MaterialOverride:
     readers = {
         "glass": _glass,
         "metal": _metal,
@@ -136,33 +89,33 @@ def _material(table: _Table) -> MaterialOverride:
             surfaces.append(read(own))
             own.finish()
     if len(surfaces) > 1:
-        table.fail(f"{table._full('')[:-1]} has {len(surfaces)} surfaces; expected one")
+        table.fail(f"{table.name} has {len(surfaces)} surfaces; expected one")
     light = table.table("emitter")
     emission = None
     if light is not None:
         emission = _emission(light)
         light.finish()
-    opacity = table.take("opacity", _number(0.0, 1.0))
+    opacity = table.take("opacity", number(0.0, 1.0))
     table.finish()
     surface, guess_thin = surfaces[0] if surfaces else (None, False)
     return MaterialOverride(surface, guess_thin, emission, opacity)
 
 
-def _glass(table: _Table) -> tuple[Surface, bool]:
-    thin = table.take("thin", _boolean)
+def _glass(table: Table) -> tuple[Surface, bool]:
+    thin = table.take("thin", boolean)
     glass = Glass(
-        ior=table.take("ior", _number(1.0, 4.0, open_low=True)) or 1.5,
-        roughness=table.take("roughness", _number(0.0, 1.0)) or 0.0,
+        ior=table.take("ior", number(1.0, 4.0, open_low=True)) or 1.5,
+        roughness=table.take("roughness", number(0.0, 1.0)) or 0.0,
         tint=table.take("tint", _rgb(1.0)) or WHITE,
         thin=bool(thin),
     )
     absorption = table.take("absorption", _rgb(_MAX_EMISSION))
     scattering = table.take("scattering", _rgb(_MAX_EMISSION))
-    anisotropy = table.take("anisotropy", _number(-0.99, 0.99)) or 0.0
+    anisotropy = table.take("anisotropy", number(-0.99, 0.99)) or 0.0
     solid_only = glass.roughness > 0 or absorption is not None or scattering is not None
     if thin and solid_only:
         table.fail(
-            f"{table._name} is thin; a thin sheet has no roughness, absorption or scattering: use "
+            f"{table.name} is thin; a thin sheet has no roughness, absorption or scattering: use "
             "tint, or thin = false"
         )
     extinction = [*(absorption or ()), *(scattering or ())]
@@ -173,49 +126,49 @@ def _glass(table: _Table) -> tuple[Surface, bool]:
     return glass, thin is None and not solid_only
 
 
-def _metal(table: _Table) -> tuple[Surface, bool]:
+def _metal(table: Table) -> tuple[Surface, bool]:
     return (
         Metal(
             tint=table.take("tint", _rgb(1.0)) or WHITE,
-            roughness=_or(table.take("roughness", _number(0.0, 1.0)), 0.0),
+            roughness=_or(table.take("roughness", number(0.0, 1.0)), 0.0),
             conductor=table.take("conductor", _conductor) or "none",
         ),
         False,
     )
 
 
-def _diffuse(table: _Table) -> tuple[Surface, bool]:
+def _diffuse(table: Table) -> tuple[Surface, bool]:
     return Diffuse(table.take("reflectance", _rgb(1.0)) or (0.5, 0.5, 0.5)), False
 
 
-def _principled(table: _Table) -> tuple[Surface, bool]:
-    share = _number(0.0, 1.0)
+def _principled(table: Table) -> tuple[Surface, bool]:
+    share = number(0.0, 1.0)
     return (
         Principled(
             base_color=table.take("base_color", _rgb(1.0)) or (0.5, 0.5, 0.5),
             metallic=_or(table.take("metallic", share), 0.0),
             roughness=_or(table.take("roughness", share), 0.5),
-            ior=table.take("ior", _number(1.0, 4.0, open_low=True)) or 1.5,
+            ior=table.take("ior", number(1.0, 4.0, open_low=True)) or 1.5,
             clearcoat=_or(table.take("clearcoat", share), 0.0),
             transmission=_or(table.take("transmission", share), 0.0),
-            diffuse_transmission=_or(table.take("diffuse_transmission", _number(0.0, 2.0)), 0.0),
-            thin=bool(table.take("thin", _boolean)),
+            diffuse_transmission=_or(table.take("diffuse_transmission", number(0.0, 2.0)), 0.0),
+            thin=bool(table.take("thin", boolean)),
         ),
         False,
     )
 
 
-def _emission(table: _Table) -> Emission:
+def _emission(table: Table) -> Emission:
     radiance = table.take("radiance", _rgb(_MAX_EMISSION))
-    lumens = table.take("lumens", _number(0.0, _MAX_EMISSION, open_low=True))
-    temperature = table.take("temperature", _number(MIN_TEMPERATURE, MAX_TEMPERATURE))
+    lumens = table.take("lumens", number(0.0, _MAX_EMISSION, open_low=True))
+    temperature = table.take("temperature", number(MIN_TEMPERATURE, MAX_TEMPERATURE))
     if (radiance is None) == (lumens is None):
-        table.fail(f"{table._name} needs either radiance or lumens")
+        table.fail(f"{table.name} needs either radiance or lumens")
     colour = WHITE if temperature is None else blackbody_colour(temperature)
     if radiance is None:
         return Emission(None, lumens or 0.0, colour)
     if temperature is not None and len(set(radiance)) > 1:
-        table.fail(f"{table._name} has a temperature, so its radiance has to be one number")
+        table.fail(f"{table.name} has a temperature, so its radiance has to be one number")
     red, green, blue = (factor * channel for factor, channel in zip(radiance, colour, strict=True))
     return Emission((red, green, blue))
 
@@ -224,33 +177,13 @@ def _or(value: float | None, default: float) -> float:
     return default if value is None else value
 
 
-def _is_number(value: Any) -> TypeGuard[float]:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:
-        return False
-
-
-def _number(low: float, high: float, open_low: bool = False) -> Callable[[Any], float]:
-    bounds = f"a number {'above' if open_low else 'of at least'} {low:g} and at most {high:g}"
-
-    def read(value: Any) -> float:
-        if not _is_number(value) or not low <= value <= high or (open_low and value == low):
-            raise _UnexpectedError(bounds)
-        return float(value)
-
-    return read
-
-
 def _rgb(high: float) -> Callable[[Any], RGB]:
     def read(value: Any) -> RGB:
         channels = value if isinstance(value, list) else [value] * 3
         if len(channels) != 3 or not all(
-            _is_number(channel) and 0 <= channel <= high for channel in channels
+            is_number(channel) and 0 <= channel <= high for channel in channels
         ):
-            raise _UnexpectedError(f"[R, G, B] or one number, each from 0 to {high:g}")
+            raise UnexpectedError(f"[R, G, B] or one number, each from 0 to {high:g}")
         return (float(channels[0]), float(channels[1]), float(channels[2]))
 
     return read
@@ -259,39 +192,18 @@ def _rgb(high: float) -> Callable[[Any], RGB]:
 def _units(value: Any) -> float:
     if isinstance(value, str) and value in UNITS:
         return UNITS[value]
-    if not _is_number(value) or not 1e-6 <= value <= 1e6:
-        raise _UnexpectedError(f"one of {', '.join(UNITS)}, or the metres in a unit")
+    if not is_number(value) or not 1e-6 <= value <= 1e6:
+        raise UnexpectedError(f"one of {', '.join(UNITS)}, or the metres in a unit")
     return float(value)
 
 
 def _up(value: Any) -> Literal["y", "z"]:
     if value not in ("y", "z"):
-        raise _UnexpectedError("'y' or 'z'")
+        raise UnexpectedError("'y' or 'z'")
     return value
 
 
 def _conductor(value: Any) -> str:
     if value not in _CONDUCTORS.split():
-        raise _UnexpectedError("Ag, Al, Au, Cr, Cu, W or another of Mitsuba's, or none")
+        raise UnexpectedError("Ag, Al, Au, Cr, Cu, W or another of Mitsuba's, or none")
     return str(value)
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str) or not value:
-        raise _UnexpectedError("a text")
-    return value
-
-
-def _boolean(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise _UnexpectedError("true or false")
-    return value
-
-
-def _dictionary(expected: str) -> Callable[[Any], dict[str, Any]]:
-    def read(value: Any) -> dict[str, Any]:
-        if not isinstance(value, dict):
-            raise _UnexpectedError(expected)
-        return value
-
-    return read

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lumitree.asset.asset import Asset
-from lumitree.core.arguments import check_gain
+from lumitree.core.arguments import check_gain, check_light
 from lumitree.core.frames import check_placement
 from lumitree.errors import LumitreeError, shown
 
@@ -26,9 +26,18 @@ class Placement:
         rotate: [4] axis x, y, z and angle in degrees, about the centre.
         gain: [3] factors on the R, G and B of its light, or one number for all; 0 to 10⁶. For an
             asset only.
+        lumens: luminous flux that the lamp has in the scene before `gain`, lm, if lengths of the
+            scene are in metres; 10⁻⁶ to 10⁹. For an asset only. Default: that of the asset, times
+            the square of the scale of its size.
+        temperature: colour temperature of its whole flux before `gain`, K; 1000 to 20,000. R, G and
+            B each get a factor, by which the colour in linear sRGB becomes that of a black body;
+            the luminous flux stays. For an asset only. Default: the colour of the asset.
+        label: name of this placement in layers; default: file name without ending, made unique by
+            a number.
 
     Raises:
-        LumitreeError: a number is out of range, or there is a gain for explicit geometry.
+        LumitreeError: a number is out of range, or there is a gain, a luminous flux or a
+            temperature for explicit geometry.
     """
 
     source: "Asset | LuminaireLike"
@@ -36,6 +45,9 @@ class Placement:
     size: float | None = None
     rotate: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 0.0)
     gain: float | tuple[float, float, float] = 1.0
+    lumens: float | None = None
+    temperature: float | None = None
+    label: str | None = None
 
     def __post_init__(self) -> None:
         check_placement(self.at, self.size, self.rotate)
@@ -44,6 +56,13 @@ class Placement:
                 f"{self.name} has a gain of {shown(self.gain, 60)}, but is placed as explicit "
                 "geometry; bake it first, or change its emitters"
             )
+        check_light(self.lumens, self.temperature)
+        for name, value in (("lumens", self.lumens), ("temperature", self.temperature)):
+            if value is not None and not self.is_baked:
+                raise LumitreeError(
+                    f"{self.name} has {name} of {value:g}, but is placed as explicit geometry; "
+                    "bake it first, or change its emitters"
+                )
 
     @property
     def is_baked(self) -> bool:

@@ -9,13 +9,17 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.asset import Asset
+from lumitree.core.arguments import check_gain
 from lumitree.core.device import on_device
+from lumitree.core.frames import similarity_scale
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaire.luminaire import Luminaire, load_luminaire, place_shapes
 from lumitree.luminaire.scene_file import SceneFile
 from lumitree.octree.field import Field
+from lumitree.rendering.asset_flux import asset_watts, gain_to
 from lumitree.rendering.emitter_sampling import Sampling
 from lumitree.rendering.opened import open_field
 from lumitree.rendering.placed import Appearance, shows_model
@@ -57,6 +61,18 @@ class PlacedLuminaire:
         # maps [-1, 1]³ to the bounding box.
         self.scene_from_world = scene_from_local @ frame.local_from_world
         self.scene_from_box = scene_from_local @ np.diag([*frame.half_extents, 1])
+        # Factors [3] on its light, for its `gain`, `lumens` and `temperature`.
+        self.gain = self._gain(similarity_scale(scene_from_local, "placement") / frame.scale)
+
+    def _gain(self, scale: float) -> tuple[float, float, float]:
+        """The gain of a lamp whose lengths in the scene are `scale` times those of its file."""
+        placement, gain = self.placement, np.array(check_gain(self.placement.gain))
+        if self.field is not None and (placement.lumens, placement.temperature) != (None, None):
+            asset = self.field.asset
+            assert isinstance(asset, Asset)
+            watts = asset_watts(asset) * scale**2
+            gain *= gain_to(watts, placement.lumens, placement.temperature, placement.name)
+        return check_gain(gain)
 
     @property
     def has_media(self) -> bool:
@@ -72,7 +88,7 @@ class PlacedLuminaire:
         source = cast(Any, self.placement.source)
         options: dict[str, Any] = {
             "sampling": sampling,
-            "gain": self.placement.gain,
+            "gain": self.gain,
             "appearance": appearance,
         }
         return {"proxy": shape(source, self.scene_from_world, proxy, **options)}

@@ -1,0 +1,192 @@
+"""Many lamps in one folder: what is baked, kept and continued, and the index page."""
+
+import functools
+import json
+import re
+import signal
+
+import pytest
+
+import lumitree
+from lamps import AREA, scene, sphere
+from lumitree.api import lamp_record, many
+from lumitree.cli import main
+from tiny_bakes import set_qualities
+
+SETTINGS = {"parts": ("exitant",), "irradiance_paths": 1 << 14}
+ARGUMENTS = ("--parts", "exitant", "--irradiance-paths", "16384")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch, mi):
+    monkeypatch.chdir(tmp_path)
+    set_qualities(monkeypatch.setitem)
+    for name, radius in (("a", 1.0), ("b", 0.5)):
+        (tmp_path / f"{name}.xml").write_text(scene(sphere("ball", radius, inside=AREA)))
+    (tmp_path / "dark.xml").write_text(scene(sphere("ball", 1)))
+    return tmp_path
+
+
+@pytest.fixture
+def baked(monkeypatch):
+    """Names of the assets that were baked, in order."""
+    names, bake = [], many.bake
+
+    # The settings are those of the real function.
+    @functools.wraps(bake)
+    def record(luminaire, output, **options):
+        names.append(output.stem)
+        return bake(luminaire, output, **options)
+
+    monkeypatch.setattr(many, "bake", record)
+    return names
+
+
+def states(result):
+    return [(lamp.name, lamp.state) for lamp in result.lamps]
+
+
+def test_lamps_are_baked_and_kept_while_source_and_settings_are_equal(folder, baked):
+    first = lumitree.bake_many(["a.xml", "b.xml"], "out", **SETTINGS)
+    assert states(first) == [("a", "baked"), ("b", "baked")]
+    # Four times the area.
+    bright, dim = (lamp.figures["lumens"] for lamp in first.lamps)
+    assert bright / dim == pytest.approx(4, rel=0.02)
+    # A given default is no other setting, nor is another order of the parts.
+    again = lumitree.bake_many(["b.xml", "a.xml"], "out", quality="standard", **SETTINGS)
+    assert states(again) == [("b", "kept"), ("a", "kept")]
+    assert again.lamps[1].figures == first.lamps[0].figures
+    assert again.lamps[1].seconds > 0
+    (folder / "a.xml").write_text(scene(sphere("ball", 2, inside=AREA)))
+    changed = lumitree.bake_many(["a.xml", "b.xml"], "out", **SETTINGS)
+    assert states(changed) == [("a", "baked"), ("b", "kept")]
+    other = lumitree.bake_many(["b.xml"], "out", **SETTINGS, seed=1)
+    assert states(other) == [("b", "baked")]
+    # An asset that is not the one of the record.
+    (folder / "out/b.lumitree").write_bytes((folder / "out/a.lumitree").read_bytes())
+    (folder / "out/index-files/a.json").write_text('{"version": 1}')
+    replaced = lumitree.bake_many(["a.xml", "b.xml"], "out", **SETTINGS, seed=1)
+    assert states(replaced) == [("a", "baked"), ("b", "baked")]
+    assert baked == ["a", "b", "a", "b", "a", "b"]
+
+
+def test_one_failure_does_not_lose_the_others(folder, capsys):
+    assert main(["bake", "a.xml", "dark.xml", "no.glb", "-o", "out", *ARGUMENTS]) == 2
+    captured = capsys.readouterr()
+    assert "2 of 3 lamps failed (dark, no)" in captured.err
+    assert captured.err.count("\n") == 1
+    lines = captured.out.splitlines()
+    assert re.search(r" a  baked, 57,\d{3} lm, 0\.\d MB, \d+ s", lines[0])
+    assert "dark  failed: dark.xml holds no emitter" in lines[1]
+    assert "no  failed: no luminaire 'no.glb'" in lines[2]
+    assert sorted(path.name for path in (folder / "out").iterdir()) == [
+        "a.lumitree", "index-files", "index.html",
+    ]  # fmt: skip
+    assert sorted(path.name for path in (folder / "out/index-files").iterdir()) == [
+        "a.json", "a.png",
+    ]  # fmt: skip
+    page = (folder / "out/index.html").read_text()
+    assert page.count("<article>") == 3
+    assert "failed: dark.xml holds no emitter" in page
+    assert main(["bake", "a.xml", "-o", "out/", *ARGUMENTS]) == 0
+    assert "a  kept" in capsys.readouterr().out
+
+
+def test_an_unexpected_error_is_a_failure_too(monkeypatch):
+    @functools.wraps(many.bake)
+    def fail(luminaire, output, **options):
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr(many, "bake", fail)
+    result = lumitree.bake_many(["a.xml"], "out", **SETTINGS)
+    assert result.failed[0].error == "unexpected ZeroDivisionError: division by zero"
+
+
+@pytest.mark.slow
+def test_an_interrupted_list_continues(folder, baked, capsys):
+    def stop(report):
+        if report.task == "light of " + folder.name + "/b" and report.within.done == 1:
+            raise lumitree.Interrupted(number=signal.SIGTERM)
+
+    names = ["a.xml", "b.xml", "dark.xml"]
+    first = lumitree.bake_many(names, "out", progress=stop, **SETTINGS)
+    assert states(first) == [("a", "baked"), ("b", "interrupted"), ("dark", "waiting")]
+    assert first.stopped_by == signal.SIGTERM
+    page = (folder / "out/index.html").read_text()
+    assert "not baked yet" in page
+    second = lumitree.bake_many(names[:2], "out", **SETTINGS)
+    assert states(second) == [("a", "kept"), ("b", "baked")]
+    assert baked == ["a", "b", "b"]
+
+
+@pytest.mark.slow
+def test_the_best_field_so_far_is_written_and_continued(folder, monkeypatch, baked):
+    stopped = []
+
+    def stop(report):
+        if report.task.startswith("bake ") and report.within and report.done > 0.3 and not stopped:
+            stopped.append(report)
+            signal.raise_signal(signal.SIGINT)
+
+    settings = {"parts": ("field",), "irradiance_paths": 0, "rays": 1 << 19}
+    first = lumitree.bake_many(["a.xml"], "out", progress=stop, **settings)
+    assert states(first) == [("a", "interrupted")]
+    assert first.stopped_by == signal.SIGINT
+    assert first.lamps[0].figures["lumens"] > 0
+    assert (folder / "out/a.work").is_dir()
+    second = lumitree.bake_many(["a.xml"], "out", **settings)
+    assert states(second) == [("a", "baked")]
+    assert not (folder / "out/a.work").exists()
+    assert second.lamps[0].seconds > first.lamps[0].seconds
+
+
+def test_names_and_arguments_are_checked_first(folder):
+    (folder / "sub").mkdir()
+    for names, options, message in (
+        ([], {}, "no luminaire"),
+        (["a.xml", "sub/A.obj"], {}, "a.xml and sub/A.obj would both be written to out/A.lumitree"),
+        (["bulbs", "bulbs.glb"], {}, "would both be written"),
+        (["a.xml"], {"quality": "best"}, "quality is 'best'"),
+        (["a.xml"], {"tree_depth": 11}, "depth"),
+    ):
+        with pytest.raises(lumitree.LumitreeError, match=message):
+            lumitree.bake_many(names, "out", **options)
+    (folder / "site").mkdir()
+    (folder / "site/index.html").write_text("<title>mine</title>")
+    with pytest.raises(lumitree.LumitreeError, match=r"site/index.html is not a page of lumitree"):
+        lumitree.bake_many(["a.xml"], "site")
+    assert (folder / "site/index.html").read_text() == "<title>mine</title>"
+    with pytest.raises(TypeError, match="'qualty'"):
+        lumitree.bake_many(["a.xml"], "out", qualty="high")
+    assert not (folder / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["a.xml", "b.xml", "-o", "a.lumitree"], "is the name of one asset"),
+        (["a.xml", "b.xml", "-o", "out", "--work", "w"], "--work: for one luminaire"),
+        (["a.xml", "b.xml", "-o", "out", "--method", "nerf"], "--method nerf: for one"),
+        (["a.xml", "b.xml", "-o", "a.xml"], "cannot write a.xml/index.html"),
+    ],
+)
+def test_command_refuses(arguments, message, capsys):
+    assert main(["bake", *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_the_page_is_self_contained_and_escapes_names(folder):
+    name = 'a & "b" <i>%'
+    (folder / f"{name}.xml").write_text(scene(sphere("ball", 1, inside=AREA)))
+    result = lumitree.bake_many([f"{name}.xml"], "out", **SETTINGS)
+    page = result.index.read_text()
+    assert 'href="a%20%26%20%22b%22%20%3Ci%3E%25.lumitree"' in page
+    assert "<i>" not in page
+    # Nothing is loaded: images are in the page, and links are relative.
+    assert re.findall(r'src="([^"]{22})', page) == ["data:image/png;base64,"]
+    assert not re.search(r"https?:|url\(|@import|<script|<link", page)
+    assert re.findall(r"<dt>flux</dt><dd>57,\d{3} lm</dd>", page)
+    record = json.loads((folder / "out/index-files" / f"{name}.json").read_text())
+    assert record["figures"]["size"] == [2, 2, 2]
+    assert record["figures"]["irradiance_rms"] > 0
+    assert lamp_record.LampFiles(folder / "out", name).read().finished

@@ -1,0 +1,87 @@
+"""The last line of every long command: what to open."""
+
+import os
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import lumitree
+from exitant_fields import random_exitant
+from fields import random_asset
+from lamps import AREA, scene, sphere
+from lumitree.asset.asset import exitant_asset
+from lumitree.asset.exitant import TracedPaths
+from lumitree.cli import main
+from tiny_bakes import set_qualities
+
+ROOM = (
+    '<scene version="3.0.0"><integrator type="path"/><sensor type="perspective">'
+    '<film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/>'
+    "</film></sensor></scene>"
+)
+SMALL = ("--resolution", "16", "--spp", "1")
+LAMP = ("bake", "lamp.xml", "--parts", "exitant", "--irradiance-paths", "0")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch, mi):
+    monkeypatch.chdir(tmp_path)
+    set_qualities(monkeypatch.setitem)
+    (tmp_path / "lamp.xml").write_text(scene(sphere("ball", 1, inside=AREA)))
+    (tmp_path / "room.xml").write_text(ROOM)
+    frame = random_asset(0).frame
+    lumitree.save(random_asset(0), "field.lumitree")
+    for seed in (0, 1):
+        traced = TracedPaths(1000, (seed,), 64 * "0")
+        lumitree.save(
+            exitant_asset(random_exitant(0, traced=traced), frame, "x"), f"{seed}.lumitree"
+        )
+
+
+@pytest.mark.parametrize(
+    ("command", "opens"),
+    [
+        ((*LAMP, "-o", "new/a.lumitree"), "new/a.lumitree"),
+        ((*LAMP, "-o", "new/"), "new/index.html"),
+        (("merge", "0.lumitree", "1.lumitree", "-o", "m.lumitree"), "m.lumitree"),
+        pytest.param(
+            ("preview", "lamp.xml", "-o", "s.png", *SMALL), "s.png", marks=pytest.mark.slow
+        ),
+        (("preview", "field.lumitree", "-o", "s.png", *SMALL), "s.png"),
+        (("capture", "lamp.xml", "-o", "d", "--views", "1", *SMALL), "d"),
+        pytest.param(
+            ("evaluate", "field.lumitree", "lamp.xml", "--views", "1", *SMALL,
+             "--irradiance-paths", "0"), "field-evaluation.png", marks=pytest.mark.slow
+        ),
+        (("render", "room.xml", "-o", "r.png", "--spp", "1", "--place", "field.lumitree", "--at",
+          "0,0,5"), "r.png"),
+        (("photometry", "1.lumitree", "-o", "p.ies", "-o", "p.html", "--paths", "16384",
+          "--step", "10"), "p.html"),
+        pytest.param(
+            ("photometry", "1.lumitree", "-o", "p.ldt", "--paths", "16384", "--step", "10"),
+            "p.ldt", marks=pytest.mark.slow
+        ),
+    ],
+    ids=lambda value: " ".join(value[:2]) if isinstance(value, tuple) else value,
+)  # fmt: skip
+def test_the_last_line_names_a_file_or_folder_that_is_there(command, opens, capsys):
+    assert main(list(command)) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"Open: {opens}"
+    assert os.path.exists(opens)
+
+
+@pytest.mark.parametrize(
+    ("command", "function", "field"),
+    [
+        (("train", "d", "-o", "run"), "train", "run"),
+        (("extract", "run", "-o", "a.lumitree"), "extract", "path"),
+        (("refine", "field.lumitree", "lamp.xml", "-o", "a.lumitree"), "refine", "path"),
+    ],
+)
+def test_commands_that_take_minutes_end_likewise(command, function, field, monkeypatch, capsys):
+    """Their functions are replaced; the result has the path."""
+    result = SimpleNamespace(to_json=dict, stopped_by=None, **{field: Path("made")})
+    monkeypatch.setattr(lumitree, function, lambda *_, **__: result, raising=False)
+    assert main(list(command)) == 0
+    assert capsys.readouterr().out == "Open: made\n"
