@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from lumitree.api.luminaires import builtin_luminaires, load_luminaire
     from lumitree.api.merging import merge
     from lumitree.api.network import bake_network, capture, extract, train
+    from lumitree.api.page import ViewResult, view
     from lumitree.api.photometry import photometry
     from lumitree.api.results import (
         BakeResult,
@@ -65,6 +66,7 @@ _HOMES = {
     "RenderResult": "api.results",
     "Result": "api.results",
     "TrainResult": "api.results",
+    "ViewResult": "api.page",
     "bake": "api.baking",
     "bake_network": "api.network",
     "builtin_luminaires": "api.luminaires",
@@ -82,6 +84,7 @@ _HOMES = {
     "save": "asset.file",
     "shape": "rendering.plugins",
     "train": "api.network",
+    "view": "api.page",
 }
 __all__ = [
     "Asset",
@@ -107,6 +110,7 @@ __all__ = [
     "RenderResult",
     "Result",
     "TrainResult",
+    "ViewResult",
     "bake",
     "bake_network",
     "builtin_luminaires",
@@ -125,6 +129,7 @@ __all__ = [
     "shape",
     "show_progress",
     "train",
+    "view",
 ]
 
 select_llvm()

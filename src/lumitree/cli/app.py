@@ -20,6 +20,7 @@ from lumitree.cli import (
     refine,
     render,
     train,
+    view,
 )
 from lumitree.cli.options import Parser
 from lumitree.cli.output import LONGEST_LINE
@@ -43,6 +44,7 @@ _COMMANDS = (
     evaluate,
     photometry,
     render,
+    view,
     demo,
 )
 
