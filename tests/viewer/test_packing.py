@@ -86,7 +86,7 @@ def test_page_is_self_contained_and_holds_the_asset():
 
 def test_asset_without_a_field_is_refused():
     asset = exitant_asset(random_exitant(1), LocalFrame((1, 1, 1), np.eye(4)), "lamp")
-    with pytest.raises(LumitreeError, match="lamp has no field.*--parts exitant,field"):
+    with pytest.raises(LumitreeError, match=r"lamp has no field.*--parts exitant,field"):
         pack_asset(asset)
 
 

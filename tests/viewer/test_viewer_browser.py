@@ -59,6 +59,5 @@ def test_illuminance_is_the_sum_over_cells(mi, tmp_path):
     found = evaluate(make_page(asset), call, tmp_path / "profile")
     patches = floats(found["lux"]).reshape(48, 6, 48)
     means = patches.mean(axis=(0, 2))
-    # Axis-aligned bounds of the estimate's own noise: 1 % at this number of rays.
     expected = asset_irradiance(asset, 1 << 20).lux[:6].mean(axis=(1, 2))
     assert means == pytest.approx(expected, rel=0.02)

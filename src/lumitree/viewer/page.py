@@ -1,4 +1,4 @@
-"""The page of the viewer: a template with the asset, the style, the scripts and the shaders in it."""
+"""The page of the viewer: a template with the asset, style, scripts and shaders in it."""
 
 import html
 import json
