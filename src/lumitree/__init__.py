@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from lumitree.api.many import BakedLamp, BakeManyResult, bake_many
     from lumitree.api.merging import merge
     from lumitree.api.network import bake_network, capture, extract, train
+    from lumitree.api.page import ViewResult, view
     from lumitree.api.photometry import photometry
     from lumitree.api.results import (
         AssetPreviewResult,
@@ -71,6 +72,7 @@ _HOMES = {
     "RenderResult": "api.results",
     "Result": "api.results",
     "TrainResult": "api.results",
+    "ViewResult": "api.page",
     "bake": "api.baking",
     "bake_many": "api.many",
     "bake_network": "api.network",
@@ -90,6 +92,7 @@ _HOMES = {
     "save": "asset.file",
     "shape": "rendering.plugins",
     "train": "api.network",
+    "view": "api.page",
 }
 __all__ = [
     "Asset",
@@ -118,6 +121,7 @@ __all__ = [
     "RenderResult",
     "Result",
     "TrainResult",
+    "ViewResult",
     "bake",
     "bake_many",
     "bake_network",
@@ -138,6 +142,7 @@ __all__ = [
     "shape",
     "show_progress",
     "train",
+    "view",
 ]
 
 select_llvm()

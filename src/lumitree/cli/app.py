@@ -20,6 +20,7 @@ from lumitree.cli import (
     refine,
     render,
     train,
+    view,
 )
 from lumitree.cli.completion import complete
 from lumitree.cli.options import Parser
@@ -44,6 +45,7 @@ _COMMANDS = (
     evaluate,
     photometry,
     render,
+    view,
     demo,
 )
 

@@ -1,0 +1,72 @@
+"""The viewer: a web page that shows an asset."""
+
+import dataclasses
+from pathlib import Path
+
+from lumitree.api.files import FilePath
+from lumitree.api.measures import Stopwatch
+from lumitree.api.results import Result
+from lumitree.asset.asset import Asset
+from lumitree.asset.file import load
+from lumitree.core.files import check_writable, write_bytes
+from lumitree.errors import explained
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class ViewResult(Result):
+    """Result of `view`. In a notebook it shows the page.
+
+    Attributes:
+        luminaire: name of the luminaire.
+        page: file that was written; None if none was.
+        page_bytes: size of the page.
+        html: text of the page.
+    """
+
+    luminaire: str
+    page: Path | None
+    page_bytes: int
+    html: str = dataclasses.field(repr=False)
+
+    def _repr_html_(self) -> str:
+        from lumitree.viewer.page import notebook_frame
+
+        return notebook_frame(self.html)
+
+
+@explained
+def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
+    """Make a web page that shows the field of an asset, and the illuminance around it.
+
+    The page needs a browser with WebGL 2, and loads nothing from a network.
+
+    Args:
+        asset: an asset, or the path of its `.lumitree` file. It needs a field.
+        output: path of the HTML file to write. Default: no file is written.
+
+    Returns:
+        The page as `html`; in a notebook, the result shows it.
+
+    Raises:
+        LumitreeError: the asset cannot be read, has no field, or is too large for a browser; or the
+            file cannot be written.
+    """
+    if output is not None:
+        check_writable(output)
+    from lumitree.viewer.page import make_page
+
+    watch = Stopwatch()
+    with watch.stage("load"):
+        loaded = asset if isinstance(asset, Asset) else load(asset)
+    with watch.stage("page"):
+        html = make_page(loaded)
+        content = html.encode()
+        if output is not None:
+            write_bytes(output, content)
+    return ViewResult(
+        luminaire=loaded.luminaire,
+        page=None if output is None else Path(output),
+        page_bytes=len(content),
+        html=html,
+        **watch.costs(),
+    )

@@ -1,0 +1,41 @@
+"""`lumitree view`."""
+
+import argparse
+from typing import Any
+
+from lumitree.cli import options
+from lumitree.cli.output import LONGEST_LINE
+from lumitree.core.interrupt import Interrupted
+from lumitree.errors import shown
+
+
+def add(commands: Any) -> None:
+    parser = options.command(commands, "view", "show an asset in a web browser", run)
+    parser.add_argument("asset", metavar="ASSET", help="a .lumitree file with a field")
+    parser.add_argument(
+        "-o",
+        dest="output",
+        metavar="FILE",
+        help="HTML file to write, which needs no other file and no network (default: the page is "
+        "served on this computer until Ctrl-C)",
+    )
+    parser.add_argument(
+        "--port", type=int, metavar="P", default=0, help="port to serve on (default: a free one)"
+    )
+
+
+def run(args: argparse.Namespace) -> Any:
+    import lumitree
+    from lumitree.viewer.server import address, open_server
+
+    result = lumitree.view(args.asset, args.output)
+    if result.page is not None:
+        print(f"written: {shown(result.page, LONGEST_LINE)}")
+        return result
+    with open_server(result.html, args.port) as server:
+        print(f"open {address(server)} in a browser; Ctrl-C ends", flush=True)
+        try:
+            server.serve_forever()
+        except Interrupted as interrupted:
+            raise Interrupted("the page is no longer served", interrupted.number) from None
+    return result

@@ -1,0 +1,1 @@
+"""The viewer: one web page that shows an asset, without a network or other files."""

@@ -1,0 +1,59 @@
+// Tone mapping of the field, and false colour of its properties.
+uniform sampler2D radiance, details, background, colours;
+uniform vec2 resolution;
+uniform float gain, max_density, tree_depth, aspect;
+uniform int mode, curve, backdrop;   // radiance, opacity, density, level; linear, ACES, AgX
+out vec4 pixel;
+
+vec3 encode(vec3 c) {
+  c = clamp(c, 0.0, 1.0);
+  return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c));
+}
+vec3 decode(vec3 c) { return mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(0.04045, c)); }
+
+// Fit of the ACES RRT and ODT by S. Hill.
+vec3 aces(vec3 c) {
+  const mat3 before = mat3(0.59719, 0.07600, 0.02840, 0.35458, 0.90834, 0.13383, 0.04823, 0.01566, 0.83777);
+  const mat3 after = mat3(1.60475, -0.10208, -0.00327, -0.53108, 1.10813, -0.07276, -0.07367, -0.00605, 1.07602);
+  c = before * c;
+  c = (c * (c + 0.0245786) - 0.000090537) / (c * (0.983729 * c + 0.4329510) + 0.238081);
+  return encode(after * c);
+}
+
+// Fit of AgX by B. Wrensch.
+vec3 agx(vec3 c) {
+  const mat3 inset = mat3(0.842479062253094, 0.0423282422610123, 0.0423756549057051,
+    0.0784335999999992, 0.878468636469772, 0.0784336, 0.0792237451477643, 0.0791661274605434, 0.879142973793104);
+  const mat3 outset = mat3(1.19687900512017, -0.0528968517574562, -0.0529716355144438,
+    -0.0980208811401368, 1.15190312990417, -0.0980434501171241, -0.0990297440797205, -0.0989611768448433, 1.15107367264116);
+  c = clamp(log2(max(inset * c, 1e-10)), -12.47393, 4.026069);
+  c = (c + 12.47393) / 16.5;
+  vec3 c2 = c * c, c4 = c2 * c2;
+  c = 15.5 * c4 * c2 - 40.14 * c4 * c + 31.96 * c4 - 6.868 * c2 * c + 0.4298 * c2 + 0.1191 * c - 0.00232;
+  return clamp(outset * c, 0.0, 1.0);
+}
+
+vec3 behind(vec2 uv) {
+  if (backdrop == 0) return vec3(0);
+  if (backdrop == 1) return vec3(0.18);
+  vec2 size = vec2(textureSize(background, 0));
+  float wide = resolution.x / resolution.y * size.y / size.x;
+  uv = (uv - 0.5) * vec2(min(wide, 1.0), min(1.0 / wide, 1.0)) + 0.5;
+  return decode(texture(background, vec2(uv.x, 1.0 - uv.y)).rgb);
+}
+
+vec3 false_colour(float x) { return texture(colours, vec2((clamp(x, 0.0, 1.0) * 255.0 + 0.5) / 256.0, 0.5)).rgb; }
+
+void main() {
+  vec2 uv = gl_FragCoord.xy / resolution;
+  vec4 l = texture(radiance, uv), d = texture(details, uv);
+  vec3 c;
+  if (mode == 0) {
+    vec3 linear = l.rgb * gain + l.a * behind(uv);
+    c = curve == 0 ? encode(linear) : curve == 1 ? aces(linear) : agx(linear);
+  } else if (mode == 1) c = vec3(1.0 - l.a);
+  else if (d.z == 0.0) c = vec3(0.06);
+  else if (mode == 2) c = false_colour(1.0 + log(max(d.x, 1e-20) / max_density) / log(1e4));
+  else c = false_colour(d.y / tree_depth);
+  pixel = vec4(c, 1);
+}

@@ -1,0 +1,43 @@
+// Illuminance of the walls, sum over cells of I(direction) cos / distance^2 (see Decision 67).
+uniform sampler2D cells;       // per cell: lower corner and largest intensity; upper corner
+uniform sampler2D intensity;   // relative intensities, cell by cell, R^2 bins
+uniform int num_cells, bins, samples, patches;
+uniform vec3 room;             // half sides of the box
+out vec4 lux;
+
+ivec2 texel(int i) { return ivec2(i & 4095, i >> 12); }
+
+int bin_of(vec3 v) {
+  vec3 n = v / (abs(v.x) + abs(v.y) + abs(v.z));
+  vec2 u = n.xy;
+  if (n.z < 0.0)
+    u = vec2(n.x < 0.0 ? abs(n.y) - 1.0 : 1.0 - abs(n.y), n.y < 0.0 ? abs(n.x) - 1.0 : 1.0 - abs(n.x));
+  ivec2 b = clamp(ivec2((u + 1.0) * (0.5 * float(bins))), 0, bins - 1);
+  return b.y * bins + b.x;
+}
+
+void main() {
+  // Walls -x, +x, -y, +y, -z, +z beside each other; each by its other two axes in rising order.
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  int wall = at.x / patches, axis = wall >> 1;
+  vec2 uv = 2.0 * (vec2(at.x % patches, at.y) + 0.5) / float(patches) - 1.0;
+  float sign_ = (wall & 1) == 1 ? 1.0 : -1.0;
+  vec3 x = room * (axis == 0 ? vec3(sign_, uv) : axis == 1 ? vec3(uv.x, sign_, uv.y) : vec3(uv, sign_));
+  float total = 0.0;
+  for (int i = 0; i < num_cells; ++i) {
+    vec4 lower = texelFetch(cells, texel(2 * i), 0);
+    vec3 upper = texelFetch(cells, texel(2 * i + 1), 0).xyz;
+    float sum = 0.0;
+    for (int k = 0; k < samples; ++k) {
+      // Points of the R3 sequence, rotated for each cell; one sample: the centre.
+      vec3 f = samples == 1 ? vec3(0.5)
+        : fract(vec3(0.8191725, 0.6710436, 0.5497005) * float(k + 1 + (i & 1023) * samples));
+      vec3 v = x - mix(lower.xyz, upper, f);
+      float r2 = dot(v, v);
+      float cosine = abs(v[axis]) * inversesqrt(r2);
+      sum += texelFetch(intensity, texel(i * bins * bins + bin_of(v)), 0).r * cosine / r2;
+    }
+    total += sum * lower.w;
+  }
+  lux = vec4(total / float(samples), 0, 0, 1);
+}
