@@ -120,6 +120,8 @@ def room(mi, **objects):
     film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
     wall = mi.ScalarTransform4f().translate([0, 0, -3]).scale(6)
     light = mi.ScalarTransform4f().translate([0, 4, 0]).rotate([1, 0, 0], 90)
+    from lumitree.rendering.plugin_objects import load_ordered
+
     scene = {
         "type": "scene",
         "sensor": {"type": "perspective", "fov": 40, "to_world": look, "film": film},
@@ -131,7 +133,7 @@ def room(mi, **objects):
         },
         "ball": {"type": "sphere", "center": [0.2, 0, 0.9], "radius": 0.3},
     }
-    return mi.load_dict(scene | objects)
+    return load_ordered(scene | objects)
 
 
 def image(mi, scene, integrator, seed=0, spp=32):

@@ -53,6 +53,22 @@ def test_an_asset_is_read_once_however_often_it_is_placed(mi, asset, loads, plac
     assert len(loads) == 1
 
 
+def test_emitters_have_the_same_order_each_time(mi, asset):
+    """Otherwise emitters are chosen by other random numbers, and equal seeds differ."""
+    from lumitree.rendering.demo_room import demo_room
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
+
+    orders = set()
+    for _ in range(6):
+        items = [PlacedLuminaire(Placement(asset, at=(x, 0, 0))) for x in (3, 6, 9)]
+        scene = place_luminaires(demo_room(16), items)
+        centres = np.array([emitter.get_shape().bbox().center() for emitter in scene.emitters()])
+        orders.add(centres.round(3).tobytes())
+    assert len(scene.emitters()) == 5
+    assert len(orders) == 1
+
+
 def test_a_shape_is_read_once(mi, asset, loads):
     scene = mi.load_dict({"type": "scene", "lamp": lumitree.shape(asset)})
     assert len(scene.emitters()) == 1

@@ -3,6 +3,7 @@ from typing import Any
 class ParserConfig:
     unused_parameters: Any
     parallel: bool
+    merge_meshes: bool
     def __init__(self, variant: str | None) -> None: ...
 
 class ParserState:

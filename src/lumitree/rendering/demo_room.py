@@ -5,6 +5,7 @@ from typing import Any
 import mitsuba as mi
 
 from lumitree.rendering.placement import Placement
+from lumitree.rendering.plugin_objects import load_ordered
 
 LAMP_CENTRE = (0.0, 1.72, 0.0)
 LAMP_SIZE = 0.9
@@ -85,4 +86,4 @@ def demo_room(width: int = 320) -> Any:
         },
         "sampler": {"type": "independent"},
     }
-    return mi.load_dict({"type": "scene", **scene})
+    return load_ordered({"type": "scene", **scene})

@@ -24,6 +24,7 @@ from lumitree.rendering.emitter_sampling import Sampling
 from lumitree.rendering.opened import open_field
 from lumitree.rendering.placed import Appearance, shows_model
 from lumitree.rendering.placement import Placement
+from lumitree.rendering.plugin_objects import load_ordered
 from lumitree.rendering.plugins import register, shape
 from lumitree.rendering.proxy import ProxyKind
 
@@ -129,7 +130,7 @@ def place_luminaires(
             _warn_inside(scene, placed, appearance)
         shapes = placed.shapes(proxy, sampling, appearance)
         objects |= {f"placed_{index}_{name}": value for name, value in shapes.items()}
-    return mi.load_dict(objects)
+    return load_ordered(objects)
 
 
 def load_scene(path: str, luminaires: Sequence[PlacedLuminaire] = ()) -> tuple[Any, Any]:
