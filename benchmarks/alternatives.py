@@ -157,10 +157,10 @@ def _job(name: str, scene: Any, images: list[Any], options: argparse.Namespace) 
 def _image(scene: Any, samples: int, seed: int) -> Any:
     import mitsuba as mi
 
-    from lumitree.rendering.scene import render_scene
+    from lumitree.rendering.passes import Budget, render_passes
 
     integrator = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
-    return render_scene(scene, integrator, samples, seed=seed)
+    return render_passes(scene, integrator, Budget(samples), seed=seed).radiance
 
 
 def extend(scene: Any, images: list[Any], seconds: float, options: argparse.Namespace) -> None:

@@ -91,7 +91,7 @@ def render(
     """CPU seconds of a pass, and relative variance of a sample in the pixels of the mask."""
     import mitsuba as mi
 
-    from lumitree.rendering.scene import render_scene
+    from lumitree.rendering.passes import Budget, render_passes
 
     passes: dict[str, list[Any]] = {name: [] for name in scenes}
 
@@ -101,7 +101,8 @@ def render(
 
         def take(index: int) -> None:
             seed = options.seed + index
-            passes[name].append(render_scene(scene, integrator, options.spp, seed=seed)[mask])
+            image = render_passes(scene, integrator, Budget(options.spp), seed=seed).radiance
+            passes[name].append(image[mask])
 
         return lambda index: lambda: take(index)
 

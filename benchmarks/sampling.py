@@ -52,7 +52,7 @@ def measure_paths(by_kind: dict, path_depth: int, options: argparse.Namespace) -
     """Variance and time of a sample a pixel, by kind of sampling."""
     import mitsuba as mi
 
-    from lumitree.rendering.scene import render_scene
+    from lumitree.rendering.passes import Budget, render_passes
 
     integrator = {"type": "lumitree_path", "max_depth": path_depth, "rr_depth": 1000}
     beside = ~shows_lamp(by_kind["emission"])[..., 0]
@@ -61,7 +61,9 @@ def measure_paths(by_kind: dict, path_depth: int, options: argparse.Namespace) -
     def job(kind: str) -> Job:
         def render(index: int) -> None:
             seed = options.seed + 1 + index
-            image = render_scene(by_kind[kind], mi.load_dict(integrator), options.spp, seed=seed)
+            image = render_passes(
+                by_kind[kind], mi.load_dict(integrator), Budget(options.spp), seed=seed
+            ).radiance
             passes[kind].append(image)
 
         return lambda index: lambda: render(index)

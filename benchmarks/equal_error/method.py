@@ -20,12 +20,12 @@ class Method:
     def __init__(self, pair: Pair, baked: bool, options: argparse.Namespace) -> None:
         from lumitree.luminaire.luminaire import load_luminaire
         from lumitree.luminaire.scene_file import SceneFile
+        from lumitree.rendering.passes import Budget, render_passes
         from lumitree.rendering.placement import Placement
         from lumitree.rendering.scene import (
             PlacedLuminaire,
             load_scene,
             place_luminaires,
-            render_scene,
             set_film_width,
         )
 
@@ -62,9 +62,9 @@ class Method:
 
         def render_pair(samples: int, seed: int) -> Any:
             integrator = mi.load_dict({"type": self.kind, "max_depth": options.path_depth})
-            return render_scene(
-                scene, integrator, samples, seed=seed, name=f"{pair.name}, {self.kind}"
-            )
+            return render_passes(
+                scene, integrator, Budget(samples), seed=seed, name=f"{pair.name}, {self.kind}"
+            ).radiance
 
         self.render, self.scene = render_pair, scene
 

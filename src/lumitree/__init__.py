@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from lumitree.api.network import bake_network, capture, extract, train
     from lumitree.api.page import ViewResult, view
     from lumitree.api.photometry import photometry
+    from lumitree.api.rendering import mix, render
     from lumitree.api.results import (
         AssetPreviewResult,
         BakeResult,
@@ -27,13 +28,14 @@ if TYPE_CHECKING:
         EvaluateResult,
         Flux,
         MissedFlux,
+        MixResult,
         PhotometryResult,
         PreviewResult,
         RenderResult,
         Result,
         TrainResult,
     )
-    from lumitree.api.viewing import evaluate, preview, render
+    from lumitree.api.viewing import evaluate, preview
     from lumitree.asset.asset import Asset, AssetInfo
     from lumitree.asset.file import load, save
     from lumitree.core.frames import LocalFrame
@@ -69,6 +71,7 @@ _HOMES = {
     "PhotometryResult": "api.results",
     "Placement": "rendering.placement",
     "PreviewResult": "api.results",
+    "MixResult": "api.results",
     "RenderResult": "api.results",
     "Result": "api.results",
     "TrainResult": "api.results",
@@ -88,7 +91,8 @@ _HOMES = {
     "read_placements": "rendering.placement_file",
     "refine": "api.baking",
     "register": "rendering.plugins",
-    "render": "api.viewing",
+    "mix": "api.rendering",
+    "render": "api.rendering",
     "save": "asset.file",
     "shape": "rendering.plugins",
     "train": "api.network",
@@ -112,6 +116,7 @@ __all__ = [
     "LumitreeError",
     "LumitreeWarning",
     "MissedFlux",
+    "MixResult",
     "NearFieldLimit",
     "PhotometricFigures",
     "PhotometryResult",
@@ -132,6 +137,7 @@ __all__ = [
     "load",
     "load_luminaire",
     "merge",
+    "mix",
     "photometry",
     "preview",
     "read_placements",

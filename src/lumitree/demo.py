@@ -67,12 +67,12 @@ def _render_room(output: Path, asset: str, watch: Stopwatch) -> dict[str, Any]:
     from lumitree.evaluation.metrics import rel_mse
     from lumitree.evaluation.strip import write_strip
     from lumitree.rendering.demo_room import demo_room, lamp
+    from lumitree.rendering.passes import Budget, render_passes
     from lumitree.rendering.scene import (
         PlacedLuminaire,
         appearance_for,
         default_integrator,
         place_luminaires,
-        render_scene,
     )
 
     integrator = default_integrator(12)
@@ -89,13 +89,17 @@ def _render_room(output: Path, asset: str, watch: Stopwatch) -> dict[str, Any]:
             # Twice, because the first compiles the kernels.
             for stage in ("compile", "pilot"):
                 with watch.stage(stage):
-                    render_scene(scene, integrator, PILOT_SAMPLES, seed=2, name="room, pilot")
+                    render_passes(
+                        scene, integrator, Budget(PILOT_SAMPLES), seed=2, name="room, pilot"
+                    )
             rate = PILOT_SAMPLES / watch.seconds["pilot"]
             samples = max(2, round(watch.seconds["room baked"] * rate))
         half = samples // 2
         with watch.stage(f"room {name}"):
             first, second = (
-                render_scene(scene, integrator, half, seed=seed, name=f"room, {name} lamp")
+                render_passes(
+                    scene, integrator, Budget(half), seed=seed, name=f"room, {name} lamp"
+                ).radiance
                 for seed in (0, 1)
             )
         images[name] = (first + second) / np.float32(2)

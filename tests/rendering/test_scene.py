@@ -93,7 +93,8 @@ def test_an_asset_that_has_changed_is_read_again(mi, asset, loads):
 
 
 def test_an_interrupt_ends_a_render_after_the_pass(mi, monkeypatch):
-    from lumitree.rendering import scene as module
+    from lumitree.rendering import passes as module
+    from lumitree.rendering.scene import default_integrator
 
     rendered, render = [], mi.render
 
@@ -107,7 +108,7 @@ def test_an_interrupt_ends_a_render_after_the_pass(mi, monkeypatch):
     passes = dict.fromkeys(module._SAMPLES_PER_PASS, 4 * 64)
     monkeypatch.setattr(module, "_SAMPLES_PER_PASS", passes)
     with pytest.raises(KeyboardInterrupt):
-        module.render_scene(empty_room(mi), module.default_integrator(), 12)
+        module.render_passes(empty_room(mi), default_integrator(), module.Budget(12))
     assert rendered == [4]
 
 

@@ -174,12 +174,38 @@ class RenderResult(ImageResult):
         resolution: width and height in pixels.
         samples_per_pixel: samples per pixel.
         mean_radiance: mean over pixels and channels, W/(m² sr).
+        noise: estimated standard error of the pixels before denoising: its sum over all pixels,
+            relative to the sum of their radiance. None if there was one pass only.
+        layers: file of the layers; None if none was written.
+        aov: file of albedo and normal; None if none was written.
     """
 
     pixels: NDArray[np.float32] = dataclasses.field(repr=False)
     image: Path | None
     resolution: tuple[int, int]
     samples_per_pixel: int
+    mean_radiance: float
+    noise: float | None = None
+    layers: Path | None = None
+    aov: Path | None = None
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class MixResult(ImageResult):
+    """Image that was mixed from layers.
+
+    Attributes:
+        pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
+        image: file of the image; None if none was written.
+        layers: names of the layers.
+        resolution: width and height in pixels.
+        mean_radiance: mean over pixels and channels, W/(m² sr).
+    """
+
+    pixels: NDArray[np.float32] = dataclasses.field(repr=False)
+    image: Path | None
+    layers: list[str]
+    resolution: tuple[int, int]
     mean_radiance: float
 
 

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,6 @@ from lumitree.api.results import (
     Flux,
     MissedFlux,
     PreviewResult,
-    RenderResult,
     asset_json,
 )
 from lumitree.asset.asset import Asset
@@ -29,17 +27,13 @@ from lumitree.core.arguments import (
 )
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import MAX_VIEWS, Dataset
-from lumitree.core.files import check_writable, write_bytes
-from lumitree.core.images import check_image_name, encode_png, write_image
+from lumitree.core.files import write_bytes
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.seeds import check_seed
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained
 
 if TYPE_CHECKING:
     from lumitree.luminaire.luminaire import LuminaireLike
-    from lumitree.rendering.placement import Placement
-    from lumitree.rendering.proxy import ProxyKind
 
 # Numbers of light paths of a preview, for the flux and for the flux by number of bounces.
 FLUX_PATHS, BOUNCE_PATHS = 1 << 22, 1 << 20
@@ -290,83 +284,5 @@ def evaluate(
         irradiance=None if irradiance is None else irradiance.report(),
         irradiance_sheet=None if irradiance is None else irradiance_sheet,
         irradiance_png=irradiance_png,
-        **watch.costs(),
-    )
-
-
-@explained
-def render(
-    scene: FilePath,
-    placements: "Sequence[Placement]" = (),
-    output: FilePath | None = None,
-    *,
-    samples_per_pixel: int = 64,
-    width: int | None = None,
-    proxy: "ProxyKind" = "box",
-    seed: int = 0,
-    variant: str | None = None,
-    progress: ProgressCallback | None = show_progress,
-) -> RenderResult:
-    """Render a scene file with luminaires placed in it.
-
-    The integrator `path` of the scene is replaced by `lumitree_path`, or by `volpath` if there are
-    participating media. Warns if an object or the camera is inside a baked luminaire.
-
-    Args:
-        scene: path of a Mitsuba 3 scene (`.xml`) with a camera.
-        placements: the luminaires, baked or explicit, with position, size and rotation.
-        output: path of the image to write, `.exr` (linear radiance) or `.png` (tone-mapped).
-            Default: no file is written.
-        samples_per_pixel: samples per pixel, 1 to 1,048,576.
-        width: width of the image in pixels, 1 to 16,384; the aspect ratio stays. Default: the
-            scene's.
-        proxy: surface that carries a baked luminaire, "box" or "sphere".
-        seed: root seed of all random numbers, 0 to 2³¹ - 1.
-        variant: Mitsuba variant; see `bake`.
-        progress: function that is called with a `Progress` after each pass; see `bake`.
-
-    Returns:
-        The image as `pixels`, float32 [height, width, 3], linear radiance in W/(m² sr), and
-        tone-mapped as `png`.
-
-    Raises:
-        LumitreeError: an argument is out of range; the scene, an asset or a luminaire cannot be
-            read; the scene has no camera; two placements are equal; or the image cannot be written.
-    """
-    if output is not None:
-        check_image_name(output)
-        check_writable(output)
-    check_image_settings(spp=samples_per_pixel, **({} if width is None else {"width": width}))
-    check_seed(seed)
-    load_mitsuba(variant)
-    from lumitree.rendering.scene import (
-        PlacedLuminaire,
-        appearance_for,
-        load_scene,
-        place_luminaires,
-        render_scene,
-        set_film_width,
-    )
-
-    watch = Stopwatch()
-    with reporting(progress):
-        with watch.stage("load"):
-            placed = [PlacedLuminaire(each) for each in placements]
-            loaded, integrator = load_scene(str(scene), placed)
-            if width is not None:
-                set_film_width(loaded, width)
-            appearance = appearance_for(integrator)
-            whole = place_luminaires(loaded, placed, proxy, appearance=appearance)
-        with watch.stage("render"):
-            pixels = render_scene(whole, integrator, samples_per_pixel, seed=seed)
-    if output is not None:
-        write_image(output, pixels)
-    return RenderResult(
-        pixels=pixels,
-        image=None if output is None else Path(output),
-        resolution=(pixels.shape[1], pixels.shape[0]),
-        samples_per_pixel=samples_per_pixel,
-        mean_radiance=float(pixels.mean()),
-        png=encode_png(pixels),
         **watch.costs(),
     )

@@ -190,3 +190,21 @@ def duration(text: str) -> float:
     if not 0 < value < math.inf:
         raise argparse.ArgumentTypeError(f"{text!r} is not a duration; write 90s, 5m or 1h")
     return value
+
+
+def vector(*counts: int) -> Callable[[str], tuple[float, ...]]:
+    """Parser of numbers that are separated by commas, as many as one of `counts`."""
+
+    def parse(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(part) for part in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) not in counts or not all(math.isfinite(value) for value in values):
+            expected = " or ".join(map(str, counts))
+            raise argparse.ArgumentTypeError(
+                f"{text!r} is not {expected} numbers separated by commas"
+            )
+        return values
+
+    return parse

@@ -1,8 +1,6 @@
 """`lumitree render`."""
 
 import argparse
-import math
-from collections.abc import Callable
 from typing import Any
 
 from lumitree.cli import options
@@ -40,7 +38,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--at",
         action=_Place,
-        type=_vector(3),
+        type=options.vector(3),
         metavar="X,Y,Z",
         help="centre of the bounding box, scene units (default: as in the luminaire's file)",
     )
@@ -54,14 +52,14 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--rotate",
         action=_Place,
-        type=_vector(4),
+        type=options.vector(4),
         metavar="AX,AY,AZ,DEG",
         help="rotation about the centre: axis, and angle in degrees",
     )
     parser.add_argument(
         "--gain",
         action=_Place,
-        type=_vector(1, 3),
+        type=options.vector(1, 3),
         metavar="R,G,B",
         help="factors on the red, green and blue light of a .lumitree file, or one number for all "
         "(default: 1)",
@@ -88,7 +86,40 @@ def add(commands: Any) -> None:
         help="TOML file with a table [lamps.NAME] for each lamp; its lamps come before those of "
         "--place",
     )
-    parser.add_argument("--spp", type=int, metavar="N", default=64, help="samples per pixel")
+    parser.add_argument(
+        "--spp",
+        type=int,
+        metavar="N",
+        help="samples per pixel (default: 64, or no limit if there is a --time or a --noise)",
+    )
+    parser.add_argument(
+        "--time",
+        type=options.duration,
+        metavar="T",
+        help="time of rendering, such as 90s, 5m or 1h",
+    )
+    parser.add_argument(
+        "--noise",
+        type=float,
+        metavar="X",
+        help="estimated relative error of the pixels, such as 0.02; the image is finished when the "
+        "first of --spp, --time and --noise is reached",
+    )
+    parser.add_argument(
+        "--denoise",
+        action="store_true",
+        help="filter the noise out with Open Image Denoise (`pip install 'lumitree[denoise]'`)",
+    )
+    parser.add_argument(
+        "--layers",
+        metavar="FILE.exr",
+        help="also write the light of each luminaire as a layer, for `lumitree mix`",
+    )
+    parser.add_argument(
+        "--aov",
+        metavar="FILE.exr",
+        help="also write the image before denoising, albedo and normal",
+    )
     parser.add_argument(
         "--width",
         type=int,
@@ -114,25 +145,14 @@ def run(args: argparse.Namespace) -> Any:
         placements,
         args.output,
         samples_per_pixel=args.spp,
+        time=args.time,
+        noise=args.noise,
+        denoise=args.denoise,
+        layers=args.layers,
+        aov=args.aov,
         width=args.width,
         proxy=args.proxy,
         variant=args.variant,
     )
     print_result(result, result.image)
     return result
-
-
-def _vector(*counts: int) -> Callable[[str], tuple[float, ...]]:
-    def parse(text: str) -> tuple[float, ...]:
-        try:
-            values = tuple(float(part) for part in text.split(","))
-        except ValueError:
-            values = ()
-        if len(values) not in counts or not all(math.isfinite(value) for value in values):
-            expected = " or ".join(map(str, counts))
-            raise argparse.ArgumentTypeError(
-                f"{text!r} is not {expected} numbers separated by commas"
-            )
-        return values
-
-    return parse

@@ -9,14 +9,22 @@ import numpy as np
 import OpenEXR
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from lumitree.core.files import atomic_path, write_bytes
 from lumitree.errors import LumitreeError
 
 
-def write_exr(path: str | os.PathLike[str], channels: dict[str, NDArray[np.float32]]) -> None:
-    """Write channels [H, W], and "RGB" [H, W, 3], as a 32-bit OpenEXR file, atomically."""
+def write_exr(
+    path: str | os.PathLike[str], channels: dict[str, NDArray[np.float32]], settings: str = ""
+) -> None:
+    """Write channels [H, W], and "RGB" or layers [H, W, 3], as a 32-bit OpenEXR file, atomically.
+
+    `settings` are stored as the attribute "comments", if there are any.
+    """
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    if settings:
+        header["comments"] = settings
     planes = {name: np.ascontiguousarray(value, np.float32) for name, value in channels.items()}
     with atomic_path(path) as temporary:
         try:
@@ -27,6 +35,8 @@ def write_exr(path: str | os.PathLike[str], channels: dict[str, NDArray[np.float
 
 def read_exr(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
     """Channels of an OpenEXR file by name; R, G and B are combined as "RGB" [H, W, 3].
+
+    Those of a layer, such as "lamp.R", are combined under the layer's name.
 
     Raises:
         LumitreeError: the file is missing, damaged or holds values that are not finite.
@@ -85,27 +95,35 @@ def max_radiance(images: Iterable[NDArray[np.floating]]) -> float:
     return float(np.percentile(largest, 99.99, overwrite_input=True))
 
 
-def encode_png(radiance: NDArray[np.floating], exposure: float | None = None) -> bytes:
-    """A PNG file of linear radiance [H, W, 3], tone-mapped; `exposure` as for `write_image`."""
-    stream = io.BytesIO()
+def encode_png(
+    radiance: NDArray[np.floating], exposure: float | None = None, settings: str = ""
+) -> bytes:
+    """A PNG file of linear radiance [H, W, 3], tone-mapped; arguments as for `write_image`."""
+    stream, text = io.BytesIO(), PngInfo()
+    if settings:
+        text.add_itxt("Comment", settings)
     pixels = tonemap(radiance, exposure or auto_exposure(radiance))
-    Image.fromarray(pixels).save(stream, format="PNG", optimize=True)
+    Image.fromarray(pixels).save(stream, format="PNG", optimize=True, pnginfo=text)
     return stream.getvalue()
 
 
 def write_image(
-    path: str | os.PathLike[str], radiance: NDArray[np.floating], exposure: float | None = None
+    path: str | os.PathLike[str],
+    radiance: NDArray[np.floating],
+    exposure: float | None = None,
+    settings: str = "",
 ) -> None:
     """Write linear radiance [H, W, 3] as `.exr`, or tone-mapped as `.png`.
 
     Args:
         exposure: factor before the sRGB curve of a PNG; by default `auto_exposure`.
+        settings: what made the image, stored as the comment of the file; may be empty.
     """
     check_image_name(path)
     if Path(path).suffix.lower() == ".exr":
-        write_exr(path, {"RGB": np.asarray(radiance, np.float32)})
+        write_exr(path, {"RGB": np.asarray(radiance, np.float32)}, settings)
     else:
-        write_bytes(path, encode_png(radiance, exposure))
+        write_bytes(path, encode_png(radiance, exposure, settings))
 
 
 def check_image_name(path: str | os.PathLike[str]) -> None:

@@ -131,13 +131,27 @@ class SceneFile:
 
     def nodes(self, kind: str) -> list[Any]:
         """Nodes of one type of Mitsuba object, such as "Shape" or "Emitter"."""
-        kind = getattr(load_mitsuba().ObjectType, kind)
-        return [node for node in self._used() if node.type == kind]
+        return [node for node in self._used() if _is_a(node, kind)]
 
     def children(self, props: Any) -> dict[str, Any]:
         """Nodes that a node's properties refer to, by the names of the properties."""
         names = [key for key in list(props.keys()) if _is_reference(props, key)]
         return {key: self._state.nodes[props[key].index()] for key in names}
+
+    def set_box_filter(self) -> None:
+        """Make the reconstruction filter of all sensors a box, so that pixels share no samples."""
+        mi = load_mitsuba()
+        box = mi.load_dict({"type": "box"})
+        for sensor in self.nodes("Sensor"):
+            films = [n for n in self.children(sensor.props).values() if _is_a(n, "Film")]
+            if not films:
+                film = {"type": "hdrfilm", "rfilter": {"type": "box"}}
+                sensor.props["film"] = mi.load_dict(film)
+            for film in films:
+                for name, node in self.children(film.props).items():
+                    if _is_a(node, "ReconstructionFilter"):
+                        del film.props[name]
+                film.props["rfilter"] = box
 
     def resolve(self, name: str) -> Path:
         """Path of a file that the scene refers to."""
@@ -228,6 +242,11 @@ def _keep_clear_channels(scene: Any) -> None:
             if (lifted > extinction).any():
                 parameters[_EXTINCTION] = mi.Color3f(*lifted.tolist())
                 parameters.update()
+
+
+def _is_a(node: Any, kind: str) -> bool:
+    """Whether a node is of a type of Mitsuba object, such as "Film"."""
+    return node.type == getattr(load_mitsuba().ObjectType, kind)
 
 
 def _is_reference(props: Any, key: str) -> bool:

@@ -32,6 +32,7 @@ import mitsuba as mi
 
 from lumitree.errors import LumitreeError
 from lumitree.rendering.deferred_emitter import DeferredEmitter
+from lumitree.rendering.layers import Layers, Unrecorded
 from lumitree.rendering.model_plugins import CROSSED_STRAIGHT, ModelEmitter
 from lumitree.rendering.proxies import NONE, DividedScene, is_instance
 
@@ -59,6 +60,8 @@ def integrator_class() -> type:
             super().__init__(props)
             self.max_depth = int(props.get("max_depth", -1))
             self.rr_depth = int(props.get("rr_depth", _DEFAULT_RR_DEPTH))
+            # What is recorded beside the image.
+            self.layers: Layers | Unrecorded = Unrecorded()
             self._divided = DividedScene()
             if self.max_depth < -1 or self.rr_depth < 1:
                 raise LumitreeError(
@@ -68,10 +71,13 @@ def integrator_class() -> type:
 
         def sample(self, scene, sampler, ray, medium=None, active=True):
             if not scene.emitters():
-                return mi.Color3f(0), scene.ray_test(ray, active), []
+                nothing = [mi.Float(0) for _ in self.aov_names()]
+                return mi.Color3f(0), scene.ray_test(ray, active), nothing
             divided = self._divided.of(scene)
-            radiance, valid = _trace(self, scene, *divided, sampler, mi.Ray3f(ray), mi.Bool(active))
-            return radiance, valid, []
+            return _trace(self, scene, *divided, sampler, mi.Ray3f(ray), mi.Bool(active))
+
+        def aov_names(self):
+            return self.layers.channel_names()
 
         def to_string(self) -> str:
             return f"LumitreePath[max_depth={self.max_depth}, rr_depth={self.rr_depth}]"
@@ -81,7 +87,7 @@ def integrator_class() -> type:
 
 @dr.syntax
 def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
-    """Radiance along camera rays, and whether they met something (for the film's alpha)."""
+    """Radiance along camera rays, whether they met something (for the film's alpha), and layers."""
     max_depth = mi.UInt32(settings.max_depth % (1 << 32))  # no limit: the largest number
     sees_null = has_null_surfaces(surfaces)
     shows_models = any(isinstance(emitter, ModelEmitter) for emitter in scene.emitters())
@@ -90,6 +96,8 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
     sampling_weight = sum(emitter.sampling_weight() for emitter in scene.emitters())
     context = mi.BSDFContext()
 
+    layers = settings.layers
+    record = layers.start()
     radiance, β, η = mi.Color3f(0), mi.Color3f(1), mi.Float(1)
     depth, crossings = mi.UInt32(0), mi.UInt32(0)
     valid = mi.Bool(sees_environment)
@@ -133,6 +141,7 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
                 )
                 emitted *= β * _mis_weight(pdf, emitter_pdf * chance)
                 radiance[entered] += emitted
+                layers.add_light(record, emitter, emitted, specular, entered)
                 β[entered] *= through
                 own[entered] = specular
                 valid |= entered & (dr.max(emitted) > 0)
@@ -154,7 +163,9 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
         )
         own_chance = dr.select(sampled_own & ~delta, 1, 0)
         emitter_pdf *= dr.select(of_lamp, own_chance, chance)
-        radiance[seen] += β * _mis_weight(pdf, emitter_pdf) * emitted
+        hit = β * _mis_weight(pdf, emitter_pdf) * emitted
+        radiance[seen] += hit
+        layers.add_light(record, ds.emitter, hit, specular, seen)
 
         # A proxy is left the way it was entered; every other surface is sampled.
         proxy &= active & si.is_valid()
@@ -171,6 +182,7 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
         # Next-event estimation. Whether light arrives is asked before how much a baked luminaire
         # sends, which costs a traversal.
         estimates = scatters & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        layers.add_surface(record, si, β, estimates)
         sample = sampler.next_2d()
         index, emitter_weight, sample.x = scene.sample_emitter(sample.x, estimates)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index, estimates)
@@ -192,6 +204,7 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
         ds.pdf *= chance
         direct *= weight * dr.select(ds.delta, 1, _mis_weight(ds.pdf, value_pdf))
         radiance[estimates] += direct
+        layers.add_light(record, emitter, direct, mi.Bool(False), estimates)
 
         # The same from a surface of a lamp, for the lamp's own light.
         if dr.hint(shows_models, mode="scalar"):
@@ -207,7 +220,9 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
             )
             found &= dr.max(direct) > 0
             direct *= dr.dispatch(shape.emitter(), _own_radiance, ds, found)
-            radiance[found] += direct * _mis_weight(ds.pdf, value_pdf) / ds.pdf
+            direct *= _mis_weight(ds.pdf, value_pdf) / ds.pdf
+            radiance[found] += direct
+            layers.add_light(record, shape.emitter(), direct, mi.Bool(False), found)
 
         # The next ray.
         null = proxy | (scatters & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null))
@@ -241,7 +256,7 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
         active = (proxy | scatters) & survives & (brightest != 0) & (crossings < _MAX_CROSSINGS)
         pi = surfaces.ray_intersect_preliminary(ray, coherent=False, active=active)
 
-    return radiance, valid
+    return radiance, valid, layers.channels(record)
 
 
 def _emitted(

@@ -53,7 +53,7 @@ def register() -> None:
     mi.register_emitter("lumitree", emitter)
     mi.register_bsdf("lumitree_null", bsdf)
     mi.register_integrator("lumitree_path", integrator)
-    mi.register_shape("lumitree_proxy", lambda props: make(**options(props)))
+    mi.register_shape("lumitree_proxy", lambda props: make(props.id(), **options(props)))
     _registered.add(mi.variant())
 
 

@@ -64,8 +64,11 @@ def describe_proxy(
     return description
 
 
-def make_shapes(**options: Any) -> Any:
-    """The mi.Shape of a proxy; or the shapes of a model and its proxy, as one that holds them."""
+def make_shapes(name: str, **options: Any) -> Any:
+    """The mi.Shape of a proxy; or the shapes of a model and its proxy, as one that holds them.
+
+    The ids of a model's shapes begin with `name`, which is that of its proxy.
+    """
     description = describe_proxy(**options)
     if description["type"] != "lumitree_proxy":
         return mi.load_dict(description)
@@ -86,6 +89,9 @@ def make_shapes(**options: Any) -> Any:
     assert placed.asset.model is not None
     shapes = model_shapes(placed.asset.model, matrix, proxy.emitter())
     together = {f"model_{index}": shape for index, shape in enumerate(shapes)}
+    proxy.set_id(name)
+    for key, shape in together.items():
+        shape.set_id(f"{name}_{key}")
     return make_object("merge", {"proxy": proxy, **together})
 
 

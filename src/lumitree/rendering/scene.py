@@ -7,14 +7,11 @@ from typing import Any, cast
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain
 from lumitree.core.device import on_device
 from lumitree.core.frames import similarity_scale
-from lumitree.core.progress import progress
-from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaire.luminaire import Luminaire, load_luminaire, place_shapes
 from lumitree.luminaire.scene_file import SceneFile
@@ -33,9 +30,6 @@ _SEE_MEDIA = ("volpath", "volpathmis")
 # What becomes `lumitree_path`, or `volpath` where there are media.
 _PATH_TRACERS = ("path", "lumitree_path")
 _DEFAULT_PATH_DEPTH = 16
-# Samples a pass, by the backend of Dr.Jit: some seconds of work at most. Progress is shown, and
-# Ctrl-C heeded, between passes; a GPU is idle while a pass is prepared.
-_SAMPLES_PER_PASS = {dr.JitBackend.LLVM: 1 << 19, dr.JitBackend.CUDA: 1 << 23}
 # `volpath` starts rays (1 + largest coordinate) * RayEpsilon from surfaces. Where that is this part
 # of a lamp's size, the irradiance 0.7 sizes below it is 1 % too high; at 3 times this part, 4 %.
 _FAR_FOR_VOLPATH = 0.09
@@ -118,7 +112,7 @@ def place_luminaires(
     distant = [e for e in scene.emitters() if e.get_shape() is None and not e.is_environment()]
     objects |= {f"emitter_{i}": item for i, item in enumerate(distant)}
     taken: list[tuple[str, bytes]] = []
-    for index, placed in enumerate(luminaires):
+    for start, placed in zip(placed_ids(luminaires), luminaires, strict=True):
         placement = placed.placement
         place_taken = (placement.name, placed.scene_from_world.tobytes())
         if place_taken in taken:
@@ -129,17 +123,26 @@ def place_luminaires(
         if placement.is_baked:
             _warn_inside(scene, placed, appearance)
         shapes = placed.shapes(proxy, sampling, appearance)
-        objects |= {f"placed_{index}_{name}": value for name, value in shapes.items()}
+        objects |= {start + name: value for name, value in shapes.items()}
     return load_ordered(objects)
 
 
-def load_scene(path: str, luminaires: Sequence[PlacedLuminaire] = ()) -> tuple[Any, Any]:
+def placed_ids(luminaires: Sequence[PlacedLuminaire]) -> list[str]:
+    """For each placed luminaire, what the ids of its shapes in `place_luminaires` begin with."""
+    return [f"placed_{index}_" for index in range(len(luminaires))]
+
+
+def load_scene(
+    path: str, luminaires: Sequence[PlacedLuminaire] = (), *, box_filter: bool = False
+) -> tuple[Any, Any]:
     """Scene and integrator of a scene file; the integrator sees through null surfaces.
 
     A `path` integrator becomes `lumitree_path` with the same settings, or `volpath` where the scene
     or an explicit one of the `luminaires` has participating media. Any other that would let
     proxies block the light of other lamps is replaced too, which is said on standard error; so is
     a baked luminaire too small, or too far from the origin, for `volpath`.
+
+    With `box_filter`, each pixel is the mean of its own samples, whatever filter the scene names.
 
     Raises:
         LumitreeError: the scene cannot be loaded or has no camera.
@@ -154,6 +157,8 @@ def load_scene(path: str, luminaires: Sequence[PlacedLuminaire] = ()) -> tuple[A
     for node in integrators:
         if node.props.plugin_name() in _PATH_TRACERS:
             node.props.set_plugin_name(_path_tracer(has_media))
+    if box_filter:
+        file.set_box_filter()
     scene = file.instantiate()
     if has_media or (kinds and kinds[0] in _SEE_MEDIA):
         for item in luminaires:
@@ -197,34 +202,6 @@ def set_film_width(scene: Any, width: int) -> None:
     params["crop_size"] = [width, height]
     params["crop_offset"] = [0, 0]
     params.update()
-
-
-def render_scene(
-    scene: Any, integrator: Any, samples_per_pixel: int, *, seed: int = 0, name: str = "render"
-) -> NDArray[np.float32]:
-    """Linear radiance [H, W, 3] of the scene's first sensor, in passes of bounded memory."""
-    if samples_per_pixel < 1:
-        raise LumitreeError(f"spp is {samples_per_pixel}; expected at least 1")
-    sensor = scene.sensors()[0]
-    pixels = int(dr.prod(sensor.film().crop_size()))
-    batch = max(1, min(samples_per_pixel, _SAMPLES_PER_PASS[dr.backend_v(mi.Float)] // pixels))
-    total, done = None, 0
-    with progress(name, samples_per_pixel) as advance:
-        while done < samples_per_pixel:
-            count = min(batch, samples_per_pixel - done)
-            image = mi.render(
-                scene,
-                sensor=sensor,
-                integrator=integrator,
-                spp=count,
-                seed=SeedStream(Purpose.RENDER, done).seed(seed),
-            )
-            image = np.array(image)[..., :3] * count
-            total = image if total is None else total + image
-            done += count
-            advance(count)
-    assert total is not None
-    return (total / samples_per_pixel).astype(np.float32)
 
 
 def _warn_far(placed: PlacedLuminaire) -> None:

@@ -1,0 +1,41 @@
+"""`lumitree mix`."""
+
+import argparse
+from typing import Any
+
+from lumitree.cli import options
+from lumitree.cli.output import print_result
+
+
+def add(commands: Any) -> None:
+    text = "change the brightness and colour of lamps in an image, without rendering it again"
+    parser = options.command(commands, "mix", text, run)
+    parser.add_argument("layers", metavar="LAYERS.exr", help="a file of `render --layers`")
+    options.add_output(
+        parser, "IMAGE", "image to write, .exr (linear radiance) or .png (tone-mapped)"
+    )
+    parser.add_argument(
+        "--gain",
+        action="append",
+        type=_gain,
+        default=[],
+        metavar="LAYER=R,G,B",
+        help="factors on the red, green and blue light of a layer, or one number for all; may be "
+        "repeated",
+    )
+
+
+def run(args: argparse.Namespace) -> Any:
+    import lumitree
+
+    result = lumitree.mix(args.layers, args.output, dict(args.gain))
+    print_result(result, result.image)
+    return result
+
+
+def _gain(text: str) -> tuple[str, Any]:
+    name, equals, numbers = text.rpartition("=")
+    if not equals or not name:
+        raise argparse.ArgumentTypeError(f"{text!r} is not LAYER=GAIN; write lamp=0.5")
+    values = options.vector(1, 3)(numbers)
+    return name, values if len(values) == 3 else values[0]

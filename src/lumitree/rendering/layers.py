@@ -1,0 +1,141 @@
+"""What an image is made of: the light of each lamp apart, and buffers that describe the surfaces.
+
+`lumitree_path` accumulates these along its paths, and its film stores them as further channels.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.device import on_device
+
+# Buffers of the first surface that is not specular, as Open Image Denoise expects them.
+BUFFERS = ("albedo", "normal")
+_CHANNELS = {"albedo": "RGB", "normal": "XYZ"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Recorded:
+    """What is recorded beside an image of H rows and W columns.
+
+    Attributes:
+        seen: [groups, H, W, 3], radiance of emitters that reaches the camera by specular surfaces
+            only, W/(m² sr).
+        lit: [groups, H, W, 3], their other radiance: illumination.
+        albedo: [H, W, 3], diffuse reflectance of the first surface that is not specular, times the
+            throughput up to it.
+        normal: [H, W, 3], its shading normal in the frame of the scene.
+    """
+
+    seen: NDArray[np.float32]
+    lit: NDArray[np.float32]
+    albedo: NDArray[np.float32]
+    normal: NDArray[np.float32]
+
+
+class Unrecorded:
+    """Nothing is recorded beside the image."""
+
+    def channel_names(self) -> list[str]:
+        return []
+
+    def start(self) -> dict[str, Any]:
+        return {}
+
+    def add_light(
+        self, record: dict[str, Any], emitter: Any, radiance: Any, seen: Any, active: Any
+    ) -> None:
+        pass
+
+    def add_surface(self, record: dict[str, Any], si: Any, β: Any, active: Any) -> None:
+        pass
+
+    def channels(self, record: dict[str, Any]) -> list[Any]:
+        return []
+
+
+class Layers(Unrecorded):
+    """Groups of emitters whose light is recorded apart, and in each group what is seen apart.
+
+    Args:
+        scene: mi.Scene.
+        shapes: for each group but the first, what the ids of its shapes begin with. All emitters
+            that are in no other belong to the first group.
+    """
+
+    def __init__(self, scene: Any, shapes: Sequence[str] = ()) -> None:
+        self.groups = 1 + len(shapes)
+        emitters = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))
+        # By the number of an emitter among all those of the process.
+        group_of = np.zeros(emitters.max(initial=0) + 1, np.uint32)
+        for number, emitter in zip(emitters, scene.emitters(), strict=True):
+            shape = emitter.get_shape()
+            for group, start in enumerate(shapes, 1):
+                if shape is not None and shape.id().startswith(start):
+                    group_of[number] = group
+        self._group_of = on_device(mi.UInt32, group_of)
+
+    def channel_names(self) -> list[str]:
+        """Names of the film's further channels, in the order of `channels`."""
+        light = [
+            f"{kind}{g}.{c}" for kind in ("seen", "lit") for g in range(self.groups) for c in "RGB"
+        ]
+        return light + [f"{buffer}.{c}" for buffer in BUFFERS for c in _CHANNELS[buffer]]
+
+    def start(self) -> dict[str, Any]:
+        """What is recorded of paths that have not met anything yet."""
+        return {
+            "seen": [mi.Color3f(0) for _ in range(self.groups)],
+            "lit": [mi.Color3f(0) for _ in range(self.groups)],
+            "albedo": mi.Color3f(0),
+            "normal": mi.Color3f(0),
+            "found": mi.Bool(False),
+        }
+
+    def add_light(
+        self, record: dict[str, Any], emitter: Any, radiance: Any, seen: Any, active: Any
+    ) -> None:
+        """Record light of an emitter.
+
+        Args:
+            record: what is recorded along the paths; changed.
+            emitter: mi.EmitterPtr.
+            radiance: mi.Color3f, its part of the pixel.
+            seen: mi.Bool, whether there are only specular surfaces between it and the camera.
+            active: mi.Bool mask.
+        """
+        number = dr.reinterpret_array(mi.UInt32, emitter)
+        group = dr.gather(mi.UInt32, self._group_of, number, active)
+        for kind, mask in (("seen", seen), ("lit", ~seen)):
+            for index in range(self.groups):
+                record[kind][index] += radiance & (active & mask & (group == index))
+
+    def add_surface(self, record: dict[str, Any], si: Any, β: Any, active: Any) -> None:
+        """Record the first surface of each path that is not specular."""
+        first = active & ~record["found"]
+        record["found"] |= first
+        bsdf = si.bsdf()
+        record["albedo"] += β * bsdf.eval_diffuse_reflectance(si, first) & first
+        record["normal"] += mi.Color3f(si.sh_frame.n) & first
+
+    def channels(self, record: dict[str, Any]) -> list[Any]:
+        """Values of the film's further channels."""
+        colours = [*record["seen"], *record["lit"], *(record[buffer] for buffer in BUFFERS)]
+        return [colour[i] for colour in colours for i in range(3)]
+
+    def divide(self, channels: NDArray[np.float32]) -> Recorded:
+        """What the film's further channels [H, W, C] hold."""
+        height, width = channels.shape[:2]
+        images = channels.reshape(height, width, -1, 3)
+        groups = self.groups
+        return Recorded(
+            seen=images[:, :, :groups].transpose(2, 0, 1, 3),
+            lit=images[:, :, groups : 2 * groups].transpose(2, 0, 1, 3),
+            albedo=images[:, :, -2],
+            normal=images[:, :, -1],
+        )
