@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import lumitree
@@ -13,6 +14,7 @@ from lamps import AREA, scene, sphere
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.exitant import TracedPaths
 from lumitree.cli import main
+from lumitree.core.images import write_exr
 from tiny_bakes import set_qualities
 
 ROOM = (
@@ -32,6 +34,7 @@ def folder(tmp_path, monkeypatch, mi):
     (tmp_path / "room.xml").write_text(ROOM)
     frame = random_asset(0).frame
     lumitree.save(random_asset(0), "field.lumitree")
+    write_exr("layers.exr", {"hall": np.ones((2, 3, 3), np.float32)})
     for seed in (0, 1):
         traced = TracedPaths(1000, (seed,), 64 * "0")
         lumitree.save(
@@ -56,6 +59,8 @@ def folder(tmp_path, monkeypatch, mi):
         ),
         (("render", "room.xml", "-o", "r.png", "--spp", "1", "--place", "field.lumitree", "--at",
           "0,0,5"), "r.png"),
+        (("mix", "layers.exr", "-o", "m.png", "--gain", "hall=0.5"), "m.png"),
+        (("view", "field.lumitree", "-o", "v.html"), "v.html"),
         (("photometry", "1.lumitree", "-o", "p.ies", "-o", "p.html", "--paths", "16384",
           "--step", "10"), "p.html"),
         pytest.param(

@@ -25,7 +25,7 @@ def asset_file(tmp_path):
 def test_command_writes_the_page(asset_file, tmp_path, capsys):
     page = tmp_path / "lamp.html"
     assert main(["view", str(asset_file), "-o", str(page)]) == 0
-    assert capsys.readouterr().out == f"written: {page}\n"
+    assert capsys.readouterr().out == f"Open: {page}\n"
     result = lumitree.view(asset_file)
     assert page.read_text() == result.html
     assert result.page is None

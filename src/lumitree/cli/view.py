@@ -4,9 +4,8 @@ import argparse
 from typing import Any
 
 from lumitree.cli import options
-from lumitree.cli.output import LONGEST_LINE
+from lumitree.cli.output import print_open
 from lumitree.core.interrupt import Interrupted
-from lumitree.errors import shown
 
 
 def add(commands: Any) -> None:
@@ -30,7 +29,7 @@ def run(args: argparse.Namespace) -> Any:
 
     result = lumitree.view(args.asset, args.output)
     if result.page is not None:
-        print(f"written: {shown(result.page, LONGEST_LINE)}")
+        print_open(result.page)
         return result
     with open_server(result.html, args.port) as server:
         print(f"open {address(server)} in a browser; Ctrl-C ends", flush=True)
