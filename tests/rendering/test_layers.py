@@ -5,8 +5,10 @@ import pytest
 
 import lumitree
 from fields import random_asset
+from lumitree.cli import main
 from lumitree.core.images import read_exr
 from lumitree.errors import LumitreeError
+from model_assets import small_model, with_model
 
 ROOM = """<scene version="3.0.0">
 <integrator type="path"><integer name="max_depth" value="3"/></integrator>
@@ -69,6 +71,22 @@ def test_a_layer_has_the_light_of_its_lamp_only(room, lamps, tmp_path):
     layers = read_exr(paths[0])
     assert not layers["lamp"].any()
     assert layers["room_2"].mean() > 0.01
+
+
+def test_layers_of_models(mi, room, tmp_path):
+    """Of a lamp without gain nothing is seen, and of the other its own shapes."""
+    path = str(tmp_path / "model.lumitree")
+    lumitree.save(with_model(small_model()), path)
+    lamps = [
+        lumitree.Placement(path, at=(-1.2, 0, 1), size=1.5, label="on"),
+        lumitree.Placement(path, at=(0.8, 0, 1), size=1.5, gain=0, label="off"),
+    ]
+    result = render(room, lamps, samples_per_pixel=256, layers=tmp_path / "layers.exr")
+    layers = read_exr(tmp_path / "layers.exr")
+    assert sum(layers.values()) == pytest.approx(result.pixels, abs=1e-3)
+    assert not layers["off"].any()
+    left, right = layers["on"][4:12, 2:10].max(), layers["on"][4:12, 16:].max()
+    assert left > 3 * right > 0
 
 
 def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
@@ -201,3 +219,9 @@ def test_media_have_no_layers(room, tmp_path):
 def test_wrong_arguments_are_refused(room, options, match):
     with pytest.raises(LumitreeError, match=match):
         render(room, **options)
+
+
+@pytest.mark.parametrize("gain", ["lamp", "=2", "lamp=a", "lamp=1,2"])
+def test_wrong_gains_are_refused(tmp_path, capsys, gain):
+    assert main(["mix", "layers.exr", "-o", str(tmp_path / "a.png"), "--gain", gain])
+    assert "argument --gain" in capsys.readouterr().err
