@@ -88,14 +88,18 @@ class Tabulated:
 class Harmonics:
     """Intensities by real spherical harmonics [S, 3, K]; negative values are cut off.
 
-    Bytes are those of half-precision coefficients.
+    What remains is scaled to the flux of band 0, of each source and channel. Bytes are those of
+    half-precision coefficients.
     """
 
     def __init__(self, coefficients: NDArray[np.floating], l_max: int) -> None:
         self._l_max = l_max
         self.num_bytes = 2 * coefficients.size
-        # Of band 0, before values are cut off.
-        self.flux = coefficients[:, :, 0].sum(axis=1) * np.sqrt(4 * np.pi)
+        flux = coefficients[:, :, 0] * np.sqrt(4 * np.pi)
+        self.flux = flux.sum(axis=1)
+        remaining = _flux_above_zero(coefficients, l_max)
+        scale = np.divide(flux, remaining, out=np.zeros_like(flux), where=remaining > 0)
+        coefficients = coefficients * scale[..., None]
         self._chosen = mi.DiscreteDistribution(on_device(mi.Float, self.flux.astype(np.float32)))
         self._values = on_device(mi.Float, coefficients.astype(np.float32).ravel())
 
@@ -131,7 +135,10 @@ class Sources:
     def sample_ray(self, sampler: Any, count: int) -> tuple[Any, Any, Any]:
         index, direction, density = self._intensity.sample(sampler.next_1d(), sampler.next_2d())
         point = self._places.point(index, direction, sampler.next_1d(), sampler.next_2d())
-        flux = self._intensity.eval(index, direction) / (density * count)
+        # A sum of many probabilities is rounded, so that one of 0 can be chosen.
+        possible = density > 0
+        weight = dr.select(possible, dr.rcp(dr.select(possible, density, 1) * count), 0)
+        flux = self._intensity.eval(index, direction) * weight
         dr.eval(point, direction, flux)
         return point, direction, flux
 
@@ -169,6 +176,20 @@ def tabulated(
     flux = np.stack([np.bincount(row, each, size) for each in rays.flux.T], axis=-1)
     angles = solid_angles(resolution)
     return Tabulated(flux.reshape(count, -1, 3) / angles[:, None])
+
+
+def _flux_above_zero(
+    coefficients: NDArray[np.floating], l_max: int, resolution: int = 32
+) -> NDArray[np.float64]:
+    """Integral over the sphere [S, 3] of the positive part of expansions [S, 3, K]."""
+    bins = mi.UInt32(np.arange(resolution**2, dtype=np.uint32))
+    directions = np.array(direction_in_bin(bins, mi.Point2f(0.5), resolution)[0], np.float64).T
+    y, angles = basis_array(directions, l_max), solid_angles(resolution)
+    integral = np.empty(coefficients.shape[:2])
+    # One source after the other: all of them at once would take gigabytes.
+    for source, each in enumerate(coefficients):
+        integral[source] = np.maximum(each @ y.T, 0) @ angles
+    return integral
 
 
 def projected(rays: TracedRays, index: NDArray[np.integer], count: int, l_max: int) -> Harmonics:
