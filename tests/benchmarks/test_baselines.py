@@ -94,8 +94,8 @@ def test_flux_is_that_of_the_rays(mi, rays, fit):
     expected = rays.flux.sum(axis=0, dtype=np.float64)
     flux = np.array(flux, np.float64)
     error = flux.std(axis=1) * np.sqrt(PATHS)
-    # Histograms and harmonics have the rays' flux; the stored numbers of the exitant light field are
-    # rounded, and a ray set is a sample.
+    # Histograms and harmonics have the rays' flux; the stored numbers of the exitant light field
+    # are rounded, and a ray set is a sample.
     slack = 6 / np.sqrt(1 << 16) if fit is ray_set else 0.002
     assert (np.abs(flux.sum(axis=1) - expected) <= 5 * error + slack * expected.max()).all()
 
