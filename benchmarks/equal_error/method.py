@@ -84,16 +84,15 @@ class Method:
 
 
 def explicit_integrator(luminaire: Any) -> str:
-    """What the explicit lamp needs: `path`, or `volpath` or `volpathmis` for media and thin glass.
+    """What the explicit lamp needs: `lumitree_path`, or `volpath` or `volpathmis` for media.
 
-    Light that thin glass and alpha masks let through unbent is found by next-event estimation under
-    `volpath` alone.
+    Not `path`, which starts rays so far from surfaces that thin glass emits too much (decision 21)
+    and finds no light through thin glass and alpha masks by next-event estimation.
     """
-    from lumitree.rendering.integrator import has_null_surfaces
     from lumitree.transport.tracing import integrator_kind
 
     kind = integrator_kind(luminaire)
-    return "volpath" if kind == "path" and has_null_surfaces(luminaire.scene) else kind
+    return "lumitree_path" if kind == "path" else kind
 
 
 def code_digest() -> str:

@@ -18,6 +18,7 @@ from lamps import AREA, GLASS, cube, scene, sphere
 from lumitree.luminaire.luminaire import load_luminaire
 
 THIN = '<bsdf type="thindielectric"/>'
+FOG = '<bsdf type="null"/><medium type="homogeneous" name="interior"/>'
 ROOM = (
     '<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="60"/>'
     '<transform name="to_world"><lookat origin="0,1.5,5" target="0,0.5,0" up="0,1,0"/></transform>'
@@ -64,7 +65,7 @@ def options(tmp_path):
 def test_a_pair_from_end_to_end(pair, options):
     row = measure(pair, options)
     assert (row["luminaire"], row["room"]) == ("lantern", "cellar")
-    assert row["integrators"] == ["path", "lumitree_path"]
+    assert row["integrators"] == ["lumitree_path", "lumitree_path"]
     assert row["resolution"] == [16, 12]
     assert row["at_paper_samples"]["baked_spp"] == 32
     # The asset is another lamp altogether, and the bake's error says so.
@@ -90,12 +91,18 @@ def test_a_pair_from_end_to_end(pair, options):
     assert "* clock: cpu" in text
 
 
-@pytest.mark.parametrize(("glass", "kind"), [("", "path"), (GLASS, "path"), (THIN, "volpath")])
-def test_the_explicit_lamp_gets_the_integrator_it_needs(mi, tmp_path, glass, kind):
+@pytest.mark.parametrize("glass", [GLASS, THIN])
+def test_glass_is_traced_with_rays_that_start_near_it(mi, tmp_path, glass):
     (tmp_path / "lamp.xml").write_text(
         scene(sphere("bulb", 0.2, inside=AREA), sphere("glass", 0.5, inside=glass))
     )
-    assert explicit_integrator(load_luminaire(str(tmp_path / "lamp.xml"))) == kind
+    assert explicit_integrator(load_luminaire(str(tmp_path / "lamp.xml"))) == "lumitree_path"
+
+
+def test_media_get_the_integrator_they_need(mi, tmp_path):
+    lamp = scene(sphere("bulb", 0.2, inside=AREA), sphere("fog", 0.5, inside=FOG))
+    (tmp_path / "lamp.xml").write_text(lamp)
+    assert explicit_integrator(load_luminaire(str(tmp_path / "lamp.xml"))) == "volpath"
 
 
 def test_heights_become_sizes(mi, tmp_path, pair):

@@ -377,3 +377,17 @@ def test_the_gain_applies_to_the_lamp_and_to_its_light(shaded, changed):
         loaded, render = image(gain)
     assert plain.max() > 0
     np.testing.assert_allclose(render(), plain * gain, rtol=1e-3, atol=1e-6)
+
+
+def test_light_paths_start_at_the_box_of_a_lamp_with_a_model(shaded):
+    """Particle tracing compiles the emitters of the model's shapes too, which start none."""
+    _, asset = shaded
+    view = camera([1.3, 0.6, 0], [1.1, 0, 0], 20)
+    room = {"sensor": view, "floor": floor({"type": "diffuse"})}
+    images = [
+        passes({**room, **baked(asset, appearance)}, kind, max_depth=3, hide_emitters=True).mean()
+        for appearance, kind in (("model", "ptracer"), ("field", "lumitree_path"))
+    ]
+    assert images[1] > 0.01
+    # The model's shapes stand in the way of some of the light paths.
+    assert 0.1 * images[1] < images[0] < 1.05 * images[1]

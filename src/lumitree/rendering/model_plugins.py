@@ -104,6 +104,10 @@ def model_emitter_class() -> type:
         def eval_direction(self, it, ds, active=True):
             return mi.Color3f(0)
 
+        def sample_ray(self, time, sample1, sample2, sample3, active=True):
+            # `ptracer` compiles this for the emitters of every scene in the process.
+            return dr.zeros(mi.Ray3f), mi.Color3f(0)
+
         def to_string(self) -> str:
             return "LumitreeModelEmitter[]"
 
