@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from lumitree.api.baking import bake
 from lumitree.api.measures import Stopwatch, peak_memory_bytes
 from lumitree.api.viewing import IRRADIANCE_PATHS, evaluate
-from lumitree.asset.asset import PARTS
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import write_json
 from lumitree.core.images import write_exr
@@ -28,9 +27,7 @@ def run(folder: str = "demo-output", variant: str | None = None) -> dict[str, An
     output = Path(folder)
     asset = output / "lamp.lumitree"
     # `evaluate` compares the irradiance.
-    baked = bake(
-        LUMINAIRE, asset, time=BAKE_SECONDS, parts=PARTS, irradiance_paths=0, variant=variant
-    )
+    baked = bake(LUMINAIRE, asset, time=BAKE_SECONDS, irradiance_paths=0, variant=variant)
     if baked.stopped_by is not None:
         raise Interrupted("the same command continues", baked.stopped_by)
     evaluation = evaluate(

@@ -2,6 +2,7 @@
 
 import json
 import struct
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from lumitree.asset.asset import exitant_asset
 from lumitree.asset.file import _digest, load, save
 from lumitree.asset.materials import CONDUCTORS, check_material
 from lumitree.asset.model import AssetModel
+from lumitree.asset.model_bytes import model_tensors
 from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
 from model_assets import small_model, with_model
@@ -55,11 +57,11 @@ def equal(first, second):
         assert np.array_equal(one, other)
 
 
-def rewrite(source, path, change):
-    """Change the tensors of a file, with a checksum that is right."""
+def rewrite(source, path, change, change_header=str):
+    """Change the tensors and the description of a file, with a checksum that is right."""
     content = source.read_bytes()
     header = json.loads(content[8 : 8 + struct.unpack("<Q", content[:8])[0]])
-    text = header["__metadata__"]["lumitree"].partition(" ")[2]
+    text = change_header(header["__metadata__"]["lumitree"].partition(" ")[2])
     tensors = dict(safetensors.numpy.load(content))
     change(tensors)
     metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
@@ -84,7 +86,7 @@ def test_it_comes_back_byte_for_byte(original, tmp_path):
     equal(found.model, small_model())
     save(found, tmp_path / "again.lumitree")
     assert (tmp_path / "again.lumitree").read_bytes() == original.read_bytes()
-    assert version(original) == 3
+    assert version(original) == 4
 
 
 def test_parts_in_all_combinations(tmp_path):
@@ -94,9 +96,9 @@ def test_parts_in_all_combinations(tmp_path):
         ("field",): (field, 1),
         ("exitant",): (exitant_asset(light, field.frame, "test"), 2),
         ("exitant", "field"): (replace(field, exitant=light), 2),
-        ("field", "model"): (replace(field, model=model), 3),
-        ("exitant", "model"): (with_model(model), 3),
-        ("exitant", "field", "model"): (replace(field, exitant=light, model=model), 3),
+        ("field", "model"): (replace(field, model=model), 4),
+        ("exitant", "model"): (with_model(model), 4),
+        ("exitant", "field", "model"): (replace(field, exitant=light, model=model), 4),
     }
     for parts, (asset, expected) in cases.items():
         path = tmp_path / f"{'-'.join(parts)}.lumitree"
@@ -106,6 +108,48 @@ def test_parts_in_all_combinations(tmp_path):
         assert version(path) == expected
         assert found.info.model_triangles == (8 if "model" in parts else 0)
         assert found.num_bytes == asset.num_bytes
+
+
+def test_version_3_holds_images_as_they_are(original, tmp_path):
+    model = small_model()
+    raw = b"".join(image.tobytes() for image in model.images)
+
+    def change(tensors):
+        tensors["model.images"] = np.frombuffer(raw, np.uint8)
+
+    path = tmp_path / "old.lumitree"
+    rewrite(original, path, change, lambda text: text.replace('"version":4', '"version":3'))
+    assert version(path) == 3
+    equal(load(path).model, model)
+
+
+def test_a_model_without_images_has_version_3(tmp_path):
+    plain = {"type": "diffuse", "reflectance": 0.5}
+    model = small_model(images=(), materials=(plain, *small_model().materials[1:]))
+    path = tmp_path / "plain.lumitree"
+    save(with_model(model), path)
+    assert version(path) == 3
+    equal(load(path).model, model)
+
+
+def test_smooth_images_are_compressed():
+    y, x = np.mgrid[:64, :64]
+    image = np.stack([2 * x + y, 255 - x, y], axis=-1).astype(np.uint8)
+    model = replace(small_model(), images=(image,) * len(small_model().images))
+    assert len(model_tensors(model)["model.images"]) < sum(i.nbytes for i in model.images) / 5
+
+
+@pytest.mark.parametrize(
+    "images", [b"", b"no stream", zlib.compress(bytes(10)), zlib.compress(bytes(1 << 24))]
+)
+def test_wrong_streams_of_images_are_refused(original, tmp_path, images):
+    def change(tensors):
+        tensors["model.images"] = np.frombuffer(images, np.uint8)
+
+    path = tmp_path / "bad.lumitree"
+    rewrite(original, path, change)
+    with pytest.raises(LumitreeError, match="images of the model"):
+        load(path)
 
 
 def test_a_model_alone_illuminates_nothing_and_is_refused():

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from lumitree.luminaire.luminaire import Luminaire, LuminaireLike
 
 Quality = Literal["preview", "standard", "high"]
-DEFAULT_PARTS: tuple[Part, ...] = ("exitant", "field")
 
 
 @explained
@@ -46,7 +45,7 @@ def bake(
     tree_depth: int | None = None,
     l_max: int | None = None,
     law: Law | None = None,
-    parts: Collection[Part] = DEFAULT_PARTS,
+    parts: Collection[Part] = PARTS,
     irradiance_paths: int | None = None,
     lumens: float | None = None,
     temperature: float | None = None,
@@ -95,7 +94,7 @@ def bake(
             images under `lumitree_path` show in place of the field; beside one of the other two.
             A luminaire that cannot be stored, because it has participating media or what is not
             listed in docs/format.md, is left out with a warning. For a dataset only "field" is
-            made. Default: "exitant" and "field".
+            made. Default: all three.
         irradiance_paths: number of light paths, and of rays of the asset, by which the irradiance
             around the asset is compared with that around the luminaire at the end, as in
             `evaluate`; up to 67,108,864. 0: it is not compared. Default: by `quality`, 2¹⁸ to 2²⁰,

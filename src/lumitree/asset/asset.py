@@ -100,6 +100,12 @@ class Asset:
         return tuple(name for name, has in zip(PARTS, present, strict=True) if has)
 
     @property
+    def appearance(self) -> Part:
+        """What images show under `lumitree_path`: the model, else the field, else the light."""
+        present = self.parts
+        return next(part for part in ("model", "field", "exitant") if part in present)
+
+    @property
     def info(self) -> "AssetInfo":
         """Size, depth and bounds of the asset."""
         traced = None if self.exitant is None else self.exitant.traced
@@ -118,6 +124,7 @@ class Asset:
             exitant_noise=None if traced is None else traced.noise,
             model_triangles=0 if self.model is None else self.model.num_triangles,
             parts=self.parts,
+            appearance=self.appearance,
         )
 
     def eval(
@@ -178,6 +185,7 @@ class AssetInfo:
             None if it is not known.
         model_triangles: number of triangles of the model; 0 if there is none.
         parts: which of "exitant", "field" and "model" it has.
+        appearance: which of them images show under `lumitree_path`.
     """
 
     luminaire: str
@@ -192,6 +200,7 @@ class AssetInfo:
     exitant_cells: int
     model_triangles: int
     parts: tuple[Part, ...]
+    appearance: Part
     exitant_paths: int | None = None
     exitant_noise: float | None = None
 

@@ -23,8 +23,9 @@ from lumitree.errors import LumitreeError
 
 FORMAT = "lumitree"
 # Files without an exitant light field have the first version, those without a model at most the
-# second, which older readers know.
-VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL = 1, 2, 3
+# second, and those whose model has no images at most the third, which older readers know. In files
+# of the third version images are not compressed.
+VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL, VERSION_WITH_IMAGES = 1, 2, 3, 4
 ACTIVATION = "sigmoid"
 _MAX_HEADER_BYTES = 1 << 20
 # Three million leaves, the most that a bake makes, take at most 0.6 GB.
@@ -87,7 +88,7 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
         description["exitant"] = members
     if asset.model is not None:
         tensors |= model_tensors(asset.model)
-        description["version"] = VERSION_WITH_MODEL
+        description["version"] = VERSION_WITH_IMAGES if asset.model.images else VERSION_WITH_MODEL
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     # One key only: safetensors does not keep the order of several keys.
     metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
@@ -129,14 +130,19 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
     description = Record(value, "the description")
     # Checked first, because files of other versions may have other members.
     description.choice("format", (FORMAT,))
-    version = description.expect_version(VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL)
-    # A file of the third version may have an exitant light field.
-    optional = version == VERSION_WITH_MODEL and description.has("exitant")
+    version = description.expect_version(
+        VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL, VERSION_WITH_IMAGES
+    )
+    has_model = version >= VERSION_WITH_MODEL
+    # Beside a model there may be an exitant light field.
+    optional = has_model and description.has("exitant")
     has_exitant = version == VERSION_WITH_EXITANT or optional
     description.expect_keys(*_KEYS, *(["exitant"] if has_exitant else []))
     description.choice("activation", (ACTIVATION,))
     exitant = _build_exitant(description.record("exitant"), tensors) if has_exitant else None
-    model = build_model(tensors) if version == VERSION_WITH_MODEL else None
+    model = None
+    if has_model:
+        model = build_model(tensors, compressed=version == VERSION_WITH_IMAGES)
     expected = {*_TENSORS, *(_EXITANT_TENSORS if has_exitant else ())}
     if extra := tensors.keys() - expected - (MODEL_TENSORS.keys() if model is not None else set()):
         raise LumitreeError(f"version {version} has no tensor {min(extra)}")

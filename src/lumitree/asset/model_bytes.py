@@ -1,9 +1,13 @@
 """The model of an asset as tensors of its file, see docs/format.md.
 
-Shapes, materials and the sizes of images are one JSON text. Images follow each other as bytes.
+Shapes, materials and the sizes of images are one JSON text. Images follow each other as bytes,
+which are compressed: each byte of a row minus the one a pixel before it, as PNG's filter "Sub",
+then by zlib.
 """
 
 import json
+import math
+import zlib
 from typing import Any
 
 import numpy as np
@@ -23,6 +27,8 @@ MODEL_TENSORS = {
 # Largest JSON text; a shape takes about 200 bytes.
 _MAX_TEXT = 1 << 24
 _PIXELS: dict[str, Any] = {"uint8": np.uint8, "float32": np.dtype("<f4")}
+# Bytes of all images; importers read no more.
+_MAX_IMAGE_BYTES = 5 << 28
 
 
 def model_tensors(model: AssetModel) -> dict[str, NDArray[Any]]:
@@ -33,16 +39,18 @@ def model_tensors(model: AssetModel) -> dict[str, NDArray[Any]]:
         "shapes": list(model.shapes),
     }
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    pixels = b"".join(image.astype(_PIXELS[str(image.dtype)]).tobytes() for image in model.images)
     return {
         "model.shapes": np.frombuffer(text.encode(), np.uint8),
-        "model.images": np.frombuffer(pixels, np.uint8),
+        "model.images": np.frombuffer(_compressed(model.images), np.uint8),
         **{f"model.{name}": array for name, array in model.arrays.items()},
     }
 
 
-def build_model(tensors: dict[str, NDArray[Any]]) -> AssetModel:
+def build_model(tensors: dict[str, NDArray[Any]], *, compressed: bool = True) -> AssetModel:
     """The model of a file's tensors; the inverse of `model_tensors`.
+
+    Args:
+        compressed: whether the images are; they are not in files of version 3.
 
     Raises:
         LumitreeError: a tensor is missing, or the model is invalid.
@@ -56,30 +64,76 @@ def build_model(tensors: dict[str, NDArray[Any]]) -> AssetModel:
     description.expect_keys("images", "materials", "shapes")
     return AssetModel(
         **{name: tensors[f"model.{name}"] for name in ARRAYS},
-        images=_images(description.items("images"), tensors["model.images"].tobytes()),
+        images=_images(
+            description.items("images"), tensors["model.images"].tobytes(), compressed=compressed
+        ),
         shapes=tuple(description.items("shapes")[: MAX_SHAPES + 1]),
         materials=tuple(description.items("materials")),
     )
 
 
-def _images(descriptions: list[Json], content: bytes) -> tuple[NDArray[Any], ...]:
+def _compressed(images: tuple[NDArray[Any], ...]) -> bytes:
+    """All images as bytes; none for no image, so that versions 3 and 4 agree there."""
+    compressor, parts = zlib.compressobj(6), []
+    for image in images:
+        content = image.astype(_PIXELS[str(image.dtype)])
+        differences = _rows(content).copy()
+        differences[:, 1:] -= _rows(content)[:, :-1]
+        parts.append(compressor.compress(differences.tobytes()))
+    return b"".join([*parts, compressor.flush()]) if images else b""
+
+
+def _decompressed(content: bytes, size: int) -> bytes:
+    """The bytes of all images, of which there are `size`."""
+    decompressor = zlib.decompressobj()
+    try:
+        # No more than is expected, whatever the stream holds.
+        found = decompressor.decompress(content, size + 1)
+    except zlib.error as error:
+        raise LumitreeError(f"the images of the model cannot be decompressed: {error}") from None
+    if len(found) != size or not decompressor.eof or decompressor.unused_data:
+        raise LumitreeError(f"the images of the model do not decompress to {size} bytes")
+    return found
+
+
+def _rows(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """Bytes [H, W, channels and bytes of each] of an image."""
+    return image.view(np.uint8).reshape(*image.shape[:2], -1)
+
+
+def _images(
+    descriptions: list[Json], content: bytes, *, compressed: bool
+) -> tuple[NDArray[Any], ...]:
     if len(descriptions) > MAX_IMAGES:
         raise LumitreeError(f"the model has {len(descriptions)} images (limit {MAX_IMAGES})")
+    layouts = [_layout(each) for each in descriptions]
+    sizes = [math.prod(shape) * dtype.itemsize for shape, dtype in layouts]
+    if (total := sum(sizes)) > _MAX_IMAGE_BYTES:
+        raise LumitreeError(
+            f"the images of the model have {total} bytes (limit {_MAX_IMAGE_BYTES})"
+        )
+    compressed &= bool(layouts)
+    if compressed:
+        content = _decompressed(content, total)
+    if len(content) != total:
+        raise LumitreeError(f"the images of the model have {len(content)} bytes, not {total}")
     images, start = [], 0
-    for each in descriptions:
-        record = Record(each, "an image")
-        record.expect_keys("shape", "dtype")
-        dtype = np.dtype(_PIXELS[record.choice("dtype", tuple(_PIXELS))])
-        shape = record.integers("shape")
-        if len(shape) != 3 or not all(0 < side <= MAX_IMAGE_SIDE for side in shape):
-            raise LumitreeError(f"an image of the model has the shape {str(shape)[:60]}")
-        count = int(np.prod(shape))
-        end = start + count * dtype.itemsize
-        if end > len(content):
-            raise LumitreeError(f"the images of the model have {len(content)} bytes, not {end}")
-        pixels = np.frombuffer(content, dtype, count, start).reshape(shape)
+    for (shape, dtype), size in zip(layouts, sizes, strict=True):
+        pixels = np.frombuffer(content, dtype, math.prod(shape), start).reshape(shape)
+        if compressed:
+            rows = np.cumsum(_rows(pixels), axis=1, dtype=np.uint8)
+            pixels = rows.view(dtype).reshape(shape)
         images.append(pixels.astype(dtype.newbyteorder("=")))
-        start = end
-    if start != len(content):
-        raise LumitreeError(f"the images of the model have {len(content)} bytes, not {start}")
+        start += size
     return tuple(images)
+
+
+def _layout(description: Json) -> tuple[tuple[int, ...], Any]:
+    """Shape and type of an image."""
+    record = Record(description, "an image")
+    record.expect_keys("shape", "dtype")
+    dtype = np.dtype(_PIXELS[record.choice("dtype", tuple(_PIXELS))])
+    shape = tuple(record.integers("shape"))
+    if len(shape) != 3 or not all(0 < side <= MAX_IMAGE_SIDE for side in shape):
+        raise LumitreeError(f"an image of the model has the shape {str(shape)[:60]}")
+    return shape, dtype

@@ -65,7 +65,8 @@ def add(commands: Any) -> None:
         metavar="PARTS",
         help="what the asset gets, separated by commas. exitant: what the luminaire "
         "sends to its surroundings; field: what images show of it; model: the luminaire itself, "
-        "which images show in place of the field, not for --method nerf (default: exitant,field)",
+        "which images show in place of the field, not for --method nerf (default: all that the "
+        "method and the luminaire allow)",
     )
     options.add_irradiance_paths(parser, None)
     parser.add_argument(
@@ -96,12 +97,14 @@ def run(args: argparse.Namespace) -> Any:
         return _run_many(args)
     luminaire = options.luminaire(args, args.luminaires[0])
     if args.method == "nerf":
+        from lumitree.api.network import NETWORK_PARTS
+
         result = lumitree.bake_network(
             luminaire,
             args.output,
             preset=args.preset or "preview",
             tree_depth=args.depth,
-            parts=args.parts or ("exitant", "field"),
+            parts=args.parts or NETWORK_PARTS,
             irradiance_paths=args.irradiance_paths,
             seed=args.seed or 0,
             work=args.work,
@@ -121,6 +124,8 @@ def run(args: argparse.Namespace) -> Any:
 
 def _settings(args: argparse.Namespace) -> dict[str, Any]:
     """Settings of a direct bake."""
+    from lumitree.asset.asset import PARTS
+
     return {
         "quality": args.quality or "standard",
         "time": args.time,
@@ -128,7 +133,7 @@ def _settings(args: argparse.Namespace) -> dict[str, Any]:
         "tree_depth": args.depth,
         "l_max": args.l_max,
         "law": args.law,
-        "parts": args.parts or ("exitant", "field"),
+        "parts": args.parts or PARTS,
         "irradiance_paths": args.irradiance_paths,
         "lumens": args.lumens,
         "temperature": args.temperature,
