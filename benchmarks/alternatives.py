@@ -5,16 +5,19 @@
 Each luminaire hangs in the demonstration's room as: explicit geometry; explicit geometry with thin
 glass in place of all smooth glass, so that shadow rays cross it; the far field of an IES file,
 emitted evenly from the lamp's box; an emissive sphere of the same flux; an asset with an exitant
-light field. The reference is a long run of explicit geometry. Compared are the pixels that show
-diffuse surfaces of the room.
+light field; and, where mitsuba-oidn is installed, explicit geometry and asset denoised. The
+reference is a long run of explicit geometry. Compared are the pixels that show diffuse surfaces of
+the room.
 
 Bias is the difference of the long runs, relative to the reference, with the noise of both
 subtracted (RMS). The error after a time is √(bias² + variance × seconds of a sample / time), for
-times of the CPU. The explicit lamp is the baseline of the last column, the ratio of errors at the
-last of the times. Writes `alternatives.md`, `alternatives.json`, and a sheet of crops of each lamp.
+times of the CPU; that of denoised images is measured, with the noise of the reference subtracted.
+The explicit lamp is the baseline of the last column, the ratio of errors at the last of the times.
+Writes `alternatives.md`, `alternatives.json`, and a sheet of crops of each lamp.
 """
 
 import argparse
+import importlib.util
 import math
 import sys
 import tempfile
@@ -45,15 +48,18 @@ PATH_DEPTH = 8
 BASELINE = "explicit"
 # Of the long runs: at least so many batches, of `--spp` samples a pixel each.
 BATCHES = 8
+# What is denoised, by name of the result.
+DENOISED = {"explicit, denoised": BASELINE, "baked, denoised": "baked"}
 # Part of the image that the sheet shows: below and beside the lamp.
 CROP = np.s_[0.55:0.95, 0.1:0.6]
 
 
-def scenes_of(source: LuminaireSource, folder: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """Scenes by method; the asset and the IES file are made in a folder."""
+def scenes_of(
+    source: LuminaireSource, asset: Any, folder: Path, options: argparse.Namespace
+) -> dict[str, Any]:
+    """Scenes by method; the IES file is made in a folder."""
     import lumitree
 
-    asset = lumitree.bake(source, parts=("exitant",), seed=options.seed).asset
     lumitree.photometry(source, folder / "far_field.ies", seed=options.seed)
     far_field = lumitree.bake(str(folder / "far_field.ies"), seed=options.seed).asset
     return {
@@ -103,9 +109,9 @@ def measure(source: LuminaireSource, name: str, options: argparse.Namespace) -> 
     """A row, and the sheet."""
     import lumitree
 
-    with tempfile.TemporaryDirectory() as folder:
-        scenes = scenes_of(source, Path(folder), options)
     asset = lumitree.bake(source, parts=("exitant",), irradiance_paths=0, seed=options.seed).asset
+    with tempfile.TemporaryDirectory() as folder:
+        scenes = scenes_of(source, asset, Path(folder), options)
     mask = shows_diffuse(asset, options.width)[..., None]
     batches: dict[str, list[Any]] = {each: [] for each in scenes}
     times = interleaved(
@@ -137,6 +143,14 @@ def measure(source: LuminaireSource, name: str, options: argparse.Namespace) -> 
             ],
         }
     own = noise(images[BASELINE], weights)
+    for each, of in DENOISED.items() if _denoiser_is_there() else ():
+        methods[each] = {
+            "seconds_per_sample": seconds[of],
+            "error": [
+                _error_denoised(scenes[of], time / seconds[of], reference, weights, own, options)
+                for time in options.seconds
+            ],
+        }
     sheet = draw(name, scenes, seconds, reference, options)
     return {
         "luminaire": name,
@@ -163,6 +177,35 @@ def _image(scene: Any, samples: int, seed: int) -> Any:
     return render_passes(scene, integrator, Budget(samples), seed=seed).radiance
 
 
+def _denoiser_is_there() -> bool:
+    return importlib.util.find_spec("mitsuba_oidn") is not None
+
+
+def _denoised(scene: Any, samples: float, seed: int) -> Any:
+    """A denoised image [H, W, 3]; filtering takes 0.3 s, which do not count."""
+    import mitsuba as mi
+
+    from lumitree.rendering.denoising import denoise
+    from lumitree.rendering.layers import Layers
+    from lumitree.rendering.passes import Budget, render_passes
+
+    integrator: Any = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
+    integrator.layers = Layers(scene)
+    budget = Budget(max(1, round(samples)))
+    channels = render_passes(scene, integrator, budget, seed=seed).channels
+    recorded = denoise(integrator.layers.divide(channels[..., 3:]))
+    return (recorded.seen + recorded.lit).sum(axis=0)
+
+
+def _error_denoised(
+    scene: Any, samples: float, reference: Any, weights: Any, own: Any, options: argparse.Namespace
+) -> float:
+    """Relative error of a denoised image."""
+    image = _denoised(scene, samples, options.seed + 2000)
+    square = float(((image - reference) ** 2 * weights).mean()) - own.value
+    return math.sqrt(max(square, 0.0))
+
+
 def extend(scene: Any, images: list[Any], seconds: float, options: argparse.Namespace) -> None:
     """Add batches to the reference until its time is spent."""
     count = max(len(images), math.ceil(options.reference / seconds))
@@ -184,13 +227,19 @@ def draw(
         for part, size in zip(CROP, (height, width), strict=True)
     )
     exposure = 0.18 / float(np.median(reference.mean(axis=-1)))
-    figure = Figure(figsize=(3.2 * (len(scenes) + 1), 3.0), layout="constrained")
-    axes = figure.subplots(1, len(scenes) + 1)
     tiles = [("reference", reference)]
     for each, scene in scenes.items():
         samples = max(1, round(options.seconds[0] / seconds[each]))
         tiles.append((f"{each}, {samples} spp", _image(scene, samples, options.seed + 1000)))
-    for (title, image), axis in zip(tiles, axes, strict=True):
+    for each, of in DENOISED.items() if _denoiser_is_there() else ():
+        samples = max(1, round(options.seconds[0] / seconds[of]))
+        tiles.append((f"{each}, {samples} spp", _denoised(scenes[of], samples, options.seed)))
+    columns_of_sheet = (len(tiles) + 1) // 2
+    figure = Figure(figsize=(3.4 * columns_of_sheet, 5.8), layout="constrained")
+    axes = figure.subplots(2, columns_of_sheet).ravel()
+    for axis in axes[len(tiles) :]:
+        axis.set_axis_off()
+    for (title, image), axis in zip(tiles, axes, strict=False):
         axis.imshow(tonemap(image[rows, columns], exposure), interpolation="nearest")
         axis.set_title(title, fontsize=10)
         axis.set_axis_off()
@@ -216,9 +265,9 @@ def table(rows: list[dict], times: list[float]) -> Table:
                     row["luminaire"],
                     name,
                     f"{1000 * found['seconds_per_sample']:.0f}",
-                    f"{found['variance']:.3g}",
-                    f"{found['mean_ratio']:.3f}",
-                    f"{found['bias']:.1%}",
+                    f"{found['variance']:.3g}" if "variance" in found else "-",
+                    f"{found['mean_ratio']:.3f}" if "mean_ratio" in found else "-",
+                    f"{found['bias']:.1%}" if "bias" in found else "-",
                     *(f"{error:.1%}" for error in found["error"]),
                     f"{explicit / found['error'][-1]:.2f}",
                 ]
