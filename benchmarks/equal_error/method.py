@@ -33,11 +33,10 @@ class Method:
         set_film_width(room, options.width)
         source = pair.asset if baked else pair.luminaire
         # Images show the model of a lamp, if its asset has one.
-        scene = place_luminaires(
-            room,
-            [PlacedLuminaire(Placement(source, at=pair.at, size=pair.size))],
-            appearance="model",
-        )
+        lamp = PlacedLuminaire(Placement(source, at=pair.at, size=pair.size))
+        scene = place_luminaires(room, [lamp], appearance="model")
+        # Whether it converges to the explicit lamp's image, but for the illumination's error.
+        self.converges = lamp.field is None or lamp.field.asset.model is not None
         mi = load_mitsuba()
         if baked:
             self.kind = "lumitree_path"

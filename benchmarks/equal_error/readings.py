@@ -1,6 +1,7 @@
 """What a ladder of pictures and two efficiencies say about the time at equal error."""
 
 import dataclasses
+from typing import Literal
 
 import numpy as np
 
@@ -107,39 +108,60 @@ def levels(
     return rows
 
 
-def display_rows(
-    explicit: tuple[list[dict], Floats, float], baked: tuple[list[dict], Floats, float], clock: str
-) -> tuple[dict[str, list[dict]], float]:
-    """`rmse_display` of both ladders and of both long runs, and that of the reference.
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """What a method has rendered.
 
-    The reference is the explicit lamp's long run. Its own error is half the difference between the
-    means of its odd and its even batches, and is subtracted from all others. The last explicit
-    image is the mean of every second batch: its error is that difference over √2.
-
-    Args:
-        explicit, baked: rungs, batches [K, H, W, 3] of the long run, and its seconds.
+    Attributes:
+        rungs: of its ladder.
+        batches: [K, H, W, 3] of its long run.
+        seconds: that the long run took.
+        converges: whether it converges to the image of the explicit lamp, so that its long run may
+            be the reference.
     """
-    halves = explicit[1][0::2].mean(0), explicit[1][1::2].mean(0)
-    reference = explicit[1].mean(0)
-    difference = float(display_rmse(halves[0][None], halves[1])[0])
-    own = difference / 2
-    rows = {}
-    for name, (rungs, batches, seconds) in (("explicit", explicit), ("baked", baked)):
+
+    rungs: list[dict]
+    batches: Floats
+    seconds: float
+    converges: bool = True
+
+    def difference(self) -> float:
+        """`rmse_display` between the means of the odd and of the even batches."""
+        halves = self.batches[0::2].mean(0), self.batches[1::2].mean(0)
+        return float(display_rmse(halves[0][None], halves[1])[0])
+
+
+def display_rows(
+    explicit: Run, baked: Run, clock: str
+) -> tuple[dict[str, list[dict]], float, Literal["explicit", "baked"]]:
+    """`rmse_display` of both ladders and of both long runs; that of the reference, and which it is.
+
+    The reference is the long run of the smaller error, of those that converge to the image of the
+    explicit lamp. Its own error is half the difference between the means of its odd and its even
+    batches, and is subtracted from all others. The last image of the reference's method is the mean
+    of every second batch: its error is that difference over √2.
+    """
+    runs: dict[Literal["explicit", "baked"], Run] = {"explicit": explicit, "baked": baked}
+    differences = {name: run.difference() for name, run in runs.items() if run.converges}
+    chosen = min(differences, key=lambda name: differences[name])
+    reference, own = runs[chosen].batches.mean(0), differences[chosen] / 2
+    rows: dict[str, list[dict]] = {}
+    for name, run in runs.items():
         rows[name] = [
             {
                 "seconds": float(np.median(rung["seconds"][clock])),
                 "rmse": _without(display_rmse(rung["images"], reference), own),
             }
-            for rung in rungs
+            for rung in run.rungs
         ]
         last = {
-            "seconds": seconds,
-            "rmse": _without(display_rmse(batches.mean(0)[None], reference), own),
+            "seconds": run.seconds,
+            "rmse": _without(display_rmse(run.batches.mean(0)[None], reference), own),
         }
-        if name == "explicit":
-            last = {"seconds": seconds / 2, "rmse": difference / np.sqrt(2)}
+        if name == chosen:
+            last = {"seconds": run.seconds / 2, "rmse": differences[chosen] / np.sqrt(2)}
         rows[name].append(last)
-    return rows, own
+    return rows, own, chosen
 
 
 def _without(errors: Floats, own: float) -> float:

@@ -90,10 +90,12 @@ def display_table(rows: list[dict]) -> Table:
             row["room"],
             *(_display(level) for level in row["display"]["levels"]),
             f"{row['display']['reference']:.2g}",
+            row["display"].get("reference_method", "explicit"),
         ]
         for row in rows
     ]
-    heads = ["luminaire", "room", *(f"at {level:g}" for level in DISPLAY_LEVELS), "reference"]
+    heads = ["luminaire", "room", *(f"at {level:g}" for level in DISPLAY_LEVELS)]
+    heads += ["reference's error", "reference"]
     return Table(heads, lines, left=2)
 
 
