@@ -21,6 +21,7 @@ class Method:
         from lumitree.luminaire.luminaire import load_luminaire
         from lumitree.luminaire.scene_file import SceneFile
         from lumitree.rendering.passes import Budget, render_passes
+        from lumitree.rendering.placed import shows_model
         from lumitree.rendering.placement import Placement
         from lumitree.rendering.scene import (
             PlacedLuminaire,
@@ -36,7 +37,7 @@ class Method:
         lamp = PlacedLuminaire(Placement(source, at=pair.at, size=pair.size))
         scene = place_luminaires(room, [lamp], appearance="model")
         # Whether it converges to the explicit lamp's image, but for the illumination's error.
-        self.converges = lamp.field is None or lamp.field.asset.model is not None
+        self.converges = lamp.field is None or shows_model(lamp.field.asset, "model")
         mi = load_mitsuba()
         if baked:
             self.kind = "lumitree_path"

@@ -1,7 +1,6 @@
 """What a ladder of pictures and two efficiencies say about the time at equal error."""
 
 import dataclasses
-from typing import Literal
 
 import numpy as np
 
@@ -131,9 +130,7 @@ class Run:
         return float(display_rmse(halves[0][None], halves[1])[0])
 
 
-def display_rows(
-    explicit: Run, baked: Run, clock: str
-) -> tuple[dict[str, list[dict]], float, Literal["explicit", "baked"]]:
+def display_rows(explicit: Run, baked: Run, clock: str) -> tuple[dict[str, list[dict]], float, str]:
     """`rmse_display` of both ladders and of both long runs; that of the reference, and which it is.
 
     The reference is the long run of the smaller error, of those that converge to the image of the
@@ -141,7 +138,7 @@ def display_rows(
     batches, and is subtracted from all others. The last image of the reference's method is the mean
     of every second batch: its error is that difference over √2.
     """
-    runs: dict[Literal["explicit", "baked"], Run] = {"explicit": explicit, "baked": baked}
+    runs = {"explicit": explicit, "baked": baked}
     differences = {name: run.difference() for name, run in runs.items() if run.converges}
     chosen = min(differences, key=lambda name: differences[name])
     reference, own = runs[chosen].batches.mean(0), differences[chosen] / 2
