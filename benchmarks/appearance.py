@@ -9,7 +9,7 @@ methods render for the same CPU time. Errors are means over independent images: 
 reference's, and z the difference over its standard error; it is about 1 for an unbiased method.
 
 The field is the baseline of the last column, the ratio of `rmse_display`. Writes `appearance.md`
-and `appearance.json`.
+and `appearance.json`; rows of other luminaires that are there already stay.
 """
 
 import argparse
@@ -190,14 +190,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     results = Results(options, path_depth=PATH_DEPTH, baseline=BASELINE, clock="cpu")
-    rows: list[dict] = []
+    rows: list[dict] = results.stored({"luminaires": []})["luminaires"]
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.assets or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         for source, _ in sources(options.luminaires, options.data):
             path = Path(source.name)
             name = path.stem if path.suffix == "" else f"{path.parent.name}-{path.stem}"
-            rows.append(measure(source, folder / f"{name}.lumitree", options))
+            row = measure(source, folder / f"{name}.lumitree", options)
+            rows = [each for each in rows if each["luminaire"] != row["luminaire"]] + [row]
             # After every row: all of them take minutes.
             facts = results.setting()
             text = f"# Image of a lamp at equal time\n\n{table(rows).markdown()}\n{notes(facts)}"

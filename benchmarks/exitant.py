@@ -2,7 +2,7 @@
 
     python -m benchmarks exitant [LUMINAIRE ...]
 
-Writes `exitant.md` and `exitant.json`. For each luminaire and each grid: seconds of the bake,
+Writes `exitant.md`, `exitant.json` and `exitant.png`. For each luminaire and each grid: seconds of the bake,
 bytes, and the error of the irradiance on the six faces of a cube around the lamp and on a plane
 that touches its box (decision 14), against independent light paths. The baseline is the grid of two
 cells a side, whose RMS error is the unit of the last column.
@@ -14,10 +14,15 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
 from benchmarks.common.options import add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from lumitree.builtin.registry import BUILTIN
+from lumitree.core.files import atomic_path
 
 # Depth of the grid, and bins of direction a side; the first is the baseline.
 GRIDS = ((1, 64), (3, 32), (3, 64), (4, 32), (4, 64), (5, 32), (5, 64))
@@ -93,6 +98,28 @@ def table(rows: list[dict]) -> Table:
     return Table(heads, lines)
 
 
+def draw(rows: list[dict], path: Path) -> None:
+    """Irradiance error against bytes, a line for each luminaire and number of bins."""
+    figure = Figure(figsize=(11.5, 4.2), layout="constrained")
+    axes = figure.subplots(1, 2, sharex=True)
+    titles = ("Mean of the six faces of a cube", "Plane that touches the box")
+    for axis, title, faces in zip(axes, titles, (slice(6), slice(6, 7)), strict=True):
+        for number, name in enumerate(dict.fromkeys(row["luminaire"] for row in rows)):
+            for resolution, style in ((32, "o-"), (64, "s:")):
+                own = [r for r in rows if (r["luminaire"], r["resolution"]) == (name, resolution)]
+                size = [row["bytes"] / 1e6 for row in own]
+                error = [100 * np.mean(row["rms"][faces]) for row in own]
+                label = f"{name}, {resolution}² bins"
+                axis.plot(size, error, style, color=f"C{number}", ms=3, label=label)
+        axis.set(xscale="log", yscale="log", title=title, xlabel="MB", ylabel="RMS error, %")
+        axis.grid(alpha=0.3, which="both")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right center", fontsize=8)
+    FigureCanvasAgg(figure)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=110, format="png")
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("luminaires", metavar="LUMINAIRE", nargs="*", default=list(BUILTIN))
     parser.add_argument(
@@ -110,4 +137,5 @@ def run(options: argparse.Namespace) -> None:
         text = f"# Exitant light fields\n\n{table(rows).markdown()}\n{notes(facts)}"
         results.write({"setting": facts, "rows": rows}, text)
         print(f"measured {name}", file=sys.stderr)
+    draw(rows, results.folder / "exitant.png")
     print(table(rows).text())
