@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
+from lumitree.core.backend import load_mitsuba
 from lumitree.errors import shown
 from lumitree.goniophotometry.figures import PhotometricFigures
 from lumitree.goniophotometry.near_field import NearFieldLimit
@@ -346,6 +347,15 @@ def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
     if path is None:
         return info
     return {"file": os.fspath(path), "file_bytes": Path(path).stat().st_size, **info}
+
+
+def asset_report(asset: Asset, path: str | os.PathLike[str]) -> Json:
+    """What `lumitree info` states: `asset_json`, and the luminous flux, lm, for metres."""
+    load_mitsuba()
+    from lumitree.model.photometry import luminance
+    from lumitree.rendering.asset_flux import asset_watts
+
+    return {**asset_json(asset, path), "lumens": float(luminance(asset_watts(asset)))}
 
 
 def plain(value: Any) -> Any:
