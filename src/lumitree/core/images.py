@@ -57,6 +57,20 @@ def read_exr(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
     return planes
 
 
+def read_comment(path: str | os.PathLike[str]) -> str | None:
+    """The attribute "comments" of an OpenEXR file; None if there is none.
+
+    Raises:
+        LumitreeError: the file is damaged.
+    """
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            comment = file.header().get("comments")
+    except (RuntimeError, ValueError) as error:
+        raise LumitreeError(f"{path} is not a readable OpenEXR image: {_one_line(error)}") from None
+    return comment if isinstance(comment, str) else None
+
+
 def srgb_from_linear(linear: ArrayLike) -> NDArray[np.floating]:
     """sRGB-encoded values in [0, 1] of linear values, which are clipped to [0, 1].
 
