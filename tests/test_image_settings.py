@@ -68,7 +68,12 @@ def test_thumbnails_of_bakes_and_sheets_of_evaluations(monkeypatch):
     tiny_bakes.set_qualities(monkeypatch.setitem, tree_depth=3)
     lumitree.bake_many(["lamp.xml"], "lamps", parts=["exitant"], seed=4)
     assert comment("lamps/index-files/lamp.png")["settings"]["seed"] == 4
-    options = {"num_views": 1, "resolution": 12, "samples_per_pixel": 2, "irradiance_paths": 1 << 14}
+    options = {
+        "num_views": 1,
+        "resolution": 12,
+        "samples_per_pixel": 2,
+        "irradiance_paths": 1 << 14,
+    }
     lumitree.evaluate("lamps/lamp.lumitree", "lamp.xml", "sheet.png", **options)
     for name in ("sheet.png", "sheet-irradiance.png"):
         assert comment(name)["num_views"] == 1
