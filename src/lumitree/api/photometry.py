@@ -133,6 +133,7 @@ def photometry(
         luminaire=measurement.name,
         **{field.name: getattr(figures, field.name) for field in dataclasses.fields(figures)},
         near_field=data.near_field,
+        ugr=data.ugr,
         step=data.step,
         size=tuple(data.size.tolist()),
         rays=data.num_rays,

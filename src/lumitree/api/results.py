@@ -327,6 +327,8 @@ class PhotometryResult(ImageResult, PhotometricFigures):
         c_angles, gamma_angles: [C] and [G] angles of the intensities, degrees.
         intensity, intensity_error: [C, G] luminous intensities and standard errors, cd.
         files: files that were written.
+        ugr: [19, 10] Unified Glare Ratings, see `goniophotometry.ugr.ugr_table`; NaN where there is
+            none. None if the optional dependency `ugr` is not installed.
     """
 
     luminaire: str
@@ -339,6 +341,7 @@ class PhotometryResult(ImageResult, PhotometricFigures):
     intensity: NDArray[np.float64] = dataclasses.field(repr=False)
     intensity_error: NDArray[np.float64] = dataclasses.field(repr=False)
     files: list[Path]
+    ugr: NDArray[np.float64] | None = dataclasses.field(default=None, repr=False)
 
 
 def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
