@@ -75,7 +75,8 @@ def ugr_rows(ugr: NDArray[np.float64]) -> list[tuple[str, ...]]:
 
 
 def _rating(value: float) -> str:
-    return f"{value:.1f}" if np.isfinite(value) else "none"
+    # Plus 0: no negative zero.
+    return f"{round(value, 1) + 0.0:.1f}" if np.isfinite(value) else "none"
 
 
 def near_field_rows(limits: Sequence[NearFieldLimit]) -> list[tuple[str, str, str, str]]:
