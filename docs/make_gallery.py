@@ -1,8 +1,8 @@
 """Make the pages of the gallery: `make gallery`, or `python docs/make_gallery.py`.
 
 Each built-in lamp is baked with few leaves, harmonics and cells, so that its asset has less than
-2 MB. Its page is one HTML file, which loads nothing. `make docs` then copies the pages and links to them. A
-second call bakes only what is missing.
+2 MB. Its page is one HTML file, which loads nothing. `make docs` then copies the pages and links to
+them. A second call bakes only what is missing.
 """
 
 import io
