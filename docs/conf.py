@@ -55,6 +55,9 @@ html_title = f"lumitree {release}"
 html_show_sphinx = False
 html_static_path = ["_static"]
 html_css_files = ["tables.css"]
+# Pages that `make gallery` has made, which the documentation then links to.
+EXTRA = Path(__file__).parent / "generated" / "extra"
+html_extra_path = ["generated/extra"] if EXTRA.is_dir() else []
 
 
 # Documents outside docs/ become pages too; their links are relative to the repository's root.
@@ -91,8 +94,17 @@ def link_outside(app, name, source):
     source[0] = re.sub(r"\]\(docs/", "](/", text)
 
 
+def link_gallery(app, name, source):
+    """Link the names of lamps in the gallery to their pages, where there are any."""
+    if name == "gallery":
+        for page in EXTRA.glob("gallery/*.html"):
+            link = f'<a href="gallery/{page.name}">{page.stem}: open</a>'
+            source[0] = source[0].replace(f"**{page.stem}**", link)
+
+
 def setup(app):
     app.connect("builder-inited", copy_outside, priority=1)
     # In this order: links are those of Markdown.
     app.connect("source-read", read_notebook, priority=400)
     app.connect("source-read", link_outside)
+    app.connect("source-read", link_gallery)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.api.baking import bake
+from lumitree.api.image_settings import image_settings
 from lumitree.api.measures import Stopwatch, peak_memory_bytes
 from lumitree.api.viewing import IRRADIANCE_PATHS, evaluate
 from lumitree.core.backend import load_mitsuba
@@ -100,7 +101,8 @@ def _render_room(output: Path, asset: str, watch: Stopwatch) -> dict[str, Any]:
                 for seed in (0, 1)
             )
         images[name] = (first + second) / np.float32(2)
-        write_exr(output / f"room-{name}.exr", {"RGB": images[name]})
+        settings = image_settings("demo", lamp=name, samples_per_pixel=2 * half, width=WIDTH)
+        write_exr(output / f"room-{name}.exr", {"RGB": images[name]}, settings)
         report[name] = {"samples": 2 * half, "noise": float(rel_mse(first, images[name]))}
     captions = {
         name: f"{name} lamp, {values['samples']} samples per pixel\n"
@@ -112,5 +114,6 @@ def _render_room(output: Path, asset: str, watch: Stopwatch) -> dict[str, Any]:
         [(captions[name], images[name]) for name in images],
         # The median of the room is well below middle grey, so that window and lamp are not clipped.
         0.07 / float(np.median(images["baked"])),
+        image_settings("demo", lamps=report, width=WIDTH),
     )
     return report

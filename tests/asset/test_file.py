@@ -17,6 +17,7 @@ from lumitree.asset.asset import exitant_asset
 from lumitree.asset.exitant import TracedPaths, make_exitant_field
 from lumitree.asset.file import load, save
 from lumitree.errors import LumitreeError
+from model_assets import small_model, with_model
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +43,14 @@ def exitant_only(tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def with_gain(tmp_path_factory):
+    """An asset with a model and a gain."""
+    path = tmp_path_factory.mktemp("gain") / "lamp.lumitree"
+    save(replace(with_model(small_model()), gain=(0.5, 0.0, 2e3)), path)
+    return path
+
+
 TRACED = {"count": 3, "seeds": [1, 5], "luminaire": 64 * "0", "noise": 0.5}
 
 
@@ -56,12 +65,12 @@ def test_the_record_of_light_paths_is_kept(tmp_path, noise):
     assert random_asset(0).info.exitant_paths is None
 
 
-FILES = ("original", "with_exitant", "exitant_only")
+FILES = ("original", "with_exitant", "exitant_only", "with_gain")
 
 
 @pytest.fixture(params=FILES)
 def any_file(request):
-    """A file without an exitant light field, with one, or with nothing else."""
+    """A file without an exitant light field, with one, with nothing else, or with a gain."""
     return request.getfixturevalue(request.param)
 
 
@@ -243,6 +252,32 @@ def test_broken_descriptions_are_refused(original, tmp_path, key, value, message
     with pytest.raises(LumitreeError, match=message) as caught:
         load(tmp_path / "bad.lumitree")
     assert "bad.lumitree" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ([1.0, 1.0], "gain of the description is a list"),
+        (2.0, "gain of the description is 2.0"),
+        ([1, -1, 1], "gain .* expected three numbers of at least 0"),
+        ([0, 0, 0], "not all 0"),
+        ([1, 1, 1e300], "emission exceeds"),
+    ],
+)
+def test_broken_gains_are_refused(with_gain, tmp_path, value, message):
+    rewrite(with_gain, tmp_path / "bad.lumitree", change_text=lambda d: d.update(gain=value))
+    with pytest.raises(LumitreeError, match=message):
+        load(tmp_path / "bad.lumitree")
+
+
+def test_a_gain_is_kept_and_belongs_to_version_4(original, with_gain, tmp_path):
+    asset = load(with_gain)
+    assert asset.gain == asset.info.gain == (0.5, 0.0, 2e3)
+    assert asset.parts == ("exitant", "model")
+    assert asset.without_gain.gain == load(original).gain == (1.0, 1.0, 1.0)
+    rewrite(original, tmp_path / "bad.lumitree", change_text=lambda d: d.update(gain=[1, 1, 2]))
+    with pytest.raises(LumitreeError, match='unknown key "gain"'):
+        load(tmp_path / "bad.lumitree")
 
 
 def exitant(name, change):

@@ -118,7 +118,11 @@ def test_version_3_holds_images_as_they_are(original, tmp_path):
         tensors["model.images"] = np.frombuffer(raw, np.uint8)
 
     path = tmp_path / "old.lumitree"
-    rewrite(original, path, change, lambda text: text.replace('"version":4', '"version":3'))
+
+    def earlier(text):
+        return text.replace('"version":4', '"version":3').replace('"gain":[1.0,1.0,1.0],', "")
+
+    rewrite(original, path, change, earlier)
     assert version(path) == 3
     equal(load(path).model, model)
 

@@ -1,9 +1,19 @@
-"""The sRGB transfer function."""
+"""The sRGB transfer function, and damaged OpenEXR files."""
 
 import numpy as np
 import pytest
 
-from lumitree.core.images import linear_from_srgb, srgb_from_linear
+from damage import damaged, refused
+from lumitree.core.images import (
+    linear_from_srgb,
+    read_comment,
+    read_exr,
+    srgb_from_linear,
+    write_exr,
+)
+from lumitree.errors import LumitreeError
+
+ROUNDS = 150
 
 
 @pytest.mark.parametrize(
@@ -36,3 +46,42 @@ def test_values_are_clipped_and_keep_their_precision():
         values = np.array([0.001, 0.5], dtype)
         assert srgb_from_linear(values).dtype == dtype
         assert linear_from_srgb(values).dtype == dtype
+
+
+@pytest.fixture
+def layers(tmp_path):
+    """Path and content of a file of two layers with a comment."""
+    path = tmp_path / "layers.exr"
+    image = np.random.default_rng(0).random((5, 7, 3)).astype(np.float32)
+    write_exr(path, {"room": image, "lamp": 2 * image}, "settings")
+    return path, path.read_bytes()
+
+
+def test_damaged_exr_files_are_refused_or_read(layers):
+    path, good = layers
+    rng, outcomes = np.random.default_rng(0), set()
+    # Pixels begin after the header and the table of offsets.
+    header = len(good) - 900
+
+    def check():
+        for plane in read_exr(path).values():
+            assert np.isfinite(plane).all()
+        read_comment(path)
+
+    for round_ in range(ROUNDS):
+        data = bytearray(good)
+        for place in rng.integers(0, header if round_ % 2 else len(data), rng.integers(1, 4)):
+            data[place] = rng.integers(256)
+        path.write_bytes(data if round_ % 3 else damaged(good, rng))
+        outcomes.add(refused(check))
+    assert outcomes == {True, False}
+
+
+def test_sides_without_pixels_reserve_no_memory(layers):
+    path, good = layers
+    # xMax and yMax of the data window: 6 and 4.
+    window = good.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4 + 8
+    assert good[window : window + 8] == (6).to_bytes(4, "little") + (4).to_bytes(4, "little")
+    path.write_bytes(good[:window] + 2 * (2**20).to_bytes(4, "little") + good[window + 8 :])
+    with pytest.raises(LumitreeError, match="1048577 x 1048577 pixels; expected"):
+        read_exr(path)

@@ -19,6 +19,7 @@ from lumitree.cli import main
 from lumitree.exitant import bake as exitant_bake
 from lumitree.exitant.saved_field import EXITANT_STATE
 from lumitree.luminaire.luminaire import load_luminaire
+from lumitree.model.photometry import colour_temperature, luminance
 
 # A radiance field of a second; most of the time is its first estimate.
 FEW = {"estimate": {"rays": 1 << 17, "growth_rays": 1 << 16}, "rays": 1 << 14}
@@ -111,6 +112,49 @@ def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
     assert_equal_fields(again.exitant, first.exitant)
     with pytest.raises(AssertionError, match="light paths are traced"):
         lumitree.bake("lamp.xml", parts=["exitant"], work="state", seed=1)
+
+
+@pytest.mark.parametrize("parts", [("exitant", "field", "model"), ("field",)])
+def test_a_bake_gets_the_flux_and_the_colour_that_are_asked_for(parts, capsys):
+    """All parts are those of a bake without them, but for the gain, which later calls keep."""
+    from lumitree.rendering.asset_flux import asset_watts
+
+    plain = lumitree.bake("lamp.xml", parts=parts)
+    light = {"lumens": 800.0, "temperature": 2700.0}
+    warm = lumitree.bake("lamp.xml", "warm.lumitree", parts=parts, **light)
+    assert np.array_equal(warm.asset.coefficients, plain.asset.coefficients)
+    assert warm.asset.parts == plain.asset.parts
+    watts = asset_watts(warm.asset)
+    exact = 1e-6 if "exitant" in parts else 0.01
+    assert luminance(watts) == pytest.approx(800, rel=exact)
+    assert colour_temperature(watts)[0] == pytest.approx(2700, rel=0.001 + exact)
+    # The comparison with the luminaire is that of its own light.
+    found, expected = (each.irradiance["irradiance_ratio"] for each in (warm, plain))
+    assert found == pytest.approx(expected, abs=1e-4 + 0.5 * plain.irradiance["ratio_error"])
+    refined = lumitree.refine("warm.lumitree", "lamp.xml", rays=1 << 14, irradiance_paths=0)
+    assert refined.asset.gain == warm.asset.gain
+    assert main(["info", "warm.lumitree", "--json", "info.json"]) == 0
+    assert "lumens  800" in capsys.readouterr().out
+    with open("info.json") as file:
+        assert json.load(file)["asset"]["gain"] == list(warm.asset.gain)
+
+
+def test_a_colour_that_a_lamp_cannot_have_is_refused_at_once(monkeypatch):
+    from lumitree.direct import bake as direct
+
+    red = AREA.replace("3,2,1", "3,0,0")
+    with open("red.xml", "w") as file:
+        file.write(scene(sphere("ball", 0.5, inside=red)))
+
+    def refuse(*_, **__):
+        raise AssertionError("a field is baked")
+
+    monkeypatch.setattr(direct, "bake", refuse)
+    with pytest.raises(lumitree.LumitreeError, match="emits no green light, which 2700 K has"):
+        lumitree.bake("red.xml", "red.lumitree", temperature=2700.0)
+    with pytest.raises(lumitree.LumitreeError, match="lumens is 0"):
+        lumitree.bake("lamp.xml", lumens=0)
+    assert not os.path.exists("red.lumitree")
 
 
 @pytest.mark.parametrize(

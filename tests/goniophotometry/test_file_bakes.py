@@ -1,5 +1,7 @@
 """Assets from photometric files and ray files, against the intensities that the files state."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,8 @@ from lumitree.goniophotometry.files import write_ies, write_ldt
 from lumitree.goniophotometry.rays import Rays
 from lumitree.goniophotometry.tm25 import write_tm25
 from lumitree.goniophotometry.type_c import Grid, IntensityDistribution, direction_of, z_up
-from lumitree.model.photometry import blackbody_colour, luminance
+from lumitree.model.photometry import LUMENS_PER_WATT, blackbody_colour, luminance
+from lumitree.rendering.asset_flux import asset_watts
 from walls import irradiance
 
 
@@ -186,7 +189,7 @@ def test_lumens_and_temperature(mi, tmp_path):
     write_ies(tmp_path / "a.ies", spot())
     warm = lumitree.bake(tmp_path / "a.ies", lumens=800.0, temperature=2700.0).asset
     assert exitant_lumens(warm) == pytest.approx(800, rel=1e-3)
-    colour = unpack(warm.exitant.intensity).sum(axis=0)
+    colour = asset_watts(warm)
     expected = np.array(blackbody_colour(2700.0))
     assert colour / colour[0] == pytest.approx(expected / expected[0], abs=5e-3)
 
@@ -209,12 +212,13 @@ def test_arguments_that_do_not_apply_are_refused(mi, tmp_path, options, message)
     assert not (tmp_path / "a.lumitree").exists()
 
 
-def test_what_is_for_photometric_files_only(mi, tmp_path):
-    with pytest.raises(LumitreeError, match="photometric files"):
-        lumitree.bake("bulbs", lumens=800.0)
-    write_tm25(tmp_path / "a.ray", uniform_rays(8), "rays")
-    with pytest.raises(LumitreeError, match="colours of their own"):
-        lumitree.bake(tmp_path / "a.ray", temperature=2700.0)
+def test_the_colours_of_rays_get_the_same_factors(mi, tmp_path):
+    rays = uniform_rays(4096)
+    rays = dataclasses.replace(rays, flux=rays.flux * np.array([3.0, 2.0, 1.0]))
+    write_tm25(tmp_path / "a.ray", rays, "rays")
+    warm = lumitree.bake(tmp_path / "a.ray", temperature=2700.0).asset
+    expected = luminance(rays.flux.sum(axis=0)) / LUMENS_PER_WATT
+    assert asset_watts(warm) == pytest.approx(expected * np.array(blackbody_colour(2700)), rel=5e-3)
 
 
 def test_files_that_emit_nothing(mi, tmp_path):

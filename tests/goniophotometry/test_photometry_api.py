@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -159,7 +160,7 @@ def test_an_ies_file_there_and_back(folder, capsys):
         (["bake", "none.ies", "-o", "a.lumitree"], "does not exist"),
         (["bake", "lamp.ies", "-o", "a.lumitree", "--keep", "x"], "keep: not for a photometric"),
         (["bake", "lamp.ies", "-o", "a.lumitree", "--method", "nerf"], "ies"),
-        (["bake", "lamp.xml", "-o", "a.lumitree", "--lumens", "8"], "photometric files"),
+        (["bake", "lamp.xml", "-o", "a.lumitree", "--lumens", "0"], "lumens is 0"),
     ],
 )
 def test_errors_of_the_command_are_one_line(folder, capsys, arguments, message):
@@ -169,3 +170,17 @@ def test_errors_of_the_command_are_one_line(folder, capsys, arguments, message):
     assert re.search(message, error)
     assert error.count("\n") == 1
     assert not (folder / "a.lumitree").exists()
+
+
+@pytest.mark.parametrize("installed", [True, False])
+def test_reports_have_glare_ratings_or_say_what_is_missing(folder, monkeypatch, capsys, installed):
+    if installed:
+        pytest.importorskip("eulumdat_ugr")
+    else:
+        monkeypatch.setitem(sys.modules, "eulumdat_ugr", None)
+    command = ["photometry", "lamp.xml", "-o", "a.html", "-o", "a.pdf", "--step", "10"]
+    assert main([*command, "--paths", str(PATHS), "--json", "a.json"]) == 0
+    printed, report = capsys.readouterr().out, (folder / "a.html").read_text()
+    assert ("crosswise" in printed) == ("12H x 8H" in report) == installed
+    assert ("lumitree[ugr]" in printed) == ("lumitree[ugr]" in report) == (not installed)
+    assert (folder / "a.pdf").read_bytes().count(b"/Type /Page ") == (2 if installed else 1)

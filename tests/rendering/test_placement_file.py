@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lumitree
+from damage import damaged, refused
 from exitant_fields import random_exitant
 from fields import random_asset
 from lumitree.asset.asset import exitant_asset
@@ -42,6 +43,21 @@ def test_all_keys_are_read_and_paths_are_relative_to_the_file(tmp_path, mi):
         "kitchen",
     )  # fmt: skip
     assert second == lumitree.Placement("bulbs", gain=(1,), label="desk lamp")
+
+
+def test_damaged_files_are_refused_or_read(tmp_path, mi):
+    path = tmp_path / "lights.toml"
+    rng, outcomes = np.random.default_rng(0), set()
+
+    def check():
+        for lamp in lumitree.read_placements(path):
+            assert lamp.size is None or 0 < lamp.size < np.inf
+            assert lamp.label is not None
+
+    for _ in range(300):
+        path.write_bytes(damaged(FILE.encode(), rng))
+        outcomes.add(refused(check))
+    assert outcomes == {True, False}
 
 
 @pytest.mark.parametrize(

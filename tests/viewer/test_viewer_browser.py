@@ -37,6 +37,7 @@ def camera_rays(eye, target, up, fov, width, height):
 @pytest.mark.parametrize(("law", "l_max"), [("linear", 2), ("exponential", 4)])
 def test_image_is_that_of_the_field(mi, tmp_path, law, l_max):
     asset = random_asset(5, tree_depth=6, law=law, l_max=l_max, half_extents=(1, 0.8, 0.9))
+    asset = dataclasses.replace(asset, gain=(0.5, 3.0, 1.0))
     view = {"eye": [2.5, 1.7, -3.1], "target": [0.1, 0, 0], "up": [0.2, 1, 0.1], "fov": 0.6}
     size = {"width": 120, "height": 80}
     call = f"await lumitree.image({json.dumps(view | size)})"
@@ -54,7 +55,8 @@ def test_image_is_that_of_the_field(mi, tmp_path, law, l_max):
 def test_illuminance_is_the_sum_over_cells(mi, tmp_path):
     from lumitree.evaluation.irradiance import asset_irradiance
 
-    asset = dataclasses.replace(random_asset(5), exitant=random_exitant(4, count=40))
+    exitant = random_exitant(4, count=40)
+    asset = dataclasses.replace(random_asset(5), exitant=exitant, gain=(0.5, 3.0, 1.0))
     call = "await lumitree.illuminance({room: [3, 3, 3], samples: 16, patches: 48})"
     found = evaluate(make_page(asset), call, tmp_path / "profile")
     patches = floats(found["lux"]).reshape(48, 6, 48)

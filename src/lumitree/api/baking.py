@@ -13,10 +13,9 @@ from lumitree.api.measures import Stopwatch
 from lumitree.api.photometry import bake_photometric_file, is_photometric_file
 from lumitree.api.results import BakeResult
 from lumitree.asset.asset import PARTS, Asset, Part, exitant_asset
-from lumitree.asset.exitant import ExitantField
 from lumitree.asset.file import load
 from lumitree.asset.model import AssetModel
-from lumitree.core.arguments import check_asset_output, check_choice
+from lumitree.core.arguments import check_asset_output, check_choice, check_light
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import Dataset
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
@@ -99,10 +98,13 @@ def bake(
             around the asset is compared with that around the luminaire at the end, as in
             `evaluate`; up to 67,108,864. 0: it is not compared. Default: by `quality`, 2¹⁸ to 2²⁰,
             which take 1 to 10 s on 2 CPU cores. For a dataset it is not compared.
-        lumens: luminous flux of the asset of a photometric file or ray file, lm. Default: that of
-            the file.
-        temperature: colour temperature of the asset of a photometric file, K, 1000 to 20,000.
-            Default: R = G = B.
+        lumens: luminous flux of the asset, lm, if lengths of the luminaire are in metres; 10⁻⁶ to
+            10⁹. Default: that of the luminaire.
+        temperature: colour temperature of the whole flux of the asset, K, 1000 to 20,000. R, G and
+            B of all its light each get a factor, by which the whole flux gets the chromaticity of a
+            black body and keeps its luminous flux: a coloured part of a lamp stays coloured
+            relative to the others. Default: the colours of the luminaire; R = G = B for a
+            photometric file.
         seed: root seed of all random numbers, 0 to 2³¹ - 1. With `rays` and without `time`, equal
             seeds and settings give equal files on one machine.
         work: folder for the state: empty, new, or that of an earlier call. It is kept. Default:
@@ -139,20 +141,23 @@ def bake(
         irradiance_paths=irradiance_paths,
         seed=seed,
     )
+    check_light(lumens, temperature)
     load_mitsuba(variant)
     if is_photometric_file(luminaire):
         if "exitant" not in parts:
             raise LumitreeError("a photometric file has no part field; give the part exitant")
         others = {"time": time, "rays": rays, "tree_depth": tree_depth, "l_max": l_max, "law": law}
         return bake_photometric_file(luminaire, output, quality, lumens, temperature, others)
-    if lumens is not None or temperature is not None:
-        raise LumitreeError(
-            "lumens and temperature are for photometric files; state those of a model's emitters "
-            "in its .toml file, or give them where the asset is placed"
-        )
     from lumitree.direct import bake as direct
     from lumitree.exitant.bake import bake_exitant
     from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.rendering.asset_flux import with_light
+
+    exitant, model = None, None
+
+    def completed(asset: Asset) -> Asset:
+        whole = dataclasses.replace(asset, exitant=exitant, model=model)
+        return with_light(whole, lumens, temperature)
 
     with reporting(progress), open_work_folder(output, work) as at:
         if (folder := dataset_folder(luminaire)) is not None:
@@ -162,24 +167,24 @@ def bake(
                     "paths; give the luminaire, or the part field"
                 )
             dataset = Dataset.open(folder)
-            return _finish(output, work, at, lambda: direct.bake_stored(dataset, config, at.path))
+            job = lambda: direct.bake_stored(dataset, config, at.path)  # noqa: E731
+            return _finish(output, work, at, job, completed)
         lamp = load_luminaire(luminaire)
         warn_of_faults(lamp)
         watch = Stopwatch()
         model = _stored_model(lamp) if "model" in parts else None
-        exitant = None
         if "exitant" in parts:
             light_config = dataclasses.replace(EXITANT_QUALITIES[quality], seed=seed)
             with watch.stage("exitant"):
                 exitant = bake_exitant(lamp, light_config, at.path)
+            # Before the field: refuses a colour that the light of the luminaire cannot have.
+            asset = completed(exitant_asset(exitant, lamp.frame, lamp.name))
             if "field" not in parts:
-                asset = exitant_asset(exitant, lamp.frame, lamp.name)
-                asset = dataclasses.replace(asset, model=model)
                 result = finish_bake(asset, output, watch, lamp, paths)
                 remove_state(at, work, result, [EXITANT_STATE])
                 return result
         job = lambda: direct.bake(lamp, config, at.path)  # noqa: E731
-        return _finish(output, work, at, job, exitant, model, watch, lamp, paths)
+        return _finish(output, work, at, job, completed, watch, lamp, paths)
 
 
 def check_bake(
@@ -284,7 +289,9 @@ def refine(
     with reporting(progress), open_work_folder(output, work) as at:
         lamp = load_luminaire(luminaire)
         job = lambda: direct.refine(rough, lamp, config, at.path)  # noqa: E731
-        return _finish(output, work, at, job, rough.exitant, rough.model, None, lamp, paths)
+        others = {"exitant": rough.exitant, "model": rough.model, "gain": rough.gain}
+        completed = lambda asset: dataclasses.replace(asset, **others)  # noqa: E731
+        return _finish(output, work, at, job, completed, None, lamp, paths)
 
 
 def _finish(
@@ -292,15 +299,15 @@ def _finish(
     work: FilePath | None,
     folder: WorkFolder,
     job: "Callable[[], DirectResult]",
-    exitant: ExitantField | None = None,
-    model: AssetModel | None = None,
+    completed: Callable[[Asset], Asset],
     watch: Stopwatch | None = None,
     luminaire: "Luminaire | None" = None,
     irradiance_paths: int = 0,
 ) -> BakeResult:
-    """Run a direct bake, write its asset with the other parts, and measure its irradiance.
+    """Run a direct bake, write its asset, and measure its irradiance.
 
-    Removes the saved state, unless the user chose its folder or the bake was interrupted.
+    `completed` adds the other parts and the gain to the asset of the field. Removes the saved
+    state, unless the user chose its folder or the bake was interrupted.
     """
     from lumitree.direct.saved_state import STATE
 
@@ -308,7 +315,7 @@ def _finish(
     with watch.stage("bake"):
         result = job()
     finished = finish_bake(
-        dataclasses.replace(result.asset, exitant=exitant, model=model),
+        completed(result.asset),
         output,
         watch,
         luminaire,

@@ -31,7 +31,7 @@ def check_irradiance_paths(paths: int | None, default: int) -> int:
 def measure_irradiance(
     asset: Asset, luminaire: "Luminaire", num_paths: int, watch: Stopwatch
 ) -> Json | None:
-    """Compare the irradiance around an asset with that around its luminaire.
+    """Compare the irradiance around an asset, without its gain, with that around its luminaire.
 
     Args:
         num_paths: light paths of the luminaire, and rays of the asset. 0: it is not compared.
@@ -45,5 +45,5 @@ def measure_irradiance(
     from lumitree.evaluation.evaluate import evaluate_irradiance
 
     with watch.stage("irradiance"):
-        found = evaluate_irradiance(asset, luminaire, num_paths)
+        found = evaluate_irradiance(asset.without_gain, luminaire, num_paths)
         return found.metrics | found.report()

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from lumitree.api.image_settings import image_settings
 from lumitree.asset.asset import Asset
 from lumitree.core.files import write_bytes, write_json
 from lumitree.core.images import encode_png
@@ -107,8 +108,9 @@ class LampFiles:
         from lumitree.model.photometry import luminance
         from lumitree.rendering.asset_flux import asset_watts
 
+        described = image_settings("bake", lamp=asset.luminaire, settings=json.loads(settings))
         radiance, _ = baked_image(asset, pose_towards(_FROM, (0, 1, 0), 4.0), 1.75, _PIXELS)
-        write_bytes(self.thumbnail, encode_png(radiance))
+        write_bytes(self.thumbnail, encode_png(radiance, settings=described))
         figures: dict[str, Any] = {
             "lumens": float(luminance(asset_watts(asset))),
             "file_bytes": self.asset.stat().st_size,

@@ -32,7 +32,8 @@ def merge(assets: "Sequence[Asset | FilePath]", output: FilePath | None = None) 
     Raises:
         LumitreeError: there are fewer than two assets; one has no exitant light field, or does not
             state its light paths; they are of different luminaires, or have different grids or
-            numbers of bins; two have a seed in common; or a file cannot be read or written.
+            numbers of bins; two have a seed in common, or different gains; or a file cannot be
+            read or written.
 
     Example:
         >>> for seed in (0, 1):
@@ -56,6 +57,11 @@ def merge(assets: "Sequence[Asset | FilePath]", output: FilePath | None = None) 
                 raise LumitreeError(
                     f"{names[0]} and {name} have different bounding boxes; expected assets of one "
                     "luminaire"
+                )
+            if asset.gain != loaded[0].gain:
+                raise LumitreeError(
+                    f"{names[0]} and {name} have different gains; expected assets of one luminous "
+                    "flux and colour: bake them without lumens and temperature, and merge then"
                 )
         base = next((asset for asset in loaded if asset.num_leaves), loaded[0])
         asset = dataclasses.replace(base, exitant=exitant)

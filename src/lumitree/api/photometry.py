@@ -11,7 +11,7 @@ from lumitree.api.measures import Stopwatch
 from lumitree.api.results import BakeResult, PhotometryResult
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import load
-from lumitree.core.arguments import check_choice, check_light, check_range
+from lumitree.core.arguments import check_choice, check_range
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import check_writable
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
@@ -133,6 +133,7 @@ def photometry(
         luminaire=measurement.name,
         **{field.name: getattr(figures, field.name) for field in dataclasses.fields(figures)},
         near_field=data.near_field,
+        ugr=data.ugr,
         step=data.step,
         size=tuple(data.size.tolist()),
         rays=data.num_rays,
@@ -176,13 +177,13 @@ def bake_photometric_file(
             f"{', '.join(given)}: not for a photometric file such as {shown(path, 300)}, from "
             "which only the exitant light field is made; leave it out"
         )
-    check_light(lumens, temperature)
     from lumitree.goniophotometry.baking import bake_file
+    from lumitree.rendering.asset_flux import with_light
 
     watch = Stopwatch()
     with watch.stage("exitant"):
         config = EXITANT_QUALITIES[quality]
-        asset = bake_file(path, config, lumens=lumens, temperature=temperature)
+        asset = with_light(bake_file(path, config), lumens, temperature)
     return BakeResult(asset=asset, path=save_asset(asset, output), **watch.costs())
 
 

@@ -1,14 +1,15 @@
 """Images of scenes with luminaires placed in them, and mixtures of their layers."""
 
-import json
+import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lumitree.api.files import FilePath
+from lumitree.api.image_settings import image_settings
 from lumitree.api.measures import Stopwatch
 from lumitree.api.results import MixResult, RenderResult
 from lumitree.core.arguments import check_gain, check_image_settings, check_range
@@ -17,6 +18,7 @@ from lumitree.core.files import check_writable
 from lumitree.core.images import (
     check_image_name,
     encode_png,
+    read_comment,
     read_exr,
     write_exr,
     write_image,
@@ -109,7 +111,7 @@ def render(
     if noise is not None:
         check_range("noise", noise, 1e-4, 1)
     check_seed(seed)
-    load_mitsuba(variant)
+    mi = load_mitsuba(variant)
     from lumitree.rendering.denoising import check_denoiser
     from lumitree.rendering.denoising import denoise as denoised
     from lumitree.rendering.layers import Layers
@@ -147,27 +149,34 @@ def render(
             budget = Budget(samples_per_pixel, time, noise)
             rendering = render_passes(whole, integrator, budget, seed=seed)
     pixels, names = rendering.radiance, _names(placements)
+    settings = image_settings(
+        "render",
+        scene=Path(scene).name,
+        lamps=dict(zip(names[1:], map(_described, placements), strict=True)),
+        integrator=type(integrator).__name__,
+        samples_per_pixel=rendering.samples_per_pixel,
+        time=time,
+        noise=rendering.noise,
+        denoise=denoise,
+        proxy=proxy,
+        seed=seed,
+        variant=mi.variant(),
+    )
     if divides:
         recorded = integrator.layers.divide(rendering.channels[..., 3:])
         if aov is not None:
             normal = {f"normal.{c}": recorded.normal[..., i] for i, c in enumerate("XYZ")}
-            write_exr(aov, {"RGB": pixels, "albedo": recorded.albedo, **normal})
+            channels = {"RGB": pixels, "albedo": recorded.albedo, **normal}
+            write_exr(aov, channels, settings)
         if denoise:
             with watch.stage("denoise"):
                 recorded = denoised(recorded)
             pixels = (recorded.seen + recorded.lit).sum(axis=0)
         if layers is not None:
-            write_exr(layers, dict(zip(names, recorded.seen + recorded.lit, strict=True)))
-    settings = {
-        "scene": Path(scene).name,
-        "lamps": names[1:],
-        "samples_per_pixel": rendering.samples_per_pixel,
-        "noise": rendering.noise,
-        "denoise": denoise,
-        "seed": seed,
-    }
+            light = dict(zip(names, recorded.seen + recorded.lit, strict=True))
+            write_exr(layers, light, settings)
     if output is not None:
-        write_image(output, pixels, settings=json.dumps(settings, ensure_ascii=False))
+        write_image(output, pixels, settings=settings)
     return RenderResult(
         pixels=pixels,
         image=None if output is None else Path(output),
@@ -177,7 +186,7 @@ def render(
         samples_per_pixel=rendering.samples_per_pixel,
         noise=rendering.noise,
         mean_radiance=float(pixels.mean()),
-        png=encode_png(pixels),
+        png=encode_png(pixels, settings=settings),
         **watch.costs(),
     )
 
@@ -227,15 +236,17 @@ def mix(
             for name, colour in colours.items()
         ]
         pixels = np.sum(scaled, axis=0)
+        rendered = read_comment(layers)
+    settings = image_settings("mix", layers=Path(layers).name, gains=factors, rendered=rendered)
     if output is not None:
-        write_image(output, pixels, settings=json.dumps({"gains": factors}, ensure_ascii=False))
+        write_image(output, pixels, settings=settings)
     return MixResult(
         pixels=pixels,
         image=None if output is None else Path(output),
         layers=sorted(colours),
         resolution=(pixels.shape[1], pixels.shape[0]),
         mean_radiance=float(pixels.mean()),
-        png=encode_png(pixels),
+        png=encode_png(pixels, settings=settings),
         **watch.costs(),
     )
 
@@ -246,6 +257,13 @@ def _check_exr(path: FilePath) -> None:
             f"{shown(repr(str(path)), 300)} does not end in .exr; layers and buffers are linear"
         )
     check_writable(path)
+
+
+def _described(placement: "Placement") -> dict[str, Any]:
+    """A placement for the comment of an image: what was given of it."""
+    values = {field.name: getattr(placement, field.name) for field in dataclasses.fields(placement)}
+    given = {name: value for name, value in values.items() if value is not None}
+    return {**given, "source": placement.name}
 
 
 def _names(placements: "Sequence[Placement]") -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
+from lumitree.core.backend import load_mitsuba
 from lumitree.errors import shown
 from lumitree.goniophotometry.figures import PhotometricFigures
 from lumitree.goniophotometry.near_field import NearFieldLimit
@@ -326,6 +327,8 @@ class PhotometryResult(ImageResult, PhotometricFigures):
         c_angles, gamma_angles: [C] and [G] angles of the intensities, degrees.
         intensity, intensity_error: [C, G] luminous intensities and standard errors, cd.
         files: files that were written.
+        ugr: [19, 10] Unified Glare Ratings, see `goniophotometry.ugr.ugr_table`; NaN where there is
+            none. None if the optional dependency `ugr` is not installed.
     """
 
     luminaire: str
@@ -338,6 +341,7 @@ class PhotometryResult(ImageResult, PhotometricFigures):
     intensity: NDArray[np.float64] = dataclasses.field(repr=False)
     intensity_error: NDArray[np.float64] = dataclasses.field(repr=False)
     files: list[Path]
+    ugr: NDArray[np.float64] | None = dataclasses.field(default=None, repr=False)
 
 
 def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
@@ -346,6 +350,15 @@ def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
     if path is None:
         return info
     return {"file": os.fspath(path), "file_bytes": Path(path).stat().st_size, **info}
+
+
+def asset_report(asset: Asset, path: str | os.PathLike[str]) -> Json:
+    """What `lumitree info` states: `asset_json`, and the luminous flux, lm, for metres."""
+    load_mitsuba()
+    from lumitree.model.photometry import luminance
+    from lumitree.rendering.asset_flux import asset_watts
+
+    return {**asset_json(asset, path), "lumens": float(luminance(asset_watts(asset)))}
 
 
 def plain(value: Any) -> Any:

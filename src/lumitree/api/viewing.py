@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lumitree.api.files import FilePath
+from lumitree.api.image_settings import image_settings
 from lumitree.api.irradiance import check_irradiance_paths
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
@@ -82,7 +83,7 @@ def preview(
     if sheet is not None:
         check_sheet_output(sheet)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
-    load_mitsuba(variant)
+    mi = load_mitsuba(variant)
     if isinstance(luminaire, str | os.PathLike) and Path(luminaire).suffix == ".lumitree":
         luminaire = load(luminaire)
     if isinstance(luminaire, Asset):
@@ -131,7 +132,15 @@ def preview(
         png=b"",
         **watch.costs(),
     )
-    png = draw_preview(views, lamp.name, _facts(result)).png()
+    settings = image_settings(
+        "preview",
+        luminaire=lamp.name,
+        resolution=resolution,
+        samples_per_pixel=samples_per_pixel,
+        exposure=views.exposure,
+        variant=mi.variant(),
+    )
+    png = draw_preview(views, lamp.name, _facts(result)).png(settings)
     if sheet is not None:
         write_bytes(sheet, png)
     return dataclasses.replace(result, png=png)
@@ -155,7 +164,10 @@ def _preview_asset(asset: Asset, sheet: FilePath | None, resolution: int) -> Ass
         f"flux {lumens:,.4g} lm",
         "size " + " x ".join(f"{side:.4g}" for side in size),
     ]
-    png = draw_preview(views, asset.luminaire, facts, baked=True).png()
+    settings = image_settings(
+        "preview", asset=asset.luminaire, resolution=resolution, exposure=views.exposure
+    )
+    png = draw_preview(views, asset.luminaire, facts, baked=True).png(settings)
     if sheet is not None:
         write_bytes(sheet, png)
     return AssetPreviewResult(
@@ -201,7 +213,8 @@ def evaluate(
 
     The irradiance is compared on the six faces of a cube of three times the size of the bounding
     box, and on a plane that touches the box from below. It is not compared for a dataset, whose
-    views hold no light paths.
+    views hold no light paths. An asset that has a gain, because it was baked with `lumens` or
+    `temperature`, is compared without it.
 
     Args:
         asset: an asset, or the path of its `.lumitree` file.
@@ -234,7 +247,7 @@ def evaluate(
     check_range("views", num_views, 1, MAX_VIEWS)
     check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
-    load_mitsuba(variant)
+    mi = load_mitsuba(variant)
     from lumitree.evaluation.evaluate import evaluate_irradiance, evaluate_views
     from lumitree.evaluation.irradiance_figure import draw_irradiance
     from lumitree.evaluation.sheet import draw_sheet
@@ -244,6 +257,17 @@ def evaluate(
     path = None if isinstance(asset, Asset) else asset
     baked = asset if isinstance(asset, Asset) else load(asset)
     title = baked.luminaire if path is None else f"{baked.luminaire}, {path}"
+    views = (
+        {}
+        if dataset_folder(target) is not None
+        else {
+            "num_views": num_views,
+            "resolution": resolution,
+            "samples_per_pixel": samples_per_pixel,
+            "irradiance_paths": irradiance_paths,
+        }
+    )
+    settings = image_settings("evaluate", asset=title, **views, variant=mi.variant())
     lamp, irradiance, irradiance_png = None, None, None
     watch = Stopwatch()
     with contextlib.ExitStack() as stack:
@@ -264,14 +288,14 @@ def evaluate(
                     split="test",
                 )
         with watch.stage("evaluate"):
-            result = evaluate_views(baked, dataset)
-            png = draw_sheet(result.rows, result.max_radiance, title).png()
+            result = evaluate_views(baked.without_gain, dataset)
+            png = draw_sheet(result.rows, result.max_radiance, title).png(settings)
             if sheet is not None:
                 write_bytes(sheet, png)
         if lamp is not None and irradiance_paths > 0:
             with watch.stage("irradiance"):
-                irradiance = evaluate_irradiance(baked, lamp, irradiance_paths)
-                irradiance_png = draw_irradiance(irradiance, title).png()
+                irradiance = evaluate_irradiance(baked.without_gain, lamp, irradiance_paths)
+                irradiance_png = draw_irradiance(irradiance, title).png(settings)
                 if irradiance_sheet is not None:
                     write_bytes(irradiance_sheet, irradiance_png)
     return EvaluateResult(

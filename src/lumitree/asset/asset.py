@@ -29,6 +29,7 @@ MAX_DENSITY = 1e15
 # What an asset may have: its illumination, its image without and with the luminaire itself.
 Part = Literal["exitant", "field", "model"]
 PARTS: tuple[Part, ...] = get_args(Part)
+NO_GAIN = (1.0, 1.0, 1.0)
 _expect = functools.partial(expect, "asset")
 
 
@@ -37,7 +38,7 @@ class Asset:
     """A sparse octree over the cube [-1, 1]³ of the local frame.
 
     Density and coefficients are constant within a leaf. The emission towards a viewer in
-    direction v is Φ = max_radiance · sigmoid(Σ coefficient · Y(v)).
+    direction v is Φ = gain · max_radiance · sigmoid(Σ coefficient · Y(v)).
 
     Attributes:
         children: int32 [N, 8], by octant: 0 empty, n > 0 interior node n, c < 0 leaf ~c.
@@ -55,6 +56,8 @@ class Asset:
             for that too.
         model: the luminaire itself, which `lumitree_path` shows in place of the field; None if
             there is none.
+        gain: [3] factors on the R, G and B of all light of the asset: of the field, the exitant
+            light field and the model, which are stored without them. At least 0, not all 0.
 
     Raises:
         LumitreeError: a member has a wrong type, shape or range, or the tree is inconsistent.
@@ -71,6 +74,7 @@ class Asset:
     luminaire: str
     exitant: ExitantField | None = None
     model: AssetModel | None = None
+    gain: tuple[float, float, float] = NO_GAIN
 
     def __post_init__(self) -> None:
         """Refuse anything that a renderer could not traverse safely."""
@@ -106,6 +110,11 @@ class Asset:
         return next(part for part in ("model", "field", "exitant") if part in present)
 
     @property
+    def without_gain(self) -> "Asset":
+        """The asset with a gain of 1: with the light of the luminaire that it was baked from."""
+        return self if self.gain == NO_GAIN else dataclasses.replace(self, gain=NO_GAIN)
+
+    @property
     def info(self) -> "AssetInfo":
         """Size, depth and bounds of the asset."""
         traced = None if self.exitant is None else self.exitant.traced
@@ -125,6 +134,7 @@ class Asset:
             model_triangles=0 if self.model is None else self.model.num_triangles,
             parts=self.parts,
             appearance=self.appearance,
+            gain=self.gain,
         )
 
     def eval(
@@ -176,7 +186,7 @@ class AssetInfo:
         leaves, nodes: numbers of leaves and of interior nodes of the octree.
         l_max: highest spherical-harmonics band.
         law: transmittance law, "linear" or "exponential".
-        max_radiance: upper end of the emission, W/(m² sr).
+        max_radiance: upper end of the emission without the gain, W/(m² sr).
         size: [3] sides of the bounding box, in the unit of the luminaire's file.
         centre: [3] centre of the bounding box, in the frame of the luminaire's file.
         exitant_cells: number of cells of the exitant light field; 0 if there is none.
@@ -186,6 +196,8 @@ class AssetInfo:
         model_triangles: number of triangles of the model; 0 if there is none.
         parts: which of "exitant", "field" and "model" it has.
         appearance: which of them images show under `lumitree_path`.
+        gain: [3] factors on the R, G and B of its light, which a luminous flux or a colour
+            temperature that was asked for has made other than 1.
     """
 
     luminaire: str
@@ -203,6 +215,7 @@ class AssetInfo:
     appearance: Part
     exitant_paths: int | None = None
     exitant_noise: float | None = None
+    gain: tuple[float, float, float] = NO_GAIN
 
 
 def exitant_asset(exitant: ExitantField, frame: LocalFrame, luminaire: str) -> Asset:
@@ -235,6 +248,14 @@ def _check_scalars(asset: Asset) -> None:
         MIN_RADIANCE <= asset.max_radiance <= MAX_RADIANCE,
         f"maximum radiance {asset.max_radiance!r}, expected {MIN_RADIANCE} to {MAX_RADIANCE}",
     )
+    gain = asset.gain
+    _expect(
+        len(gain) == 3 and all(type(each) is float and each >= 0 for each in gain) and any(gain),
+        f"gain {gain!r}, expected three numbers of at least 0, not all 0",
+    )
+    exitant = 0.0 if asset.exitant is None else asset.exitant.scale
+    brightest = max(gain) * max(asset.max_radiance, exitant)
+    _expect(brightest <= MAX_RADIANCE, f"gain {gain!r}, with which emission exceeds {MAX_RADIANCE}")
 
 
 def _check_payload(asset: Asset) -> None:

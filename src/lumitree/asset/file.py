@@ -12,7 +12,7 @@ import safetensors
 import safetensors.numpy
 from numpy.typing import NDArray
 
-from lumitree.asset.asset import Asset
+from lumitree.asset.asset import NO_GAIN, Asset
 from lumitree.asset.exitant import ExitantField, TracedPaths
 from lumitree.asset.model_bytes import MODEL_TENSORS, build_model, model_tensors
 from lumitree.core.files import atomic_path
@@ -23,9 +23,9 @@ from lumitree.errors import LumitreeError
 
 FORMAT = "lumitree"
 # Files without an exitant light field have the first version, those without a model at most the
-# second, and those whose model has no images at most the third, which older readers know. In files
-# of the third version images are not compressed.
-VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL, VERSION_WITH_IMAGES = 1, 2, 3, 4
+# second, and those with neither a gain nor images of a model at most the third, which older
+# readers know. Only files of the fourth version have compressed images.
+VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL, VERSION_WITH_GAIN = 1, 2, 3, 4
 ACTIVATION = "sigmoid"
 _MAX_HEADER_BYTES = 1 << 20
 # Three million leaves, the most that a bake makes, take at most 0.6 GB.
@@ -88,7 +88,10 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
         description["exitant"] = members
     if asset.model is not None:
         tensors |= model_tensors(asset.model)
-        description["version"] = VERSION_WITH_IMAGES if asset.model.images else VERSION_WITH_MODEL
+        description["version"] = VERSION_WITH_MODEL
+    if asset.gain != NO_GAIN or (asset.model is not None and asset.model.images):
+        description["version"] = VERSION_WITH_GAIN
+        description["gain"] = asset.gain
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     # One key only: safetensors does not keep the order of several keys.
     metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
@@ -131,18 +134,20 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
     # Checked first, because files of other versions may have other members.
     description.choice("format", (FORMAT,))
     version = description.expect_version(
-        VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL, VERSION_WITH_IMAGES
+        VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL, VERSION_WITH_GAIN
     )
-    has_model = version >= VERSION_WITH_MODEL
-    # Beside a model there may be an exitant light field.
-    optional = has_model and description.has("exitant")
+    # A file of the third version or the fourth may have an exitant light field.
+    optional = version >= VERSION_WITH_MODEL and description.has("exitant")
     has_exitant = version == VERSION_WITH_EXITANT or optional
-    description.expect_keys(*_KEYS, *(["exitant"] if has_exitant else []))
+    has_gain = version == VERSION_WITH_GAIN
+    has_model = version == VERSION_WITH_MODEL or (has_gain and "model.shapes" in tensors)
+    description.expect_keys(
+        *_KEYS, *(["exitant"] if has_exitant else []), *(["gain"] if has_gain else [])
+    )
     description.choice("activation", (ACTIVATION,))
     exitant = _build_exitant(description.record("exitant"), tensors) if has_exitant else None
-    model = None
-    if has_model:
-        model = build_model(tensors, compressed=version == VERSION_WITH_IMAGES)
+    model = build_model(tensors, compressed=has_gain) if has_model else None
+    red, green, blue = description.array("gain", 3).tolist() if has_gain else NO_GAIN
     expected = {*_TENSORS, *(_EXITANT_TENSORS if has_exitant else ())}
     if extra := tensors.keys() - expected - (MODEL_TENSORS.keys() if model is not None else set()):
         raise LumitreeError(f"version {version} has no tensor {min(extra)}")
@@ -156,6 +161,7 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
         luminaire=description.label("luminaire"),
         exitant=exitant,
         model=model,
+        gain=(red, green, blue),
     )
 
 

@@ -73,13 +73,15 @@ def add(commands: Any) -> None:
         "--lumens",
         type=float,
         metavar="LM",
-        help="photometric files only: luminous flux of the asset, lm (default: that of the file)",
+        help="direct only: luminous flux of the asset, lm, if lengths are in metres (default: that "
+        "of the luminaire)",
     )
     parser.add_argument(
         "--temperature",
         type=float,
         metavar="K",
-        help=".ies and .ldt only: colour temperature, 1000 to 20000 K (default: R = G = B)",
+        help="direct only: colour temperature of the whole flux, 1000 to 20000 K; all colours get "
+        "the same factors (default: the colours of the luminaire)",
     )
     options.add_work(parser)
     options.add_variant(parser)

@@ -14,8 +14,8 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> Any:
     import lumitree
-    from lumitree.api.results import asset_json
+    from lumitree.api.results import asset_report
 
-    report = {"asset": asset_json(lumitree.load(args.asset), args.asset)}
+    report = {"asset": asset_report(lumitree.load(args.asset), args.asset)}
     print_report(report)
     return report

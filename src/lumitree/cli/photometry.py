@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> Any:
     )
     from lumitree.goniophotometry.tables import figure_rows
 
-    rows = figure_rows(result, result.size, result.step, result.rays)
+    rows = figure_rows(result, result.size, result.step, result.rays, result.ugr)
     print_lines({"luminaire": result.luminaire, **dict(rows)})
     _print_near_field(result)
     for path in result.files:

@@ -4,6 +4,7 @@ import io
 import os
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -13,6 +14,9 @@ from PIL.PngImagePlugin import PngInfo
 
 from lumitree.core.files import atomic_path, write_bytes
 from lumitree.errors import LumitreeError
+
+# Largest side of an image that is read, pixels.
+MAX_SIDE = 1 << 14
 
 
 def write_exr(
@@ -43,6 +47,7 @@ def read_exr(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
     """
     if not Path(path).is_file():
         raise LumitreeError(f"{path} does not exist; expected an OpenEXR image")
+    _read_header(path)
     try:
         with OpenEXR.File(str(path)) as file:
             planes = {
@@ -55,6 +60,16 @@ def read_exr(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
         if not np.isfinite(plane).all():
             raise LumitreeError(f"{path}: channel {name} holds NaN or infinity; capture it again")
     return planes
+
+
+def read_comment(path: str | os.PathLike[str]) -> str | None:
+    """The attribute "comments" of an OpenEXR file; None if there is none.
+
+    Raises:
+        LumitreeError: the file is damaged.
+    """
+    comment = _read_header(path).get("comments")
+    return comment if isinstance(comment, str) else None
 
 
 def srgb_from_linear(linear: ArrayLike) -> NDArray[np.floating]:
@@ -132,6 +147,22 @@ def check_image_name(path: str | os.PathLike[str]) -> None:
         raise LumitreeError(
             f"image name {str(path)!r} ends in neither .exr (linear) nor .png (tone-mapped)"
         )
+
+
+def _read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Header of an OpenEXR file; refuses sides for which memory would be reserved in vain."""
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            header = file.header()
+            lower, upper = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
+    except (RuntimeError, ValueError, KeyError) as error:
+        raise LumitreeError(f"{path} is not a readable OpenEXR image: {_one_line(error)}") from None
+    width, height = (upper - lower + 1).tolist()
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise LumitreeError(
+            f"{path} has {width} x {height} pixels; expected an image of 1 to {MAX_SIDE} a side"
+        )
+    return header
 
 
 def _one_line(error: Exception) -> str:

@@ -17,12 +17,14 @@ def write_strip(
     path: str | os.PathLike[str],
     images: list[tuple[str, NDArray[np.floating]]],
     exposure: float,
+    settings: str = "",
 ) -> None:
     """Write images [H, W, 3] of linear radiance and equal size side by side as one PNG.
 
     Args:
         images: caption (one or two lines) and radiance of each image.
         exposure: factor before the sRGB curve, the same for all.
+        settings: what made the images, stored as the comment of the file; may be empty.
     """
     height, width = images[0][1].shape[:2]
     panel = _WIDTH * height // width
@@ -37,4 +39,4 @@ def write_strip(
         axes.set_axis_off()
         figure.text(box[0] + 0.004, share + (1 - share) / 2, caption, va="center", fontsize=11)
     with atomic_path(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=dpi)
+        figure.savefig(temporary, format="png", dpi=dpi, metadata={"Comment": settings or None})

@@ -142,11 +142,17 @@ class TileSheet:
         """All texts on the sheet, without those of the colour bars."""
         return [text.get_text() for text in self._figure.texts]
 
-    def png(self) -> bytes:
-        """The sheet as a PNG file; the same sheet gives the same bytes."""
+    def png(self, settings: str = "") -> bytes:
+        """The sheet as a PNG file; the same sheet gives the same bytes.
+
+        Args:
+            settings: what made the sheet, stored as the comment of the file; may be empty.
+        """
         stream = io.BytesIO()
         # Not `savefig`: its result depends on the user's matplotlibrc.
-        FigureCanvasAgg(self._figure).print_png(stream, metadata={"Software": None})
+        FigureCanvasAgg(self._figure).print_png(
+            stream, metadata={"Software": None, "Comment": settings or None}
+        )
         return stream.getvalue()
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -4,7 +4,6 @@ A photometric file states the far field. Its asset emits it from every point of 
 opening, with equal probability; a file without an opening gets a cube of 1 cm.
 """
 
-import dataclasses
 import os
 from pathlib import Path
 
@@ -17,14 +16,14 @@ from lumitree.asset.exitant import MAX_RESOLUTION, make_exitant_field
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import direction_in_bin, solid_angles
-from lumitree.errors import LumitreeError, shown
+from lumitree.errors import LumitreeError
 from lumitree.exitant.bake import Histogram
 from lumitree.exitant.config import ExitantConfig
 from lumitree.goniophotometry.files import read_ies, read_ldt
 from lumitree.goniophotometry.rays import Rays
 from lumitree.goniophotometry.tm25 import read_tm25
 from lumitree.goniophotometry.type_c import IntensityDistribution
-from lumitree.model.photometry import LUMENS_PER_WATT, blackbody_colour, luminance
+from lumitree.model.photometry import LUMENS_PER_WATT, luminance
 from lumitree.rendering.asset_flux import asset_watts
 
 # Side of the box of a source without extent, m; and the shortest side, as a part of the longest.
@@ -40,48 +39,25 @@ def is_photometric(path: object) -> bool:
     return isinstance(path, str | os.PathLike) and Path(path).suffix.lower() in SUFFIXES
 
 
-def bake_file(
-    path: str | os.PathLike[str],
-    config: ExitantConfig,
-    *,
-    lumens: float | None = None,
-    temperature: float | None = None,
-) -> Asset:
+def bake_file(path: str | os.PathLike[str], config: ExitantConfig) -> Asset:
     """Asset of a photometric file or ray file.
 
     Args:
         path: file with one of `SUFFIXES`.
         config: grid of a ray file's light field. That of a photometric file has 2³ cells, which
             have equal intensities, and 128² bins.
-        lumens: luminous flux, lm; by default that of the file.
-        temperature: colour temperature, K, of a file without colour; by default R = G = B.
 
     Raises:
-        LumitreeError: the file cannot be read, emits nothing, or has colours of its own.
+        LumitreeError: the file cannot be read, or emits nothing.
     """
     if Path(path).suffix.lower() in (".ies", ".ldt"):
         read = read_ies if Path(path).suffix.lower() == ".ies" else read_ldt
-        colour = (1.0, 1.0, 1.0) if temperature is None else blackbody_colour(temperature)
-        asset = bake_distribution(read(path), colour)
-    else:
-        if temperature is not None:
-            raise LumitreeError(
-                f"a temperature for {shown(path, 300)}, but rays have colours of their own; leave "
-                "it out"
-            )
-        asset = bake_rays(*read_tm25(path), config)
-    return asset if lumens is None else scaled_to(asset, lumens)
+        return bake_distribution(read(path))
+    return bake_rays(*read_tm25(path), config)
 
 
-def bake_distribution(
-    distribution: IntensityDistribution, colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
-) -> Asset:
-    """Asset that emits an intensity distribution.
-
-    Args:
-        distribution: what is emitted.
-        colour: linear RGB of luminance 1.
-    """
+def bake_distribution(distribution: IntensityDistribution) -> Asset:
+    """Asset that emits an intensity distribution, with R = G = B."""
     sides = np.array(distribution.opening)
     if sides.max() < _MIN_EXTENT:
         sides = np.full(3, POINT_SIZE)
@@ -92,7 +68,7 @@ def bake_distribution(
         raise LumitreeError(f"{distribution.name} emits nothing; expected intensities above 0")
     # The quadrature is exact to about 0.1 %.
     candela *= distribution.lumens / total
-    watts = candela[:, None] / LUMENS_PER_WATT * np.array(colour)
+    watts = candela[:, None] / LUMENS_PER_WATT * np.ones(3)
     corners = np.indices((2, 2, 2)).reshape(3, -1).T
     intensity = np.broadcast_to(watts / len(corners), (len(corners), *watts.shape))
     field = make_exitant_field(corners, intensity / frame.scale**2, 1)
@@ -118,16 +94,6 @@ def bake_rays(rays: Rays, name: str, config: ExitantConfig) -> Asset:
     )
     intensity = histogram.flux / solid_angles(config.resolution)[:, None] / frame.scale**2
     return exitant_asset(make_exitant_field(histogram.cells, intensity, config.depth), frame, name)
-
-
-def scaled_to(asset: Asset, lumens: float) -> Asset:
-    """The asset of an exitant light field alone, scaled to a luminous flux, lm."""
-    field = asset.exitant
-    assert field is not None
-    factor = lumens / exitant_lumens(asset)
-    return dataclasses.replace(
-        asset, exitant=dataclasses.replace(field, scale=float(field.scale * factor))
-    )
 
 
 def exitant_lumens(asset: Asset) -> float:

@@ -18,6 +18,7 @@ from lumitree.goniophotometry.figures import (
 )
 from lumitree.goniophotometry.measure import Measurement, jackknife
 from lumitree.goniophotometry.type_c import IntensityDistribution
+from lumitree.goniophotometry.ugr import ugr_table
 from lumitree.model.photometry import colour_temperature, luminance
 
 Mask = NDArray[np.bool_]
@@ -69,21 +70,23 @@ def evaluated(measurement: Measurement) -> PhotometricData:
         duv=Estimate(duv, duv_error) if math.isfinite(duv_error) else None,
     )
     size = measurement.size
+    distribution = IntensityDistribution(
+        name=measurement.name,
+        c=grid.c,
+        gamma=grid.gamma,
+        intensity=intensity,
+        opening=(float(size[0]), float(size[1]), float(size[2])),
+        emitted_lumens=None if emitted_lumens is None else emitted_lumens.value,
+    )
     return PhotometricData(
         figures=figures,
-        distribution=IntensityDistribution(
-            name=measurement.name,
-            c=grid.c,
-            gamma=grid.gamma,
-            intensity=intensity,
-            opening=(float(size[0]), float(size[1]), float(size[2])),
-            emitted_lumens=None if emitted_lumens is None else emitted_lumens.value,
-        ),
+        distribution=distribution,
         intensity_error=error,
         near_field=measurement.near_field.limits(),
         step=grid.step,
         size=size,
         num_rays=measurement.num_rays,
+        ugr=ugr_table(distribution),
     )
 
 

@@ -86,6 +86,7 @@ class PhotometricData:
         step: of the angles, degrees.
         size: [3] sides of the bounding box, m.
         num_rays: light paths, or rays of an asset.
+        ugr: table of glare ratings, see `ugr_table`; None without the package for it.
     """
 
     figures: PhotometricFigures
@@ -95,6 +96,7 @@ class PhotometricData:
     step: float
     size: NDArray[np.float64]
     num_rays: int
+    ugr: NDArray[np.float64] | None
 
 
 def width_at(intensity: NDArray[np.float64], step: float, part: float) -> float:

@@ -64,15 +64,25 @@ def write_ies(path: str | os.PathLike[str], distribution: IntensityDistribution)
 
 
 def write_ldt(path: str | os.PathLike[str], distribution: IntensityDistribution) -> None:
-    """Write an EULUMDAT file, without symmetry.
-
-    The flux of the lamps is that of the bare emitters. If it is not known, it is that of the
-    luminaire, and the number of lamps is -1 (absolute photometry). Direct ratios are 0.
+    """Write an EULUMDAT file; see `ldt_of`.
 
     Raises:
         LumitreeError: the file cannot be written.
     """
-    from pyldt import Ldt, LdtHeader, LdtWriter
+    from pyldt import LdtWriter
+
+    file = ldt_of(distribution, Path(path).name)
+    with atomic_path(path) as temporary:
+        LdtWriter.write(file, temporary, overwrite=True)
+
+
+def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
+    """EULUMDAT data (`pyldt.Ldt`), without symmetry.
+
+    The flux of the lamps is that of the bare emitters. If it is not known, it is that of the
+    luminaire, and the number of lamps is -1 (absolute photometry). Direct ratios are 0.
+    """
+    from pyldt import Ldt, LdtHeader
 
     lumens, emitted = distribution.lumens, distribution.emitted_lumens
     lamp_lumens = (emitted or lumens) or 1.0
@@ -93,7 +103,7 @@ def write_ldt(path: str | os.PathLike[str], distribution: IntensityDistribution)
         report_number="simulated",
         luminaire_name=_line(distribution.name),
         luminaire_number=_line(distribution.name),
-        file_name=_line(Path(path).name),
+        file_name=_line(file_name),
         date_user=datetime.date.today().isoformat(),
         length=length,
         width=width,
@@ -117,9 +127,7 @@ def write_ldt(path: str | os.PathLike[str], distribution: IntensityDistribution)
         c_angles=c.tolist(),
         g_angles=gamma.tolist(),
     )
-    values = (distribution.intensity * (1000 / lamp_lumens)).tolist()
-    with atomic_path(path) as temporary:
-        LdtWriter.write(Ldt(header, values), temporary, overwrite=True)
+    return Ldt(header, (distribution.intensity * (1000 / lamp_lumens)).tolist())
 
 
 def read_ies(path: str | os.PathLike[str]) -> IntensityDistribution:

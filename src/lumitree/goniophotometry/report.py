@@ -9,12 +9,20 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from lumitree.core.files import write_bytes
 from lumitree.errors import shown
 from lumitree.goniophotometry.figures import PLANES, PhotometricData, plane_curve
-from lumitree.goniophotometry.tables import NEAR_FIELD_HEADER, figure_rows, near_field_rows
+from lumitree.goniophotometry.tables import (
+    NEAR_FIELD_HEADER,
+    UGR_HEADER,
+    figure_rows,
+    near_field_rows,
+    ugr_rows,
+)
 from lumitree.goniophotometry.type_c import Grid
 
 _COLOURS = {"C0-C180": "#1f4e9c", "C90-C270": "#c2410c"}
@@ -38,6 +46,14 @@ _NOTES = (
     "Far field: distance from the centre of the bounding box from which on the illuminance is "
     "within 5 % of intensity / distance², in a cone of 5 degrees. At shorter distances a "
     "photometric file is wrong by more; use the asset instead.",
+)
+_UGR_TITLE = "UGR: five columns crosswise, five endwise"
+_UGR_NOTE = (
+    "Unified Glare Rating by CIE 117:1995 and CIE 190:2010, for a ceiling of equal luminaires, a "
+    "quarter of their height above the eye apart. Columns: reflectances of ceiling, walls and "
+    "floor in percent; rooms: sides across and along the line of sight in heights H. Only the "
+    "intensities from C = 0 to 90 degrees are used, and the luminous area is that of the bounding "
+    "box. It says little of lamps that do not hang in rows."
 )
 
 
@@ -71,7 +87,22 @@ def write_pdf(path: str | os.PathLike[str], data: PhotometricData) -> None:
     for note in _NOTES:
         figure.text(0.08, y - 0.012, _wrapped(note), fontsize=7.5, va="top", color="#57534e")
         y -= 0.042
-    write_bytes(path, _saved(figure, "pdf"))
+    pages = [figure] if data.ugr is None else [figure, _ugr_page(data.ugr)]
+    stream = io.BytesIO()
+    with PdfPages(stream) as file:
+        for page in pages:
+            file.savefig(page)
+    write_bytes(path, stream.getvalue())
+
+
+def _ugr_page(ugr: NDArray[np.float64]) -> Figure:
+    """The second page of the PDF file."""
+    figure = Figure(figsize=_PAGE)
+    columns = (0.08, *(0.16 + 0.077 * i for i in range(10)))
+    figure.text(0.08, 0.955, _UGR_TITLE, fontsize=12)
+    y = _table(figure, 0.92, [UGR_HEADER, *ugr_rows(ugr)], columns)
+    figure.text(0.08, y - 0.012, _wrapped(_UGR_NOTE), fontsize=7.5, va="top", color="#57534e")
+    return figure
 
 
 def write_html(path: str | os.PathLike[str], data: PhotometricData) -> None:
@@ -91,14 +122,22 @@ def write_html(path: str | os.PathLike[str], data: PhotometricData) -> None:
 {_html_table(_figure_rows(data))}
 <h2>Far field</h2>
 {_html_table(near_field_rows(data.near_field), NEAR_FIELD_HEADER)}
+{_html_ugr(data.ugr)}
 {notes}
 </html>
 """
     write_bytes(path, text.encode())
 
 
+def _html_ugr(ugr: NDArray[np.float64] | None) -> str:
+    if ugr is None:
+        return ""
+    table = _html_table(ugr_rows(ugr), UGR_HEADER)
+    return f'<h2>{_UGR_TITLE}</h2>\n{table}\n<p class="note">{html.escape(_UGR_NOTE)}</p>'
+
+
 def _figure_rows(data: PhotometricData) -> list[tuple[str, str]]:
-    return figure_rows(data.figures, data.size.tolist(), data.step, data.num_rays)
+    return figure_rows(data.figures, data.size.tolist(), data.step, data.num_rays, data.ugr)
 
 
 def _polar(axes: Any, data: PhotometricData) -> None:

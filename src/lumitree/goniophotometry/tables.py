@@ -2,14 +2,23 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lumitree.goniophotometry.figures import PLANES, Estimate, PhotometricFigures
 from lumitree.goniophotometry.near_field import NearFieldLimit
+from lumitree.goniophotometry.ugr import CATALOGUE_ROOM, REFLECTANCES, ROOMS
 
 NEAR_FIELD_HEADER = ("direction", "intensity", "far field from", "difference at 5 x the size")
+UGR_HEADER = ("room", *REFLECTANCES, *REFLECTANCES)
 
 
 def figure_rows(
-    figures: PhotometricFigures, size: Sequence[float], step: float, rays: int
+    figures: PhotometricFigures,
+    size: Sequence[float],
+    step: float,
+    rays: int,
+    ugr: NDArray[np.float64] | None,
 ) -> list[tuple[str, str]]:
     """Names and values of the figures.
 
@@ -18,6 +27,7 @@ def figure_rows(
         size: [3] sides of the bounding box, m.
         step: of the angles, degrees.
         rays: number of rays.
+        ugr: table of glare ratings, as `PhotometricData.ugr`.
     """
     up = figures.upward_share
     rows = [("luminous flux", f"{figures.lumens} lm")]
@@ -41,11 +51,32 @@ def figure_rows(
     rows += [
         ("colour temperature", "not defined" if temperature is None else f"{temperature} K"),
         ("Duv", "not defined" if figures.duv is None else str(figures.duv)),
+        ("UGR, 4H x 8H, 70/50/20", _catalogue_ugr(ugr)),
         ("size of the bounding box", " x ".join(f"{side:.4g}" for side in size) + " m"),
         ("angular step", f"{step:g}°"),
         ("rays", f"{rays:,}"),
     ]
     return rows
+
+
+def _catalogue_ugr(ugr: NDArray[np.float64] | None) -> str:
+    if ugr is None:
+        return "needs the package eulumdat-ugr: pip install 'lumitree[ugr]'"
+    crosswise, endwise = ugr[CATALOGUE_ROOM, [0, len(REFLECTANCES)]]
+    return f"{_rating(crosswise)} crosswise, {_rating(endwise)} endwise"
+
+
+def ugr_rows(ugr: NDArray[np.float64]) -> list[tuple[str, ...]]:
+    """Rows of the columns `UGR_HEADER`."""
+    return [
+        (f"{x}H x {y}H", *(_rating(value) for value in row))
+        for (x, y), row in zip(ROOMS, ugr, strict=True)
+    ]
+
+
+def _rating(value: float) -> str:
+    # Plus 0: no negative zero.
+    return f"{round(value, 1) + 0.0:.1f}" if np.isfinite(value) else "none"
 
 
 def near_field_rows(limits: Sequence[NearFieldLimit]) -> list[tuple[str, str, str, str]]:

@@ -47,6 +47,8 @@ class FieldData(Protocol):
     @property
     def max_radiance(self) -> float: ...
     @property
+    def gain(self) -> tuple[float, float, float]: ...
+    @property
     def frame(self) -> LocalFrame: ...
     @property
     def num_leaves(self) -> int: ...
@@ -81,7 +83,8 @@ class Field:
         self._density = on_device(mi.Float, asset.density if asset.num_leaves else [0.0])
         packets, unit = _packets(asset)
         self._unit = parameter(mi.Float, 2.0**112 * unit)
-        self._max_radiance = parameter(mi.Float, asset.max_radiance)
+        largest = (asset.max_radiance * factor for factor in asset.gain)
+        self._max_radiance = parameter(mi.Color3f, *largest)
         self._coefficients = on_device(mi.UInt32, packets)
         dr.eval(self._density, self._coefficients)
 

@@ -1,5 +1,6 @@
 """The flux that an asset emits, and the gain that gives a lamp a luminous flux and a colour."""
 
+import dataclasses
 from typing import Any
 
 import drjit as dr
@@ -22,7 +23,7 @@ FIELD_RAYS = 1 << 20
 
 
 def exitant_watts(field: ExitantField) -> NDArray[np.float64]:
-    """Flux [3] of an exitant light field: R, G and B, local units."""
+    """Flux [3] of an exitant light field: R, G and B, local units, without the asset's gain."""
     colours = unpack(field.intensity)
     # Exact sums over the bins that emit, channel by channel, which bounds memory.
     by_bin = [field.dense(colours[:, channel]).sum(axis=0) for channel in range(3)]
@@ -32,17 +33,37 @@ def exitant_watts(field: ExitantField) -> NDArray[np.float64]:
 def asset_watts(asset: Asset) -> NDArray[np.float64]:
     """Flux [3] that an asset emits, W: R, G and B, if lengths of its file are in metres.
 
+    Its gain is included.
+
     That of the exitant light field, which illuminates scenes, is exact. That of an asset without
     one is estimated from 2²⁰ rays of the field, always with the same random numbers.
     """
     if asset.exitant is not None:
-        return exitant_watts(asset.exitant) * asset.frame.scale**2
+        return exitant_watts(asset.exitant) * asset.gain * asset.frame.scale**2
     sampler: Any = mi.load_dict({"type": "independent"})
     sampler.seed(SeedStream(Purpose.ASSET_FLUX).seed(0), FIELD_RAYS)
     emitter = emitter_sampler(asset, shared_field(asset), BoxProxy(asset.frame.half_extents))
     _, _, flux = emitter.sample_ray(sampler.next_1d(), sampler.next_2d(), sampler.next_2d())
     dr.eval(flux)
     return np.array(flux, np.float64).reshape(3, -1).mean(axis=1) * asset.frame.scale**2
+
+
+def with_light(asset: Asset, lumens: float | None, temperature: float | None) -> Asset:
+    """The asset with the gain that gives it a luminous flux and a colour temperature (`gain_to`).
+
+    Args:
+        asset: any asset.
+        lumens: luminous flux, lm, if lengths of its file are in metres; None to keep it.
+        temperature: colour temperature of the whole flux, K; None to keep the colour.
+
+    Raises:
+        LumitreeError: as for `gain_to`, or the gain is out of range.
+    """
+    if lumens is None and temperature is None:
+        return asset
+    factors = gain_to(asset_watts(asset), lumens, temperature, asset.luminaire)
+    red, green, blue = (factors * asset.gain).tolist()
+    return dataclasses.replace(asset, gain=(red, green, blue))
 
 
 def gain_to(

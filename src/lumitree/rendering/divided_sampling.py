@@ -37,7 +37,7 @@ def look(asset: Asset, field: Field, origin: Any, direction: Any, active: Any) -
     """
     if asset.exitant is None or asset.num_leaves:
         return field.emission(origin, direction, active)
-    light = exitant_light(asset.exitant, asset.frame.half_extents)
+    light = exitant_light(asset)
     radiance, _ = light.eval(origin, origin, direction, mi.Float(0), active)
     return radiance, dr.full(mi.Float, 1, dr.width(radiance))
 
@@ -55,9 +55,8 @@ class DividedSampler(DirectionSampler):
     """
 
     def __init__(self, asset: Asset, field: Field, uniform: Proxy | None = None) -> None:
-        assert asset.exitant is not None
         self._asset, self._field, self._uniform = asset, field, uniform
-        self._light = exitant_light(asset.exitant, asset.frame.half_extents)
+        self._light = exitant_light(asset)
 
     def sample(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
         """As `EmitterSampler.sample`; no sampled point is ever hidden."""

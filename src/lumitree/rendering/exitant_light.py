@@ -35,6 +35,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.asset import Asset
 from lumitree.asset.exitant import (
     EXPONENT_OF_ONE,
     EXPONENT_SHIFT,
@@ -65,19 +66,20 @@ _MAX_ENTRIES = 1 << 24
 # Rows of the table that are made at once.
 _ROWS_AT_ONCE = 16
 
-_LIGHTS: "weakref.WeakKeyDictionary[ExitantField, dict[str, ExitantLight]]" = (
+_LIGHTS: "weakref.WeakKeyDictionary[ExitantField, dict[tuple[object, ...], ExitantLight]]" = (
     weakref.WeakKeyDictionary()
 )
 
 
-def exitant_light(field: ExitantField, half_extents: NDArray[np.float64]) -> "ExitantLight":
-    """Device copy of an exitant light field, shared by all instances of a lamp."""
-    lights, variant = _LIGHTS.setdefault(field, {}), str(mi.variant())
-    if variant not in lights:
+def exitant_light(asset: Asset) -> "ExitantLight":
+    """Device copy of an asset's exitant light field, shared by all instances of a lamp."""
+    assert asset.exitant is not None
+    lights, key = _LIGHTS.setdefault(asset.exitant, {}), (str(mi.variant()), asset.gain)
+    if key not in lights:
         # Mitsuba creates plugins in parallel: of two copies, the first is kept.
-        light = ExitantLight(field, half_extents)
-        return lights.setdefault(variant, light)
-    return lights[variant]
+        light = ExitantLight(asset.exitant, asset.frame.half_extents, asset.gain)
+        return lights.setdefault(key, light)
+    return lights[key]
 
 
 class ExitantLight:
@@ -86,9 +88,15 @@ class ExitantLight:
     Args:
         field: what is emitted.
         half_extents: [3] of the lamp's box.
+        gain: [3] factors on R, G and B, not all 0.
     """
 
-    def __init__(self, field: ExitantField, half_extents: NDArray[np.float64]) -> None:
+    def __init__(
+        self,
+        field: ExitantField,
+        half_extents: NDArray[np.float64],
+        gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    ) -> None:
         count = len(field.cells)
         self._count, self._resolution = count, field.resolution
         self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
@@ -107,7 +115,8 @@ class ExitantLight:
         self._corners = on_device(mi.Float, np.stack([lower, upper], axis=1))
         self._volume = on_device(mi.Float, volume)
         self._packed = on_device(mi.UInt32, field.dense(field.intensity))
-        self._scale = dr.opaque(mi.Float, field.scale)
+        self._scale = dr.opaque(mi.Float, field.scale * max(gain))
+        self._colour = parameter(mi.Color3f, *(factor / max(gain) for factor in gain))
         flux = field.dense(luminance(unpack(field.intensity))) * solid_angles(field.resolution)
         by_cell = flux.sum(axis=1)
         self._flux_shares = by_cell / by_cell.sum()
@@ -320,4 +329,4 @@ class ExitantLight:
         exponent = (packed >> EXPONENT_SHIFT) + (127 - EXPONENT_OF_ONE)
         unit = dr.reinterpret_array(mi.Float, exponent << 23) * self._scale
         mantissas = (packed >> shift & MANTISSA for shift in MANTISSA_SHIFTS)
-        return mi.Color3f(*(mi.Float(each) for each in mantissas)) * unit
+        return self._colour * mi.Color3f(*(mi.Float(each) for each in mantissas)) * unit

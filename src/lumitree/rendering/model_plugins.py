@@ -15,6 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 import drjit as dr
 import mitsuba as mi
 
+from lumitree.core.device import parameter
 from lumitree.rendering.delta_bsdf import delta_bsdf_class
 from lumitree.rendering.own_lights import OwnLights
 from lumitree.rendering.plugin_objects import make_properties
@@ -68,6 +69,7 @@ def model_emitter_class() -> type:
             """
             super().__init__(make_properties("lumitree_model", {"sampling_weight": 0.0}))
             self._lamp, self._lights = lamp, lights
+            self._gain = parameter(mi.Color3f, *lamp.placed.asset.gain)
             self._radiance, self._index = radiance, index
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
@@ -89,7 +91,7 @@ def model_emitter_class() -> type:
 
         def _eval(self, si, active):
             front = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-            radiance = self._lamp.gain * mi.Color3f(self._radiance.eval(si, front))
+            radiance = self._lamp.gain * self._gain * mi.Color3f(self._radiance.eval(si, front))
             return dr.select(front, radiance, 0)
 
         def eval(self, si, active=True):

@@ -44,7 +44,8 @@ def integrate_ray(
     order = np.argsort(entry, kind="stable")
     order = order[exit_[order] > entry[order]]
     y = basis_array(towards_viewer(direction), asset.l_max)
-    emission = asset.max_radiance / (1 + np.exp(-asset.coefficients[order].astype(np.float64) @ y))
+    logits = asset.coefficients[order].astype(np.float64) @ y
+    emission = asset.max_radiance * np.array(asset.gain) / (1 + np.exp(-logits))
     depth = asset.density[order].astype(np.float64) * (exit_ - entry)[order]
     after = transmittance(np.cumsum(depth), asset.law, np)
     before = np.concatenate([[1.0], after[:-1]])[: len(after)]

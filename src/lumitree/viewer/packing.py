@@ -64,7 +64,8 @@ def pack_asset(asset: Asset) -> PackedAsset:
         "tree_depth": asset.tree_depth,
         "leaves": asset.num_leaves,
         "bytes": asset.num_bytes,
-        "max_radiance": asset.max_radiance,
+        "max_radiance": asset.max_radiance * max(asset.gain),
+        "colour": [factor / max(asset.gain) for factor in asset.gain],
         "half_extents": asset.frame.half_extents.tolist(),
         "scale": float(asset.frame.scale),
         "level_bits": wide_levels(asset.tree_depth),
@@ -75,7 +76,7 @@ def pack_asset(asset: Asset) -> PackedAsset:
     if asset.exitant is not None:
         field = asset.exitant
         description["exitant"] = {"depth": field.depth, "resolution": field.resolution}
-        arrays |= _exitant_arrays(field)
+        arrays |= _exitant_arrays(field, asset.gain)
         texels.append(field.lit.size * 8)
     if max(texels) > MAX_TEXELS:
         raise LumitreeError(
@@ -94,9 +95,11 @@ def unpack_asset(packed: PackedAsset) -> dict[str, NDArray[Any]]:
     }
 
 
-def _exitant_arrays(field: ExitantField) -> dict[str, NDArray[Any]]:
+def _exitant_arrays(
+    field: ExitantField, gain: tuple[float, float, float]
+) -> dict[str, NDArray[Any]]:
     """Luminous intensity of the bins that emit, in cd for local units of 1 m, and their cells."""
-    luminous = luminance(unpack(field.intensity) * field.scale)
+    luminous = luminance(unpack(field.intensity) * field.scale * np.array(gain))
     counts = np.bitwise_count(field.lit).sum(axis=1, dtype=np.int64)
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     largest = np.maximum.reduceat(luminous, starts)

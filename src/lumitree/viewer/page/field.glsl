@@ -5,7 +5,7 @@ uniform isampler2D nodes;
 uniform sampler2D coefficients, density;
 uniform int tree_depth, num_levels;
 uniform int level_bits[4], level_starts[4];
-uniform vec3 half_extents, eye;
+uniform vec3 half_extents, eye, colour;
 uniform mat3 camera;       // columns: right, up, forward
 uniform vec2 half_field;   // tangents of half the field of view
 uniform vec2 resolution;
@@ -55,7 +55,7 @@ vec3 emission(int leaf, float y[NUM_COEFFICIENTS]) {
   vec3 logit = vec3(0);
   for (int k = 0; k < NUM_COEFFICIENTS; ++k)
     logit += y[k] * texelFetch(coefficients, texel(leaf * NUM_COEFFICIENTS + k), 0).rgb;
-  return 1.0 / (1.0 + exp(-clamp(logit, -80.0, 80.0)));
+  return colour / (1.0 + exp(-clamp(logit, -80.0, 80.0)));
 }
 
 float transmittance(float tau) {
