@@ -40,6 +40,7 @@ class Purpose(enum.IntEnum):
     EXITANT = 17  # light paths of the exitant light field; step: batch
     PHOTOMETRY = 18  # rays that leave a luminaire, for intensities; step: batch
     ASSET_FLUX = 19  # flux of an asset without an exitant light field
+    EXPORT = 20  # clusters of an exitant light field; draw: 0 lights, 1 rays that test them
 
 
 @dataclasses.dataclass(frozen=True)
