@@ -24,7 +24,7 @@ WALLS: dict[str, dict[str, list[float]]] = {
     )
 }
 REGIONS = ("floor", "ceiling", "back", "left", "right")
-CAMERA: dict[str, Any] = {"origin": [0.35, 1.35, 1.9], "target": [0, 1.3, 0], "fov": 70.0}
+CAMERA: dict[str, Any] = {"origin": [0.0, 1.35, 1.9], "target": [0, 1.3, 0], "fov": 70.0}
 LAMP_CENTRE = (0.0, 1.5, 0.0)
 # Of a path: the first surface, four diffuse bounces as in `room_script`, and the light.
 PATH_DEPTH = 6
@@ -55,10 +55,19 @@ class CyclesJob:
 
 @dataclasses.dataclass(frozen=True)
 class Images:
-    """Images [N, H, W, 3] of different seeds, W/(m² sr), and the seconds that each took."""
+    """Images of different seeds.
+
+    Attributes:
+        images: [N, H, W, 3] radiance, W/(m² sr).
+        seconds, cpu_seconds: [N] wall and CPU time of each.
+        samples: a pixel.
+        version: of the renderer.
+    """
 
     images: NDArray[np.floating]
     seconds: NDArray[np.float64]
+    cpu_seconds: NDArray[np.float64]
+    samples: int
     version: str
 
 
@@ -72,7 +81,8 @@ def render_cycles(program: str, job: CyclesJob) -> Images:
         path.write_text(json.dumps(facts), encoding="utf-8")
         run_script(program, script, [str(path)], _LIMIT)
         with np.load(Path(folder) / "result.npz") as found:
-            return Images(found["images"], found["seconds"], str(found["version"]))
+            arrays = (found[name] for name in ("images", "seconds", "cpu_seconds"))
+            return Images(*arrays, job.samples, f"Blender {found['version']}")
 
 
 def mitsuba_room(width: int, height: int) -> Any:

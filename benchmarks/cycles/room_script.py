@@ -114,16 +114,18 @@ def main(path):
         make_explicit(collection)
     add_walls(scene, job["walls"], lamp["node_tree"])
     add_camera(scene, job["camera"])
-    images, seconds = [], []
+    images, seconds, cpu_seconds = [], [], []
     for seed in job["seeds"]:
         scene.cycles.seed = seed
-        start = time.perf_counter()
+        start, start_cpu = time.perf_counter(), time.process_time()
         images.append(render(scene, os.path.join(job["folder"], "image.exr")))
         seconds.append(time.perf_counter() - start)
+        cpu_seconds.append(time.process_time() - start_cpu)
     np.savez(
         os.path.join(job["folder"], "result.npz"),
         images=images,
         seconds=seconds,
+        cpu_seconds=cpu_seconds,
         version=bpy.app.version_string,
     )
 

@@ -47,4 +47,3 @@ def light_rays(lights: PointLights) -> Callable[[Any, int], tuple[Any, Any, Any]
         )
 
     return rays
-
