@@ -1,6 +1,6 @@
 """Exported lamps in Blender's Cycles, against the explicit lamps at equal time.
 
-    python -m benchmarks blender [--blender PROGRAM] [--assets FOLDER] [--image FILE] [LUMINAIRE ...]
+    python -m benchmarks blender [--blender PROGRAM] [--assets FOLDER] [LUMINAIRE ...]
 
 Writes `blender.md` and `blender.json`. First the error of the irradiance (decision 14) of clusters
 of point lights, against light paths of the luminaire, by number of lights, without Blender. Then a
