@@ -12,6 +12,7 @@ table is made. `--image` writes the three images of the first luminaire side by 
 """
 
 import argparse
+import importlib.metadata
 import sys
 import tempfile
 import time
@@ -123,7 +124,13 @@ def _render_mitsuba(asset: Any, width: int, height: int, samples: int, seeds: li
         images.append(render_passes(scene, integrator, Budget(samples), seed=seed).radiance)
         wall.append(time.perf_counter() - start)
         cpu.append(time.process_time() - start_cpu)
-    return Images(np.array(images), np.array(wall), np.array(cpu), samples, mi.__version__)
+    return Images(
+        np.array(images),
+        np.array(wall),
+        np.array(cpu),
+        samples,
+        f"Mitsuba {importlib.metadata.version('mitsuba')}",
+    )
 
 
 def room_rows(name: str, asset: Any, rendered: dict[str, Images]) -> list[dict]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lumitree.exporting.blender import run_script
 
 # Metres, y up. Walls by centre and two half edges, whose cross product points into the room.
-WALLS: dict[str, dict[str, list[float]]] = {
+WALLS: dict[str, dict[str, Any]] = {
     name: {"centre": centre, "first": first, "second": second, "reflectance": reflectance}
     for name, centre, first, second, reflectance in (
         ("floor", [0, 0, 0], [2, 0, 0], [0, 0, -2], [0.45, 0.34, 0.26]),
@@ -42,6 +42,7 @@ class CyclesJob:
         width, height: of the images, pixels.
         samples: a pixel.
         seeds: one image each.
+        gain: of the lamp.
     """
 
     lamp: str
@@ -51,6 +52,7 @@ class CyclesJob:
     height: int
     samples: int
     seeds: list[int]
+    gain: float = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,8 +83,13 @@ def render_cycles(program: str, job: CyclesJob) -> Images:
         path.write_text(json.dumps(facts), encoding="utf-8")
         run_script(program, script, [str(path)], _LIMIT)
         with np.load(Path(folder) / "result.npz") as found:
-            arrays = (found[name] for name in ("images", "seconds", "cpu_seconds"))
-            return Images(*arrays, job.samples, f"Blender {found['version']}")
+            return Images(
+                images=found["images"],
+                seconds=found["seconds"],
+                cpu_seconds=found["cpu_seconds"],
+                samples=job.samples,
+                version=f"Blender {found['version']}",
+            )
 
 
 def mitsuba_room(width: int, height: int) -> Any:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+from importlib import resources
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +18,7 @@ from lumitree.core.seeds import check_seed
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained, shown
 
-_ENDINGS = (".py", ".blend")
+_ENDINGS = (".py", ".blend", ".vdb")
 # By measurement, see decision 69.
 DEFAULT_LIGHTS, MAX_LIGHTS = 16, 1024
 
@@ -63,29 +64,31 @@ def export(
     metres.
 
     Args:
-        asset: an asset, or the path of its `.lumitree` file. It needs an exitant light field.
+        asset: an asset, or the path of its `.lumitree` file. It needs an exitant light field, or a
+            field for `.vdb`.
         output: path of the file to write. A `.py` file is a script that contains the lamp and runs
-            in Blender 4.2 or newer; a `.blend` file is made by running it.
+            in Blender 4.2 or newer; a `.blend` file is made by running it. A `.vdb` file has the
+            field as OpenVDB grids instead (`density` and `emission`, see `exporting.volume`); it
+            needs the module `openvdb` of Blender 4.4 or newer.
         lights: largest number of point lights, 1 to 1,024.
         up: the axis that points up in the luminaire's file, "y" or "z".
-        blender: program that makes the `.blend` file: Blender, or a Python with the module `bpy`.
-            Default: `blender` on the search path, else this Python if it has `bpy`.
+        blender: program that makes `.blend` and `.vdb` files: Blender, or a Python with the module
+            `bpy`. Default: `blender` on the search path, else this Python if it has `bpy`.
         seed: root seed of the clusters.
 
     Returns:
         Figures of the file, and what is not carried over.
 
     Raises:
-        LumitreeError: an argument is out of range; the asset cannot be read or has no exitant light
-            field; the file cannot be written; or there is no Blender for a `.blend` file, or it
-            failed.
+        LumitreeError: an argument is out of range; the asset cannot be read, or lacks the part that
+            is needed; the file cannot be written; or there is no Blender to write it, or it failed.
     """
-    from lumitree.exporting.blender import find_blender, run_script
+    from lumitree.exporting.blender import find_blender
 
     output = Path(output)
     if output.suffix not in _ENDINGS:
         raise LumitreeError(
-            f"output {shown(repr(str(output)), 300)} ends in neither of {', '.join(_ENDINGS)}"
+            f"output {shown(repr(str(output)), 300)} does not end in {', '.join(_ENDINGS)}"
         )
     check_writable(output)
     if type(lights) is not int:
@@ -95,27 +98,64 @@ def export(
     check_seed(seed)
     program = None if output.suffix == ".py" else find_blender(blender)
     load_mitsuba()
-    from lumitree.exporting.script import make_script
-
     watch = Stopwatch()
     with watch.stage("load"):
         loaded = asset if isinstance(asset, Asset) else load(asset)
-    with watch.stage("script"):
-        script = make_script(loaded, lights, up, seed)
-    with watch.stage("write"), atomic_path(output) as temporary:
-        if program is None:
-            temporary.write_text(script.text, encoding="utf-8")
-        else:
-            with scratch_folder() as folder:
-                path = folder / "lamp.py"
-                path.write_text(script.text, encoding="utf-8")
-                run_script(program, path, [os.fspath(temporary.resolve())])
+    with watch.stage("write"):
+        made = _volume(loaded, up) if output.suffix == ".vdb" else _lamp(loaded, lights, up, seed)
+        with atomic_path(output) as temporary:
+            if program is None:
+                temporary.write_bytes(made.content)
+            else:
+                _run(program, made, temporary.resolve())
     return ExportResult(
         luminaire=loaded.luminaire,
         file=output,
         file_bytes=output.stat().st_size,
-        lights=script.lights,
-        triangles=0 if loaded.model is None else loaded.model.num_triangles,
-        not_carried_over=script.lost,
+        lights=made.lights,
+        triangles=made.triangles,
+        not_carried_over=made.lost,
         **watch.costs(),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Made:
+    """What is written, or run by Blender: a script, or the data of one."""
+
+    content: bytes
+    lost: list[str]
+    lights: int = 0
+    triangles: int = 0
+    script: str | None = None
+
+
+def _lamp(asset: Asset, lights: int, up: Literal["y", "z"], seed: int) -> _Made:
+    from lumitree.exporting.script import make_script
+
+    made = make_script(asset, lights, up, seed)
+    triangles = 0 if asset.model is None else asset.model.num_triangles
+    return _Made(made.text.encode(), made.lost, made.lights, triangles)
+
+
+def _volume(asset: Asset, up: Literal["y", "z"]) -> _Made:
+    from lumitree.exporting.script import Z_UP
+    from lumitree.exporting.volume import lost_in_volumes, pack_volume
+
+    content = pack_volume(asset, Z_UP[up])
+    return _Made(content, lost_in_volumes(asset), script="vdb_script.py")
+
+
+def _run(program: str, made: _Made, output: Path) -> None:
+    """Let Blender write a file."""
+    from lumitree.exporting.blender import run_script
+
+    with scratch_folder() as folder:
+        content = folder / "content"
+        content.write_bytes(made.content)
+        if made.script is None:
+            run_script(program, content, [os.fspath(output)])
+            return
+        script = resources.files("lumitree.exporting") / made.script
+        with resources.as_file(script) as path:
+            run_script(program, path, [os.fspath(content), os.fspath(output)])

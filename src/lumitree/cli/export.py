@@ -10,13 +10,15 @@ from lumitree.cli.output import print_open, print_report
 def add(commands: Any) -> None:
     parser = options.command(commands, "export", "write an asset for Blender", run)
     parser.add_argument(
-        "asset", metavar="ASSET", help="a .lumitree file with an exitant light field"
+        "asset",
+        metavar="ASSET",
+        help="a .lumitree file with an exitant light field, or with a field for .vdb",
     )
     options.add_output(
         parser,
         "FILE",
-        "file to write: .py (a script that contains the lamp and runs in Blender 4.2 or newer) or "
-        ".blend (made by Blender)",
+        "file to write: .py (a script that contains the lamp and runs in Blender 4.2 or newer), "
+        ".blend (the same, made by Blender) or .vdb (density and emission of the field)",
     )
     parser.add_argument(
         "--lights", type=int, metavar="N", default=16, help="largest number of point lights"
@@ -27,8 +29,8 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--blender",
         metavar="PROGRAM",
-        help="Blender, or a Python with the module bpy, for .blend (default: blender on PATH, else "
-        "this Python if it has bpy)",
+        help="Blender, or a Python with the module bpy, for .blend and .vdb (default: blender on "
+        "PATH, else this Python if it has bpy)",
     )
 
 

@@ -47,7 +47,7 @@ def find_blender(program: str | os.PathLike[str] | None) -> str:
     if importlib.util.find_spec("bpy") is not None:
         return sys.executable
     raise LumitreeError(
-        "no Blender was found to write a .blend file; name it with --blender, put it on PATH, or "
+        "no Blender was found to write the file; name it with --blender, put it on PATH, or "
         "write a .py file, which runs in any Blender"
     )
 

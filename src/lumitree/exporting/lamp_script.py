@@ -14,6 +14,7 @@ import base64
 import io
 import json
 import sys
+from typing import Any
 
 import bpy  # type: ignore[import-not-found]
 import numpy as np
@@ -137,7 +138,7 @@ class Lamp:
         return image
 
 
-def node_tree(owner):
+def node_tree(owner: Any) -> Any:
     """The nodes of a material, a light or a world; from Blender 5 on they always have some."""
     if owner.node_tree is None:
         owner.use_nodes = True

@@ -100,7 +100,8 @@ def _surface(points: Any, normals: Any, texcoords: Any) -> Arrays:
     corners = arrays["vertices"][faces]
     geometric = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     # At a pole and at a disk's centre one of the two triangles of a cell is flat.
-    faces, geometric = faces[geometric.any(axis=1)], geometric[geometric.any(axis=1)]
+    area = np.linalg.norm(geometric, axis=1)
+    faces, geometric = faces[area > 1e-9], geometric[area > 1e-9]
     outwards = (geometric * arrays["normals"][faces].sum(axis=1)).sum(axis=1) > 0
     faces = np.where(outwards[:, None], faces, faces[:, ::-1])
     return {**arrays, "faces": faces}

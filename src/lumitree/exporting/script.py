@@ -18,7 +18,7 @@ from lumitree.exporting.surfaces import Surfaces
 
 Up = Literal["y", "z"]
 # From a frame with this axis up to Blender's, with z up.
-_Z_UP = {"y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), "z": np.eye(3)}
+Z_UP = {"y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), "z": np.eye(3)}
 _LINE = 120
 # Longest name of a thing in Blender, less what the script appends; bytes of UTF-8.
 _NAME_CHARACTERS = 12
@@ -56,7 +56,7 @@ def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
             "made; bake it with --parts exitant,model"
         )
     points = cluster_lights(asset.exitant, asset.frame.half_extents, lights, seed)
-    description, arrays = _light_data(asset, points, _Z_UP[up])
+    description, arrays = _light_data(asset, points, Z_UP[up])
     lost = ["point lights illuminate the lamp's own surfaces without its shadows"]
     if asset.model is None:
         lost = ["the asset has no model: the lamp itself is not shown"]
@@ -65,7 +65,7 @@ def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
         surfaces = Surfaces(asset.model)
         description["surfaces"] = [surfaces.tree(shape) for shape in asset.model.shapes]
         lost += sorted(surfaces.lost)
-        for index, mesh in enumerate(blender_meshes(asset.model, _Z_UP[up])):
+        for index, mesh in enumerate(blender_meshes(asset.model, Z_UP[up])):
             arrays |= {f"{index}.{name}": values for name, values in mesh.items()}
         arrays |= {f"image {i}": image for i, image in enumerate(asset.model.images)}
     template = (resources.files("lumitree.exporting") / "lamp_script.py").read_text("utf-8")
