@@ -165,12 +165,20 @@ def test_blender_makes_nodes_of_every_material(tmp_path):
     code = (
         "import bpy, sys; bpy.ops.wm.open_mainfile(filepath=sys.argv[1]);"
         "objects = bpy.data.objects; print(len([o for o in objects if o.type == 'MESH']),"
-        "len([o for o in objects if o.type == 'LIGHT']), len(bpy.data.images))"
+        "len([o for o in objects if o.type == 'LIGHT']), len(bpy.data.images), end=' ');"
+        "light = next(o for o in objects if o.type == 'LIGHT'); empty = light.parent;"
+        "energy = lambda: (empty.update_tag(), bpy.context.view_layer.update(),"
+        " light.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.energy)[-1];"
+        "before = energy(); empty.scale = (3, 3, 3); empty['gain'] = 0.5;"
+        "print(energy() / before)"
     )
     run = subprocess.run(
         [str(blender), "-c", code, str(path)], capture_output=True, text=True, check=True
     )
-    meshes, lights, images = map(int, run.stdout.split()[-3:])
+    *counts, energy = run.stdout.split()[-4:]
+    meshes, lights, images = map(int, counts)
+    # Flux is proportional to gain and area.
+    assert float(energy) == pytest.approx(0.5 * 9, rel=1e-5)
     assert (meshes, lights) == (len(asset.model.shapes), 5)
     assert images >= lights + 1
     assert sorted(os.listdir(tmp_path)) == ["every.blend"]
