@@ -110,7 +110,7 @@ def main(path):
     collection = lamp["add_lamp"](scene)
     (empty,) = (thing for thing in collection.objects if thing.type == "EMPTY")
     empty.location = z_up(job["at"])
-    empty["gain"] = job.get("gain", 1.0)
+    empty["gain"] = job["gain"]
     empty.update_tag()
     if job["explicit"]:
         make_explicit(collection)
