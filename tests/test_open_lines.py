@@ -61,6 +61,7 @@ def folder(tmp_path, monkeypatch, mi):
           "0,0,5"), "r.png"),
         (("mix", "layers.exr", "-o", "m.png", "--gain", "hall=0.5"), "m.png"),
         (("view", "field.lumitree", "-o", "v.html"), "v.html"),
+        (("export", "1.lumitree", "-o", "e.py"), "e.py"),
         (("photometry", "1.lumitree", "-o", "p.ies", "-o", "p.html", "--paths", "16384",
           "--step", "10"), "p.html"),
         pytest.param(

@@ -13,12 +13,12 @@ from benchmarks.baselines.traced_rays import TracedRays
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.exporting.lights import cluster_points
 
 # About as many bins as a Type C file of 1° has values (181 · 360).
 FAR_FIELD_RESOLUTION = 256
 # Points that k-means is given to cluster: its time is linear in them.
 _CLUSTERED = 1 << 16
-_ROUNDS = 20
 
 
 def far_field_point(rays: TracedRays) -> Sources:
@@ -39,17 +39,14 @@ def point_lights(rays: TracedRays, count: int, resolution: int, seed: int) -> So
 
     The illumination of Velázquez-Armendáriz et al. 2015, as far as its text says how.
     """
-    from scipy.cluster.vq import kmeans2
     from scipy.spatial import KDTree
 
     random = np.random.default_rng(SeedStream(Purpose.EXITANT, 0, draw=1).seed(seed))
     power = rays.flux.sum(axis=1, dtype=np.float64)
     chosen = random.choice(len(power), _CLUSTERED, p=power / power.sum())
-    centres, _ = kmeans2(
-        rays.origin[chosen].astype(np.float64), count, _ROUNDS, minit="++", rng=random
-    )
+    centres = cluster_points(rays.origin[chosen], count, random)
     index = np.asarray(KDTree(centres).query(rays.origin)[1])
-    return Sources(Points(centres), tabulated(rays, index, count, resolution))
+    return Sources(Points(centres), tabulated(rays, index, len(centres), resolution))
 
 
 def box_table(rays: TracedRays, patches: int, resolution: int) -> Sources:

@@ -14,6 +14,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 
 if TYPE_CHECKING:
     from lumitree.api.baking import bake, refine
+    from lumitree.api.exporting import ExportResult, export
     from lumitree.api.luminaires import builtin_luminaires, load_luminaire
     from lumitree.api.many import BakedLamp, BakeManyResult, bake_many
     from lumitree.api.merging import merge
@@ -61,6 +62,7 @@ _HOMES = {
     "CaptureResult": "api.results",
     "Estimate": "goniophotometry.figures",
     "EvaluateResult": "api.results",
+    "ExportResult": "api.exporting",
     "Flux": "api.results",
     "LocalFrame": "core.frames",
     "Luminaire": "luminaire.luminaire",
@@ -82,6 +84,7 @@ _HOMES = {
     "builtin_luminaires": "api.luminaires",
     "capture": "api.network",
     "evaluate": "api.viewing",
+    "export": "api.exporting",
     "extract": "api.network",
     "load": "asset.file",
     "load_luminaire": "api.luminaires",
@@ -108,6 +111,7 @@ __all__ = [
     "CaptureResult",
     "Estimate",
     "EvaluateResult",
+    "ExportResult",
     "Flux",
     "Interrupted",
     "LocalFrame",
@@ -133,6 +137,7 @@ __all__ = [
     "builtin_luminaires",
     "capture",
     "evaluate",
+    "export",
     "extract",
     "load",
     "load_luminaire",

@@ -11,6 +11,7 @@ from lumitree.cli import (
     capture,
     demo,
     evaluate,
+    export,
     extract,
     info,
     list_luminaires,
@@ -48,6 +49,7 @@ _COMMANDS = (
     photometry,
     render,
     view,
+    export,
     demo,
 )
 

@@ -36,10 +36,11 @@ class Purpose(enum.IntEnum):
     ERROR_INDICATOR = 13  # which leaves are split; step: step of the descent
     RENDER = 14  # images of a scene; step: samples done
     CONTINUATION = 15  # root seed of a bake that goes on with an asset; step: checksum of the asset
-    IRRADIANCE = 16  # rays that leave a luminaire; step: batch, draw: 0 traced, 1 from a field
+    IRRADIANCE = 16  # rays that leave a luminaire; step: batch, draw: 0 traced, 1 and 2 from assets
     EXITANT = 17  # light paths of the exitant light field; step: batch
     PHOTOMETRY = 18  # rays that leave a luminaire, for intensities; step: batch
     ASSET_FLUX = 19  # flux of an asset without an exitant light field
+    EXPORT = 20  # clusters of an exitant light field
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""A lamp in a diffuse room, rendered by Cycles and by Mitsuba."""

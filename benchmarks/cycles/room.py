@@ -1,0 +1,165 @@
+"""A diffuse room without other lights, the same in Cycles and in Mitsuba."""
+
+import dataclasses
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.exporting.blender import run_script
+
+# Metres, y up. Walls by centre and two half edges, whose cross product points into the room.
+WALLS: dict[str, dict[str, Any]] = {
+    name: {"centre": centre, "first": first, "second": second, "reflectance": reflectance}
+    for name, centre, first, second, reflectance in (
+        ("floor", [0, 0, 0], [2, 0, 0], [0, 0, -2], [0.45, 0.34, 0.26]),
+        ("ceiling", [0, 2.4, 0], [2, 0, 0], [0, 0, 2], [0.75, 0.75, 0.73]),
+        ("back", [0, 1.2, -2], [2, 0, 0], [0, 1.2, 0], [0.62, 0.66, 0.62]),
+        ("left", [-2, 1.2, 0], [0, 0, -2], [0, 1.2, 0], [0.65, 0.6, 0.55]),
+        ("right", [2, 1.2, 0], [0, 0, 2], [0, 1.2, 0], [0.55, 0.6, 0.65]),
+        ("near", [0, 1.2, 2], [-2, 0, 0], [0, 1.2, 0], [0.6, 0.6, 0.6]),
+    )
+}
+REGIONS = ("floor", "ceiling", "back", "left", "right")
+CAMERA: dict[str, Any] = {"origin": [0.0, 1.35, 1.9], "target": [0, 1.3, 0], "fov": 70.0}
+LAMP_CENTRE = (0.0, 1.5, 0.0)
+# Of a path: the first surface, four diffuse bounces as in `room_script`, and the light.
+PATH_DEPTH = 6
+_LIMIT = 1800.0
+
+
+@dataclasses.dataclass(frozen=True)
+class CyclesJob:
+    """What Cycles renders.
+
+    Attributes:
+        lamp: script of the lamp.
+        explicit: whether the lamp's own surfaces illuminate the room, without the lights.
+        at: [3] where the origin of the lamp's file goes, m, y up.
+        width, height: of the images, pixels.
+        samples: a pixel.
+        seeds: one image each.
+        gain: of the lamp.
+    """
+
+    lamp: str
+    explicit: bool
+    at: list[float]
+    width: int
+    height: int
+    samples: int
+    seeds: list[int]
+    gain: float = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Images:
+    """Images of different seeds.
+
+    Attributes:
+        images: [N, H, W, 3] radiance, W/(m² sr).
+        seconds, cpu_seconds: [N] wall and CPU time of each.
+        samples: a pixel.
+        version: of the renderer.
+    """
+
+    images: NDArray[np.floating]
+    seconds: NDArray[np.float64]
+    cpu_seconds: NDArray[np.float64]
+    samples: int
+    version: str
+
+
+def render_cycles(program: str, job: CyclesJob) -> Images:
+    """Render a job by the program of `find_blender`."""
+    script = Path(__file__).with_name("room_script.py")
+    with tempfile.TemporaryDirectory() as folder:
+        members = dataclasses.asdict(job)
+        facts = {**members, "walls": WALLS, "camera": CAMERA, "folder": folder}
+        path = Path(folder) / "job.json"
+        path.write_text(json.dumps(facts), encoding="utf-8")
+        run_script(program, script, [str(path)], _LIMIT)
+        with np.load(Path(folder) / "result.npz") as found:
+            return Images(
+                images=found["images"],
+                seconds=found["seconds"],
+                cpu_seconds=found["cpu_seconds"],
+                samples=job.samples,
+                version=f"Blender {found['version']}",
+            )
+
+
+def mitsuba_room(width: int, height: int) -> Any:
+    """The room (mi.Scene)."""
+    import mitsuba as mi
+
+    from lumitree.rendering.plugin_objects import load_ordered
+
+    scene: dict[str, Any] = {"type": "scene"}
+    for name, wall in WALLS.items():
+        first, second = np.array(wall["first"]), np.array(wall["second"])
+        normal = np.cross(first, second)
+        matrix = np.eye(4)
+        matrix[:3] = np.stack(
+            [first, second, normal / np.linalg.norm(normal), wall["centre"]], axis=-1
+        )
+        reflectance = {"type": "rgb", "value": wall["reflectance"]}
+        scene[name] = {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f(matrix),
+            "bsdf": {"type": "diffuse", "reflectance": reflectance},
+        }
+    look = mi.ScalarTransform4f().look_at(CAMERA["origin"], CAMERA["target"], [0, 1, 0])
+    scene["sensor"] = {
+        "type": "perspective",
+        "fov": CAMERA["fov"],
+        "to_world": look,
+        "film": {
+            "type": "hdrfilm",
+            "width": width,
+            "height": height,
+            "rfilter": {"type": "box"},
+        },
+    }
+    return load_ordered(scene)
+
+
+def region_masks(width: int, height: int, half: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+    """Masks [H, W] of the pixels that show a wall, and neither its edges nor the lamp.
+
+    Args:
+        half: [3] half the sides of the lamp's box, m.
+    """
+    origin = np.array(CAMERA["origin"])
+    forward = CAMERA["target"] - origin
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0, 1, 0])
+    right /= np.linalg.norm(right)
+    upwards = np.cross(right, forward)
+    tangent = np.tan(np.radians(CAMERA["fov"]) / 2)
+    x = (2 * (np.arange(width) + 0.5) / width - 1) * tangent
+    y = (1 - 2 * (np.arange(height) + 0.5) / height) * tangent * height / width
+    direction = forward + x[None, :, None] * right + y[:, None, None] * upwards
+    # A pixel more on all sides.
+    margin = half + 3 * tangent / width * np.linalg.norm(origin)
+    first, second = ((LAMP_CENTRE + s * margin - origin) / direction for s in (-1, 1))
+    lamp = np.minimum(first, second).max(axis=-1) < np.maximum(first, second).min(axis=-1)
+    low, high = np.array([-2, 0, -2]), np.array([2, 2.4, 2])
+    away = np.where(direction > 0, high - origin, low - origin) / direction
+    hit = origin + away.min(axis=-1, keepdims=True) * direction
+    inside = np.minimum(hit - low, high - hit)
+    # On a wall one distance is 0; the two others are those from its edges.
+    clear = np.sort(inside, axis=-1)[..., 1] > 0.05
+    masks = {}
+    for name in REGIONS:
+        centre, normal = np.array(WALLS[name]["centre"]), np.cross(*_edges(name))
+        on = np.abs((hit - centre) @ (normal / np.linalg.norm(normal))) < 1e-9
+        masks[name] = on & clear & ~lamp
+    return masks
+
+
+def _edges(name: str) -> tuple[list[float], list[float]]:
+    return WALLS[name]["first"], WALLS[name]["second"]

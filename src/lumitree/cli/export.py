@@ -1,0 +1,48 @@
+"""`lumitree export`."""
+
+import argparse
+from typing import Any
+
+from lumitree.cli import options
+from lumitree.cli.output import print_open, print_report
+
+
+def add(commands: Any) -> None:
+    parser = options.command(commands, "export", "write an asset for Blender", run)
+    parser.add_argument(
+        "asset",
+        metavar="ASSET",
+        help="a .lumitree file with an exitant light field, or with a field for .vdb",
+    )
+    options.add_output(
+        parser,
+        "FILE",
+        "file to write: .py (a script that contains the lamp and runs in Blender 4.2 or newer), "
+        ".blend (the same, made by Blender) or .vdb (density and emission of the field)",
+    )
+    parser.add_argument(
+        "--lights", type=int, metavar="N", default=16, help="largest number of point lights"
+    )
+    parser.add_argument(
+        "--up", choices=("y", "z"), default="y", help="axis that points up in the lamp's file"
+    )
+    parser.add_argument(
+        "--blender",
+        metavar="PROGRAM",
+        help="Blender, or a Python with the module bpy, for .blend and .vdb (default: blender on "
+        "PATH, else this Python if it has bpy)",
+    )
+
+
+def run(args: argparse.Namespace) -> Any:
+    import lumitree
+
+    result = lumitree.export(
+        args.asset, args.output, lights=args.lights, up=args.up, blender=args.blender
+    )
+    report = result.to_json()
+    for line in report.pop("not_carried_over"):
+        print(f"note: {line}")
+    print_report(report)
+    print_open(result.file)
+    return result

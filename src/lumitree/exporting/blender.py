@@ -1,0 +1,83 @@
+"""Runs a script in Blender: a program, or a Python that has the module `bpy`."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from lumitree.errors import LumitreeError, shown
+
+_LIMIT = 600
+# Runs a script by Python without its folder on the path of imports; ends with 3 without bpy.
+_PYTHON = """
+import runpy, sys
+try:
+    import bpy
+except ImportError:
+    sys.exit(3)
+sys.argv = sys.argv[1:]
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+def find_blender(program: str | os.PathLike[str] | None) -> str:
+    """Path of the program that runs scripts.
+
+    Args:
+        program: Blender, or a Python with `bpy`; None for `blender` on the search path, or else
+            this Python if it has `bpy`.
+
+    Raises:
+        LumitreeError: there is none.
+    """
+    if program is not None:
+        found = shutil.which(program)
+        if found is None:
+            raise LumitreeError(
+                f"{shown(program, 200)} is not a program; expected Blender, or a Python with bpy"
+            )
+        return found
+    found = shutil.which("blender")
+    if found is not None:
+        return found
+    import importlib.util
+
+    if importlib.util.find_spec("bpy") is not None:
+        return sys.executable
+    raise LumitreeError(
+        "no Blender was found to write the file; name it with --blender, put it on PATH, or "
+        "write a .py file, which runs in any Blender"
+    )
+
+
+def run_script(program: str, script: Path, arguments: Sequence[str], limit: float = _LIMIT) -> None:
+    """Run a script.
+
+    Args:
+        program: from `find_blender`.
+        arguments: of the script.
+        limit: seconds after which it is ended.
+
+    Raises:
+        LumitreeError: it failed; with the last line that it printed.
+    """
+    if Path(program).name.lower().startswith("python"):
+        command = [program, "-P", "-c", _PYTHON, str(script), *arguments]
+    else:
+        options = ["--background", "--factory-startup", "--python-exit-code", "1"]
+        command = [program, *options, "--python", str(script), "--", *arguments]
+    try:
+        run = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=limit
+        )
+    except subprocess.TimeoutExpired:
+        raise LumitreeError(f"{shown(program, 200)} took more than {limit:g} s") from None
+    if run.returncode == 3:
+        raise LumitreeError(f"{shown(program, 200)} has no module bpy; pip install bpy, or Blender")
+    if run.returncode:
+        lines = (run.stderr.strip() or run.stdout.strip() or "no message").splitlines()
+        raise LumitreeError(
+            f"{shown(program, 200)} ended with status {run.returncode}: {shown(lines[-1], 300)}"
+        )

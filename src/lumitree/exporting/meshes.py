@@ -1,0 +1,110 @@
+"""The shapes of a model as meshes in Blender's frame."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.materials import Json
+from lumitree.asset.model import AssetModel
+
+# Segments of a circle in place of an analytic shape.
+_SEGMENTS = 96
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def blender_meshes(model: AssetModel, blender_from_world: NDArray[np.float64]) -> list[Arrays]:
+    """Arrays of each shape: `vertices`, `faces`, and `normals`, `texcoords` and `colours` if any.
+
+    Args:
+        blender_from_world: [3, 3] rotation.
+    """
+    found = []
+    for shape, stored in zip(model.shapes, model.meshes(), strict=True):
+        mesh = _analytic(shape) if stored is None else {k: v for k, v in stored.items() if len(v)}
+        faces = mesh["faces"]
+        placed: Arrays = {"vertices": mesh["vertices"] @ blender_from_world.T}
+        sign = -1 if shape["flipped"] else 1
+        placed["faces"] = faces[:, ::-1] if shape["flipped"] else faces
+        if "normals" in mesh:
+            placed["normals"] = sign * mesh["normals"] @ blender_from_world.T
+        placed |= {name: mesh[name] for name in ("texcoords", "colours") if name in mesh}
+        found.append(
+            {
+                name: np.ascontiguousarray(values, np.uint32 if name == "faces" else np.float32)
+                for name, values in placed.items()
+            }
+        )
+    return found
+
+
+def _analytic(shape: Json) -> Arrays:
+    """Mesh of a sphere, disk, cylinder or rectangle, in the frame of the file."""
+    mesh = _UNIT[shape["type"]]()
+    matrix = np.array(shape["to_world"], np.float64)
+    linear = matrix[:3, :3]
+    mesh["vertices"] = mesh["vertices"] @ linear.T + matrix[:3, 3]
+    if np.linalg.det(linear) < 0:
+        mesh["faces"] = mesh["faces"][:, ::-1]
+    normals = mesh["normals"] @ np.linalg.inv(linear)
+    mesh["normals"] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    return mesh
+
+
+def _rectangle() -> Arrays:
+    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    return {
+        "vertices": corners,
+        "normals": np.tile([0.0, 0, 1], (4, 1)),
+        "texcoords": (corners[:, :2] + 1) / 2,
+        "faces": np.array([[0, 1, 2], [0, 2, 3]]),
+    }
+
+
+def _sphere() -> Arrays:
+    azimuth, polar = _grid(_SEGMENTS // 2, np.pi)
+    flat = np.sin(polar)
+    points = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.cos(polar)], axis=-1)
+    return _surface(points, points, np.stack([azimuth / (2 * np.pi), polar / np.pi], axis=-1))
+
+
+def _cylinder() -> Arrays:
+    azimuth, height = _grid(1, 1.0)
+    ring = np.cos(azimuth), np.sin(azimuth)
+    points, normals = np.stack([*ring, height], axis=-1), np.stack([*ring, 0 * height], axis=-1)
+    return _surface(points, normals, np.stack([azimuth / (2 * np.pi), height], axis=-1))
+
+
+def _disk() -> Arrays:
+    azimuth, radius = _grid(1, 1.0)
+    points = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), 0 * radius], axis=-1)
+    normals = np.broadcast_to([0.0, 0, 1], points.shape)
+    return _surface(points, normals, np.stack([radius, azimuth / (2 * np.pi)], axis=-1))
+
+
+def _grid(steps: int, end: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Azimuth and a parameter from 0 to `end` [_SEGMENTS + 1, steps + 1]; the seam is double."""
+    azimuth = np.linspace(0, 2 * np.pi, _SEGMENTS + 1)
+    return tuple(np.meshgrid(azimuth, np.linspace(0, end, steps + 1), indexing="ij"))  # type: ignore[return-value]
+
+
+def _surface(points: Any, normals: Any, texcoords: Any) -> Arrays:
+    """Mesh of a grid of points [N, M, 3]; faces turn as the normals point."""
+    index = np.arange(points[..., 0].size).reshape(points.shape[:2])
+    first, second, third, fourth = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    faces = np.stack([[first, second, third], [first, third, fourth]]).transpose(0, 2, 3, 1)
+    mesh = {"vertices": points, "normals": normals, "texcoords": texcoords}
+    arrays = {name: values.reshape(-1, values.shape[-1]) for name, values in mesh.items()}
+    faces = faces.reshape(-1, 3)
+    corners = arrays["vertices"][faces]
+    geometric = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # At a pole and at a disk's centre one of the two triangles of a cell is flat.
+    area = np.linalg.norm(geometric, axis=1)
+    faces, geometric = faces[area > 1e-9], geometric[area > 1e-9]
+    outwards = (geometric * arrays["normals"][faces].sum(axis=1)).sum(axis=1) > 0
+    faces = np.where(outwards[:, None], faces, faces[:, ::-1])
+    return {**arrays, "faces": faces}
+
+
+_UNIT = {"sphere": _sphere, "cylinder": _cylinder, "disk": _disk, "rectangle": _rectangle}
