@@ -28,14 +28,11 @@ def placed(what: Any, width: int, **options: Any) -> Any:
 
 def flux_in_room(asset: Any) -> NDArray[np.float64]:
     """Flux [3] of an asset's exitant light field where `placed` puts it."""
-    from lumitree.asset.exitant import unpack
-    from lumitree.core.octahedral import solid_angles
+    from lumitree.rendering.asset_flux import exitant_watts
     from lumitree.rendering.demo_room import LAMP_SIZE
 
-    field = asset.exitant
-    intensity = unpack(field.dense(field.intensity)) * field.scale
-    flux = (intensity * solid_angles(field.resolution)[None, :, None]).sum(axis=(0, 1))
-    return flux * (LAMP_SIZE / (2 * float(asset.frame.half_extents.max()))) ** 2
+    scale = LAMP_SIZE / (2 * float(asset.frame.half_extents.max()))
+    return exitant_watts(asset.exitant) * asset.gain * scale**2
 
 
 def sphere_room(asset: Any, width: int) -> Any:
