@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from flax import nnx
 
 # Steps between two checks of convergence, and the improvement below which it has come, dB.
 _WINDOW, _PLATEAU = 1000, 0.05
@@ -96,3 +97,8 @@ def _half(budget: Budget, speed: float) -> int:
     if budget.steps is not None:
         return budget.steps // 2
     return _STEPS // 2 if budget.seconds is None else round(speed * budget.seconds / 2)
+
+
+def num_bytes(network: nnx.Module) -> int:
+    """Bytes of a network's weights in half precision, in which renderers evaluate such networks."""
+    return 2 * sum(int(leaf.size) for leaf in jax.tree.leaves(nnx.state(network, nnx.Param)))

@@ -18,7 +18,7 @@ import optax
 from flax import nnx
 from numpy.typing import NDArray
 
-from benchmarks.baselines.descent import Budget, descend
+from benchmarks.baselines.descent import Budget, descend, num_bytes
 from benchmarks.baselines.direction_cells import (
     cone_directions,
     density_of_cells,
@@ -30,7 +30,6 @@ from benchmarks.baselines.zhu_networks import (
     SamplingNetwork,
     ZhuConfig,
     encode,
-    num_bytes,
 )
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.nerf.losses import psnr

@@ -176,9 +176,3 @@ def sphere_entry(origins: jax.Array, directions: jax.Array, radius: float) -> ja
     nearest = origins - along * directions
     half_chord = jnp.sqrt(jnp.maximum(radius**2 - jnp.sum(nearest**2, axis=-1, keepdims=True), 0))
     return nearest - half_chord * directions
-
-
-def num_bytes(network: nnx.Module) -> int:
-    """Bytes of the weights in half precision, in which the authors' renderer evaluates them."""
-    weights = jax.tree.leaves(nnx.state(network, nnx.Param))
-    return 2 * sum(int(leaf.size) for leaf in weights)
