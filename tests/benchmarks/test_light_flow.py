@@ -1,5 +1,7 @@
 """The normalizing flow over rays, and its splines."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,54 +12,64 @@ from scipy import stats
 from benchmarks.baselines.spline_flow import SplineFlow, spline_of, to_x, to_z
 from benchmarks.baselines.traced_rays import TracedRays
 
-HALF = np.array([1.0, 0.75, 0.5])
+HALF, COUNT = np.array([1.0, 0.75, 0.5]), 50_000
 
 
 @pytest.fixture(scope="module")
 def flow():
     """A flow that is not the identity."""
     graph, params = nnx.split(SplineFlow(2, 5, 8, seed=0))
-    keys = iter(jax.random.split(jax.random.key(1), 100))
-    moved = jax.tree.map(lambda x: x + 0.1 * jax.random.normal(next(keys), x.shape), params)
-    return nnx.merge(graph, moved)
+    random = np.random.default_rng(1)
+    moved = jax.tree.map(
+        lambda x: jnp.asarray(x + 0.1 * random.normal(size=x.shape), jnp.float32), params
+    )
+    made = nnx.merge(graph, moved)
+    return SimpleNamespace(
+        sample=jax.jit(lambda z: made.sample(z)),
+        log_density=jax.jit(lambda x: made.log_density(x)),
+        jacobian=jax.jit(jax.vmap(jax.jacfwd(lambda v: made.sample(v[None])[0][0]))),
+    )
+
+
+def _even(count, seed):
+    return jnp.asarray(np.random.default_rng(seed).random((count, 4), np.float32))
 
 
 def test_splines_are_monotonic_and_invertible():
     raw = jnp.asarray(np.random.default_rng(0).normal(0, 2, 3 * 6 + 1), jnp.float32)
     z = jnp.linspace(0, 1, 1001)
     spline = jax.tree.map(lambda v: jnp.broadcast_to(v, (len(z), *v.shape)), spline_of(raw))
-    x, log_slope = to_x(spline, z)
+    x, log_slope = jax.jit(to_x)(spline, z)
     assert (jnp.diff(x) > 0).all()
     assert float(x[0]) == 0
     assert float(x[-1]) == pytest.approx(1, abs=1e-6)
-    again, same = to_z(spline, x)
+    again, same = jax.jit(to_z)(spline, x)
     np.testing.assert_allclose(again, z, atol=2e-4)
     np.testing.assert_allclose(same, log_slope, atol=0.02)
     # The density is that of the map's slope.
-    slopes = jax.grad(lambda t: to_x(spline, t)[0].sum())(z)[1:-1]
+    slopes = jax.jit(jax.grad(lambda t: to_x(spline, t)[0].sum()))(z)[1:-1]
     np.testing.assert_allclose(jnp.log(slopes), log_slope[1:-1], atol=1e-3)
 
 
 def test_zeros_are_the_identity():
     z = jnp.linspace(0, 1, 11)
     spline = jax.tree.map(lambda v: jnp.broadcast_to(v, (11, *v.shape)), spline_of(jnp.zeros(13)))
-    for found in (to_x(spline, z), to_z(spline, z)):
+    for found in (jax.jit(to_x)(spline, z), jax.jit(to_z)(spline, z)):
         np.testing.assert_allclose(found[0], z, atol=1e-6)
         np.testing.assert_allclose(found[1], 0, atol=1e-5)
 
 
 def test_density_of_the_flow_is_that_of_its_samples(flow):
-    z = jax.random.uniform(jax.random.key(2), (2000, 4))
+    z = _even(COUNT, 2)
     x, log_density = flow.sample(z)
     assert 0 <= float(x.min()) <= float(x.max()) <= 1
     np.testing.assert_allclose(flow.log_density(x), log_density, atol=1e-3)
-    jacobian = jax.vmap(jax.jacfwd(lambda v: flow.sample(v[None])[0][0]))(z[:50])
-    wanted = -np.log(np.abs(np.linalg.det(np.asarray(jacobian, np.float64))))
+    wanted = -np.log(np.abs(np.linalg.det(np.asarray(flow.jacobian(z[:50]), np.float64))))
     np.testing.assert_allclose(log_density[:50], wanted, atol=1e-3)
 
 
 def test_density_of_the_flow_integrates_to_one(flow):
-    x = jax.random.uniform(jax.random.key(3), (100_000, 4))
+    x = _even(COUNT, 3)
     density = np.exp(np.asarray(flow.log_density(x), np.float64))
     assert density.std() > 0.5
     error = density.std() / np.sqrt(len(density))
@@ -65,9 +77,9 @@ def test_density_of_the_flow_integrates_to_one(flow):
 
 
 def test_samples_of_the_flow_are_distributed_by_its_density(flow):
-    count, bins = 100_000, 12
-    x, _ = flow.sample(jax.random.uniform(jax.random.key(4), (count, 4)))
-    even = jax.random.uniform(jax.random.key(5), (count, 4))
+    bins = 12
+    x, _ = flow.sample(_even(COUNT, 4))
+    even = _even(COUNT, 5)
     density = np.exp(np.asarray(flow.log_density(even), np.float64))
     for first, second in ((0, 2), (1, 3)):
 

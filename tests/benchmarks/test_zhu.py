@@ -28,6 +28,9 @@ COUNT, BINS = 100_000, 12
 PLACES = [(0, -6, 0), (0.1, 0, 3), (0, 0, -2), (1.31, 0.2, -0.1)]
 
 
+density_at = jax.jit(density_of_cells, static_argnums=(3, 4))
+
+
 def _receivers(place, count):
     return jnp.asarray(np.repeat(np.array([place], np.float32), count, axis=0))
 
@@ -53,7 +56,7 @@ def _expected(place):
     cosine = np.sqrt(np.maximum(1 - a**2 - b**2, 0))
     directions = np.stack([a, b], axis=1) @ across + cosine[:, None] * axis
     receivers = _receivers(place, len(directions))
-    density = density_of_cells(_logits(1), receivers, jnp.asarray(directions), RADIUS, RINGS)
+    density = density_at(_logits(1), receivers, jnp.asarray(directions), RADIUS, RINGS)
     inside = a**2 + b**2 < sine**2
     part = np.where(inside, np.asarray(density, float) / np.maximum(cosine, 1e-9), 0)
     part *= (2 * sine / fine) ** 2
@@ -70,14 +73,15 @@ def _counts(place, directions):
 def test_densities_of_directions_integrate_to_one(place):
     assert _expected(place).sum() == pytest.approx(1, abs=0.005)
     past = np.array(place) / np.linalg.norm(place)
-    assert density_of_cells(_logits(1), _receivers(place, 1), past[None], RADIUS, RINGS) == 0
+    assert density_at(_logits(1), _receivers(place, 1), past[None], RADIUS, RINGS) == 0
 
 
 @pytest.mark.parametrize("place", PLACES[::3])
 def test_directions_are_distributed_by_their_density(place):
     receivers = _receivers(place, COUNT)
-    directions, density = sample_cells(_logits(COUNT), receivers, RADIUS, RINGS, jax.random.key(3))
-    again = density_of_cells(_logits(COUNT), receivers, directions, RADIUS, RINGS)
+    sample = jax.jit(sample_cells, static_argnums=(2, 3))
+    directions, density = sample(_logits(COUNT), receivers, RADIUS, RINGS, jax.random.key(3))
+    again = density_at(_logits(COUNT), receivers, directions, RADIUS, RINGS)
     # Rounding moves some samples into the next cell.
     assert (np.abs(density / again - 1) < 1e-3).mean() > 0.999
     expected = COUNT * _expected(place)
@@ -91,7 +95,8 @@ def test_directions_are_distributed_by_their_density(place):
 def test_uniform_places_fill_the_cone():
     receivers = _receivers((0.5, 2, 1), COUNT)
     places = np.random.default_rng(4).random((2, COUNT), np.float32)
-    directions = np.asarray(cone_directions(receivers, RADIUS, *places), float)
+    cone = jax.jit(cone_directions, static_argnums=1)
+    directions = np.asarray(cone(receivers, RADIUS, *places), float)
     assert np.linalg.norm(directions, axis=1) == pytest.approx(1, abs=1e-5)
     place = np.array([0.5, 2, 1])
     assert (directions @ place).max() < 0
@@ -123,6 +128,7 @@ def test_rays_enter_the_sphere_before_they_leave_it():
     assert np.linalg.norm(np.cross(points - origins, directions), axis=1).max() < 1e-5
 
 
+@pytest.mark.slow
 def test_training_learns_a_ball():
     rays = _ball()
     config = dataclasses.replace(ZhuConfig(), width=32, blocks=1, rings=4, sectors=8)
