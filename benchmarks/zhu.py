@@ -234,7 +234,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--seconds", type=float, metavar="S", default=120.0, help="that each method gets"
     )
     parser.add_argument(
-        "--converge", action="store_true", help="train the networks of Zhu et al. to the end too"
+        "--converge",
+        action="store_true",
+        help="train the networks of Zhu et al. to convergence too, which takes long on a CPU",
     )
     add_seed(parser)
 
