@@ -40,6 +40,8 @@ from lumitree.core.device import on_device
 from lumitree.core.seeds import Purpose, SeedStream
 
 LAYERS, BINS, WIDTH = 8, 16, 64
+# Radiance below that of an even distribution by this exponent is black to the small network.
+BLACK = 7.0
 _BATCH = 1024
 _RATES = 3e-3, 3e-5
 # Coordinates at once: the splines of so many rays fit a CPU's caches.
@@ -121,8 +123,7 @@ class LightFlow:
             x = jnp.where(jnp.arange(_BATCH)[:, None] % 2, z, self._networks.flow.sample(z)[0])
             wanted = _log_radiance(self._networks, x, self.flux, self._radius)
             found = nnx.merge(graph, params)(x) + self._middle
-            # Rays with a millionth of the mean radiance are black.
-            return jnp.mean((found - jnp.maximum(wanted, self._middle - 14)) ** 2)
+            return jnp.mean((found - jnp.maximum(wanted, self._middle - BLACK)) ** 2)
 
         root = jax.random.key(seeds[1])
         params, _, _ = descend(
