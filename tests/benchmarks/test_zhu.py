@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 from benchmarks.__main__ import main
+from benchmarks.baselines import descent
 from benchmarks.baselines.descent import Budget
 from benchmarks.baselines.direction_cells import (
     cone_directions,
@@ -156,7 +157,9 @@ def test_training_learns_a_ball():
 
 
 @pytest.mark.slow
-def test_the_benchmark_makes_a_row_for_each(tmp_path, capsys):
+def test_the_benchmark_makes_a_row_for_each(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(descent, "_WINDOW", 50)
+    monkeypatch.setattr(descent, "_STEPS", 40)
     options = ["--views", "4", "--resolution", "24", "--spp", "8", "--test-views", "2"]
     options += ["--test-spp", "16", "--seconds", "2", "--converge", "-o", str(tmp_path)]
     assert main(["zhu", "dallas", *options]) == 0
@@ -173,7 +176,7 @@ def test_the_benchmark_makes_a_row_for_each(tmp_path, capsys):
         assert row["milliseconds"] > 0
         assert row["bytes"] > 1000
         assert np.isfinite(list(row["metrics"].values())).all()
-    assert rows["Zhu et al., converged"]["steps"] >= 2000
+    assert rows["Zhu et al., converged"]["steps"] >= 2 * (20 + 50)
     assert set(rows["Zhu et al."]["variance"]) == {"below", "beside", "near"}
     printed = capsys.readouterr().out
     assert all(name in printed for name in rows)
