@@ -44,12 +44,14 @@ def fits(options: argparse.Namespace) -> Mapping[str, Callable[[Any], Any]]:
         far_field_sphere,
         point_lights,
     )
+    from benchmarks.baselines.light_flow import LightFlow
 
     seed = options.seed
     chosen: dict[str, Callable[[Any], Any]] = {
         "far field, point": far_field_point,
         "far field, sphere": far_field_sphere,
         "ray set": lambda rays: RaySet(rays, options.set_rays, seed),
+        "normalizing flow": lambda rays: LightFlow(rays, seed),
     }
     for count in (16, 128, 1024):
         chosen[f"{count} point lights x 32²"] = lambda rays, count=count: point_lights(
@@ -106,8 +108,9 @@ def measure(name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
             "mean_rms": error.mean_rms,
             "rms_error": _known(error.rms_error),
         }
-        if label != "ray set":
-            row["variance"], timed[label] = _receive(made, options.seed)
+        received = _receive(made, options.seed)
+        if received is not None:
+            row["variance"], timed[label] = received
         rows.append(row)
     times = interleaved({label: kernel(record) for label, record in timed.items()}, clock="cpu")
     for row in rows:
@@ -125,8 +128,11 @@ def _percent(value: float | None) -> str:
     return "none" if value is None else f"{100 * value:.1f} %"
 
 
-def _receive(made: Any, seed: int) -> tuple[dict[str, float], Callable[[], Any]]:
-    """Variance over squared mean of one sample at each receiver, and a job that takes samples."""
+def _receive(made: Any, seed: int) -> tuple[dict[str, float], Callable[[], Any]] | None:
+    """Variance over squared mean of one sample at each receiver, and a job that takes samples.
+
+    None for a representation that samples no directions.
+    """
     import drjit as dr
     import mitsuba as mi
 
@@ -136,13 +142,19 @@ def _receive(made: Any, seed: int) -> tuple[dict[str, float], Callable[[], Any]]
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed, SAMPLES)
         x = mi.Point3f(*(dr.opaque(mi.Float, value) for value in place))
-        direction, value = made.sample_direction(x, sampler)
+        sample = made.sample_direction(x, sampler)
+        if sample is None:
+            return None
+        direction, value = sample
         cosine = dr.maximum(dr.dot(direction, -dr.normalize(mi.Vector3f(x))), 0)
         return value * cosine
 
     variance = {}
     for name, place in RECEIVERS.items():
-        light = luminance(np.array(received(place), np.float64).T)
+        value = received(place)
+        if value is None:
+            return None
+        light = luminance(np.array(value, np.float64).T)
         variance[name] = float(light.var() / light.mean() ** 2)
     return variance, lambda: received(RECEIVERS["below"])
 
@@ -199,6 +211,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
         "table": "table on the box",
         "harmonics": "harmonics on the box",
         "exitant": "exitant light field",
+        "flow": "normalizing flow (PureLight)",
     }
     for panel, name in zip(panels[0], names, strict=True):
         for word, label in families.items():
@@ -207,7 +220,8 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
                 for row in rows
                 if row["luminaire"] == name and word in row["representation"]
             ]
-            panel.plot(*zip(*found, strict=True), "o-", markersize=4, label=label)
+            if found:
+                panel.plot(*zip(*found, strict=True), "o-", markersize=4, label=label)
         panel.set(xscale="log", yscale="log", title=name, xlabel="MB")
         panel.grid(alpha=0.3)
     panels[0][0].set_ylabel("RMS error of the irradiance, %")

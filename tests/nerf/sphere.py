@@ -1,5 +1,6 @@
-"""A dataset with closed-form views: an opaque sphere that emits, alone in its box."""
+"""An opaque sphere that emits, alone in its box, in closed-form views; and a tiny network."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -7,11 +8,25 @@ import numpy as np
 from lumitree.core.dataset import Dataset, Frame, Manifest, View
 from lumitree.core.directions import orthographic_rays, view_pose
 from lumitree.core.frames import LocalFrame
+from lumitree.nerf.config import PRESETS
 
 RADIUS = 0.6
 CENTRE = np.array([0.3, 0.1, 0.0])
 HALF_EXTENTS = (1.0, 0.8, 0.7)
 HALF_WIDTH = 1.5
+
+# A network that trains in seconds.
+TINY = dataclasses.replace(
+    PRESETS["preview"],
+    num_layers=2,
+    width=16,
+    output_width=16,
+    num_frequencies=3,
+    num_coarse=8,
+    num_fine=8,
+    rays_per_batch=64,
+    num_steps=20,
+)
 
 
 def sphere_dataset(

@@ -14,24 +14,12 @@ import pytest
 
 from lumitree.errors import LumitreeError
 from lumitree.nerf import train as training
-from lumitree.nerf.config import PRESETS, TrainConfig
+from lumitree.nerf.config import TrainConfig
 from lumitree.nerf.run import restore_checkpoint
 from lumitree.nerf.step import initial_state
 from lumitree.nerf.train import train
 from lumitree.nerf.trained_field import load_field
-from sphere import CENTRE, RADIUS, sphere_dataset
-
-TINY = dataclasses.replace(
-    PRESETS["preview"],
-    num_layers=2,
-    width=16,
-    output_width=16,
-    num_frequencies=3,
-    num_coarse=8,
-    num_fine=8,
-    rays_per_batch=64,
-    num_steps=20,
-)
+from sphere import CENTRE, RADIUS, TINY, sphere_dataset
 
 
 @pytest.fixture(scope="module")

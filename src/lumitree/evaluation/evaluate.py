@@ -2,12 +2,14 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.dataset import Dataset
+from lumitree.core.dataset import Dataset, Frame
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError
 from lumitree.evaluation.baked import baked_view
@@ -61,12 +63,23 @@ def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
             f"the asset ({asset.luminaire}) and {dataset.folder} ({manifest.luminaire}) have "
             "bounding boxes of different proportions; evaluate an asset on its own luminaire"
         )
-    # L_max of the views, not of the asset, so that all assets are compared on one scale.
+    return evaluate_images(dataset, lambda frame: baked_view(asset, manifest, frame))
+
+
+def evaluate_images(
+    dataset: Dataset, render: Callable[[Frame], tuple[NDArray[np.float32], NDArray[np.float32]]]
+) -> Evaluation:
+    """Compare images with every view of `dataset`, as `evaluate_views` does.
+
+    Args:
+        render: radiance [H, W, 3] and opacity [H, W] of a view.
+    """
+    # L_max of the views, not of what is compared, so that all have one scale.
     max_radiance = dataset.max_radiance(dataset.views())
     views, rows = [], []
-    with progress("evaluate", len(manifest.frames)) as advance:
+    with progress("evaluate", len(dataset.manifest.frames)) as advance:
         for view in dataset.views():
-            radiance, opacity = baked_view(asset, manifest, view.frame)
+            radiance, opacity = render(view.frame)
             metrics = view_metrics(
                 radiance, view.radiance, opacity, view.straight_through, max_radiance
             )

@@ -11,8 +11,10 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import nnx
+from jax.sharding import Mesh, NamedSharding
 
 from lumitree.nerf.config import TrainConfig
+from lumitree.nerf.devices import divided, on_all, ray_mesh
 from lumitree.nerf.losses import psnr, total_loss
 from lumitree.nerf.network import CoarseAndFine
 from lumitree.nerf.occupancy import Occupancy
@@ -50,10 +52,11 @@ def make_step(
 ) -> Callable[[TrainState, Batch, Occupancy], tuple[TrainState, jax.Array, jax.Array]]:
     """The jitted training step, which returns the next state, the loss and the gradient norm.
 
-    The step donates the buffers of the given state, which cannot be used afterwards.
+    All devices share the rays (see `state_sharding`). The step donates the buffers of the given
+    state, which cannot be used afterwards.
     """
     optimizer = _optimizer(config)
-    num_chunks = _num_chunks(config, config.rays_per_batch)
+    num_chunks, mesh = _num_chunks(config, config.rays_per_batch), _mesh(config)
 
     def loss_of(params: Any, occupancy: Occupancy, rays: Batch, key: jax.Array) -> jax.Array:
         networks = nnx.merge(graph, params)
@@ -75,6 +78,7 @@ def make_step(
             jax.random.fold_in(jax.random.key(config.seed), state.step), num_chunks
         )
         chunks = jax.tree.map(lambda x: x.reshape(num_chunks, -1, *x.shape[1:]), batch)
+        chunks = divided(mesh, chunks)
         zero = (jnp.zeros(()), jax.tree.map(jnp.zeros_like, state.params))
         total, _ = jax.lax.scan(add_chunk, zero, (chunks, keys))
         loss, gradients = jax.tree.map(lambda x: x / num_chunks, total)
@@ -86,7 +90,16 @@ def make_step(
             optax.global_norm(gradients),
         )
 
-    return jax.jit(step, donate_argnums=0)
+    return jax.jit(step, donate_argnums=0, out_shardings=on_all(mesh))
+
+
+def state_sharding(config: TrainConfig) -> NamedSharding:
+    """Where the arrays of a state must be for `make_step`: on each of the devices that share."""
+    return on_all(_mesh(config))
+
+
+def _mesh(config: TrainConfig) -> Mesh:
+    return ray_mesh(config.rays_per_batch // _num_chunks(config, config.rays_per_batch))
 
 
 def make_evaluation(

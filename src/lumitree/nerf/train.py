@@ -32,7 +32,13 @@ from lumitree.nerf.run import (
     restore_checkpoint,
     save_checkpoint,
 )
-from lumitree.nerf.step import TrainState, initial_state, make_evaluation, make_step
+from lumitree.nerf.step import (
+    TrainState,
+    initial_state,
+    make_evaluation,
+    make_step,
+    state_sharding,
+)
 
 _CHECKPOINT_SECONDS = 60.0
 _REPORT_SECONDS = 5.0
@@ -128,7 +134,7 @@ class _Loop:
         self.folder, self.rays, self.config = folder, rays, config
         self.checkpoints, self.history = checkpoints, history
         self.held_out = rays.held_out()
-        self.occupancy = jax.device_put(occupancy)
+        self.occupancy = jax.device_put(occupancy, state_sharding(config))
         self.step = make_step(config, graph, rays.max_radiance)
         self.evaluate = make_evaluation(config, graph, rays.max_radiance)
         self.earlier = history[-1]["seconds"] if history else 0.0
@@ -138,6 +144,7 @@ class _Loop:
     def run(self, state: TrainState, last: int) -> TrainResult:
         """Train up to step `last` and save the state, unless the loss is not finite."""
         first = done = int(state.step)
+        state = jax.device_put(state, state_sharding(self.config))
         start = reported = saved = time.monotonic()
         with (
             deferred_interrupt() as interrupted,
