@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test slow lint check docs format clean
+.PHONY: demo test slow lint check docs paper format clean
 
 demo: $(VENV)/.installed
 	$(BIN)/lumitree demo -o demo-output
@@ -25,6 +25,9 @@ check: lint test docs
 
 docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build
+
+paper: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks paper --scale cpu
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .

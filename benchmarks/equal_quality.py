@@ -199,8 +199,11 @@ def compare(pair: Pair, explicit: Method, baked: Method, clock: ClockName) -> di
             ("lit_robust", relative * lit * trimming(*noisy)),
         )
     }
-    runs = [(m.rungs, m.long.batches, m.long.seconds[clock]) for m in (explicit, baked)]
-    display, own = display_rows(runs[0], runs[1], clock)
+    runs = {
+        name: (method.rungs, method.long.batches, method.long.seconds[clock])
+        for name, method in (("explicit", explicit), ("baked", baked))
+    }
+    display, own = display_rows(runs, clock)
     saved = (best["explicit_seconds"] or 0.0) - best["baked_seconds"]
     means = ratio_of_means(baked.long.batches, explicit.long.batches)
     rel_mse = squared_difference(baked.long.batches, explicit.long.batches, reference.weights)

@@ -1,8 +1,9 @@
 """The two ways to render a pair, with the explicit lamp and with the baked one."""
 
 import argparse
+import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import lumitree
 from benchmarks.equal_error.batches import LongRun, digest, ladder, remember
@@ -10,16 +11,34 @@ from benchmarks.equal_error.error_against_time import Floats, Pace, noise
 from benchmarks.equal_error.pairs import Pair
 from lumitree.core.backend import load_mitsuba
 
+if TYPE_CHECKING:
+    from lumitree.rendering.emitter_sampling import Sampling
+
 # What a picture of the baked lamp depends on, besides its asset and the room.
 _SOURCES = ("rendering", "octree", "asset", "core")
+
+
+@dataclasses.dataclass(frozen=True)
+class Way:
+    """How the baked lamp is rendered; members as the arguments of `place_luminaires`.
+
+    Images show the model of a lamp, if its asset has one.
+    """
+
+    sampling: "Sampling" = "emission"
+    min_density: float = 0.0
+    max_opacity: float = 1.0
 
 
 class Method:
     """One way to render the pair: its long run and its ladder, and how to extend both."""
 
-    def __init__(self, pair: Pair, baked: bool, options: argparse.Namespace) -> None:
+    def __init__(
+        self, pair: Pair, baked: bool, options: argparse.Namespace, way: Way | None = None
+    ) -> None:
         from lumitree.luminaire.luminaire import load_luminaire
         from lumitree.luminaire.scene_file import SceneFile
+        from lumitree.octree.field import Thresholds
         from lumitree.rendering.passes import Budget, render_passes
         from lumitree.rendering.placement import Placement
         from lumitree.rendering.scene import (
@@ -32,11 +51,13 @@ class Method:
         room, _ = load_scene(pair.room)
         set_film_width(room, options.width)
         source = pair.asset if baked else pair.luminaire
-        # Images show the model of a lamp, if its asset has one.
+        way = Way() if way is None else way
         scene = place_luminaires(
             room,
             [PlacedLuminaire(Placement(source, at=pair.at, size=pair.size))],
+            sampling=way.sampling,
             appearance="model",
+            thresholds=Thresholds(way.min_density, way.max_opacity),
         )
         mi = load_mitsuba()
         if baked:
@@ -46,6 +67,7 @@ class Method:
         key = {
             "room": digest(Path(pair.room), *SceneFile(pair.room).references()),
             "lamp": digest(Path(source)) if baked else load_luminaire(source).fingerprint,
+            "way": dataclasses.asdict(way) if baked else None,
             "at": pair.at,
             "size": pair.size,
             "integrator": self.kind,

@@ -108,38 +108,52 @@ def levels(
 
 
 def display_rows(
-    explicit: tuple[list[dict], Floats, float], baked: tuple[list[dict], Floats, float], clock: str
+    runs: dict[str, tuple[list[dict], Floats, float]],
+    clock: str,
+    weights: Floats | float = 1.0,
 ) -> tuple[dict[str, list[dict]], float]:
-    """`rmse_display` of both ladders and of both long runs, and that of the reference.
+    """`rmse_display` of the ladders and of the long runs, and that of the reference.
 
     The reference is the explicit lamp's long run. Its own error is half the difference between the
     means of its odd and its even batches, and is subtracted from all others. The last explicit
     image is the mean of every second batch: its error is that difference over √2.
 
     Args:
-        explicit, baked: rungs, batches [K, H, W, 3] of the long run, and its seconds.
+        runs: rungs, batches [K, H, W, 3] of the long run, and its seconds, by method. The method
+            `explicit` is the reference.
+        clock: that the seconds of rungs are by.
+        weights: see `display_rmse`.
     """
-    halves = explicit[1][0::2].mean(0), explicit[1][1::2].mean(0)
-    reference = explicit[1].mean(0)
-    difference = float(display_rmse(halves[0][None], halves[1])[0])
+    explicit = runs["explicit"][1]
+    reference = explicit.mean(0)
+    difference = noise_of_mean(explicit, weights) * 2
     own = difference / 2
     rows = {}
-    for name, (rungs, batches, seconds) in (("explicit", explicit), ("baked", baked)):
+    for name, (rungs, batches, seconds) in runs.items():
         rows[name] = [
             {
                 "seconds": float(np.median(rung["seconds"][clock])),
-                "rmse": _without(display_rmse(rung["images"], reference), own),
+                "rmse": _without(display_rmse(rung["images"], reference, weights), own),
             }
             for rung in rungs
         ]
         last = {
             "seconds": seconds,
-            "rmse": _without(display_rmse(batches.mean(0)[None], reference), own),
+            "rmse": _without(display_rmse(batches.mean(0)[None], reference, weights), own),
         }
         if name == "explicit":
             last = {"seconds": seconds / 2, "rmse": difference / np.sqrt(2)}
         rows[name].append(last)
     return rows, own
+
+
+def noise_of_mean(batches: Floats, weights: Floats | float = 1.0) -> float:
+    """`rmse_display` of the mean of batches [K, H, W, 3] by their noise.
+
+    Half of that of the mean of the even batches against the mean of the odd ones.
+    """
+    halves = batches[0::2].mean(0), batches[1::2].mean(0)
+    return float(display_rmse(halves[0][None], halves[1], weights)[0]) / 2
 
 
 def _without(errors: Floats, own: float) -> float:

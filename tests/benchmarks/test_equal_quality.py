@@ -128,7 +128,7 @@ def test_display_levels_subtract_the_noise_of_the_reference():
 
     explicit = rungs(0.4), noisy(16, 0.4 / 16), 16 * 256.0
     baked = rungs(0.1), noisy(16, 0.1 / 16), 16 * 256.0
-    rows, own = display_rows(explicit, baked, "cpu")
+    rows, own = display_rows({"explicit": explicit, "baked": baked}, "cpu")
     assert own == pytest.approx(rows["explicit"][-1]["rmse"] / 2**0.5, rel=1e-6)
     for level in display_levels(rows, own):
         assert level["speedup"] == pytest.approx(16, rel=0.25)

@@ -2,12 +2,14 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.dataset import Dataset
+from lumitree.core.dataset import Dataset, Frame
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError
 from lumitree.evaluation.baked import baked_view
@@ -27,6 +29,8 @@ from lumitree.evaluation.metrics import (
 )
 from lumitree.evaluation.sheet import MAX_ROWS, SheetRow
 from lumitree.luminaire.luminaire import Luminaire
+
+Predict = Callable[[Frame], tuple[NDArray[np.floating], NDArray[np.floating]]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,9 +53,6 @@ class Evaluation:
 def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
     """Compare an asset with every view of `dataset`.
 
-    The opacity that is compared is `straight_through`: the renderer multiplies the light behind
-    the luminaire by 1 minus this opacity (D7).
-
     Raises:
         LumitreeError: the dataset shows a luminaire of other proportions, or nothing.
     """
@@ -61,12 +62,27 @@ def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
             f"the asset ({asset.luminaire}) and {dataset.folder} ({manifest.luminaire}) have "
             "bounding boxes of different proportions; evaluate an asset on its own luminaire"
         )
+    return compare_views(lambda frame: baked_view(asset, manifest, frame), dataset)
+
+
+def compare_views(predict: Predict, dataset: Dataset) -> Evaluation:
+    """Compare images with every view of `dataset`.
+
+    The opacity that is compared is `straight_through`: the renderer multiplies the light behind
+    the luminaire by 1 minus this opacity (D7).
+
+    Args:
+        predict: returns radiance [H, W, 3] and opacity [H, W] of a view.
+
+    Raises:
+        LumitreeError: the dataset shows nothing.
+    """
     # L_max of the views, not of the asset, so that all assets are compared on one scale.
     max_radiance = dataset.max_radiance(dataset.views())
     views, rows = [], []
-    with progress("evaluate", len(manifest.frames)) as advance:
+    with progress("evaluate", len(dataset.manifest.frames)) as advance:
         for view in dataset.views():
-            radiance, opacity = baked_view(asset, manifest, view.frame)
+            radiance, opacity = predict(view.frame)
             metrics = view_metrics(
                 radiance, view.radiance, opacity, view.straight_through, max_radiance
             )

@@ -60,9 +60,7 @@ def make_step(
         coarse, fine = render(
             networks, occupancy, rays.origins, rays.directions, max_radiance, config, key
         )
-        return total_loss(
-            coarse, fine, rays.radiance, rays.opacity, max_radiance, config.stop_gradient
-        )
+        return total_loss(coarse, fine, rays.radiance, rays.opacity, max_radiance, config)
 
     def step(
         state: TrainState, batch: Batch, occupancy: Occupancy

@@ -1,0 +1,318 @@
+"""Table 5: time at equal `rmse_display`, from the paper's way of using the field to ours.
+
+Methods, each with all of what the one before it has:
+
+* explicit: the lamp itself, path traced; the reference is its long run;
+* proxy: as the paper: an octree of density and harmonics, directions sampled uniformly over the
+  proxy, thresholds σ_min = 0.1 and α_max = 0.9;
+* leaves: directions sampled in proportion to the emission, exact traversal;
+* divided: illumination by the exitant light field, appearance by the lamp's model (by the field
+  for lamps with media).
+
+All are compared with the reference at the RMSE that the paper's method has for this lamp, and at
+coarser levels, over the whole image and over the pixels that do not show the lamp's box.
+"""
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from benchmarks.paper_tables.cells import Cell, Measured
+from benchmarks.paper_tables.found import Found
+from benchmarks.paper_tables.pictures import stack, strip
+from benchmarks.paper_tables.scales import LAMPS, Scale
+from benchmarks.paper_tables.scoring import costs
+from benchmarks.paper_tables.work import Built, Work
+from lumitree.asset.file import load, save
+from lumitree.core.images import tonemap
+from lumitree.errors import LumitreeError
+
+if TYPE_CHECKING:
+    from benchmarks.equal_error.method import Method
+    from benchmarks.equal_error.pairs import Pair
+
+# Room, samples, RMSE and seconds of path tracing and of the paper's method, speed-up as printed.
+PAPER = {
+    "portica": ("Living Room", (4096, 7.1211, 84 * 60.0), (32, 6.8146, 52.4), 96.2),
+    "dallas": ("Bedroom", (1024, 7.9824, 24.6 * 60), (32, 7.9228, 84.0), 17.57),
+    "cluster": ("Living Room 2", (1024, 7.5267, 19 * 60.0), (4, 7.4239, 11.9), 95.8),
+    "neoclassical": ("Bedroom", (1024, 7.2304, 14.1 * 60), (16, 7.3782, 22.2), 38.11),
+    "star": ("Living Room 2", (512, 2.6439, 7.8 * 60), (32, 2.7113, 53.0), 8.83),
+}
+METHODS = {
+    "proxy": "the paper: uniform over the proxy, thresholds",
+    "leaves": "importance sampling of leaves, exact traversal",
+    "divided": "exitant light field, model as appearance",
+}
+COARSER = (12.0, 25.0)
+PARTS = {"whole": "whole image", "beside": "beside the lamp"}
+# Parts of the time: the reference and its ladder; each method's long run and ladder.
+_REFERENCE, _REFERENCE_LADDER, _LONG, _LADDER = 0.55, 0.09, 0.08, 0.04
+
+
+def cells(scale: Scale) -> list[Cell]:
+    """One for each lamp."""
+    return [
+        Cell(
+            f"5-{lamp}",
+            5,
+            {"lamp": lamp, "direct": scale.direct, "equal": scale.equal, "levels": _levels(lamp)},
+            scale.equal.seconds / 60 * 1.5 + scale.minutes[1],
+            lambda work, lamp=lamp: measure(work, lamp),
+        )
+        for lamp in scale.equal_lamps
+    ]
+
+
+def _levels(lamp: str) -> tuple[float, ...]:
+    return PAPER[lamp][2][1], *COARSER
+
+
+def measure(work: Work, lamp: str) -> Measured:
+    """Long runs and ladders of all methods, and the time of each at each level."""
+    from benchmarks.equal_error.pairs import PAIRS, read_pairs, shows_lamp
+
+    if work.rooms is None:
+        raise LumitreeError(f"5-{lamp} needs a room; give the folder of rooms with --rooms")
+    asset = work.direct_asset(lamp, work.scale.direct)
+    field_only = asset.path.with_name("field.lumitree")
+    if not field_only.is_file():
+        save(dataclasses.replace(load(asset.path), exitant=None, model=None), field_only)
+    pair = next(
+        pair
+        for pair in read_pairs(PAIRS, work.rooms, asset.path.parent, Path())
+        if pair.luminaire == lamp
+    )
+    methods = _methods(pair, field_only, asset, work)
+    seconds = work.scale.equal.seconds
+    for name, method in methods.items():
+        parts = (_REFERENCE, _REFERENCE_LADDER) if name == "explicit" else (_LONG, _LADDER)
+        method.spend(parts[0] * seconds, parts[1] * seconds)
+    beside = 1.0 - shows_lamp(methods["proxy"].scene)
+    weights = {"whole": np.ones_like(beside), "beside": beside / beside.mean()}
+    values: dict[str, Any] = {
+        "room": pair.room_name,
+        "parts": {name: readings(methods, _levels(lamp), w) for name, w in weights.items()},
+        "seconds_per_sample": {name: _pace(method) for name, method in methods.items()},
+        "integrators": {name: method.kind for name, method in methods.items()},
+        "has_model": load(asset.path).model is not None,
+        "costs": costs(asset),
+    }
+    return Measured(values, {"sheet": sheet(methods)})
+
+
+def _methods(pair: "Pair", field: Path, whole: Built, work: Work) -> "dict[str, Method]":
+    from benchmarks.equal_error.method import Method, Way
+
+    equal = work.scale.equal
+    options = argparse.Namespace(
+        width=equal.width,
+        path_depth=equal.path_depth,
+        explicit=None,
+        cache=work.folder / "equal-quality",
+    )
+    alone = dataclasses.replace(pair, asset=str(field))
+    both = dataclasses.replace(pair, asset=str(whole.path))
+    return {
+        "explicit": Method(pair, False, options),
+        "proxy": Method(alone, True, options, Way("uniform", 0.1, 0.9)),
+        "leaves": Method(alone, True, options),
+        "divided": Method(both, True, options),
+    }
+
+
+def _pace(method: "Method") -> float:
+    """CPU seconds of a sample a pixel, from the long run."""
+    return method.long.seconds["cpu"] / method.long.samples_per_pixel
+
+
+def readings(
+    methods: "dict[str, Method]", levels: tuple[float, ...], weights: Any
+) -> dict[str, Any]:
+    """For each method its bias, and its CPU seconds and samples at each level.
+
+    A level below the reference's own error, or below the bias of a method, has none.
+    """
+    from benchmarks.equal_error.readings import display_rows, noise_of_mean
+
+    runs = {
+        name: (method.rungs, method.long.batches, method.long.seconds["cpu"])
+        for name, method in methods.items()
+    }
+    rows, own = display_rows(runs, "cpu", weights)
+    found: dict[str, Any] = {"reference": own, "levels": list(levels), "methods": {}}
+    for name, method in methods.items():
+        noise = noise_of_mean(method.long.batches, weights)
+        last = rows[name][-1]["rmse"]
+        bias = 0.0 if name == "explicit" else float(np.sqrt(max(last**2 - noise**2, 0.0)))
+        # The reference's time is that of its half, whose error is √2 times larger.
+        times = [
+            seconds_at(level, rows[name], bias, own, method.long.seconds["cpu"], noise)
+            for level in levels
+        ]
+        pace = _pace(method)
+        found["methods"][name] = {
+            "bias": bias,
+            "seconds": times,
+            "samples": [None if time is None else time / pace for time in times],
+            "points": rows[name],
+        }
+    return found
+
+
+def seconds_at(
+    level: float,
+    points: list[dict[str, float]],
+    bias: float,
+    floor: float,
+    long_seconds: float,
+    noise: float,
+) -> float | None:
+    """CPU seconds for an error of `level`; None where it is below `floor` or `bias`.
+
+    Between measured points by interpolation. Beyond the last one the squared error is the squared
+    bias, plus a noise that falls as 1 / time.
+    """
+    from benchmarks.equal_error.error_against_time import time_to_reach
+
+    if level <= max(bias, floor):
+        return None
+    ordered = sorted(points, key=lambda point: point["seconds"])
+    seconds = np.array([point["seconds"] for point in ordered])
+    errors = np.array([max(point["rmse"], 1e-9) for point in ordered])
+    found, kind = time_to_reach(level, seconds, errors)
+    if kind == "measured":
+        return found
+    return long_seconds * noise**2 / (level**2 - bias**2)
+
+
+def sheet(methods: "dict[str, Method]") -> Any:
+    """The reference, and all methods in about the same time; crops below."""
+    reference = methods["explicit"].long.mean
+    brightness = reference.mean(-1)
+    exposure = 0.18 / float(np.median(brightness[brightness > 0]))
+    ours = methods["divided"].rungs
+    target = ours[min(4, len(ours) - 1)]
+    seconds = float(np.median(target["seconds"]["cpu"]))
+
+    def nearest(method: "Method") -> Any:
+        rungs = method.rungs
+        gaps = [abs(np.log(np.median(rung["seconds"]["cpu"]) / seconds)) for rung in rungs]
+        return rungs[int(np.argmin(gaps))]["images"][0]
+
+    images = [reference, *(nearest(method) for method in methods.values())]
+    height, width = reference.shape[:2]
+    crop = np.s_[height // 4 : height // 4 + height // 2, width // 4 : width // 4 + width // 2]
+    factor = max(1, 320 // width)
+    rows = []
+    for part, scale in ((np.s_[:, :], factor), (crop, 2 * factor)):
+        tiles = [tonemap(np.ascontiguousarray(image[part]), exposure) for image in images]
+        rows.append(strip([tile.repeat(scale, 0).repeat(scale, 1) for tile in tiles]))
+    least = min(row.shape[1] for row in rows)
+    return stack([row[:, :least] for row in rows])
+
+
+def section(found: Found) -> str:
+    """The paper's table beside ours, then all levels, and the images."""
+    text = ""
+    for part, title in PARTS.items():
+        text += f"At the paper's RMSE, {title}:\n\n{_paper_level(found, part)}\n"
+    if not found.has(*(f"5-{lamp}" for lamp in LAMPS)):
+        return text
+    text += f"At coarser levels:\n\n{_coarser(found)}\n"
+    if draw_ladder(found):
+        text += found.image("page", "ladder", "Speed-up over the explicit lamp, by method")
+    text += "Reference; in about equal time: explicit, the paper's way, importance sampling, "
+    text += "divided. Below: the middle of each.\n\n"
+    return text + "".join(found.image(f"5-{lamp}", "sheet", lamp) for lamp in LAMPS)
+
+
+def _paper_level(found: Found, part: str) -> str:
+    heads = ["lamp", "room (paper / ours)", "RMSE", "paper: PT spp, s", "ours spp, s", "speed-up"]
+    heads += ["explicit: spp, CPU s"]
+    for name in METHODS:
+        heads += [f"{name}: spp, CPU s", "speed-up"]
+    rows = []
+    for lamp, (room, traced, theirs, speedup) in PAPER.items():
+        values = found.values(f"5-{lamp}")
+        row = [lamp, f"{room} / {values.get('room', '')}", f"{theirs[1]:.2f}"]
+        row += [f"{traced[0]}, {traced[2]:.0f}", f"{theirs[0]}, {theirs[2]:.0f}", f"{speedup:.1f}"]
+        if values:
+            methods = values["parts"][part]["methods"]
+            row.append(_cost(values, part, "explicit", 0))
+            for name in METHODS:
+                row += [_cost(values, part, name, 0), _times(speedup_of(methods, name, 0))]
+        else:
+            row += [found.missing] * (1 + 2 * len(METHODS))
+        rows.append(row)
+    return found.table(heads, rows, left=2)
+
+
+def _coarser(found: Found) -> str:
+    heads = ["lamp", "part", "reference's error", *(f"{name}: bias" for name in METHODS)]
+    heads += [f"{name} at {level:g}" for level in COARSER for name in METHODS]
+    rows = []
+    for lamp in LAMPS:
+        values = found.values(f"5-{lamp}")
+        for part, title in PARTS.items() if values else ():
+            reading = values["parts"][part]
+            methods = reading["methods"]
+            row = [lamp, title, f"{reading['reference']:.1f}"]
+            row += [f"{methods[name]['bias']:.1f}" for name in METHODS]
+            row += [
+                _times(speedup_of(methods, name, index + 1))
+                for index in range(len(COARSER))
+                for name in METHODS
+            ]
+            rows.append(row)
+    return found.table(heads, rows, left=2)
+
+
+def speedup_of(methods: dict[str, Any], name: str, level: int) -> float | None:
+    """Seconds of the explicit lamp over those of a method; None where either has none."""
+    explicit, own = methods["explicit"]["seconds"][level], methods[name]["seconds"][level]
+    return None if explicit is None or own is None else explicit / own
+
+
+def _cost(values: dict[str, Any], part: str, name: str, level: int) -> str:
+    reading = values["parts"][part]
+    method = reading["methods"][name]
+    if method["seconds"][level] is not None:
+        return f"{method['samples'][level]:.3g}, {method['seconds'][level]:.3g}"
+    if reading["levels"][level] <= reading["reference"]:
+        return f"reference: {reading['reference']:.1f}"
+    return f"bias: {method['bias']:.1f}"
+
+
+def _times(value: float | None) -> str:
+    return "none" if value is None else f"{value:.3g}"
+
+
+def draw_ladder(found: Found) -> bool:
+    """Plot of the speed-up by method for each lamp; False where no cell has one."""
+    from benchmarks.paper_tables.plots import ladder
+
+    lines = {}
+    for lamp in LAMPS:
+        values = found.values(f"5-{lamp}")
+        if not values:
+            continue
+        for part in PARTS:
+            methods = values["parts"][part]["methods"]
+            # The paper's level where all methods reach it, else the first coarser one.
+            counts = range(len(values["parts"][part]["levels"]))
+            by_level = {
+                level: [speedup_of(methods, name, level) for name in METHODS] for level in counts
+            }
+            level = max(
+                counts, key=lambda each: (sum(s is not None for s in by_level[each]), -each)
+            )
+            lines[lamp, part] = (values["parts"][part]["levels"][level], by_level[level])
+    if not lines:
+        return False
+    paper = {lamp: row[3] for lamp, row in PAPER.items()}
+    ladder(found.image_path("ladder"), lines, list(METHODS), PARTS, paper)
+    return True
