@@ -11,6 +11,7 @@ from benchmarks.common.tables import Table
 from benchmarks.paper_tables import (
     costs,
     equal_quality,
+    figures,
     harmonics,
     losses,
     reconstruction,
@@ -23,7 +24,7 @@ from benchmarks.paper_tables.scales import SCALES, Scale, ScaleName
 from lumitree.core.files import write_bytes
 
 NOTES = Path(__file__).parent / "notes"
-MODULES = (reconstruction, losses, harmonics, transmittance, equal_quality, step)
+MODULES = (reconstruction, losses, harmonics, transmittance, equal_quality, step, figures)
 Section = Callable[[Found], str]
 # Number of the section, its title, and what writes it; None for results of other benchmarks.
 SECTIONS: tuple[tuple[int, str, Section | str], ...] = (
@@ -36,6 +37,7 @@ SECTIONS: tuple[tuple[int, str, Section | str], ...] = (
     (7, "Against everything else", "representations"),
     (8, "Memory, precomputation, overhead", costs.section),
     (0, "One training step", step.section),
+    (9, "Figures", figures.section),
 )
 _TITLES: dict[ScaleName, str] = {
     "cpu": "CPU scale",
@@ -84,7 +86,7 @@ def _at_scale(number: int, content: Section, name: ScaleName, store: Store, path
 
 def title_of(number: int) -> str:
     """Heading's end, by which headings of one page differ."""
-    return f"table {number}" if number else "training step"
+    return {0: "training step", 9: "figures"}.get(number, f"table {number}")
 
 
 def provenance(records: Iterable[dict[str, Any]]) -> str:

@@ -60,6 +60,7 @@ class Scale:
         transmittance_lamps: of Table 4.
         equal: of Table 5.
         equal_lamps: lamps of Table 5.
+        figure: width in pixels and samples a pixel of converged images.
         minutes: of training a network, of a direct bake and of capturing a lamp, for estimates.
     """
 
@@ -77,6 +78,7 @@ class Scale:
     transmittance_lamps: tuple[str, ...]
     equal: EqualQuality
     equal_lamps: tuple[str, ...]
+    figure: tuple[int, int]
     minutes: tuple[float, float, float]
 
 
@@ -98,6 +100,7 @@ SCALES: dict[ScaleName, Scale] = {
         transmittance_lamps=("portica", "dallas"),
         equal=EqualQuality(width=400, path_depth=64, seconds=7200.0),
         equal_lamps=LAMPS,
+        figure=(640, 4096),
         minutes=(1200.0, 30.0, 30.0),
     ),
     # Two cores. 8000 steps of the small network: after that, the PSNR of `preview` grows by less
@@ -118,6 +121,7 @@ SCALES: dict[ScaleName, Scale] = {
         transmittance_lamps=("portica", "dallas"),
         equal=EqualQuality(width=80, path_depth=64, seconds=600.0),
         equal_lamps=LAMPS,
+        figure=(320, 256),
         minutes=(7.0, 6.0, 3.0),
     ),
     # Seconds a cell, for the tests: structure and orders of magnitude, not figures.
@@ -144,6 +148,7 @@ SCALES: dict[ScaleName, Scale] = {
         transmittance_lamps=("neoclassical",),
         equal=EqualQuality(width=24, path_depth=6, seconds=6.0),
         equal_lamps=("neoclassical",),
+        figure=(32, 8),
         minutes=(0.1, 0.3, 0.1),
     ),
 }

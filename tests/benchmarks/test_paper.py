@@ -193,6 +193,7 @@ def full_store(store, scale):
             "parts": {"whole": part, "beside": part},
             "seconds_per_sample": {"explicit": 1.0, "proxy": 1.25, "leaves": 1.0, "divided": 0.5},
         },
+        9: {"leaves": 1000},
         0: {"of this scale": step_values | {"peak_flops_per_second": 1e11}},
     }
     for each in all_cells(scale):
