@@ -81,11 +81,7 @@ def measure(work: Work, lamp: str) -> Measured:
     field_only = asset.path.with_name("field.lumitree")
     if not field_only.is_file():
         save(dataclasses.replace(load(asset.path), exitant=None, model=None), field_only)
-    pair = next(
-        pair
-        for pair in read_pairs(PAIRS, work.rooms, asset.path.parent, Path())
-        if pair.luminaire == lamp
-    )
+    (pair,) = read_pairs(PAIRS, work.rooms, asset.path.parent, Path(), only=lamp)
     methods = _methods(pair, field_only, asset, work)
     seconds = work.scale.equal.seconds
     for name, method in methods.items():
@@ -192,7 +188,8 @@ def seconds_at(
 def sheet(methods: "dict[str, Method]") -> Any:
     """The reference, and all methods in about the same time; crops below."""
     reference = methods["explicit"].long.mean
-    brightness = reference.mean(-1)
+    # The long run of least noise, with the same light.
+    brightness = methods["divided"].long.mean.mean(-1)
     exposure = 0.18 / float(np.median(brightness[brightness > 0]))
     ours = methods["divided"].rungs
     target = ours[min(4, len(ours) - 1)]

@@ -81,8 +81,8 @@ def _room(asset: Asset, scale: Scale) -> NDArray[np.uint8]:
     from lumitree.rendering.passes import Budget, render_passes
 
     width, samples = scale.figure
-    integrator = mi.load_dict({"type": "lumitree_path", "max_depth": _PATH_DEPTH})
     scene = placed(asset, width, appearance="model")
+    integrator = mi.load_dict({"type": "lumitree_path", "max_depth": _PATH_DEPTH})
     radiance: Any = render_passes(scene, integrator, Budget(samples), seed=0).radiance
     brightness = radiance.mean(-1)
     return tonemap(radiance, 0.18 / float(np.median(brightness[brightness > 0])))

@@ -16,6 +16,8 @@ _LABELS = {
     "divided": "+ illumination and\nappearance divided",
 }
 _DPI = 110
+# Where the paper's own figures are.
+_PRINTED = -0.9
 
 
 def ladder(
@@ -43,10 +45,14 @@ def ladder(
             label, colour = f"{lamp} (at {level:.3g})", f"C{index}"
             panel.plot(*zip(*known, strict=True), "o-", color=colour, label=label) if known else ()
             if part == next(iter(parts)):
-                panel.plot([-0.5], [paper[lamp]], "D", color=colour, markersize=5, clip_on=False)
-        panel.set_xticks([-0.5, *range(len(methods))])
-        panel.set_xticklabels(["as printed", *(_LABELS[name] for name in methods)], fontsize=8)
-        panel.set(yscale="log", title=title, xlim=(-0.8, len(methods) - 0.6))
+                panel.plot(
+                    [_PRINTED], [paper[lamp]], "D", color=colour, markersize=5, clip_on=False
+                )
+        panel.set_xticks([_PRINTED, *range(len(methods))])
+        panel.set_xticklabels(
+            ["as printed in\nthe paper", *(_LABELS[name] for name in methods)], fontsize=8
+        )
+        panel.set(yscale="log", title=title, xlim=(_PRINTED - 0.4, len(methods) - 0.6))
         panel.axhline(1, color="grey", linewidth=0.8)
         panel.yaxis.set_major_formatter(FormatStrFormatter("%g"))
         panel.grid(alpha=0.3, which="both")

@@ -3,6 +3,7 @@
 import dataclasses
 import sys
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -98,7 +99,9 @@ def run_cells(
         start = time.monotonic()
         try:
             complete = run(cell.name, setting)
-        except LumitreeError as error:
+        except Exception as error:  # also of a process that the system has killed
+            if not isinstance(error, LumitreeError):
+                traceback.print_exc()
             failed.append(f"{cell.name}: {error}")
             continue
         word = "measured" if complete else "not complete yet"

@@ -214,14 +214,14 @@ def test_the_page_shows_the_papers_figures_ours_and_what_is_missing(mi, tmp_path
     assert "Measured by" not in text
 
     full_store(stores["cpu"], SCALES["cpu"])
-    (tmp_path / "results" / "zhu.md").write_text("# Zhu\n\n| a |\n|---|\n| 10.96 |\n\nmore\n")
+    (tmp_path / "results" / "zhu.md").write_text("# Zhu\n\n| a |\n|---|\n| 10.96 |\n\nBeside it.\n")
     write_page(page, stores, tmp_path / "results")
     text = page.read_text()
     # What remains are the results of `representations`.
     assert text.count("not measured yet") == 0
     assert "Not measured yet: `python -m benchmarks representations`" in text
     assert "| 10.96 |" in text
-    assert "more" not in text
+    assert "Beside it." not in text
     # Table 1, 2, 4, 5 and 8.
     assert "| dallas | 31.51 | 0.937 | 12.35 | 12.35 | 12.346 |" in text
     assert "| MSE | 19.85 | 0.699 | 0.362 | 12.35 |" in text
