@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 from benchmarks.common.tables import Table
-from benchmarks.paper_tables.cells import Store
+from benchmarks.paper_tables.cells import Cell, Store
 from benchmarks.paper_tables.page import all_cells, write_page
 from benchmarks.paper_tables.running import Setting, run_cells
 from benchmarks.paper_tables.scales import SCALE_NAMES, SCALES, ScaleName
@@ -44,25 +44,37 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(options: argparse.Namespace) -> None:
-    scale = SCALES[options.scale]
-    cells = [
+def chosen(cells: list[Cell], tables: list[int] | None, names: list[str] | None) -> list[Cell]:
+    """The cells of these tables and with these names; None for all.
+
+    Raises:
+        LumitreeError: a table has no cells, or there is no cell of a name.
+    """
+    numbers, known = {cell.table for cell in cells}, {cell.name for cell in cells}
+    unknown = [str(table) for table in tables or () if table not in numbers]
+    unknown += [name for name in names or () if name not in known]
+    if unknown:
+        raise LumitreeError(f"no cells of {', '.join(unknown)}; --list shows those of a scale")
+    return [
         cell
-        for cell in all_cells(scale)
-        if (options.table is None or cell.table in options.table)
-        and (options.cell is None or cell.name in options.cell)
+        for cell in cells
+        if (tables is None or cell.table in tables) and (names is None or cell.name in names)
     ]
-    if not cells:
-        raise LumitreeError("no cell has this table and name; --list shows the cells of a scale")
-    shown: tuple[ScaleName, ...] = SHOWN if options.scale in SHOWN else (options.scale,)
+
+
+def run(options: argparse.Namespace) -> None:
+    name: ScaleName = options.scale
+    scale = SCALES[name]
+    cells = chosen(all_cells(scale), options.table, options.cell)
+    shown: tuple[ScaleName, ...] = SHOWN
+    if name not in SHOWN:
+        shown = (name,)
     page = options.page
     if page is None:
-        page = (
-            PAGE if shown == SHOWN else Path(options.output) / "paper" / options.scale / "page.md"
-        )
+        page = PAGE if shown == SHOWN else Path(options.output) / "paper" / name / "page.md"
     images = page.parent / "images" / "paper"
     setting = Setting(
-        scale=options.scale,
+        scale=name,
         results=Path(options.output),
         images=images,
         work=options.work,
@@ -76,7 +88,7 @@ def run(options: argparse.Namespace) -> None:
         rows = [[cell.name, state, f"{cell.minutes:.1f}"] for cell, state in states]
         print(Table(["cell", "state", "minutes"], rows, left=2).text())
         return
-    stores = {name: Store(setting.results, images, name) for name in shown}
+    stores: dict[ScaleName, Store] = {each: Store(setting.results, images, each) for each in shown}
 
     def show() -> None:
         write_page(page, stores, setting.results)

@@ -254,8 +254,14 @@ def test_listing_measures_nothing(mi, tmp_path, monkeypatch, capsys):
     assert len(lines) > 10
     assert all("missing" in line for line in lines[1:] if line)
     assert not list(tmp_path.iterdir())
-    assert main(["paper", "--scale", "test", "--cell", "none", "--list"]) == 2
-    assert "--list shows the cells" in capsys.readouterr().err
+    for argv, named in ((["--cell", "none", "step"], "none"), (["--table", "2", "6"], "6")):
+        assert main(["paper", "--scale", "test", "--list", *argv]) == 2
+        assert f"no cells of {named}; --list" in capsys.readouterr().err
+    assert main(["paper", "--scale", "test", "--list", "--table", "2", "--cell", "2-mse"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines() if line] == [
+        "cell",
+        "2-mse",
+    ]
 
 
 def test_a_missing_value_says_why(tmp_path):
