@@ -3,6 +3,8 @@
 import dataclasses
 from typing import Any
 
+import numpy as np
+
 from benchmarks.paper_tables.cells import Cell, Measured
 from benchmarks.paper_tables.found import Found
 from benchmarks.paper_tables.scales import Scale
@@ -65,8 +67,7 @@ def measure(work: Work, changes: dict[str, Any]) -> Measured:
 
 
 def _rmse_of_masks(scored: Any, dataset: Any) -> float:
-    import numpy as np
-
+    """Mean over the views that the contact sheet may show, the first six at most."""
     squares = [
         float(np.mean((row.baked_opacity - view.geometric) ** 2))
         for row, view in zip(scored.rows, dataset.views(), strict=False)

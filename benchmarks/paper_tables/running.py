@@ -86,7 +86,7 @@ def run_cells(
         after: is called after each cell.
 
     Raises:
-        LumitreeError: at the end, if cells could not be measured.
+        LumitreeError: at the end, if cells could not be measured; or a signal was received.
     """
     failed = []
     for cell in cells:
@@ -99,6 +99,8 @@ def run_cells(
         start = time.monotonic()
         try:
             complete = run(cell.name, setting)
+        except KeyboardInterrupt:
+            raise LumitreeError(f"interrupted in {cell.name}; the same command goes on") from None
         except Exception as error:  # also of a process that the system has killed
             if not isinstance(error, LumitreeError):
                 traceback.print_exc()

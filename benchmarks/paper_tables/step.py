@@ -83,8 +83,11 @@ def measure_step(config: TrainConfig) -> dict[str, Any]:
     work = flops(config)
     chunks = _num_chunks(config)
     products = _product_seconds(config, chunks)
+    networks = _network_seconds(config, chunks)
     return {
         "seconds": seconds,
+        "networks_seconds": networks,
+        "networks_share": networks / seconds,
         "flops": work,
         "flops_per_second": work / seconds,
         "layers_seconds": products,
@@ -123,6 +126,35 @@ def _product_seconds(config: TrainConfig, chunks: int) -> float:
     return seconds * flops(config) / (3 * 2 * rows * width * width)
 
 
+def _network_seconds(config: TrainConfig, chunks: int) -> float:
+    """Seconds of one network at all positions of the step, forwards and backwards.
+
+    With features and activations, in chunks as in the step. Coarse and fine network cost the same.
+    """
+    import jax
+    import jax.numpy as jnp
+    from flax import nnx
+
+    from lumitree.nerf.network import NerfSH
+
+    graph, weights = nnx.split(NerfSH(config, 0.1, nnx.Rngs(0)))
+    rows = config.rays_per_batch * (2 * config.num_coarse + config.num_fine) // chunks
+    positions = jax.random.uniform(jax.random.key(0), (chunks, rows, 3), minval=-1.0)
+
+    def outputs(weights: Any, chunk: Any) -> Any:
+        density, coefficients = nnx.merge(graph, weights)(chunk)
+        return jnp.sum(density) + jnp.sum(coefficients**2)
+
+    def add(total: Any, chunk: Any) -> tuple[Any, None]:
+        return jax.tree.map(jnp.add, total, jax.grad(outputs)(weights, chunk)), None
+
+    @jax.jit
+    def gradient(positions: Any) -> Any:
+        return jax.lax.scan(add, jax.tree.map(jnp.zeros_like, weights), positions)[0]
+
+    return _seconds(lambda: gradient(positions))
+
+
 def _peak(side: int = 2048) -> float:
     """Floating-point operations a second of a large matrix product."""
     import jax
@@ -149,7 +181,8 @@ def _seconds(job: Callable[[], Any]) -> float:
 def section(found: Found) -> str:
     """A row for each network."""
     heads = ["network", "s a step", "GFLOP a step", "GFLOP/s", "share of the peak"]
-    heads += ["GFLOP/s of a 2048² product", "time of the layers' products alone, share of the step"]
+    heads += ["GFLOP/s of a 2048² product", "products of layers", "rest of the networks"]
+    heads += ["everything else"]
     rows = []
     for name, values in found.values(CELL).items():
         rows.append(
@@ -161,6 +194,8 @@ def section(found: Found) -> str:
                 f"{values['flops_per_second'] / values['peak_flops_per_second']:.0%}",
                 f"{values['peak_flops_per_second'] / 1e9:.0f}",
                 f"{values['layers_share']:.0%}",
+                f"{values['networks_share'] - values['layers_share']:.0%}",
+                f"{1 - values['networks_share']:.0%}",
             ]
         )
     return found.table(heads, rows) if rows else f"{found.missing.capitalize()}.\n"

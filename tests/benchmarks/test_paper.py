@@ -17,6 +17,7 @@ from benchmarks.paper_tables.page import all_cells, write_page
 from benchmarks.paper_tables.running import Setting, run_cells
 from benchmarks.paper_tables.scales import SCALES
 from benchmarks.paper_tables.work import Work
+from lumitree.core.interrupt import Interrupted
 from lumitree.errors import LumitreeError
 from lumitree.nerf.config import PRESETS
 
@@ -93,6 +94,15 @@ def test_what_fails_leaves_no_file_and_does_not_stop_the_others(mi, setting, cap
     with pytest.raises(LumitreeError, match="1 cells were not measured: a: no room"):
         run_cells(cells, setting, runner(setting, cells)[0])
     assert [path.name for path in setting.store.folder.iterdir()] == ["b.json"]
+
+
+def test_an_interrupt_is_one_line(setting):
+    def run(name, setting):
+        raise Interrupted
+
+    with pytest.raises(LumitreeError, match="interrupted in a; the same command goes on"):
+        run_cells([cell("a"), cell("b")], setting, run)
+    assert setting.store.state(cell("a")) == "missing"
 
 
 def test_no_cell_begins_after_the_time(setting, capsys):
@@ -178,6 +188,7 @@ def full_store(store, scale):
     }
     part = {"reference": 2.5, "levels": [6.8, 12.0, 25.0], "methods": methods}
     step_values = {"seconds": 0.5, "flops": 1e10, "flops_per_second": 2e10, "layers_share": 0.5}
+    step_values["networks_share"] = 0.75
     values = {
         1: {"network": metrics, "octree": metrics, "direct": metrics, "octree_large": metrics}
         | {"direct_large": metrics, "bytes": 2_000_000, "leaves": 1000, "costs": {"run": 60.0}},
