@@ -65,7 +65,7 @@ def write_page(path: Path, stores: dict[ScaleName, Store], results: Path) -> Non
         if note := _note(str(number)):
             parts.append(note.rstrip() + "\n")
         if isinstance(content, str):
-            parts.append(_other(content, results))
+            parts.append(_other(content, results, path))
         else:
             parts += [
                 _at_scale(number, content, name, store, path) for name, store in stores.items()
@@ -110,8 +110,8 @@ def _note(name: str) -> str:
     return path.read_text(encoding="utf-8") if path.is_file() else ""
 
 
-def _other(benchmark: str, results: Path) -> str:
-    """The first table of another benchmark's results, and a link to them."""
+def _other(benchmark: str, results: Path, page: Path) -> str:
+    """The first table of another benchmark's results, its plot, and a link to them."""
     path = results / f"{benchmark}.md"
     command = f"`python -m benchmarks {benchmark}`"
     if not path.is_file():
@@ -120,4 +120,8 @@ def _other(benchmark: str, results: Path) -> str:
     start = next(index for index, line in enumerate(lines) if line.startswith("|"))
     end = next((i for i in range(start, len(lines)) if not lines[i].startswith("|")), len(lines))
     link = f"[its results](../benchmarks/results/{benchmark}.md)"
-    return f"By {command}; {link}.\n\n" + "\n".join(lines[start:end]) + "\n"
+    text = f"By {command}; {link}.\n\n" + "\n".join(lines[start:end]) + "\n"
+    if (plot := path.with_suffix(".png")).is_file():
+        write_bytes(page.parent / "images" / "paper" / plot.name, plot.read_bytes())
+        text += f"\n![Plot of {benchmark}](images/paper/{plot.name})\n"
+    return text

@@ -138,7 +138,7 @@ SCALES: dict[ScaleName, Scale] = {
             num_coarse=12,
             num_fine=12,
             rays_per_batch=256,
-            num_steps=300,
+            num_steps=200,
         ),
         network_depth=5,
         samples_per_leaf=8,

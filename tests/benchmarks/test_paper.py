@@ -226,8 +226,10 @@ def test_the_page_shows_the_papers_figures_ours_and_what_is_missing(mi, tmp_path
 
     full_store(stores["cpu"], SCALES["cpu"])
     (tmp_path / "results" / "zhu.md").write_text("# Zhu\n\n| a |\n|---|\n| 10.96 |\n\nBeside it.\n")
+    (tmp_path / "results" / "zhu.png").write_bytes(b"plot")
     write_page(page, stores, tmp_path / "results")
     text = page.read_text()
+    assert (images / "zhu.png").read_bytes() == b"plot"
     # What remains are the results of `representations`.
     assert text.count("not measured yet") == 0
     assert "Not measured yet: `python -m benchmarks representations`" in text

@@ -26,6 +26,9 @@ ROOM = (
 @pytest.mark.slow
 def test_the_whole_suite_in_minutes(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    # Cells are processes of their own, and many compile the same programs.
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "jax"))
+    monkeypatch.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     for room in ("living_room", "veach_bidir", "modern_hall"):
         (tmp_path / "rooms" / room).mkdir(parents=True)
         (tmp_path / "rooms" / room / "room_night.xml").write_text(ROOM)
