@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.paper_tables.cells import Cell, Measured
+from benchmarks.paper_tables.display_times import pace, readings, speedup_of
 from benchmarks.paper_tables.found import Found
 from benchmarks.paper_tables.pictures import stack, strip
 from benchmarks.paper_tables.scales import LAMPS, Scale
@@ -92,7 +93,7 @@ def measure(work: Work, lamp: str) -> Measured:
     values: dict[str, Any] = {
         "room": pair.room_name,
         "parts": {name: readings(methods, _levels(lamp), w) for name, w in weights.items()},
-        "seconds_per_sample": {name: _pace(method) for name, method in methods.items()},
+        "seconds_per_sample": {name: pace(method) for name, method in methods.items()},
         "integrators": {name: method.kind for name, method in methods.items()},
         "has_model": load(asset.path).model is not None,
         "costs": costs(asset),
@@ -118,71 +119,6 @@ def _methods(pair: "Pair", field: Path, whole: Built, work: Work) -> "dict[str, 
         "leaves": Method(alone, True, options),
         "divided": Method(both, True, options),
     }
-
-
-def _pace(method: "Method") -> float:
-    """CPU seconds of a sample a pixel, from the long run."""
-    return method.long.seconds["cpu"] / method.long.samples_per_pixel
-
-
-def readings(
-    methods: "dict[str, Method]", levels: tuple[float, ...], weights: Any
-) -> dict[str, Any]:
-    """For each method its bias, and its CPU seconds and samples at each level.
-
-    A level below the reference's own error, or below the bias of a method, has none.
-    """
-    from benchmarks.equal_error.readings import display_rows, noise_of_mean
-
-    runs = {
-        name: (method.rungs, method.long.batches, method.long.seconds["cpu"])
-        for name, method in methods.items()
-    }
-    rows, own = display_rows(runs, "cpu", weights)
-    found: dict[str, Any] = {"reference": own, "levels": list(levels), "methods": {}}
-    for name, method in methods.items():
-        noise = noise_of_mean(method.long.batches, weights)
-        last = rows[name][-1]["rmse"]
-        bias = 0.0 if name == "explicit" else float(np.sqrt(max(last**2 - noise**2, 0.0)))
-        # The reference's time is that of its half, whose error is √2 times larger.
-        times = [
-            seconds_at(level, rows[name], bias, own, method.long.seconds["cpu"], noise)
-            for level in levels
-        ]
-        pace = _pace(method)
-        found["methods"][name] = {
-            "bias": bias,
-            "seconds": times,
-            "samples": [None if time is None else time / pace for time in times],
-            "points": rows[name],
-        }
-    return found
-
-
-def seconds_at(
-    level: float,
-    points: list[dict[str, float]],
-    bias: float,
-    floor: float,
-    long_seconds: float,
-    noise: float,
-) -> float | None:
-    """CPU seconds for an error of `level`; None where it is below `floor` or `bias`.
-
-    Between measured points by interpolation. Beyond the last one the squared error is the squared
-    bias, plus a noise that falls as 1 / time.
-    """
-    from benchmarks.equal_error.error_against_time import time_to_reach
-
-    if level <= max(bias, floor):
-        return None
-    ordered = sorted(points, key=lambda point: point["seconds"])
-    seconds = np.array([point["seconds"] for point in ordered])
-    errors = np.array([max(point["rmse"], 1e-9) for point in ordered])
-    found, kind = time_to_reach(level, seconds, errors)
-    if kind == "measured":
-        return found
-    return long_seconds * noise**2 / (level**2 - bias**2)
 
 
 def sheet(methods: "dict[str, Method]") -> Any:
@@ -266,12 +202,6 @@ def _coarser(found: Found) -> str:
             ]
             rows.append(row)
     return found.table(heads, rows, left=2)
-
-
-def speedup_of(methods: dict[str, Any], name: str, level: int) -> float | None:
-    """Seconds of the explicit lamp over those of a method; None where either has none."""
-    explicit, own = methods["explicit"]["seconds"][level], methods[name]["seconds"][level]
-    return None if explicit is None or own is None else explicit / own
 
 
 def _cost(values: dict[str, Any], part: str, name: str, level: int) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.paper_tables import equal_quality, losses, step
+from benchmarks.paper_tables import display_times, losses, step
 from benchmarks.paper_tables.cells import Cell, Measured, OutOfTimeError, Store, plain
 from benchmarks.paper_tables.found import Found
 from benchmarks.paper_tables.page import all_cells, write_page
@@ -156,11 +156,11 @@ def test_times_beyond_the_ladder_know_the_bias(bias, noise):
     points = [{"seconds": t, "rmse": error(t)} for t in (1.0, 2, 4, 8, 16, 32, 64, 100)]
     for level in (error(10.0), error(400.0), error(4000.0)):
         exact = 100 * noise**2 / (level**2 - bias**2)
-        found = equal_quality.seconds_at(level, points, bias, 0.0, 100.0, noise)
+        found = display_times.seconds_at(level, points, bias, 0.0, 100.0, noise)
         assert found == pytest.approx(exact, rel=0.05)
     if bias:
-        assert equal_quality.seconds_at(2.9, points, bias, 0.0, 100.0, noise) is None
-    assert equal_quality.seconds_at(0.5, points, bias, 0.6, 100.0, noise) is None
+        assert display_times.seconds_at(2.9, points, bias, 0.0, 100.0, noise) is None
+    assert display_times.seconds_at(0.5, points, bias, 0.6, 100.0, noise) is None
 
 
 @pytest.mark.parametrize("scale", SCALES)

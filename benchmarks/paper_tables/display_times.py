@@ -1,0 +1,77 @@
+"""Times at equal `rmse_display` of several methods, from their ladders and long runs."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from benchmarks.equal_error.error_against_time import time_to_reach
+from benchmarks.equal_error.readings import display_rows, noise_of_mean
+
+if TYPE_CHECKING:
+    from benchmarks.equal_error.method import Method
+
+
+def pace(method: "Method") -> float:
+    """CPU seconds of a sample a pixel, from the long run."""
+    return method.long.seconds["cpu"] / method.long.samples_per_pixel
+
+
+def readings(
+    methods: "dict[str, Method]", levels: tuple[float, ...], weights: Any
+) -> dict[str, Any]:
+    """For each method its bias, and its CPU seconds and samples at each level.
+
+    A level below the reference's own error, or below the bias of a method, has none.
+    """
+    runs = {
+        name: (method.rungs, method.long.batches, method.long.seconds["cpu"])
+        for name, method in methods.items()
+    }
+    rows, own = display_rows(runs, "cpu", weights)
+    found: dict[str, Any] = {"reference": own, "levels": list(levels), "methods": {}}
+    for name, method in methods.items():
+        noise = noise_of_mean(method.long.batches, weights)
+        last = rows[name][-1]["rmse"]
+        bias = 0.0 if name == "explicit" else float(np.sqrt(max(last**2 - noise**2, 0.0)))
+        times = [
+            seconds_at(level, rows[name], bias, own, method.long.seconds["cpu"], noise)
+            for level in levels
+        ]
+        own_pace = pace(method)
+        found["methods"][name] = {
+            "bias": bias,
+            "seconds": times,
+            "samples": [None if time is None else time / own_pace for time in times],
+            "points": rows[name],
+        }
+    return found
+
+
+def seconds_at(
+    level: float,
+    points: list[dict[str, float]],
+    bias: float,
+    floor: float,
+    long_seconds: float,
+    noise: float,
+) -> float | None:
+    """CPU seconds for an error of `level`; None where it is below `floor` or `bias`.
+
+    Between measured points by interpolation. Beyond the last one the squared error is the squared
+    bias, plus a noise that falls as 1 / time.
+    """
+    if level <= max(bias, floor):
+        return None
+    ordered = sorted(points, key=lambda point: point["seconds"])
+    seconds = np.array([point["seconds"] for point in ordered])
+    errors = np.array([max(point["rmse"], 1e-9) for point in ordered])
+    found, kind = time_to_reach(level, seconds, errors)
+    if kind == "measured":
+        return found
+    return long_seconds * noise**2 / (level**2 - bias**2)
+
+
+def speedup_of(methods: dict[str, Any], name: str, level: int) -> float | None:
+    """Seconds of the explicit lamp over those of a method; None where either has none."""
+    explicit, own = methods["explicit"]["seconds"][level], methods[name]["seconds"][level]
+    return None if explicit is None or own is None else explicit / own
