@@ -90,15 +90,20 @@ def measure(work: Work, lamp: str) -> Measured:
         method.spend(parts[0] * seconds, parts[1] * seconds)
     beside = 1.0 - shows_lamp(methods["proxy"].scene)
     weights = {"whole": np.ones_like(beside), "beside": beside / beside.mean()}
+    parts = {name: readings(methods, _levels(lamp), each) for name, each in weights.items()}
     values: dict[str, Any] = {
         "room": pair.room_name,
-        "parts": {name: readings(methods, _levels(lamp), w) for name, w in weights.items()},
+        "parts": parts,
         "seconds_per_sample": {name: pace(method) for name, method in methods.items()},
         "integrators": {name: method.kind for name, method in methods.items()},
         "has_model": load(asset.path).model is not None,
         "costs": costs(asset),
     }
-    return Measured(values, {"sheet": sheet(methods)})
+    images = {
+        "time": sheet(methods, equal_time(methods)),
+        "quality": sheet(methods, equal_quality(methods, parts["whole"])),
+    }
+    return Measured(values, images)
 
 
 def _methods(pair: "Pair", field: Path, whole: Built, work: Work) -> "dict[str, Method]":
@@ -121,28 +126,44 @@ def _methods(pair: "Pair", field: Path, whole: Built, work: Work) -> "dict[str, 
     }
 
 
-def sheet(methods: "dict[str, Method]") -> Any:
-    """The reference, and all methods in about the same time; crops below."""
+def equal_time(methods: "dict[str, Method]") -> list[Any]:
+    """Image [H, W, 3] of each method in about the time of 16 samples of the last one."""
+    ours = methods["divided"].rungs
+    seconds = float(np.median(ours[min(4, len(ours) - 1)]["seconds"]["cpu"]))
+    images = []
+    for method in methods.values():
+        times = [np.median(rung["seconds"]["cpu"]) for rung in method.rungs]
+        index = int(np.argmin(np.abs(np.log(np.array(times) / seconds))))
+        images.append(method.rungs[index]["images"][0])
+    return images
+
+
+def equal_quality(methods: "dict[str, Method]", reading: dict[str, Any]) -> list[Any]:
+    """Image [H, W, 3] of each method whose error is nearest to the paper's."""
+    level, images = reading["levels"][0], []
+    for name, method in methods.items():
+        errors = [max(point["rmse"], 1e-9) for point in reading["methods"][name]["points"]]
+        index = int(np.argmin(np.abs(np.log(np.array(errors) / level))))
+        # The last point is the long run's.
+        rungs = method.rungs
+        images.append(rungs[index]["images"][0] if index < len(rungs) else method.long.mean)
+    return images
+
+
+def sheet(methods: "dict[str, Method]", images: list[Any]) -> Any:
+    """The reference and an image of each method; the middle of each below."""
     reference = methods["explicit"].long.mean
     # The long run of least noise, with the same light.
     brightness = methods["divided"].long.mean.mean(-1)
     exposure = 0.18 / float(np.median(brightness[brightness > 0]))
-    ours = methods["divided"].rungs
-    target = ours[min(4, len(ours) - 1)]
-    seconds = float(np.median(target["seconds"]["cpu"]))
-
-    def nearest(method: "Method") -> Any:
-        rungs = method.rungs
-        gaps = [abs(np.log(np.median(rung["seconds"]["cpu"]) / seconds)) for rung in rungs]
-        return rungs[int(np.argmin(gaps))]["images"][0]
-
-    images = [reference, *(nearest(method) for method in methods.values())]
     height, width = reference.shape[:2]
     crop = np.s_[height // 4 : height // 4 + height // 2, width // 4 : width // 4 + width // 2]
     factor = max(1, 320 // width)
     rows = []
     for part, scale in ((np.s_[:, :], factor), (crop, 2 * factor)):
-        tiles = [tonemap(np.ascontiguousarray(image[part]), exposure) for image in images]
+        tiles = [
+            tonemap(np.ascontiguousarray(image[part]), exposure) for image in (reference, *images)
+        ]
         rows.append(strip([tile.repeat(scale, 0).repeat(scale, 1) for tile in tiles]))
     least = min(row.shape[1] for row in rows)
     return stack([row[:, :least] for row in rows])
@@ -158,9 +179,13 @@ def section(found: Found) -> str:
     text += f"At coarser levels:\n\n{_coarser(found)}\n"
     if draw_ladder(found):
         text += found.image("page", "ladder", "Speed-up over the explicit lamp, by method")
-    text += "Reference; in about equal time: explicit, the paper's way, importance sampling, "
-    text += "divided. Below: the middle of each.\n\n"
-    return text + "".join(found.image(f"5-{lamp}", "sheet", lamp) for lamp in LAMPS)
+    text += "Reference, explicit, the paper's way, importance sampling, divided; below, the middle "
+    text += "of each. First in about equal time, then at about the paper's RMSE.\n\n"
+    return text + "".join(
+        found.image(f"5-{lamp}", name, f"{lamp}, equal {name}")
+        for lamp in LAMPS
+        for name in ("time", "quality")
+    )
 
 
 def _paper_level(found: Found, part: str) -> str:
