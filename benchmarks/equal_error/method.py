@@ -5,6 +5,8 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 import lumitree
 from benchmarks.equal_error.batches import LongRun, digest, ladder, remember
 from benchmarks.equal_error.error_against_time import Floats, Pace, noise
@@ -79,7 +81,8 @@ class Method:
         self.folder = Path(options.cache) / f"{pair.name}-{digest(key)}"
         self.folder.mkdir(parents=True, exist_ok=True)
         remember(self.folder, {"source": source, **key})
-        self.long = LongRun(self.folder / "long.npz")
+        pixels = int(np.prod(room.sensors()[0].film().size()))
+        self.long = LongRun(self.folder / "long.npz", first_samples(pixels))
         self.rungs: list[dict] = []
 
         def render_pair(samples: int, seed: int) -> Any:
@@ -103,6 +106,11 @@ class Method:
         """With the variance of the long run."""
         variance = noise(self.long.batches, weights) * self.long.samples_per_pixel
         return Pace(variance, seconds, bias)
+
+
+def first_samples(pixels: int) -> int:
+    """Samples a pixel with which a long run begins: enough to hide the fixed cost of a pass."""
+    return max(4, min(64, (1 << 18) // pixels))
 
 
 def explicit_integrator(luminaire: Any) -> str:

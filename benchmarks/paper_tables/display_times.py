@@ -21,20 +21,27 @@ def readings(
 ) -> dict[str, Any]:
     """For each method its bias, and its CPU seconds and samples at each level.
 
-    A level below the reference's own error, or below the bias of a method, has none.
+    A level below `floor`, or below the bias of a method, has none.
+
+    Returns:
+        `levels`; `reference`, its own error; `floor`, twice that: below it, an error is not known
+        well enough, since the encoding of a noisy reference is darker than that of its mean; and
+        `methods`, by name.
     """
     runs = {
         name: (method.rungs, method.long.batches, method.long.seconds["cpu"])
         for name, method in methods.items()
     }
     rows, own = display_rows(runs, "cpu", weights)
-    found: dict[str, Any] = {"reference": own, "levels": list(levels), "methods": {}}
+    floor = 2 * own
+    found: dict[str, Any] = {"reference": own, "floor": floor, "levels": list(levels)}
+    found["methods"] = {}
     for name, method in methods.items():
         noise = noise_of_mean(method.long.batches, weights)
         last = rows[name][-1]["rmse"]
         bias = 0.0 if name == "explicit" else float(np.sqrt(max(last**2 - noise**2, 0.0)))
         times = [
-            seconds_at(level, rows[name], bias, own, method.long.seconds["cpu"], noise)
+            seconds_at(level, rows[name], bias, floor, method.long.seconds["cpu"], noise)
             for level in levels
         ]
         own_pace = pace(method)

@@ -61,7 +61,7 @@ def cells(scale: Scale) -> list[Cell]:
             f"5-{lamp}",
             5,
             {"lamp": lamp, "direct": scale.direct, "equal": scale.equal, "levels": _levels(lamp)},
-            scale.equal.seconds / 60 * 1.5 + scale.minutes[1],
+            scale.equal.seconds / 60 * 1.1 + scale.minutes[1],
             lambda work, lamp=lamp: measure(work, lamp),
         )
         for lamp in scale.equal_lamps
@@ -219,7 +219,13 @@ def _coarser(found: Found) -> str:
             reading = values["parts"][part]
             methods = reading["methods"]
             row = [lamp, title, f"{reading['reference']:.1f}"]
-            row += [f"{methods[name]['bias']:.1f}" for name in METHODS]
+            # A bias that is not larger than twice the reference's error is not known to be one.
+            row += [
+                f"{methods[name]['bias']:.1f}"
+                if methods[name]["bias"] > reading["floor"]
+                else f"below {reading['floor']:.1f}"
+                for name in METHODS
+            ]
             row += [
                 _times(speedup_of(methods, name, index + 1))
                 for index in range(len(COARSER))
@@ -234,7 +240,7 @@ def _cost(values: dict[str, Any], part: str, name: str, level: int) -> str:
     method = reading["methods"][name]
     if method["seconds"][level] is not None:
         return f"{method['samples'][level]:.3g}, {method['seconds'][level]:.3g}"
-    if reading["levels"][level] <= reading["reference"]:
+    if reading["levels"][level] <= reading["floor"]:
         return f"reference: {reading['reference']:.1f}"
     return f"bias: {method['bias']:.1f}"
 

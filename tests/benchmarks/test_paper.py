@@ -186,7 +186,7 @@ def full_store(store, scale):
         name: {"bias": 1.5, "seconds": [s, s / 4, None], "samples": [8.0, 2.0, None], "points": []}
         for name, s in (("explicit", 100.0), ("proxy", 50.0), ("leaves", 10.0), ("divided", 4.0))
     }
-    part = {"reference": 2.5, "levels": [6.8, 12.0, 25.0], "methods": methods}
+    part = {"reference": 2.5, "floor": 5.0, "levels": [6.8, 12.0, 25.0], "methods": methods}
     step_values = {"seconds": 0.5, "flops": 1e10, "flops_per_second": 2e10, "layers_share": 0.5}
     step_values["networks_share"] = 0.75
     values = {
