@@ -111,37 +111,37 @@ def display_rows(
     runs: dict[str, tuple[list[dict], Floats, float]],
     clock: str,
     weights: Floats | float = 1.0,
+    reference: str = "explicit",
 ) -> tuple[dict[str, list[dict]], float]:
     """`rmse_display` of the ladders and of the long runs, and that of the reference.
 
-    The reference is the explicit lamp's long run. Its own error is half the difference between the
-    means of its odd and its even batches, and is subtracted from all others. The last explicit
+    The reference is the long run of one of them. Its own error is half the difference between the
+    means of its odd and its even batches, and is subtracted from all others. Its last
     image is the mean of every second batch: its error is that difference over √2.
 
     Args:
-        runs: rungs, batches [K, H, W, 3] of the long run, and its seconds, by method. The method
-            `explicit` is the reference.
+        runs: rungs, batches [K, H, W, 3] of the long run, and its seconds, by method.
         clock: that the seconds of rungs are by.
         weights: see `display_rmse`.
+        reference: name of the method whose long run is the reference.
     """
-    explicit = runs["explicit"][1]
-    reference = explicit.mean(0)
-    difference = noise_of_mean(explicit, weights) * 2
+    goal = runs[reference][1].mean(0)
+    difference = noise_of_mean(runs[reference][1], weights) * 2
     own = difference / 2
     rows = {}
     for name, (rungs, batches, seconds) in runs.items():
         rows[name] = [
             {
                 "seconds": float(np.median(rung["seconds"][clock])),
-                "rmse": _without(display_rmse(rung["images"], reference, weights), own),
+                "rmse": _without(display_rmse(rung["images"], goal, weights), own),
             }
             for rung in rungs
         ]
         last = {
             "seconds": seconds,
-            "rmse": _without(display_rmse(batches.mean(0)[None], reference, weights), own),
+            "rmse": _without(display_rmse(batches.mean(0)[None], goal, weights), own),
         }
-        if name == "explicit":
+        if name == reference:
             last = {"seconds": seconds / 2, "rmse": difference / np.sqrt(2)}
         rows[name].append(last)
     return rows, own

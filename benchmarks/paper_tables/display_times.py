@@ -17,38 +17,47 @@ def pace(method: "Method") -> float:
 
 
 def readings(
-    methods: "dict[str, Method]", levels: tuple[float, ...], weights: Any
+    methods: "dict[str, Method]", levels: tuple[float, ...], weights: Any, reference: str
 ) -> dict[str, Any]:
     """For each method its bias, and its CPU seconds and samples at each level.
 
     A level below `floor`, or below the bias of a method, has none.
 
+    Args:
+        levels: of `rmse_display`.
+        weights: [H, W, 1] of squared errors, of mean 1.
+        reference: name of the method whose long run is the reference.
+
     Returns:
         `levels`; `reference`, its own error; `floor`, twice that: below it, an error is not known
         well enough, since the encoding of a noisy reference is darker than that of its mean; and
-        `methods`, by name.
+        `methods`, by name. With another reference than the explicit lamp, the explicit lamp's time
+        is that of its long run where that has not reached a level, and `at_least` is true.
     """
     runs = {
         name: (method.rungs, method.long.batches, method.long.seconds["cpu"])
         for name, method in methods.items()
     }
-    rows, own = display_rows(runs, "cpu", weights)
+    rows, own = display_rows(runs, "cpu", weights, reference)
     floor = 2 * own
     found: dict[str, Any] = {"reference": own, "floor": floor, "levels": list(levels)}
     found["methods"] = {}
     for name, method in methods.items():
         noise = noise_of_mean(method.long.batches, weights)
-        last = rows[name][-1]["rmse"]
-        bias = 0.0 if name == "explicit" else float(np.sqrt(max(last**2 - noise**2, 0.0)))
+        last, spent = rows[name][-1]["rmse"], method.long.seconds["cpu"]
+        unbiased = name in ("explicit", reference)
+        bias = 0.0 if unbiased else float(np.sqrt(max(last**2 - noise**2, 0.0)))
+        beyond = [name == "explicit" != reference and level < last for level in levels]
         times = [
-            seconds_at(level, rows[name], bias, floor, method.long.seconds["cpu"], noise)
-            for level in levels
+            spent if short else seconds_at(level, rows[name], bias, floor, spent, noise)
+            for level, short in zip(levels, beyond, strict=True)
         ]
         own_pace = pace(method)
         found["methods"][name] = {
             "bias": bias,
             "seconds": times,
             "samples": [None if time is None else time / own_pace for time in times],
+            "at_least": beyond,
             "points": rows[name],
         }
     return found

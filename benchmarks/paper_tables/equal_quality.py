@@ -49,6 +49,11 @@ METHODS = {
     "divided": "exitant light field, model as appearance",
 }
 COARSER = (12.0, 25.0)
+# Methods whose long run is the reference, and what the page calls it.
+REFERENCES = {
+    "explicit": "the explicit lamp's long run",
+    "divided": "the long run of the divided method",
+}
 PARTS = {"whole": "whole image", "beside": "beside the lamp"}
 # Parts of the time: the reference and its ladder; each method's long run and ladder.
 _REFERENCE, _REFERENCE_LADDER, _LONG, _LADDER = 0.55, 0.09, 0.08, 0.04
@@ -90,7 +95,13 @@ def measure(work: Work, lamp: str) -> Measured:
         method.spend(parts[0] * seconds, parts[1] * seconds)
     beside = 1.0 - shows_lamp(methods["proxy"].scene)
     weights = {"whole": np.ones_like(beside), "beside": beside / beside.mean()}
-    parts = {name: readings(methods, _levels(lamp), each) for name, each in weights.items()}
+    parts = {
+        reference: {
+            name: readings(methods, _levels(lamp), each, reference)
+            for name, each in weights.items()
+        }
+        for reference in REFERENCES
+    }
     values: dict[str, Any] = {
         "room": pair.room_name,
         "parts": parts,
@@ -101,7 +112,7 @@ def measure(work: Work, lamp: str) -> Measured:
     }
     images = {
         "time": sheet(methods, equal_time(methods)),
-        "quality": sheet(methods, equal_quality(methods, parts["whole"])),
+        "quality": sheet(methods, equal_quality(methods, parts["divided"]["whole"])),
     }
     return Measured(values, images)
 
@@ -172,8 +183,10 @@ def sheet(methods: "dict[str, Method]", images: list[Any]) -> Any:
 def section(found: Found) -> str:
     """The paper's table beside ours, then all levels, and the images."""
     text = ""
-    for part, title in PARTS.items():
-        text += f"At the paper's RMSE, {title}:\n\n{_paper_level(found, part)}\n"
+    for reference, of in REFERENCES.items():
+        for part, title in PARTS.items():
+            text += f"At the paper's RMSE, {title}, against {of}:\n\n"
+            text += f"{_paper_level(found, reference, part)}\n"
     if not found.has(*(f"5-{lamp}" for lamp in LAMPS)):
         return text
     text += f"At coarser levels:\n\n{_coarser(found)}\n"
@@ -188,7 +201,7 @@ def section(found: Found) -> str:
     )
 
 
-def _paper_level(found: Found, part: str) -> str:
+def _paper_level(found: Found, reference: str, part: str) -> str:
     heads = ["lamp", "room (paper / ours)", "RMSE", "paper: PT spp, s", "ours spp, s", "speed-up"]
     heads += ["explicit: spp, CPU s"]
     for name in METHODS:
@@ -199,10 +212,10 @@ def _paper_level(found: Found, part: str) -> str:
         row = [lamp, f"{room} / {values.get('room', '')}", f"{theirs[1]:.2f}"]
         row += [f"{traced[0]}, {traced[2]:.0f}", f"{theirs[0]}, {theirs[2]:.0f}", f"{speedup:.1f}"]
         if values:
-            methods = values["parts"][part]["methods"]
-            row.append(_cost(values, part, "explicit", 0))
+            reading = values["parts"][reference][part]
+            row.append(_cost(reading, "explicit", 0))
             for name in METHODS:
-                row += [_cost(values, part, name, 0), _times(speedup_of(methods, name, 0))]
+                row += [_cost(reading, name, 0), _times(reading, name, 0)]
         else:
             row += [found.missing] * (1 + 2 * len(METHODS))
         rows.append(row)
@@ -210,15 +223,16 @@ def _paper_level(found: Found, part: str) -> str:
 
 
 def _coarser(found: Found) -> str:
-    heads = ["lamp", "part", "reference's error", *(f"{name}: bias" for name in METHODS)]
+    heads = ["lamp", "part", "reference", "its error", *(f"{name}: bias" for name in METHODS)]
     heads += [f"{name} at {level:g}" for level in COARSER for name in METHODS]
     rows = []
     for lamp in LAMPS:
         values = found.values(f"5-{lamp}")
-        for part, title in PARTS.items() if values else ():
-            reading = values["parts"][part]
+        pairs = [(reference, part) for reference in REFERENCES for part in PARTS]
+        for reference, part in pairs if values else ():
+            reading = values["parts"][reference][part]
             methods = reading["methods"]
-            row = [lamp, title, f"{reading['reference']:.1f}"]
+            row = [lamp, PARTS[part], reference, f"{reading['reference']:.1f}"]
             # A bias that is not larger than twice the reference's error is not known to be one.
             row += [
                 f"{methods[name]['bias']:.1f}"
@@ -227,48 +241,52 @@ def _coarser(found: Found) -> str:
                 for name in METHODS
             ]
             row += [
-                _times(speedup_of(methods, name, index + 1))
+                _times(reading, name, index + 1)
                 for index in range(len(COARSER))
                 for name in METHODS
             ]
             rows.append(row)
-    return found.table(heads, rows, left=2)
+    return found.table(heads, rows, left=3)
 
 
-def _cost(values: dict[str, Any], part: str, name: str, level: int) -> str:
-    reading = values["parts"][part]
+def _cost(reading: dict[str, Any], name: str, level: int) -> str:
     method = reading["methods"][name]
     if method["seconds"][level] is not None:
-        return f"{method['samples'][level]:.3g}, {method['seconds'][level]:.3g}"
+        sign = "> " if method["at_least"][level] else ""
+        return f"{sign}{method['samples'][level]:.3g}, {method['seconds'][level]:.3g}"
     if reading["levels"][level] <= reading["floor"]:
         return f"reference: {reading['reference']:.1f}"
     return f"bias: {method['bias']:.1f}"
 
 
-def _times(value: float | None) -> str:
-    return "none" if value is None else f"{value:.3g}"
+def _times(reading: dict[str, Any], name: str, level: int) -> str:
+    methods = reading["methods"]
+    value = speedup_of(methods, name, level)
+    if value is None:
+        return "none"
+    return f"{'> ' if methods['explicit']['at_least'][level] else ''}{value:.3g}"
 
 
 def draw_ladder(found: Found) -> bool:
-    """Plot of the speed-up by method for each lamp; False where no cell has one."""
-    from benchmarks.paper_tables.plots import ladder
+    """Plot of the speed-up by method for each lamp; False where no cell has one.
+
+    At the paper's level where all methods reach it, else at the lowest level that most reach.
+    """
+    from benchmarks.paper_tables.plots import Line, ladder
 
     lines = {}
     for lamp in LAMPS:
         values = found.values(f"5-{lamp}")
-        if not values:
-            continue
-        for part in PARTS:
-            methods = values["parts"][part]["methods"]
-            # The paper's level where all methods reach it, else the first coarser one.
-            counts = range(len(values["parts"][part]["levels"]))
-            by_level = {
-                level: [speedup_of(methods, name, level) for name in METHODS] for level in counts
-            }
-            level = max(
-                counts, key=lambda each: (sum(s is not None for s in by_level[each]), -each)
-            )
-            lines[lamp, part] = (values["parts"][part]["levels"][level], by_level[level])
+        for part in PARTS if values else ():
+            reading = values["parts"]["divided"][part]
+            methods, levels = reading["methods"], reading["levels"]
+            speedups = [
+                [speedup_of(methods, name, i) for name in METHODS] for i in range(len(levels))
+            ]
+            known = [sum(value is not None for value in row) for row in speedups]
+            best = known.index(max(known))
+            bound = methods["explicit"]["at_least"][best]
+            lines[lamp, part] = Line(levels[best], speedups[best], bound)
     if not lines:
         return False
     paper = {lamp: row[3] for lamp, row in PAPER.items()}

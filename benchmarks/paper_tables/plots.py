@@ -1,5 +1,6 @@
 """Plots of the page."""
 
+import dataclasses
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,9 +21,24 @@ _DPI = 110
 _PRINTED = -0.9
 
 
+@dataclasses.dataclass(frozen=True)
+class Line:
+    """Speed-ups of one lamp.
+
+    Attributes:
+        level: of `rmse_display`.
+        speedups: by method; None where a method does not reach the level.
+        at_least: whether they are lower bounds.
+    """
+
+    level: float
+    speedups: Sequence[float | None]
+    at_least: bool
+
+
 def ladder(
     path: Path,
-    lines: Mapping[tuple[str, str], tuple[float, Sequence[float | None]]],
+    lines: Mapping[tuple[str, str], Line],
     methods: Sequence[str],
     parts: Mapping[str, str],
     paper: Mapping[str, float],
@@ -31,7 +47,7 @@ def ladder(
 
     Args:
         path: of the JPEG.
-        lines: level of `rmse_display` and speed-ups by method, by lamp and part.
+        lines: by lamp and part. Lower bounds are drawn as triangles.
         methods: names, from left to right.
         parts: titles of the panels by name.
         paper: the paper's speed-up of each lamp, of the first method, for the first part.
@@ -40,10 +56,12 @@ def ladder(
     panels = figure.subplots(1, len(parts), sharey=True, squeeze=False)[0]
     for panel, (part, title) in zip(panels, parts.items(), strict=True):
         for index, lamp in enumerate(dict.fromkeys(lamp for lamp, _ in lines)):
-            level, values = lines[lamp, part]
-            known = [(x, y) for x, y in enumerate(values) if y is not None]
-            label, colour = f"{lamp} (at {level:.3g})", f"C{index}"
-            panel.plot(*zip(*known, strict=True), "o-", color=colour, label=label) if known else ()
+            line, colour = lines[lamp, part], f"C{index}"
+            known = [(x, y) for x, y in enumerate(line.speedups) if y is not None]
+            style = "^--" if line.at_least else "o-"
+            label = f"{lamp} (at {line.level:.3g}{', at least' if line.at_least else ''})"
+            if known:
+                panel.plot(*zip(*known, strict=True), style, color=colour, label=label)
             if part == next(iter(parts)):
                 panel.plot(
                     [_PRINTED], [paper[lamp]], "D", color=colour, markersize=5, clip_on=False

@@ -183,7 +183,13 @@ def full_store(store, scale):
 
     metrics = dict.fromkeys(METRICS, 12.3456)
     methods = {
-        name: {"bias": 1.5, "seconds": [s, s / 4, None], "samples": [8.0, 2.0, None], "points": []}
+        name: {
+            "bias": 1.5,
+            "seconds": [s, s / 4, None],
+            "samples": [8.0, 2.0, None],
+            "at_least": [name == "explicit", False, False],
+            "points": [],
+        }
         for name, s in (("explicit", 100.0), ("proxy", 50.0), ("leaves", 10.0), ("divided", 4.0))
     }
     part = {"reference": 2.5, "floor": 5.0, "levels": [6.8, 12.0, 25.0], "methods": methods}
@@ -201,7 +207,7 @@ def full_store(store, scale):
         },
         5: {
             "room": "cellar",
-            "parts": {"whole": part, "beside": part},
+            "parts": {key: {"whole": part, "beside": part} for key in ("explicit", "divided")},
             "seconds_per_sample": {"explicit": 1.0, "proxy": 1.25, "leaves": 1.0, "divided": 0.5},
         },
         9: {"leaves": 1000},
@@ -239,7 +245,7 @@ def test_the_page_shows_the_papers_figures_ours_and_what_is_missing(mi, tmp_path
     assert "| dallas | 31.51 | 0.937 | 12.35 | 12.35 | 12.346 |" in text
     assert "| MSE | 19.85 | 0.699 | 0.362 | 12.35 |" in text
     assert "| portica | linear | 28.67 | 0.8594 | 3 | 12.35 ± 0.00 |" in text
-    assert "96.2 | 8, 100 | 8, 50 | 2 | 8, 10 | 10 | 8, 4 | 25 |" in text
+    assert "96.2 | > 8, 100 | 8, 50 | > 2 | 8, 10 | > 10 | 8, 4 | > 25 |" in text
     assert "| +25% | -50% |" in text
     assert "* `python -m benchmarks paper`;" in text
     # Every image is there, and every title of a section differs from the others.

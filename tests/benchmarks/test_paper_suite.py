@@ -63,7 +63,8 @@ def test_the_whole_suite_in_minutes(tmp_path, monkeypatch):
     for law in ("exponential", "linear", "literal"):
         assert 20 < values[f"4-neoclassical-{law}-0"]["network"]["psnr_linear"] < 60
     equal = values["5-neoclassical"]
-    assert set(equal["parts"]) == {"whole", "beside"}
+    for parts in (equal["parts"][name] for name in ("explicit", "divided")):
+        assert set(parts) == {"whole", "beside"}
     assert all(0 < pace < 100 for pace in equal["seconds_per_sample"].values())
     assert 0 < values["step"]["of this scale"]["flops_per_second"] < 1e15
 
