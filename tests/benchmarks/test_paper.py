@@ -163,6 +163,46 @@ def test_times_beyond_the_ladder_know_the_bias(bias, noise):
     assert display_times.seconds_at(0.5, points, bias, 0.6, 100.0, noise) is None
 
 
+def fake_method(deviation, shift=0.0, last=256):
+    """A method of 1 s a sample; its image is 0.5 + shift, with noise of this deviation."""
+    random = np.random.default_rng(int(1000 * deviation))
+
+    def noisy(count, samples):
+        noise = random.normal(0, deviation / samples**0.5, (count, 40, 40, 3))
+        return 0.5 + shift + noise
+
+    rungs = [
+        {"samples": n, "images": noisy(1, n), "seconds": {"cpu": np.array([float(n)])}}
+        for n in (1, 4, 16, 64)
+    ]
+    long = SimpleNamespace(
+        batches=noisy(16, last / 16), seconds={"cpu": float(last)}, samples_per_pixel=last
+    )
+    return SimpleNamespace(rungs=rungs, long=long)
+
+
+def test_an_explicit_lamp_that_does_not_converge_gives_lower_bounds():
+    """Times to equal error are as variances: 100 times for `divided`; `proxy` has a bias."""
+    methods = {
+        "explicit": fake_method(1.0),
+        "proxy": fake_method(0.1, shift=0.05),
+        "divided": fake_method(0.1),
+    }
+    weights = np.ones((40, 40, 1))
+    whole = display_times.readings(methods, (4.0, 8.0), weights, "explicit")
+    assert whole["methods"]["divided"]["seconds"][0] is None
+    found = display_times.readings(methods, (4.0, 8.0), weights, "divided")
+    explicit, proxy = (found["methods"][name] for name in ("explicit", "proxy"))
+    assert explicit["at_least"] == [True, False]
+    assert explicit["seconds"][0] == 256
+    # 0.05 of 0.5, exposed to 0.18 and encoded.
+    assert proxy["bias"] == pytest.approx(5.3, rel=0.1)
+    assert proxy["seconds"][0] is None
+    bound, exact = (display_times.speedup_of(found["methods"], "divided", i) for i in (0, 1))
+    assert exact == pytest.approx(100, rel=0.3)
+    assert 20 < bound < 70
+
+
 @pytest.mark.parametrize("scale", SCALES)
 def test_arithmetic_of_a_step_is_that_of_its_weights(scale):
     import jax
