@@ -16,6 +16,18 @@ def pace(method: "Method") -> float:
     return method.long.seconds["cpu"] / method.long.samples_per_pixel
 
 
+def _paced(method: "Method") -> list[dict[str, Any]]:
+    """Rungs whose time is that of their samples in the long run.
+
+    The fixed cost of a small image, about a second, is more than that of its first samples. It does
+    not grow with the size of an image.
+    """
+    own = pace(method)
+    return [
+        {**rung, "seconds": {"cpu": np.array([rung["samples"] * own])}} for rung in method.rungs
+    ]
+
+
 def readings(
     methods: "dict[str, Method]", levels: tuple[float, ...], weights: Any, reference: str
 ) -> dict[str, Any]:
@@ -35,7 +47,7 @@ def readings(
         is that of its long run where that has not reached a level, and `at_least` is true.
     """
     runs = {
-        name: (method.rungs, method.long.batches, method.long.seconds["cpu"])
+        name: (_paced(method), method.long.batches, method.long.seconds["cpu"])
         for name, method in methods.items()
     }
     rows, own = display_rows(runs, "cpu", weights, reference)
