@@ -74,7 +74,8 @@ def ladder(
         panel.axhline(1, color="grey", linewidth=0.8)
         panel.yaxis.set_major_formatter(FormatStrFormatter("%g"))
         panel.grid(alpha=0.3, which="both")
-        panel.legend(fontsize=8)
+        if panel.get_legend_handles_labels()[0]:
+            panel.legend(fontsize=8)
     panels[0].set_ylabel("speed-up over the explicit lamp at equal rmse_display")
     stream = io.BytesIO()
     FigureCanvasAgg(figure).print_jpg(stream, pil_kwargs={"quality": 88})
