@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test slow lint check docs gallery format clean
+.PHONY: demo test slow lint check docs gallery paper format clean
 
 demo: $(VENV)/.installed
 	$(BIN)/lumitree demo -o demo-output
@@ -29,6 +29,10 @@ docs: $(VENV)/.installed-docs
 # Pages of the built-in lamps, which `make docs` then links to: 10 to 20 minutes on 2 CPU cores.
 gallery: $(VENV)/.installed
 	$(BIN)/python docs/make_gallery.py
+
+# The tables of docs/paper.md, as far as they are not measured yet: hours on 2 CPU cores.
+paper: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks paper --scale cpu
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .

@@ -8,5 +8,6 @@ it measures, and it has two functions:
 * `run(options)` measures with the parsed options, prints its tables, which include a ratio against
   a baseline measured in the same run, and writes its results with `common.results.Results`.
 
-`common/` has what benchmarks share, `equal_error/` what times at equal error need.
+`common/` has what benchmarks share, `equal_error/` what times at equal error need, `paper_tables/`
+the cells of `paper`.
 """

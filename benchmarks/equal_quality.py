@@ -55,12 +55,12 @@ from benchmarks.equal_error.method import Method
 from benchmarks.equal_error.pairs import Pair, add_folders, read_pairs, shows_lamp
 from benchmarks.equal_error.readings import (
     Reference,
-    Run,
     display_levels,
     display_rows,
     expected_levels,
     headline,
     levels,
+    noise_of_mean,
     readable,
     rung_rows,
 )
@@ -200,10 +200,13 @@ def compare(pair: Pair, explicit: Method, baked: Method, clock: ClockName) -> di
             ("lit_robust", relative * lit * trimming(*noisy)),
         )
     }
-    runs = [
-        Run(m.rungs, m.long.batches, m.long.seconds[clock], m.converges) for m in (explicit, baked)
-    ]
-    display, own, chosen = display_rows(runs[0], runs[1], clock)
+    runs = {
+        name: (method.rungs, method.long.batches, method.long.seconds[clock])
+        for name, method in (("explicit", explicit), ("baked", baked))
+    }
+    converging = (name for name, m in (("explicit", explicit), ("baked", baked)) if m.converges)
+    chosen = min(converging, key=lambda name: noise_of_mean(runs[name][1]))
+    display, own = display_rows(runs, clock, reference=chosen)
     saved = (best["explicit_seconds"] or 0.0) - best["baked_seconds"]
     means = ratio_of_means(baked.long.batches, explicit.long.batches)
     rel_mse = squared_difference(baked.long.batches, explicit.long.batches, reference.weights)

@@ -60,7 +60,7 @@ def measure(
     """A row for each method, and what the views are; writes a contact sheet."""
     import lumitree
     from lumitree.core.dataset import Dataset
-    from lumitree.evaluation.evaluate import evaluate_images, evaluate_views
+    from lumitree.evaluation.evaluate import compare_views, evaluate_views
 
     rows, jobs, evaluations = [], {}, {}
     with tempfile.TemporaryDirectory() as made:
@@ -80,7 +80,7 @@ def measure(
                 jobs[label] = _look_job(asset, pixels)
                 row["bytes"] = result.stat().st_size
             else:
-                evaluation = evaluate_images(test, _zhu_image(result, test))
+                evaluation = compare_views(_zhu_image(result, test), test)
                 jobs[label] = _eval_job(result, pixels)
                 row |= {"bytes": result.num_bytes, "steps": result.steps}
                 row["variance"] = variances(result, options.seed)

@@ -37,12 +37,17 @@ class LongRun:
 
     Whenever there are 32, neighbours are averaged: 16 batches of twice as many samples. So the
     file stays small, and the noise of the whole can always be told from the batches' spread.
+
+    Args:
+        path: of the file.
+        first_samples: samples a pixel of a batch at the beginning.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, first_samples: int = 4) -> None:
         self._path = path
         self.batches: Floats = np.zeros((0, 0, 0, 3), np.float32)
-        self.samples, self.seconds, self._next = 4, {"wall": 0.0, "cpu": 0.0}, 0
+        self.samples, self._next = first_samples, 0
+        self.seconds = {"wall": 0.0, "cpu": 0.0}
         if path.exists():
             with np.load(path) as saved:
                 self.batches = saved["batches"]

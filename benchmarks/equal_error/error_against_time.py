@@ -68,7 +68,7 @@ def trimmed_mean(squares: Floats, share: float = TRIMMED_SHARE) -> float:
     return float(pixels[: len(pixels) - round(share * len(pixels))].mean())
 
 
-def display_rmse(images: Floats, reference: Floats) -> Floats:
+def display_rmse(images: Floats, reference: Floats, weights: Floats | float = 1.0) -> Floats:
     """RMSE of images as they are looked at, on the scale of 8 bits, 0 to 255 (decision 15).
 
     Both are exposed so that the median luminance of the reference is 0.18, clipped at 1, and
@@ -77,6 +77,7 @@ def display_rmse(images: Floats, reference: Floats) -> Floats:
     Args:
         images: [R, H, W, 3] linear radiance.
         reference: [H, W, 3].
+        weights: [H, W, 1] of the squared errors, of mean 1.
 
     Returns:
         [R]
@@ -84,7 +85,7 @@ def display_rmse(images: Floats, reference: Floats) -> Floats:
     seen = luminance(reference)
     exposure = 0.18 * LUMENS_PER_WATT / float(np.median(seen[seen > 0]))
     encoded, goal = (srgb_from_linear(exposure * each) for each in (images, reference))
-    return 255 * np.sqrt(((encoded - goal) ** 2).mean(axis=(1, 2, 3)))
+    return 255 * np.sqrt(((encoded - goal) ** 2 * weights).mean(axis=(1, 2, 3)))
 
 
 def noise(batches: Floats, weights: Floats | float = 1.0) -> Estimate:

@@ -1,8 +1,11 @@
 """The two ways to render a pair, with the explicit lamp and with the baked one."""
 
 import argparse
+import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 import lumitree
 from benchmarks.equal_error.batches import LongRun, digest, ladder, remember
@@ -10,16 +13,34 @@ from benchmarks.equal_error.error_against_time import Floats, Pace, noise
 from benchmarks.equal_error.pairs import Pair
 from lumitree.core.backend import load_mitsuba
 
+if TYPE_CHECKING:
+    from lumitree.rendering.emitter_sampling import Sampling
+
 # What a picture of the baked lamp depends on, besides its asset and the room.
 _SOURCES = ("rendering", "octree", "asset", "core")
+
+
+@dataclasses.dataclass(frozen=True)
+class Way:
+    """How the baked lamp is rendered; members as the arguments of `place_luminaires`.
+
+    Images show the model of a lamp, if its asset has one.
+    """
+
+    sampling: "Sampling" = "emission"
+    min_density: float = 0.0
+    max_opacity: float = 1.0
 
 
 class Method:
     """One way to render the pair: its long run and its ladder, and how to extend both."""
 
-    def __init__(self, pair: Pair, baked: bool, options: argparse.Namespace) -> None:
+    def __init__(
+        self, pair: Pair, baked: bool, options: argparse.Namespace, way: Way | None = None
+    ) -> None:
         from lumitree.luminaire.luminaire import load_luminaire
         from lumitree.luminaire.scene_file import SceneFile
+        from lumitree.octree.field import Thresholds
         from lumitree.rendering.passes import Budget, render_passes
         from lumitree.rendering.placed import shows_model
         from lumitree.rendering.placement import Placement
@@ -33,9 +54,15 @@ class Method:
         room, _ = load_scene(pair.room)
         set_film_width(room, options.width)
         source = pair.asset if baked else pair.luminaire
-        # Images show the model of a lamp, if its asset has one.
+        way = Way() if way is None else way
         lamp = PlacedLuminaire(Placement(source, at=pair.at, size=pair.size))
-        scene = place_luminaires(room, [lamp], appearance="model")
+        scene = place_luminaires(
+            room,
+            [lamp],
+            sampling=way.sampling,
+            appearance="model",
+            thresholds=Thresholds(way.min_density, way.max_opacity),
+        )
         # Whether it converges to the explicit lamp's image, but for the illumination's error.
         self.converges = lamp.field is None or shows_model(lamp.field.asset, "model")
         mi = load_mitsuba()
@@ -46,6 +73,7 @@ class Method:
         key = {
             "room": digest(Path(pair.room), *SceneFile(pair.room).references()),
             "lamp": digest(Path(source)) if baked else load_luminaire(source).fingerprint,
+            "way": dataclasses.asdict(way) if baked else None,
             "at": pair.at,
             "size": pair.size,
             "integrator": self.kind,
@@ -57,7 +85,8 @@ class Method:
         self.folder = Path(options.cache) / f"{pair.name}-{digest(key)}"
         self.folder.mkdir(parents=True, exist_ok=True)
         remember(self.folder, {"source": source, **key})
-        self.long = LongRun(self.folder / "long.npz")
+        pixels = int(np.prod(room.sensors()[0].film().size()))
+        self.long = LongRun(self.folder / "long.npz", first_samples(pixels))
         self.rungs: list[dict] = []
 
         def render_pair(samples: int, seed: int) -> Any:
@@ -81,6 +110,11 @@ class Method:
         """With the variance of the long run."""
         variance = noise(self.long.batches, weights) * self.long.samples_per_pixel
         return Pace(variance, seconds, bias)
+
+
+def first_samples(pixels: int) -> int:
+    """Samples a pixel with which a long run begins: enough to hide the fixed cost of a pass."""
+    return max(4, min(64, (1 << 18) // pixels))
 
 
 def explicit_integrator(luminaire: Any) -> str:

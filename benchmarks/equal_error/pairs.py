@@ -59,13 +59,21 @@ def add_folders(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def read_pairs(path: Path, rooms: Path, assets: Path, data: Path) -> list[Pair]:
-    """Pairs of a TOML file; heights become sizes by the luminaire's own proportions."""
+def read_pairs(
+    path: Path, rooms: Path, assets: Path, data: Path, only: str | None = None
+) -> list[Pair]:
+    """Pairs of a TOML file; heights become sizes by the luminaire's own proportions.
+
+    Args:
+        only: the luminaire, as the file has it, whose pairs are read; None for all.
+    """
     from lumitree.luminaire.luminaire import load_luminaire
 
     pairs = []
     for entry in tomllib.loads(path.read_text())["pair"]:
         name = entry["luminaire"]
+        if only not in (None, name):
+            continue
         source = str(data / name) if name.endswith(".xml") else name
         size = load_luminaire(source).size
         pairs.append(

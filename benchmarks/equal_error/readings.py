@@ -107,58 +107,53 @@ def levels(
     return rows
 
 
-@dataclasses.dataclass(frozen=True)
-class Run:
-    """What a method has rendered.
+def display_rows(
+    runs: dict[str, tuple[list[dict], Floats, float]],
+    clock: str,
+    weights: Floats | float = 1.0,
+    reference: str = "explicit",
+) -> tuple[dict[str, list[dict]], float]:
+    """`rmse_display` of the ladders and of the long runs, and that of the reference.
 
-    Attributes:
-        rungs: of its ladder.
-        batches: [K, H, W, 3] of its long run.
-        seconds: that the long run took.
-        converges: whether it converges to the image of the explicit lamp, so that its long run may
-            be the reference.
+    The reference is the long run of one of them. Its own error is half the difference between the
+    means of its odd and its even batches, and is subtracted from all others. Its last
+    image is the mean of every second batch: its error is that difference over √2.
+
+    Args:
+        runs: rungs, batches [K, H, W, 3] of the long run, and its seconds, by method.
+        clock: that the seconds of rungs are by.
+        weights: see `display_rmse`.
+        reference: name of the method whose long run is the reference.
     """
-
-    rungs: list[dict]
-    batches: Floats
-    seconds: float
-    converges: bool = True
-
-    def difference(self) -> float:
-        """`rmse_display` between the means of the odd and of the even batches."""
-        halves = self.batches[0::2].mean(0), self.batches[1::2].mean(0)
-        return float(display_rmse(halves[0][None], halves[1])[0])
-
-
-def display_rows(explicit: Run, baked: Run, clock: str) -> tuple[dict[str, list[dict]], float, str]:
-    """`rmse_display` of both ladders and of both long runs; that of the reference, and which it is.
-
-    The reference is the long run of the smaller error, of those that converge to the image of the
-    explicit lamp. Its own error is half the difference between the means of its odd and its even
-    batches, and is subtracted from all others. The last image of the reference's method is the mean
-    of every second batch: its error is that difference over √2.
-    """
-    runs = {"explicit": explicit, "baked": baked}
-    differences = {name: run.difference() for name, run in runs.items() if run.converges}
-    chosen = min(differences, key=lambda name: differences[name])
-    reference, own = runs[chosen].batches.mean(0), differences[chosen] / 2
-    rows: dict[str, list[dict]] = {}
-    for name, run in runs.items():
+    goal = runs[reference][1].mean(0)
+    difference = noise_of_mean(runs[reference][1], weights) * 2
+    own = difference / 2
+    rows = {}
+    for name, (rungs, batches, seconds) in runs.items():
         rows[name] = [
             {
                 "seconds": float(np.median(rung["seconds"][clock])),
-                "rmse": _without(display_rmse(rung["images"], reference), own),
+                "rmse": _without(display_rmse(rung["images"], goal, weights), own),
             }
-            for rung in run.rungs
+            for rung in rungs
         ]
         last = {
-            "seconds": run.seconds,
-            "rmse": _without(display_rmse(run.batches.mean(0)[None], reference), own),
+            "seconds": seconds,
+            "rmse": _without(display_rmse(batches.mean(0)[None], goal, weights), own),
         }
-        if name == chosen:
-            last = {"seconds": run.seconds / 2, "rmse": differences[chosen] / np.sqrt(2)}
+        if name == reference:
+            last = {"seconds": seconds / 2, "rmse": difference / np.sqrt(2)}
         rows[name].append(last)
-    return rows, own, chosen
+    return rows, own
+
+
+def noise_of_mean(batches: Floats, weights: Floats | float = 1.0) -> float:
+    """`rmse_display` of the mean of batches [K, H, W, 3] by their noise.
+
+    Half of that of the mean of the even batches against the mean of the odd ones.
+    """
+    halves = batches[0::2].mean(0), batches[1::2].mean(0)
+    return float(display_rmse(halves[0][None], halves[1], weights)[0]) / 2
 
 
 def _without(errors: Floats, own: float) -> float:

@@ -1,12 +1,15 @@
 """Loss gradients against finite differences, through the whole volume rendering."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from lumitree.core.transmittance import LAWS
-from lumitree.nerf.losses import EPSILON, hdr_loss, opacity_loss, psnr, total_loss
+from lumitree.nerf.config import TrainConfig
+from lumitree.nerf.losses import EPSILON, colour_loss, hdr_loss, opacity_loss, psnr, total_loss
 from lumitree.nerf.volume import composite
 
 NUM_RAYS, NUM_INTERVALS = 3, 5
@@ -22,9 +25,10 @@ def _loss(raw, law, stop_gradient, frozen=None):
     fine = composite(2 * density, phi, widths, law)
     radiance = jnp.linspace(0.0, 1.5, NUM_RAYS * 3).reshape(NUM_RAYS, 3)
     opacity = jnp.linspace(0.1, 0.9, NUM_RAYS)
+    config = TrainConfig(stop_gradient=stop_gradient)
     if frozen is None:
         return (
-            total_loss(coarse, fine, radiance, opacity, MAX_RADIANCE, stop_gradient),
+            total_loss(coarse, fine, radiance, opacity, MAX_RADIANCE, config),
             (coarse, fine),
         )
     terms = [
@@ -86,3 +90,32 @@ def test_psnr_of_a_known_error():
     )
     # Both are clipped at max_radiance.
     assert float(psnr(jnp.full((1, 3), 9.0), jnp.full((1, 3), 5.0), 2.0)) > 100
+
+
+def test_the_terms_of_the_loss_that_the_settings_choose():
+    """The three rows of the paper's Table 2, and D6's radiance units."""
+    rng = np.random.default_rng(8)
+    shapes = (NUM_RAYS, NUM_INTERVALS), (NUM_RAYS, NUM_INTERVALS, 3), (NUM_RAYS, NUM_INTERVALS)
+    coarse, fine = (
+        composite(*(jnp.asarray(rng.random(shape)) for shape in shapes), "linear") for _ in range(2)
+    )
+    radiance, opacity = rng.random((NUM_RAYS, 3)), rng.random(NUM_RAYS)
+    settings = TrainConfig()
+
+    def loss(**changes):
+        config = dataclasses.replace(settings, **changes)
+        return float(total_loss(coarse, fine, radiance, opacity, MAX_RADIANCE, config))
+
+    squares = [
+        np.sum((np.asarray(seen.radiance) - radiance) ** 2, axis=-1) for seen in (coarse, fine)
+    ]
+    mse = sum(np.mean(square) for square in squares) / MAX_RADIANCE**2
+    assert loss(colour_loss="mse", supervise_opacity=False) == pytest.approx(mse, rel=1e-5)
+    alone = loss(supervise_opacity=False)
+    hdr = [hdr_loss(seen.radiance, radiance, MAX_RADIANCE, True) for seen in (coarse, fine)]
+    assert alone == pytest.approx(float(sum(hdr)), rel=1e-5)
+    assert loss() - alone == pytest.approx(float(opacity_loss(fine.opacity, opacity)), rel=1e-4)
+    units = dataclasses.replace(settings, colour_loss="hdr_radiance")
+    assert float(colour_loss(fine.radiance, radiance, MAX_RADIANCE, units)) == pytest.approx(
+        float(hdr[1]) * MAX_RADIANCE**2, rel=1e-5
+    )

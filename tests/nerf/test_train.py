@@ -12,9 +12,13 @@ import jax
 import numpy as np
 import pytest
 
+import lumitree
+from lumitree.core.dataset import Dataset
 from lumitree.errors import LumitreeError
 from lumitree.nerf import train as training
 from lumitree.nerf.config import TrainConfig
+from lumitree.nerf.losses import psnr
+from lumitree.nerf.ray_set import load_rays
 from lumitree.nerf.run import restore_checkpoint
 from lumitree.nerf.step import initial_state
 from lumitree.nerf.train import train
@@ -77,6 +81,30 @@ def test_field_says_what_extraction_needs(tiny_run):
     assert 3 < field.max_radiance < 4.1
     np.testing.assert_array_equal(field.frame.half_extents, [1.0, 0.8, 0.7])
     np.testing.assert_array_equal(field.frame.world_from_local, np.eye(4))
+
+
+def test_the_rendered_views_are_those_of_the_training(dataset, tiny_run):
+    """`TrainedField.render` reproduces the PSNR that training reports for the held-out rays."""
+    data = Dataset.open(dataset)
+    rays, _ = load_rays(data, TINY.opacity_kind, TINY.skip_empty)
+    held = rays.held_out()
+    field = load_field(tiny_run)
+    radiance, opacity = field.render(held.origins, held.directions)
+    found = float(psnr(radiance, held.radiance, rays.max_radiance))
+    history = json.loads((tiny_run / "history.json").read_text())
+    assert found == pytest.approx(history[-1]["psnr"], abs=1e-3)
+    assert opacity.shape == (len(held.opacity),)
+    # The number of rays of a call changes nothing.
+    few, _ = field.render(held.origins[:3], held.directions[:3])
+    np.testing.assert_allclose(few, radiance[:3], atol=1e-5)
+
+
+def test_a_run_with_literal_weights_trains_and_is_not_extracted(dataset, tmp_path):
+    config = dataclasses.replace(TINY, emission_weights="literal", num_steps=2)
+    train(dataset, tmp_path / "run", config)
+    assert load_field(tmp_path / "run").emission_weights == "literal"
+    with pytest.raises(LumitreeError, match="literal emission weights"):
+        lumitree.extract(tmp_path / "run", tree_depth=3)
 
 
 def test_query_does_not_depend_on_its_chunks(tiny_run):
@@ -158,6 +186,8 @@ def test_damaged_run_is_refused(tiny_run, tmp_path):
     [
         ({"law": "cubic"}, "law is 'cubic'; expected linear, exponential"),
         ({"opacity_kind": "alpha"}, "opacity_kind is 'alpha'"),
+        ({"colour_loss": "l1"}, "colour_loss is 'l1'"),
+        ({"emission_weights": "all"}, "emission_weights is 'all'"),
         ({"num_coarse": 0}, "num_coarse is 0; expected a whole number, at least 1"),
         ({"width": 64.0}, r"width is 64\.0"),
         ({"l_max": 5}, "l_max is 5; expected a whole number, 0 to 4"),

@@ -53,6 +53,20 @@ def test_an_asset_is_read_once_however_often_it_is_placed(mi, asset, loads, plac
     assert len(loads) == 1
 
 
+def test_thresholds_reach_the_plugins_of_a_placed_asset(mi, asset):
+    from lumitree.octree.field import Thresholds
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire
+
+    placed = PlacedLuminaire(Placement(asset))
+    shapes = placed.shapes("box", "uniform", "field", Thresholds(0.1, 0.9))
+    for plugin in ("emitter", "bsdf"):
+        found = shapes["proxy"][plugin]
+        assert (found["min_density"], found["max_opacity"]) == (0.1, 0.9)
+    exact = placed.shapes("box", "uniform", "field")["proxy"]["emitter"]
+    assert (exact["min_density"], exact["max_opacity"]) == (0.0, 1.0)
+
+
 def test_emitters_have_the_same_order_each_time(mi, asset):
     """Otherwise emitters are chosen by other random numbers, and equal seeds differ."""
     from lumitree.rendering.demo_room import demo_room

@@ -379,6 +379,11 @@ def _extract(
     watch = Stopwatch()
     with watch.stage("extract"):
         field = load_field(run)
+        if field.emission_weights != "decrease":
+            raise LumitreeError(
+                f"{run} was trained with {field.emission_weights} emission weights, which no asset "
+                "has; expected decrease"
+            )
         children, density, coefficients = extract_octree(
             field.query, field.frame.half_extents, tree_depth, samples_per_leaf=samples_per_leaf
         )

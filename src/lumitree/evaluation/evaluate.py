@@ -30,6 +30,8 @@ from lumitree.evaluation.metrics import (
 from lumitree.evaluation.sheet import MAX_ROWS, SheetRow
 from lumitree.luminaire.luminaire import Luminaire
 
+Predict = Callable[[Frame], tuple[NDArray[np.floating], NDArray[np.floating]]]
+
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
@@ -51,9 +53,6 @@ class Evaluation:
 def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
     """Compare an asset with every view of `dataset`.
 
-    The opacity that is compared is `straight_through`: the renderer multiplies the light behind
-    the luminaire by 1 minus this opacity (D7).
-
     Raises:
         LumitreeError: the dataset shows a luminaire of other proportions, or nothing.
     """
@@ -63,23 +62,27 @@ def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
             f"the asset ({asset.luminaire}) and {dataset.folder} ({manifest.luminaire}) have "
             "bounding boxes of different proportions; evaluate an asset on its own luminaire"
         )
-    return evaluate_images(dataset, lambda frame: baked_view(asset, manifest, frame))
+    return compare_views(lambda frame: baked_view(asset, manifest, frame), dataset)
 
 
-def evaluate_images(
-    dataset: Dataset, render: Callable[[Frame], tuple[NDArray[np.float32], NDArray[np.float32]]]
-) -> Evaluation:
-    """Compare images with every view of `dataset`, as `evaluate_views` does.
+def compare_views(predict: Predict, dataset: Dataset) -> Evaluation:
+    """Compare images with every view of `dataset`.
+
+    The opacity that is compared is `straight_through`: the renderer multiplies the light behind
+    the luminaire by 1 minus this opacity (D7).
 
     Args:
-        render: radiance [H, W, 3] and opacity [H, W] of a view.
+        predict: returns radiance [H, W, 3] and opacity [H, W] of a view.
+
+    Raises:
+        LumitreeError: the dataset shows nothing.
     """
-    # L_max of the views, not of what is compared, so that all have one scale.
+    # L_max of the views, not of the asset, so that all assets are compared on one scale.
     max_radiance = dataset.max_radiance(dataset.views())
     views, rows = [], []
     with progress("evaluate", len(dataset.manifest.frames)) as advance:
         for view in dataset.views():
-            radiance, opacity = render(view.frame)
+            radiance, opacity = predict(view.frame)
             metrics = view_metrics(
                 radiance, view.radiance, opacity, view.straight_through, max_radiance
             )

@@ -2,12 +2,18 @@
 
 import dataclasses
 import math
+from typing import Literal, get_args
 
 from lumitree.core.arguments import check_choice
 from lumitree.core.dataset import OPACITY_KINDS, OpacityKind
 from lumitree.core.harmonics import MAX_L
-from lumitree.core.transmittance import LAWS, Law
+from lumitree.core.transmittance import EMISSION_WEIGHTS, LAWS, EmissionWeights, Law
 from lumitree.errors import LumitreeError
+
+# Error of a colour (Eq. 8 and D6): that of radiance / L_max over the predicted radiance; the same
+# with the error in radiance units; and the plain squared error of radiance / L_max, NeRF's.
+ColourLoss = Literal["hdr", "hdr_radiance", "mse"]
+COLOUR_LOSSES: tuple[ColourLoss, ...] = get_args(ColourLoss)
 
 # The highest frequency is 2^(n-1) half-periods per local unit. Single precision does not resolve
 # 2^16.
@@ -34,6 +40,10 @@ class TrainConfig:
         opacity_kind: which captured opacity supervises the field (D7).
         skip_empty: sample only inside the visual hull of the masks.
         stop_gradient: no gradient through the denominator of the HDR loss (D6).
+        colour_loss: error of a colour, see `ColourLoss`. Others than "hdr" are for comparison.
+        supervise_opacity: whether the loss has the term of the opacity (Eq. 9).
+        emission_weights: weights of the emission along a ray (D2); "literal" is for comparison, and
+            no asset can hold such a field.
         seed: seed of the initial weights, the batches and the jitter.
 
     Raises:
@@ -55,11 +65,16 @@ class TrainConfig:
     opacity_kind: OpacityKind = "straight_through"
     skip_empty: bool = False
     stop_gradient: bool = True
+    colour_loss: ColourLoss = "hdr"
+    supervise_opacity: bool = True
+    emission_weights: EmissionWeights = "decrease"
     seed: int = 0
 
     def __post_init__(self) -> None:
         check_choice("law", self.law, LAWS)
         check_choice("opacity_kind", self.opacity_kind, OPACITY_KINDS)
+        check_choice("colour_loss", self.colour_loss, COLOUR_LOSSES)
+        check_choice("emission_weights", self.emission_weights, EMISSION_WEIGHTS)
         for name in (
             "num_layers",
             "width",

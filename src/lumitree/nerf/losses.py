@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from lumitree.nerf.config import TrainConfig
 from lumitree.nerf.volume import Composite
 
 # The regulariser of Eq. 8, radiance units.
@@ -30,6 +31,22 @@ def hdr_loss(
     return jnp.mean(jnp.sum(error**2, axis=-1))
 
 
+def colour_loss(
+    predicted: jax.Array, radiance: jax.Array, max_radiance: float, config: TrainConfig
+) -> jax.Array:
+    """The error of colours that the settings choose (`config.ColourLoss`), the mean over rays.
+
+    Args:
+        predicted, radiance, max_radiance: as for `hdr_loss`.
+        config: `colour_loss` and `stop_gradient`.
+    """
+    if config.colour_loss == "mse":
+        error = (predicted - radiance) / max_radiance
+        return jnp.mean(jnp.sum(error**2, axis=-1))
+    loss = hdr_loss(predicted, radiance, max_radiance, config.stop_gradient)
+    return loss * max_radiance**2 if config.colour_loss == "hdr_radiance" else loss
+
+
 def opacity_loss(predicted: jax.Array, opacity: jax.Array) -> jax.Array:
     """Squared error of opacity [R] (Eq. 9), averaged over rays."""
     return jnp.mean((predicted - opacity) ** 2)
@@ -41,14 +58,15 @@ def total_loss(
     radiance: jax.Array,
     opacity: jax.Array,
     max_radiance: float,
-    stop_gradient: bool,
+    config: TrainConfig,
 ) -> jax.Array:
-    """L_c + L_f + L_opacity with equal weights (Eq. 7); L_opacity is that of the fine network."""
-    return (
-        hdr_loss(coarse.radiance, radiance, max_radiance, stop_gradient)
-        + hdr_loss(fine.radiance, radiance, max_radiance, stop_gradient)
-        + opacity_loss(fine.opacity, opacity)
-    )
+    """L_c + L_f + L_opacity with equal weights (Eq. 7); L_opacity is that of the fine network.
+
+    Without `config.supervise_opacity` L_opacity is left out.
+    """
+    loss = colour_loss(coarse.radiance, radiance, max_radiance, config)
+    loss += colour_loss(fine.radiance, radiance, max_radiance, config)
+    return loss + opacity_loss(fine.opacity, opacity) if config.supervise_opacity else loss
 
 
 def psnr(predicted: jax.Array, radiance: jax.Array, max_radiance: float) -> jax.Array:

@@ -63,9 +63,7 @@ def make_step(
         coarse, fine = render(
             networks, occupancy, rays.origins, rays.directions, max_radiance, config, key
         )
-        return total_loss(
-            coarse, fine, rays.radiance, rays.opacity, max_radiance, config.stop_gradient
-        )
+        return total_loss(coarse, fine, rays.radiance, rays.opacity, max_radiance, config)
 
     def step(
         state: TrainState, batch: Batch, occupancy: Occupancy
@@ -124,12 +122,15 @@ def make_evaluation(
     return jax.jit(evaluate)
 
 
-def _optimizer(config: TrainConfig) -> optax.GradientTransformation:
+def learning_rate(config: TrainConfig) -> optax.Schedule:
+    """Adam's step size by step: exponential from `learning_rate_start` to `learning_rate_end`."""
     decay = config.learning_rate_end / config.learning_rate_start
-    schedule = optax.exponential_decay(config.learning_rate_start, config.num_steps, decay)
-    return optax.chain(
-        optax.clip_by_global_norm(_MAX_GRADIENT), optax.adam(schedule, b2=_SECOND_MOMENT_DECAY)
-    )
+    return optax.exponential_decay(config.learning_rate_start, config.num_steps, decay)
+
+
+def _optimizer(config: TrainConfig) -> optax.GradientTransformation:
+    adam = optax.adam(learning_rate(config), b2=_SECOND_MOMENT_DECAY)
+    return optax.chain(optax.clip_by_global_norm(_MAX_GRADIENT), adam)
 
 
 def _num_chunks(config: TrainConfig, num_rays: int) -> int:

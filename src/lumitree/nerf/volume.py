@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from lumitree.core.transmittance import Law, transmittance
+from lumitree.core.transmittance import EmissionWeights, Law, emission_weights, transmittance
 from lumitree.nerf.config import TrainConfig
 from lumitree.nerf.network import CoarseAndFine, NerfSH, emission
 from lumitree.nerf.occupancy import Occupancy, contains, occupied_bins
@@ -118,7 +118,13 @@ def importance_samples(
     return pick(edges[:, :-1]) + jnp.clip(part, 0, 1) * pick(widths)
 
 
-def composite(density: jax.Array, phi: jax.Array, widths: jax.Array, law: Law) -> Composite:
+def composite(
+    density: jax.Array,
+    phi: jax.Array,
+    widths: jax.Array,
+    law: Law,
+    kind: EmissionWeights = "decrease",
+) -> Composite:
     """Radiance and opacity of intervals with constant density and emission (Eq. 3 to 5, D2).
 
     Args:
@@ -126,11 +132,12 @@ def composite(density: jax.Array, phi: jax.Array, widths: jax.Array, law: Law) -
         phi: [R, N, 3] emission.
         widths: [R, N] local units.
         law: transmittance law.
+        kind: of the weights.
     """
     tau = jnp.cumsum(density * widths, axis=-1)
     after = transmittance(tau, law, jnp)
     before = jnp.pad(after[:, :-1], ((0, 0), (1, 0)), constant_values=1.0)
-    weights = before - after
+    weights = emission_weights(before, after, law, kind)
     opacity = 1 - after[:, -1]
     if law == "linear":
         opacity = _through_saturation(opacity, tau[:, -1])
@@ -154,7 +161,7 @@ def march(
     directions: jax.Array,
     edges: jax.Array,
     max_radiance: float,
-    law: Law,
+    config: TrainConfig,
 ) -> Composite:
     """Evaluate one network at the centres of the intervals, and integrate along the rays."""
     middles = distances(chord, (edges[:, 1:] + edges[:, :-1]) / 2)
@@ -163,7 +170,8 @@ def march(
     # As in the exported field (`trained_field`), density is 0 outside of the grid.
     density = jnp.where(contains(occupancy, positions), density, 0)
     phi = emission(coefficients, directions, max_radiance)
-    return composite(density, phi, jnp.diff(edges, axis=-1), law)
+    widths = jnp.diff(edges, axis=-1)
+    return composite(density, phi, widths, config.law, config.emission_weights)
 
 
 def render(
@@ -192,9 +200,7 @@ def render(
     chord = occupied_chord(occupancy, origins, directions)
 
     def render_one(network: NerfSH, edges: jax.Array) -> Composite:
-        return march(
-            network, occupancy, chord, origins, directions, edges, max_radiance, config.law
-        )
+        return march(network, occupancy, chord, origins, directions, edges, max_radiance, config)
 
     edges = stratified_edges(chord.length, config.num_coarse, coarse_key)
     coarse = render_one(networks.coarse, edges)

@@ -8,7 +8,7 @@ import functools
 import threading
 import weakref
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -27,6 +27,16 @@ Record = Callable[..., Any]
 # Coefficients that are loaded at once: gathers of single halves take three times as long.
 _PACKET = 8
 _LARGEST_HALF = float(np.finfo(np.float16).max)
+
+
+class Thresholds(NamedTuple):
+    """Where the traversal of a field is cut short; see `Field`."""
+
+    min_density: float = 0.0
+    max_opacity: float = 1.0
+
+
+EXACT = Thresholds()
 
 
 class FieldData(Protocol):

@@ -15,7 +15,7 @@ from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaire.luminaire import Luminaire, load_luminaire, place_shapes
 from lumitree.luminaire.scene_file import SceneFile
-from lumitree.octree.field import Field
+from lumitree.octree.field import EXACT, Field, Thresholds
 from lumitree.rendering.asset_flux import asset_watts, gain_to
 from lumitree.rendering.emitter_sampling import Sampling
 from lumitree.rendering.opened import open_field
@@ -75,9 +75,13 @@ class PlacedLuminaire:
         return self.luminaire is not None and self.luminaire.has_media
 
     def shapes(
-        self, proxy: ProxyKind, sampling: Sampling, appearance: Appearance
+        self,
+        proxy: ProxyKind,
+        sampling: Sampling,
+        appearance: Appearance,
+        thresholds: Thresholds = EXACT,
     ) -> dict[str, Any]:
-        """Shapes for `mitsuba.load_dict`."""
+        """Shapes for `mitsuba.load_dict`; arguments as for `place_luminaires`."""
         if self.luminaire is not None:
             return place_shapes(self.luminaire, self.scene_from_world)
         source = cast(Any, self.placement.source)
@@ -85,6 +89,8 @@ class PlacedLuminaire:
             "sampling": sampling,
             "gain": self.gain,
             "appearance": appearance,
+            "min_density": thresholds.min_density,
+            "max_opacity": thresholds.max_opacity,
         }
         return {"proxy": shape(source, self.scene_from_world, proxy, **options)}
 
@@ -95,10 +101,12 @@ def place_luminaires(
     proxy: ProxyKind = "box",
     sampling: Sampling = "emission",
     appearance: Appearance = "field",
+    thresholds: Thresholds = EXACT,
 ) -> Any:
     """Scene with the objects of another one and the placed luminaires.
 
-    The appearance "model" is for `lumitree_path` only (`appearance_for`).
+    The appearance "model" is for `lumitree_path` only (`appearance_for`). The thresholds are those
+    of all baked luminaires.
 
     Warns on standard error where an object, or the camera, is inside a proxy: there a baked
     luminaire neither shades nor lights it correctly (D10).
@@ -122,7 +130,7 @@ def place_luminaires(
         taken.append(place_taken)
         if placement.is_baked:
             _warn_inside(scene, placed, appearance)
-        shapes = placed.shapes(proxy, sampling, appearance)
+        shapes = placed.shapes(proxy, sampling, appearance, thresholds)
         objects |= {start + name: value for name, value in shapes.items()}
     return load_ordered(objects)
 

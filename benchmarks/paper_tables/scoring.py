@@ -1,0 +1,74 @@
+"""Errors of networks and assets on held-out views."""
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.paper_tables.pictures import views as picture
+from benchmarks.paper_tables.work import Built, Work
+from lumitree.asset.file import load
+from lumitree.core.dataset import Dataset, Frame
+from lumitree.core.directions import orthographic_rays
+
+if TYPE_CHECKING:
+    from lumitree.evaluation.evaluate import Evaluation
+    from lumitree.nerf.trained_field import TrainedField
+
+
+def test_views(work: Work, lamp: str) -> Dataset:
+    """Held-out views of a lamp."""
+    return Dataset.open(work.views(lamp, work.scale.test, "test").path)
+
+
+def large_views(work: Work, lamp: str) -> Dataset:
+    """Held-out views of a lamp at the paper's resolution."""
+    return Dataset.open(work.views(lamp, work.scale.large, "test").path)
+
+
+def score_asset(asset: Built, dataset: Dataset) -> "Evaluation":
+    """Of the field of an asset: the renderer's exact traversal."""
+    from lumitree.evaluation.evaluate import evaluate_views
+
+    return evaluate_views(load(asset.path), dataset)
+
+
+def score_network(run: Built, dataset: Dataset) -> "Evaluation":
+    """Of the networks themselves, a ray through each pixel's centre, as they were trained."""
+    from lumitree.evaluation.evaluate import compare_views
+    from lumitree.nerf.trained_field import load_field
+
+    field = load_field(run.path)
+    return compare_views(lambda frame: network_view(field, dataset, frame), dataset)
+
+
+def network_view(
+    field: "TrainedField", dataset: Dataset, frame: Frame
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Radiance [H, W, 3] and opacity [H, W] of a view by a network."""
+    manifest = dataset.manifest
+    origins, direction = orthographic_rays(frame.pose, manifest.half_width, manifest.resolution)
+    radiance, opacity = field.render(origins, direction)
+    return radiance.reshape(origins.shape), opacity.reshape(origins.shape[:2])
+
+
+def first_views(*scored: "Evaluation") -> NDArray[np.uint8]:
+    """The first held-out view: the reference, and what each has in its place; opacities below."""
+    rows = [each.rows[0] for each in scored]
+    return picture(
+        [rows[0].reference, *(row.baked for row in rows)],
+        [rows[0].reference_opacity, *(row.baked_opacity for row in rows)],
+    )
+
+
+def costs(*built: Built) -> dict[str, Any]:
+    """Seconds of what a cell is made of, by its folder's name without the hash."""
+    return {each.path.parent.name.rpartition("-")[0]: round(each.seconds, 1) for each in built}
+
+
+def bytes_of(asset: Built) -> int:
+    """Size of an asset's field alone, as a file holds it."""
+    found = load(asset.path)
+    alone = dataclasses.replace(found, exitant=None, model=None)
+    return alone.children.nbytes + alone.density.nbytes + alone.coefficients.nbytes

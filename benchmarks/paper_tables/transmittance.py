@@ -1,0 +1,133 @@
+"""Table 4: transmittance laws, on `portica` and `dallas`, with several seeds."""
+
+import dataclasses
+import math
+import statistics
+from typing import Any
+
+from benchmarks.paper_tables.cells import Cell, Measured
+from benchmarks.paper_tables.found import Found
+from benchmarks.paper_tables.scales import Scale
+from benchmarks.paper_tables.scoring import costs, score_asset, score_network, test_views
+from benchmarks.paper_tables.work import Work
+from lumitree.asset.file import load
+from lumitree.nerf.config import TrainConfig
+
+# Title and changes of the settings; the literal reading of Eq. 3 is decision D2.
+LAWS: dict[str, tuple[str, dict[str, Any]]] = {
+    "exponential": ("exponential", {"law": "exponential"}),
+    "linear": ("linear", {"law": "linear"}),
+    "literal": ("linear, Eq. 3 as printed", {"law": "linear", "emission_weights": "literal"}),
+}
+# PSNR (dB) and SSIM of the paper, by lamp and law.
+PAPER = {
+    ("portica", "exponential"): (28.43737, 0.8566),
+    ("portica", "linear"): (28.6694, 0.8594),
+    ("dallas", "exponential"): (31.4002, 0.9371),
+    ("dallas", "linear"): (31.5072, 0.9374),
+}
+QUERY_RAYS = 1 << 18
+
+
+def settings(scale: Scale, law: str, seed: int) -> TrainConfig:
+    """Settings of a run."""
+    return dataclasses.replace(scale.network, seed=seed, **LAWS[law][1])
+
+
+def cells(scale: Scale) -> list[Cell]:
+    """A training for each lamp, law and seed; and the time of queries for each lamp."""
+    found = []
+    views = {"train": scale.train, "test": scale.test}
+    octree = {"depth": scale.network_depth, "samples_per_leaf": scale.samples_per_leaf}
+    for seed in range(scale.seeds):
+        for lamp in scale.transmittance_lamps:
+            for law in LAWS:
+                config = settings(scale, law, seed)
+                found.append(
+                    Cell(
+                        f"4-{lamp}-{law}-{seed}",
+                        4,
+                        {"lamp": lamp, "network": config, **views, **octree},
+                        scale.minutes[0],
+                        lambda work, lamp=lamp, law=law, seed=seed: measure(work, lamp, law, seed),
+                    )
+                )
+    for lamp in scale.transmittance_lamps:
+        networks = {law: settings(scale, law, 0) for law in ("exponential", "linear")}
+        found.append(
+            Cell(
+                f"4-{lamp}-query",
+                4,
+                {"lamp": lamp, "networks": networks, **octree, "rays": QUERY_RAYS},
+                1.0,
+                lambda work, lamp=lamp: measure_query(work, lamp),
+            )
+        )
+    return found
+
+
+def measure(work: Work, lamp: str, law: str, seed: int) -> Measured:
+    """Errors of the network, and of its octree where an asset can hold it."""
+    config = settings(work.scale, law, seed)
+    run, views = work.run(lamp, config), test_views(work, lamp)
+    values: dict[str, Any] = {"network": score_network(run, views).metrics, "costs": costs(run)}
+    if config.emission_weights == "decrease":
+        asset = work.network_asset(lamp, config)
+        values |= {"octree": score_asset(asset, views).metrics, "costs": costs(run, asset)}
+    return Measured(values)
+
+
+def measure_query(work: Work, lamp: str) -> Measured:
+    """CPU nanoseconds of an emission query, the laws taking turns."""
+    from benchmarks.common.timing import interleaved, kernel
+    from benchmarks.query import random_lines
+    from lumitree.octree.field import Field
+
+    jobs, leaves = {}, {}
+    for law in ("exponential", "linear"):
+        asset = load(work.network_asset(lamp, settings(work.scale, law, 0)).path)
+        field, lines = Field(asset), random_lines(asset, QUERY_RAYS, seed=0)
+        jobs[law] = kernel(lambda field=field, lines=lines: field.emission(*lines))
+        leaves[law] = asset.num_leaves
+    seconds = interleaved(jobs, rounds=9, clock="cpu")
+    nanoseconds = {law: each / QUERY_RAYS * 1e9 for law, each in seconds.items()}
+    return Measured({"nanoseconds": nanoseconds, "leaves": leaves})
+
+
+def section(found: Found) -> str:
+    """Quality as mean ± standard error over seeds; the time of queries."""
+    heads = ["lamp", "law", "paper: PSNR", "SSIM", "seeds", "network: PSNR", "SSIM"]
+    heads += ["octree: PSNR", "SSIM", "RMSE of opacity (network)", "ns a query"]
+    rows = []
+    for lamp in found.scale.transmittance_lamps:
+        times = found.values(f"4-{lamp}-query").get("nanoseconds", {})
+        for law, (title, _) in LAWS.items():
+            runs = [found.values(f"4-{lamp}-{law}-{seed}") for seed in range(found.scale.seeds)]
+            runs = [each for each in runs if each]
+            paper = PAPER.get((lamp, law))
+            row = [lamp, title]
+            row += ["", ""] if paper is None else [f"{paper[0]:.2f}", f"{paper[1]:.4f}"]
+            row.append(str(len(runs)))
+            for part in ("network", "octree"):
+                if part == "octree" and law == "literal":
+                    row += ["no asset has it"] * 2
+                    continue
+                row += [
+                    _mean(found, runs, part, "psnr_linear", 2),
+                    _mean(found, runs, part, "ssim_linear", 4),
+                ]
+            row.append(_mean(found, runs, "network", "opacity_rmse", 4))
+            row.append("" if law == "literal" else found.number(times.get(law), 0))
+            rows.append(row)
+    return found.table(heads, rows, left=2)
+
+
+def _mean(found: Found, runs: list[dict[str, Any]], part: str, name: str, digits: int) -> str:
+    values = [run[part][name] for run in runs]
+    if not values:
+        return found.missing
+    mean = statistics.fmean(values)
+    if len(values) == 1:
+        return f"{mean:.{digits}f}"
+    error = statistics.stdev(values) / math.sqrt(len(values))
+    return f"{mean:.{digits}f} ± {error:.{digits}f}"
