@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lamps import AREA, GLASS, cube, scene, sphere
+from lumitree.asset.asset import NO_GAIN
 from lumitree.asset.file import load, save
 from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
@@ -99,7 +100,8 @@ def test_it_is_the_luminaire(mi, luminaire, tmp_path, shape, surface):
 
     lamp = luminaire(SHAPES[shape](SURFACES[surface]))
     save(with_model(stored_model(lamp), lamp.frame), tmp_path / "lamp.lumitree")
-    plain = SimpleNamespace(gain=mi.Color3f(1))
+    asset = SimpleNamespace(gain=NO_GAIN)
+    plain = SimpleNamespace(gain=mi.Color3f(1), placed=SimpleNamespace(asset=asset))
     shapes = model_shapes(load(tmp_path / "lamp.lumitree").model, np.eye(4), plain)
     background = {"type": "scene", "light": {"type": "constant"}}
     names = {f"s{index}": each for index, each in enumerate(shapes)}

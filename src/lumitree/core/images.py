@@ -153,7 +153,8 @@ def _read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Header of an OpenEXR file; refuses sides for which memory would be reserved in vain."""
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
-            header = file.header()
+            # A copy: the file empties its own when it is closed.
+            header = dict(file.header())
             lower, upper = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
     except (RuntimeError, ValueError, KeyError) as error:
         raise LumitreeError(f"{path} is not a readable OpenEXR image: {_one_line(error)}") from None
