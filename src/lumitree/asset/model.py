@@ -47,7 +47,7 @@ class AssetModel:
         texcoords: float32 [Vt, 2], likewise.
         colours: float32 [Vc, 3] linear colours of vertices, likewise.
         faces: uint32 [F, 3] indices of vertices, counted within each mesh.
-        images: uint8 or float32 [H, W, C] with C = 1, 3 or 4; row 0 is at v = 1 as in a file.
+        images: uint8 or float32 [H, W, C] with C = 1, 3 or 4; row 0 is at v = 0, as Mitsuba has it.
         shapes: JSON objects, in the order of their arrays. All have the keys `type`, `material`,
             an index; `flipped`, whether normals point to the other side; and `radiance`, None or
             a colour or a texture, W/(m² sr). A "mesh" has the counts `vertices` and `faces`, and
