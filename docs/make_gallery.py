@@ -32,6 +32,7 @@ def main() -> None:
         quality="preview",
         tree_depth=6,
         l_max=1,
+        parts=("exitant", "field"),
         irradiance_paths=0,
         seed=0,
     )
