@@ -45,6 +45,7 @@ def measure(name: str, method: str, options: argparse.Namespace, folder: Path) -
             name,
             asset,
             quality=cast(Quality, method),
+            parts=("exitant", "field"),
             irradiance_paths=0,
             seed=options.seed,
             variant=options.variant,
