@@ -29,7 +29,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.common.demo_lamps import flux_in_room, placed, shows_diffuse, sphere_room
-from benchmarks.common.lamps import add_luminaires, sources
+from benchmarks.common.lamps import add_luminaires, file_name, sources
 from benchmarks.common.options import add_pixels, add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
@@ -291,8 +291,7 @@ def run(options: argparse.Namespace) -> None:
     results = Results(options, path_depth=PATH_DEPTH, baseline=BASELINE, clock="cpu")
     rows: list[dict] = []
     for source, _ in sources(options.luminaires, options.data):
-        path = Path(source.name)
-        name = path.stem if path.suffix == "" else f"{path.parent.name}-{path.stem}"
+        name = file_name(source)
         rows.append(measure(source, name, options))
         # After every row: all of them take minutes.
         facts = results.setting()

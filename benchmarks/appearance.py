@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common.demo_lamps import placed
-from benchmarks.common.lamps import add_luminaires, sources
+from benchmarks.common.lamps import add_luminaires, file_name, sources
 from benchmarks.common.options import add_pixels, add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
@@ -195,8 +195,7 @@ def run(options: argparse.Namespace) -> None:
         folder = options.assets or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         for source, _ in sources(options.luminaires, options.data):
-            path = Path(source.name)
-            name = path.stem if path.suffix == "" else f"{path.parent.name}-{path.stem}"
+            name = file_name(source)
             row = measure(source, folder / f"{name}.lumitree", options)
             rows = [each for each in rows if each["luminaire"] != row["luminaire"]] + [row]
             # After every row: all of them take minutes.

@@ -34,3 +34,9 @@ def sources(names: list[str], data: Path | None) -> list[tuple[LuminaireSource, 
         materials = None if overrides is None else str(OVERRIDES / overrides)
         found.append((LuminaireSource(str(data / file), materials=materials), unit))
     return found
+
+
+def file_name(source: LuminaireSource) -> str:
+    """What the files of a luminaire are called; the folder tells apart files of one name."""
+    path = Path(source.name)
+    return path.stem if path.suffix == "" else f"{path.parent.name}-{path.stem}"
