@@ -70,7 +70,9 @@ def check_stopped(process, number):
     """What must hold however far a process came before the signal."""
     _, err = process.communicate(timeout=300)
     assert process.returncode in (0, -number, 128 + number)
-    assert "Traceback" not in err
+    if process.returncode != -number:
+        # Else it died of the signal while the test's script was imported, before it was handled.
+        assert "Traceback" not in err
     if process.returncode == 128 + number:
         assert "lumitree: stopping ..." in err
         assert re.fullmatch(r"lumitree: error: interrupted; .*", err.splitlines()[-1])

@@ -51,7 +51,9 @@ def test_no_random_numbers_are_used_twice(bulb, small, tmp_path, seeds):
     refine(asset, bulb, small, tmp_path / "refine")
     purposes = {stream.purpose for (_, stream, _), _ in seeds}
     assert purposes == set(Purpose) - {
+        Purpose.ASSET_FLUX,
         Purpose.CAPTURE,
+        Purpose.EXPORT,
         Purpose.PREVIEW,
         Purpose.FLUX,
         Purpose.IRRADIANCE,
