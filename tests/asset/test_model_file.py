@@ -156,6 +156,12 @@ def test_wrong_streams_of_images_are_refused(original, tmp_path, images):
         load(path)
 
 
+def test_a_model_that_could_not_be_read_again_is_not_made(monkeypatch):
+    monkeypatch.setattr("lumitree.asset.model.MAX_IMAGE_BYTES", 40)
+    with pytest.raises(LumitreeError, match="images of 42 bytes, at most 40"):
+        small_model()
+
+
 def test_a_model_alone_illuminates_nothing_and_is_refused():
     with pytest.raises(LumitreeError, match="a model without anything that illuminates"):
         replace(with_model(small_model()), exitant=None)

@@ -28,6 +28,8 @@ _WHAT = "model"
 _expect = functools.partial(expect, _WHAT)
 MAX_SHAPES, MAX_MATERIALS, MAX_IMAGES = 5000, 5000, 1000
 MAX_IMAGE_SIDE = 16384
+# Bytes of all images together.
+MAX_IMAGE_BYTES = 5 << 28
 _MAX_COORDINATE = 1e15
 # How far the model may be outside the luminaire's box, local units: rounding alone.
 _OUTSIDE = 1e-4
@@ -171,6 +173,8 @@ def _check_shape(shape: Json, model: AssetModel) -> None:
 
 def _check_images(images: tuple[NDArray[Any], ...]) -> None:
     _expect(len(images) <= MAX_IMAGES, f"{len(images)} images, expected at most {MAX_IMAGES}")
+    total = sum(image.nbytes for image in images)
+    _expect(total <= MAX_IMAGE_BYTES, f"images of {total} bytes, at most {MAX_IMAGE_BYTES}")
     for image in images:
         sides, channels = image.shape[:2], image.shape[2:]
         _expect(

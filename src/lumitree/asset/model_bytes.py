@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.materials import Json
-from lumitree.asset.model import ARRAYS, MAX_IMAGE_SIDE, MAX_IMAGES, MAX_SHAPES, AssetModel
+from lumitree.asset.model import (
+    ARRAYS,
+    MAX_IMAGE_BYTES,
+    MAX_IMAGE_SIDE,
+    MAX_IMAGES,
+    MAX_SHAPES,
+    AssetModel,
+)
 from lumitree.core.reading import Record, parse_json
 from lumitree.errors import LumitreeError
 
@@ -27,8 +34,6 @@ MODEL_TENSORS = {
 # Largest JSON text; a shape takes about 200 bytes.
 _MAX_TEXT = 1 << 24
 _PIXELS: dict[str, Any] = {"uint8": np.uint8, "float32": np.dtype("<f4")}
-# Bytes of all images; importers read no more.
-_MAX_IMAGE_BYTES = 5 << 28
 
 
 def model_tensors(model: AssetModel) -> dict[str, NDArray[Any]]:
@@ -108,10 +113,8 @@ def _images(
         raise LumitreeError(f"the model has {len(descriptions)} images (limit {MAX_IMAGES})")
     layouts = [_layout(each) for each in descriptions]
     sizes = [math.prod(shape) * dtype.itemsize for shape, dtype in layouts]
-    if (total := sum(sizes)) > _MAX_IMAGE_BYTES:
-        raise LumitreeError(
-            f"the images of the model have {total} bytes (limit {_MAX_IMAGE_BYTES})"
-        )
+    if (total := sum(sizes)) > MAX_IMAGE_BYTES:
+        raise LumitreeError(f"the images of the model have {total} bytes (limit {MAX_IMAGE_BYTES})")
     compressed &= bool(layouts)
     if compressed:
         content = _decompressed(content, total)

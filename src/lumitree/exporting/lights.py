@@ -21,6 +21,7 @@ from lumitree.asset.exitant import ExitantField, unpack
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import bin_of, solid_angles
 from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.octree.leaves import boxes_inside
 
 # Points that k-means clusters: its time is linear in them.
 _CLUSTERED = 1 << 16
@@ -84,13 +85,14 @@ def cluster_lights(
     bins = field.resolution**2
     intensity = unpack(field.intensity) * field.scale
     power = _sums(cell, intensity.sum(axis=1) * solid_angles(field.resolution)[row])
-    side = 2.0 / (1 << field.depth)
-    lower = np.clip(field.cells * side - 1, -half_extents, half_extents)
-    upper = np.clip((field.cells + 1.0) * side - 1, -half_extents, half_extents)
-    index = _clusters((lower + upper) / 2, power, count, seed)
+    levels = np.full(len(field.cells), field.depth)
+    lower, upper = boxes_inside(half_extents, field.cells.astype(np.int64), levels)
+    # A cell that is outside the box belongs to the nearest of its points.
+    points = np.clip((lower + upper) / 2, -half_extents, half_extents)
+    index = _clusters(points, power, count, seed)
     lights = int(index.max()) + 1
     weight = _sums(index, power)
-    centre = [_sums(index, power * each) / weight for each in (lower + upper).T / 2]
+    centre = [_sums(index, power * each) / weight for each in points.T]
     place = index[cell] * bins + row
     sums = [_sums(place, each, lights * bins) for each in intensity.T]
     return PointLights(np.stack(centre, axis=-1), np.stack(sums, axis=-1).reshape(lights, bins, 3))

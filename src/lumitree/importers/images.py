@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from lumitree.core.images import MAX_SIDE
 from lumitree.errors import LumitreeError, shown
 
-MAX_SIDE = 16384
 MAX_IMAGE_PIXELS = 8192 * 8192
 # Largest size of everything that is decoded and computed for one model; four images of 4096²
 # pixels, used in every role, need less.
