@@ -14,8 +14,10 @@ import tiny_bakes
 from exitant_fields import assert_equal_fields, random_exitant
 from fields import random_asset
 from lamps import AREA, cube, scene, sphere
+from lumitree.asset.asset import exitant_asset
 from lumitree.asset.file import save
 from lumitree.cli import main
+from lumitree.errors import LumitreeError
 from lumitree.exitant import bake as exitant_bake
 from lumitree.exitant.saved_field import EXITANT_STATE
 from lumitree.luminaire.luminaire import load_luminaire
@@ -347,3 +349,18 @@ def test_info_of_an_asset_counts_its_cells():
     assert asset.info.exitant_cells == 7
     save(asset, "seven.lumitree")
     assert lumitree.load("seven.lumitree").info == asset.info
+
+
+def test_info_of_an_exitant_light_field_needs_no_llvm(tmp_path, monkeypatch, capsys):
+    lamp = random_asset(0)
+    light = exitant_asset(random_exitant(0), lamp.frame, "lamp")
+    lumitree.save(light, tmp_path / "lamp.lumitree")
+
+    def refused():
+        raise LumitreeError("no libLLVM")
+
+    monkeypatch.setattr("lumitree.api.results.load_mitsuba", refused)
+    assert main(["info", str(tmp_path / "lamp.lumitree")]) == 0
+    assert "lumens" in capsys.readouterr().out
+    lumitree.save(lamp, tmp_path / "field.lumitree")
+    assert main(["info", str(tmp_path / "field.lumitree")]) == 2
