@@ -113,7 +113,7 @@ SCALES: dict[ScaleName, Scale] = {
         train=Views(60, 256, 64),
         test=Views(6, 256, 1024),
         large=Views(2, 800, 256),
-        network=dataclasses.replace(PRESETS["preview"], num_steps=8000),
+        network=dataclasses.replace(PRESETS["preview"], num_steps=4000),
         network_depth=8,
         samples_per_leaf=32,
         direct=Direct("standard", 8, 1 << 25),
@@ -123,7 +123,7 @@ SCALES: dict[ScaleName, Scale] = {
         equal=EqualQuality(width=80, path_depth=64, seconds=1200.0),
         equal_lamps=LAMPS,
         figure=(320, 256),
-        minutes=(7.0, 6.0, 3.0),
+        minutes=(4.0, 6.0, 3.0),
     ),
     # Seconds a cell, for the tests: structure and orders of magnitude, not figures.
     "test": Scale(
