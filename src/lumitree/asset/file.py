@@ -23,9 +23,10 @@ from lumitree.errors import LumitreeError
 
 FORMAT = "lumitree"
 # Files without an exitant light field have the first version, those without a model at most the
-# second, and those with neither a gain nor images of a model at most the third, which older
-# readers know. Only files of the fourth version have compressed images.
+# second, those with neither a gain nor images of a model at most the third, and those whose model
+# has no media at most the fourth, which older readers know. Images are compressed from the fourth.
 VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL, VERSION_WITH_GAIN = 1, 2, 3, 4
+VERSION_WITH_MEDIA = 5
 ACTIVATION = "sigmoid"
 _MAX_HEADER_BYTES = 1 << 20
 # Three million leaves, the most that a bake makes, take at most 0.6 GB.
@@ -92,6 +93,9 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
     if asset.gain != NO_GAIN or (asset.model is not None and asset.model.images):
         description["version"] = VERSION_WITH_GAIN
         description["gain"] = asset.gain
+    if asset.model is not None and asset.model.has_media:
+        description["version"] = VERSION_WITH_MEDIA
+        description["gain"] = asset.gain
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     # One key only: safetensors does not keep the order of several keys.
     metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
@@ -134,12 +138,16 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
     # Checked first, because files of other versions may have other members.
     description.choice("format", (FORMAT,))
     version = description.expect_version(
-        VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL, VERSION_WITH_GAIN
+        VERSION,
+        VERSION_WITH_EXITANT,
+        VERSION_WITH_MODEL,
+        VERSION_WITH_GAIN,
+        VERSION_WITH_MEDIA,
     )
-    # A file of the third version or the fourth may have an exitant light field.
+    # A file of the third version or a later one may have an exitant light field.
     optional = version >= VERSION_WITH_MODEL and description.has("exitant")
     has_exitant = version == VERSION_WITH_EXITANT or optional
-    has_gain = version == VERSION_WITH_GAIN
+    has_gain = version >= VERSION_WITH_GAIN
     has_model = version == VERSION_WITH_MODEL or (has_gain and "model.shapes" in tensors)
     description.expect_keys(
         *_KEYS, *(["exitant"] if has_exitant else []), *(["gain"] if has_gain else [])
@@ -147,6 +155,8 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
     description.choice("activation", (ACTIVATION,))
     exitant = _build_exitant(description.record("exitant"), tensors) if has_exitant else None
     model = build_model(tensors, compressed=has_gain) if has_model else None
+    if model is not None and model.has_media and version < VERSION_WITH_MEDIA:
+        raise LumitreeError(f"version {version} has no media")
     red, green, blue = description.array("gain", 3).tolist() if has_gain else NO_GAIN
     expected = {*_TENSORS, *(_EXITANT_TENSORS if has_exitant else ())}
     if extra := tensors.keys() - expected - (MODEL_TENSORS.keys() if model is not None else set()):

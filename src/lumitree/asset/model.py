@@ -37,6 +37,9 @@ _OUTSIDE = 1e-4
 _ANALYTIC = ("sphere", "disk", "cylinder", "rectangle")
 _MESH_KEYS = ("vertices", "faces", "normals", "texcoords", "colours")
 _SHAPE_KEYS = ("type", "material", "flipped", "radiance")
+_MEDIA = ("interior", "exterior")
+# Per unit of length.
+_MAX_ABSORPTION = 1e15
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -54,7 +57,9 @@ class AssetModel:
             an index; `flipped`, whether normals point to the other side; and `radiance`, None or
             a colour or a texture, W/(m² sr). A "mesh" has the counts `vertices` and `faces`, and
             `normals`, `texcoords` and `colours`, whether it has these. A "sphere", "disk",
-            "cylinder" or "rectangle" has `to_world` [4][4].
+            "cylinder" or "rectangle" has `to_world` [4][4]. A shape between media that absorb
+            light has `interior` or `exterior`, the absorption [3] behind or before it, per unit of
+            length.
         materials: JSON objects, see `asset.materials`.
 
     Raises:
@@ -95,6 +100,11 @@ class AssetModel:
     def num_triangles(self) -> int:
         """Number of triangles of the meshes."""
         return len(self.faces)
+
+    @property
+    def has_media(self) -> bool:
+        """Whether some shapes have media that absorb light."""
+        return any(side in shape for shape in self.shapes for side in _MEDIA)
 
     def meshes(self) -> "list[dict[str, NDArray[Any]] | None]":
         """Arrays of each shape by name, or None if it is not a mesh; the inverse of `join`."""
@@ -142,7 +152,14 @@ def _counts(shape: Json) -> dict[str, int]:
 def _check_shape(shape: Json, model: AssetModel) -> None:
     record = Record(shape, "a shape")
     kind = record.choice("type", ("mesh", *_ANALYTIC))
-    record.expect_keys(*_SHAPE_KEYS, *(_MESH_KEYS if kind == "mesh" else ("to_world",)))
+    sides = [side for side in _MEDIA if record.has(side)]
+    record.expect_keys(*_SHAPE_KEYS, *(_MESH_KEYS if kind == "mesh" else ("to_world",)), *sides)
+    for side in sides:
+        absorption = record.array(side, 3)
+        _expect(
+            (absorption >= 0).all() and (absorption <= _MAX_ABSORPTION).all(),
+            f"{side} of a {kind} is {absorption.tolist()}, expected 0 to {_MAX_ABSORPTION:g}",
+        )
     index = record.integer("material")
     _expect(0 <= index < len(model.materials), f"a shape has the material {index}")
     flags = ["flipped"]

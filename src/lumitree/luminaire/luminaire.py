@@ -23,6 +23,7 @@ from lumitree.errors import LumitreeError, shown
 from lumitree.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.importers.overrides import Overrides, apply_overrides, check_emits, select_parts
 from lumitree.importers.overrides_file import read_overrides
+from lumitree.luminaire.media import any_scatters
 from lumitree.luminaire.scene_file import SceneFile
 from lumitree.luminaire.scene_writer import write_scene
 from lumitree.luminaire.source import LuminaireSource, as_source
@@ -43,6 +44,7 @@ class Luminaire:
         fingerprint: SHA-256 of the scene file and of every file that it refers to.
         scene: the Mitsuba scene, in the frame and units of the luminaire's file.
         has_media: whether there are participating media.
+        scatters: whether one of them scatters light.
         frame: its local frame.
         bounding_radius: radius of the sphere around the centre of the bounding box that contains
             all geometry, local units.
@@ -53,6 +55,7 @@ class Luminaire:
     fingerprint: str
     scene: Any
     has_media: bool
+    scatters: bool
     frame: LocalFrame
     bounding_radius: float
 
@@ -131,6 +134,7 @@ def _luminaire(
         fingerprint=fingerprint,
         scene=scene,
         has_media=has_media,
+        scatters=has_media and any_scatters(scene),
         frame=frame,
         bounding_radius=_bounding_radius(scene, frame),
     )

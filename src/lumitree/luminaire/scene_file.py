@@ -8,19 +8,15 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-import numpy as np
-
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
 from lumitree.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.importers.overrides import select_names
+from lumitree.luminaire.media import keep_clear_channels
 
-# Smallest extinction of a channel of a medium, relative to its largest one.
-_CLEAR = 1e-5
 # Largest nesting depths; in a luminaire's file they are about 8 and 6.
 _MAX_ELEMENTS, _MAX_OBJECTS = 64, 16
-_EXTINCTION = "sigma_t.value.value"
 
 
 class SceneFile:
@@ -189,7 +185,7 @@ class SceneFile:
         if not isinstance(scene, mi.Scene):
             raise LumitreeError(f"{self._name} does not hold a <scene>; found {type(scene)}")
         if has_media:
-            _keep_clear_channels(scene)
+            keep_clear_channels(scene)
         return scene
 
     @contextlib.contextmanager
@@ -216,32 +212,6 @@ class SceneFile:
             reason = own.group(1) if own else " ".join(str(error).split())
             reason = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", reason)
             raise LumitreeError(f"{self._name} cannot be loaded: {shown(reason, 400)}") from None
-
-
-def media(scene: Any) -> list[Any]:
-    """Every mi.Medium inside or around a shape of a mi.Scene."""
-    found = []
-    for shape in scene.shapes():
-        if shape.is_medium_transition():
-            found += [shape.interior_medium(), shape.exterior_medium()]
-    return [medium for medium in found if medium is not None]
-
-
-def _keep_clear_channels(scene: Any) -> None:
-    """Increase extinctions of 0.
-
-    With an extinction of 0, `volpath` divides 0 by 0, and `volpathmis` loses scattered light.
-    """
-    mi = load_mitsuba()
-    for medium in media(scene):
-        parameters = mi.traverse(medium)
-        # Heterogeneous and grey media have no such parameter.
-        if _EXTINCTION in parameters:
-            extinction = np.ravel(parameters[_EXTINCTION])
-            lifted = np.maximum(extinction, _CLEAR * extinction.max())
-            if (lifted > extinction).any():
-                parameters[_EXTINCTION] = mi.Color3f(*lifted.tolist())
-                parameters.update()
 
 
 def _is_a(node: Any, kind: str) -> bool:

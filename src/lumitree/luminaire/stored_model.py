@@ -12,6 +12,7 @@ from lumitree.asset.model import ARRAYS, AssetModel
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError, shown
 from lumitree.luminaire.luminaire import Luminaire, luminaire_source, open_scene_file
+from lumitree.luminaire.media import absorption
 from lumitree.luminaire.scene_file import SceneFile
 
 _ANALYTIC = ("sphere", "disk", "cylinder", "rectangle")
@@ -32,12 +33,12 @@ def stored_model(luminaire: Luminaire) -> AssetModel:
     Meshes of one material and radiance are joined, which renders faster.
 
     Raises:
-        LumitreeError: the luminaire cannot be stored: it has participating media, instances, a
+        LumitreeError: the luminaire cannot be stored: it has media that scatter light, instances, a
             shape, BSDF, texture or emitter that is not in the lists of `asset.materials`, or it
             was made from a mi.Scene. The message is the reason.
     """
-    if luminaire.has_media:
-        raise LumitreeError(f"{luminaire.name} has participating media, which are not stored")
+    if luminaire.scatters:
+        raise LumitreeError(f"{luminaire.name} has media that scatter light, which are not stored")
     return _Reader(open_scene_file(luminaire_source(luminaire))).read()
 
 
@@ -61,6 +62,7 @@ class _Reader:
         meshes: dict[str, list[tuple[Json, dict[str, NDArray[Any]]]]] = defaultdict(list)
         others = []
         for name, shape, description in zip(names, shapes, described, strict=True):
+            description |= _media(shape)
             # A rectangle is a mesh to Mitsuba, but has no arrays.
             mesh = _arrays(shape) if shape.is_mesh() else {}
             if mesh:
@@ -85,7 +87,7 @@ class _Reader:
                 radiance = self._radiance(child.props)
             elif child.type == load_mitsuba().ObjectType.BSDF:
                 material = self._material(child.props)
-            else:
+            elif child.type != load_mitsuba().ObjectType.Medium:
                 raise LumitreeError(f"shape {plugin!r} holds an object that is not stored")
         if material is None:
             # As Mitsuba has it: what emits reflects nothing.
@@ -176,6 +178,12 @@ def _plain(name: str, value: Any) -> Any:
     if numbers.shape != (3,):
         raise LumitreeError(f"a parameter {shown(name, 60)!r} of a BSDF is not stored")
     return numbers.tolist()
+
+
+def _media(shape: Any) -> Json:
+    """Absorption inside and outside of a shape, by the names of `AssetModel`."""
+    found = {"interior": shape.interior_medium(), "exterior": shape.exterior_medium()}
+    return {side: absorption(medium) for side, medium in found.items() if medium is not None}
 
 
 def _arrays(shape: Any) -> dict[str, NDArray[Any]]:

@@ -3,8 +3,10 @@
 A null interaction (a baked luminaire's proxy, a hole of an alpha mask) bends no ray. So it counts
 neither towards `max_depth` nor for Russian roulette, it keeps the state of multiple importance
 sampling (the vertex before it and the density of the direction sampled there), and shadow rays
-cross it with the transmittance that its BSDF states. Participating media are not seen, as by
-`path`; scenes with media need `volpath`.
+cross it with the transmittance that its BSDF states.
+
+Media that absorb light and do not scatter it attenuate each way through them, exactly and without a
+random number. Media that scatter need `volpath`, and are refused.
 
 Mitsuba starts a ray 9e-5 (1 + |p|) away from the surface point p. Where a lamp is small, or far
 from the origin, that is no longer small beside it: 0.9 units at a coordinate of 10,000. Meshes and
@@ -31,10 +33,12 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.errors import LumitreeError
+from lumitree.luminaire.media import any_scatters, media
 from lumitree.rendering.deferred_emitter import DeferredEmitter
 from lumitree.rendering.layers import Layers, Unrecorded
 from lumitree.rendering.model_plugins import CROSSED_STRAIGHT, ModelEmitter
 from lumitree.rendering.proxies import NONE, DividedScene, is_instance
+from lumitree.transport.straight_through import extinction_at
 
 _DEFAULT_RR_DEPTH = 5
 # Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
@@ -73,8 +77,14 @@ def integrator_class() -> type:
             if not scene.emitters():
                 nothing = [mi.Float(0) for _ in self.aov_names()]
                 return mi.Color3f(0), scene.ray_test(ray, active), nothing
+            if any_scatters(scene):
+                raise LumitreeError(
+                    "a medium scatters light, or is heterogeneous; lumitree_path expects media "
+                    "that only absorb: use volpath"
+                )
             divided = self._divided.of(scene)
-            return _trace(self, scene, *divided, sampler, mi.Ray3f(ray), mi.Bool(active))
+            medium = dr.zeros(mi.MediumPtr) if medium is None else mi.MediumPtr(medium)
+            return _trace(self, scene, *divided, sampler, mi.Ray3f(ray), medium, mi.Bool(active))
 
         def aov_names(self):
             return self.layers.channel_names()
@@ -86,10 +96,11 @@ def integrator_class() -> type:
 
 
 @dr.syntax
-def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
+def _trace(settings, scene, surfaces, proxies, sampler, ray, medium, active):
     """Radiance along camera rays, whether they met something (for the film's alpha), and layers."""
     max_depth = mi.UInt32(settings.max_depth % (1 << 32))  # no limit: the largest number
     sees_null = has_null_surfaces(surfaces)
+    sees_media = bool(media(surfaces)) or dr.any(medium != None)  # noqa: E711 (a vector comparison)
     shows_models = any(isinstance(emitter, ModelEmitter) for emitter in scene.emitters())
     sees_environment = scene.environment() is not None and not settings.hide_emitters
     extent = _extent(scene)
@@ -118,6 +129,8 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
             # Not Mitsuba's `skip_area_emitters`, whose distance belongs to another ray.
             hidden = active & (depth == 0) & pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711
             while hidden:
+                if dr.hint(sees_media, mode="scalar"):
+                    β[hidden] *= _attenuation(medium, pi.t, hidden)
                 passed = pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
                 ray[hidden] = _spawn(passed, ray.d, extent)
                 pi[hidden] = surfaces.ray_intersect_preliminary(ray, coherent=True, active=hidden)
@@ -140,6 +153,8 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
                     emitter, _entered, ray, distance, vertex, specular, pdf, chance, entered
                 )
                 emitted *= β * _mis_weight(pdf, emitter_pdf * chance)
+                if dr.hint(sees_media, mode="scalar"):
+                    emitted *= _attenuation(medium, distance, entered)
                 radiance[entered] += emitted
                 layers.add_light(record, emitter, emitted, specular, entered)
                 β[entered] *= through
@@ -149,6 +164,8 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
                 entered &= lamp != NONE
 
         si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
+        if dr.hint(sees_media, mode="scalar"):
+            β[active] *= _attenuation(medium, si.t, active)
         bsdf = si.bsdf(ray)
 
         # Light of the emitter that the ray has hit.
@@ -194,7 +211,8 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
         )
         direct = β * value
         estimates &= dr.max(direct) > 0
-        direct *= _visible(scene, surfaces, proxies, si, ds, sees_null, extent, estimates)
+        way = scene, surfaces, proxies, sees_null, sees_media, extent
+        direct *= _visible(*way, si, ds, medium, estimates)
         estimates &= dr.max(direct) > 0
         chance = dr.rcp(emitter_weight)
         weight, ds.pdf = dr.dispatch(
@@ -215,9 +233,7 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
             ds.pdf *= chance
             found = shows & (ds.pdf > 0)
             value, value_pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), found)
-            direct = (
-                β * value * _visible(scene, surfaces, proxies, si, ds, sees_null, extent, found)
-            )
+            direct = β * value * _visible(*way, si, ds, medium, found)
             found &= dr.max(direct) > 0
             direct *= dr.dispatch(shape.emitter(), _own_radiance, ds, found)
             direct *= _mis_weight(ds.pdf, value_pdf) / ds.pdf
@@ -246,6 +262,8 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, active):
         # A null ray keeps its direction to the last bit.
         ray = _spawn(si, dr.select(null, ray.d, si.to_world(bs.wo)), extent)
         crossings[null] += 1
+        if dr.hint(sees_media, mode="scalar"):
+            medium = _behind(si, ray.d, medium, proxy | scatters)
 
         # Russian roulette, as in `path`.
         brightest = dr.max(β)
@@ -359,7 +377,7 @@ def _eval_target(
 
 
 @dr.syntax
-def _visible(scene, surfaces, proxies, si, ds, sees_null, extent, active):
+def _visible(scene, surfaces, proxies, sees_null, sees_media, extent, si, ds, medium, active):
     """Transmittance of the way from a surface to a sampled point: 0 behind what is not null."""
     through = mi.Color3f(1)
     # Like Mitsuba's, a shadow ray ends before its goal; and by no less than it starts after its
@@ -367,13 +385,19 @@ def _visible(scene, surfaces, proxies, si, ds, sees_null, extent, active):
     margin = dr.maximum(ds.dist * mi.math.ShadowEpsilon, _offset(si, extent))
     ray, active = _spawn_to(si, ds, margin, extent, active)
     way, wanted = mi.Ray3f(ray), mi.Bool(active)
+    if dr.hint(sees_media, mode="scalar"):
+        medium = _behind(si, ds.d, medium, active)
     if dr.hint(not sees_null, mode="scalar"):
         through[surfaces.ray_test(ray, active)] = 0
+        if dr.hint(sees_media, mode="scalar"):
+            through *= _attenuation(medium, ray.maxt, active)
     else:
         crossings = mi.UInt32(0)
         while active:
             pi = surfaces.ray_intersect_preliminary(ray, coherent=False, active=active)
             hit = active & pi.is_valid()
+            if dr.hint(sees_media, mode="scalar"):
+                through *= _attenuation(medium, dr.minimum(pi.t, ray.maxt), active)
             bsdf = pi.shape.bsdf()
             null = hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
             crossing = pi.compute_surface_interaction(ray, mi.RayFlags.All, null)
@@ -381,6 +405,8 @@ def _visible(scene, surfaces, proxies, si, ds, sees_null, extent, active):
             crossings += 1
             through[null & (crossings >= _MAX_CROSSINGS)] = 0
             null &= dr.max(through) > 0
+            if dr.hint(sees_media, mode="scalar"):
+                medium = _behind(crossing, ds.d, medium, null)
             ray[null], active = _spawn_to(crossing, ds, margin, extent, null)
     if dr.hint(proxies.dim, mode="scalar"):
         crossed = wanted & (dr.max(through) > 0)
@@ -406,6 +432,20 @@ def _spawn_to(si, ds, margin, extent, active):
     left = dr.dot(way, ds.d) > margin
     ray = mi.Ray3f(origin, way / length, length - margin, si.time, si.wavelengths)
     return ray, active & left
+
+
+def _attenuation(medium: Any, distance: Any, active: Any) -> Any:
+    """Transmittance (mi.Color3f) of a way in a medium (mi.MediumPtr), which may be none."""
+    inside = active & (medium != None)  # noqa: E711 (a vector comparison)
+    # Bounded, since a channel may be clear, and a ray that meets nothing is infinite.
+    distance = dr.minimum(distance, dr.largest(mi.Float))
+    extinction = extinction_at(medium, mi.Point3f(0), inside)
+    return dr.select(inside, dr.exp(-extinction * distance), 1)
+
+
+def _behind(si: Any, direction: Any, medium: Any, active: Any) -> Any:
+    """Medium of a ray that leaves a surface in a direction; `medium` is that before it."""
+    return dr.select(active & si.is_medium_transition(), si.target_medium(direction), medium)
 
 
 def _extent(scene: Any) -> Any:

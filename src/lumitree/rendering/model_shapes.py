@@ -53,6 +53,9 @@ class _Builder:
             values["emitter"] = self._emitter(
                 self._lamp, self._lights, emitted, len(self._emitting)
             )
+        for side in ("interior", "exterior"):
+            if side in shape:
+                values[side] = self._medium(shape[side])
         if mesh is None:
             matrix = self._matrix @ np.array(shape["to_world"], np.float64)
             values["to_world"] = mi.ScalarTransform4d(matrix)
@@ -98,6 +101,18 @@ class _Builder:
             parameters[name] = on_device(mi.UInt32 if name == "faces" else mi.Float, values)
         parameters.update()
         return shape
+
+    def _medium(self, absorption: list[float]) -> Any:
+        """A medium that absorbs light, per unit of the file's length."""
+        densest = max(*absorption, 1e-30)
+        return make_object(
+            "homogeneous",
+            {
+                "sigma_t": mi.ScalarColor3d(np.array(absorption) / densest),
+                "albedo": 0.0,
+                "scale": densest / self._scale,
+            },
+        )
 
     def _top(self, material: Json) -> Any:
         bsdf = self._bsdf(material)

@@ -14,6 +14,7 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaire.luminaire import Luminaire, load_luminaire, place_shapes
+from lumitree.luminaire.media import any_scatters
 from lumitree.luminaire.scene_file import SceneFile
 from lumitree.octree.field import EXACT, Field, Thresholds
 from lumitree.rendering.asset_flux import asset_watts, gain_to
@@ -27,7 +28,7 @@ from lumitree.rendering.proxy import ProxyKind
 
 # Integrators that ask null surfaces for their transmittance in shadow rays, and see media.
 _SEE_MEDIA = ("volpath", "volpathmis")
-# What becomes `lumitree_path`, or `volpath` where there are media.
+# What becomes `lumitree_path`, or `volpath` where media scatter light.
 _PATH_TRACERS = ("path", "lumitree_path")
 _DEFAULT_PATH_DEPTH = 16
 # `volpath` starts rays (1 + largest coordinate) * RayEpsilon from surfaces. Where that is this part
@@ -70,9 +71,9 @@ class PlacedLuminaire:
         return check_gain(gain)
 
     @property
-    def has_media(self) -> bool:
-        """Whether paths through it cross participating media."""
-        return self.luminaire is not None and self.luminaire.has_media
+    def scatters(self) -> bool:
+        """Whether paths through it cross media that scatter light."""
+        return self.luminaire is not None and self.luminaire.scatters
 
     def shapes(
         self,
@@ -146,7 +147,7 @@ def load_scene(
     """Scene and integrator of a scene file; the integrator sees through null surfaces.
 
     A `path` integrator becomes `lumitree_path` with the same settings, or `volpath` where the scene
-    or an explicit one of the `luminaires` has participating media. Any other that would let
+    or an explicit one of the `luminaires` has media that scatter light. Any other that would let
     proxies block the light of other lamps is replaced too, which is said on standard error; so is
     a baked luminaire too small, or too far from the origin, for `volpath`.
 
@@ -159,34 +160,35 @@ def load_scene(
     file = SceneFile(path)
     if not file.nodes("Sensor"):
         raise LumitreeError(f"{path} has no sensor; add a camera to the scene")
-    has_media = bool(file.nodes("Medium")) or any(item.has_media for item in luminaires)
-    integrators = file.nodes("Integrator")
-    kinds = [node.props.plugin_name() for node in integrators]
-    for node in integrators:
-        if node.props.plugin_name() in _PATH_TRACERS:
-            node.props.set_plugin_name(_path_tracer(has_media))
+    # Copied, since creating the scene clears the nodes.
+    described = [mi.Properties(node.props) for node in file.nodes("Integrator")][:1]
+    kind = described[0].plugin_name() if described else None
     if box_filter:
         file.set_box_filter()
     scene = file.instantiate()
-    if has_media or (kinds and kinds[0] in _SEE_MEDIA):
+    scatters = any_scatters(scene) or any(item.scatters for item in luminaires)
+    if scatters or kind in _SEE_MEDIA:
         for item in luminaires:
             if item.placement.is_baked:
                 _warn_far(item)
-    if kinds and kinds[0] in (*_SEE_MEDIA, *_PATH_TRACERS):
+    if kind in _SEE_MEDIA:
         return scene, scene.integrator()
-    found = f"integrator {kinds[0]!r}" if kinds else "no integrator"
+    if kind in _PATH_TRACERS:
+        described[0].set_plugin_name(_path_tracer(scatters))
+        return scene, mi.PluginManager.instance().create_object(described[0])
+    found = f"integrator {kind!r}" if kind else "no integrator"
     warnings.warn(
-        f"{path} has {found}; using {_path_tracer(has_media)} with max_depth {_DEFAULT_PATH_DEPTH}",
+        f"{path} has {found}; using {_path_tracer(scatters)} with max_depth {_DEFAULT_PATH_DEPTH}",
         LumitreeWarning,
         stacklevel=2,
     )
-    return scene, default_integrator(has_media=has_media)
+    return scene, default_integrator(scatters=scatters)
 
 
-def default_integrator(path_depth: int = _DEFAULT_PATH_DEPTH, *, has_media: bool = False) -> Any:
+def default_integrator(path_depth: int = _DEFAULT_PATH_DEPTH, *, scatters: bool = False) -> Any:
     """Integrator for scenes that name none."""
     register()
-    return mi.load_dict({"type": _path_tracer(has_media), "max_depth": path_depth})
+    return mi.load_dict({"type": _path_tracer(scatters), "max_depth": path_depth})
 
 
 def appearance_for(integrator: Any) -> Appearance:
@@ -194,8 +196,8 @@ def appearance_for(integrator: Any) -> Appearance:
     return "model" if getattr(integrator, "shows_models", False) else "field"
 
 
-def _path_tracer(has_media: bool) -> str:
-    return "volpath" if has_media else "lumitree_path"
+def _path_tracer(scatters: bool) -> str:
+    return "volpath" if scatters else "lumitree_path"
 
 
 def set_film_width(scene: Any, width: int) -> None:

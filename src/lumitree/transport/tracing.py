@@ -2,14 +2,13 @@
 
 from typing import Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError
 from lumitree.luminaire.luminaire import Luminaire
-from lumitree.luminaire.scene_file import media
+from lumitree.luminaire.media import is_coloured, media
 
 # Longest path: of opal glass, 8 % of the light takes more than 32 bounces.
 PATH_DEPTH = 128
@@ -34,20 +33,8 @@ def integrator_kind(luminaire: Luminaire) -> str:
     """Name of the Mitsuba integrator of `path_integrator`."""
     if not luminaire.has_media:
         return "path"
-    return "volpathmis" if _only_colours(luminaire) else "volpath"
-
-
-def _only_colours(luminaire: Luminaire) -> bool:
-    """Whether some medium takes more of one channel than of another, and none scatters."""
-    # Media of a luminaire are homogeneous: any point will do.
-    anywhere = dr.zeros(load_mitsuba().MediumInteraction3f)
-    coloured = False
-    for medium in media(luminaire.scene):
-        scattering, _, extinction = medium.get_scattering_coefficients(anywhere)
-        if np.ravel(scattering).max() > 0:
-            return False
-        coloured |= bool(np.ptp(np.ravel(extinction)) > 0)
-    return coloured
+    only_colours = not luminaire.scatters and any(map(is_coloured, media(luminaire.scene)))
+    return "volpathmis" if only_colours else "volpath"
 
 
 def check_finite(luminaire: Luminaire, values: NDArray[np.floating]) -> None:
