@@ -29,6 +29,7 @@ from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.common.timing import Job, interleaved, ratios
 from benchmarks.equal_error.error_against_time import trimmed_mean
+from benchmarks.equal_error.method import explicit_integrator
 from lumitree.luminaire.source import LuminaireSource
 
 PATH_DEPTH = 8
@@ -74,10 +75,10 @@ def rooms(source: LuminaireSource, asset: Any, width: int) -> dict[str, tuple[An
     """Scene and type of integrator, by what hangs in the room."""
     from lumitree.luminaire.luminaire import load_luminaire
 
-    has_media = load_luminaire(source).has_media
+    explicit = explicit_integrator(load_luminaire(source))
     scenes = {
         BASELINE: (sphere_room(asset, width), "lumitree_path"),
-        "explicit": (placed(source, width), "volpath" if has_media else "lumitree_path"),
+        "explicit": (placed(source, width), explicit),
         "exitant": (placed(asset, width), "lumitree_path"),
     }
     if asset.model is not None:

@@ -118,15 +118,12 @@ def first_samples(pixels: int) -> int:
 
 
 def explicit_integrator(luminaire: Any) -> str:
-    """What the explicit lamp needs: `lumitree_path`, or `volpath` or `volpathmis` for media.
+    """What the explicit lamp needs: `lumitree_path`, or `volpath` for media that scatter light.
 
     Not `path`, which starts rays so far from surfaces that thin glass emits too much (decision 21)
     and finds no light through thin glass and alpha masks by next-event estimation.
     """
-    from lumitree.transport.tracing import integrator_kind
-
-    kind = integrator_kind(luminaire)
-    return "lumitree_path" if kind == "path" else kind
+    return "volpath" if luminaire.scatters else "lumitree_path"
 
 
 def code_digest() -> str:

@@ -126,7 +126,9 @@ class Work:
 
     def direct_asset(self, lamp: str, direct: Direct, l_max: int = 2) -> Built:
         """The asset of a direct bake, with all parts that the lamp can have."""
-        at = self._at(f"direct-{lamp}", {"lamp": lamp, "direct": direct, "l_max": l_max})
+        parts = _parts(lamp)
+        parameters = {"lamp": lamp, "direct": direct, "l_max": l_max, "parts": parts}
+        at = self._at(f"direct-{lamp}", parameters)
         if (built := _complete(at, "asset.lumitree")) is None:
             with _spending(at):
                 baked = lumitree.bake(
@@ -136,7 +138,7 @@ class Work:
                     rays=direct.rays,
                     tree_depth=direct.tree_depth,
                     l_max=l_max,
-                    parts=_parts(lamp),
+                    parts=parts,
                     irradiance_paths=0,
                     work=at / "bake.work",
                 )
@@ -154,10 +156,10 @@ class Work:
 
 
 def _parts(lamp: str) -> list[Any]:
-    """All parts; without the model for lamps with media, which no asset can hold."""
+    """All parts; without the model for lamps with media that scatter light, which none holds."""
     from lumitree.luminaire.luminaire import load_luminaire
 
-    return ["exitant", "field", *([] if load_luminaire(lamp).has_media else ["model"])]
+    return ["exitant", "field", *([] if load_luminaire(lamp).scatters else ["model"])]
 
 
 @contextlib.contextmanager

@@ -136,6 +136,22 @@ def test_a_model_without_images_has_version_3(tmp_path):
     equal(load(path).model, model)
 
 
+def test_media_have_version_5(tmp_path):
+    """Which says so, so that earlier readers refuse the file rather than show clear glass."""
+    shapes = [dict(shape) for shape in small_model().shapes]
+    shapes[1]["exterior"], shapes[2]["interior"] = [0.0, 1, 2], [0.5, 0.25, 1e6]
+    model = small_model(shapes=tuple(shapes))
+    path = tmp_path / "media.lumitree"
+    save(with_model(model), path)
+    assert model.has_media
+    assert version(path) == 5
+    equal(load(path).model, model)
+    earlier = tmp_path / "earlier.lumitree"
+    rewrite(path, earlier, lambda t: None, lambda t: t.replace('"version":5', '"version":4'))
+    with pytest.raises(LumitreeError, match="version 4 has no media"):
+        load(earlier)
+
+
 def test_smooth_images_are_compressed():
     y, x = np.mgrid[:64, :64]
     image = np.stack([2 * x + y, 255 - x, y], axis=-1).astype(np.uint8)
@@ -221,6 +237,11 @@ BROKEN = {
         lambda d: d["materials"][1].update(specular_reflectance={"attribute": "vertex_color"}),
         "without colours of vertices",
     ),
+    "absorption": (
+        lambda d: d["shapes"][2].update(interior=[1, -1, 0]),
+        r"interior of a sphere is \[1.0, -1.0, 0.0\], expected 0 to 1e",
+    ),
+    "a medium": (lambda d: d["shapes"][0].update(exterior={"albedo": 1}), "expected 3 numbers"),
     "a squeezed sphere": (
         lambda d: d["shapes"][2].update(to_world=np.diag([0.1, 0.2, 0.2, 1]).tolist()),
         "scaled non-uniformly",

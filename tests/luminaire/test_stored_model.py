@@ -12,6 +12,7 @@ from lumitree.asset.file import load, save
 from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
 from lumitree.luminaire.luminaire import load_luminaire
+from lumitree.luminaire.media import absorption
 from lumitree.luminaire.stored_model import stored_model
 from model_assets import with_model
 
@@ -134,9 +135,46 @@ def test_meshes_of_one_material_are_joined(luminaire):
     assert model.num_triangles == 36
 
 
-MEDIUM = '<medium type="homogeneous" name="interior"><rgb name="sigma_t" value="1,1,1"/></medium>'
+MEDIUM = (
+    '<medium type="homogeneous" name="{}"><rgb name="sigma_t" value="0.5,1,0.25"/>'
+    '<float name="scale" value="{}"/><float name="albedo" value="{}"/></medium>'
+)
+
+
+def test_media_that_absorb_are_stored(mi, luminaire, tmp_path):
+    """Per unit of the file's length; in a scene where it is half as large, twice as much."""
+    from lumitree.rendering.model_shapes import model_shapes
+
+    inside, outside = MEDIUM.format("interior", 4, 0), MEDIUM.format("exterior", 0.1, 0)
+    lamp = luminaire(
+        cube("a", 0.1, (1, 0, 0), GLASS + inside),
+        cube("b", 0.1, (2, 0, 0), GLASS + inside),
+        cube("c", 0.1, (3, 0, 0), GLASS),
+        sphere("d", 0.1, (4, 0, 0), GLASS + inside + outside),
+    )
+    asset = with_model(stored_model(lamp), lamp.frame)
+    save(asset, tmp_path / "lamp.lumitree")
+    model = load(tmp_path / "lamp.lumitree").model
+    assert [sorted({"interior", "exterior"} & shape.keys()) for shape in model.shapes] == [
+        ["interior"],
+        [],
+        [],
+        ["exterior", "interior"],
+    ]
+    assert model.shapes[3]["exterior"] == pytest.approx([0.05, 0.1, 0.025], rel=1e-6)
+    asset = SimpleNamespace(gain=NO_GAIN)
+    plain = SimpleNamespace(gain=mi.Color3f(1), placed=SimpleNamespace(asset=asset))
+    shapes = model_shapes(model, np.diag([0.5, 0.5, 0.5, 1]), plain)
+    assert absorption(shapes[0].interior_medium()) == pytest.approx([4, 8, 2], rel=1e-6)
+    assert shapes[1].interior_medium() is None
+    assert absorption(shapes[3].exterior_medium()) == pytest.approx([0.1, 0.2, 0.05], rel=1e-6)
+
+
 REFUSED = {
-    "media": (cube("a", 0.2, (2, 0, 0), GLASS + MEDIUM), "participating media"),
+    "media": (
+        cube("a", 0.2, (2, 0, 0), GLASS + MEDIUM.format("interior", 1, 0.5)),
+        "media that scatter light",
+    ),
     "a BSDF": (cube("a", 0.2, (2, 0, 0), '<bsdf type="hair"/>'), "hair"),
     "a parameter": (
         cube(

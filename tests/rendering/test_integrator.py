@@ -305,9 +305,13 @@ FOG = (
 
 
 @pytest.mark.parametrize("kind", ["path", "lumitree_path"])
-def test_load_scene_takes_lumitree_path_but_where_there_are_media(mi, tmp_path, kind):
+def test_load_scene_takes_lumitree_path_but_where_media_scatter(mi, tmp_path, kind):
     (tmp_path / "room.xml").write_text(ROOM.format(kind, sphere("a", 1)))
     _, integrator = load_scene(str(tmp_path / "room.xml"))
+    assert str(integrator) == "LumitreePath[max_depth=7, rr_depth=3]"
+    dark = FOG.replace("0.5", "0")
+    (tmp_path / "dark.xml").write_text(ROOM.format(kind, sphere("a", 1, inside=dark)))
+    _, integrator = load_scene(str(tmp_path / "dark.xml"))
     assert str(integrator) == "LumitreePath[max_depth=7, rr_depth=3]"
     (tmp_path / "foggy.xml").write_text(ROOM.format(kind, sphere("a", 1, inside=FOG)))
     _, integrator = load_scene(str(tmp_path / "foggy.xml"))
@@ -322,8 +326,11 @@ def test_load_scene_takes_volpath_for_an_explicit_luminaire_with_media(mi, tmp_p
         scene_xml(sphere("bulb", 0.2, inside=light), sphere("fog", 1, inside=FOG))
     )
     (tmp_path / "clear.xml").write_text(scene_xml(sphere("bulb", 0.2, inside=light)))
+    dark = sphere("dark", 1, inside=FOG.replace("0.5", "0"))
+    (tmp_path / "dark.xml").write_text(scene_xml(sphere("bulb", 0.2, inside=light), dark))
     room = str(tmp_path / "room.xml")
-    _, integrator = load_scene(room, [PlacedLuminaire(Placement(str(tmp_path / "clear.xml")))])
-    assert "LumitreePath" in str(integrator)
+    for name in ("clear.xml", "dark.xml"):
+        _, integrator = load_scene(room, [PlacedLuminaire(Placement(str(tmp_path / name)))])
+        assert "LumitreePath" in str(integrator)
     _, integrator = load_scene(room, [PlacedLuminaire(Placement(str(tmp_path / "lamp.xml")))])
     assert "Volumetric" in str(integrator)

@@ -168,6 +168,47 @@ def test_specular_paths_see_the_lamp_as_it_is(specular, name):
     assert ours.mean() > 0.1
 
 
+TINTED = GLASS + (
+    '<medium type="homogeneous" name="interior"><rgb name="sigma_t" value="0.2,0.5,1"/>'
+    '<float name="scale" value="8"/><float name="albedo" value="0"/></medium>'
+)
+
+
+def test_tinted_glass_is_seen_as_it_is(make):
+    """Media of the model absorb by the size of the lamp, at any place and scale."""
+    lamp, asset = make(SPECULAR.replace(GLASS, TINTED, 1))
+    assert asset.model.has_media
+    origin, target, fov = VIEWS["outside"]
+    objects = {
+        "sensor": camera(origin, target, fov),
+        "back": panel([0.2, 1, -2], [0, 1, 0], 1.6, [0.6, 0.9, 1.4]),
+    }
+    options = {"max_depth": 24, "rr_depth": 24}
+    ours = passes(objects | baked(asset), **options)
+    theirs = passes(objects | explicit(lamp), "volpathmis", seed=500, **options)
+    assert_same_expectation(ours, theirs)
+    clear = passes(objects | baked(make(SPECULAR)[1]), **options)
+    assert ours[..., 2].mean() < 0.9 * clear[..., 2].mean()
+
+
+def test_other_lights_are_tinted_by_glass(make):
+    """The floor under a tinted pane: that under a clear one, attenuated by the way of the light."""
+    objects = {
+        "sensor": camera([0, 0.3, 1.2], [0, 0, 0.1], 8),
+        "floor": floor({"type": "diffuse"}),
+        "window": panel([0, 3, 0], [0, 0, 0], 0.1, [600, 500, 400]),
+    }
+    # Close to the floor below it and wide, so that all light crosses it nearly perpendicularly.
+    place, options = similarity(np.eye(3), 0.8, [0, 0.6, 0]), {"max_depth": 2}
+    pane = PANE.replace('y="0.001"', 'y="0.05"')
+    assert pane != PANE
+    clear = passes(objects | baked(make(pane)[1], place=place), **options)
+    tinted = passes(objects | baked(make(pane.replace(GLASS, TINTED))[1], place=place), **options)
+    found = tinted.mean(axis=(0, 1, 2)) / clear.mean(axis=(0, 1, 2))
+    # The pane is 0.1 high in the unit of the file, of which the place scales the half side to 0.8.
+    np.testing.assert_allclose(found, np.exp(-8 * 0.1 * np.array([0.2, 0.5, 1])), rtol=0.01)
+
+
 def test_surfaces_that_lie_in_the_faces_of_the_box_are_met(make):
     lamp, asset = make(scene(cube("box", 0.5, inside=GLOWS)))
     objects = {

@@ -83,7 +83,6 @@ def integrator_class() -> type:
                     "that only absorb: use volpath"
                 )
             divided = self._divided.of(scene)
-            medium = dr.zeros(mi.MediumPtr) if medium is None else mi.MediumPtr(medium)
             return _trace(self, scene, *divided, sampler, mi.Ray3f(ray), medium, mi.Bool(active))
 
         def aov_names(self):
@@ -100,7 +99,7 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, medium, active):
     """Radiance along camera rays, whether they met something (for the film's alpha), and layers."""
     max_depth = mi.UInt32(settings.max_depth % (1 << 32))  # no limit: the largest number
     sees_null = has_null_surfaces(surfaces)
-    sees_media = bool(media(surfaces)) or dr.any(medium != None)  # noqa: E711 (a vector comparison)
+    sees_media = medium is not None or bool(media(surfaces))
     shows_models = any(isinstance(emitter, ModelEmitter) for emitter in scene.emitters())
     sees_environment = scene.environment() is not None and not settings.hide_emitters
     extent = _extent(scene)
@@ -109,6 +108,7 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, medium, active):
 
     layers = settings.layers
     record = layers.start()
+    medium = dr.zeros(mi.MediumPtr) if medium is None else mi.MediumPtr(medium)
     radiance, β, η = mi.Color3f(0), mi.Color3f(1), mi.Float(1)
     depth, crossings = mi.UInt32(0), mi.UInt32(0)
     valid = mi.Bool(sees_environment)
@@ -437,10 +437,9 @@ def _spawn_to(si, ds, margin, extent, active):
 def _attenuation(medium: Any, distance: Any, active: Any) -> Any:
     """Transmittance (mi.Color3f) of a way in a medium (mi.MediumPtr), which may be none."""
     inside = active & (medium != None)  # noqa: E711 (a vector comparison)
-    # Bounded, since a channel may be clear, and a ray that meets nothing is infinite.
-    distance = dr.minimum(distance, dr.largest(mi.Float))
     extinction = extinction_at(medium, mi.Point3f(0), inside)
-    return dr.select(inside, dr.exp(-extinction * distance), 1)
+    # A ray that meets nothing is infinite, and 0 · ∞ is not a number.
+    return dr.select(extinction > 0, dr.exp(-extinction * distance), 1)
 
 
 def _behind(si: Any, direction: Any, medium: Any, active: Any) -> Any:

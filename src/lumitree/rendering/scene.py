@@ -161,7 +161,7 @@ def load_scene(
     if not file.nodes("Sensor"):
         raise LumitreeError(f"{path} has no sensor; add a camera to the scene")
     # Copied, since creating the scene clears the nodes.
-    described = [mi.Properties(node.props) for node in file.nodes("Integrator")][:1]
+    described: list[Any] = [mi.Properties(n.props) for n in file.nodes("Integrator")][:1]
     kind = described[0].plugin_name() if described else None
     if box_filter:
         file.set_box_filter()

@@ -1,0 +1,160 @@
+"""Media that absorb light under `lumitree_path`: against Beer's law and `volpathmis`."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from lamps import GLASS, cube
+from lamps import scene as scene_xml
+from lumitree.errors import LumitreeError
+from lumitree.luminaire.luminaire import load_luminaire
+from lumitree.luminaire.media import absorption, any_scatters, media
+
+SIDE, PASSES = 8, 16
+ABSORPTION = np.array([0.5, 1.0, 0.25])
+RADIANCE = np.array([5.0, 4.0, 3.0])
+
+
+def rgb(values):
+    return {"type": "rgb", "value": list(values)}
+
+
+def medium(factor=1.0, albedo=0.0):
+    """A medium with this many times the absorption."""
+    return {"type": "homogeneous", "sigma_t": rgb(ABSORPTION), "scale": factor, "albedo": albedo}
+
+
+def block(bsdf, thickness=1.0, **members):
+    """A block around the origin, thick along z."""
+    import mitsuba as mi
+
+    to_world = mi.ScalarTransform4f().scale([3, 3, thickness / 2])
+    return {"type": "cube", "to_world": to_world, "bsdf": {"type": bsdf}, **members}
+
+
+def lit_wall(**objects):
+    """A wall that emits and fills the image, and what is before it."""
+    import mitsuba as mi
+
+    look = mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": SIDE, "height": SIDE, "rfilter": {"type": "box"}}
+    return {
+        "type": "scene",
+        "sensor": {"type": "perspective", "fov": 1, "to_world": look, "film": film},
+        "wall": {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().translate([0, 0, -2]).scale(3),
+            "bsdf": {"type": "diffuse", "reflectance": 0.0},
+            "emitter": {"type": "area", "radiance": rgb(RADIANCE)},
+        },
+        **objects,
+    }
+
+
+def image(mi, description, integrator="lumitree_path", spp=16, seed=0, **options):
+    loaded = mi.load_dict(description)
+    made = mi.load_dict({"type": integrator, "max_depth": 16, "rr_depth": 100, **options})
+    return np.array(mi.render(loaded, integrator=made, spp=spp, seed=seed))[..., :3]
+
+
+def test_a_block_attenuates_by_its_thickness(mi):
+    """Beer's law, without noise: nothing but the way in the medium changes the radiance."""
+    inside = block("null", 1.5, interior=medium())
+    pixels = image(mi, lit_wall(block=inside))
+    expected = RADIANCE * np.exp(-1.5 * ABSORPTION)
+    np.testing.assert_allclose(pixels, np.broadcast_to(expected, pixels.shape), rtol=3e-4)
+
+
+def test_media_follow_each_other(mi):
+    """A block in a block, as its interior and its exterior say."""
+    inner = block("null", 0.4, interior=medium(3.0), exterior=medium())
+    pixels = image(mi, lit_wall(outer=block("null", 1.0, interior=medium()), inner=inner))
+    expected = RADIANCE * np.exp(-(0.6 + 3 * 0.4) * ABSORPTION)
+    np.testing.assert_allclose(pixels, np.broadcast_to(expected, pixels.shape), rtol=3e-4)
+
+
+@pytest.mark.parametrize("hide", [False, True])
+def test_a_camera_in_a_medium(mi, hide):
+    """All ways are attenuated, those to the background and past hidden emitters, too."""
+    description = lit_wall(light={"type": "constant", "radiance": rgb(RADIANCE)})
+    description["sensor"] |= {"medium": medium(0.1), "near_clip": 1e-4}
+    pixels = image(mi, description, hide_emitters=hide)
+    # Behind a hidden wall the way has no end.
+    expected = np.zeros(3) if hide else RADIANCE * np.exp(-0.7 * ABSORPTION)
+    np.testing.assert_allclose(pixels, np.broadcast_to(expected, pixels.shape), rtol=3e-4)
+
+
+def passes(mi, description, integrator, seed, spp):
+    return np.array(
+        [
+            image(mi, description, integrator, spp, seed=seed + index).mean(axis=(0, 1))
+            for index in range(PASSES)
+        ]
+    )
+
+
+def lit_floor(*blocks):
+    """A floor under a window, with blocks between them; the camera sees the floor alone."""
+    import mitsuba as mi
+
+    look = mi.ScalarTransform4f().look_at([2.4, 0.7, 0], [0, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": SIDE, "height": SIDE, "rfilter": {"type": "box"}}
+    up = mi.ScalarTransform4f().rotate([1, 0, 0], -90)
+    down = mi.ScalarTransform4f().translate([0, 2, 0]).rotate([1, 0, 0], 90)
+    return {
+        "type": "scene",
+        "sensor": {"type": "perspective", "fov": 20, "to_world": look, "film": film},
+        "floor": {"type": "rectangle", "to_world": up.scale(3), "bsdf": {"type": "diffuse"}},
+        "window": {
+            "type": "rectangle",
+            "to_world": down.scale(0.4),
+            "emitter": {"type": "area", "radiance": rgb(RADIANCE)},
+        },
+        **{f"block_{index}": each for index, each in enumerate(blocks)},
+    }
+
+
+@pytest.mark.parametrize("bsdf", ["null", "dielectric", "roughdielectric"])
+def test_shadow_rays_and_paths_cross_media(mi, bsdf):
+    """Through clear borders by next-event estimation, through glass by paths: as `volpathmis`."""
+    to_world = mi.ScalarTransform4f().translate([0, 1.1, 0]).rotate([0, 0, 1], 10)
+    slab = block(bsdf, interior=medium())
+    slab["to_world"] = to_world.scale([1, 0.25, 1])
+    description = lit_floor(slab)
+    if bsdf != "null":
+        # Paths find it: next-event estimation cannot pass glass.
+        description["window"]["to_world"] = description["window"]["to_world"].scale(3)
+    spp = 256
+    ours = passes(mi, description, "lumitree_path", 0, spp)
+    theirs = passes(mi, description, "volpathmis", 500, spp)
+    clear = passes(mi, lit_floor(), "lumitree_path", 900, 16)
+    test = stats.ttest_ind(ours, theirs, equal_var=False)
+    assert test.pvalue.min() > 1e-3 / 3
+    assert (ours.std(0) < 0.05 * ours.mean(0)).all()
+    assert bsdf != "null" or (ours.mean(0) < 0.95 * clear.mean(0)).all()
+
+
+def test_media_that_scatter_are_refused(mi):
+    loaded = mi.load_dict(lit_wall(block=block("null", interior=medium(albedo=0.1))))
+    with pytest.raises(LumitreeError, match=r"a medium scatters light.*use volpath"):
+        mi.load_dict({"type": "lumitree_path"}).render(loaded, spp=1)
+
+
+def test_what_a_luminaire_tells_of_its_media(mi, tmp_path):
+    glass = (
+        '{}<medium type="homogeneous" name="interior"><float name="scale" value="2"/>'
+        '<rgb name="sigma_t" value="0.25,0.5,1"/><rgb name="albedo" value="{}"/></medium>'
+    )
+    light = '<emitter type="area"/>'
+    found = {}
+    for albedo in ("0,0,0", "0,0.1,0"):
+        block_of_glass = cube("block", 0.3, (2, 0, 0), glass.format(GLASS, albedo))
+        path = tmp_path / "lamp.xml"
+        path.write_text(scene_xml(cube("bulb", 0.2, inside=light), block_of_glass))
+        lamp = load_luminaire(path)
+        assert lamp.has_media
+        assert lamp.scatters == any_scatters(lamp.scene)
+        found[albedo] = [absorption(each) for each in media(lamp.scene)], lamp.scatters
+    ((absorbed,), scatters), ((none,), also) = found.values()
+    np.testing.assert_allclose(absorbed, [0.5, 1, 2], rtol=1e-5)
+    assert (scatters, none, also) == (False, None, True)
