@@ -9,8 +9,11 @@ from PIL import Image
 import lumitree
 from exitant_fields import random_exitant
 from fields import uniform_asset
+from lamps import AREA, cube, lamp_of
 from lumitree.asset.asset import exitant_asset
 from lumitree.cli import main
+from lumitree.luminaire.stored_model import stored_model
+from model_assets import with_model
 
 
 def test_every_view_shows_the_side_it_names(mi):
@@ -27,7 +30,7 @@ def test_every_view_shows_the_side_it_names(mi):
     lower, _ = leaf_boxes(asset)
     coefficients[lower[:, 0] < -0.5] = -40
     asset = dataclasses.replace(asset, coefficients=coefficients)
-    images = take_asset_preview(asset, 48).images
+    images = take_asset_preview(asset, 48, 1).images
     assert list(images) == list(VIEWS)
     for name, (backward, up) in VIEWS.items():
         radiance, opacity = images[name].radiance[..., 0], images[name].geometric
@@ -64,3 +67,25 @@ def test_figures_and_sheet_of_an_asset(tmp_path, monkeypatch, mi, capsys):
     assert "lumens" in capsys.readouterr().out
     assert main(["preview", "lamp.lumitree", "-o", "sheet.png", "--bounces"]) == 2
     assert "an asset has no paths" in capsys.readouterr().err
+
+
+def test_a_model_is_shown_as_the_luminaire_is(mi, tmp_path):
+    """Each view is that of the luminaire's own preview, and its opacity the geometric one."""
+    from lumitree.evaluation.preview import take_asset_preview, take_preview
+
+    shapes = (
+        cube("left", (0.2, 0.3, 0.1), (-0.6, 0.2, 0.1), AREA),
+        cube("right", (0.1, 0.1, 0.4), (0.5, -0.3, 0.2)),
+    )
+    lamp = lamp_of(tmp_path, *shapes)
+    # The light of the asset is another one, and is not seen.
+    asset = with_model(stored_model(lamp), lamp.frame)
+    ours, theirs = take_asset_preview(asset, 24, 256), take_preview(lamp, 24, 256)
+    assert list(ours.images) == list(theirs.images)
+    for name, image in ours.images.items():
+        expected = theirs.images[name]
+        bright = expected.radiance.max()
+        # Pixels at edges have noise of both: 256 samples, so at most 1/32 of the contrast each.
+        assert np.abs(image.geometric - expected.geometric).max() < 0.25, name
+        assert np.abs(image.radiance - expected.radiance).max() < 0.25 * bright, name
+        assert image.geometric.mean() == pytest.approx(expected.geometric.mean(), abs=0.005)

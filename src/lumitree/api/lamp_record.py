@@ -18,8 +18,8 @@ INDEX_FILES = "index-files"
 _VERSION = 1
 _MAX_RECORD_BYTES, _MAX_ASSET_BYTES = 1 << 20, 1 << 40
 _MAX_SETTINGS = 10_000
-# Of a thumbnail: pixels per side, and direction from the lamp to the camera.
-_PIXELS = 192
+# Of a thumbnail: pixels per side, paths per pixel, and direction from the lamp to the camera.
+_PIXELS, _SAMPLES = 192, 64
 _FROM = (0.4, 0.25, 0.882)
 
 
@@ -104,12 +104,13 @@ class LampFiles:
     ) -> LampRecord:
         """Write the thumbnail and the record of an asset that has been written."""
         from lumitree.core.directions import pose_towards
-        from lumitree.evaluation.baked import baked_image
+        from lumitree.evaluation.shown import shown_images
         from lumitree.model.photometry import luminance
         from lumitree.rendering.asset_flux import asset_watts
 
         described = image_settings("bake", lamp=asset.luminaire, settings=json.loads(settings))
-        radiance, _ = baked_image(asset, pose_towards(_FROM, (0, 1, 0), 4.0), 1.75, _PIXELS)
+        pose = pose_towards(_FROM, (0, 1, 0), 4.0)
+        ((radiance, _),) = shown_images(asset, [pose], 1.75, _PIXELS, _SAMPLES)
         write_bytes(self.thumbnail, encode_png(radiance, settings=described))
         figures: dict[str, Any] = {
             "lumens": float(luminance(asset_watts(asset))),

@@ -57,16 +57,16 @@ def preview(
     """Render six views of a luminaire or of an asset, and measure its flux and size.
 
     The contact sheet shows the radiance at two exposures and both opacities, from six sides. Warns
-    of glass that Mitsuba cannot render correctly. Of an asset the sheet shows the field, or the
-    exitant light field if there is no field, and one opacity. Its model is not shown.
+    of glass that Mitsuba cannot render correctly. Of an asset the sheet shows what images show
+    of it, its model, its field or else its exitant light field, and one opacity.
 
     Args:
         luminaire: what to render: an asset, the path of a `.lumitree` file, or a luminaire in any
             form that `bake` takes except the folder of a dataset.
         sheet: path of the PNG file to write. Default: no file is written.
         resolution: pixels per side of each view, 1 to 16,384.
-        samples_per_pixel: paths per pixel, 1 to 1,048,576. It does not apply to an asset, whose
-            pixels have 16 rays without noise.
+        samples_per_pixel: paths per pixel, 1 to 1,048,576. It does not apply to an asset without
+            a model, whose pixels have 16 rays without noise.
         bounces: whether to measure the share of the flux that paths of at most 32, 64 and 128
             bounces miss. Not for an asset.
         variant: Mitsuba variant; see `bake`.
@@ -90,7 +90,7 @@ def preview(
         if bounces:
             raise LumitreeError("an asset has no paths to count the bounces of; leave bounces out")
         with reporting(progress):
-            return _preview_asset(luminaire, sheet, resolution)
+            return _preview_asset(luminaire, sheet, resolution, samples_per_pixel)
     from lumitree.core.images import max_radiance
     from lumitree.evaluation.preview import draw_preview, take_preview
     from lumitree.luminaire.luminaire import load_luminaire
@@ -146,7 +146,9 @@ def preview(
     return dataclasses.replace(result, png=png)
 
 
-def _preview_asset(asset: Asset, sheet: FilePath | None, resolution: int) -> AssetPreviewResult:
+def _preview_asset(
+    asset: Asset, sheet: FilePath | None, resolution: int, samples_per_pixel: int
+) -> AssetPreviewResult:
     """As `preview`, of an asset."""
     from lumitree.evaluation.preview import draw_preview, take_asset_preview
     from lumitree.model.photometry import luminance
@@ -154,13 +156,13 @@ def _preview_asset(asset: Asset, sheet: FilePath | None, resolution: int) -> Ass
 
     watch = Stopwatch()
     with watch.stage("views"):
-        views = take_asset_preview(asset, resolution)
+        views = take_asset_preview(asset, resolution, samples_per_pixel)
     with watch.stage("flux"):
         watts = asset_watts(asset)
     lumens, size = float(luminance(watts)), asset.frame.size
     facts = [
         f"{' + '.join(asset.info.parts)}",
-        f"{asset.num_leaves:,} leaves",
+        f"shown: {asset.info.appearance}",
         f"flux {lumens:,.4g} lm",
         "size " + " x ".join(f"{side:.4g}" for side in size),
     ]

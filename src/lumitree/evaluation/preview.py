@@ -13,7 +13,7 @@ from lumitree.core.directions import pose_towards
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.evaluation.baked import baked_image
+from lumitree.evaluation.shown import shown_images
 from lumitree.evaluation.tiles import DARK, Layout, TileSheet, grey
 from lumitree.luminaire.luminaire import Luminaire
 from lumitree.views.camera import Camera, ViewImages
@@ -92,22 +92,22 @@ def take_preview(luminaire: Luminaire, resolution: int, samples_per_pixel: int) 
     return Preview(images, paths / sum(seconds[1:]))
 
 
-def take_asset_preview(asset: Asset, resolution: int) -> Preview:
+def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) -> Preview:
     """Render the six views of an asset, with the camera of its luminaire's preview.
 
-    Both opacities are that of the field. The camera's sphere contains the bounding box.
+    Both opacities are that of `shown_images`. The camera's sphere contains the bounding box.
 
     Args:
         resolution: pixels per side.
+        samples_per_pixel: paths per pixel, if the asset has a model.
     """
     radius = float(np.linalg.norm(asset.frame.half_extents))
-    images: dict[str, ViewImages] = {}
-    with progress(f"preview {asset.luminaire}", len(VIEWS)) as advance:
-        for name, (backward, up) in VIEWS.items():
-            pose = pose_towards(backward, up, 2 * radius)
-            radiance, opacity = baked_image(asset, pose, radius, resolution)
-            images[name] = ViewImages(radiance, opacity, opacity)
-            advance(1)
+    poses = [pose_towards(backward, up, 2 * radius) for backward, up in VIEWS.values()]
+    shown = shown_images(asset, poses, radius, resolution, samples_per_pixel)
+    images = {
+        name: ViewImages(radiance, opacity, opacity)
+        for name, (radiance, opacity) in zip(VIEWS, shown, strict=True)
+    }
     return Preview(images, 0.0)
 
 
