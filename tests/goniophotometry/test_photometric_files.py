@@ -167,7 +167,7 @@ def test_feet_factors_and_old_encodings(tmp_path):
         (ies(tilt="lamp.tlt"), "TILT"),
         (ies(c="0 100"), "angles end at 100"),
         (ies(c="90 180"), "IES"),
-        (ies(values="1 2 3"), "IES"),
+        (ies(values="1 2 3"), "21 numbers, expected 24 for 3 x 2 intensities"),
         (ies(values="1 2 3 4 5 -6"), "negative"),
         (ies(values="1 2 3 4 5 nan"), "NaN"),
         (ies(gamma="0 90 45"), "ascending"),

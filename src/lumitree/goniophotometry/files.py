@@ -142,7 +142,9 @@ def read_ies(path: str | os.PathLike[str]) -> IntensityDistribution:
         from photompy import IESFile, PhotometricType
 
         # Files are in all encodings, and numbers may be separated by commas.
-        file = IESFile.read(_with_version(_decoded(content)).encode(), strict=False)
+        text = _decoded(content)
+        _check_length(text)
+        file = IESFile.read(_with_version(text).encode(), strict=False)
         header, values = file.header, file.photometry
         if values.photometric_type != PhotometricType.C:
             raise LumitreeError(f"it has photometry of Type {values.photometric_type.name}, not C")
@@ -244,6 +246,23 @@ def _decoded(content: bytes) -> str:
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     head, tilt, numbers = text.partition("TILT=")
     return head + tilt + numbers.replace(",", " ")
+
+
+def _check_length(text: str) -> None:
+    """Refuse an IES file that ends before its last intensity.
+
+    Without TILT data, 13 numbers come first, the fourth and fifth of which count the angles.
+    """
+    words = text.partition("TILT=NONE")[2].split()
+    if len(words) < 5 or not all(word.isdecimal() for word in words[3:5]):
+        return  # the library says what is wrong
+    gamma, c = (int(word) for word in words[3:5])
+    expected = 13 + gamma + c + gamma * c
+    if len(words) < expected:
+        raise LumitreeError(
+            f"it has {len(words)} numbers, expected {expected} for {gamma} x {c} intensities and "
+            "their angles; the file is cut off"
+        )
 
 
 def _with_version(text: str) -> str:
