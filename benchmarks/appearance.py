@@ -57,17 +57,17 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
     batches: dict[str, list[Any]] = {name: [] for name in methods}
 
     def job(name: str) -> Job:
-        scene, kind = methods[name]
+        scene = methods[name]
         return lambda index: (
-            lambda: batches[name].append(image(scene, kind, options.spp, options.seed + index))
+            lambda: batches[name].append(image(scene, options.spp, options.seed + index))
         )
 
     times = interleaved({name: job(name) for name in methods}, BATCHES, clock="cpu")
     seconds = {name: value / options.spp for name, value in times.items()}
-    scene, kind = methods["explicit"]
+    explicit = methods["explicit"]
     count = min(MAX_BATCHES, math.ceil(options.reference / times["explicit"]))
     for index in range(len(batches["explicit"]), count):
-        batches["explicit"].append(image(scene, kind, options.spp, options.seed + index))
+        batches["explicit"].append(image(explicit, options.spp, options.seed + index))
     long = {name: np.array(images) for name, images in batches.items()}
     reference = long["explicit"].mean(axis=0)
     halves = [long["explicit"][part::2].mean(axis=0) for part in (0, 1)]
@@ -79,9 +79,9 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
         "reference_spp": len(long["explicit"]) * options.spp,
         "methods": {},
     }
-    for name, (scene, kind) in methods.items():
+    for name, scene in methods.items():
         samples = max(1, round(options.seconds / seconds[name]))
-        images = [image(scene, kind, samples, options.seed + 5000 + i) for i in range(IMAGES)]
+        images = [image(scene, samples, options.seed + 5000 + i) for i in range(IMAGES)]
         mean = ratio_of_means(long[name], long["explicit"])
         row["methods"][name] = {
             "samples": samples,
@@ -93,20 +93,13 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
     return row
 
 
-def scenes(source: LuminaireSource, asset: Any, width: int) -> dict[str, tuple[Any, str]]:
-    """Scene and integrator by method; their films show the surroundings of the lamp's box alone."""
-    from benchmarks.equal_error.method import explicit_integrator
-    from lumitree.luminaire.luminaire import load_luminaire
-
-    kind = explicit_integrator(load_luminaire(source))
-    made = {
-        "explicit": (placed(source, width), kind),
-        "field": (placed(asset, width), "lumitree_path"),
-    }
+def scenes(source: LuminaireSource, asset: Any, width: int) -> dict[str, Any]:
+    """Scenes by method; their films show the surroundings of the lamp's box alone."""
+    made = {"explicit": placed(source, width), "field": placed(asset, width)}
     if asset.model is not None:
-        made["model"] = placed(asset, width, appearance="model"), "lumitree_path"
-    seen = shows_lamp(made["field"][0])[..., 0] > 0
-    for scene, _ in made.values():
+        made["model"] = placed(asset, width, appearance="model")
+    seen = shows_lamp(made["field"])[..., 0] > 0
+    for scene in made.values():
         crop(scene, seen)
     return made
 
@@ -123,13 +116,13 @@ def crop(scene: Any, seen: Any) -> None:
     scene.sensors()[0].parameters_changed()
 
 
-def image(scene: Any, kind: str, samples: int, seed: int) -> Any:
+def image(scene: Any, samples: int, seed: int) -> Any:
     """An independent image [H, W, 3]."""
     import mitsuba as mi
 
     from lumitree.rendering.passes import Budget, render_passes
 
-    integrator = mi.load_dict({"type": kind, "max_depth": PATH_DEPTH})
+    integrator = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
     return render_passes(scene, integrator, Budget(samples), seed=seed).radiance
 
 

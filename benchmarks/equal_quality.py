@@ -89,7 +89,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--time", type=float, default=240, help="seconds a pair, by the wall")
     parser.add_argument("--width", type=int, default=240, help="of the pictures, pixels")
     parser.add_argument("--path-depth", type=int, default=64, help="longest path")
-    parser.add_argument("--explicit", help="the explicit lamp's integrator (default: as it needs)")
+    parser.add_argument(
+        "--explicit", default="lumitree_path", help="the explicit lamp's integrator"
+    )
     parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="what times mean")
     parser.add_argument("--cache", type=Path, default=Path("equal-quality.work"))
 

@@ -29,7 +29,6 @@ from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.common.timing import Job, interleaved, ratios
 from benchmarks.equal_error.error_against_time import trimmed_mean
-from benchmarks.equal_error.method import explicit_integrator
 from lumitree.luminaire.source import LuminaireSource
 
 PATH_DEPTH = 8
@@ -71,23 +70,20 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
     return row
 
 
-def rooms(source: LuminaireSource, asset: Any, width: int) -> dict[str, tuple[Any, str]]:
-    """Scene and type of integrator, by what hangs in the room."""
-    from lumitree.luminaire.luminaire import load_luminaire
-
-    explicit = explicit_integrator(load_luminaire(source))
+def rooms(source: LuminaireSource, asset: Any, width: int) -> dict[str, Any]:
+    """Scenes by what hangs in the room."""
     scenes = {
-        BASELINE: (sphere_room(asset, width), "lumitree_path"),
-        "explicit": (placed(source, width), explicit),
-        "exitant": (placed(asset, width), "lumitree_path"),
+        BASELINE: sphere_room(asset, width),
+        "explicit": placed(source, width),
+        "exitant": placed(asset, width),
     }
     if asset.model is not None:
-        scenes["model"] = placed(asset, width, appearance="model"), "lumitree_path"
+        scenes["model"] = placed(asset, width, appearance="model")
     return scenes
 
 
 def render(
-    scenes: dict[str, tuple[Any, str]], mask: NDArray[np.bool_], options: argparse.Namespace
+    scenes: dict[str, Any], mask: NDArray[np.bool_], options: argparse.Namespace
 ) -> tuple[dict[str, float], dict[str, float]]:
     """CPU seconds of a pass, and relative variance of a sample in the pixels of the mask."""
     import mitsuba as mi
@@ -97,12 +93,11 @@ def render(
     passes: dict[str, list[Any]] = {name: [] for name in scenes}
 
     def job(name: str) -> Job:
-        scene, kind = scenes[name]
-        integrator = mi.load_dict({"type": kind, "max_depth": PATH_DEPTH})
+        integrator = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
 
         def take(index: int) -> None:
             seed = options.seed + index
-            image = render_passes(scene, integrator, Budget(options.spp), seed=seed).radiance
+            image = render_passes(scenes[name], integrator, Budget(options.spp), seed=seed).radiance
             passes[name].append(image[mask])
 
         return lambda index: lambda: take(index)

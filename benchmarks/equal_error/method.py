@@ -66,10 +66,10 @@ class Method:
         # Whether it converges to the explicit lamp's image, but for the illumination's error.
         self.converges = lamp.field is None or shows_model(lamp.field.asset, "model")
         mi = load_mitsuba()
-        if baked:
-            self.kind = "lumitree_path"
-        else:
-            self.kind = options.explicit or explicit_integrator(load_luminaire(source))
+        # Not `path` or `volpath`, which start rays so far from surfaces that thin glass emits too
+        # much (decision 21), and find no light through thin glass and alpha masks by next-event
+        # estimation.
+        self.kind = "lumitree_path" if baked else options.explicit
         key = {
             "room": digest(Path(pair.room), *SceneFile(pair.room).references()),
             "lamp": digest(Path(source)) if baked else load_luminaire(source).fingerprint,
@@ -115,15 +115,6 @@ class Method:
 def first_samples(pixels: int) -> int:
     """Samples a pixel with which a long run begins: enough to hide the fixed cost of a pass."""
     return max(4, min(64, (1 << 18) // pixels))
-
-
-def explicit_integrator(luminaire: Any) -> str:
-    """What the explicit lamp needs: `lumitree_path`, or `volpath` for media that scatter light.
-
-    Not `path`, which starts rays so far from surfaces that thin glass emits too much (decision 21)
-    and finds no light through thin glass and alpha masks by next-event estimation.
-    """
-    return "volpath" if luminaire.scatters else "lumitree_path"
 
 
 def code_digest() -> str:

@@ -124,7 +124,7 @@ def _methods(pair: "Pair", field: Path, whole: Built, work: Work) -> "dict[str, 
     options = argparse.Namespace(
         width=equal.width,
         path_depth=equal.path_depth,
-        explicit=None,
+        explicit="lumitree_path",
         cache=work.folder / "equal-quality",
     )
     alone = dataclasses.replace(pair, asset=str(field))

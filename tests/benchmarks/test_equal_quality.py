@@ -9,16 +9,12 @@ from PIL import Image
 
 import lumitree
 from benchmarks.common.results import Results
-from benchmarks.equal_error.method import explicit_integrator
 from benchmarks.equal_error.pairs import Pair, read_pairs
 from benchmarks.equal_error.readings import display_levels, display_rows
 from benchmarks.equal_quality import measure, write
 from fields import random_asset
-from lamps import AREA, GLASS, cube, scene, sphere
-from lumitree.luminaire.luminaire import load_luminaire
+from lamps import AREA, cube, scene, sphere
 
-THIN = '<bsdf type="thindielectric"/>'
-FOG = '<bsdf type="null"/><medium type="homogeneous" name="interior"/>'
 ROOM = (
     '<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="60"/>'
     '<transform name="to_world"><lookat origin="0,1.5,5" target="0,0.5,0" up="0,1,0"/></transform>'
@@ -53,7 +49,7 @@ def options(tmp_path):
         time=0.0,
         width=16,
         path_depth=6,
-        explicit=None,
+        explicit="lumitree_path",
         clock="cpu",
         cache=tmp_path / "cache",
         output=tmp_path / "results",
@@ -89,20 +85,6 @@ def test_a_pair_from_end_to_end(pair, options):
     text = (options.output / "equal_quality.md").read_text()
     assert "| lantern | cellar | 32 |" in text
     assert "* clock: cpu" in text
-
-
-@pytest.mark.parametrize("glass", [GLASS, THIN])
-def test_glass_is_traced_with_rays_that_start_near_it(mi, tmp_path, glass):
-    (tmp_path / "lamp.xml").write_text(
-        scene(sphere("bulb", 0.2, inside=AREA), sphere("glass", 0.5, inside=glass))
-    )
-    assert explicit_integrator(load_luminaire(str(tmp_path / "lamp.xml"))) == "lumitree_path"
-
-
-def test_media_get_the_integrator_they_need(mi, tmp_path):
-    lamp = scene(sphere("bulb", 0.2, inside=AREA), sphere("fog", 0.5, inside=FOG))
-    (tmp_path / "lamp.xml").write_text(lamp)
-    assert explicit_integrator(load_luminaire(str(tmp_path / "lamp.xml"))) == "volpath"
 
 
 def test_heights_become_sizes(mi, tmp_path, pair):

@@ -8,12 +8,10 @@ from scipy import stats
 
 import lumitree
 from fields import make_asset, random_asset, uniform_asset
-from lamps import scene as scene_xml
 from lamps import sphere
 from lumitree.core.frames import rotation, similarity
 from lumitree.rendering.deferred_emitter import DeferredEmitter
-from lumitree.rendering.placement import Placement
-from lumitree.rendering.scene import PlacedLuminaire, load_scene
+from lumitree.rendering.scene import load_scene
 
 SIDE, PASSES = 16, 16
 
@@ -147,7 +145,7 @@ def test_without_luminaires_it_is_path(mi, name, options):
 def test_without_null_surfaces_it_follows_path_number_by_number(mi, monkeypatch, options):
     """The same random numbers in the same places: depth, roulette and hiding cannot differ."""
     # Rays leave flat surfaces as far away as Mitsuba's, else a few pass an edge on the other side.
-    monkeypatch.setattr("lumitree.rendering.integrator._FLAT_OFFSET", np.inf)
+    monkeypatch.setattr("lumitree.transport.spawning._FLAT_OFFSET", np.inf)
     scene = view(window=window(), ball=ball("dielectric"), sky=sky(), point=POINT)
     ours = passes(scene, "lumitree_path", 256, **options)
     assert ours == pytest.approx(passes(scene, "path", 256, **options), rel=1e-3, abs=1e-4)
@@ -299,38 +297,21 @@ ROOM = (
     '<integer name="rr_depth" value="3"/></integrator><sensor type="perspective"/>{}</scene>'
 )
 FOG = (
-    '<bsdf type="null"/><medium name="interior" type="homogeneous">'
+    '<bsdf type="null"/><medium name="interior" type="{}">'
     '<float name="albedo" value="0.5"/></medium>'
 )
 
 
 @pytest.mark.parametrize("kind", ["path", "lumitree_path"])
-def test_load_scene_takes_lumitree_path_but_where_media_scatter(mi, tmp_path, kind):
+def test_load_scene_takes_lumitree_path_but_for_heterogeneous_media(mi, tmp_path, kind):
     (tmp_path / "room.xml").write_text(ROOM.format(kind, sphere("a", 1)))
     _, integrator = load_scene(str(tmp_path / "room.xml"))
     assert str(integrator) == "LumitreePath[max_depth=7, rr_depth=3]"
-    dark = FOG.replace("0.5", "0")
-    (tmp_path / "dark.xml").write_text(ROOM.format(kind, sphere("a", 1, inside=dark)))
-    _, integrator = load_scene(str(tmp_path / "dark.xml"))
-    assert str(integrator) == "LumitreePath[max_depth=7, rr_depth=3]"
-    (tmp_path / "foggy.xml").write_text(ROOM.format(kind, sphere("a", 1, inside=FOG)))
+    fog = ROOM.format(kind, sphere("a", 1, inside=FOG.format("homogeneous")))
+    (tmp_path / "foggy.xml").write_text(fog)
     _, integrator = load_scene(str(tmp_path / "foggy.xml"))
+    assert str(integrator) == "LumitreePath[max_depth=7, rr_depth=3]"
+    (tmp_path / "cloudy.xml").write_text(fog.replace("homogeneous", "heterogeneous"))
+    _, integrator = load_scene(str(tmp_path / "cloudy.xml"))
     assert "Volumetric" in str(integrator)
     assert "max_depth = 7" in str(integrator)
-
-
-def test_load_scene_takes_volpath_for_an_explicit_luminaire_with_media(mi, tmp_path):
-    (tmp_path / "room.xml").write_text(ROOM.format("path", sphere("a", 1)))
-    light = '<emitter type="area"><rgb name="radiance" value="3,2,1"/></emitter>'
-    (tmp_path / "lamp.xml").write_text(
-        scene_xml(sphere("bulb", 0.2, inside=light), sphere("fog", 1, inside=FOG))
-    )
-    (tmp_path / "clear.xml").write_text(scene_xml(sphere("bulb", 0.2, inside=light)))
-    dark = sphere("dark", 1, inside=FOG.replace("0.5", "0"))
-    (tmp_path / "dark.xml").write_text(scene_xml(sphere("bulb", 0.2, inside=light), dark))
-    room = str(tmp_path / "room.xml")
-    for name in ("clear.xml", "dark.xml"):
-        _, integrator = load_scene(room, [PlacedLuminaire(Placement(str(tmp_path / name)))])
-        assert "LumitreePath" in str(integrator)
-    _, integrator = load_scene(room, [PlacedLuminaire(Placement(str(tmp_path / "lamp.xml")))])
-    assert "Volumetric" in str(integrator)

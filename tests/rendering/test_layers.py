@@ -199,11 +199,11 @@ def test_without_the_denoiser_nothing_is_rendered(room, monkeypatch):
         render(room, denoise=True)
 
 
-def test_media_that_scatter_have_no_layers(room, tmp_path):
-    medium = '<medium type="homogeneous" name="interior"/>'
+def test_heterogeneous_media_have_no_layers(room, tmp_path):
+    medium = '<medium type="heterogeneous" name="interior"/>'
     text = room.read_text().replace("</bsdf></shape>", f"</bsdf>{medium}</shape>", 1)
     room.write_text(text)
-    with pytest.raises(LumitreeError, match=r"media in it scatter light; denoise, layers"):
+    with pytest.raises(LumitreeError, match=r"heterogeneous media; denoise, layers"):
         render(room, layers=tmp_path / "layers.exr")
 
 

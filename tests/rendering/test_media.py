@@ -1,9 +1,10 @@
-"""Media that absorb light under `lumitree_path`: against Beer's law and `volpathmis`."""
+"""Media under `lumitree_path`: against Beer's law, a furnace, and Mitsuba's `volpathmis`."""
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from fields import uniform_asset
 from lamps import GLASS, cube
 from lamps import scene as scene_xml
 from lumitree.errors import LumitreeError
@@ -19,9 +20,10 @@ def rgb(values):
     return {"type": "rgb", "value": list(values)}
 
 
-def medium(factor=1.0, albedo=0.0):
-    """A medium with this many times the absorption."""
-    return {"type": "homogeneous", "sigma_t": rgb(ABSORPTION), "scale": factor, "albedo": albedo}
+def medium(factor=1.0, albedo=(0.0, 0.0, 0.0), phase=None):
+    """A medium with this many times the extinction `ABSORPTION`."""
+    extinction = {"sigma_t": rgb(ABSORPTION), "scale": factor, "albedo": rgb(albedo)}
+    return {"type": "homogeneous", **extinction, "phase": phase or {"type": "isotropic"}}
 
 
 def block(bsdf, thickness=1.0, **members):
@@ -134,9 +136,93 @@ def test_shadow_rays_and_paths_cross_media(mi, bsdf):
     assert bsdf != "null" or (ours.mean(0) < 0.95 * clear.mean(0)).all()
 
 
-def test_media_that_scatter_are_refused(mi):
-    loaded = mi.load_dict(lit_wall(block=block("null", interior=medium(albedo=0.1))))
-    with pytest.raises(LumitreeError, match=r"a medium scatters light.*use volpath"):
+MILK = (0.9, 0.5, 0.7)
+FORWARDS = {"type": "hg", "g": 0.6}
+
+
+def foggy(factor, **options):
+    """All of a scene is in a medium that scatters."""
+    description = lit_floor()
+    description["sensor"]["medium"] = medium(factor, MILK, **options)
+    return description
+
+
+def milk(bsdf):
+    """A ball of milk over the floor, in the light from all sides."""
+    ball = {"type": "sphere", "center": [0, 0.5, 0], "radius": 0.4, "bsdf": {"type": bsdf}}
+    description = lit_floor(ball | {"interior": medium(4.0, MILK, FORWARDS)})
+    light = {"light": {"type": "constant", "radiance": rgb(RADIANCE)}}
+    return {name: each for name, each in description.items() if name != "window"} | light
+
+
+def lamp_in_fog():
+    """A lamp and its field in a medium, over the floor."""
+    import lumitree
+
+    lamp = lumitree.shape(
+        uniform_asset(2.0, (5, 3, 2), law="exponential"), np.diag([0.3] * 3 + [1])
+    )
+    description = foggy(0.3)
+    del description["window"]
+    description["floor"]["to_world"] = mi_translate([0, -0.6, 0]) @ description["floor"]["to_world"]
+    return description | {"lamp": lamp}
+
+
+def mi_translate(vector):
+    import mitsuba as mi
+
+    return mi.ScalarTransform4f().translate(vector)
+
+
+SCATTERING = {
+    "fog": lambda: foggy(0.5),
+    "forward fog": lambda: foggy(0.5, phase=FORWARDS),
+    "milk": lambda: milk("null"),
+    "opal glass": lambda: milk("dielectric"),
+    "frosted glass": lambda: milk("roughdielectric"),
+    "lamp in fog": lamp_in_fog,
+}
+
+
+# A hidden lamp is not in the image at all, while `volpathmis` hides its light alone.
+@pytest.mark.parametrize(
+    ("name", "hide"),
+    [*((name, False) for name in SCATTERING), ("fog", True), ("milk", True), ("opal glass", True)],
+)
+def test_media_that_scatter(mi, name, hide):
+    """Means of all channels are those of `volpathmis`, also where emitters are hidden."""
+    description, options = SCATTERING[name](), {"hide_emitters": hide, "max_depth": 64}
+    ours, theirs = (
+        np.array(
+            [
+                image(mi, description, integrator, 128, seed + i, **options).mean(axis=(0, 1))
+                for i in range(PASSES)
+            ]
+        )
+        for integrator, seed in (("lumitree_path", 0), ("volpathmis", 500))
+    )
+    test = stats.ttest_ind(ours, theirs, equal_var=False)
+    assert test.pvalue.min() > 1e-3 / 3
+    assert (ours.std(0) < 0.2 * ours.mean(0)).all()
+
+
+@pytest.mark.parametrize("bsdf", ["null", "dielectric"])
+def test_milk_that_absorbs_nothing_disappears_in_a_furnace(mi, bsdf):
+    """In light that is the same from all sides."""
+    ball = {"type": "sphere", "bsdf": {"type": bsdf}, "interior": medium(2.0, (1, 1, 1), FORWARDS)}
+    description = lit_wall(ball=ball, light={"type": "constant", "radiance": rgb(RADIANCE)})
+    del description["wall"]
+    pixels = image(mi, description, spp=1024, max_depth=1000, rr_depth=1000)
+    error = pixels.reshape(-1, 3).std(0) / SIDE
+    assert (np.abs(pixels.mean(axis=(0, 1)) - RADIANCE) < 5 * error + 1e-3 * RADIANCE).all()
+    assert (error < 0.01 * RADIANCE).all()
+
+
+def test_heterogeneous_media_are_refused(mi):
+    grid = {"type": "gridvolume", "grid": mi.VolumeGrid(np.full((2, 2, 2, 1), 0.5, np.float32))}
+    uneven = {"type": "heterogeneous", "sigma_t": grid, "albedo": 0.0}
+    loaded = mi.load_dict(lit_wall(block=block("null", interior=uneven)))
+    with pytest.raises(LumitreeError, match=r"a medium is heterogeneous; .*: use volpath"):
         mi.load_dict({"type": "lumitree_path"}).render(loaded, spp=1)
 
 

@@ -57,8 +57,8 @@ def render(
 ) -> RenderResult:
     """Render a scene file with luminaires placed in it.
 
-    The integrator `path` of the scene is replaced by `lumitree_path`, or by `volpath` if media
-    scatter light. Warns if an object or the camera is inside a baked luminaire.
+    The integrator `path` of the scene is replaced by `lumitree_path`, or by `volpath` if there are
+    heterogeneous media. Warns if an object or the camera is inside a baked luminaire.
 
     The image is finished when the first of `samples_per_pixel`, `time` and `noise` is reached.
 
@@ -93,7 +93,7 @@ def render(
     Raises:
         LumitreeError: an argument is out of range; the scene, an asset or a luminaire cannot be
             read; the scene has no camera; two placements are equal; `denoise`, `layers` or `aov`
-            is asked for in a scene whose media scatter light, or without the denoiser; or the
+            is asked for in a scene with heterogeneous media, or without the denoiser; or the
             image cannot be written.
     """
     if output is not None:
@@ -140,9 +140,9 @@ def render(
             if divides:
                 if not hasattr(integrator, "layers"):
                     raise LumitreeError(
-                        f"{shown(scene)} is rendered by volpath, because media in it scatter "
-                        "light; denoise, layers and aov need lumitree_path: remove these media, or "
-                        "render without denoise, layers and aov"
+                        f"{shown(scene)} is rendered by volpath, because of heterogeneous media; "
+                        "denoise, layers and aov need lumitree_path: make the media homogeneous, "
+                        "or render without them"
                     )
                 integrator.layers = Layers(whole, placed_ids(placed) if layers is not None else ())
         with watch.stage("render"):

@@ -12,6 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.transport.light_paths import termination_point
+from lumitree.transport.spawning import scene_extent, spawn
 from lumitree.transport.straight_through import (
     COSINE_OF_CONE,
     extinction_at,
@@ -62,6 +63,7 @@ def trace_to_termination(scene, sampler, ray):
     terminated = mi.Bool(False)
     smooth = mi.Bool(True)
     medium = dr.zeros(mi.MediumPtr)
+    extent = scene_extent(scene)
     crossings = mi.UInt32(0)
     at_first = sampler.next_1d() < 0.5
     active = mi.Bool(True)
@@ -86,7 +88,7 @@ def trace_to_termination(scene, sampler, ray):
         transmits = hits & is_transmitted(sample.sampled_type)
         throughput[hits] = throughput * weight
         smooth &= is_smooth(sample.sampled_type)
-        onwards = si.spawn_ray(si.to_world(sample.wo))
+        onwards = spawn(si, si.to_world(sample.wo), extent)
 
         bent = dr.dot(ray.d, straight) < COSINE_OF_CONE
         # What leaves in another direction is not behind the luminaire: it was deflected inside.

@@ -26,6 +26,11 @@ def any_scatters(scene: Any) -> bool:
     return any(absorption(medium) is None for medium in media(scene))
 
 
+def any_heterogeneous(scene: Any) -> bool:
+    """Whether some medium of a mi.Scene is not the same everywhere."""
+    return not all(medium.is_homogeneous() for medium in media(scene))
+
+
 def absorption(medium: Any) -> list[float] | None:
     """Absorption [3] of a mi.Medium per unit of length; None if it does more than to absorb."""
     if not medium.is_homogeneous():

@@ -5,13 +5,8 @@ neither towards `max_depth` nor for Russian roulette, it keeps the state of mult
 sampling (the vertex before it and the density of the direction sampled there), and shadow rays
 cross it with the transmittance that its BSDF states.
 
-Media that absorb light and do not scatter it attenuate each way through them, exactly and without a
-random number. Media that scatter need `volpath`, and are refused.
-
-Mitsuba starts a ray 9e-5 (1 + |p|) away from the surface point p. Where a lamp is small, or far
-from the origin, that is no longer small beside it: 0.9 units at a coordinate of 10,000. Meshes and
-rectangles are hit with an error of a few units in the last place, so rays leave them from as near
-(`_spawn`); curved shapes and instances, whose hits are less precise, keep Mitsuba's distance.
+Homogeneous media attenuate and scatter light along each way (`medium_paths`). A scattering is a
+vertex like one on a rough surface. Heterogeneous media need `volpath`, and are refused.
 
 Proxies are not traced. The integrator traces the other shapes as a scene of their own, and finds
 the proxies that a ray enters by itself (`proxies.DividedScene`). Where a scene cannot be divided, a
@@ -33,20 +28,18 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.errors import LumitreeError
-from lumitree.luminaire.media import any_scatters, media
+from lumitree.luminaire.media import absorption, media
+from lumitree.rendering import medium_paths
 from lumitree.rendering.deferred_emitter import DeferredEmitter
 from lumitree.rendering.layers import Layers, Unrecorded
 from lumitree.rendering.model_plugins import CROSSED_STRAIGHT, ModelEmitter
 from lumitree.rendering.proxies import NONE, DividedScene, is_instance
-from lumitree.transport.straight_through import extinction_at
+from lumitree.transport.spawning import offset, scene_extent, spawn
 
 _DEFAULT_RR_DEPTH = 5
 # Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
 # ends whatever the geometry.
 _MAX_CROSSINGS = 1024
-# Distance of a ray's origin from a flat surface, relative to the coordinates. An interpolated hit
-# is off by at most 7 √3 · 2⁻²⁴ of them (Pharr et al., Physically Based Rendering, section 6.8).
-_FLAT_OFFSET = 2.0**-20
 
 
 def integrator_class() -> type:
@@ -77,13 +70,16 @@ def integrator_class() -> type:
             if not scene.emitters():
                 nothing = [mi.Float(0) for _ in self.aov_names()]
                 return mi.Color3f(0), scene.ray_test(ray, active), nothing
-            if any_scatters(scene):
+            crossed = [*media(scene), *([] if medium is None else [medium])]
+            if not all(each.is_homogeneous() for each in crossed):
                 raise LumitreeError(
-                    "a medium scatters light, or is heterogeneous; lumitree_path expects media "
-                    "that only absorb: use volpath"
+                    "a medium is heterogeneous; lumitree_path expects homogeneous media: use "
+                    "volpath"
                 )
             divided = self._divided.of(scene)
-            return _trace(self, scene, *divided, sampler, mi.Ray3f(ray), medium, mi.Bool(active))
+            medium = dr.zeros(mi.MediumPtr) if medium is None else mi.MediumPtr(medium)
+            ray, active = mi.Ray3f(ray), mi.Bool(active)
+            return _trace(self, scene, *divided, crossed, sampler, ray, medium, active)
 
         def aov_names(self):
             return self.layers.channel_names()
@@ -95,21 +91,25 @@ def integrator_class() -> type:
 
 
 @dr.syntax
-def _trace(settings, scene, surfaces, proxies, sampler, ray, medium, active):
+def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, active):
     """Radiance along camera rays, whether they met something (for the film's alpha), and layers."""
     max_depth = mi.UInt32(settings.max_depth % (1 << 32))  # no limit: the largest number
     sees_null = has_null_surfaces(surfaces)
-    sees_media = medium is not None or bool(media(surfaces))
+    sees_media = bool(crossed)
+    sees_scattering = any(absorption(each) is None for each in crossed)
     shows_models = any(isinstance(emitter, ModelEmitter) for emitter in scene.emitters())
     sees_environment = scene.environment() is not None and not settings.hide_emitters
-    extent = _extent(scene)
+    extent = scene_extent(scene)
     sampling_weight = sum(emitter.sampling_weight() for emitter in scene.emitters())
     context = mi.BSDFContext()
 
     layers = settings.layers
     record = layers.start()
-    medium = dr.zeros(mi.MediumPtr) if medium is None else mi.MediumPtr(medium)
     radiance, β, η = mi.Color3f(0), mi.Color3f(1), mi.Float(1)
+    # For media that scatter: the channel that the path is sampled for, and see `medium_paths`.
+    channel, ρ = mi.UInt32(0), mi.Color3f(1)
+    if dr.hint(sees_scattering, mode="scalar"):
+        channel = medium_paths.draw_channel(sampler)
     depth, crossings = mi.UInt32(0), mi.UInt32(0)
     valid = mi.Bool(sees_environment)
     # The last interaction that was not null, the density of the direction sampled there, and
@@ -125,25 +125,35 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, medium, active):
     pi = surfaces.ray_intersect_preliminary(ray, coherent=True, active=active)
 
     while active:
+        # Where a medium scatters before the ray meets anything.
+        flight, collides = mi.Float(dr.inf), mi.Bool(False)
+        if dr.hint(sees_scattering, mode="scalar"):
+            flight = medium_paths.flight(medium, channel, sampler, active)
+            collides = active & (flight < dr.select(pi.is_valid(), pi.t, dr.inf))
         if dr.hint(settings.hide_emitters, mode="scalar"):
             # Not Mitsuba's `skip_area_emitters`, whose distance belongs to another ray.
-            hidden = active & (depth == 0) & pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711
+            hidden = active & ~collides & (depth == 0) & _emits(pi)
             while hidden:
                 if dr.hint(sees_media, mode="scalar"):
-                    β[hidden] *= _attenuation(medium, pi.t, hidden)
+                    weight, densities = medium_paths.passed(medium, pi.t, ρ, hidden)
+                    β[hidden] *= weight
+                    ρ[hidden] = densities
                 passed = pi.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
-                ray[hidden] = _spawn(passed, ray.d, extent)
+                ray[hidden] = spawn(passed, ray.d, extent)
                 pi[hidden] = surfaces.ray_intersect_preliminary(ray, coherent=True, active=hidden)
                 crossings[hidden] += 1
                 active &= crossings < _MAX_CROSSINGS
-                hidden &= active & pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711
+                if dr.hint(sees_scattering, mode="scalar"):
+                    flight[hidden] = medium_paths.flight(medium, channel, sampler, hidden)
+                    collides |= hidden & (flight < dr.select(pi.is_valid(), pi.t, dr.inf))
+                hidden &= active & ~collides & _emits(pi)
 
         # Lamps whose proxies the ray enters before it meets a surface.
         if dr.hint(proxies.exist, mode="scalar"):
             entered = mi.Bool(active)
             if dr.hint(settings.hide_emitters, mode="scalar"):
                 entered &= depth > 0
-            end = dr.select(pi.is_valid(), pi.t, dr.inf)
+            end = dr.minimum(dr.select(pi.is_valid(), pi.t, dr.inf), flight)
             distance, lamp = proxies.first(ray, end, entered)
             entered &= lamp != NONE
             while entered:
@@ -154,7 +164,7 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, medium, active):
                 )
                 emitted *= β * _mis_weight(pdf, emitter_pdf * chance)
                 if dr.hint(sees_media, mode="scalar"):
-                    emitted *= _attenuation(medium, distance, entered)
+                    emitted *= medium_paths.passed(medium, distance, ρ, entered)[0]
                 radiance[entered] += emitted
                 layers.add_light(record, emitter, emitted, specular, entered)
                 β[entered] *= through
@@ -165,18 +175,26 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, medium, active):
 
         si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
         if dr.hint(sees_media, mode="scalar"):
-            β[active] *= _attenuation(medium, si.t, active)
+            met = active & ~collides
+            weight, densities = medium_paths.passed(medium, si.t, ρ, met)
+            β[met] *= weight
+            ρ[met] = densities
+        if dr.hint(sees_scattering, mode="scalar"):
+            weight, densities = medium_paths.scattered(medium, flight, ρ, collides)
+            β[collides] *= weight
+            ρ[collides] = densities
         bsdf = si.bsdf(ray)
 
         # Light of the emitter that the ray has hit.
-        seen = mi.Bool(active)
+        met = active & ~collides
+        seen = mi.Bool(met)
         if dr.hint(settings.hide_emitters, mode="scalar"):
             seen &= depth > 0
         ds = mi.DirectionSample3f(scene, si, vertex)
         share = ds.emitter.sampling_weight() * dr.rcp(sampling_weight)
         chance = dr.select(delta, 0, share)
         emitted, through, emitter_pdf, proxy, of_lamp = dr.dispatch(
-            ds.emitter, _emitted, si, vertex, ds, specular, own, pdf, chance, active
+            ds.emitter, _emitted, si, vertex, ds, specular, own, pdf, chance, met
         )
         own_chance = dr.select(sampled_own & ~delta, 1, 0)
         emitter_pdf *= dr.select(of_lamp, own_chance, chance)
@@ -185,21 +203,26 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, medium, active):
         layers.add_light(record, ds.emitter, hit, specular, seen)
 
         # A proxy is left the way it was entered; every other surface is sampled.
-        proxy &= active & si.is_valid()
-        scatters = active & ~proxy & si.is_valid() & (depth + 1 < max_depth)
+        proxy &= active & ~collides & si.is_valid()
+        scatters = active & ~proxy & (si.is_valid() | collides) & (depth + 1 < max_depth)
+        if dr.hint(sees_scattering, mode="scalar"):
+            si[collides] = medium_paths.scattering_point(ray, flight)
+        # By a surface, or by the medium before it.
+        reflects, collides = scatters & ~collides, scatters & collides
 
         glass, behind, shows = mi.Bool(False), mi.Bool(False), mi.Bool(False)
         if dr.hint(shows_models, mode="scalar"):
             own[proxy & (mi.Frame3f.cos_theta(si.wi) > 0)] = specular
             # Glass that light crosses straight is seen from outside on both sides.
-            glass = scatters & ~specular & ((bsdf.flags() & CROSSED_STRAIGHT) != 0)
+            glass = reflects & ~specular & ((bsdf.flags() & CROSSED_STRAIGHT) != 0)
             behind = glass & (si.wi.z < 0)
             si.wi.z = dr.select(behind, -si.wi.z, si.wi.z)
 
         # Next-event estimation. Whether light arrives is asked before how much a baked luminaire
         # sends, which costs a traversal.
-        estimates = scatters & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        estimates = reflects & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         layers.add_surface(record, si, β, estimates)
+        estimates |= collides
         sample = sampler.next_2d()
         index, emitter_weight, sample.x = scene.sample_emitter(sample.x, estimates)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index, estimates)
@@ -207,8 +230,13 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, medium, active):
         estimates &= ds.pdf != 0
         wo = si.to_local(ds.d)
         value, value_pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
-            context, si, wo, sampler.next_1d(), sampler.next_2d(), scatters
+            context, si, wo, sampler.next_1d(), sampler.next_2d(), reflects
         )
+        onwards = mi.Vector3f(0)
+        if dr.hint(sees_scattering, mode="scalar"):
+            phase = medium_paths.sample_phase(medium, ray, ds.d, sampler, collides)
+            value[collides], value_pdf[collides], onwards = phase[:3]
+            bsdf_weight[collides], bs.pdf[collides] = phase[3:]
         direct = β * value
         estimates &= dr.max(direct) > 0
         way = scene, surfaces, proxies, sees_null, sees_media, extent
@@ -226,7 +254,7 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, medium, active):
 
         # The same from a surface of a lamp, for the lamp's own light.
         if dr.hint(shows_models, mode="scalar"):
-            shows = scatters & own & of_lamp & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            shows = reflects & own & of_lamp & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             sample = sampler.next_2d()
             shape, chance, sample.x = dr.dispatch(si.emitter(scene), _sample_own, sample.x, shows)
             ds = shape.sample_direction(si, sample, shows)
@@ -241,7 +269,7 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, medium, active):
             layers.add_light(record, shape.emitter(), direct, mi.Bool(False), found)
 
         # The next ray.
-        null = proxy | (scatters & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null))
+        null = proxy | (reflects & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null))
         if dr.hint(shows_models, mode="scalar"):
             straight = glass & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaTransmission)
             null |= straight
@@ -251,19 +279,22 @@ def _trace(settings, scene, surfaces, proxies, sampler, ray, medium, active):
         bounces = scatters & ~null
         β[proxy] *= through
         β[scatters] *= bsdf_weight
-        η[bounces] *= bs.eta
+        η[bounces & reflects] *= bs.eta
         vertex[bounces] = mi.Interaction3f(si)
         pdf[bounces] = bs.pdf
         sampled_own[bounces] = shows
-        delta[bounces] = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+        delta[bounces] = reflects & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
         specular &= ~bounces | delta
         depth[bounces] += 1
         valid |= bounces | (proxy & seen & (dr.max(emitted) > 0))
         # A null ray keeps its direction to the last bit.
-        ray = _spawn(si, dr.select(null, ray.d, si.to_world(bs.wo)), extent)
+        direction = dr.select(null, ray.d, si.to_world(bs.wo))
+        if dr.hint(sees_scattering, mode="scalar"):
+            direction[collides] = onwards
+        ray = spawn(si, direction, extent)
         crossings[null] += 1
         if dr.hint(sees_media, mode="scalar"):
-            medium = _behind(si, ray.d, medium, proxy | scatters)
+            medium = medium_paths.behind(si, ray.d, medium, proxy | reflects)
 
         # Russian roulette, as in `path`.
         brightest = dr.max(β)
@@ -382,22 +413,23 @@ def _visible(scene, surfaces, proxies, sees_null, sees_media, extent, si, ds, me
     through = mi.Color3f(1)
     # Like Mitsuba's, a shadow ray ends before its goal; and by no less than it starts after its
     # origin, so that rounding does not bring it to the goal.
-    margin = dr.maximum(ds.dist * mi.math.ShadowEpsilon, _offset(si, extent))
+    margin = dr.maximum(ds.dist * mi.math.ShadowEpsilon, offset(si, extent))
     ray, active = _spawn_to(si, ds, margin, extent, active)
     way, wanted = mi.Ray3f(ray), mi.Bool(active)
     if dr.hint(sees_media, mode="scalar"):
-        medium = _behind(si, ds.d, medium, active)
+        medium = medium_paths.behind(si, ds.d, medium, active)
     if dr.hint(not sees_null, mode="scalar"):
         through[surfaces.ray_test(ray, active)] = 0
         if dr.hint(sees_media, mode="scalar"):
-            through *= _attenuation(medium, ray.maxt, active)
+            through *= medium_paths.transmittance(medium, ray.maxt, active)
     else:
         crossings = mi.UInt32(0)
         while active:
             pi = surfaces.ray_intersect_preliminary(ray, coherent=False, active=active)
             hit = active & pi.is_valid()
             if dr.hint(sees_media, mode="scalar"):
-                through *= _attenuation(medium, dr.minimum(pi.t, ray.maxt), active)
+                length = dr.minimum(pi.t, ray.maxt)
+                through *= medium_paths.transmittance(medium, length, active)
             bsdf = pi.shape.bsdf()
             null = hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
             crossing = pi.compute_surface_interaction(ray, mi.RayFlags.All, null)
@@ -406,7 +438,7 @@ def _visible(scene, surfaces, proxies, sees_null, sees_media, extent, si, ds, me
             through[null & (crossings >= _MAX_CROSSINGS)] = 0
             null &= dr.max(through) > 0
             if dr.hint(sees_media, mode="scalar"):
-                medium = _behind(crossing, ds.d, medium, null)
+                medium = medium_paths.behind(crossing, ds.d, medium, null)
             ray[null], active = _spawn_to(crossing, ds, margin, extent, null)
     if dr.hint(proxies.dim, mode="scalar"):
         crossed = wanted & (dr.max(through) > 0)
@@ -426,7 +458,7 @@ def _spawn_to(si, ds, margin, extent, active):
     Where an offset has brought it past the point, a ray that turned round would meet the same
     surface for ever.
     """
-    origin = _spawn(si, ds.d, extent).o
+    origin = spawn(si, ds.d, extent).o
     way = ds.p - origin
     length = dr.norm(way)
     left = dr.dot(way, ds.d) > margin
@@ -434,39 +466,9 @@ def _spawn_to(si, ds, margin, extent, active):
     return ray, active & left
 
 
-def _attenuation(medium: Any, distance: Any, active: Any) -> Any:
-    """Transmittance (mi.Color3f) of a way in a medium (mi.MediumPtr), which may be none."""
-    inside = active & (medium != None)  # noqa: E711 (a vector comparison)
-    extinction = extinction_at(medium, mi.Point3f(0), inside)
-    # A ray that meets nothing is infinite, and 0 · ∞ is not a number.
-    return dr.select(extinction > 0, dr.exp(-extinction * distance), 1)
-
-
-def _behind(si: Any, direction: Any, medium: Any, active: Any) -> Any:
-    """Medium of a ray that leaves a surface in a direction; `medium` is that before it."""
-    return dr.select(active & si.is_medium_transition(), si.target_medium(direction), medium)
-
-
-def _extent(scene: Any) -> Any:
-    """Half the diagonal of the scene's bounding box (mi.Float)."""
-    box = scene.bbox()
-    # Opaque: moving an object does not compile new kernels.
-    return dr.opaque(mi.Float, float(dr.norm(box.extents())) / 2 if box.valid() else 0.0)
-
-
-def _offset(si: Any, extent: Any) -> Any:
-    """Distance from a surface at which a ray leaves it."""
-    coordinate = dr.max(dr.abs(si.p))
-    standard = (1 + coordinate) * mi.math.RayEpsilon
-    flat = dr.minimum(standard, (coordinate + extent) * _FLAT_OFFSET)
-    precise = si.shape.is_mesh() & (si.instance == None)  # noqa: E711
-    return dr.select(precise, flat, standard)
-
-
-def _spawn(si: Any, direction: Any, extent: Any) -> Any:
-    """Ray from a surface, on the side of it that the direction points to."""
-    offset = dr.mulsign(_offset(si, extent), dr.dot(si.n, direction))
-    return mi.Ray3f(dr.fma(offset, si.n, si.p), direction, si.time, si.wavelengths)
+def _emits(pi: Any) -> Any:
+    """Whether a preliminary intersection is with an emitter."""
+    return pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711 (a vector comparison)
 
 
 def has_null_surfaces(scene: Any) -> bool:

@@ -14,7 +14,7 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaire.luminaire import Luminaire, load_luminaire, place_shapes
-from lumitree.luminaire.media import any_scatters
+from lumitree.luminaire.media import any_heterogeneous
 from lumitree.luminaire.scene_file import SceneFile
 from lumitree.octree.field import EXACT, Field, Thresholds
 from lumitree.rendering.asset_flux import asset_watts, gain_to
@@ -28,7 +28,7 @@ from lumitree.rendering.proxy import ProxyKind
 
 # Integrators that ask null surfaces for their transmittance in shadow rays, and see media.
 _SEE_MEDIA = ("volpath", "volpathmis")
-# What becomes `lumitree_path`, or `volpath` where media scatter light.
+# What becomes `lumitree_path`, or `volpath` where media are heterogeneous.
 _PATH_TRACERS = ("path", "lumitree_path")
 _DEFAULT_PATH_DEPTH = 16
 # `volpath` starts rays (1 + largest coordinate) * RayEpsilon from surfaces. Where that is this part
@@ -69,11 +69,6 @@ class PlacedLuminaire:
             watts = asset_watts(asset) * scale**2
             gain *= gain_to(watts, placement.lumens, placement.temperature, placement.name)
         return check_gain(gain)
-
-    @property
-    def scatters(self) -> bool:
-        """Whether paths through it cross media that scatter light."""
-        return self.luminaire is not None and self.luminaire.scatters
 
     def shapes(
         self,
@@ -147,7 +142,7 @@ def load_scene(
     """Scene and integrator of a scene file; the integrator sees through null surfaces.
 
     A `path` integrator becomes `lumitree_path` with the same settings, or `volpath` where the scene
-    or an explicit one of the `luminaires` has media that scatter light. Any other that would let
+    has heterogeneous media. Any other that would let
     proxies block the light of other lamps is replaced too, which is said on standard error; so is
     a baked luminaire too small, or too far from the origin, for `volpath`.
 
@@ -166,29 +161,32 @@ def load_scene(
     if box_filter:
         file.set_box_filter()
     scene = file.instantiate()
-    scatters = any_scatters(scene) or any(item.scatters for item in luminaires)
-    if scatters or kind in _SEE_MEDIA:
+    heterogeneous = any_heterogeneous(scene)
+    if heterogeneous or kind in _SEE_MEDIA:
         for item in luminaires:
             if item.placement.is_baked:
                 _warn_far(item)
     if kind in _SEE_MEDIA:
         return scene, scene.integrator()
     if kind in _PATH_TRACERS:
-        described[0].set_plugin_name(_path_tracer(scatters))
+        described[0].set_plugin_name(_path_tracer(heterogeneous))
         return scene, mi.PluginManager.instance().create_object(described[0])
     found = f"integrator {kind!r}" if kind else "no integrator"
+    tracer = _path_tracer(heterogeneous)
     warnings.warn(
-        f"{path} has {found}; using {_path_tracer(scatters)} with max_depth {_DEFAULT_PATH_DEPTH}",
+        f"{path} has {found}; using {tracer} with max_depth {_DEFAULT_PATH_DEPTH}",
         LumitreeWarning,
         stacklevel=2,
     )
-    return scene, default_integrator(scatters=scatters)
+    return scene, default_integrator(heterogeneous=heterogeneous)
 
 
-def default_integrator(path_depth: int = _DEFAULT_PATH_DEPTH, *, scatters: bool = False) -> Any:
+def default_integrator(
+    path_depth: int = _DEFAULT_PATH_DEPTH, *, heterogeneous: bool = False
+) -> Any:
     """Integrator for scenes that name none."""
     register()
-    return mi.load_dict({"type": _path_tracer(scatters), "max_depth": path_depth})
+    return mi.load_dict({"type": _path_tracer(heterogeneous), "max_depth": path_depth})
 
 
 def appearance_for(integrator: Any) -> Appearance:
@@ -196,8 +194,8 @@ def appearance_for(integrator: Any) -> Appearance:
     return "model" if getattr(integrator, "shows_models", False) else "field"
 
 
-def _path_tracer(scatters: bool) -> str:
-    return "volpath" if scatters else "lumitree_path"
+def _path_tracer(heterogeneous: bool) -> str:
+    return "volpath" if heterogeneous else "lumitree_path"
 
 
 def set_film_width(scene: Any, width: int) -> None:

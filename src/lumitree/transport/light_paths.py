@@ -18,6 +18,7 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.luminaire.luminaire import Luminaire
+from lumitree.transport.spawning import scene_extent, spawn
 from lumitree.transport.straight_through import COSINE_OF_CONE, is_smooth, is_transmitted
 
 # Number of events after which Russian roulette begins.
@@ -92,6 +93,7 @@ def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> Any:
 @dr.syntax
 def _trace(scene, sampler, path_depth):
     context = mi.BSDFContext(mi.TransportMode.Importance)
+    extent = scene_extent(scene)
     ray, light = _emit(scene, sampler)
     flux = mi.Color3f(light)
     # Where the last chain of transmissions began, and its direction there.
@@ -159,7 +161,7 @@ def _trace(scene, sampler, path_depth):
 
         transmits = hits & is_transmitted(sample.sampled_type)
         smooth &= ~(active & ~(transmits & is_smooth(sample.sampled_type)))
-        onwards = si.spawn_ray(towards)
+        onwards = spawn(si, towards, extent)
         ray = dr.select(collides, mi.Ray3f(here.p, scattered), dr.select(hits, onwards, ray))
         begins = collides | (hits & ~transmits)
         start = dr.select(begins, ray.o, start)
@@ -218,7 +220,8 @@ def _emit_about_true_normal(scene, emitter, wavelength, place, chosen, ray):
     normal = dr.mulsign(si.n, dr.dot(si.n, upright.d))
     direction = mi.Frame3f(normal).to_world(mi.warp.square_to_cosine_hemisphere(chosen))
     below = found & (dr.dot(upright.d, direction) <= 0)
-    return dr.select(found, si.spawn_ray(direction), ray), dr.select(below, 0.0, 1.0)
+    onwards = spawn(si, direction, scene_extent(scene))
+    return dr.select(found, onwards, ray), dr.select(below, 0.0, 1.0)
 
 
 def termination_point(box: Any, direction: Any, first: Any, last: Any, at_first: Any) -> Any:

@@ -5,6 +5,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from lumitree.transport.spawning import scene_extent, spawn
+
 # Light that leaves within this angle of the direction it came in counts as having passed.
 COSINE_OF_CONE = 0.9659258262890683  # cos 15°
 
@@ -50,6 +52,7 @@ def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> tup
     """
     context = mi.BSDFContext()
     context.type_mask = mi.BSDFFlags.Transmission | mi.BSDFFlags.Null
+    extent = scene_extent(scene)
     direction = mi.Vector3f(ray.d)
     ray = mi.Ray3f(ray)
     throughput, emitted = mi.Color3f(1), mi.Color3f(0)
@@ -76,7 +79,7 @@ def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> tup
         active &= is_transmitted(sample.sampled_type)
         throughput[active] = throughput * weight
         smooth &= is_smooth(sample.sampled_type)
-        ray = dr.select(active, si.spawn_ray(si.to_world(sample.wo)), ray)
+        ray = dr.select(active, spawn(si, si.to_world(sample.wo), extent), ray)
         changes = active & si.is_medium_transition()
         medium = dr.select(changes, si.target_medium(ray.d), medium)
         crossings += 1

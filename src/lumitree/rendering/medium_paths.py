@@ -1,0 +1,115 @@
+"""Ways of paths through homogeneous media.
+
+A medium that scatters ends a way at a random distance, which is sampled for R, G or B: each path
+has one of them, drawn when it starts. The other two could have given the same path, so its weight
+is over the mean density of all three along the whole path (Wilkie et al. 2014, Hero Wavelength
+Spectral Sampling). A medium that only absorbs attenuates a way exactly and needs no random number.
+
+All functions take the mi.MediumPtr of each path, which may be none.
+
+Symbols
+    σ_s, σ_t    scattering and extinction, per scene unit
+    T           transmittance of a way: exp(-σ_t · length)
+    ρ           mi.Color3f, densities of the path so far, if sampled for R, G and B, over their mean
+"""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+
+def draw_channel(sampler: Any) -> Any:
+    """Index (mi.UInt32) of the channel for which a path is sampled."""
+    return mi.UInt32(dr.minimum(3 * sampler.next_1d(), 2))
+
+
+def flight(medium: Any, channel: Any, sampler: Any, active: Any) -> Any:
+    """Distance (mi.Float) to the next scattering in a medium; infinite where nothing scatters."""
+    scattering, extinction = _coefficients(medium, active)
+    scatters = active & (dr.max(scattering) > 0)
+    rate = dr.select(
+        channel == 0, extinction.x, dr.select(channel == 1, extinction.y, extinction.z)
+    )
+    distance = -dr.log(1 - sampler.next_1d(scatters)) * dr.rcp(rate)
+    return dr.select(scatters & (rate > 0), distance, dr.inf)
+
+
+def passed(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[Any, Any]:
+    """A way that ends before the `flight`.
+
+    Returns:
+        Its weight (mi.Color3f), T over the chance of that; and ρ after it.
+    """
+    scattering, extinction = _coefficients(medium, active)
+    through = _transmittance(extinction, distance)
+    return _weighted(through, dr.select(dr.max(scattering) > 0, through, 1), ρ)
+
+
+def scattered(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[Any, Any]:
+    """A way that ends by scattering, as `passed`: σ_s T over its density."""
+    scattering, extinction = _coefficients(medium, active)
+    through = _transmittance(extinction, distance)
+    return _weighted(scattering * through, extinction * through, ρ)
+
+
+def transmittance(medium: Any, distance: Any, active: Any) -> Any:
+    """T (mi.Color3f) of a way."""
+    return _transmittance(_coefficients(medium, active)[1], distance)
+
+
+def behind(si: Any, direction: Any, medium: Any, active: Any) -> Any:
+    """Medium of a ray that leaves a surface in a direction; `medium` is that before it."""
+    return dr.select(active & si.is_medium_transition(), si.target_medium(direction), medium)
+
+
+def scattering_point(ray: Any, distance: Any) -> Any:
+    """Place on a ray where a medium scatters, as a mi.SurfaceInteraction3f without a surface.
+
+    Its normals are 0, so that rays leave it from where it is.
+    """
+    point = dr.zeros(mi.SurfaceInteraction3f)
+    point.t, point.p = distance, ray(distance)
+    point.time, point.wavelengths = ray.time, ray.wavelengths
+    return point
+
+
+def sample_phase(medium: Any, ray: Any, wo: Any, sampler: Any, active: Any) -> tuple[Any, ...]:
+    """The phase function of a medium at a scattering.
+
+    Args:
+        ray: mi.Ray3f that arrives.
+        wo: mi.Vector3f, direction in the scene for which it is evaluated.
+
+    Returns:
+        Value (mi.Color3f) and density of `wo`; and a sampled direction, its weight and density.
+    """
+    here = dr.zeros(mi.MediumInteraction3f)
+    here.wi = -ray.d
+    here.sh_frame = mi.Frame3f(here.wi)
+    context, phase = mi.PhaseFunctionContext(sampler), medium.phase_function()
+    value, pdf = phase.eval_pdf(context, here, wo, active)
+    sample = sampler.next_1d(active), sampler.next_2d(active)
+    return mi.Color3f(value), pdf, *phase.sample(context, here, *sample, active)
+
+
+def _weighted(value: Any, density: Any, ρ: Any) -> tuple[Any, Any]:
+    """A value over the mean density of the channels, and the new ρ."""
+    densities = ρ * density
+    mean = dr.mean(densities)
+    inverse = dr.select(mean > 0, dr.rcp(mean), 0)
+    return value * inverse, densities * inverse
+
+
+def _coefficients(medium: Any, active: Any) -> tuple[Any, Any]:
+    """σ_s and σ_t (mi.Color3f), 0 outside of media: any point of a homogeneous medium will do."""
+    inside = active & (medium != None)  # noqa: E711 (a vector comparison)
+    scattering, _, extinction = medium.get_scattering_coefficients(
+        dr.zeros(mi.MediumInteraction3f), inside
+    )
+    return scattering, extinction
+
+
+def _transmittance(extinction: Any, distance: Any) -> Any:
+    # A ray that meets nothing is infinite, and 0 · ∞ is not a number.
+    return dr.select(extinction > 0, dr.exp(-extinction * distance), 1)
