@@ -31,7 +31,6 @@ from benchmarks.equal_error.error_against_time import display_rmse, ratio_of_mea
 from benchmarks.equal_error.pairs import shows_lamp
 from lumitree.luminaire.source import LuminaireSource
 
-PATH_DEPTH = 16
 BASELINE = "field"
 # Batches of the long runs, at least; of the reference, at most.
 BATCHES, MAX_BATCHES = 8, 4096
@@ -59,7 +58,9 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
     def job(name: str) -> Job:
         scene = methods[name]
         return lambda index: (
-            lambda: batches[name].append(image(scene, options.spp, options.seed + index))
+            lambda: batches[name].append(
+                image(scene, options.spp, options.path_depth, options.seed + index)
+            )
         )
 
     times = interleaved({name: job(name) for name in methods}, BATCHES, clock="cpu")
@@ -67,7 +68,9 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
     explicit = methods["explicit"]
     count = min(MAX_BATCHES, math.ceil(options.reference / times["explicit"]))
     for index in range(len(batches["explicit"]), count):
-        batches["explicit"].append(image(explicit, options.spp, options.seed + index))
+        batches["explicit"].append(
+            image(explicit, options.spp, options.path_depth, options.seed + index)
+        )
     long = {name: np.array(images) for name, images in batches.items()}
     reference = long["explicit"].mean(axis=0)
     halves = [long["explicit"][part::2].mean(axis=0) for part in (0, 1)]
@@ -81,7 +84,10 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
     }
     for name, scene in methods.items():
         samples = max(1, round(options.seconds / seconds[name]))
-        images = [image(scene, samples, options.seed + 5000 + i) for i in range(IMAGES)]
+        images = [
+            image(scene, samples, options.path_depth, options.seed + 5000 + i)
+            for i in range(IMAGES)
+        ]
         mean = ratio_of_means(long[name], long["explicit"])
         row["methods"][name] = {
             "samples": samples,
@@ -116,13 +122,13 @@ def crop(scene: Any, seen: Any) -> None:
     scene.sensors()[0].parameters_changed()
 
 
-def image(scene: Any, samples: int, seed: int) -> Any:
+def image(scene: Any, samples: int, path_depth: int, seed: int) -> Any:
     """An independent image [H, W, 3]."""
     import mitsuba as mi
 
     from lumitree.rendering.passes import Budget, render_passes
 
-    integrator = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
+    integrator = mi.load_dict({"type": "lumitree_path", "max_depth": path_depth})
     return render_passes(scene, integrator, Budget(samples), seed=seed).radiance
 
 
@@ -177,12 +183,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reference", type=float, default=150.0, help="CPU seconds of the reference"
     )
+    parser.add_argument(
+        "--path-depth", type=int, default=16, help="longest path; opal glass needs 128"
+    )
     add_pixels(parser, "--width", 480, 8)
     add_seed(parser)
 
 
 def run(options: argparse.Namespace) -> None:
-    results = Results(options, path_depth=PATH_DEPTH, baseline=BASELINE, clock="cpu")
+    results = Results(options, path_depth=options.path_depth, baseline=BASELINE, clock="cpu")
     rows: list[dict] = results.stored({"luminaires": []})["luminaires"]
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.assets or Path(scratch)

@@ -29,7 +29,7 @@ from lumitree.goniophotometry.measure import (
 from lumitree.goniophotometry.near_field import DISTANCES, NearFieldTest
 from lumitree.goniophotometry.type_c import Grid, angles_of, node_solid_angles
 from lumitree.model.photometry import luminance
-from lumitree.transport.flux import estimate_flux
+from lumitree.transport.flux import flux_along_lines
 
 RADIANCE = np.array([3.0, 2.0, 1.0])
 PATHS = 1 << 18
@@ -147,7 +147,7 @@ def test_a_luminaire_that_absorbs(mi, tmp_path):
     figures = evaluated(measure(luminaire_source(lamp), PATHS)).figures
     emitted = luminance(RADIANCE) * 4 * np.pi**2 * 0.04
     assert figures.emitted_lumens.value == pytest.approx(emitted, rel=1e-4)
-    reference = estimate_flux(lamp, 1 << 21)
+    reference = flux_along_lines(lamp, 1 << 21)
     error = np.hypot(figures.lumens.error, reference.lumens_error)
     assert abs(figures.lumens.value - reference.lumens) < 4 * error
     ratio = figures.light_output_ratio

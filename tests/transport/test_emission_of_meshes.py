@@ -7,7 +7,7 @@ import lumitree
 from fields import uniform_asset
 from lamps import AREA, scene, sphere
 from lumitree.luminaire.luminaire import load_luminaire
-from lumitree.transport.flux import estimate_flux
+from lumitree.transport.flux import flux_along_lines
 from lumitree.transport.light_paths import trace_light
 
 
@@ -41,7 +41,7 @@ def test_a_mesh_of_smooth_normals_emits_what_camera_paths_see_of_it(mi, tmp_path
     assert (flux[:, flux[0] > 0] > 0.999 * flux.max(axis=1, keepdims=True)).all()
     found = flux.sum(axis=1) * lamp.frame.scale**2
     assert found == pytest.approx(expected, rel=2e-3)
-    seen = estimate_flux(lamp, 1 << 20)
+    seen = flux_along_lines(lamp, 1 << 20)
     assert (np.abs(seen.watts - found) < 4 * seen.watts_error + 1e-3 * found).all()
 
 

@@ -41,6 +41,7 @@ class Purpose(enum.IntEnum):
     PHOTOMETRY = 18  # rays that leave a luminaire, for intensities; step: batch
     ASSET_FLUX = 19  # flux of an asset without an exitant light field
     EXPORT = 20  # clusters of an exitant light field
+    LINES = 21  # total flux from camera paths; step: batch
 
 
 @dataclasses.dataclass(frozen=True)
