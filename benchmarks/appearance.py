@@ -55,22 +55,19 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
     methods = scenes(source, asset, options.width)
     batches: dict[str, list[Any]] = {name: [] for name in methods}
 
+    def take(scene: Any, samples: int, index: int) -> Any:
+        return image(scene, samples, options.path_depth, options.seed + index)
+
     def job(name: str) -> Job:
         scene = methods[name]
-        return lambda index: (
-            lambda: batches[name].append(
-                image(scene, options.spp, options.path_depth, options.seed + index)
-            )
-        )
+        return lambda index: lambda: batches[name].append(take(scene, options.spp, index))
 
     times = interleaved({name: job(name) for name in methods}, BATCHES, clock="cpu")
     seconds = {name: value / options.spp for name, value in times.items()}
     explicit = methods["explicit"]
     count = min(MAX_BATCHES, math.ceil(options.reference / times["explicit"]))
     for index in range(len(batches["explicit"]), count):
-        batches["explicit"].append(
-            image(explicit, options.spp, options.path_depth, options.seed + index)
-        )
+        batches["explicit"].append(take(explicit, options.spp, index))
     long = {name: np.array(images) for name, images in batches.items()}
     reference = long["explicit"].mean(axis=0)
     halves = [long["explicit"][part::2].mean(axis=0) for part in (0, 1)]
@@ -84,10 +81,7 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
     }
     for name, scene in methods.items():
         samples = max(1, round(options.seconds / seconds[name]))
-        images = [
-            image(scene, samples, options.path_depth, options.seed + 5000 + i)
-            for i in range(IMAGES)
-        ]
+        images = [take(scene, samples, 5000 + i) for i in range(IMAGES)]
         mean = ratio_of_means(long[name], long["explicit"])
         row["methods"][name] = {
             "samples": samples,
