@@ -46,7 +46,13 @@ def render(room, lamps=(), **options):
     return lumitree.render(room, lamps, progress=None, **options)
 
 
-def test_layers_add_up_to_the_image(room, lamps, tmp_path):
+FOG = """<sensor type="perspective"><medium type="homogeneous" name="medium">
+<rgb name="sigma_t" value="0.05, 0.1, 0.2"/><rgb name="albedo" value="0.9, 0.5, 0.7"/></medium>"""
+
+
+@pytest.mark.parametrize("sensor", ['<sensor type="perspective">', FOG], ids=["clear", "fog"])
+def test_layers_add_up_to_the_image(room, lamps, tmp_path, sensor):
+    room.write_text(room.read_text().replace('<sensor type="perspective">', sensor))
     path = tmp_path / "layers.exr"
     plain = render(room, lamps, samples_per_pixel=64)
     result = render(room, lamps, samples_per_pixel=64, layers=path)
