@@ -16,6 +16,7 @@ import lumitree
 from exitant_fields import random_exitant
 from fields import random_asset
 from lumitree.asset.asset import exitant_asset
+from lumitree.asset.model import AssetModel
 from lumitree.cli import main
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from model_assets import small_model, with_model
@@ -193,6 +194,59 @@ def test_blender_makes_nodes_of_every_material(tmp_path):
     assert (meshes, lights) == (len(asset.model.shapes), 5)
     assert images >= lights + 1
     assert sorted(os.listdir(tmp_path)) == ["every.blend"]
+
+
+LOOK = """
+import runpy, sys
+import bpy
+import numpy as np
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene = bpy.context.scene
+for light in runpy.run_path(sys.argv[1], run_name="lamp")["add_lamp"](scene).objects:
+    light.hide_render = light.type == "LIGHT"
+    if light.type == "EMPTY":
+        light.scale = (float(sys.argv[3]),) * 3
+scene.world = bpy.data.worlds.new("white")
+if scene.world.node_tree is None:
+    scene.world.use_nodes = True
+scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1, 1, 1, 1)
+camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+camera.data.type, camera.data.ortho_scale, camera.location = "ORTHO", 0.1, (0, 0, 20)
+scene.collection.objects.link(camera)
+scene.camera, scene.render.engine, scene.cycles.samples = camera, "CYCLES", 16
+scene.cycles.use_denoising = False
+scene.view_settings.view_transform = "Raw"
+scene.render.resolution_x = scene.render.resolution_y = 4
+scene.render.image_settings.file_format = "OPEN_EXR"
+scene.render.filepath = sys.argv[2]
+bpy.ops.render.render(write_still=True)
+"""
+
+
+@needs_blender
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+def test_glass_absorbs_as_the_medium_in_it(tmp_path, mi, scale):
+    """Beer's law through a block that bends no ray, whatever the lamp is scaled to."""
+    absorption = [0.5, 1.0, 0.25]
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
+    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7],
+             [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]  # fmt: skip
+    none = np.zeros((0, 3), np.float32)
+    block = {"type": "mesh", "vertices": 8, "faces": 12, "flipped": False, "material": 0}
+    block |= {"normals": False, "texcoords": False, "colours": False, "radiance": None}
+    model = AssetModel(
+        vertices=0.5 * corners, normals=none, texcoords=none[:, :2], colours=none,
+        faces=np.array(faces, np.uint32), images=(), shapes=(block | {"interior": absorption},),
+        materials=({"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.0},),
+    )  # fmt: skip
+    lumitree.export(with_model(model), tmp_path / "block.py")
+    image = tmp_path / "seen.exr"
+    script = ["-c", LOOK, str(tmp_path / "block.py"), str(image), str(scale)]
+    subprocess.run([str(blender), *script], capture_output=True, check=True)
+    pixels = np.array(mi.Bitmap(str(image)))[..., :3]
+    expected = np.broadcast_to(np.exp(-np.array(absorption)), pixels.shape)
+    np.testing.assert_allclose(pixels, expected, rtol=0.01)
 
 
 def test_a_volume_has_the_values_of_the_leaves():

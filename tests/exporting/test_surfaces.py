@@ -51,7 +51,7 @@ def every_material():
         colours=np.tile(model.colours, (count, 1)),
         faces=np.tile(model.faces[:4], (count, 1)),
         materials=MATERIALS,
-        shapes=tuple({**mesh, "material": i, "interior": [1.0, 0, 0]} for i in range(count)),
+        shapes=tuple({**mesh, "material": i, "exterior": [1.0, 0, 0]} for i in range(count)),
     )
 
 
@@ -96,7 +96,7 @@ def test_all_plugins_that_an_asset_may_have_become_nodes():
     json.dumps(found, allow_nan=False)
     assert all(any(each["node"] == "ShaderNodeEmission" for each in nodes_of(t)) for t in found)
     assert any("normal incidence" in line for line in lost)
-    assert any("a medium in it absorbs" in line for line in lost)
+    assert any("media outside of a shape" in line for line in lost)
     normals = [
         each["inputs"]["Normal"]["node"]
         for tree in found

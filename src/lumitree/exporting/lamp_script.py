@@ -46,8 +46,9 @@ class Lamp:
         """Make everything; returns the collection."""
         for index, light in enumerate(self.description["lights"]):
             self.add_light(index, light)
-        for index, tree in enumerate(self.description["surfaces"]):
-            self.add_mesh(index, tree)
+        surfaces = zip(self.description["surfaces"], self.description["absorption"], strict=True)
+        for index, (tree, absorption) in enumerate(surfaces):
+            self.add_mesh(index, tree, absorption)
         return self.collection
 
     def add(self, name, data):
@@ -74,7 +75,7 @@ class Lamp:
         drive(data, "energy", self.empty, f"{light['watts']!r} * gain * scale * scale")
         self.add(data.name, data).location = light["position"]
 
-    def add_mesh(self, index, tree):
+    def add_mesh(self, index, tree, absorption):
         arrays = {
             name: self.arrays[f"{index}.{name}"]
             for name in ("vertices", "faces", "normals", "texcoords", "colours")
@@ -82,17 +83,25 @@ class Lamp:
         }
         name = f"{self.name} surface {index}"
         mesh = make_mesh(name, arrays)
-        mesh.materials.append(self.make_material(name, tree))
+        mesh.materials.append(self.make_material(name, tree, absorption))
         thing = self.add(name, mesh)
         # The point lights illuminate the scene; their light is not blocked, and not added to.
         thing.visible_shadow = thing.visible_diffuse = thing.visible_volume_scatter = False
 
-    def make_material(self, name, tree):
+    def make_material(self, name, tree, absorption):
+        """A material with a tree, and what it absorbs per metre inside, R, G and B, or None."""
         material = bpy.data.materials.new(name)
         nodes = node_tree(material)
         nodes.nodes.clear()
         output = nodes.nodes.new("ShaderNodeOutputMaterial")
         nodes.links.new(self.make_nodes(nodes, tree), output.inputs["Surface"])
+        if absorption is not None:
+            # Cycles absorbs (1 - colour) * density per unit of the scene.
+            density = max(*absorption, 1e-30)
+            inside = nodes.nodes.new("ShaderNodeVolumeAbsorption")
+            set_value(inside.inputs["Color"], [1 - each / density for each in absorption])
+            drive(inside.inputs["Density"], "default_value", self.empty, f"{density!r} / scale")
+            nodes.links.new(inside.outputs["Volume"], output.inputs["Volume"])
         return material
 
     def make_nodes(self, nodes, tree):

@@ -61,10 +61,11 @@ def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
     lost = ["point lights illuminate the lamp's own surfaces without its shadows"]
     if asset.model is None:
         lost = ["the asset has no model: the lamp itself is not shown"]
-        description["surfaces"] = []
+        description |= {"surfaces": [], "absorption": []}
     else:
         surfaces = Surfaces(asset.model, asset.gain)
         description["surfaces"] = [surfaces.tree(shape) for shape in asset.model.shapes]
+        description["absorption"] = [shape.get("interior") for shape in asset.model.shapes]
         lost += sorted(surfaces.lost)
         for index, mesh in enumerate(blender_meshes(asset.model, Z_UP[up])):
             arrays |= {f"{index}.{name}": values for name, values in mesh.items()}

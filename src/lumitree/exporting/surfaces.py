@@ -57,8 +57,8 @@ class Surfaces:
 
         Only camera rays and mirror images show the emission: the point lights illuminate.
         """
-        if "interior" in shape or "exterior" in shape:
-            self.lost.add("glass is clear where a medium in it absorbs light")
+        if "exterior" in shape:
+            self.lost.add("media outside of a shape are left out")
         surface = self._surface(self._model.materials[shape["material"]], None)
         if shape["radiance"] is None:
             return surface
