@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import drjit as dr
 import numpy as np
 
 from lumitree.core.backend import load_mitsuba
@@ -63,5 +62,9 @@ def keep_clear_channels(scene: Any) -> None:
 
 def _coefficients(medium: Any) -> tuple[Any, Any, Any]:
     """Scattering, null and total extinction of a homogeneous medium: any point will do."""
-    anywhere = dr.zeros(load_mitsuba().MediumInteraction3f)
+    mi = load_mitsuba()
+    # Not at the top: Dr.Jit looks for its library when it is imported.
+    import drjit as dr
+
+    anywhere = dr.zeros(mi.MediumInteraction3f)
     return medium.get_scattering_coefficients(anywhere)
