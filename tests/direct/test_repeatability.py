@@ -57,6 +57,7 @@ def test_no_random_numbers_are_used_twice(bulb, small, tmp_path, seeds):
         Purpose.PREVIEW,
         Purpose.FLUX,
         Purpose.IRRADIANCE,
+        Purpose.LINES,
         Purpose.LONG_PATHS,
         Purpose.PHOTOMETRY,
         Purpose.RENDER,
