@@ -62,6 +62,8 @@ def test_sheets(monkeypatch):
     assert comment("preview.png")["samples_per_pixel"] == 3
     lumitree.preview("lamp.lumitree", "asset.png", resolution=8)
     assert comment("asset.png")["asset"] == "test"
+    # Without a model its images have no paths.
+    assert "samples_per_pixel" not in comment("asset.png")
 
 
 def test_thumbnails_of_bakes_and_sheets_of_evaluations(monkeypatch):

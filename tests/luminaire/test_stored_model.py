@@ -92,18 +92,24 @@ def seen(mi, loaded):
     return [np.nan_to_num(np.array(each, np.float64), posinf=0) for each in values]
 
 
+def placed_shapes(mi, model, scale=1.0):
+    """The shapes of a model in a scene, where it is `scale` times as large."""
+    from lumitree.rendering.model_shapes import model_shapes
+
+    lamp = SimpleNamespace(
+        gain=mi.Color3f(1), placed=SimpleNamespace(asset=SimpleNamespace(gain=NO_GAIN))
+    )
+    return model_shapes(model, np.diag([scale, scale, scale, 1]), lamp)
+
+
 @pytest.mark.parametrize(
     ("shape", "surface"),
     [*(("cube", name) for name in SURFACES), *((name, "plastic") for name in SHAPES)],
 )
 def test_it_is_the_luminaire(mi, luminaire, tmp_path, shape, surface):
-    from lumitree.rendering.model_shapes import model_shapes
-
     lamp = luminaire(SHAPES[shape](SURFACES[surface]))
     save(with_model(stored_model(lamp), lamp.frame), tmp_path / "lamp.lumitree")
-    asset = SimpleNamespace(gain=NO_GAIN)
-    plain = SimpleNamespace(gain=mi.Color3f(1), placed=SimpleNamespace(asset=asset))
-    shapes = model_shapes(load(tmp_path / "lamp.lumitree").model, np.eye(4), plain)
+    shapes = placed_shapes(mi, load(tmp_path / "lamp.lumitree").model)
     background = {"type": "scene", "light": {"type": "constant"}}
     names = {f"s{index}": each for index, each in enumerate(shapes)}
     again = mi.load_dict(background | names)
@@ -143,8 +149,6 @@ MEDIUM = (
 
 def test_media_that_absorb_are_stored(mi, luminaire, tmp_path):
     """Per unit of the file's length; in a scene where it is half as large, twice as much."""
-    from lumitree.rendering.model_shapes import model_shapes
-
     inside, outside = MEDIUM.format("interior", 4, 0), MEDIUM.format("exterior", 0.1, 0)
     lamp = luminaire(
         cube("a", 0.1, (1, 0, 0), GLASS + inside),
@@ -152,8 +156,7 @@ def test_media_that_absorb_are_stored(mi, luminaire, tmp_path):
         cube("c", 0.1, (3, 0, 0), GLASS),
         sphere("d", 0.1, (4, 0, 0), GLASS + inside + outside),
     )
-    asset = with_model(stored_model(lamp), lamp.frame)
-    save(asset, tmp_path / "lamp.lumitree")
+    save(with_model(stored_model(lamp), lamp.frame), tmp_path / "lamp.lumitree")
     model = load(tmp_path / "lamp.lumitree").model
     assert [sorted({"interior", "exterior"} & shape.keys()) for shape in model.shapes] == [
         ["interior"],
@@ -162,9 +165,7 @@ def test_media_that_absorb_are_stored(mi, luminaire, tmp_path):
         ["exterior", "interior"],
     ]
     assert model.shapes[3]["exterior"] == pytest.approx([0.05, 0.1, 0.025], rel=1e-6)
-    asset = SimpleNamespace(gain=NO_GAIN)
-    plain = SimpleNamespace(gain=mi.Color3f(1), placed=SimpleNamespace(asset=asset))
-    shapes = model_shapes(model, np.diag([0.5, 0.5, 0.5, 1]), plain)
+    shapes = placed_shapes(mi, model, 0.5)
     assert absorption(shapes[0].interior_medium()) == pytest.approx([4, 8, 2], rel=1e-6)
     assert shapes[1].interior_medium() is None
     assert absorption(shapes[3].exterior_medium()) == pytest.approx([0.1, 0.2, 0.05], rel=1e-6)

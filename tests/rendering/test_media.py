@@ -86,10 +86,11 @@ def test_a_camera_in_a_medium(mi, hide):
     np.testing.assert_allclose(pixels, np.broadcast_to(expected, pixels.shape), rtol=3e-4)
 
 
-def passes(mi, description, integrator, seed, spp):
+def passes(mi, description, integrator, seed, spp, **options):
+    """Means [PASSES, 3] of independent images."""
     return np.array(
         [
-            image(mi, description, integrator, spp, seed=seed + index).mean(axis=(0, 1))
+            image(mi, description, integrator, spp, seed + index, **options).mean(axis=(0, 1))
             for index in range(PASSES)
         ]
     )
@@ -157,6 +158,8 @@ def milk(bsdf):
 
 def lamp_in_fog():
     """A lamp and its field in a medium, over the floor."""
+    import mitsuba as mi
+
     import lumitree
 
     lamp = lumitree.shape(
@@ -164,14 +167,9 @@ def lamp_in_fog():
     )
     description = foggy(0.3)
     del description["window"]
-    description["floor"]["to_world"] = mi_translate([0, -0.6, 0]) @ description["floor"]["to_world"]
+    lower = mi.ScalarTransform4f().translate([0, -0.6, 0])
+    description["floor"]["to_world"] = lower @ description["floor"]["to_world"]
     return description | {"lamp": lamp}
-
-
-def mi_translate(vector):
-    import mitsuba as mi
-
-    return mi.ScalarTransform4f().translate(vector)
 
 
 SCATTERING = {
@@ -192,15 +190,8 @@ SCATTERING = {
 def test_media_that_scatter(mi, name, hide):
     """Means of all channels are those of `volpathmis`, also where emitters are hidden."""
     description, options = SCATTERING[name](), {"hide_emitters": hide, "max_depth": 64}
-    ours, theirs = (
-        np.array(
-            [
-                image(mi, description, integrator, 128, seed + i, **options).mean(axis=(0, 1))
-                for i in range(PASSES)
-            ]
-        )
-        for integrator, seed in (("lumitree_path", 0), ("volpathmis", 500))
-    )
+    ours = passes(mi, description, "lumitree_path", 0, 128, **options)
+    theirs = passes(mi, description, "volpathmis", 500, 128, **options)
     test = stats.ttest_ind(ours, theirs, equal_var=False)
     assert test.pvalue.min() > 1e-3 / 3
     assert (ours.std(0) < 0.2 * ours.mean(0)).all()

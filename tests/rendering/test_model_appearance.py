@@ -151,19 +151,23 @@ VIEWS = {
 }
 
 
+DEEP = {"max_depth": 24, "rr_depth": 24}
+
+
+def before_a_panel(name, **objects):
+    """What a view shows besides the lamp."""
+    origin, target, fov = VIEWS[name]
+    back = panel([0.2, 1, -2], [0, 1, 0], 1.6, [0.6, 0.9, 1.4])
+    return {"sensor": camera(origin, target, fov), "back": back, **objects}
+
+
 @pytest.mark.parametrize("name", VIEWS)
 def test_specular_paths_see_the_lamp_as_it_is(specular, name):
     """Images of glass, mirrors and the filament are those of the explicit lamp."""
     lamp, asset = specular
-    origin, target, fov = VIEWS[name]
-    objects = {
-        "sensor": camera(origin, target, fov),
-        "back": panel([0.2, 1, -2], [0, 1, 0], 1.6, [0.6, 0.9, 1.4]),
-        **mirror_and_ball(),
-    }
-    options = {"max_depth": 24, "rr_depth": 24}
-    ours = passes(objects | baked(asset), **options)
-    theirs = passes(objects | explicit(lamp), "path", seed=500, **options)
+    objects = before_a_panel(name, **mirror_and_ball())
+    ours = passes(objects | baked(asset), **DEEP)
+    theirs = passes(objects | explicit(lamp), "path", seed=500, **DEEP)
     assert_same_expectation(ours, theirs)
     assert ours.mean() > 0.1
 
@@ -178,16 +182,11 @@ def test_tinted_glass_is_seen_as_it_is(make):
     """Media of the model absorb by the size of the lamp, at any place and scale."""
     lamp, asset = make(SPECULAR.replace(GLASS, TINTED, 1))
     assert asset.model.has_media
-    origin, target, fov = VIEWS["outside"]
-    objects = {
-        "sensor": camera(origin, target, fov),
-        "back": panel([0.2, 1, -2], [0, 1, 0], 1.6, [0.6, 0.9, 1.4]),
-    }
-    options = {"max_depth": 24, "rr_depth": 24}
-    ours = passes(objects | baked(asset), **options)
-    theirs = passes(objects | explicit(lamp), "volpathmis", seed=500, **options)
+    objects = before_a_panel("outside")
+    ours = passes(objects | baked(asset), **DEEP)
+    theirs = passes(objects | explicit(lamp), "volpathmis", seed=500, **DEEP)
     assert_same_expectation(ours, theirs)
-    clear = passes(objects | baked(make(SPECULAR)[1]), **options)
+    clear = passes(objects | baked(make(SPECULAR)[1]), **DEEP)
     assert ours[..., 2].mean() < 0.9 * clear[..., 2].mean()
 
 

@@ -91,8 +91,8 @@ def bake(
             if there is no exitant light field. Without it images show the exitant light field,
             which is blurred and lets all light through. "model": the luminaire itself, which
             images under `lumitree_path` show in place of the field; beside one of the other two.
-            A luminaire that cannot be stored, because it has participating media or what is not
-            listed in docs/format.md, is left out with a warning. For a dataset only "field" is
+            A luminaire that cannot be stored, because it has media that scatter light or what is
+            not listed in docs/format.md, is left out with a warning. For a dataset only "field" is
             made. Default: all three.
         irradiance_paths: number of light paths, and of rays of the asset, by which the irradiance
             around the asset is compared with that around the luminaire at the end, as in

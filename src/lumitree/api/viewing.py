@@ -167,7 +167,11 @@ def _preview_asset(
         "size " + " x ".join(f"{side:.4g}" for side in size),
     ]
     settings = image_settings(
-        "preview", asset=asset.luminaire, resolution=resolution, exposure=views.exposure
+        "preview",
+        asset=asset.luminaire,
+        resolution=resolution,
+        samples_per_pixel=None if asset.model is None else samples_per_pixel,
+        exposure=views.exposure,
     )
     png = draw_preview(views, asset.luminaire, facts, baked=True).png(settings)
     if sheet is not None:

@@ -90,11 +90,9 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
     if asset.model is not None:
         tensors |= model_tensors(asset.model)
         description["version"] = VERSION_WITH_MODEL
-    if asset.gain != NO_GAIN or (asset.model is not None and asset.model.images):
-        description["version"] = VERSION_WITH_GAIN
-        description["gain"] = asset.gain
-    if asset.model is not None and asset.model.has_media:
-        description["version"] = VERSION_WITH_MEDIA
+    has_media = asset.model is not None and asset.model.has_media
+    if asset.gain != NO_GAIN or has_media or (asset.model is not None and asset.model.images):
+        description["version"] = VERSION_WITH_MEDIA if has_media else VERSION_WITH_GAIN
         description["gain"] = asset.gain
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     # One key only: safetensors does not keep the order of several keys.

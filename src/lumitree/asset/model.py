@@ -37,7 +37,8 @@ _OUTSIDE = 1e-4
 _ANALYTIC = ("sphere", "disk", "cylinder", "rectangle")
 _MESH_KEYS = ("vertices", "faces", "normals", "texcoords", "colours")
 _SHAPE_KEYS = ("type", "material", "flipped", "radiance")
-_MEDIA = ("interior", "exterior")
+# Of a surface: where its normal points away from, and where to.
+MEDIA_SIDES = ("interior", "exterior")
 # Per unit of length.
 _MAX_ABSORPTION = 1e15
 
@@ -104,7 +105,7 @@ class AssetModel:
     @property
     def has_media(self) -> bool:
         """Whether some shapes have media that absorb light."""
-        return any(side in shape for shape in self.shapes for side in _MEDIA)
+        return any(side in shape for shape in self.shapes for side in MEDIA_SIDES)
 
     def meshes(self) -> "list[dict[str, NDArray[Any]] | None]":
         """Arrays of each shape by name, or None if it is not a mesh; the inverse of `join`."""
@@ -152,7 +153,7 @@ def _counts(shape: Json) -> dict[str, int]:
 def _check_shape(shape: Json, model: AssetModel) -> None:
     record = Record(shape, "a shape")
     kind = record.choice("type", ("mesh", *_ANALYTIC))
-    sides = [side for side in _MEDIA if record.has(side)]
+    sides = [side for side in MEDIA_SIDES if record.has(side)]
     record.expect_keys(*_SHAPE_KEYS, *(_MESH_KEYS if kind == "mesh" else ("to_world",)), *sides)
     for side in sides:
         absorption = record.array(side, 3)

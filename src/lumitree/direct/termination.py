@@ -11,11 +11,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from lumitree.transport import medium_paths
 from lumitree.transport.light_paths import termination_point
 from lumitree.transport.spawning import scene_extent, spawn
 from lumitree.transport.straight_through import (
     COSINE_OF_CONE,
-    extinction_at,
     is_smooth,
     is_transmitted,
 )
@@ -70,7 +70,7 @@ def trace_to_termination(scene, sampler, ray):
     while active:
         si = scene.ray_intersect(ray, active)
         inside = active & (medium != None)  # noqa: E711 (a vector comparison)
-        extinction = extinction_at(medium, ray.o, inside)
+        _, extinction = medium_paths.coefficients(medium, active)
         mean = dr.mean(extinction)
         flight = dr.select(inside & (mean > 0), -dr.log(1 - sampler.next_1d(active)) / mean, dr.inf)
         collides = inside & (flight < dr.select(si.is_valid(), si.t, dr.inf))
@@ -99,9 +99,7 @@ def trace_to_termination(scene, sampler, ray):
         point = dr.select(ends, end, point)
         terminated |= ends
 
-        medium = dr.select(
-            transmits & si.is_medium_transition(), si.target_medium(onwards.d), medium
-        )
+        medium = medium_paths.behind(si, onwards.d, medium, transmits)
         ray = dr.select(transmits, onwards, ray)
         crossings += 1
         active = transmits & (crossings < PATH_DEPTH) & (dr.max(throughput) > 0)

@@ -29,11 +29,11 @@ import mitsuba as mi
 
 from lumitree.errors import LumitreeError
 from lumitree.luminaire.media import absorption, media
-from lumitree.rendering import medium_paths
 from lumitree.rendering.deferred_emitter import DeferredEmitter
 from lumitree.rendering.layers import Layers, Unrecorded
 from lumitree.rendering.model_plugins import CROSSED_STRAIGHT, ModelEmitter
 from lumitree.rendering.proxies import NONE, DividedScene, is_instance
+from lumitree.transport import medium_paths
 from lumitree.transport.spawning import offset, scene_extent, spawn
 
 _DEFAULT_RR_DEPTH = 5
@@ -129,7 +129,7 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
         flight, collides = mi.Float(dr.inf), mi.Bool(False)
         if dr.hint(sees_scattering, mode="scalar"):
             flight = medium_paths.flight(medium, channel, sampler, active)
-            collides = active & (flight < dr.select(pi.is_valid(), pi.t, dr.inf))
+            collides = active & (flight < pi.t)
         if dr.hint(settings.hide_emitters, mode="scalar"):
             # Not Mitsuba's `skip_area_emitters`, whose distance belongs to another ray.
             hidden = active & ~collides & (depth == 0) & _emits(pi)
@@ -145,7 +145,7 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
                 active &= crossings < _MAX_CROSSINGS
                 if dr.hint(sees_scattering, mode="scalar"):
                     flight[hidden] = medium_paths.flight(medium, channel, sampler, hidden)
-                    collides |= hidden & (flight < dr.select(pi.is_valid(), pi.t, dr.inf))
+                    collides |= hidden & (flight < pi.t)
                 hidden &= active & ~collides & _emits(pi)
 
         # Lamps whose proxies the ray enters before it meets a surface.
@@ -153,7 +153,7 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
             entered = mi.Bool(active)
             if dr.hint(settings.hide_emitters, mode="scalar"):
                 entered &= depth > 0
-            end = dr.minimum(dr.select(pi.is_valid(), pi.t, dr.inf), flight)
+            end = dr.minimum(pi.t, flight)
             distance, lamp = proxies.first(ray, end, entered)
             entered &= lamp != NONE
             while entered:
@@ -174,8 +174,8 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
                 entered &= lamp != NONE
 
         si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
+        met = active & ~collides
         if dr.hint(sees_media, mode="scalar"):
-            met = active & ~collides
             weight, densities = medium_paths.passed(medium, si.t, ρ, met)
             β[met] *= weight
             ρ[met] = densities
@@ -186,7 +186,6 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
         bsdf = si.bsdf(ray)
 
         # Light of the emitter that the ray has hit.
-        met = active & ~collides
         seen = mi.Bool(met)
         if dr.hint(settings.hide_emitters, mode="scalar"):
             seen &= depth > 0
@@ -203,7 +202,7 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
         layers.add_light(record, ds.emitter, hit, specular, seen)
 
         # A proxy is left the way it was entered; every other surface is sampled.
-        proxy &= active & ~collides & si.is_valid()
+        proxy &= met & si.is_valid()
         scatters = active & ~proxy & (si.is_valid() | collides) & (depth + 1 < max_depth)
         if dr.hint(sees_scattering, mode="scalar"):
             si[collides] = medium_paths.scattering_point(ray, flight)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.materials import Json, is_specular
-from lumitree.asset.model import AssetModel
+from lumitree.asset.model import MEDIA_SIDES, AssetModel
 from lumitree.core.device import on_device
 from lumitree.core.frames import similarity_scale
 from lumitree.rendering.model_plugins import model_emitter_class, model_glass_class
@@ -53,7 +53,7 @@ class _Builder:
             values["emitter"] = self._emitter(
                 self._lamp, self._lights, emitted, len(self._emitting)
             )
-        for side in ("interior", "exterior"):
+        for side in MEDIA_SIDES:
             if side in shape:
                 values[side] = self._medium(shape[side])
         if mesh is None:

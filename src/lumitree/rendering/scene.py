@@ -142,9 +142,9 @@ def load_scene(
     """Scene and integrator of a scene file; the integrator sees through null surfaces.
 
     A `path` integrator becomes `lumitree_path` with the same settings, or `volpath` where the scene
-    has heterogeneous media. Any other that would let
-    proxies block the light of other lamps is replaced too, which is said on standard error; so is
-    a baked luminaire too small, or too far from the origin, for `volpath`.
+    has heterogeneous media. Any other that would let proxies block the light of other lamps is
+    replaced too, which is said on standard error; so is a baked luminaire too small, or too far
+    from the origin, for `volpath`.
 
     With `box_filter`, each pixel is the mean of its own samples, whatever filter the scene names.
 

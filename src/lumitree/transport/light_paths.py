@@ -18,6 +18,7 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.luminaire.luminaire import Luminaire
+from lumitree.transport import medium_paths
 from lumitree.transport.spawning import scene_extent, spawn
 from lumitree.transport.straight_through import COSINE_OF_CONE, is_smooth, is_transmitted
 
@@ -86,7 +87,8 @@ def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> Any:
     Returns:
         Flux of each path, local units; the sum is an estimate of the flux of the bare emitters.
     """
-    _, flux = _emit(luminaire.scene, sampler)
+    scene = luminaire.scene
+    _, flux = _emit(scene, sampler, scene_extent(scene))
     return flux * dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2))
 
 
@@ -94,7 +96,7 @@ def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> Any:
 def _trace(scene, sampler, path_depth):
     context = mi.BSDFContext(mi.TransportMode.Importance)
     extent = scene_extent(scene)
-    ray, light = _emit(scene, sampler)
+    ray, light = _emit(scene, sampler, extent)
     flux = mi.Color3f(light)
     # Where the last chain of transmissions began, and its direction there.
     start, start_direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
@@ -109,8 +111,7 @@ def _trace(scene, sampler, path_depth):
         leaves |= active & ~si.is_valid()
         active &= si.is_valid()
         # An emitter inside a medium: the medium is that behind the first border.
-        border = active & si.is_medium_transition()
-        medium = dr.select(first & border, si.target_medium(-ray.d), medium)
+        medium = medium_paths.behind(si, -ray.d, medium, active & first)
         first &= ~active
 
         inside = active & (medium != None)  # noqa: E711 (a vector comparison)
@@ -118,7 +119,7 @@ def _trace(scene, sampler, path_depth):
         here.p = ray.o
         here.wi = -ray.d
         here.sh_frame = mi.Frame3f(here.wi)
-        scattering, _, extinction = medium.get_scattering_coefficients(here, inside)
+        scattering, extinction = medium_paths.coefficients(medium, active)
         # The free flight is sampled for one channel, chosen at random; the weight is over the mean
         # density of all three.
         scatters = inside & (dr.max(scattering) > 0)
@@ -166,7 +167,7 @@ def _trace(scene, sampler, path_depth):
         begins = collides | (hits & ~transmits)
         start = dr.select(begins, ray.o, start)
         start_direction = dr.select(begins, ray.d, start_direction)
-        medium = dr.select(transmits & si.is_medium_transition(), si.target_medium(ray.d), medium)
+        medium = medium_paths.behind(si, ray.d, medium, transmits)
         depth += 1
         active = (collides | hits) & (depth < path_depth) & (dr.max(flux) > 0)
         survival = dr.clip(dr.max(flux) / dr.max(light), 0.05, 0.95)
@@ -180,17 +181,17 @@ def _trace(scene, sampler, path_depth):
     return ray.o, ray.d, flux, termination, leaves, smooth
 
 
-def _emit(scene, sampler):
+def _emit(scene, sampler, extent):
     """Rays of light paths that start, and their flux (mi.Color3f), world units."""
     index, chance, _ = scene.sample_emitter(sampler.next_1d())
     emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index)
     samples = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
     ray, weight = emitter.sample_ray(0, *samples)
-    ray, factor = _emit_about_true_normal(scene, emitter, *samples, mi.Ray3f(ray))
+    ray, factor = _emit_about_true_normal(scene, emitter, *samples, mi.Ray3f(ray), extent)
     return ray, mi.Color3f(weight * chance * factor)
 
 
-def _emit_about_true_normal(scene, emitter, wavelength, place, chosen, ray):
+def _emit_about_true_normal(scene, emitter, wavelength, place, chosen, ray, extent):
     """A ray of equal weight that leaves a mesh as camera paths see it; its weight's factor.
 
     Mitsuba samples the directions of a mesh's emission about the interpolated normal. Camera paths
@@ -220,8 +221,7 @@ def _emit_about_true_normal(scene, emitter, wavelength, place, chosen, ray):
     normal = dr.mulsign(si.n, dr.dot(si.n, upright.d))
     direction = mi.Frame3f(normal).to_world(mi.warp.square_to_cosine_hemisphere(chosen))
     below = found & (dr.dot(upright.d, direction) <= 0)
-    onwards = spawn(si, direction, scene_extent(scene))
-    return dr.select(found, onwards, ray), dr.select(below, 0.0, 1.0)
+    return dr.select(found, spawn(si, direction, extent), ray), dr.select(below, 0.0, 1.0)
 
 
 def termination_point(box: Any, direction: Any, first: Any, last: Any, at_first: Any) -> Any:

@@ -5,6 +5,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from lumitree.transport import medium_paths
 from lumitree.transport.spawning import scene_extent, spawn
 
 # Light that leaves within this angle of the direction it came in counts as having passed.
@@ -23,13 +24,6 @@ def is_transmitted(sampled_type: Any) -> Any:
     return mi.has_flag(sampled_type, mi.BSDFFlags.Transmission) | mi.has_flag(
         sampled_type, mi.BSDFFlags.Null
     )
-
-
-def extinction_at(medium: Any, point: Any, active: Any) -> Any:
-    """Extinction (mi.Color3f, per scene unit) of a mi.MediumPtr at a point."""
-    here = dr.zeros(mi.MediumInteraction3f)
-    here.p = point
-    return medium.get_scattering_coefficients(here, active)[2]
 
 
 @dr.syntax
@@ -64,10 +58,7 @@ def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> tup
 
     while active:
         si = scene.ray_intersect(ray, active)
-        inside = active & (medium != None)  # noqa: E711 (a vector comparison)
-        extinction = extinction_at(medium, ray.o, inside)
-        depth = dr.select(inside & si.is_valid(), extinction * si.t, 0)
-        throughput *= dr.exp(-depth)
+        throughput *= medium_paths.transmittance(medium, si.t, active & si.is_valid())
 
         passed |= active & ~si.is_valid()
         active &= si.is_valid()
@@ -80,8 +71,7 @@ def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> tup
         throughput[active] = throughput * weight
         smooth &= is_smooth(sample.sampled_type)
         ray = dr.select(active, spawn(si, si.to_world(sample.wo), extent), ray)
-        changes = active & si.is_medium_transition()
-        medium = dr.select(changes, si.target_medium(ray.d), medium)
+        medium = medium_paths.behind(si, ray.d, medium, active)
         crossings += 1
         active &= (crossings < path_depth) & (dr.max(throughput) > 0)
 

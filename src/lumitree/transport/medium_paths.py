@@ -19,6 +19,15 @@ import drjit as dr
 import mitsuba as mi
 
 
+def coefficients(medium: Any, active: Any) -> tuple[Any, Any]:
+    """σ_s and σ_t (mi.Color3f), 0 outside of media: any point of a homogeneous medium will do."""
+    inside = active & (medium != None)  # noqa: E711 (a vector comparison)
+    scattering, _, extinction = medium.get_scattering_coefficients(
+        dr.zeros(mi.MediumInteraction3f), inside
+    )
+    return scattering, extinction
+
+
 def draw_channel(sampler: Any) -> Any:
     """Index (mi.UInt32) of the channel for which a path is sampled."""
     return mi.UInt32(dr.minimum(3 * sampler.next_1d(), 2))
@@ -26,7 +35,7 @@ def draw_channel(sampler: Any) -> Any:
 
 def flight(medium: Any, channel: Any, sampler: Any, active: Any) -> Any:
     """Distance (mi.Float) to the next scattering in a medium; infinite where nothing scatters."""
-    scattering, extinction = _coefficients(medium, active)
+    scattering, extinction = coefficients(medium, active)
     scatters = active & (dr.max(scattering) > 0)
     rate = dr.select(
         channel == 0, extinction.x, dr.select(channel == 1, extinction.y, extinction.z)
@@ -41,21 +50,21 @@ def passed(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[Any, Any]:
     Returns:
         Its weight (mi.Color3f), T over the chance of that; and ρ after it.
     """
-    scattering, extinction = _coefficients(medium, active)
+    scattering, extinction = coefficients(medium, active)
     through = _transmittance(extinction, distance)
     return _weighted(through, dr.select(dr.max(scattering) > 0, through, 1), ρ)
 
 
 def scattered(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[Any, Any]:
     """A way that ends by scattering, as `passed`: σ_s T over its density."""
-    scattering, extinction = _coefficients(medium, active)
+    scattering, extinction = coefficients(medium, active)
     through = _transmittance(extinction, distance)
     return _weighted(scattering * through, extinction * through, ρ)
 
 
 def transmittance(medium: Any, distance: Any, active: Any) -> Any:
     """T (mi.Color3f) of a way."""
-    return _transmittance(_coefficients(medium, active)[1], distance)
+    return _transmittance(coefficients(medium, active)[1], distance)
 
 
 def behind(si: Any, direction: Any, medium: Any, active: Any) -> Any:
@@ -99,15 +108,6 @@ def _weighted(value: Any, density: Any, ρ: Any) -> tuple[Any, Any]:
     mean = dr.mean(densities)
     inverse = dr.select(mean > 0, dr.rcp(mean), 0)
     return value * inverse, densities * inverse
-
-
-def _coefficients(medium: Any, active: Any) -> tuple[Any, Any]:
-    """σ_s and σ_t (mi.Color3f), 0 outside of media: any point of a homogeneous medium will do."""
-    inside = active & (medium != None)  # noqa: E711 (a vector comparison)
-    scattering, _, extinction = medium.get_scattering_coefficients(
-        dr.zeros(mi.MediumInteraction3f), inside
-    )
-    return scattering, extinction
 
 
 def _transmittance(extinction: Any, distance: Any) -> Any:
