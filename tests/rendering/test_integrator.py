@@ -311,7 +311,10 @@ def test_load_scene_takes_lumitree_path_but_for_heterogeneous_media(mi, tmp_path
     (tmp_path / "foggy.xml").write_text(fog)
     _, integrator = load_scene(str(tmp_path / "foggy.xml"))
     assert str(integrator) == "LumitreePath[max_depth=7, rr_depth=3]"
-    (tmp_path / "cloudy.xml").write_text(fog.replace("homogeneous", "heterogeneous"))
-    _, integrator = load_scene(str(tmp_path / "cloudy.xml"))
-    assert "Volumetric" in str(integrator)
-    assert "max_depth = 7" in str(integrator)
+    cloud = '<sensor type="perspective"><medium type="heterogeneous" name="medium"/></sensor>'
+    around = ROOM.format(kind, sphere("a", 1)).replace('<sensor type="perspective"/>', cloud)
+    for text in (fog.replace("homogeneous", "heterogeneous"), around):
+        (tmp_path / "cloudy.xml").write_text(text)
+        _, integrator = load_scene(str(tmp_path / "cloudy.xml"))
+        assert "Volumetric" in str(integrator)
+        assert "max_depth = 7" in str(integrator)

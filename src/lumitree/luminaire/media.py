@@ -12,8 +12,8 @@ _EXTINCTION = "sigma_t.value.value"
 
 
 def media(scene: Any) -> list[Any]:
-    """Every mi.Medium inside or around a shape of a mi.Scene."""
-    found = []
+    """Every mi.Medium inside or around a shape of a mi.Scene, or around a camera of it."""
+    found = [sensor.get_medium() for sensor in scene.sensors()]
     for shape in scene.shapes():
         if shape.is_medium_transition():
             found += [shape.interior_medium(), shape.exterior_medium()]
