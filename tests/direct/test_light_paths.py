@@ -65,6 +65,10 @@ def shapes_of(name, folder):
             lamp,
             sphere("milk", 1, inside=GLASS + medium("0.4, 0.4, 0.4", "0.9, 0.9, 0.9")),
         ),
+        "in coloured milk": (
+            lamp,
+            sphere("milk", 1, inside=GLASS + medium("1, 0.5, 0.2", "0.95, 0.9, 0.7")),
+        ),
         "coloured glass": (
             lamp,
             sphere("ball", 0.6, (0.2, 1.1, 0), GLASS + medium("0.2, 0.4, 1", "0, 0, 0")),
@@ -86,6 +90,7 @@ SCENES = [
     "beside fog",
     "in fog",
     "in milk",
+    "in coloured milk",
     "coloured glass",
     "in coloured glass",
     "smooth diffuse",

@@ -233,9 +233,10 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
         )
         onwards = mi.Vector3f(0)
         if dr.hint(sees_scattering, mode="scalar"):
-            phase = medium_paths.sample_phase(medium, ray, ds.d, sampler, collides)
-            value[collides], value_pdf[collides], onwards = phase[:3]
-            bsdf_weight[collides], bs.pdf[collides] = phase[3:]
+            phase = medium_paths.eval_phase(medium, ray, ds.d, collides)
+            value[collides], value_pdf[collides] = phase
+            onwards, *phase = medium_paths.sample_phase(medium, ray, sampler, collides)
+            bsdf_weight[collides], bs.pdf[collides] = phase
         direct = β * value
         estimates &= dr.max(direct) > 0
         way = scene, surfaces, proxies, sees_null, sees_media, extent

@@ -9,6 +9,7 @@ Symbols
     flux                of a path: radiance times the measure dA cos θ dω, local frame
     termination point   where the field should stop a camera ray that meets the path in
                         reverse, see `termination_point`
+    ρ                   as in `lumitree.transport.medium_paths`
 """
 
 import dataclasses
@@ -103,6 +104,7 @@ def _trace(scene, sampler, path_depth):
     smooth = mi.Bool(True)
     first = mi.Bool(True)
     medium = dr.zeros(mi.MediumPtr)
+    channel, ρ = medium_paths.draw_channel(sampler), mi.Color3f(1)
     depth = mi.UInt32(0)
     leaves = mi.Bool(False)
     active = dr.max(flux) > 0
@@ -114,38 +116,15 @@ def _trace(scene, sampler, path_depth):
         medium = medium_paths.behind(si, -ray.d, medium, active & first)
         first &= ~active
 
-        inside = active & (medium != None)  # noqa: E711 (a vector comparison)
-        here = dr.zeros(mi.MediumInteraction3f)
-        here.p = ray.o
-        here.wi = -ray.d
-        here.sh_frame = mi.Frame3f(here.wi)
-        scattering, extinction = medium_paths.coefficients(medium, active)
-        # The free flight is sampled for one channel, chosen at random; the weight is over the mean
-        # density of all three.
-        scatters = inside & (dr.max(scattering) > 0)
-        choice = mi.UInt32(dr.minimum(3 * sampler.next_1d(scatters), 2))
-        rate = dr.select(
-            choice == 0, extinction.x, dr.select(choice == 1, extinction.y, extinction.z)
-        )
-        flight = dr.select(
-            scatters & (rate > 0), -dr.log(1 - sampler.next_1d(scatters)) / rate, dr.inf
-        )
-        collides = scatters & (flight < si.t)
-        through = dr.exp(-extinction * dr.select(collides, flight, si.t))
-        mean = dr.mean(dr.select(collides, extinction * through, through))
-        attenuation = dr.select(
-            collides, scattering * through / mean, dr.select(scatters, through / mean, through)
-        )
-        flux[inside] = flux * attenuation
-
-        here.p = ray(dr.select(collides, flight, 0))
-        phase_context = mi.PhaseFunctionContext(sampler)
-        phase = medium.phase_function()
-        scattered, phase_weight, _ = phase.sample(
-            phase_context, here, sampler.next_1d(collides), sampler.next_2d(collides), collides
-        )
-
+        flight = medium_paths.flight(medium, channel, sampler, active)
+        collides = active & (flight < si.t)
         hits = active & ~collides
+        weight, densities = medium_paths.passed(medium, si.t, ρ, hits)
+        flux[hits], ρ[hits] = flux * weight, densities
+        weight, densities = medium_paths.scattered(medium, flight, ρ, collides)
+        flux[collides], ρ[collides] = flux * weight, densities
+        scattered, phase_weight, _ = medium_paths.sample_phase(medium, ray, sampler, collides)
+
         sample, bsdf_weight = si.bsdf().sample(
             context, si, sampler.next_1d(hits), sampler.next_2d(hits), hits
         )
@@ -163,7 +142,7 @@ def _trace(scene, sampler, path_depth):
         transmits = hits & is_transmitted(sample.sampled_type)
         smooth &= ~(active & ~(transmits & is_smooth(sample.sampled_type)))
         onwards = spawn(si, towards, extent)
-        ray = dr.select(collides, mi.Ray3f(here.p, scattered), dr.select(hits, onwards, ray))
+        ray = dr.select(collides, mi.Ray3f(ray(flight), scattered), dr.select(hits, onwards, ray))
         begins = collides | (hits & ~transmits)
         start = dr.select(begins, ray.o, start)
         start_direction = dr.select(begins, ray.d, start_direction)

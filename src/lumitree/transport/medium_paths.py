@@ -83,23 +83,30 @@ def scattering_point(ray: Any, distance: Any) -> Any:
     return point
 
 
-def sample_phase(medium: Any, ray: Any, wo: Any, sampler: Any, active: Any) -> tuple[Any, ...]:
-    """The phase function of a medium at a scattering.
+def eval_phase(medium: Any, ray: Any, wo: Any, active: Any) -> tuple[Any, Any]:
+    """Value (mi.Color3f) and density of the phase function for a ray that arrives.
 
     Args:
-        ray: mi.Ray3f that arrives.
-        wo: mi.Vector3f, direction in the scene for which it is evaluated.
-
-    Returns:
-        Value (mi.Color3f) and density of `wo`; and a sampled direction, its weight and density.
+        ray: mi.Ray3f.
+        wo: mi.Vector3f, direction in the scene.
     """
+    context = mi.PhaseFunctionContext(None)
+    value, pdf = medium.phase_function().eval_pdf(context, _scattering(ray), wo, active)
+    return mi.Color3f(value), pdf
+
+
+def sample_phase(medium: Any, ray: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
+    """A direction in which a ray (mi.Ray3f) that arrives scatters, its weight and density."""
+    context = mi.PhaseFunctionContext(sampler)
+    sample = sampler.next_1d(active), sampler.next_2d(active)
+    return medium.phase_function().sample(context, _scattering(ray), *sample, active)
+
+
+def _scattering(ray: Any) -> Any:
     here = dr.zeros(mi.MediumInteraction3f)
     here.wi = -ray.d
     here.sh_frame = mi.Frame3f(here.wi)
-    context, phase = mi.PhaseFunctionContext(sampler), medium.phase_function()
-    value, pdf = phase.eval_pdf(context, here, wo, active)
-    sample = sampler.next_1d(active), sampler.next_2d(active)
-    return mi.Color3f(value), pdf, *phase.sample(context, here, *sample, active)
+    return here
 
 
 def _weighted(value: Any, density: Any, ρ: Any) -> tuple[Any, Any]:
