@@ -120,7 +120,7 @@ SCALES: dict[ScaleName, Scale] = {
         bands=(0, 1, 2, 3, 4),
         seeds=3,
         transmittance_lamps=("portica", "dallas"),
-        equal=EqualQuality(width=80, path_depth=64, seconds=1200.0),
+        equal=EqualQuality(width=80, path_depth=64, seconds=600.0),
         equal_lamps=LAMPS,
         figure=(320, 256),
         minutes=(5.0, 6.0, 3.0),
