@@ -41,7 +41,8 @@ def _minutes(found: Found, record: dict[str, Any] | None) -> str:
 
 
 def _peak(found: Found, record: dict[str, Any] | None) -> str:
-    return found.number(None if record is None else record["peak_memory_bytes"] / 1e9, 1)
+    peak = None if record is None else record["values"]["peak_memory_bytes"] / 1e9
+    return found.number(peak, 1)
 
 
 def _overhead(found: Found, record: dict[str, Any] | None, name: str) -> str:

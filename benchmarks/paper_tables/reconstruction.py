@@ -10,6 +10,7 @@ from benchmarks.paper_tables.scoring import (
     costs,
     first_views,
     large_views,
+    of_first_views,
     score_asset,
     score_network,
     test_views,
@@ -65,13 +66,16 @@ def measure_network(work: Work, lamp: str) -> Measured:
     asset = work.network_asset(lamp, work.scale.network)
     views, large = test_views(work, lamp), large_views(work, lamp)
     by_network, by_octree = score_network(run, views), score_asset(asset, views)
+    built = work.views(lamp, work.scale.train, "train"), run, asset
     values: dict[str, Any] = {
         "network": by_network.metrics,
         "octree": by_octree.metrics,
+        "octree_few": of_first_views(by_octree, work.scale.large.count),
         "octree_large": score_asset(asset, large).metrics,
         "bytes": bytes_of(asset),
         "leaves": load(asset.path).num_leaves,
-        "costs": costs(work.views(lamp, work.scale.train, "train"), run, asset),
+        "costs": costs(*built),
+        "peak_memory_bytes": max(each.peak_memory_bytes for each in built),
     }
     return Measured(values, {"view": first_views(by_network, by_octree)})
 
@@ -82,10 +86,12 @@ def measure_direct(work: Work, lamp: str) -> Measured:
     scored = score_asset(asset, test_views(work, lamp))
     values: dict[str, Any] = {
         "direct": scored.metrics,
+        "direct_few": of_first_views(scored, work.scale.large.count),
         "direct_large": score_asset(asset, large_views(work, lamp)).metrics,
         "bytes": bytes_of(asset),
         "leaves": load(asset.path).num_leaves,
         "costs": costs(asset) | {"stages": asset.details["stages"]},
+        "peak_memory_bytes": asset.peak_memory_bytes,
     }
     return Measured(values, {"view": first_views(scored)})
 
@@ -122,7 +128,7 @@ def _large(found: Found) -> str:
     for lamp in LAMPS:
         values, row = values_of(found, lamp), [lamp]
         for method in ("octree", "direct"):
-            for suffix in ("", "_large"):
+            for suffix in ("_few", "_large"):
                 metrics = values.get(method + suffix, {})
                 row.append(found.number(metrics.get("psnr_linear"), 2))
                 row.append(found.number(metrics.get("gain_linear"), 2))
@@ -132,7 +138,9 @@ def _large(found: Found) -> str:
     for method in ("octree", "direct"):
         for size in (small, large):
             heads += [f"{METHODS[method]}, {size}: PSNR", "gain over black"]
-    return f"The effect of the views' resolution:\n\n{found.table(heads, rows)}"
+    count = found.scale.large.count
+    text = f"The effect of the views' resolution, on the first {count} views"
+    return f"{text}:\n\n{found.table(heads, rows)}"
 
 
 def _all_metrics(found: Found) -> str:

@@ -53,6 +53,14 @@ def network_view(
     return radiance.reshape(origins.shape), opacity.reshape(origins.shape[:2])
 
 
+def of_first_views(scored: "Evaluation", count: int) -> dict[str, float]:
+    """Means over the first views alone, and the gains over black."""
+    from lumitree.evaluation.metrics import gain_over_black, mean_metrics
+
+    means = mean_metrics([view.metrics for view in scored.rows[:count]])
+    return means | gain_over_black(means)
+
+
 def first_views(*scored: "Evaluation") -> NDArray[np.uint8]:
     """The first held-out view: the reference, and what each has in its place; opacities below."""
     rows = [each.rows[0] for each in scored]

@@ -1,7 +1,8 @@
 """Intermediate data that cells share: captures, training runs and assets, under their parameters.
 
 Each is a folder NAME-HASH of the work folder, with `costs.json`: the seconds spent on it so far,
-and whether it is complete. An interrupted one goes on where it stopped.
+the largest memory of the processes that did, and whether it is complete. An interrupted one goes on
+where it stopped.
 """
 
 import contextlib
@@ -16,6 +17,7 @@ import lumitree
 from benchmarks.equal_error.batches import digest
 from benchmarks.paper_tables.cells import OutOfTimeError, plain
 from benchmarks.paper_tables.scales import Direct, Scale, Views
+from lumitree.api.measures import peak_memory_bytes
 from lumitree.core.dataset import Split
 from lumitree.core.files import write_json
 from lumitree.core.interrupt import Interrupted
@@ -33,11 +35,13 @@ class Built:
     Attributes:
         path: of the file or folder.
         seconds: wall time that it took, in all runs together.
+        peak_memory_bytes: largest memory of the processes that made it, when they had.
         details: further JSON values by name.
     """
 
     path: Path
     seconds: float
+    peak_memory_bytes: int
     details: dict[str, Any]
 
 
@@ -164,12 +168,13 @@ def _parts(lamp: str) -> list[Any]:
 
 @contextlib.contextmanager
 def _spending(at: Path) -> Iterator[None]:
-    """Add the block's wall time to the costs, also if it ends early."""
+    """Add the block's wall time and its peak of memory to the costs, also if it ends early."""
     costs, start = _costs(at), time.monotonic()
     try:
         yield
     finally:
         costs["seconds"] += time.monotonic() - start
+        costs["peak_memory_bytes"] = max(costs["peak_memory_bytes"], peak_memory_bytes())
         write_json(at / COSTS, costs)
 
 
@@ -177,17 +182,19 @@ def _costs(at: Path) -> dict[str, Any]:
     path = at / COSTS
     if path.is_file():
         return json.loads(path.read_text(encoding="utf-8"))
-    return {"seconds": 0.0, "complete": False}
+    return {"seconds": 0.0, "peak_memory_bytes": 0, "complete": False}
 
 
 def _complete(at: Path, name: str) -> Built | None:
     costs = _costs(at)
-    if not costs["complete"]:
-        return None
-    return Built(at / name, costs["seconds"], costs["details"])
+    return _built(at / name, costs) if costs["complete"] else None
 
 
 def _finish(at: Path, name: str, details: dict[str, Any]) -> Built:
     costs = {**_costs(at), "complete": True, "details": plain(details)}
     write_json(at / COSTS, costs)
-    return Built(at / name, costs["seconds"], costs["details"])
+    return _built(at / name, costs)
+
+
+def _built(path: Path, costs: dict[str, Any]) -> Built:
+    return Built(path, costs["seconds"], costs["peak_memory_bytes"], costs["details"])

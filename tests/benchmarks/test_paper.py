@@ -236,8 +236,13 @@ def full_store(store, scale):
     step_values = {"seconds": 0.5, "flops": 1e10, "flops_per_second": 2e10, "layers_share": 0.5}
     step_values["networks_share"] = 0.75
     values = {
-        1: {"network": metrics, "octree": metrics, "direct": metrics, "octree_large": metrics}
-        | {"direct_large": metrics, "bytes": 2_000_000, "leaves": 1000, "costs": {"run": 60.0}},
+        1: {"network": metrics, "octree": metrics, "direct": metrics}
+        | {
+            f"{name}_{views}": metrics
+            for name in ("octree", "direct")
+            for views in ("few", "large")
+        }
+        | {"bytes": 2_000_000, "leaves": 1000, "costs": {"run": 60.0}, "peak_memory_bytes": 10**9},
         2: {"metrics": metrics, "opacity_rmse_geometric": 0.25},
         3: {"metrics": metrics, "bytes": 2_000_000, "leaves": 1000, "view_seconds": 0.5},
         4: {
