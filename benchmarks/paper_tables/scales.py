@@ -58,6 +58,8 @@ class Scale:
         bands: l_max of Table 3.
         seeds: number of seeds of Table 4.
         transmittance_lamps: of Table 4.
+        longer: Table 4's trainings with so many times the steps, for the effect of convergence; at
+            most 1 for none.
         equal: of Table 5.
         equal_lamps: lamps of Table 5.
         figure: width in pixels and samples a pixel of converged images.
@@ -76,6 +78,7 @@ class Scale:
     bands: tuple[int, ...]
     seeds: int
     transmittance_lamps: tuple[str, ...]
+    longer: int
     equal: EqualQuality
     equal_lamps: tuple[str, ...]
     figure: tuple[int, int]
@@ -98,6 +101,7 @@ SCALES: dict[ScaleName, Scale] = {
         bands=(0, 1, 2, 3, 4),
         seeds=3,
         transmittance_lamps=("portica", "dallas"),
+        longer=1,
         equal=EqualQuality(width=400, path_depth=64, seconds=7200.0),
         equal_lamps=LAMPS,
         figure=(640, 4096),
@@ -120,6 +124,7 @@ SCALES: dict[ScaleName, Scale] = {
         bands=(0, 1, 2, 3, 4),
         seeds=3,
         transmittance_lamps=("portica", "dallas"),
+        longer=3,
         equal=EqualQuality(width=80, path_depth=64, seconds=600.0),
         equal_lamps=LAMPS,
         figure=(320, 256),
@@ -147,6 +152,7 @@ SCALES: dict[ScaleName, Scale] = {
         bands=(0, 2),
         seeds=1,
         transmittance_lamps=("neoclassical",),
+        longer=2,
         equal=EqualQuality(width=24, path_depth=6, seconds=6.0),
         equal_lamps=("neoclassical",),
         figure=(32, 8),

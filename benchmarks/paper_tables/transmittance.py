@@ -26,34 +26,46 @@ PAPER = {
     ("dallas", "exponential"): (31.4002, 0.9371),
     ("dallas", "linear"): (31.5072, 0.9374),
 }
+# Both have an octree.
+STORED = ("exponential", "linear")
 QUERY_RAYS = 1 << 18
 
 
-def settings(scale: Scale, law: str, seed: int) -> TrainConfig:
-    """Settings of a run."""
-    return dataclasses.replace(scale.network, seed=seed, **LAWS[law][1])
+def settings(scale: Scale, law: str, seed: int, longer: int = 1) -> TrainConfig:
+    """Settings of a run; `longer` times the steps, with the schedule as long."""
+    steps = longer * scale.network.num_steps
+    return dataclasses.replace(scale.network, seed=seed, num_steps=steps, **LAWS[law][1])
 
 
 def cells(scale: Scale) -> list[Cell]:
-    """A training for each lamp, law and seed; and the time of queries for each lamp."""
-    found = []
+    """A training for each lamp, law and seed; longer ones; and the time of queries."""
     views = {"train": scale.train, "test": scale.test}
     octree = {"depth": scale.network_depth, "samples_per_leaf": scale.samples_per_leaf}
-    for seed in range(scale.seeds):
-        for lamp in scale.transmittance_lamps:
-            for law in LAWS:
-                config = settings(scale, law, seed)
-                found.append(
-                    Cell(
-                        f"4-{lamp}-{law}-{seed}",
-                        4,
-                        {"lamp": lamp, "network": config, **views, **octree},
-                        scale.minutes[0],
-                        lambda work, lamp=lamp, law=law, seed=seed: measure(work, lamp, law, seed),
-                    )
-                )
-    for lamp in scale.transmittance_lamps:
-        networks = {law: settings(scale, law, 0) for law in ("exponential", "linear")}
+
+    def training(lamp: str, law: str, end: str, config: TrainConfig, longer: int) -> Cell:
+        return Cell(
+            f"4-{lamp}-{law}-{end}",
+            4,
+            {"lamp": lamp, "network": config, **views, **octree},
+            longer * scale.minutes[0],
+            lambda work: measure(work, lamp, config),
+        )
+
+    lamps = scale.transmittance_lamps
+    found = [
+        training(lamp, law, str(seed), settings(scale, law, seed), 1)
+        for seed in range(scale.seeds)
+        for lamp in lamps
+        for law in LAWS
+    ]
+    if scale.longer > 1:
+        found += [
+            training(lamp, law, "longer", settings(scale, law, 0, scale.longer), scale.longer)
+            for lamp in lamps
+            for law in STORED
+        ]
+    for lamp in lamps:
+        networks = {law: settings(scale, law, 0) for law in STORED}
         found.append(
             Cell(
                 f"4-{lamp}-query",
@@ -66,9 +78,8 @@ def cells(scale: Scale) -> list[Cell]:
     return found
 
 
-def measure(work: Work, lamp: str, law: str, seed: int) -> Measured:
+def measure(work: Work, lamp: str, config: TrainConfig) -> Measured:
     """Errors of the network, and of its octree where an asset can hold it."""
-    config = settings(work.scale, law, seed)
     run, views = work.run(lamp, config), test_views(work, lamp)
     values: dict[str, Any] = {"network": score_network(run, views).metrics, "costs": costs(run)}
     if config.emission_weights == "decrease":
@@ -84,7 +95,7 @@ def measure_query(work: Work, lamp: str) -> Measured:
     from lumitree.octree.field import Field
 
     jobs, leaves = {}, {}
-    for law in ("exponential", "linear"):
+    for law in STORED:
         asset = load(work.network_asset(lamp, settings(work.scale, law, 0)).path)
         field, lines = Field(asset), random_lines(asset, QUERY_RAYS, seed=0)
         jobs[law] = kernel(lambda field=field, lines=lines: field.emission(*lines))
@@ -119,7 +130,26 @@ def section(found: Found) -> str:
             row.append(_mean(found, runs, "network", "opacity_rmse", 4))
             row.append("" if law == "literal" else found.number(times.get(law), 0))
             rows.append(row)
-    return found.table(heads, rows, left=2)
+    text = found.table(heads, rows, left=2)
+    if found.scale.longer > 1:
+        text += f"\n{_longer(found)}"
+    return text
+
+
+def _longer(found: Found) -> str:
+    steps = found.scale.network.num_steps
+    ends = {"0": steps, "longer": found.scale.longer * steps}
+    heads = ["lamp", "law"]
+    heads += [f"{name}, {count} steps" for name in ("PSNR", "SSIM") for count in ends.values()]
+    rows = []
+    for lamp in found.scale.transmittance_lamps:
+        for law in STORED:
+            runs = [found.values(f"4-{lamp}-{law}-{end}").get("network", {}) for end in ends]
+            row = [lamp, LAWS[law][0]]
+            row += [found.number(run.get("psnr_linear"), 2) for run in runs]
+            row += [found.number(run.get("ssim_linear"), 4) for run in runs]
+            rows.append(row)
+    return f"The networks of the first seed, trained for longer:\n\n{found.table(heads, rows, 2)}"
 
 
 def _mean(found: Found, runs: list[dict[str, Any]], part: str, name: str, digits: int) -> str:
