@@ -85,6 +85,9 @@ class Scale:
     minutes: tuple[float, float, float]
 
 
+# The network of two cores, by the paper's law.
+_SMALL = dataclasses.replace(PRESETS["preview"], law="linear")
+
 SCALES: dict[ScaleName, Scale] = {
     # Of the paper: Sec. 4.4, 5 and 6.1. The paper states neither its paths per pixel nor the
     # resolution of Table 5.
@@ -107,7 +110,7 @@ SCALES: dict[ScaleName, Scale] = {
         figure=(640, 4096),
         minutes=(1200.0, 30.0, 30.0),
     ),
-    # Two cores. The law is the paper's. Half as many steps are too few: on `neoclassical` the gain
+    # Two cores. Half as many steps are too few: on `neoclassical` the gain
     # over black is 2.5 dB after 4000 steps, with the learning rate's schedule as long, and 3.1 dB
     # after 8000. Images of Table 5 are small, since the time of an explicit reference at the errors
     # of the paper grows with the number of pixels, and its error does not.
@@ -117,7 +120,7 @@ SCALES: dict[ScaleName, Scale] = {
         train=Views(60, 256, 64),
         test=Views(6, 256, 1024),
         large=Views(2, 800, 256),
-        network=dataclasses.replace(PRESETS["preview"], law="linear", num_steps=8000),
+        network=dataclasses.replace(_SMALL, num_steps=8000),
         network_depth=8,
         samples_per_leaf=32,
         direct=Direct("standard", 8, 1 << 25),
@@ -138,8 +141,7 @@ SCALES: dict[ScaleName, Scale] = {
         test=Views(2, 48, 64),
         large=Views(1, 96, 32),
         network=dataclasses.replace(
-            PRESETS["preview"],
-            law="linear",
+            _SMALL,
             width=32,
             output_width=16,
             num_coarse=12,
