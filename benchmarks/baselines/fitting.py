@@ -1,5 +1,6 @@
 """Each representation, fitted to traced rays."""
 
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -7,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.baselines.places import Boxes, Points
+from benchmarks.baselines.places import Patches, Points
 from benchmarks.baselines.sources import Sources, SphereSource, projected, tabulated
 from benchmarks.baselines.traced_rays import TracedRays
 from lumitree.core.device import on_device
@@ -18,7 +19,7 @@ from lumitree.exporting.lights import cluster_points
 # About as many bins as a Type C file of 1° has values (181 · 360).
 FAR_FIELD_RESOLUTION = 256
 # Points that k-means is given to cluster: its time is linear in them.
-_CLUSTERED = 1 << 16
+_CLUSTERED = 1 << 14
 
 
 def far_field_point(rays: TracedRays) -> Sources:
@@ -58,33 +59,23 @@ def box_table(rays: TracedRays, patches: int, resolution: int) -> Sources:
             remain empty.
     """
     places, index = _patches(rays, patches)
-    return Sources(places, tabulated(rays, index, int(index.max()) + 1, resolution))
+    return Sources(places, tabulated(rays, index, places.count, resolution))
 
 
 def box_harmonics(rays: TracedRays, patches: int, l_max: int) -> Sources:
     """Light field on the box: spherical harmonics of direction, by position on a face."""
     places, index = _patches(rays, patches)
-    return Sources(places, projected(rays, index, int(index.max()) + 1, l_max))
+    return Sources(places, projected(rays, index, l_max, places.normals))
 
 
-def _patches(rays: TracedRays, patches: int) -> tuple[Boxes, NDArray[np.int64]]:
-    """The patches of the box through which light leaves, and each ray's."""
-    face, point = rays.exits()
-    half = rays.half_extents
-    grid = np.maximum(1, np.round(patches * half / half.max()).astype(np.int64))
-    cell = np.clip(((point / half + 1) / 2 * grid).astype(np.int64), 0, grid - 1)
-    axis = face // 2
-    # A patch has no extent along its face's normal: 0, or all of the cells.
-    rows = np.arange(len(axis))
-    cell[rows, axis] = face % 2
-    key = ((face * patches + cell[:, 0]) * patches + cell[:, 1]) * patches + cell[:, 2]
-    _, first, index = np.unique(key, return_index=True, return_inverse=True)
-    one = np.arange(len(first))
-    lower = (cell[first] / grid * 2 - 1) * half
-    upper = lower + 2 * half / grid
-    normal = axis[first]
-    lower[one, normal] = upper[one, normal] = np.where(face[first] % 2, 1, -1) * half[normal]
-    return Boxes(lower, upper, 4), index
+def _patches(rays: TracedRays, count: int) -> tuple[Patches, NDArray[np.int64]]:
+    """The patches of the box, and the one through which each ray leaves."""
+    places = Patches(rays.half_extents, count)
+    origin, direction = (
+        on_device(kind, values)
+        for kind, values in ((mi.Point3f, rays.origin), (mi.Vector3f, rays.direction))
+    )
+    return places, np.array(places.seen(origin, direction)[0]).astype(np.int64)
 
 
 class RaySet:
@@ -122,27 +113,26 @@ class RaySet:
     def sample_direction(self, x: Any, sampler: Any) -> None:
         """A ray meets no receiver."""
 
+    def eval(self, origin: Any, direction: Any) -> None:
+        """Nor a line."""
 
-class ExitantLightField:
-    """lumitree's exitant light field, with its own sampling."""
 
-    def __init__(self, rays: TracedRays, depth: int, resolution: int) -> None:
-        from lumitree.asset.asset import exitant_asset
-        from lumitree.asset.exitant import make_exitant_field
+class BakedAsset:
+    """An asset of lumitree, with its own sampling.
+
+    Attributes:
+        num_bytes: of what is in the asset.
+    """
+
+    def __init__(self, asset: Any, num_bytes: int) -> None:
         from lumitree.octree.field import shared_field
         from lumitree.rendering.divided_sampling import emitter_sampler
         from lumitree.rendering.proxy import BoxProxy
 
-        side = 1 << depth
-        cell = np.clip(((rays.origin + 1) * (side / 2)).astype(np.int64), 0, side - 1)
-        key = (cell[:, 0] * side + cell[:, 1]) * side + cell[:, 2]
-        _, first, index = np.unique(key, return_index=True, return_inverse=True)
-        table = tabulated(rays, index, len(first), resolution)
-        field = make_exitant_field(cell[first], table.intensity, depth)
-        asset = exitant_asset(field, LocalFrame(rays.half_extents, np.eye(4)), "exitant")
-        self._proxy = BoxProxy(rays.half_extents)
-        self._sampler = emitter_sampler(asset, shared_field(asset), self._proxy)
-        self.num_bytes = field.num_bytes
+        self._asset, self._field = asset, shared_field(asset)
+        self._proxy = BoxProxy(asset.frame.half_extents)
+        self._sampler = emitter_sampler(asset, self._field, self._proxy)
+        self.num_bytes = num_bytes
 
     def sample_ray(self, sampler: Any, count: int) -> tuple[Any, Any, Any]:
         """As `Representation.sample_ray`."""
@@ -159,3 +149,40 @@ class ExitantLightField:
         entry = x + distance * direction
         radiance, _, pdf = self._sampler.eval(x, entry, direction, distance, enters, target)
         return direction, radiance * dr.select(pdf > 0, dr.rcp(pdf), 0)
+
+    def eval(self, origin: Any, direction: Any) -> Any:
+        """As `Representation.eval`."""
+        from lumitree.rendering.divided_sampling import look
+
+        distance, _, enters = self._proxy.enter(origin, -direction)
+        entry = origin - distance * direction
+        return look(self._asset, self._field, entry, -direction, enters)[0]
+
+
+def exitant_light_field(rays: TracedRays, depth: int, resolution: int) -> BakedAsset:
+    """lumitree's exitant light field, of the same rays."""
+    from lumitree.asset.asset import exitant_asset
+    from lumitree.asset.exitant import make_exitant_field
+
+    side = 1 << depth
+    cell = np.clip(((rays.origin + 1) * (side / 2)).astype(np.int64), 0, side - 1)
+    key = (cell[:, 0] * side + cell[:, 1]) * side + cell[:, 2]
+    _, first, index = np.unique(key, return_index=True, return_inverse=True)
+    table = tabulated(rays, index, len(first), resolution)
+    field = make_exitant_field(cell[first], table.intensity, depth)
+    asset = exitant_asset(field, LocalFrame(rays.half_extents, np.eye(4)), "exitant")
+    return BakedAsset(asset, field.num_bytes)
+
+
+def baked_field(luminaire: str, seed: int) -> BakedAsset:
+    """lumitree's field, by a direct bake at its default quality: without exitant light field."""
+    import tempfile
+
+    import lumitree
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "field.lumitree"
+        lumitree.bake(
+            luminaire, file, parts=("field",), irradiance_paths=0, seed=seed, progress=None
+        )
+        return BakedAsset(lumitree.load(file), file.stat().st_size)

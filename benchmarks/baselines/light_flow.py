@@ -34,6 +34,7 @@ from flax import nnx
 from numpy.typing import NDArray
 
 from benchmarks.baselines.descent import Budget, descend, num_bytes
+from benchmarks.baselines.places import Disk
 from benchmarks.baselines.spline_flow import Conditioner, SplineFlow
 from benchmarks.baselines.traced_rays import TracedRays
 from lumitree.core.device import on_device
@@ -99,16 +100,12 @@ class LightFlow:
         """The flow has no distribution of directions at a receiver."""
 
     def eval(self, origin: Any, direction: Any) -> Any:
-        """Radiance (mi.Color3f) of rays that meet the sphere, by the distilled network.
-
-        Args:
-            origin: mi.Point3f.
-            direction: mi.Vector3f, unit direction of flight.
-        """
+        """As `Representation.eval`, by the distilled network."""
+        _, _, hit = Disk(self._radius).seen(origin, direction)
         (radiance,) = _in_chunks(
             lambda x: (self._eval(x),), coordinates(origin, direction, self._radius)
         )
-        return on_device(mi.Color3f, radiance)
+        return dr.select(hit, on_device(mi.Color3f, radiance), 0)
 
     def log_radiance(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
         """Logarithm of the flow's radiance [N, 3] at coordinates [N, 4]."""
@@ -144,7 +141,8 @@ def coordinates(origin: Any, direction: Any, radius: float) -> NDArray[np.float3
         mi.warp.uniform_disk_to_square_concentric(mi.Point2f(offset.x, offset.y)),
     )
     values = [np.array(value, np.float32) for square in squares for value in square]
-    return np.stack(values, axis=-1).clip(0, 1)
+    # Lines of one image have one direction.
+    return np.stack(np.broadcast_arrays(*values), axis=-1).clip(0, 1)
 
 
 def rays_of(x: NDArray[np.float32], radius: float) -> tuple[Any, Any]:

@@ -1,4 +1,4 @@
-"""Where the light of a source starts: at a point, on a disk, on a patch, or in a cell."""
+"""Where the light of a source starts: at a point, on a disk, or on a patch of a box."""
 
 from typing import Any, Protocol
 
@@ -25,6 +25,19 @@ class Places(Protocol):
         """
         ...
 
+    def seen(self, origin: Any, direction: Any) -> tuple[Any, Any, Any] | None:
+        """The source that a line shows; None where sources have no extent.
+
+        Args:
+            origin: mi.Point3f, on the line.
+            direction: mi.Vector3f, unit direction that the light takes.
+
+        Returns:
+            mi.UInt32, index; mi.Float, area of the source across the line, by which its intensity
+            is divided; mi.Bool, whether the line meets a source.
+        """
+        ...
+
 
 class Points:
     """Points: centres [S, 3]."""
@@ -36,6 +49,9 @@ class Points:
 
     def point(self, index: Any, towards: Any, sample1: Any, sample2: Any) -> Any:
         return dr.gather(mi.Point3f, self._centres, index)
+
+    def seen(self, origin: Any, direction: Any) -> None:
+        """A line meets no point."""
 
 
 class Disk:
@@ -50,23 +66,68 @@ class Disk:
         height = dr.safe_sqrt(self._radius**2 - dr.squared_norm(disk))
         return mi.Point3f(mi.Frame3f(towards).to_world(mi.Vector3f(disk.x, disk.y, height)))
 
+    def seen(self, origin: Any, direction: Any) -> tuple[Any, Any, Any]:
+        offset = mi.Vector3f(origin)
+        across = offset - dr.dot(offset, direction) * direction
+        hit = dr.squared_norm(across) < self._radius**2
+        return mi.UInt32(0), mi.Float(np.pi * self._radius**2), hit
 
-class Boxes:
-    """Axis-aligned boxes, flat ones among them: lower and upper corners [S, 3].
+
+class Patches:
+    """About square patches of all faces of a box about the origin, numbered face by face.
 
     Args:
-        bytes_each: of the description of a box.
+        half_extents: [3], of the box.
+        count: patches along its longest side.
+
+    Attributes:
+        count: of all patches.
+        normals: float64 [S, 3], outward.
     """
 
-    def __init__(
-        self, lower: NDArray[np.floating], upper: NDArray[np.floating], bytes_each: int
-    ) -> None:
-        self._lower, self._size = (
-            on_device(mi.Float, each.astype(np.float32).ravel()) for each in (lower, upper - lower)
-        )
-        self.num_bytes = bytes_each * len(lower)
+    def __init__(self, half_extents: NDArray[np.floating], count: int) -> None:
+        half = np.asarray(half_extents, np.float64)
+        grid = np.maximum(1, np.round(count * half / half.max())).astype(np.int64)
+        # Of a face perpendicular to each axis, whose sides are the two axes that follow.
+        patches = np.roll(grid, -1) * np.roll(grid, -2)
+        self._half, self._grid = half, grid
+        self._first = [int(start) for start in 2 * (np.cumsum(patches) - patches)]
+        self.count = int(2 * patches.sum())
+        faces = np.repeat(np.eye(3), 2, axis=0) * np.tile([-1.0, 1.0], 3)[:, None]
+        self.normals = np.repeat(faces, np.repeat(patches, 2), axis=0)
+        self.num_bytes = 24
 
     def point(self, index: Any, towards: Any, sample1: Any, sample2: Any) -> Any:
-        lower = dr.gather(mi.Point3f, self._lower, index)
-        size = dr.gather(mi.Vector3f, self._size, index)
-        return lower + size * mi.Vector3f(sample1, sample2.x, sample2.y)
+        point = mi.Point3f(0)
+        for axis, first in enumerate(self._first):
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+            columns, face = int(self._grid[v]), int(self._grid[u] * self._grid[v])
+            local = index - first
+            positive, local = local >= face, local % face
+            place = mi.Point3f(0)
+            place[axis] = dr.select(positive, 1, -1)
+            place[u] = (local // columns + sample2.x) / self._grid[u] * 2 - 1
+            place[v] = (local % columns + sample2.y) / self._grid[v] * 2 - 1
+            point = dr.select(index >= first, place, point)
+        return point * mi.Vector3f(self._half)
+
+    def seen(self, origin: Any, direction: Any) -> tuple[Any, Any, Any]:
+        """As `Places.seen`: the patch through which light leaves the box along the line."""
+        half = mi.Vector3f(self._half)
+        toward = dr.select(direction == 0, 1e-30, direction)
+        away = dr.mulsign(half, toward)
+        enters, leaves = (-away - origin) / toward, (away - origin) / toward
+        distance = dr.min(leaves)
+        place = ((origin + distance * direction) / half + 1) / 2
+        index, area = mi.UInt32(0), mi.Float(0)
+        for axis, first in enumerate(self._first):
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+            rows, columns = int(self._grid[u]), int(self._grid[v])
+            row = mi.UInt32(dr.clip(place[u] * rows, 0, rows - 1))
+            column = mi.UInt32(dr.clip(place[v] * columns, 0, columns - 1))
+            face = dr.select(toward[axis] > 0, first + rows * columns, first)
+            size = 4 * self._half[u] * self._half[v] / (rows * columns)
+            here = leaves[axis] == distance
+            index = dr.select(here, face + row * columns + column, index)
+            area = dr.select(here, size * dr.abs(direction[axis]), area)
+        return index, area, (dr.max(enters) < distance) & (area > 0)

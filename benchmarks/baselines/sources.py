@@ -51,6 +51,15 @@ class Representation(Protocol):
         """
         ...
 
+    def eval(self, origin: Any, direction: Any) -> Any | None:
+        """Radiance (mi.Color3f) along a line outside the bounding box; None where no line sees it.
+
+        Args:
+            origin: mi.Point3f, on the line.
+            direction: mi.Vector3f, unit direction of flight.
+        """
+        ...
+
 
 class Tabulated:
     """Intensities by octahedral bins [S, R², 3].
@@ -86,25 +95,32 @@ class Tabulated:
 
 
 class Harmonics:
-    """Intensities by real spherical harmonics [S, 3, K]; negative values are cut off.
+    """Intensities by real spherical harmonics [S, 3, K] on the outer side of surfaces.
 
-    What remains is scaled to the flux of band 0, of each source and channel. Bytes are those of
-    half-precision coefficients.
+    Negative values and those of directions into the surface are cut off. What remains is scaled to
+    the flux of band 0, of each source and channel. Bytes are those of half-precision coefficients.
+
+    Args:
+        normals: [S, 3], outward; each is an axis, or its opposite.
     """
 
-    def __init__(self, coefficients: NDArray[np.floating], l_max: int) -> None:
+    def __init__(
+        self, coefficients: NDArray[np.floating], l_max: int, normals: NDArray[np.floating]
+    ) -> None:
         self._l_max = l_max
         self.num_bytes = 2 * coefficients.size
         flux = coefficients[:, :, 0] * np.sqrt(4 * np.pi)
         self.flux = flux.sum(axis=1)
-        remaining = _flux_above_zero(coefficients, l_max)
+        remaining = _flux_above_zero(coefficients, l_max, normals)
         scale = np.divide(flux, remaining, out=np.zeros_like(flux), where=remaining > 0)
         coefficients = coefficients * scale[..., None]
         self._chosen = mi.DiscreteDistribution(on_device(mi.Float, self.flux.astype(np.float32)))
         self._values = on_device(mi.Float, coefficients.astype(np.float32).ravel())
+        self._normals = on_device(mi.Float, normals.astype(np.float32).ravel())
 
     def eval(self, index: Any, direction: Any) -> Any:
         """As `Tabulated.eval`."""
+        outward = dr.dot(dr.gather(mi.Vector3f, self._normals, index), direction) > 0
         y = basis(*direction, l_max=self._l_max)
         first = index * (3 * len(y))
         channels = []
@@ -113,7 +129,7 @@ class Harmonics:
             for k, each in enumerate(y):
                 place = first + (channel * len(y) + k)
                 value = dr.fma(dr.gather(mi.Float, self._values, place), each, value)
-            channels.append(dr.maximum(value, 0))
+            channels.append(dr.select(outward, dr.maximum(value, 0), 0))
         return mi.Color3f(*channels)
 
     def sample(self, sample1: Any, sample2: Any) -> tuple[Any, Any, Any]:
@@ -152,6 +168,13 @@ class Sources:
         value = self._intensity.eval(index, direction) / (chance * dr.square(distance))
         return -direction, value
 
+    def eval(self, origin: Any, direction: Any) -> Any | None:
+        seen = self._places.seen(origin, direction)
+        if seen is None:
+            return None
+        index, area, hit = seen
+        return dr.select(hit, self._intensity.eval(index, direction) / area, 0)
+
 
 class SphereSource(Sources):
     """One source: a sphere about the centre, of equal radiance for all rays of one direction."""
@@ -179,25 +202,32 @@ def tabulated(
 
 
 def _flux_above_zero(
-    coefficients: NDArray[np.floating], l_max: int, resolution: int = 32
+    coefficients: NDArray[np.floating],
+    l_max: int,
+    normals: NDArray[np.floating],
+    resolution: int = 32,
 ) -> NDArray[np.float64]:
-    """Integral over the sphere [S, 3] of the positive part of expansions [S, 3, K]."""
+    """Integral [S, 3] of the positive part of expansions [S, 3, K] over outward directions."""
     bins = mi.UInt32(np.arange(resolution**2, dtype=np.uint32))
     directions = np.array(direction_in_bin(bins, mi.Point2f(0.5), resolution)[0], np.float64).T
     y, angles = basis_array(directions, l_max), solid_angles(resolution)
     integral = np.empty(coefficients.shape[:2])
     # One source after the other: all of them at once would take gigabytes.
-    for source, each in enumerate(coefficients):
-        integral[source] = np.maximum(each @ y.T, 0) @ angles
+    for source, (each, normal) in enumerate(zip(coefficients, normals, strict=True)):
+        outward = directions @ normal > 0
+        integral[source] = np.maximum(each @ y[outward].T, 0) @ angles[outward]
     return integral
 
 
-def projected(rays: TracedRays, index: NDArray[np.integer], count: int, l_max: int) -> Harmonics:
-    """Projection of rays on spherical harmonics by source (index [N], `count` sources)."""
+def projected(
+    rays: TracedRays, index: NDArray[np.integer], l_max: int, normals: NDArray[np.floating]
+) -> Harmonics:
+    """Projection of rays on spherical harmonics by source (index [N], outward normals [S, 3])."""
+    count = len(normals)
     y = basis_array(rays.direction, l_max)
     coefficients = np.empty((count, 3, num_coefficients(l_max)))
     for channel in range(3):
         for k in range(y.shape[1]):
             weight = rays.flux[:, channel] * y[:, k]
             coefficients[:, channel, k] = np.bincount(index, weight, count)
-    return Harmonics(coefficients, l_max)
+    return Harmonics(coefficients, l_max, normals)

@@ -29,20 +29,6 @@ class TracedRays:
     flux: NDArray[np.float32]
     half_extents: NDArray[np.float64]
 
-    def exits(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Face [N] of the box through which each ray leaves, 2 axis + (1 if positive), and where.
-
-        The point [N, 3] is on the box.
-        """
-        toward = np.where(self.direction == 0, 1e-30, self.direction).astype(np.float64)
-        far = (np.copysign(self.half_extents, toward) - self.origin) / toward
-        axis = far.argmin(axis=1)
-        rows = np.arange(len(axis))
-        point = self.origin + np.maximum(far[rows, axis], 0)[:, None] * toward
-        return 2 * axis + (toward[rows, axis] > 0), point.clip(
-            -self.half_extents, self.half_extents
-        )
-
 
 def trace_rays(luminaire: Luminaire, count: int, seed: int) -> TracedRays:
     """Light paths of a luminaire, `count` rounded up to a multiple of `BATCH`."""

@@ -111,7 +111,7 @@ def _note(name: str) -> str:
 
 
 def _other(benchmark: str, results: Path, page: Path) -> str:
-    """The first table of another benchmark's results, its plot, and a link to them."""
+    """The first table of another benchmark's results, its pictures, and a link to them."""
     path = results / f"{benchmark}.md"
     command = f"`python -m benchmarks {benchmark}`"
     if not path.is_file():
@@ -121,7 +121,7 @@ def _other(benchmark: str, results: Path, page: Path) -> str:
     end = next((i for i in range(start, len(lines)) if not lines[i].startswith("|")), len(lines))
     link = f"[its results](../benchmarks/results/{benchmark}.md)"
     text = f"By {command}; {link}.\n\n" + "\n".join(lines[start:end]) + "\n"
-    if (plot := path.with_suffix(".png")).is_file():
-        write_bytes(page.parent / "images" / "paper" / plot.name, plot.read_bytes())
-        text += f"\n![Plot of {benchmark}](images/paper/{plot.name})\n"
+    for picture in sorted(results.glob(f"{benchmark}*.png")):
+        write_bytes(page.parent / "images" / "paper" / picture.name, picture.read_bytes())
+        text += f"\n![{picture.stem}](images/paper/{picture.name})\n"
     return text

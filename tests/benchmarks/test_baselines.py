@@ -40,9 +40,9 @@ def harmonics(rays):
 
 
 def exitant(rays):
-    from benchmarks.baselines.fitting import ExitantLightField
+    from benchmarks.baselines.fitting import exitant_light_field
 
-    return ExitantLightField(rays, 3, 16)
+    return exitant_light_field(rays, 3, 16)
 
 
 def ray_set(rays):
@@ -75,17 +75,30 @@ def seeded(mi, count, seed=0):
     return sampler
 
 
-def test_rays_leave_through_the_box(rays):
-    face, point = rays.exits()
-    axis = face // 2
-    rows = np.arange(len(face))
-    assert point[rows, axis] == pytest.approx(np.where(face % 2, 1, -1) * HALF[axis], abs=1e-6)
-    assert (np.abs(point) <= HALF).all()
-    along = ((point - rays.origin) * rays.direction).sum(axis=1)
-    assert along.min() > 0
-    assert (
-        np.linalg.norm(rays.origin + along[:, None] * rays.direction - point, axis=1).max() < 1e-5
-    )
+def test_patches_are_where_light_leaves_the_box(mi):
+    import drjit as dr
+
+    from benchmarks.baselines.places import Patches
+
+    patches = Patches(HALF, 8)
+    assert patches.count == 2 * (8 * 6 + 6 * 4 + 8 * 4)
+    index = dr.arange(mi.UInt32, patches.count)
+    sampler = seeded(mi, patches.count)
+    point = patches.point(index, None, sampler.next_1d(), sampler.next_2d())
+    place = np.array(point).T
+    assert (np.abs(place) <= HALF * (1 + 1e-6)).all()
+    # All areas are met: each is that of the faces over the number of their patches.
+    inside = mi.Vector3f(point) * sampler.next_1d()
+    direction = dr.normalize(mi.Vector3f(point) - inside)
+    for origin in (inside, mi.Vector3f(point) + 3 * direction, mi.Vector3f(point) - 9 * direction):
+        found, area, hit = patches.seen(mi.Point3f(origin), direction)
+        assert dr.all(hit)
+        assert np.mean(np.array(found) == np.array(index)) > 0.97
+    axis = np.abs(np.abs(place) / HALF - 1).argmin(axis=1)
+    cosine = np.abs(np.array(direction).T[np.arange(len(axis)), axis])
+    faces = np.array([HALF[1] * HALF[2] / 24, HALF[2] * HALF[0] / 32, HALF[0] * HALF[1] / 48])
+    np.testing.assert_allclose(np.array(area), 4 * faces[axis] * cosine, rtol=1e-3)
+    assert not dr.any(patches.seen(mi.Point3f(0, 2, 0), mi.Vector3f(1, 0, 0))[2])
 
 
 @pytest.mark.parametrize("fit", [far_field, sphere, points, table, harmonics, exitant, ray_set])
@@ -130,6 +143,31 @@ def test_directions_bring_what_rays_do(mi, rays, fit, place):
     assert (np.abs(found - expected) < 4.5 * error + 1e-9).all()
 
 
+@pytest.mark.parametrize("fit", [sphere, table, harmonics, exitant])
+@pytest.mark.parametrize("place", [(0.4, 4, 0.3), (1.5, 0.9, -0.8)])
+def test_lines_show_what_directions_bring(mi, rays, fit, place):
+    """Irradiance by directions of their own, and by uniform ones towards the box's corners."""
+    import drjit as dr
+
+    from lumitree.rendering.proxy import cone_pdf, sample_cone
+
+    made, count, radius = fit(rays), 1 << 20, float(np.linalg.norm(HALF))
+    x, normal = mi.Point3f(place), -dr.normalize(mi.Vector3f(place))
+    direction, value = made.sample_direction(x, seeded(mi, count, 6))
+    received = np.array(value * dr.maximum(dr.dot(direction, normal), 0), np.float64)
+    uniform = sample_cone(x, radius, seeded(mi, count, 7).next_2d())
+    seen = made.eval(x, -uniform) * dr.maximum(dr.dot(uniform, normal), 0)
+    seen = np.array(seen / cone_pdf(x, radius), np.float64)
+    error = np.hypot(received.std(axis=1), seen.std(axis=1)) / np.sqrt(count)
+    assert seen.max() > 0
+    assert (np.abs(received.mean(axis=1) - seen.mean(axis=1)) < 4.5 * error + 1e-9).all()
+
+
+@pytest.mark.parametrize("fit", [far_field, points, ray_set])
+def test_lines_see_no_points(mi, rays, fit):
+    assert fit(rays).eval(mi.Point3f(0, -3, 0), mi.Vector3f(0, -1, 0)) is None
+
+
 def test_a_ray_set_answers_no_receiver(mi, rays):
     assert ray_set(rays).sample_direction(mi.Point3f(0, -3, 0), seeded(mi, 1)) is None
 
@@ -141,18 +179,22 @@ def test_the_benchmark_makes_a_row_for_each(tmp_path, monkeypatch, capsys):
     from benchmarks.__main__ import main
 
     monkeypatch.setattr(representations, "SAMPLES", 1 << 10)
+    monkeypatch.setattr(representations, "QUERIES", 1 << 10)
     chosen = {"exitant 32³ x 32²": exitant, "far field, point": far_field, "ray set": ray_set}
     words = ("point lights", "box table", "harmonics")
     chosen |= {
         f"{word} 8": fit for word, fit in zip(words, (points, table, harmonics), strict=True)
     }
-    monkeypatch.setattr(representations, "fits", lambda options: chosen)
-    options = ["--paths", "1000", "--reference", "20000", "-o", str(tmp_path)]
+    monkeypatch.setattr(representations, "fits", lambda *_: chosen)
+    options = ["--paths", "1000", "--reference", "20000", "--views", "1", "--resolution", "16"]
+    options += ["--spp", "4", "-o", str(tmp_path)]
     assert main(["representations", "dallas", *options]) == 0
     rows = json.loads((tmp_path / "representations.json").read_text())["rows"]
     assert [row["representation"] for row in rows] == list(chosen)
     assert all(row["bytes"] > 0 and row["seconds"] > 0 for row in rows)
     assert {row["representation"] for row in rows if "variance" not in row} == {"ray set"}
+    invisible = {"ray set", "far field, point", "point lights 8"}
+    assert {row["representation"] for row in rows if "images" not in row} == invisible
     printed = capsys.readouterr().out
     assert all(name in printed for name in chosen)
     assert (tmp_path / "representations.png").stat().st_size > 1000

@@ -1,5 +1,8 @@
 """Views of a baked luminaire, with the pixel filter of the captured ones."""
 
+from collections.abc import Callable
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -34,6 +37,27 @@ def baked_image(
     Returns:
         Radiance [H, W, 3], W/(m² sr), and opacity [H, W].
     """
+    field = shared_field(asset)
+    return image_of(
+        lambda origin, towards: look(asset, field, origin, towards, True),
+        local_from_camera,
+        half_width,
+        resolution,
+    )
+
+
+def image_of(
+    seen: Callable[[Any, Any], tuple[Any, Any]],
+    local_from_camera: NDArray[np.float64],
+    half_width: float,
+    resolution: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Orthographic image by rays, as `baked_image`.
+
+    Args:
+        seen: radiance (mi.Color3f) and transmittance (mi.Float) of rays, by their origins on the
+            plane of the camera (mi.Point3f) and their unit directions (mi.Vector3f).
+    """
     fine = resolution * RAYS_A_SIDE
     index = dr.arange(mi.UInt32, fine * fine)
     # Rays of one pixel have consecutive indices, so that a block sum averages them.
@@ -49,7 +73,7 @@ def baked_image(
         0,
     )
     towards = -(pose @ mi.Vector3f(0, 0, 1))
-    radiance, through = look(asset, shared_field(asset), origin, towards, True)
+    radiance, through = seen(origin, towards)
     # A block sum evaluates its argument. Without this, each channel would repeat the traversal.
     dr.eval(radiance, through)
     values = [dr.block_sum(value, RAYS_A_SIDE**2) for value in (*radiance, through)]
