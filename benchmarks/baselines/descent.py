@@ -6,6 +6,7 @@ has improved a measure of its quality by less than `_PLATEAU`.
 """
 
 import dataclasses
+import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -83,6 +84,7 @@ def descend(
     if quality is not None and budget == Budget():
         best = -np.inf
         while (now := quality(state[0])) > best + _PLATEAU:
+            print(f"step {half}: {now:.2f} dB", file=sys.stderr)
             best = now
             state, half = steps(state, half, _WINDOW, 1.0), half + _WINDOW
     else:
