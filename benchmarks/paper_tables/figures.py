@@ -23,29 +23,28 @@ _LARGEST_TILE = 320
 
 def cells(scale: Scale) -> list[Cell]:
     """The overview, and an image of each lamp."""
-    lamp, figure = scale.lamps[0], {"width": scale.figure[0], "samples": scale.figure[1]}
+    figure = {"width": scale.figure[0], "samples": scale.figure[1]}
     network = {"train": scale.train, "network": scale.network, "depth": scale.network_depth}
     network |= {"samples_per_leaf": scale.samples_per_leaf, "test": scale.test}
-    found = [
+    first = scale.lamps[0]
+    overview = Cell(
+        OVERVIEW,
+        9,
+        {"lamp": first, **figure, **network},
+        sum(scale.minutes),
+        lambda work: measure_overview(work, first),
+    )
+    rooms = [
         Cell(
-            OVERVIEW,
+            f"room-{lamp}",
             9,
-            {"lamp": lamp, **figure, **network},
-            sum(scale.minutes),
-            lambda work: measure_overview(work, lamp),
+            {"lamp": lamp, **figure, "direct": scale.direct},
+            scale.minutes[1] + 3,
+            lambda work, lamp=lamp: measure_room(work, lamp),
         )
+        for lamp in scale.lamps
     ]
-    for lamp in scale.lamps:
-        found.append(
-            Cell(
-                f"room-{lamp}",
-                9,
-                {"lamp": lamp, **figure, "direct": scale.direct},
-                scale.minutes[1] + 3,
-                lambda work, lamp=lamp: measure_room(work, lamp),
-            )
-        )
-    return found
+    return [overview, *rooms]
 
 
 def measure_overview(work: Work, lamp: str) -> Measured:

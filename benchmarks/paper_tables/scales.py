@@ -130,7 +130,7 @@ SCALES: dict[ScaleName, Scale] = {
         longer=3,
         equal=EqualQuality(width=80, path_depth=64, seconds=600.0),
         equal_lamps=LAMPS,
-        figure=(320, 256),
+        figure=(400, 512),
         minutes=(5.0, 6.0, 3.0),
     ),
     # Seconds a cell, for the tests: structure and orders of magnitude, not figures.
