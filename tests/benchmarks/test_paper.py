@@ -56,6 +56,29 @@ def test_cells_have_names_of_their_own_and_parameters_that_json_holds(scale):
             assert each.minutes <= 30
 
 
+@pytest.mark.parametrize("scale", ["paper", "cpu"])
+def test_cells_measure_the_lamp_that_their_parameters_name(mi, scale):
+    class AskedError(Exception):
+        pass
+
+    class Watch:
+        def __init__(self):
+            self.scale = SCALES[scale]
+
+        def __getattr__(self, _):
+            def ask(lamp, *_, **__):
+                raise AskedError(lamp)
+
+            return ask
+
+    named = [each for each in all_cells(SCALES[scale]) if "lamp" in each.parameters]
+    assert len({each.parameters["lamp"] for each in named}) == len(SCALES[scale].lamps)
+    for each in named:
+        with pytest.raises(AskedError) as asked:
+            each.measure(Watch())
+        assert asked.value.args[0] == each.parameters["lamp"]
+
+
 def test_the_scale_of_the_paper_is_the_papers():
     scale = SCALES["paper"]
     assert scale.network == PRESETS["paper"]
