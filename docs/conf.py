@@ -63,7 +63,13 @@ html_extra_path = ["generated/extra"] if EXTRA.is_dir() else []
 # Documents outside docs/ become pages too; their links are relative to the repository's root.
 ROOT = Path(__file__).parent.parent
 GENERATED = Path(__file__).parent / "generated"
-OUTSIDE = ("ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/results/*.md")
+OUTSIDE = (
+    "ARCHITECTURE.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "benchmarks/results/*.md",
+    "benchmarks/results/*.png",
+)
 
 
 def copy_outside(app):
