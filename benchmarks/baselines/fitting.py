@@ -121,26 +121,20 @@ class BakedAsset:
     """An asset of lumitree, with its own sampling.
 
     Attributes:
+        sample_ray: as `Representation.sample_ray`.
         num_bytes: of what is in the asset.
     """
 
     def __init__(self, asset: Any, num_bytes: int) -> None:
+        from lumitree.evaluation.irradiance import asset_rays
         from lumitree.octree.field import shared_field
         from lumitree.rendering.divided_sampling import emitter_sampler
         from lumitree.rendering.proxy import BoxProxy
 
-        self._asset, self._field = asset, shared_field(asset)
         self._proxy = BoxProxy(asset.frame.half_extents)
-        self._sampler = emitter_sampler(asset, self._field, self._proxy)
+        self._sampler = emitter_sampler(asset, shared_field(asset), self._proxy)
+        self.sample_ray = asset_rays(asset)
         self.num_bytes = num_bytes
-
-    def sample_ray(self, sampler: Any, count: int) -> tuple[Any, Any, Any]:
-        """As `Representation.sample_ray`."""
-        samples = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
-        origin, direction, flux = self._sampler.sample_ray(*samples)
-        flux /= count
-        dr.eval(origin, direction, flux)
-        return origin, direction, flux
 
     def sample_direction(self, x: Any, sampler: Any) -> tuple[Any, Any]:
         """As `Representation.sample_direction`."""
@@ -152,11 +146,7 @@ class BakedAsset:
 
     def eval(self, origin: Any, direction: Any) -> Any:
         """As `Representation.eval`."""
-        from lumitree.rendering.divided_sampling import look
-
-        distance, _, enters = self._proxy.enter(origin, -direction)
-        entry = origin - distance * direction
-        return look(self._asset, self._field, entry, -direction, enters)[0]
+        return self._sampler.look(origin, -direction, True)[0]
 
 
 def exitant_light_field(rays: TracedRays, depth: int, resolution: int) -> BakedAsset:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
+from lumitree.rendering.proxy import safe_inverse, slab
 
 
 class Places(Protocol):
@@ -114,9 +115,7 @@ class Patches:
     def seen(self, origin: Any, direction: Any) -> tuple[Any, Any, Any]:
         """As `Places.seen`: the patch through which light leaves the box along the line."""
         half = mi.Vector3f(self._half)
-        toward = dr.select(direction == 0, 1e-30, direction)
-        away = dr.mulsign(half, toward)
-        enters, leaves = (-away - origin) / toward, (away - origin) / toward
+        enters, leaves = slab(-mi.Vector3f(origin), half, safe_inverse(direction))
         distance = dr.min(leaves)
         place = ((origin + distance * direction) / half + 1) / 2
         index, area = mi.UInt32(0), mi.Float(0)
@@ -125,7 +124,7 @@ class Patches:
             rows, columns = int(self._grid[u]), int(self._grid[v])
             row = mi.UInt32(dr.clip(place[u] * rows, 0, rows - 1))
             column = mi.UInt32(dr.clip(place[v] * columns, 0, columns - 1))
-            face = dr.select(toward[axis] > 0, first + rows * columns, first)
+            face = dr.select(direction[axis] > 0, first + rows * columns, first)
             size = 4 * self._half[u] * self._half[v] / (rows * columns)
             here = leaves[axis] == distance
             index = dr.select(here, face + row * columns + column, index)

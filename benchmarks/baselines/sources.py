@@ -52,10 +52,10 @@ class Representation(Protocol):
         ...
 
     def eval(self, origin: Any, direction: Any) -> Any | None:
-        """Radiance (mi.Color3f) along a line outside the bounding box; None where no line sees it.
+        """Radiance (mi.Color3f) that arrives along a line; None where no line sees it.
 
         Args:
-            origin: mi.Point3f, on the line.
+            origin: mi.Point3f, where it arrives, outside the bounding box.
             direction: mi.Vector3f, unit direction of flight.
         """
         ...
@@ -214,8 +214,7 @@ def _flux_above_zero(
     integral = np.empty(coefficients.shape[:2])
     # One source after the other: all of them at once would take gigabytes.
     for source, (each, normal) in enumerate(zip(coefficients, normals, strict=True)):
-        outward = directions @ normal > 0
-        integral[source] = np.maximum(each @ y[outward].T, 0) @ angles[outward]
+        integral[source] = np.maximum(each @ y.T, 0) @ np.where(directions @ normal > 0, angles, 0)
     return integral
 
 
@@ -223,11 +222,10 @@ def projected(
     rays: TracedRays, index: NDArray[np.integer], l_max: int, normals: NDArray[np.floating]
 ) -> Harmonics:
     """Projection of rays on spherical harmonics by source (index [N], outward normals [S, 3])."""
-    count = len(normals)
     y = basis_array(rays.direction, l_max)
-    coefficients = np.empty((count, 3, num_coefficients(l_max)))
+    coefficients = np.empty((len(normals), 3, num_coefficients(l_max)))
     for channel in range(3):
         for k in range(y.shape[1]):
             weight = rays.flux[:, channel] * y[:, k]
-            coefficients[:, channel, k] = np.bincount(index, weight, count)
+            coefficients[:, channel, k] = np.bincount(index, weight, len(normals))
     return Harmonics(coefficients, l_max, normals)

@@ -110,10 +110,10 @@ SCALES: dict[ScaleName, Scale] = {
         figure=(640, 4096),
         minutes=(1200.0, 30.0, 30.0),
     ),
-    # Two cores. Half as many steps are too few: on `neoclassical` the gain
-    # over black is 2.5 dB after 4000 steps, with the learning rate's schedule as long, and 3.1 dB
-    # after 8000. Images of Table 5 are small, since the time of an explicit reference at the errors
-    # of the paper grows with the number of pixels, and its error does not.
+    # Two cores. Half as many steps are too few: on `neoclassical` the gain over black is 2.5 dB
+    # after 4000 steps, with the learning rate's schedule as long, and 3.1 dB after 8000. Images of
+    # Table 5 are small, since the time of an explicit reference at the errors of the paper grows
+    # with the number of pixels, and its error does not.
     "cpu": Scale(
         name="cpu",
         lamps=LAMPS,

@@ -87,7 +87,7 @@ def test_patches_are_where_light_leaves_the_box(mi):
     point = patches.point(index, None, sampler.next_1d(), sampler.next_2d())
     place = np.array(point).T
     assert (np.abs(place) <= HALF * (1 + 1e-6)).all()
-    # All areas are met: each is that of the faces over the number of their patches.
+    # Lines through points of the patches, from inside and from both sides of the box.
     inside = mi.Vector3f(point) * sampler.next_1d()
     direction = dr.normalize(mi.Vector3f(point) - inside)
     for origin in (inside, mi.Vector3f(point) + 3 * direction, mi.Vector3f(point) - 9 * direction):

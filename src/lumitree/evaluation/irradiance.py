@@ -42,6 +42,9 @@ BATCHES = 16
 # The RMS difference of a face is defined if at least this part of the reference's mean square is
 # not noise.
 _MIN_SIGNAL = 0.1
+# Takes a mi.Sampler and a number of rays, and returns origins (mi.Point3f), directions of flight
+# (mi.Vector3f) and fluxes (mi.Color3f), local units.
+Rays = Callable[[Any, int], tuple[Any, Any, Any]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,7 +129,12 @@ def asset_irradiance(asset: Asset, num_rays: int, *, seed: int = 0) -> Irradianc
         seed: root seed.
     """
     half_extents = asset.frame.half_extents
-    emitter = emitter_sampler(asset, shared_field(asset), BoxProxy(half_extents))
+    return rays_irradiance(asset_rays(asset), half_extents, num_rays, draw=1, seed=seed)
+
+
+def asset_rays(asset: Asset) -> Rays:
+    """Rays sampled from a baked luminaire's emission."""
+    emitter = emitter_sampler(asset, shared_field(asset), BoxProxy(asset.frame.half_extents))
 
     def rays(sampler: Any, count: int) -> tuple[Any, Any, Any]:
         origin, direction, flux = emitter.sample_ray(
@@ -136,11 +144,11 @@ def asset_irradiance(asset: Asset, num_rays: int, *, seed: int = 0) -> Irradianc
         dr.eval(origin, direction, flux)
         return origin, direction, flux
 
-    return rays_irradiance(rays, half_extents, num_rays, draw=1, seed=seed)
+    return rays
 
 
 def rays_irradiance(
-    rays: Callable[[Any, int], tuple[Any, Any, Any]],
+    rays: Rays,
     half_extents: NDArray[np.float64],
     num_rays: int,
     *,
@@ -150,8 +158,7 @@ def rays_irradiance(
     """Irradiance by rays of any origin.
 
     Args:
-        rays: takes a mi.Sampler and a number of rays, and returns origins inside the bounding box
-            (mi.Point3f), directions of flight (mi.Vector3f) and fluxes (mi.Color3f), local units.
+        rays: origins are inside the bounding box.
         half_extents: [3] of the luminaire's box.
         num_rays: rounded up to a multiple of `BATCHES`.
         draw: of `Purpose.IRRADIANCE`.
