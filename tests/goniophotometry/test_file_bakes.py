@@ -18,7 +18,9 @@ from lumitree.goniophotometry.baking import (
     bake_rays,
     exitant_lumens,
 )
-from lumitree.goniophotometry.files import write_ies, write_ldt
+from lumitree.goniophotometry.ies import write_ies
+from lumitree.goniophotometry.ldt import write_ldt
+from lumitree.goniophotometry.opening import Opening
 from lumitree.goniophotometry.rays import Rays
 from lumitree.goniophotometry.tm25 import write_tm25
 from lumitree.goniophotometry.type_c import Grid, IntensityDistribution, direction_of, z_up
@@ -34,7 +36,7 @@ def spot(power=4.0, peak=1000.0, step=2.5, opening=(0.0, 0.0, 0.0)):
     # The factor fades at the pole, where all C are one direction.
     factor = 1 + 0.5 * np.sin(gamma) * np.cos(c - 0.7)
     intensity = peak * np.maximum(np.cos(gamma), 0) ** power * factor
-    return IntensityDistribution("spot", grid.c, grid.gamma, intensity, opening, 5000.0)
+    return IntensityDistribution("spot", grid.c, grid.gamma, intensity, Opening(opening), 5000.0)
 
 
 def analytic(direction, power=4.0, peak=1000.0):
@@ -72,6 +74,68 @@ def test_a_distribution_keeps_its_flux_and_its_intensities(mi, opening):
     found = bin_intensity(asset, direction)
     assert found == pytest.approx(np.array(exact), abs=1000 * 2 * np.deg2rad(2))
     assert found.mean() == pytest.approx(np.mean(exact), rel=3e-3)
+
+
+def even(opening, gamma_power=0.0):
+    """100 cosⁿ γ cd below; n = 0 is 100 cd in all directions."""
+    grid = Grid(2.5)
+    cosine = np.cos(np.deg2rad(grid.gamma))
+    rows = np.maximum(cosine, 0) ** gamma_power if gamma_power else np.ones_like(cosine)
+    return IntensityDistribution(
+        "even", grid.c, grid.gamma, np.broadcast_to(100 * rows, (len(grid.c), len(rows))), opening
+    )
+
+
+RADIUS = 0.2
+SPHERE = Opening((2 * RADIUS,) * 3, "ellipsoid")
+DISK = Opening((2 * RADIUS, 0.0, 2 * RADIUS), "cylinder")
+SQUARE = Opening((2 * RADIUS, 0.0, 2 * RADIUS))
+ROD = Opening((2.0, 0.1, 0.1), "cylinder", 0)
+UPRIGHT = Opening((0.0, 2 * RADIUS, 2 * RADIUS), "cylinder", 0)
+
+
+def square_corner(x, y):
+    """Configuration factor of a rectangle x by y from a point at unit distance below its corner."""
+    a, b = np.hypot(1, x), np.hypot(1, y)
+    return (x / a * np.arctan(y / a) + y / b * np.arctan(x / b)) / (2 * np.pi)
+
+
+def rod_lux(distance):
+    """Irradiance beside the middle of a line of length 2 with 100 cd in all directions."""
+    along = np.linspace(-1, 1, 20001)
+    return np.mean(100 * distance / np.hypot(distance, along) ** 3)
+
+
+@pytest.mark.parametrize(
+    ("opening", "power", "point", "exact"),
+    [
+        # A sphere of even radiance has the irradiance of a point at its centre.
+        (SPHERE, 0, [0, -1.2 * RADIUS, 0], 100 / (1.2 * RADIUS) ** 2),
+        (SPHERE, 0, [0, -2 * RADIUS, 0], 100 / (2 * RADIUS) ** 2),
+        # π L r² / (r² + h²), where 100 cd are π r² L.
+        (DISK, 1, [0, -RADIUS / 2, 0], 100 / (1.25 * RADIUS**2)),
+        (DISK, 1, [0, -RADIUS, 0], 100 / (2 * RADIUS**2)),
+        # π L times four corners, where 100 cd are 4 r² L.
+        (SQUARE, 1, [0, -RADIUS, 0], 100 / (4 * RADIUS**2) * np.pi * 4 * square_corner(1, 1)),
+        (ROD, 0, [0, -0.5, 0], rod_lux(0.5)),
+        (UPRIGHT, 0, [2 * RADIUS, 0, 0], None),
+    ],
+)
+def test_near_an_opening(mi, tmp_path, opening, power, point, exact):
+    """Where inverse squares do not hold: against closed forms."""
+    asset = bake_distribution(even(opening, power))
+    assert exitant_lumens(asset) == pytest.approx(even(opening, power).lumens, rel=2e-3)
+    path = tmp_path / "lamp.lumitree"
+    lumitree.save(asset, path)
+    if exact is None:
+        # All parts of the disk send 100 cd in proportion to their area.
+        radius = np.sqrt((np.arange(4000) + 0.5) / 4000) * RADIUS
+        exact = np.mean(100 * point[0] / (point[0] ** 2 + radius**2) ** 1.5)
+    found, error = irradiance(mi, {"lamp": lumitree.shape(path)}, point, [-x for x in point])
+    lux, noise = luminance(found), luminance(error)
+    assert noise < 0.004 * exact
+    # The first point is nearer to the sphere than a cell is wide.
+    assert lux == pytest.approx(exact, rel=0.05 if exact > 1000 else 0.025)
 
 
 # Where the light falls, relative to the lamp; the second is off the axis, in a known C.

@@ -16,7 +16,8 @@ from lumitree.cli import main
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from lumitree.errors import LumitreeError
 from lumitree.goniophotometry.baking import exitant_lumens
-from lumitree.goniophotometry.files import read_ies, read_ldt
+from lumitree.goniophotometry.ies import read_ies
+from lumitree.goniophotometry.ldt import read_ldt
 from lumitree.goniophotometry.tm25 import read_tm25
 from lumitree.model.photometry import luminance
 
@@ -50,7 +51,7 @@ def test_all_files_of_a_luminaire(folder):
         assert distribution.lumens == pytest.approx(result.lumens.value, rel=1e-5)
         assert distribution.intensity == pytest.approx(result.intensity, rel=1e-5)
         assert distribution.emitted_lumens == pytest.approx(result.emitted_lumens.value)
-        assert distribution.opening == pytest.approx((1, 1, 1))
+        assert distribution.opening.sides == pytest.approx((1, 1, 1))
     rays, _ = read_tm25("lamp.ray")
     assert 1000 <= len(rays) < PATHS
     assert luminance(rays.flux.sum(axis=0)) == pytest.approx(result.lumens.value, rel=0.02)

@@ -1,12 +1,14 @@
 """TM-25 ray files: the published layout, round trips, kinds of spectra, damage."""
 
+import contextlib
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
 
 from damage import damaged, refused
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.goniophotometry.rays import Rays
 from lumitree.goniophotometry.tm25 import read_tm25, write_tm25
 from lumitree.model.photometry import LUMENS_PER_WATT, colour_temperature, luminance
@@ -28,7 +30,16 @@ def path(tmp_path):
     return tmp_path / "lamp.ray"
 
 
-def file_bytes(rows, flags, spectrum=0, wavelengths=(np.nan,) * 3, tables=(), additional=0, text=0):
+def file_bytes(
+    rows,
+    flags,
+    spectrum=0,
+    wavelengths=(np.nan,) * 3,
+    tables=(),
+    additional=0,
+    text=0,
+    totals=(0, 0),
+):
     """A file by the published layout, written without the module.
 
     Args:
@@ -36,8 +47,9 @@ def file_bytes(rows, flags, spectrum=0, wavelengths=(np.nan,) * 3, tables=(), ad
         flags: the 8 known data flags.
         tables: spectral tables, [n, 2] each.
         additional, text: number of additional items, and bytes of the additional text.
+        totals: luminous flux and radiant flux in the header.
     """
-    head = b"TM25" + struct.pack("<iiffQ", 2013, 1, 0.0, 0.0, len(rows))
+    head = b"TM25" + struct.pack("<iiffQ", 2013, 1, *totals, len(rows))
     head += b"2026-11-23T12:00:00Z".ljust(28, b"\0")
     head += struct.pack("<iifffiii", 7, spectrum, *wavelengths, len(tables), additional, text)
     head += bytes(168) + struct.pack("<8i", *flags)
@@ -111,6 +123,34 @@ def read_flux(path, columns, *options, **more):
 def test_radiant_flux_without_a_spectrum_is_white(path, mi):
     flux = read_flux(path, [[2.0], [3.0]], [1, 1, 1, 0, 0, 0, 0, 0])
     assert flux == pytest.approx(np.array([[2.0] * 3, [3.0] * 3]))
+
+
+@pytest.mark.parametrize(
+    ("flags", "totals", "message"),
+    [
+        ([1, 1, 0, 0, 1, 0, 0, 0], (5e4, 0), "luminous flux of 50000 lm, but its rays have 5 lm"),
+        ([1, 1, 0, 0, 1, 0, 0, 0], (5.2, 0), "luminous flux of 5.2 lm"),
+        ([1, 1, 1, 0, 0, 0, 0, 0], (0, 0.5), "radiant flux of 0.5 W, but its rays have 5 W"),
+        ([1, 1, 0, 0, 1, 0, 0, 0], (5.02, 9), None),
+        ([1, 1, 1, 0, 0, 0, 0, 0], (9, np.nan), None),
+    ],
+)
+def test_a_header_with_another_total_is_said(path, mi, flags, totals, message):
+    """The rays are used."""
+    warned = pytest.warns(LumitreeWarning, match=message) if message else contextlib.nullcontext()
+    with warned:
+        flux = read_flux(path, [[2.0], [3.0]], flags, totals=totals)
+    expected = 5 / LUMENS_PER_WATT if flags[4] else 5
+    assert flux.sum(axis=0) == pytest.approx([expected] * 3)
+
+
+def test_a_wide_spectral_table_is_refused_before_memory_is_taken(path, mi):
+    tracemalloc.start()
+    with pytest.raises(LumitreeError, match="span more than"):
+        read_flux(path, [[1.0], [1.0]], [1, 1, 0, 0, 1, 0, 0, 0], 3, tables=[[[0, 1], [9e8, 1]]])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 24
 
 
 def test_wavelengths(path, mi):

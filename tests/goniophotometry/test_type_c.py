@@ -9,7 +9,6 @@ from lumitree.goniophotometry.type_c import (
     Grid,
     IntensityDistribution,
     angles_of,
-    completed,
     direction_of,
     node_solid_angles,
     y_up,
@@ -141,56 +140,6 @@ def test_interpolation_of_one_plane_is_symmetric():
     gamma = np.array([0.0, 90, 180])
     distribution = IntensityDistribution("", np.array([0.0]), gamma, np.array([[2.0, 1, 0]]))
     assert distribution.at(direction_of([0, 77, 300], [45, 45, 135])).tolist() == [1.5, 1.5, 0.5]
-
-
-@pytest.mark.parametrize(
-    ("c", "same"),
-    [
-        ([0.0], lambda c: 0 * c),
-        ([0.0, 30, 90], lambda c: np.minimum(c % 180, 180 - c % 180)),
-        ([0.0, 60, 170, 180], lambda c: np.minimum(c, 360 - c)),
-        ([0.0, 100, 200, 300, 360], lambda c: c),
-        ([0.0, 90, 180, 270], lambda c: c),
-    ],
-)
-def test_symmetries_of_files(c, same):
-    """The completed distribution is that of the file at the mirrored angle."""
-    gamma = np.array([0.0, 50, 180])
-    values = np.random.default_rng(0).random((len(c), 3))
-    if c[-1] == 360:
-        values[-1] = values[0]
-    whole = IntensityDistribution("", *completed(np.array(c), gamma, values))
-    angles = np.arange(0.5, 360, 7)
-    planes = np.append(c, 360.0) if c[-1] == 270 else np.array(c)
-    rows = np.append(values[:, 1], values[0, 1]) if c[-1] == 270 else values[:, 1]
-    expected = np.interp(same(angles), planes, rows)
-    assert whole.at(direction_of(angles, 50.0)) == pytest.approx(expected)
-
-
-def test_ranges_of_gamma_are_filled_with_darkness():
-    values = np.ones((1, 2))
-    below = IntensityDistribution("", *completed(np.zeros(1), np.array([0.0, 90]), values))
-    above = IntensityDistribution("", *completed(np.zeros(1), np.array([90.0, 180]), values))
-    assert below.at([[0, -1, 0], [1, -0.1, 0], [1, 0.1, 0], [0, 1, 0]]).tolist() == [1, 1, 0, 0]
-    assert above.at([[0, -1, 0], [1, -0.1, 0], [1, 0.1, 0], [0, 1, 0]]).tolist() == [0, 0, 1, 1]
-    assert below.lumens == pytest.approx(2 * np.pi, rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("c", "gamma"),
-    [
-        ([0.0, 120], [0.0, 180]),
-        ([10.0, 90], [0.0, 180]),
-        ([0.0, 90, 80], [0.0, 180]),
-        ([0.0], [0.0, 190]),
-        ([0.0], [-10.0, 90]),
-        ([0.0], [90.0]),
-        ([0.0, 400], [0.0, 180]),
-    ],
-)
-def test_other_angles_are_refused(c, gamma):
-    with pytest.raises(LumitreeError, match="angles"):
-        completed(np.array(c), np.array(gamma), np.ones((len(c), len(gamma))))
 
 
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf, 1e16])

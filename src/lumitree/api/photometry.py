@@ -193,7 +193,8 @@ def _suffix(path: FilePath) -> str:
 
 def _writer(suffix: str, data: "PhotometricData", rays: Any) -> Callable[[FilePath], None]:
     """Function that writes a file of the given kind."""
-    from lumitree.goniophotometry.files import write_ies, write_ldt
+    from lumitree.goniophotometry.ies import write_ies
+    from lumitree.goniophotometry.ldt import write_ldt
     from lumitree.goniophotometry.report import write_html, write_pdf
     from lumitree.goniophotometry.tm25 import write_tm25
 

@@ -1,9 +1,12 @@
 """Assets with an exitant light field only, from photometric files and ray files.
 
-A photometric file states the far field. Its asset emits it from every point of the luminous
-opening, with equal probability; a file without an opening gets a cube of 1 cm.
+A photometric file states the far field, and the luminous opening that the light comes from. Its
+asset emits the intensity of a direction ω evenly over the opening's projection along ω, to which a
+surface element of area dA and normal n adds max(n·ω, 0) dA. A file without an opening gets a cube
+of 1 cm.
 """
 
+import math
 import os
 from pathlib import Path
 
@@ -19,7 +22,9 @@ from lumitree.core.octahedral import direction_in_bin, solid_angles
 from lumitree.errors import LumitreeError
 from lumitree.exitant.bake import Histogram
 from lumitree.exitant.config import ExitantConfig
-from lumitree.goniophotometry.files import read_ies, read_ldt
+from lumitree.goniophotometry.ies import read_ies
+from lumitree.goniophotometry.ldt import read_ldt
+from lumitree.goniophotometry.opening import Opening
 from lumitree.goniophotometry.rays import Rays
 from lumitree.goniophotometry.tm25 import read_tm25
 from lumitree.goniophotometry.type_c import IntensityDistribution
@@ -31,6 +36,12 @@ POINT_SIZE = 0.01
 _MIN_EXTENT = 1e-6
 # Points per bin and side of the quadrature.
 _FINE = 8
+# Bins of an asset of a photometric file, cells times bins of direction; 4 bytes each.
+_MAX_BINS = 1 << 21
+_MAX_DEPTH, _DISK_DEPTH = 3, 3
+_BINS_AT_ONCE, _SOME = 64, 67
+# Relative RMS error of intensities that are constant in coarser bins.
+_COARSE_ERROR = 0.02
 SUFFIXES = (".ies", ".ldt", ".ray", ".tm25ray")
 
 
@@ -44,8 +55,8 @@ def bake_file(path: str | os.PathLike[str], config: ExitantConfig) -> Asset:
 
     Args:
         path: file with one of `SUFFIXES`.
-        config: grid of a ray file's light field. That of a photometric file has 2³ cells, which
-            have equal intensities, and 128² bins.
+        config: grid of a ray file's light field. That of a photometric file has 64² or 128² bins of
+            direction, by how steep its intensities are, and as many cells as its opening needs.
 
     Raises:
         LumitreeError: the file cannot be read, or emits nothing.
@@ -57,22 +68,110 @@ def bake_file(path: str | os.PathLike[str], config: ExitantConfig) -> Asset:
 
 
 def bake_distribution(distribution: IntensityDistribution) -> Asset:
-    """Asset that emits an intensity distribution, with R = G = B."""
-    sides = np.array(distribution.opening)
-    if sides.max() < _MIN_EXTENT:
-        sides = np.full(3, POINT_SIZE)
+    """Asset that emits an intensity distribution from its luminous opening, with R = G = B."""
+    opening = distribution.opening
+    if max(opening.sides) < _MIN_EXTENT:
+        opening = Opening((POINT_SIZE, POINT_SIZE, POINT_SIZE))
+    sides = np.array(opening.sides)
     frame = LocalFrame.of_box(-sides / 2, sides / 2)
-    candela = _bin_means(distribution, MAX_RESOLUTION)
-    total = float(candela @ solid_angles(MAX_RESOLUTION))
+    candela = _bin_means(distribution)
+    resolution = math.isqrt(len(candela))
+    total = float(candela @ solid_angles(resolution))
     if not total > 0:
         raise LumitreeError(f"{distribution.name} emits nothing; expected intensities above 0")
     # The quadrature is exact to about 0.1 %.
     candela *= distribution.lumens / total
-    watts = candela[:, None] / LUMENS_PER_WATT * np.ones(3)
-    corners = np.indices((2, 2, 2)).reshape(3, -1).T
-    intensity = np.broadcast_to(watts / len(corners), (len(corners), *watts.shape))
-    field = make_exitant_field(corners, intensity / frame.scale**2, 1)
-    return exitant_asset(field, frame, distribution.name)
+    if opening.is_flat or opening.sides != distribution.opening.sides:
+        depth, cells, area = _flat_shares(opening, frame)
+        shares = area[:, None]
+    else:
+        depth, cells, shares = _projected_shares(opening, frame, resolution)
+    watts = candela / LUMENS_PER_WATT / frame.scale**2
+    intensity = np.broadcast_to((shares * watts)[..., None], (len(cells), len(watts), 3))
+    return exitant_asset(make_exitant_field(cells, intensity, depth), frame, distribution.name)
+
+
+def _flat_shares(
+    opening: Opening, frame: LocalFrame
+) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
+    """Depth of a grid, cells [C, 3], and their parts [C] of the opening, for all directions."""
+    if opening.shape == "box":
+        # What is even over the box is exact with cells of any size.
+        return 1, np.indices((2, 2, 2)).reshape(3, -1).T, np.full(8, 1 / 8)
+    points, areas = opening.surface()
+    side = 1 << _DISK_DEPTH
+    index = np.floor((points / frame.scale + 1) * (side / 2)).astype(np.int64)
+    cells, cell = np.unique(np.clip(index, 0, side - 1), axis=0, return_inverse=True)
+    area = np.bincount(cell.ravel(), np.linalg.norm(areas, axis=1))
+    return _DISK_DEPTH, cells, area / area.sum()
+
+
+def _projected_shares(
+    opening: Opening, frame: LocalFrame, resolution: int
+) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
+    """Depth of a grid, cells [C, 3], and the part [C, R²] of the light of each bin that they emit.
+
+    Light that leaves a surface in a direction may start anywhere on the ray behind it. It starts
+    beside the centre of the opening: cells then blur it evenly to all sides. If it started on the
+    surface, cells would move it inwards.
+    """
+    directions = _bin_centres(resolution)
+    starts = _finest(opening, frame, directions)
+    parts = range(0, len(directions), _BINS_AT_ONCE)
+    flux = np.concatenate(
+        [starts.flux(directions[at : at + _BINS_AT_ONCE]) for at in parts], axis=1
+    )
+    cells = np.flatnonzero(flux.any(axis=1))
+    shares = flux[cells] / flux[cells].sum(axis=0)
+    return starts.depth, np.stack(np.unravel_index(cells, (starts.side,) * 3), axis=1), shares
+
+
+def _finest(opening: Opening, frame: LocalFrame, directions: NDArray[np.float64]) -> "_Starts":
+    """The finest grid whose cells, times directions, are not too many."""
+    for depth in range(_MAX_DEPTH, 1, -1):
+        starts = _Starts(opening, frame, depth)
+        # Some directions tell which cells all of them need.
+        if starts.flux(directions[::_SOME]).any(axis=1).sum() * len(directions) <= _MAX_BINS:
+            return starts
+    return _Starts(opening, frame, 1)
+
+
+class _Starts:
+    """Where light starts in a grid of 2**depth cells a side, by its direction."""
+
+    def __init__(self, opening: Opening, frame: LocalFrame, depth: int) -> None:
+        self.depth, self.side = depth, 1 << depth
+        self._half = frame.half_extents
+        points, self._areas = opening.surface()
+        self._points = points / frame.scale / self._half
+        edges = np.linspace(-1, 1, self.side + 1)
+        # Of each axis the cells that are in the box, and the middle of what is inside.
+        inside = [np.clip(edges, -half, half) for half in self._half]
+        self._cells = [np.flatnonzero(np.diff(each) > 0) for each in inside]
+        self._middles = [(each[1:] + each[:-1])[np.diff(each) > 0] / 2 for each in inside]
+        # The R sequence in three dimensions: powers of the root of x⁴ = x + 1.
+        steps = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+        self._jitter = (0.5 + np.outer(np.arange(len(points)), steps)) % 1
+
+    def flux(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Relative flux [side³, B] of each cell in directions [B, 3]."""
+        along = directions / self._half
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        # In the cube [-1, 1]³: the point of the ray next to the centre, if that is inside.
+        safe = np.where(along == 0, 1e-9, along)[:, None]
+        to_face = ((self._points + np.copysign(1, safe)) / safe).min(axis=2)
+        back = np.clip(along @ self._points.T, 0, to_face)
+        start = (self._points - back[..., None] * along[:, None]) * self._half
+        code = self.side**3 * np.arange(len(along))[:, None]
+        for axis, scale in enumerate((self.side**2, self.side, 1)):
+            # Rounded up or down so that the mean place of the cells is that of the starts.
+            cells, middles = self._cells[axis], self._middles[axis]
+            place = np.interp(start[..., axis], middles, np.arange(len(cells)))
+            index = (place + self._jitter[:, axis]).astype(np.int64)
+            code = code + scale * cells[np.minimum(index, len(cells) - 1)]
+        weight = np.maximum(directions @ self._areas.T, 0)
+        found = np.bincount(code.ravel(), weight.ravel(), self.side**3 * len(along))
+        return found.astype(np.float64, copy=False).reshape(len(along), -1).T
 
 
 def bake_rays(rays: Rays, name: str, config: ExitantConfig) -> Asset:
@@ -101,13 +200,35 @@ def exitant_lumens(asset: Asset) -> float:
     return float(luminance(asset_watts(asset)))
 
 
-def _bin_means(distribution: IntensityDistribution, resolution: int) -> NDArray[np.float64]:
-    """Mean intensity [R²], cd, of each octahedral bin."""
+def _bin_means(distribution: IntensityDistribution) -> NDArray[np.float64]:
+    """Mean intensity [R²], cd, of each octahedral bin; R is 64, or 128 for steep intensities."""
+    fine = _means(distribution, MAX_RESOLUTION)
+    half = MAX_RESOLUTION // 2
+    coarse = _means(distribution, half)
+    repeated = np.kron(coarse.reshape(half, half), np.ones((2, 2))).ravel()
+    error = np.sqrt(np.mean((fine - repeated) ** 2) / max(np.mean(fine**2), 1e-300))
+    return coarse if error < _COARSE_ERROR else fine
+
+
+def _means(distribution: IntensityDistribution, resolution: int) -> NDArray[np.float64]:
     points = (np.indices((_FINE, _FINE)).reshape(2, -1).T + 0.5) / _FINE
+    direction, density = _directions(points, resolution)
+    weight = 1 / density
+    value = distribution.at(direction)
+    parts = (each.reshape(-1, len(points)).sum(axis=1) for each in (weight * value, weight))
+    return np.divide(*parts)
+
+
+def _bin_centres(resolution: int) -> NDArray[np.float64]:
+    """Direction [R², 3] of the centre of each octahedral bin."""
+    return _directions(np.full((1, 2), 0.5), resolution)[0]
+
+
+def _directions(
+    points: NDArray[np.float64], resolution: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Directions [R² N, 3] of points [N, 2] of the unit square in each bin, and their densities."""
     bins = on_device(mi.UInt32, np.repeat(np.arange(resolution**2), len(points)))
     sample = on_device(mi.Point2f, np.tile(points, (resolution**2, 1)))
     direction, density = direction_in_bin(bins, sample, resolution)
-    weight = 1 / np.array(density, np.float64)
-    value = distribution.at(np.array(direction, np.float64).reshape(3, -1).T)
-    parts = (each.reshape(-1, len(points)).sum(axis=1) for each in (weight * value, weight))
-    return np.divide(*parts)
+    return np.array(direction, np.float64).reshape(3, -1).T, np.array(density, np.float64)

@@ -17,6 +17,7 @@ from lumitree.goniophotometry.figures import (
     width_at,
 )
 from lumitree.goniophotometry.measure import Measurement, jackknife
+from lumitree.goniophotometry.opening import Opening
 from lumitree.goniophotometry.type_c import IntensityDistribution
 from lumitree.goniophotometry.ugr import ugr_table
 from lumitree.model.photometry import colour_temperature, luminance
@@ -75,7 +76,7 @@ def evaluated(measurement: Measurement) -> PhotometricData:
         c=grid.c,
         gamma=grid.gamma,
         intensity=intensity,
-        opening=(float(size[0]), float(size[1]), float(size[2])),
+        opening=Opening((float(size[0]), float(size[1]), float(size[2]))),
         emitted_lumens=None if emitted_lumens is None else emitted_lumens.value,
     )
     return PhotometricData(

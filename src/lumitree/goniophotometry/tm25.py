@@ -35,6 +35,7 @@ Positions and directions have z up here.
 """
 
 import datetime
+import math
 import os
 
 import numpy as np
@@ -45,6 +46,7 @@ from lumitree.core.device import on_device
 from lumitree.core.files import write_bytes
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
+from lumitree.goniophotometry.photometric_text import warn_of_file
 from lumitree.goniophotometry.rays import Rays
 from lumitree.goniophotometry.type_c import y_up, z_up
 from lumitree.model.photometry import (
@@ -89,6 +91,9 @@ _COLUMNS = (
 )
 _TABLE_ALIGNMENT, _NAME_BYTES = 32, 512
 _MAX_TABLES, _MAX_ADDITIONAL = 1000, 1000
+_MAX_WAVELENGTHS = 100_000
+# Relative difference of fluxes that rounding may cause.
+_TOTAL_ERROR = 0.01
 
 
 def write_tm25(path: str | os.PathLike[str], rays: Rays, name: str) -> None:
@@ -137,12 +142,12 @@ def read_tm25(path: str | os.PathLike[str]) -> tuple[Rays, str]:
     """
     content = read_bytes(path, "a TM-25 ray file", MAX_BYTES)
     try:
-        return _parse(content)
+        return _parse(content, path)
     except LumitreeError as error:
         raise LumitreeError(f"{shown(path, 300)} is not a usable TM-25 file: {error}") from None
 
 
-def _parse(content: bytes) -> tuple[Rays, str]:
+def _parse(content: bytes, path: str | os.PathLike[str]) -> tuple[Rays, str]:
     if len(content) < _HEADER.itemsize or content[:4] != _MAGIC:
         raise LumitreeError(f"{len(content)} bytes that begin with {shown(content[:4])}")
     header = np.frombuffer(content, _HEADER, 1)[0]
@@ -172,9 +177,25 @@ def _parse(content: bytes) -> tuple[Rays, str]:
     flux = _flux(items, tables, int(header["spectrum"]), float(header["wavelengths"][0]))
     if not ((flux >= 0) & (flux < 1e15)).all() or not flux.any():
         raise LumitreeError("a ray's flux is not a number, negative or too large, or all are 0")
+    kind, total, unit = ("luminous", "lumens", "lm")
+    if kind not in items:
+        kind, total, unit = ("radiant", "watts", "W")
+    _compare_totals(path, float(header[total]), float(items[kind].sum()), kind, unit)
     name = "".join(chr(code) for code in header["texts"][0] if 0 < code < 0x110000)
     rays = Rays(y_up(position) / _MM_PER_M, y_up(direction / length), flux)
     return rays, shown(name) or "rays"
+
+
+def _compare_totals(
+    path: str | os.PathLike[str], stated: float, total: float, kind: str, unit: str
+) -> None:
+    """Warn of a header whose flux is not that of the rays; NaN and 0 stand for an unknown flux."""
+    if math.isfinite(stated) and stated > 0 and abs(total - stated) > _TOTAL_ERROR * stated:
+        warn_of_file(
+            path,
+            f"its header states a {kind} flux of {stated:g} {unit}, but its rays have {total:g} "
+            f"{unit}; that of the rays is used (give the flux that you know by lumens)",
+        )
 
 
 def _check(header: np.void) -> None:
@@ -254,9 +275,14 @@ def _matched(wavelength: NDArray[np.float64], weight: NDArray[np.float64]) -> ND
 
 def _table_colour(table: NDArray[np.float64]) -> NDArray[np.float64]:
     """XYZ [3] of one watt of light with a spectrum, interpolated linearly."""
-    wavelength = np.arange(table[0, 0], table[-1, 0] + 1) if len(table) > 1 else table[:, 0]
-    if len(wavelength) > 100_000 or (np.diff(table[:, 0]) <= 0).any():
-        raise LumitreeError("the wavelengths of a spectral table are not ascending or too many")
+    first, last = table[0, 0], table[-1, 0]
+    # Before memory is reserved for them.
+    if not (np.diff(table[:, 0]) > 0).all() or last - first > _MAX_WAVELENGTHS:
+        raise LumitreeError(
+            f"the wavelengths of a spectral table, {first:g} to {last:g} nm, are not ascending or "
+            f"span more than {_MAX_WAVELENGTHS} nm"
+        )
+    wavelength = np.arange(first, last + 1) if len(table) > 1 else table[:, 0]
     weight = np.interp(wavelength, *table.T)
     return _matched(wavelength[None], weight[None])[0]
 

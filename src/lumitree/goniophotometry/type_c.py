@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.errors import LumitreeError
+from lumitree.goniophotometry.opening import POINT, Opening
 
 Array = NDArray[np.float64]
 # Finest and coarsest step of a grid, degrees.
@@ -158,7 +159,7 @@ class IntensityDistribution:
         c: [C] ascending angles from 0 to below 360, degrees.
         gamma: [G] ascending angles from 0 to 180, degrees.
         intensity: [C, G] luminous intensity, cd, at least 0.
-        opening: [3] sides of the luminous box along x, y and z, m; 0 for a point.
+        opening: the surface that the light comes from.
         emitted_lumens: luminous flux of the bare emitters, lm; None if it is not known.
     """
 
@@ -166,7 +167,7 @@ class IntensityDistribution:
     c: NDArray[np.float64]
     gamma: NDArray[np.float64]
     intensity: NDArray[np.float64]
-    opening: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    opening: Opening = POINT
     emitted_lumens: float | None = None
 
     def __post_init__(self) -> None:
@@ -184,8 +185,6 @@ class IntensityDistribution:
         # Limits within which all further computations are finite in single precision.
         if not ((intensity >= 0) & (intensity <= 1e15)).all():
             raise LumitreeError("intensities hold NaN, negative values or values above 1e15 cd")
-        if not ((np.array(self.opening) >= 0) & (np.array(self.opening) <= 1e6)).all():
-            raise LumitreeError(f"the opening is {self.opening} m; expected 0 to 1e6")
 
     @property
     def lumens(self) -> float:
@@ -206,47 +205,3 @@ class IntensityDistribution:
         lower = (1 - u) * self.intensity[plane, row] + u * self.intensity[following, row]
         upper = (1 - u) * self.intensity[plane, row + 1] + u * self.intensity[following, row + 1]
         return (1 - v) * lower + v * upper
-
-
-def completed(
-    c: NDArray[np.float64], gamma: NDArray[np.float64], intensity: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Angles and intensities of the whole sphere from those of a file.
-
-    Planes from 0 to 0, 0 to 90 and 0 to 180 degrees are of distributions with rotational symmetry,
-    symmetry about both vertical planes, and symmetry about the plane C = 0 and 180. Where a file
-    has no γ, it is dark.
-
-    Args:
-        c: [C] ascending, from 0 to 0, 90, 180, 360 or just below 360.
-        gamma: [G] ascending, within 0 to 180.
-        intensity: [C, G].
-
-    Raises:
-        LumitreeError: the angles are others.
-    """
-    ascend = (np.diff(c) > 0).all() and (np.diff(gamma) > 0).all() and len(gamma) > 1
-    if not (ascend and len(c) and c[0] == 0 and c[-1] <= 360 and 0 <= gamma[0] <= gamma[-1] <= 180):
-        raise LumitreeError(
-            "its angles are not ascending from C = 0 to at most 360 and within gamma 0 to 180"
-        )
-    for mirror in (90.0, 180.0):
-        if c[-1] == mirror:
-            c = np.concatenate([c, 2 * mirror - c[-2::-1]])
-            intensity = np.concatenate([intensity, intensity[-2::-1]])
-    if c[-1] == 360:
-        c, intensity = c[:-1], intensity[:-1]
-    elif len(c) > 1 and c[-1] < 270:
-        raise LumitreeError(
-            f"its C angles end at {c[-1]:g} degrees; expected 0, 90, 180 or 360, or just below 360"
-        )
-    # A step at the edge of the given range, because the light ends there.
-    if gamma[0] > 0:
-        edge = gamma[0] - min(1e-3, gamma[0] / 2)
-        gamma = np.concatenate([[0.0, edge], gamma])
-        intensity = np.pad(intensity, ((0, 0), (2, 0)))
-    if gamma[-1] < 180:
-        edge = gamma[-1] + min(1e-3, (180 - gamma[-1]) / 2)
-        gamma = np.concatenate([gamma, [edge, 180.0]])
-        intensity = np.pad(intensity, ((0, 0), (0, 2)))
-    return c, gamma, intensity

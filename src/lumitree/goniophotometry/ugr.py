@@ -14,7 +14,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.goniophotometry.files import ldt_of
+from lumitree.goniophotometry.ldt import ldt_of
 from lumitree.goniophotometry.type_c import IntensityDistribution
 
 # Sides of the rooms across and along the line of sight, in mounting heights above the eye.
@@ -52,7 +52,7 @@ def ugr_table(distribution: IntensityDistribution) -> NDArray[np.float64] | None
     known = dataclasses.replace(
         distribution, emitted_lumens=distribution.emitted_lumens or distribution.lumens
     )
-    if not (known.lumens > 0 and max(known.opening) > 0):
+    if not (known.lumens > 0 and max(known.opening.sides) > 0):
         return np.full((len(ROOMS), 2 * len(REFLECTANCES)), np.nan)
     with np.errstate(all="ignore"):
         return np.asarray(UgrCalculator.compute(ldt_of(known)).values, np.float64)

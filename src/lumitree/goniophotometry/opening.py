@@ -1,0 +1,219 @@
+"""The luminous opening of a photometric file: the surface that its light comes from.
+
+Photometric files state the sides of the opening, and its shape by their signs or by zeros. The
+frame is that of a luminaire's file, see `type_c`: x along C = 0, y up, z along C = 270.
+"""
+
+import dataclasses
+import math
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.errors import LumitreeError
+
+Shape = Literal["box", "ellipsoid", "cylinder"]
+Sides = tuple[float, float, float]
+_MAX_SIDE = 1e6
+# Points of the quadrature of a surface.
+_NUM_SIDE, _NUM_ROUND, _NUM_DISK, _NUM_ELLIPSOID = 16, 64, 384, 2048
+
+# Shapes of IES LM-63 by the signs of width, length and height: the shape; the axis of a cylinder
+# (0: x, along C = 0; 1: up; 2: z, along C = 90); and a dimension that a zero repeats.
+_WIDTH, _LENGTH, _HEIGHT = 0, 1, 2
+_Rule = tuple[Shape, int, dict[int, int]]
+_RULES: dict[tuple[int, int, int], _Rule] = {
+    # Circle, ellipse, vertical cylinder: the first two as in 2002 and 2019, the others as in 1995.
+    (-1, -1, 0): ("cylinder", 1, {}),
+    (-1, -1, 1): ("cylinder", 1, {}),
+    (-1, 0, 0): ("cylinder", 1, {_LENGTH: _WIDTH}),
+    (-1, 0, 1): ("cylinder", 1, {_LENGTH: _WIDTH}),
+    (0, -1, 0): ("cylinder", 1, {_WIDTH: _LENGTH}),
+    (0, -1, 1): ("cylinder", 1, {_WIDTH: _LENGTH}),
+    (-1, 1, 0): ("cylinder", 1, {}),
+    (-1, 1, 1): ("cylinder", 1, {}),
+    (1, -1, 0): ("cylinder", 1, {}),
+    (1, -1, 1): ("cylinder", 1, {}),
+    # Sphere and spheroid.
+    (-1, -1, -1): ("ellipsoid", 1, {}),
+    # Horizontal cylinders of 1995, along the length and along the width.
+    (0, 1, -1): ("cylinder", 0, {_WIDTH: _HEIGHT}),
+    (1, 0, -1): ("cylinder", 2, {_LENGTH: _HEIGHT}),
+    # A vertical circle that faces C = 90; none of the tables has it.
+    (0, -1, -1): ("cylinder", 2, {}),
+}
+# Signs that mean one shape until 1995, and another one since 2002.
+_RULES_1995: dict[tuple[int, int, int], _Rule] = {
+    (-1, 0, -1): ("ellipsoid", 1, {_LENGTH: _WIDTH}),
+    (-1, 1, -1): ("ellipsoid", 1, {}),
+    (1, -1, -1): ("ellipsoid", 1, {}),
+}
+_RULES_2002: dict[tuple[int, int, int], _Rule] = {
+    (-1, 0, -1): ("cylinder", 0, {}),
+    (-1, 1, -1): ("cylinder", 0, {}),
+    (1, -1, -1): ("cylinder", 2, {}),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Opening:
+    """A luminous opening, centred at the origin.
+
+    Attributes:
+        sides: [3] of its bounding box along x, y and z, m; 0 for a flat opening, a line or a point.
+        shape: "box" fills the bounding box; "ellipsoid" and "cylinder" are inscribed.
+        axis: 0, 1 or 2, along which a cylinder extends. A disk is a cylinder without length.
+
+    Raises:
+        LumitreeError: a side is negative, not finite or above 1e6 m.
+    """
+
+    sides: Sides = (0.0, 0.0, 0.0)
+    shape: Shape = "box"
+    axis: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse sides out of range."""
+        if not all(0 <= side <= _MAX_SIDE for side in self.sides):
+            raise LumitreeError(f"the opening is {self.sides} m; expected 0 to {_MAX_SIDE:g}")
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether it has no volume: a surface, a line or a point."""
+        return min(self.sides) == 0
+
+    @property
+    def is_round(self) -> bool:
+        """Whether it is a disk or a vertical cylinder whose horizontal section is a circle."""
+        x, _, z = self.sides
+        return self.shape == "cylinder" and self.axis == 1 and math.isclose(x, z, rel_tol=1e-6)
+
+    def surface(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Points [N, 3] of the surface, m, and their areas times outward normals [N, 3].
+
+        The areas are relative to each other. Of a flat opening the normals have no meaning; the
+        lengths of the vectors are still the areas.
+        """
+        half = np.array(self.sides) / 2
+        if self.is_flat:
+            # A cylinder along its missing side is a disk.
+            is_disk = self.shape == "ellipsoid" or (
+                self.shape == "cylinder" and self.sides[self.axis] == 0
+            )
+            points = _disk() if is_disk else _square()
+            # The unit shape lies in the plane of the first two axes that have a length.
+            order = sorted(range(3), key=lambda axis: (self.sides[axis] == 0, axis))
+            placed = np.zeros((len(points), 3))
+            placed[:, order[:2]] = points
+            return placed * half, np.broadcast_to([0.0, 1.0, 0.0], placed.shape)
+        unit, areas = {"box": _box, "ellipsoid": _ellipsoid, "cylinder": _cylinder}[self.shape]()
+        if self.shape == "cylinder":
+            # The unit cylinder extends along y.
+            order = [
+                self.axis if axis == 1 else 1 if axis == self.axis else axis for axis in (0, 1, 2)
+            ]
+            unit, areas = unit[:, order], areas[:, order]
+        # A map by factors a, b, c maps an area vector by bc, ca, ab.
+        return unit * half, areas * (half.prod() / half)
+
+
+POINT = Opening()
+
+
+def lm63_opening(
+    width: float, length: float, height: float, year: int, metres: float = 1.0
+) -> Opening | None:
+    """The opening that an IES LM-63 file states.
+
+    Args:
+        width: across the opening along C = 90, with its sign.
+        length: along C = 0, with its sign.
+        height: with its sign.
+        year: of the edition. The tables of 1995 and of 2002 differ for three patterns of signs.
+        metres: length of the file's unit.
+
+    Returns:
+        The opening; None if the signs have no meaning in any edition.
+    """
+    given = [width, length, height]
+    signs = (_sign(width), _sign(length), _sign(height))
+    sides = [abs(side) * metres for side in given]
+    if min(signs) >= 0:
+        return Opening((sides[_LENGTH], sides[_HEIGHT], sides[_WIDTH]))
+    rules = _RULES | (_RULES_1995 if year <= 1995 else _RULES_2002)
+    if signs not in rules:
+        return None
+    shape, axis, repeated = rules[signs]
+    for missing, source in repeated.items():
+        sides[missing] = sides[source]
+    return Opening((sides[_LENGTH], sides[_HEIGHT], sides[_WIDTH]), shape, axis)
+
+
+def lm63_dimensions(opening: Opening) -> tuple[float, float, float]:
+    """Width, length and height, m, with the signs of the editions of 2002 and 2019."""
+    length, height, width = opening.sides
+    if opening.shape == "ellipsoid":
+        return -width, -length, -height
+    if opening.shape == "cylinder":
+        negative = {0: (_WIDTH, _HEIGHT), 1: (_WIDTH, _LENGTH), 2: (_LENGTH, _HEIGHT)}[opening.axis]
+        width, length, height = (
+            -side if dimension in negative else side
+            for dimension, side in enumerate((width, length, height))
+        )
+    return width, length, height
+
+
+def _sign(value: float) -> int:
+    return int(value > 0) - int(value < 0)
+
+
+def _centres(count: int) -> NDArray[np.float64]:
+    """[count] centres of equal intervals of [-1, 1]."""
+    return (np.arange(count) + 0.5) / count * 2 - 1
+
+
+def _square() -> NDArray[np.float64]:
+    """Points [N, 2] of the square [-1, 1]²."""
+    return np.stack(np.meshgrid(_centres(_NUM_SIDE), _centres(_NUM_SIDE)), axis=-1).reshape(-1, 2)
+
+
+def _disk() -> NDArray[np.float64]:
+    """Points [N, 2] of the unit disk, each for an equal area: Vogel's spiral."""
+    index = np.arange(_NUM_DISK)
+    angle, radius = index * np.pi * (3 - math.sqrt(5)), np.sqrt((index + 0.5) / _NUM_DISK)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
+
+
+def _box() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points and area vectors [N, 3] of the cube [-1, 1]³."""
+    square = _square()
+    points, areas = [], []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            points.append(np.insert(square, axis, side, axis=1))
+            areas.append(np.broadcast_to(side * np.eye(3)[axis], (len(square), 3)))
+    return np.concatenate(points), np.concatenate(areas)
+
+
+def _ellipsoid() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points and area vectors [N, 3] of the unit sphere, each for an equal area."""
+    y = _centres(_NUM_ELLIPSOID)
+    angle, radius = np.arange(_NUM_ELLIPSOID) * np.pi * (3 - math.sqrt(5)), np.sqrt(1 - y * y)
+    points = np.stack([radius * np.cos(angle), y, radius * np.sin(angle)], axis=-1)
+    return points, points
+
+
+def _cylinder() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points and area vectors [N, 3] of the cylinder of radius 1 and length 2 along y."""
+    angle, y = np.meshgrid(2 * np.pi * np.arange(_NUM_ROUND) / _NUM_ROUND, _centres(_NUM_SIDE))
+    normal = np.stack([np.cos(angle), np.zeros_like(y), np.sin(angle)], axis=-1).reshape(-1, 3)
+    round_area = 2 * np.pi * 2 / len(normal)
+    points = [normal + np.outer(y.ravel(), [0, 1, 0])]
+    areas = [normal * round_area]
+    disk = _disk()
+    for side in (-1.0, 1.0):
+        points.append(np.insert(disk, 1, side, axis=1))
+        cap = np.array([0, side, 0]) * np.pi / len(disk)
+        areas.append(np.broadcast_to(cap, (len(disk), 3)))
+    return np.concatenate(points), np.concatenate(areas)

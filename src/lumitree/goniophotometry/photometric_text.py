@@ -1,0 +1,93 @@
+"""Text of photometric files: its encoding, and messages about its numbers."""
+
+import os
+import re
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from lumitree.core.reading import read_bytes
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
+
+T = TypeVar("T")
+MAX_FILE_BYTES = 1 << 24
+# Largest number of C planes, of γ angles and of sets of lamps.
+MAX_ANGLES, MAX_SETS = 3601, 20
+# EULUMDAT limits the length of text lines.
+_TEXT = 78
+_BYTE_ORDER_MARKS = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8"))
+
+
+def read_text(path: str | os.PathLike[str], kind: str, parse: Callable[[str], T]) -> T:
+    """What `parse` makes of the text of a file; its errors name the file.
+
+    Args:
+        path: of the file.
+        kind: of file, for messages.
+        parse: raises `LumitreeError`, or ValueError of numbers; gets lines that end in \\n.
+
+    Raises:
+        LumitreeError: the file is missing, too large, or `parse` refuses it.
+    """
+    text = decoded(read_bytes(path, f"an {kind}", MAX_FILE_BYTES))
+    try:
+        # Numbers of any size are checked where they are used.
+        with np.errstate(all="ignore"):
+            return parse(text)
+    except LumitreeError as error:
+        raise LumitreeError(f"{shown(path, 300)} is not a usable {kind}: {error}") from None
+
+
+def decoded(content: bytes) -> str:
+    """Text in UTF-8, UTF-16 with or without a byte order mark, or else Latin-1."""
+    encoding = next((name for mark, name in _BYTE_ORDER_MARKS if content.startswith(mark)), None)
+    if encoding is None and content[:400].count(0) > len(content[:400]) / 4:
+        # ASCII in UTF-16: every other byte is 0.
+        encoding = (
+            "utf-16-le" if content[1:400:2].count(0) > content[:400:2].count(0) else "utf-16-be"
+        )
+    try:
+        text = content.decode(encoding or "utf-8", "replace" if encoding else "strict")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    # Some programs write \r\r\n.
+    return re.sub(r"\r+\n?", "\n", text.removeprefix("\ufeff"))
+
+
+def number(text: str, what: str) -> float:
+    """A number with a decimal point or comma.
+
+    Raises:
+        LumitreeError: it is none, or not finite.
+    """
+    try:
+        value = float(text.replace(",", "."))
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise LumitreeError(f"{what} is {shown(text, 40)!r}; expected a number")
+    return value
+
+
+def integer(value: float, what: str, low: int, high: int) -> int:
+    """A number as an integer.
+
+    Raises:
+        LumitreeError: it is none, or out of range.
+    """
+    if not (low <= value <= high and value == int(value)):
+        raise LumitreeError(f"it has {value:g} {what}; expected {low} to {high}")
+    return int(value)
+
+
+def one_line(text: str) -> str:
+    """Text for one line of a file: printable characters of Latin-1."""
+    return shown(text, _TEXT).replace("…", ".").encode("latin-1", "replace").decode("latin-1")
+
+
+def warn_of_file(path: str | os.PathLike[str], text: str) -> None:
+    """Warn of a photometric file."""
+    warnings.warn(f"{shown(Path(path).name, 200)}: {text}", LumitreeWarning, stacklevel=3)
