@@ -105,15 +105,14 @@ class LampFiles:
         """Write the thumbnail and the record of an asset that has been written."""
         from lumitree.core.directions import pose_towards
         from lumitree.evaluation.shown import shown_images
-        from lumitree.model.photometry import luminance
-        from lumitree.rendering.asset_flux import asset_watts
+        from lumitree.rendering.asset_flux import asset_lumens
 
         described = image_settings("bake", lamp=asset.luminaire, settings=json.loads(settings))
         pose = pose_towards(_FROM, (0, 1, 0), 4.0)
         ((radiance, _),) = shown_images(asset, [pose], 1.75, _PIXELS, _SAMPLES)
         write_bytes(self.thumbnail, encode_png(radiance, settings=described))
         figures: dict[str, Any] = {
-            "lumens": float(luminance(asset_watts(asset))),
+            "lumens": asset_lumens(asset),
             "file_bytes": self.asset.stat().st_size,
             "size": asset.frame.size.tolist(),
         }

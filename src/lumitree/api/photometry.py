@@ -105,8 +105,8 @@ def photometry(
         expected = f"{', '.join(UNITS)}, or 1e-6 to 1e6 metres"
         raise LumitreeError(f"unit is {shown(repr(unit), 40)}; expected {expected}")
     load_mitsuba(variant)
-    from lumitree.goniophotometry.evaluate import evaluated
-    from lumitree.goniophotometry.measure import asset_source, luminaire_source, measure, oriented
+    from lumitree.evaluation.far_field import asset_source, luminaire_source, measure, oriented
+    from lumitree.evaluation.far_field_figures import evaluated
     from lumitree.goniophotometry.report import plots_png
     from lumitree.goniophotometry.type_c import Grid
     from lumitree.luminaire.luminaire import load_luminaire

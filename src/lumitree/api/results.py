@@ -354,13 +354,12 @@ def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
 
 def asset_report(asset: Asset, path: str | os.PathLike[str]) -> Json:
     """What `lumitree info` states: `asset_json`, and the luminous flux, lm, for metres."""
-    from lumitree.model.photometry import luminance
-    from lumitree.rendering.asset_flux import asset_watts
+    from lumitree.rendering.asset_flux import asset_lumens
 
     if asset.exitant is None:
         # Estimated by rays; else a sum that needs no variant of Mitsuba, and so no libLLVM.
         load_mitsuba()
-    return {**asset_json(asset, path), "lumens": float(luminance(asset_watts(asset)))}
+    return {**asset_json(asset, path), "lumens": asset_lumens(asset)}
 
 
 def plain(value: Any) -> Any:

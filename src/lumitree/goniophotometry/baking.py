@@ -23,27 +23,20 @@ from lumitree.goniophotometry.files import read_ies, read_ldt
 from lumitree.goniophotometry.rays import Rays
 from lumitree.goniophotometry.tm25 import read_tm25
 from lumitree.goniophotometry.type_c import IntensityDistribution
-from lumitree.model.photometry import LUMENS_PER_WATT, luminance
-from lumitree.rendering.asset_flux import asset_watts
+from lumitree.model.photometry import LUMENS_PER_WATT
 
 # Side of the box of a source without extent, m; and the shortest side, as a part of the longest.
 POINT_SIZE = 0.01
 _MIN_EXTENT = 1e-6
 # Points per bin and side of the quadrature.
 _FINE = 8
-SUFFIXES = (".ies", ".ldt", ".ray", ".tm25ray")
-
-
-def is_photometric(path: object) -> bool:
-    """Whether a path is that of a photometric file or ray file, by its suffix."""
-    return isinstance(path, str | os.PathLike) and Path(path).suffix.lower() in SUFFIXES
 
 
 def bake_file(path: str | os.PathLike[str], config: ExitantConfig) -> Asset:
     """Asset of a photometric file or ray file.
 
     Args:
-        path: file with one of `SUFFIXES`.
+        path: file with one of `luminaire.source.PHOTOMETRIC_SUFFIXES`.
         config: grid of a ray file's light field. That of a photometric file has 2³ cells, which
             have equal intensities, and 128² bins.
 
@@ -94,11 +87,6 @@ def bake_rays(rays: Rays, name: str, config: ExitantConfig) -> Asset:
     )
     intensity = histogram.flux / solid_angles(config.resolution)[:, None] / frame.scale**2
     return exitant_asset(make_exitant_field(histogram.cells, intensity, config.depth), frame, name)
-
-
-def exitant_lumens(asset: Asset) -> float:
-    """Luminous flux of an asset's exitant light field, lm, for lengths in metres."""
-    return float(luminance(asset_watts(asset)))
 
 
 def _bin_means(distribution: IntensityDistribution, resolution: int) -> NDArray[np.float64]:
