@@ -10,13 +10,13 @@ from lumitree.api.files import FilePath
 from lumitree.api.measures import Stopwatch
 from lumitree.api.results import Result
 from lumitree.asset.asset import Asset
-from lumitree.asset.file import load
 from lumitree.core.arguments import check_choice, check_range
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import atomic_path, check_writable
 from lumitree.core.seeds import check_seed
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained, shown
+from lumitree.rendering.opened import open_asset
 
 _ENDINGS = (".py", ".blend", ".vdb")
 # By measurement, see decision 69.
@@ -100,7 +100,7 @@ def export(
     load_mitsuba()
     watch = Stopwatch()
     with watch.stage("load"):
-        loaded = asset if isinstance(asset, Asset) else load(asset)
+        loaded = open_asset(asset)
     with watch.stage("write"):
         made = _volume(loaded, up) if output.suffix == ".vdb" else _lamp(loaded, lights, up, seed)
         with atomic_path(output) as temporary:

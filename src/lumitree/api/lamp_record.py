@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lumitree.api.image_settings import image_settings
-from lumitree.asset.asset import Asset
+from lumitree.asset.asset import PARTS, Asset
 from lumitree.core.files import write_bytes, write_json
 from lumitree.core.images import encode_png
 from lumitree.core.reading import Record, parse_json, read_bytes
@@ -140,5 +140,5 @@ class LampFiles:
 
 def settings_text(settings: dict[str, Any]) -> str:
     """Settings of a bake as JSON; equal settings have equal text."""
-    parts = {"parts": sorted(settings["parts"])}
+    parts = {"parts": sorted(settings["parts"] or PARTS)}
     return json.dumps(settings | parts, sort_keys=True)

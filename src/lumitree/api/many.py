@@ -4,7 +4,8 @@ import dataclasses
 import hashlib
 import inspect
 import os
-from collections.abc import Collection, Sequence
+import warnings
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypedDict, Unpack
 
@@ -13,7 +14,7 @@ from lumitree.api.files import FilePath
 from lumitree.api.lamp_record import INDEX_FILES, LampFiles, LampRecord, settings_text
 from lumitree.api.luminaires import dataset_folder
 from lumitree.api.measures import peak_memory_bytes
-from lumitree.api.photometry import is_photometric_file
+from lumitree.api.photometry import PHOTOMETRIC_SETTINGS
 from lumitree.api.results import Result
 from lumitree.asset.asset import Part
 from lumitree.builtin.registry import BUILTIN
@@ -26,9 +27,9 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_of
 from lumitree.core.reading import read_bytes
 from lumitree.core.transmittance import Law
-from lumitree.errors import LumitreeError, explained, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
 from lumitree.evaluation.index_page import GENERATOR, Entry, figure_rows, index_page
-from lumitree.luminaire.source import LuminaireSource, as_source
+from lumitree.luminaire.source import LuminaireSource, as_source, source_kind
 
 INDEX = "index.html"
 State = Literal["baked", "kept", "failed", "interrupted", "waiting"]
@@ -46,7 +47,7 @@ class BakeSettings(TypedDict, total=False):
     tree_depth: int | None
     l_max: int | None
     law: Law | None
-    parts: Collection[Part]
+    parts: Collection[Part] | None
     irradiance_paths: int | None
     lumens: float | None
     temperature: float | None
@@ -127,7 +128,7 @@ def bake_many(
             a lamp have a report of the whole list as `within`.
         settings: keyword arguments of `bake`, for all lamps: `quality`, `time`, `rays`,
             `tree_depth`, `l_max`, `law`, `parts`, `irradiance_paths`, `lumens`, `temperature` and
-            `seed`.
+            `seed`. For photometric files those that do not apply are not used, with a warning.
 
     Returns:
         What became of each lamp (`lamps`), and the path of the index page (`index`).
@@ -145,13 +146,15 @@ def bake_many(
     named = _named([as_source(each) for each in luminaires], root)
     options = _complete(settings)
     check_bake(**{key: options[key] for key in options if key not in ("lumens", "temperature")})
+    _warn_of_unused(named.values(), settings)
     load_mitsuba(variant)
     lamps = [BakedLamp(name, source.name, "waiting") for name, source in named.items()]
     stopped_by = None
     title = f"bake {len(lamps)} lamps"
     with reporting(progress), progress_of(title, len(lamps)) as advance:
         for index, (name, source) in enumerate(named.items()):
-            job = _Job(LampFiles(root, name), source, options, variant, progress)
+            applicable = _applicable(options, source)
+            job = _Job(LampFiles(root, name), source, applicable, variant, progress)
             lamps[index], stopped_by = job.run()
             with deferred_interrupt() as interruption:
                 _write_index(root, lamps)
@@ -211,6 +214,34 @@ def _complete(settings: BakeSettings) -> dict[str, Any]:
     return defaults | settings
 
 
+def _warn_of_unused(sources: Iterable[LuminaireSource], settings: BakeSettings) -> None:
+    """Say once which of the settings that were given do not apply to photometric files."""
+    names = [source.name for source in sources if source_kind(source) == "photometric"]
+    defaults = _complete({})
+    unused = [
+        name
+        for name, value in settings.items()
+        if name not in PHOTOMETRIC_SETTINGS and value and value != defaults[name]
+    ]
+    unused += [f"part {part}" for part in settings.get("parts") or () if part != "exitant"]
+    if names and unused:
+        warnings.warn(
+            f"{shown_names(names)}: {', '.join(unused)} not used for photometric files, from which "
+            "only the exitant light field is made",
+            LumitreeWarning,
+            stacklevel=4,
+        )
+
+
+def _applicable(options: dict[str, Any], source: LuminaireSource) -> dict[str, Any]:
+    """The settings that apply to a luminaire."""
+    if source_kind(source) != "photometric":
+        return options
+    known = {name: options[name] for name in PHOTOMETRIC_SETTINGS}
+    parts = options["parts"]
+    return known | {"parts": None if parts is None or "exitant" in parts else parts}
+
+
 @dataclasses.dataclass(frozen=True)
 class _Job:
     """The bake of one lamp of a list."""
@@ -266,7 +297,7 @@ class _Job:
     def _loaded(self) -> tuple[str, Any]:
         """Fingerprint of the luminaire, and what `bake` gets for it."""
         path = Path(self.source.name)
-        if is_photometric_file(self.source):
+        if source_kind(self.source) == "photometric":
             return _digest(path, "a photometric file"), self.source
         if (dataset := dataset_folder(self.source)) is not None:
             return _digest(dataset / MANIFEST, "a dataset"), self.source

@@ -7,9 +7,9 @@ from lumitree.api.files import FilePath
 from lumitree.api.measures import Stopwatch
 from lumitree.api.results import Result
 from lumitree.asset.asset import Asset
-from lumitree.asset.file import load
 from lumitree.core.files import check_writable, write_bytes
 from lumitree.errors import explained
+from lumitree.rendering.opened import open_asset
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -57,7 +57,7 @@ def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
 
     watch = Stopwatch()
     with watch.stage("load"):
-        loaded = asset if isinstance(asset, Asset) else load(asset)
+        loaded = open_asset(asset)
     with watch.stage("page"):
         html = make_page(loaded)
         content = html.encode()

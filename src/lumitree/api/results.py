@@ -142,7 +142,8 @@ class EvaluateResult(ImageResult):
             `irradiance_rms`: relative RMS error of the irradiance, mean over the cube's six faces;
             and `irradiance_rms_touching`: the same on a plane that touches the bounding box from
             below. One whose reference is too noisy, or dark, is omitted.
-        max_radiance: L_max of the views, W/(m² sr), by which the metrics divide radiance.
+        max_radiance: L_max of the views, W/(m² sr), by which the metrics divide radiance; None if
+            there are no views, because the asset was compared with another one.
         views: metrics by name, of each view.
         asset: `Asset.info` as a dictionary, and file and size in bytes if the asset is a file.
         sheet: file of the contact sheet; None if none was written.
@@ -156,7 +157,7 @@ class EvaluateResult(ImageResult):
     """
 
     metrics: dict[str, float]
-    max_radiance: float
+    max_radiance: float | None
     views: list[dict[str, Any]]
     asset: Json
     sheet: Path | None

@@ -14,11 +14,11 @@ _LUMINAIRE = ("xml", "obj", "gltf", "glb")
 _PHOTOMETRIC = ("ies", "ldt", "ray", "tm25ray")
 # Endings of the files of an argument, by its name in the help; no ending: folders only.
 _ENDINGS = {
-    "ASSET": ("lumitree",),
+    "ASSET": ("lumitree", *_PHOTOMETRIC),
     "ASSET|FOLDER/": ("lumitree",),
-    "ASSET|LUMINAIRE": ("lumitree", *_LUMINAIRE),
+    "ASSET|LUMINAIRE": ("lumitree", *_PHOTOMETRIC, *_LUMINAIRE),
     "LUMINAIRE": _LUMINAIRE,
-    "LUMINAIRE|DATASET": _LUMINAIRE,
+    "LUMINAIRE|DATASET": ("lumitree", *_PHOTOMETRIC, *_LUMINAIRE),
     "SCENE.xml": ("xml",),
     "SHEET": ("png",),
     "IMAGE": ("exr", "png"),
@@ -29,7 +29,7 @@ _ENDINGS = {
 # The same for options that share a name in the help, and for arguments that take more.
 _ENDINGS_BY_DEST = {
     "luminaires": (*_LUMINAIRE, *_PHOTOMETRIC),
-    "place": ("lumitree", *_LUMINAIRE),
+    "place": ("lumitree", *_PHOTOMETRIC, *_LUMINAIRE),
     "materials": ("toml",),
     "placements": ("toml",),
     "json": ("json",),
