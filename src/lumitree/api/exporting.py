@@ -64,8 +64,8 @@ def export(
     metres.
 
     Args:
-        asset: an asset, or the path of its `.lumitree` file. It needs an exitant light field, or a
-            field for `.vdb`.
+        asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file. It
+            needs an exitant light field, or a field for `.vdb`.
         output: path of the file to write. A `.py` file is a script that contains the lamp and runs
             in Blender 4.2 or newer; a `.blend` file is made by running it. A `.vdb` file has the
             field as OpenVDB grids instead (`density` and `emission`, see `exporting.volume`); it

@@ -38,18 +38,21 @@ class ViewResult(Result):
 def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
     """Make a web page that shows the field of an asset, and the illuminance around it.
 
+    Without a field it shows the exitant light field, as images do: blurred, and hiding almost
+    nothing. A model is not shown.
+
     The page needs a browser with WebGL 2, and loads nothing from a network.
 
     Args:
-        asset: an asset, or the path of its `.lumitree` file. It needs a field.
+        asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file.
         output: path of the HTML file to write. Default: no file is written.
 
     Returns:
         The page as `html`; in a notebook, the result shows it.
 
     Raises:
-        LumitreeError: the asset cannot be read, has no field, or is too large for a browser; or the
-            file cannot be written.
+        LumitreeError: the asset cannot be read, or is too large for a browser; or the file cannot
+            be written.
     """
     if output is not None:
         check_writable(output)

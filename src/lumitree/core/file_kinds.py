@@ -68,7 +68,8 @@ def what_it_is(path: str | os.PathLike[str], content: bytes | None = None) -> st
         if b"<scene" in start:
             return "a Mitsuba scene"
         return "a web page" if b"<html" in start.lower() else "an XML file"
-    return _SUFFIXES.get(path.suffix.lower()) or ("a text file" if _is_text(start) else None)
+    by_suffix = _SUFFIXES.get(path.suffix.lower())
+    return "a text file" if by_suffix in (None, ASSET) and _is_text(start) else by_suffix
 
 
 def _is_text(start: bytes) -> bool:
