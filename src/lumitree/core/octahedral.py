@@ -56,13 +56,13 @@ def solid_angles(resolution: int) -> NDArray[np.float64]:
     return blocks * (4 * np.pi / blocks.sum())
 
 
-def middle_directions(resolution: int) -> NDArray[np.float64]:
+def middle_directions(resolution: int) -> NDArray[Any]:
     """Unit direction [R², 3] in the middle of each bin."""
     points = _on_octahedron(resolution).reshape(-1, 3)
     return points / np.linalg.norm(points, axis=1, keepdims=True)
 
 
-def _on_octahedron(resolution: int) -> NDArray[np.float64]:
+def _on_octahedron(resolution: int) -> NDArray[Any]:
     """Points [R, R, 3] of the octahedron in the middle of each bin."""
     centres = (np.arange(resolution) + 0.5) * (2 / resolution) - 1
     u, v = np.meshgrid(centres, centres)

@@ -11,6 +11,7 @@ Symbols
 """
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,12 +54,11 @@ def light_as_field(asset: Asset) -> Asset:
     volume = (np.maximum(upper, lower + 1e-6) - lower).prod(axis=1)
     emission = _by_bin(light) / (volume * DENSITY)[:, None, None]
     max_radiance = _HEADROOM * float(emission.max())
-    resolution = int(np.sqrt(emission.shape[1]))
-    directions, solid_angle = middle_directions(resolution), solid_angles(resolution)
+    directions, solid_angle = middle_directions(_RESOLUTION), solid_angles(_RESOLUTION)
     # The squared error of the radiance of all rays: of intensity over projected area.
     areas = asset.frame.half_extents.prod() / asset.frame.half_extents
     fit = _Fit(basis_array(directions, MAX_L), solid_angle / (np.abs(directions) @ areas))
-    rows = emission.transpose(0, 2, 1).reshape(-1, resolution**2) / max_radiance
+    rows = emission.transpose(0, 2, 1).reshape(-1, _RESOLUTION**2) / max_radiance
     fitted = []
     for first in range(0, len(rows), _AT_ONCE):
         part = rows[first : first + _AT_ONCE]
@@ -84,9 +84,8 @@ def brightest_view(asset: Asset) -> tuple[float, float]:
     light = asset.exitant
     assert light is not None
     flux = _by_bin(light).sum(axis=(0, 2))
-    resolution = int(np.sqrt(len(flux)))
-    flux *= solid_angles(resolution)
-    x, y, z = flux @ middle_directions(resolution) / flux.sum()
+    flux *= solid_angles(_RESOLUTION)
+    x, y, z = flux @ middle_directions(_RESOLUTION) / flux.sum()
     yaw, pitch = DEFAULT_VIEW
     if (aside := float(np.hypot(x, z))) > _ONE_SIDED:
         yaw = float(np.arctan2(x, z))
@@ -96,16 +95,19 @@ def brightest_view(asset: Asset) -> tuple[float, float]:
 
 
 def _by_bin(light: ExitantField) -> NDArray[np.float64]:
-    """Mean intensity [C, B, 3] of bins of at most `_RESOLUTION` a side."""
-    fine, coarse = light.resolution, min(light.resolution, _RESOLUTION)
-    shape = coarse, fine // coarse, coarse, fine // coarse
+    """Mean intensity [C, B, 3] of bins, `_RESOLUTION` a side."""
+    own = light.resolution
+    # Of bins that are larger, each is divided.
+    fine = max(own, _RESOLUTION)
+    shape = _RESOLUTION, fine // _RESOLUTION, _RESOLUTION, fine // _RESOLUTION
     weight = solid_angles(fine).reshape(shape)
     weight /= weight.sum(axis=(1, 3), keepdims=True)
     colours = unpack(light.intensity) * light.scale
-    means = [
-        np.einsum("ciajb,iajb->cij", light.dense(colours[:, channel]).reshape(-1, *shape), weight)
-        for channel in range(3)
-    ]
+    means = []
+    for channel in range(3):
+        dense = light.dense(colours[:, channel]).reshape(-1, own, own)
+        dense = dense.repeat(fine // own, axis=1).repeat(fine // own, axis=2)
+        means.append(np.einsum("ciajb,iajb->cij", dense.reshape(-1, *shape), weight))
     return np.stack(means, axis=-1).reshape(len(light.cells), -1, 3)
 
 
@@ -129,7 +131,7 @@ class _Fit:
         # Rows that are 0 get an emission of about 1e-20.
         start = np.maximum(wanted, np.maximum(wanted.max(axis=1, keepdims=True) * _DARK, 1e-20))
         logit = np.log(start / (1 - start))
-        found = np.linalg.lstsq(self._values, logit.T, rcond=None)[0].T
+        found: NDArray[Any] = np.linalg.lstsq(self._values, logit.T, rcond=None)[0].T
         damping, error = np.full(len(wanted), 1e-2), self._error(found, wanted)
         for _ in range(_STEPS):
             step = self._step(found, wanted, damping)
