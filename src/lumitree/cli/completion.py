@@ -14,7 +14,7 @@ _LUMINAIRE = ("xml", "obj", "gltf", "glb")
 _PHOTOMETRIC = ("ies", "ldt", "ray", "tm25ray")
 # Endings of the files of an argument, by its name in the help; no ending: folders only.
 _ENDINGS = {
-    "ASSET": ("lumitree", *_PHOTOMETRIC),
+    "ASSET": ("lumitree",),
     "ASSET|FOLDER/": ("lumitree",),
     "ASSET|LUMINAIRE": ("lumitree", *_PHOTOMETRIC, *_LUMINAIRE),
     "LUMINAIRE": _LUMINAIRE,
@@ -28,6 +28,7 @@ _ENDINGS = {
 }
 # The same for options that share a name in the help, and for arguments that take more.
 _ENDINGS_BY_DEST = {
+    "asset": ("lumitree", *_PHOTOMETRIC),
     "luminaires": (*_LUMINAIRE, *_PHOTOMETRIC),
     "place": ("lumitree", *_PHOTOMETRIC, *_LUMINAIRE),
     "materials": ("toml",),
