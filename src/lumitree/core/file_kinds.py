@@ -1,5 +1,6 @@
 """What a file is, by its first bytes and its suffix, for messages about a file of another kind."""
 
+import codecs
 import os
 from pathlib import Path
 
@@ -73,6 +74,9 @@ def what_it_is(path: str | os.PathLike[str], content: bytes | None = None) -> st
 
 
 def _is_text(start: bytes) -> bool:
-    # A character of several bytes may be cut at the end.
-    text = start.decode(errors="replace").rstrip("\ufffd")
-    return "\ufffd" not in text and all(char.isprintable() or char.isspace() for char in text)
+    try:
+        # A character of several bytes may be cut at the end.
+        text = codecs.getincrementaldecoder("utf-8")().decode(start)
+    except UnicodeDecodeError:
+        return False
+    return all(char.isprintable() or char.isspace() for char in text)

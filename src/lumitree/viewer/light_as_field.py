@@ -40,8 +40,8 @@ _DARK, _LARGEST = 1e-3, 100.0
 def light_as_field(asset: Asset) -> Asset:
     """The asset with a field that is made of its exitant light field, in place of its own.
 
-    The emission is fitted by spherical harmonics up to l = 4, and each cell keeps its flux. Beams of
-    less than about 20 degrees become as wide as that.
+    The emission is fitted by spherical harmonics up to l = 4, and each cell keeps its flux. Beams
+    of less than about 20 degrees become as wide as that.
 
     Raises:
         LumitreeError: the emission is out of the range of assets.
