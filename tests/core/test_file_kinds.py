@@ -86,6 +86,7 @@ def test_other_places_name_it_too(mi, tmp_path, monkeypatch, capsys):
     for command, message in (
         (["mix", "a.png", "-o", "b.png"], "a.png is not a readable OpenEXR image: it is a PNG"),
         (["render", "room.xml", "--place", "a.png", "-o", "b.png"], "a.png is a PNG image; exp"),
+        (["render", "a.png", "-o", "b.png"], "a.png is a PNG image; expected a Mitsuba 3 scene"),
         (["capture", "a.ies", "-o", "d"], "a.ies is a photometric file, which has no shapes"),
         (["bake", "room.xml.lumitree", "-o", "b.lumitree"], "no luminaire"),
     ):

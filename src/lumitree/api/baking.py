@@ -10,7 +10,7 @@ from lumitree.api.finishing import finish_bake, remove_state
 from lumitree.api.irradiance import IRRADIANCE_PATHS, check_irradiance_paths
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
-from lumitree.api.photometry import bake_photometric_file
+from lumitree.api.photometric_files import bake_photometric_file
 from lumitree.api.results import BakeResult
 from lumitree.asset.asset import PARTS, Asset, Part, exitant_asset
 from lumitree.asset.model import AssetModel

@@ -4,8 +4,7 @@ import dataclasses
 import hashlib
 import inspect
 import os
-import warnings
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypedDict, Unpack
 
@@ -14,7 +13,7 @@ from lumitree.api.files import FilePath
 from lumitree.api.lamp_record import INDEX_FILES, LampFiles, LampRecord, settings_text
 from lumitree.api.luminaires import dataset_folder
 from lumitree.api.measures import peak_memory_bytes
-from lumitree.api.photometry import PHOTOMETRIC_SETTINGS
+from lumitree.api.photometric_files import applicable_settings, warn_of_unused
 from lumitree.api.results import Result
 from lumitree.asset.asset import Part
 from lumitree.builtin.registry import BUILTIN
@@ -27,7 +26,7 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_of
 from lumitree.core.reading import read_bytes
 from lumitree.core.transmittance import Law
-from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
+from lumitree.errors import LumitreeError, explained, shown
 from lumitree.evaluation.index_page import GENERATOR, Entry, figure_rows, index_page
 from lumitree.luminaire.source import LuminaireSource, as_source, source_kind
 
@@ -146,14 +145,16 @@ def bake_many(
     named = _named([as_source(each) for each in luminaires], root)
     options = _complete(settings)
     check_bake(**{key: options[key] for key in options if key not in ("lumens", "temperature")})
-    _warn_of_unused(named.values(), settings)
+    defaults = _complete({})
+    given = {name: value for name, value in settings.items() if value != defaults[name]}
+    warn_of_unused(named.values(), given)
     load_mitsuba(variant)
     lamps = [BakedLamp(name, source.name, "waiting") for name, source in named.items()]
     stopped_by = None
     title = f"bake {len(lamps)} lamps"
     with reporting(progress), progress_of(title, len(lamps)) as advance:
         for index, (name, source) in enumerate(named.items()):
-            applicable = _applicable(options, source)
+            applicable = applicable_settings(options, source)
             job = _Job(LampFiles(root, name), source, applicable, variant, progress)
             lamps[index], stopped_by = job.run()
             with deferred_interrupt() as interruption:
@@ -212,34 +213,6 @@ def _complete(settings: BakeSettings) -> dict[str, Any]:
     if unknown := settings.keys() - defaults.keys():
         raise TypeError(f"bake_many() got an unexpected keyword argument {min(unknown)!r}")
     return defaults | settings
-
-
-def _warn_of_unused(sources: Iterable[LuminaireSource], settings: BakeSettings) -> None:
-    """Say once which of the settings that were given do not apply to photometric files."""
-    names = [source.name for source in sources if source_kind(source) == "photometric"]
-    defaults = _complete({})
-    unused = [
-        name
-        for name, value in settings.items()
-        if name not in PHOTOMETRIC_SETTINGS and value and value != defaults[name]
-    ]
-    unused += [f"part {part}" for part in settings.get("parts") or () if part != "exitant"]
-    if names and unused:
-        warnings.warn(
-            f"{shown_names(names)}: {', '.join(unused)} not used for photometric files, from which "
-            "only the exitant light field is made",
-            LumitreeWarning,
-            stacklevel=4,
-        )
-
-
-def _applicable(options: dict[str, Any], source: LuminaireSource) -> dict[str, Any]:
-    """The settings that apply to a luminaire."""
-    if source_kind(source) != "photometric":
-        return options
-    known = {name: options[name] for name in PHOTOMETRIC_SETTINGS}
-    parts = options["parts"]
-    return known | {"parts": None if parts is None or "exitant" in parts else parts}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,28 +1,25 @@
-"""Photometry of luminaires and assets, and assets from photometric files."""
+"""Photometry of luminaires and assets."""
 
 import dataclasses
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
-from lumitree.api.files import FilePath, asset_of, refuse_options, save_asset
+from lumitree.api.files import FilePath, asset_of
 from lumitree.api.measures import Stopwatch
-from lumitree.api.results import BakeResult, PhotometryResult
-from lumitree.asset.asset import Asset, Part
+from lumitree.api.results import PhotometryResult
+from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_choice, check_range
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import check_writable
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.progress import progress as steps
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, explained, shown
-from lumitree.exitant.config import EXITANT_QUALITIES
 from lumitree.importers.overrides_file import UNITS
 from lumitree.luminaire.source import (
     PHOTOMETRIC_SUFFIXES,
     RAY_SUFFIXES,
-    as_source,
     source_kind,
 )
 
@@ -39,8 +36,6 @@ MAX_PATHS, MAX_FILE_RAYS = 1 << 32, 1 << 24
 # Samples whose rays a ray file gets.
 FILE_RAYS = 1 << 18
 OUTPUTS = (*PHOTOMETRIC_SUFFIXES, ".html", ".pdf")
-# Settings of `bake` that apply to a photometric file.
-PHOTOMETRIC_SETTINGS = ("quality", "parts", "lumens", "temperature")
 
 
 @explained
@@ -154,51 +149,6 @@ def photometry(
         png=plots_png(data),
         **watch.costs(),
     )
-
-
-def bake_photometric_file(
-    source: Any,
-    output: FilePath | None,
-    parts: Collection[Part] | None,
-    quality: str,
-    lumens: float | None,
-    temperature: float | None,
-    progress: ProgressCallback | None,
-    others: dict[str, Any],
-) -> BakeResult:
-    """`bake` for a photometric file or ray file.
-
-    Args:
-        source: path, or a `LuminaireSource` of one.
-        output, parts, quality, lumens, temperature, progress: as for `bake`.
-        others: arguments of `bake` that do not apply; all must be None or 0.
-    """
-    described = as_source(source)
-    refuse_options(described, "a photometric file")
-    path = described.name
-    if given := [name for name, value in others.items() if value]:
-        raise LumitreeError(
-            f"{', '.join(given)}: not for a photometric file such as {shown(path, 300)}, from "
-            "which only the exitant light field is made; leave it out"
-        )
-    if parts is not None and set(parts) != {"exitant"}:
-        raise LumitreeError(
-            f"parts are {', '.join(parts)}, but {shown(path, 300)} is a photometric file, of which "
-            "only the part exitant can be made; leave the others out"
-        )
-    from lumitree.goniophotometry.baking import bake_file
-    from lumitree.rendering.asset_flux import with_light
-
-    watch = Stopwatch()
-    with (
-        reporting(progress),
-        steps(f"light of {shown(Path(path).name)}", 1) as advance,
-        watch.stage("exitant"),
-    ):
-        config = EXITANT_QUALITIES[quality]
-        asset = with_light(bake_file(path, config), lumens, temperature)
-        advance(1)
-    return BakeResult(asset=asset, path=save_asset(asset, output), **watch.costs())
 
 
 def _suffix(path: FilePath) -> str:

@@ -5,8 +5,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
-
+from lumitree.api.asset_comparison import compare_assets
 from lumitree.api.files import FilePath, asset_of
 from lumitree.api.image_settings import image_settings
 from lumitree.api.irradiance import check_irradiance_paths
@@ -268,7 +267,7 @@ def evaluate(
     title = baked.luminaire if path is None else f"{baked.luminaire}, {path}"
     if (reference := asset_of(target)) is not None:
         with reporting(progress):
-            return _compare_assets(baked, path, reference, irradiance_sheet, irradiance_paths)
+            return compare_assets(baked, path, reference, irradiance_sheet, irradiance_paths)
     views = (
         {}
         if dataset_folder(target) is not None
@@ -320,51 +319,5 @@ def evaluate(
         irradiance=None if irradiance is None else irradiance.report(),
         irradiance_sheet=None if irradiance is None else irradiance_sheet,
         irradiance_png=irradiance_png,
-        **watch.costs(),
-    )
-
-
-def _compare_assets(
-    asset: Asset,
-    path: FilePath | None,
-    reference: Asset,
-    sheet: Path | None,
-    irradiance_paths: int,
-) -> EvaluateResult:
-    """As `evaluate`, with another asset: only the irradiance is compared."""
-    from lumitree.evaluation.evaluate import evaluate_irradiance
-    from lumitree.evaluation.irradiance_figure import draw_irradiance
-
-    if irradiance_paths == 0:
-        raise LumitreeError(
-            f"of {reference.luminaire} there are no views, and with 0 irradiance paths nothing is "
-            "compared; give more"
-        )
-    # The irradiance is compared around one box.
-    if not np.allclose(asset.frame.size, reference.frame.size, rtol=1e-3, atol=0):
-        sizes = [" x ".join(f"{side:.4g}" for side in e.frame.size) for e in (asset, reference)]
-        raise LumitreeError(
-            f"{asset.luminaire} has a bounding box of {sizes[0]}, and {reference.luminaire} one of "
-            f"{sizes[1]}, around which the irradiance cannot be compared; compare their far "
-            "fields, by `lumitree photometry` of each"
-        )
-    title = asset.luminaire if path is None else f"{asset.luminaire}, {path}"
-    settings = image_settings("evaluate", asset=title, irradiance_paths=irradiance_paths)
-    watch = Stopwatch()
-    with watch.stage("irradiance"):
-        found = evaluate_irradiance(asset.without_gain, reference.without_gain, irradiance_paths)
-        png = draw_irradiance(found, title).png(settings)
-        if sheet is not None:
-            write_bytes(sheet, png)
-    return EvaluateResult(
-        metrics=found.metrics,
-        max_radiance=None,
-        views=[],
-        asset=asset_json(asset, path),
-        sheet=None,
-        png=png,
-        irradiance=found.report(),
-        irradiance_sheet=sheet,
-        irradiance_png=png,
         **watch.costs(),
     )

@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 
 ASSET, EXR = "a lumitree asset", "an OpenEXR image"
+SCENE, XML = "a Mitsuba scene", "an XML file"
 # First bytes.
 _STARTS = {
     b"\x89PNG": "a PNG image",
@@ -67,8 +68,8 @@ def what_it_is(path: str | os.PathLike[str], content: bytes | None = None) -> st
             return kind
     if start.lstrip().startswith(b"<"):
         if b"<scene" in start:
-            return "a Mitsuba scene"
-        return "a web page" if b"<html" in start.lower() else "an XML file"
+            return SCENE
+        return "a web page" if b"<html" in start.lower() else XML
     by_suffix = _SUFFIXES.get(path.suffix.lower())
     return "a text file" if by_suffix in (None, ASSET) and _is_text(start) else by_suffix
 
