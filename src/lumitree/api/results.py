@@ -364,7 +364,12 @@ def asset_report(asset: Asset, path: str | os.PathLike[str]) -> Json:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value for `json.dumps`: paths to text, arrays and tuples to lists, and so on."""
+    """Convert a value for `json.dumps`: paths to text, arrays and tuples to lists, and so on.
+
+    Numbers that JSON does not have, NaN and infinities, become None.
+    """
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, dict):
@@ -372,7 +377,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return [plain(item) for item in value]
     if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
+        return plain(value.tolist())
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = dataclasses.fields(value)
         return plain({field.name: getattr(value, field.name) for field in fields})
