@@ -292,7 +292,7 @@ def refine(
     rough = open_asset(asset)
     if not rough.num_leaves:
         raise LumitreeError(
-            f"the asset ({rough.luminaire}) has no field to refine; bake it with the part field"
+            f"the asset ({rough.luminaire}) has no field to refine; give one that was baked with it"
         )
     with reporting(progress), open_work_folder(output, work) as at:
         lamp = load_luminaire(luminaire)
