@@ -28,7 +28,7 @@ again spends its time on making the long runs longer. Readings (one row a pair):
   method: mirror images of filaments, which no sampling of lamps finds;
 * measured: the first by the ladders' RMSE alone, marked ~ where it lies beyond the last rung;
 * display: the time for `rmse_display` of 8, 5 and 2.7 over the whole image, the lamp in it, which
-  the paper's RMSE are taken to be (decision 15); from ladders and long runs, marked ~ where the
+  the paper's RMSE are taken to be; from ladders and long runs, marked ~ where the
   explicit lamp's time lies beyond the longest;
 * robust: the time for equal relMSE of the whole picture without the 0.1 % of the pixels with the
   largest errors, from the ladders as well.

@@ -388,3 +388,11 @@ def test_every_argument_has_a_type_and_a_description(name):
     parameters = inspect.signature(function).parameters
     assert described == list(parameters)
     assert all(each.annotation is not each.empty for each in parameters.values())
+
+
+def test_results_are_json_without_numbers_that_it_does_not_have():
+    from lumitree.api.results import plain
+
+    values = {"a": float("nan"), "b": [1.0, np.inf], "c": np.array([[np.nan, 2.0]]), "d": np.nan}
+    expected = {"a": None, "b": [1.0, None], "c": [[None, 2.0]], "d": None}
+    assert json.loads(json.dumps(plain(values), allow_nan=False)) == expected

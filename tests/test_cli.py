@@ -98,7 +98,7 @@ def fails(capsys, *arguments):
         (["bake", "lamp.xml", "-o", "a.lumitree", "--preset", "paper"],
          "--preset: not for --method direct"),
         (["info", "no.lumitree"], "no.lumitree does not exist"),
-        (["info", "lamp.xml"], "not a valid .lumitree asset"),
+        (["info", "lamp.xml"], "lamp.xml is a Mitsuba scene, not a .lumitree asset"),
         (["evaluate", "no.lumitree", "lamp.xml"], "no.lumitree does not exist"),
         (["evaluate", "lamp.lumitree", "no.xml"], "neither a file nor built in"),
         (["render", "no.xml", "-o", "a.png"], "no.xml does not exist"),
@@ -167,7 +167,7 @@ def fails(capsys, *arguments):
         (["render", "room.xml", "-o", "a.png", "--place", "no_lamp"], "neither a file nor"),
         (["demo", "--variant", "cuda_ad_spectral"], "choose llvm_ad_rgb"),
         (["capture", "lamp.fbx", "-o", "d"], "(a Mitsuba 3 scene), .obj, .gltf, .glb"),
-        (["bake", "lamp.lumitree", "-o", "a.lumitree"], "has an unsupported format"),
+        (["bake", "lamp.lumitree", "-o", "a.lumitree"], "is an asset, which is baked already"),
         (["capture", "model.obj", "-o", "d"], "has no emitter (materials: glow); name one in"),
         (["capture", "model.obj", "-o", "d", "--materials", "wrong.toml"],
          "wrong.toml: unknown key 'material.glow.emiter'"),
@@ -308,7 +308,7 @@ def test_stored_views_cannot_be_selected_from(capsys):
                  "--spp", "4"]) == 0  # fmt: skip
     capsys.readouterr()
     error, _ = fails(capsys, "evaluate", "lamp.lumitree", "d", "--keep", "a")
-    assert "d is a dataset, which --materials, --keep and --drop cannot change" in error
+    assert "keep: not for a dataset such as d" in error
 
 
 def test_list_info_and_json(capsys):
@@ -497,7 +497,7 @@ def test_interrupted_capture_continues():
 
 
 def test_unexpected_errors_are_one_line(capsys, monkeypatch):
-    monkeypatch.setattr("lumitree.asset.file.load", lambda path: 1 / 0)
+    monkeypatch.setattr("lumitree.rendering.opened.load", lambda path: 1 / 0)
     assert main(["info", "lamp.lumitree"]) == 1
     err = capsys.readouterr().err
     assert "unexpected ZeroDivisionError" in err

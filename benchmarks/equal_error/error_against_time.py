@@ -69,8 +69,9 @@ def trimmed_mean(squares: Floats, share: float = TRIMMED_SHARE) -> float:
 
 
 def display_rmse(images: Floats, reference: Floats, weights: Floats | float = 1.0) -> Floats:
-    """RMSE of images as they are looked at, on the scale of 8 bits, 0 to 255 (decision 15).
+    """RMSE of images as they are looked at, on the scale of 8 bits, 0 to 255.
 
+    The paper does not state the scale of the RMSE in its Table 5; they are taken to be on this one.
     Both are exposed so that the median luminance of the reference is 0.18, clipped at 1, and
     encoded as sRGB. Pixels that are black in the reference do not count for the median.
 

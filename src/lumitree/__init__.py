@@ -15,6 +15,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 if TYPE_CHECKING:
     from lumitree.api.baking import bake, refine
     from lumitree.api.exporting import ExportResult, export
+    from lumitree.api.files import load
     from lumitree.api.luminaires import builtin_luminaires, load_luminaire
     from lumitree.api.many import BakedLamp, BakeManyResult, bake_many
     from lumitree.api.merging import merge
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     )
     from lumitree.api.viewing import evaluate, preview
     from lumitree.asset.asset import Asset, AssetInfo
-    from lumitree.asset.file import load, save
+    from lumitree.asset.file import save
     from lumitree.core.frames import LocalFrame
     from lumitree.goniophotometry.figures import Estimate, PhotometricFigures
     from lumitree.goniophotometry.near_field import NearFieldLimit
@@ -86,7 +87,7 @@ _HOMES = {
     "evaluate": "api.viewing",
     "export": "api.exporting",
     "extract": "api.network",
-    "load": "asset.file",
+    "load": "api.files",
     "load_luminaire": "api.luminaires",
     "merge": "api.merging",
     "photometry": "api.photometry",

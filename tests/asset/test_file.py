@@ -426,5 +426,5 @@ def test_other_files_are_refused(tmp_path):
     with pytest.raises(LumitreeError, match="the header lacks"):
         load(tmp_path / "x.lumitree")
     (tmp_path / "code.lumitree").write_bytes(b"cos\nsystem\n(S'echo pwned'\ntR." * 9)
-    with pytest.raises(LumitreeError, match=r"not a valid \.lumitree asset"):
+    with pytest.raises(LumitreeError, match=r"is a text file, not a \.lumitree asset"):
         load(tmp_path / "code.lumitree")

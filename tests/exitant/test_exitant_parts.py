@@ -215,12 +215,13 @@ def test_a_command_bakes_one_part(capsys):
 def test_datasets_have_a_field_only(untraced):
     views = {"num_views": 6, "resolution": 24, "samples_per_pixel": 4}
     lumitree.capture("lamp.xml", "views", **views)
-    baked = lumitree.bake("views", "lamp.lumitree", parts=["exitant", "field"])
+    baked = lumitree.bake("views", "lamp.lumitree")
     assert baked.asset.exitant is None
     assert baked.irradiance is None
     assert baked.asset.info.leaves > 0
-    with pytest.raises(lumitree.LumitreeError, match="is a dataset"):
-        lumitree.bake("views", parts=["exitant"])
+    for parts in (["exitant"], ["exitant", "field"]):
+        with pytest.raises(lumitree.LumitreeError, match="is a dataset"):
+            lumitree.bake("views", parts=parts)
 
 
 @pytest.mark.parametrize("parts", [("exitant",), ("field",), ("exitant", "field")])

@@ -16,7 +16,6 @@ from lumitree.goniophotometry.baking import (
     POINT_SIZE,
     bake_distribution,
     bake_rays,
-    exitant_lumens,
 )
 from lumitree.goniophotometry.ies import write_ies
 from lumitree.goniophotometry.ldt import write_ldt
@@ -25,7 +24,7 @@ from lumitree.goniophotometry.rays import Rays
 from lumitree.goniophotometry.tm25 import write_tm25
 from lumitree.goniophotometry.type_c import Grid, IntensityDistribution, direction_of, z_up
 from lumitree.model.photometry import LUMENS_PER_WATT, blackbody_colour, luminance
-from lumitree.rendering.asset_flux import asset_watts
+from lumitree.rendering.asset_flux import asset_lumens, asset_watts
 from walls import irradiance
 
 
@@ -60,7 +59,7 @@ def bin_intensity(asset, direction):
 def test_a_distribution_keeps_its_flux_and_its_intensities(mi, opening):
     distribution = spot(opening=opening)
     asset = bake_distribution(distribution)
-    assert exitant_lumens(asset) == pytest.approx(distribution.lumens, rel=1e-3)
+    assert asset_lumens(asset) == pytest.approx(distribution.lumens, rel=1e-3)
     sides = (
         [max(side, max(opening) * 1e-3) for side in opening] if any(opening) else [POINT_SIZE] * 3
     )
@@ -124,7 +123,7 @@ def rod_lux(distance):
 def test_near_an_opening(mi, tmp_path, opening, power, point, exact):
     """Where inverse squares do not hold: against closed forms."""
     asset = bake_distribution(even(opening, power))
-    assert exitant_lumens(asset) == pytest.approx(even(opening, power).lumens, rel=2e-3)
+    assert asset_lumens(asset) == pytest.approx(even(opening, power).lumens, rel=2e-3)
     path = tmp_path / "lamp.lumitree"
     lumitree.save(asset, path)
     if exact is None:
@@ -178,7 +177,7 @@ def test_importance_sampling_of_a_narrow_spot_has_little_noise(mi, tmp_path):
     sampler.seed(0, 1 << 16)
     _, _, flux = emitter.sample_ray(sampler.next_1d(), sampler.next_2d(), sampler.next_2d())
     lumens = luminance(np.array(flux).reshape(3, -1).T) * asset.frame.scale**2
-    assert lumens.mean() == pytest.approx(exitant_lumens(asset), rel=0.01)
+    assert lumens.mean() == pytest.approx(asset_lumens(asset), rel=0.01)
     # With directions uniform on the sphere it would be about 14.
     assert lumens.std() / lumens.mean() < 0.5
 
@@ -197,7 +196,7 @@ def test_files_of_all_kinds_have_one_flux(mi, tmp_path):
         ("a.tm25ray", luminance(rays.flux.sum(axis=0))),
     ):
         result = lumitree.bake(tmp_path / name, tmp_path / "a.lumitree")
-        assert exitant_lumens(result.asset) == pytest.approx(float(lumens), rel=2e-3)
+        assert asset_lumens(result.asset) == pytest.approx(float(lumens), rel=2e-3)
         assert result.asset.num_leaves == 0
         assert lumitree.load(result.path).exitant is not None
         assert result.held_out_psnr is None
@@ -220,7 +219,7 @@ def test_rays_become_a_histogram(mi):
     asset = bake_rays(rays, "box", config)
     assert asset.frame.centre == pytest.approx([1, 2, 3], abs=1e-3)
     assert asset.frame.size == pytest.approx([0.4, 0.3, 0.15], rel=2e-3)
-    assert exitant_lumens(asset) == pytest.approx(luminance(rays.flux.sum(axis=0)), rel=2e-3)
+    assert asset_lumens(asset) == pytest.approx(luminance(rays.flux.sum(axis=0)), rel=2e-3)
     # Cells have a side of 0.1, so the box has 4, 4 and 2 along its sides.
     assert len(asset.exitant.cells) == 4 * 4 * 2
     ups = bin_intensity(asset, direction_of([0, 90, 200], [120, 150, 170]))
@@ -252,7 +251,7 @@ def test_z_is_up_in_ray_files(mi, tmp_path):
 def test_lumens_and_temperature(mi, tmp_path):
     write_ies(tmp_path / "a.ies", spot())
     warm = lumitree.bake(tmp_path / "a.ies", lumens=800.0, temperature=2700.0).asset
-    assert exitant_lumens(warm) == pytest.approx(800, rel=1e-3)
+    assert asset_lumens(warm) == pytest.approx(800, rel=1e-3)
     colour = asset_watts(warm)
     expected = np.array(blackbody_colour(2700.0))
     assert colour / colour[0] == pytest.approx(expected / expected[0], abs=5e-3)

@@ -15,11 +15,11 @@ from lumitree.asset.asset import exitant_asset
 from lumitree.cli import main
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from lumitree.errors import LumitreeError
-from lumitree.goniophotometry.baking import exitant_lumens
 from lumitree.goniophotometry.ies import read_ies
 from lumitree.goniophotometry.ldt import read_ldt
 from lumitree.goniophotometry.tm25 import read_tm25
 from lumitree.model.photometry import luminance
+from lumitree.rendering.asset_flux import asset_lumens
 
 PATHS = 1 << 14
 
@@ -80,7 +80,7 @@ def test_an_asset_and_its_file():
     first = lumitree.photometry(asset, step=30, paths=PATHS)
     second = lumitree.photometry("a.lumitree", step=30, paths=PATHS)
     assert first.intensity.tolist() == second.intensity.tolist()
-    assert first.lumens.value == pytest.approx(exitant_lumens(asset), rel=0.05)
+    assert first.lumens.value == pytest.approx(asset_lumens(asset), rel=0.05)
     assert first.emitted_lumens is first.light_output_ratio is None
     assert first.files == []
     assert first.size == pytest.approx((0.4, 0.4, 0.4))
@@ -148,7 +148,7 @@ def test_an_ies_file_there_and_back(folder, capsys):
     assert again.lumens.value == pytest.approx(800, rel=0.01)
     assert again.colour_temperature.value == pytest.approx(3000, abs=10)
     assert main(["bake", "a.ies", "-o", "a.lumitree"]) == 0
-    assert exitant_lumens(lumitree.load("a.lumitree")) == pytest.approx(flux.value, rel=1e-3)
+    assert asset_lumens(lumitree.load("a.lumitree")) == pytest.approx(flux.value, rel=1e-3)
     capsys.readouterr()
 
 

@@ -13,8 +13,8 @@ from lamps import AREA, lamp_of, sphere
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.exitant import unpack
 from lumitree.evaluation.baked import baked_image
+from lumitree.evaluation.far_field import asset_source, measure
 from lumitree.evaluation.irradiance import asset_irradiance
-from lumitree.goniophotometry.measure import asset_source, measure
 from lumitree.luminaire.stored_model import stored_model
 from lumitree.model.photometry import colour_temperature, luminance
 from lumitree.rendering.asset_flux import asset_watts, with_light

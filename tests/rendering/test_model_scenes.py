@@ -63,8 +63,10 @@ def test_parts_of_a_bake(capsys):
 
 def test_a_luminaire_that_cannot_be_stored_keeps_its_field():
     with pytest.warns(LumitreeWarning, match=r"no model: .*media that scatter light, which"):
-        baked = lumitree.bake("haze.xml", parts=["exitant", "model"])
-    assert baked.asset.parts == ("exitant",)
+        baked = lumitree.bake("haze.xml", irradiance_paths=0)
+    assert baked.asset.parts == ("exitant", "field")
+    with pytest.raises(LumitreeError, match=r"part model cannot be made: .*media that scatter"):
+        lumitree.bake("haze.xml", parts=["exitant", "model"])
 
 
 def test_a_model_alone_is_refused_before_any_work():

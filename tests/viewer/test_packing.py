@@ -12,12 +12,12 @@ from fields import make_asset, random_asset
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.exitant import unpack
 from lumitree.core.frames import LocalFrame
-from lumitree.errors import LumitreeError
 from lumitree.model.photometry import luminance
 from lumitree.octree.wide_nodes import LEAF
 from lumitree.rendering.reference import leaf_boxes
 from lumitree.viewer.packing import PackedAsset, pack_asset, unpack_asset
 from lumitree.viewer.page import make_page, notebook_frame
+from model_assets import small_model
 
 
 def leaf_at(packed, nodes, point):
@@ -84,10 +84,20 @@ def test_page_is_self_contained_and_holds_the_asset():
     assert '"' not in notebook_frame(page).split('srcdoc="')[1].split('" style')[0]
 
 
-def test_asset_without_a_field_is_refused():
+def test_an_asset_without_a_field_is_shown_by_its_light():
+    """And says so; it has the irradiance, and what is beside the light stays as it is."""
     asset = exitant_asset(random_exitant(1), LocalFrame((1, 1, 1), np.eye(4)), "lamp")
-    with pytest.raises(LumitreeError, match=r"lamp has no field.*--parts exitant,field"):
-        pack_asset(asset)
+    packed = pack_asset(asset)
+    assert packed.description["shown"] == "exitant light field"
+    assert packed.description["bytes"] == asset.num_bytes
+    arrays = unpack_asset(packed)
+    assert len(arrays["density"]) == len(asset.exitant.cells)
+    assert np.array_equal(arrays["cells"].reshape(-1, 3), asset.exitant.cells)
+    model = dataclasses.replace(asset, model=small_model())
+    assert pack_asset(model).description["shown"] == "exitant light field, not the model"
+    field = dataclasses.replace(random_asset(3), exitant=asset.exitant)
+    assert pack_asset(field).description["shown"] == "field"
+    assert "Shown: asset.shown" in make_page(asset)
 
 
 def test_extreme_densities_are_packed():

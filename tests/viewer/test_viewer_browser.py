@@ -10,6 +10,11 @@ from browser import CHROMIUM, evaluate
 
 from exitant_fields import random_exitant
 from fields import random_asset
+from lumitree.asset.asset import exitant_asset
+from lumitree.asset.exitant import make_exitant_field
+from lumitree.core.device import on_device
+from lumitree.core.frames import LocalFrame
+from lumitree.core.octahedral import middle_directions
 from lumitree.viewer.page import make_page
 
 pytestmark = [
@@ -50,6 +55,37 @@ def test_image_is_that_of_the_field(mi, tmp_path, law, l_max):
         difference = np.abs(pixels - expected)[..., channel].mean()
         assert difference < 0.01 * expected[..., channel].mean()
     assert floats(found["details"]).reshape(80, 120, 4)[..., 2].max() > 3
+
+
+def test_image_of_an_exitant_light_field(mi, tmp_path):
+    """Without a field the page shows the light itself, and has an exposure for it."""
+    light = make_exitant_field(*_cosine_cells(), 2)
+    asset = exitant_asset(light, LocalFrame((1, 0.5, 0.5), np.eye(4)), "light")
+    view = {"eye": [0.3, -2.7, 0.5], "target": [0, 0, 0], "up": [1, 0, 0], "fov": 0.6}
+    size = {"width": 60, "height": 40}
+    page = make_page(asset)
+    found = evaluate(page, f"await lumitree.image({json.dumps(view | size)})", tmp_path / "profile")
+    pixels = floats(found["radiance"]).reshape(40, 60, 4)
+    direction = camera_rays(**view, **size).reshape(-1, 3)
+    from lumitree.rendering.exitant_light import exitant_light
+
+    origin = on_device(mi.Point3f, np.tile(view["eye"], (len(direction), 1)))
+    rays = origin, origin, on_device(mi.Vector3f, direction), mi.Float(0)
+    expected = np.array(exitant_light(asset).eval(*rays)[0], np.float64).reshape(3, 40, 60)
+    difference = np.abs(pixels[..., :3] - np.moveaxis(expected, 0, -1)).mean()
+    assert difference < 0.05 * expected.mean()
+    shown = "document.getElementById('figure-Shown').textContent"
+    assert evaluate(page, f"lumitree.ready.then(() => {shown})", tmp_path / "second") == (
+        "exitant light field"
+    )
+
+
+def _cosine_cells():
+    """Cells [8, 3] and their intensities [8, R², 3]: cos γ, downwards."""
+    cells = np.array([0, 1, 1]) + np.indices((4, 2, 2)).reshape(3, -1).T[::2]
+    cosine = np.maximum(-middle_directions(32)[:, 1], 0)
+    colours = np.random.default_rng(0).uniform(0.2, 1, (len(cells), 1, 3))
+    return cells, colours * cosine[:, None]
 
 
 def test_illuminance_is_the_sum_over_cells(mi, tmp_path):

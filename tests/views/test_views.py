@@ -212,9 +212,12 @@ def test_missing_files_and_wrong_formats(mi, tmp_path):
 
     with pytest.raises(LumitreeError, match="neither a file nor built in"):
         load_luminaire("no_such_lamp")
-    (tmp_path / "lamp.fbx").write_bytes(b"Kaydara")
-    with pytest.raises(LumitreeError, match=r"has an unsupported format; expected \.xml"):
+    (tmp_path / "lamp.fbx").write_bytes(b"Kaydara\x00")
+    with pytest.raises(LumitreeError, match=r"is an FBX model; expected \.xml"):
         load_luminaire(tmp_path / "lamp.fbx")
+    (tmp_path / "lamp.skp").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(LumitreeError, match=r"has an unsupported format; expected \.xml"):
+        load_luminaire(tmp_path / "lamp.skp")
     (tmp_path / "half.xml").write_text('<scene version="3.0.0"><shape')
     with pytest.raises(LumitreeError, match="unclosed token"):
         load_luminaire(tmp_path / "half.xml")

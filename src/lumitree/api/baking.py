@@ -10,10 +10,9 @@ from lumitree.api.finishing import finish_bake, remove_state
 from lumitree.api.irradiance import IRRADIANCE_PATHS, check_irradiance_paths
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
 from lumitree.api.measures import Stopwatch
-from lumitree.api.photometry import bake_photometric_file, is_photometric_file
+from lumitree.api.photometric_files import bake_photometric_file
 from lumitree.api.results import BakeResult
 from lumitree.asset.asset import PARTS, Asset, Part, exitant_asset
-from lumitree.asset.file import load
 from lumitree.asset.model import AssetModel
 from lumitree.core.arguments import check_asset_output, check_choice, check_light
 from lumitree.core.backend import load_mitsuba
@@ -25,6 +24,8 @@ from lumitree.direct.config import QUALITIES, DirectConfig
 from lumitree.errors import LumitreeError, LumitreeWarning, explained
 from lumitree.exitant.config import EXITANT_QUALITIES
 from lumitree.exitant.saved_field import EXITANT_STATE
+from lumitree.luminaire.source import source_kind
+from lumitree.rendering.opened import open_asset
 
 if TYPE_CHECKING:
     from lumitree.direct.bake import DirectResult
@@ -44,7 +45,7 @@ def bake(
     tree_depth: int | None = None,
     l_max: int | None = None,
     law: Law | None = None,
-    parts: Collection[Part] = PARTS,
+    parts: Collection[Part] | None = None,
     irradiance_paths: int | None = None,
     lumens: float | None = None,
     temperature: float | None = None,
@@ -71,7 +72,8 @@ def bake(
             `mitsuba.load_dict`; a `mitsuba.Scene`; a `LuminaireSource`; a `Luminaire` that
             `load_luminaire` returned; or the folder of a dataset that `capture` made. Of a
             photometric file (`.ies`, `.ldt`) or an IES TM-25 ray file (`.ray`, `.tm25ray`) the
-            asset has only the exitant light field.
+            asset has only the exitant light field, and `quality`, `lumens` and `temperature` apply;
+            others are refused.
         output: path of the `.lumitree` file to write. Default: no file is written.
         quality: preset of tree depth and time: "preview" (depth 7, 1 minute on 2 CPU cores),
             "standard" (depth 8, 5 minutes) or "high" (depth 10, 30 minutes).
@@ -91,9 +93,10 @@ def bake(
             if there is no exitant light field. Without it images show the exitant light field,
             which is blurred and lets all light through. "model": the luminaire itself, which
             images under `lumitree_path` show in place of the field; beside one of the other two.
-            A luminaire that cannot be stored, because it has media that scatter light or what is
-            not listed in docs/format.md, is left out with a warning. For a dataset only "field" is
-            made. Default: all three.
+            A part that is asked for and cannot be made is an error. Default: all that can be made:
+            of a dataset "field", of a photometric file "exitant", and of a luminaire all three. One
+            that cannot be stored, because it has media that scatter light or what is not listed in
+            docs/format.md, gets no model, with a warning.
         irradiance_paths: number of light paths, and of rays of the asset, by which the irradiance
             around the asset is compared with that around the luminaire at the end, as in
             `evaluate`; up to 67,108,864. 0: it is not compared. Default: by `quality`, 2¹⁸ to 2²⁰,
@@ -143,11 +146,13 @@ def bake(
     )
     check_light(lumens, temperature)
     load_mitsuba(variant)
-    if is_photometric_file(luminaire):
-        if "exitant" not in parts:
-            raise LumitreeError("a photometric file has no part field; give the part exitant")
+    if source_kind(luminaire) == "photometric":
         others = {"time": time, "rays": rays, "tree_depth": tree_depth, "l_max": l_max, "law": law}
-        return bake_photometric_file(luminaire, output, quality, lumens, temperature, others)
+        others |= {"irradiance_paths": irradiance_paths, "seed": seed, "work": work}
+        return bake_photometric_file(
+            luminaire, output, parts, quality, lumens, temperature, progress, others
+        )
+    wanted = PARTS if parts is None else parts
     from lumitree.direct import bake as direct
     from lumitree.exitant.bake import bake_exitant
     from lumitree.luminaire.luminaire import load_luminaire
@@ -161,10 +166,10 @@ def bake(
 
     with reporting(progress), open_work_folder(output, work) as at:
         if (folder := dataset_folder(luminaire)) is not None:
-            if "field" not in parts:
+            if parts is not None and set(parts) != {"field"}:
                 raise LumitreeError(
                     f"parts are {', '.join(parts)}, but {folder} is a dataset, which has no light "
-                    "paths; give the luminaire, or the part field"
+                    "paths; give the luminaire, or the part field alone"
                 )
             dataset = Dataset.open(folder)
             job = lambda: direct.bake_stored(dataset, config, at.path)  # noqa: E731
@@ -172,14 +177,14 @@ def bake(
         lamp = load_luminaire(luminaire)
         warn_of_faults(lamp)
         watch = Stopwatch()
-        model = _stored_model(lamp) if "model" in parts else None
-        if "exitant" in parts:
+        model = _stored_model(lamp, parts is not None) if "model" in wanted else None
+        if "exitant" in wanted:
             light_config = dataclasses.replace(EXITANT_QUALITIES[quality], seed=seed)
             with watch.stage("exitant"):
                 exitant = bake_exitant(lamp, light_config, at.path)
             # Before the field: refuses a colour that the light of the luminaire cannot have.
             asset = completed(exitant_asset(exitant, lamp.frame, lamp.name))
-            if "field" not in parts:
+            if "field" not in wanted:
                 result = finish_bake(asset, output, watch, lamp, paths)
                 remove_state(at, work, result, [EXITANT_STATE])
                 return result
@@ -190,7 +195,7 @@ def bake(
 def check_bake(
     *,
     quality: Quality,
-    parts: Collection[Part],
+    parts: Collection[Part] | None,
     irradiance_paths: int | None,
     time: float | None,
     **settings: Any,
@@ -207,6 +212,7 @@ def check_bake(
         LumitreeError: an argument is out of range.
     """
     check_choice("quality", quality, get_args(Quality))
+    parts = PARTS if parts is None else parts
     for part in parts:
         check_choice("part", part, PARTS)
     if not set(parts) - {"model"}:
@@ -217,13 +223,15 @@ def check_bake(
     return QUALITIES[quality].with_options(seconds=time, **settings), paths
 
 
-def _stored_model(lamp: "Luminaire") -> AssetModel | None:
-    """The model of a luminaire, or None with a warning if it cannot be stored."""
+def _stored_model(lamp: "Luminaire", required: bool) -> AssetModel | None:
+    """The model of a luminaire; if it cannot be stored, an error or None with a warning."""
     from lumitree.luminaire.stored_model import stored_model
 
     try:
         return stored_model(lamp)
     except LumitreeError as error:
+        if required:
+            raise LumitreeError(f"the part model cannot be made: {error}; leave it out") from None
         warnings.warn(
             f"the asset gets no model: {error}; images show its field",
             LumitreeWarning,
@@ -281,10 +289,10 @@ def refine(
     from lumitree.direct import bake as direct
     from lumitree.luminaire.luminaire import load_luminaire
 
-    rough = asset if isinstance(asset, Asset) else load(asset)
+    rough = open_asset(asset)
     if not rough.num_leaves:
         raise LumitreeError(
-            f"the asset ({rough.luminaire}) has no field to refine; bake it with the part field"
+            f"the asset ({rough.luminaire}) has no field to refine; give one that was baked with it"
         )
     with reporting(progress), open_work_folder(output, work) as at:
         lamp = load_luminaire(luminaire)

@@ -10,13 +10,13 @@ from lumitree.api.files import FilePath
 from lumitree.api.measures import Stopwatch
 from lumitree.api.results import Result
 from lumitree.asset.asset import Asset
-from lumitree.asset.file import load
 from lumitree.core.arguments import check_choice, check_range
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import atomic_path, check_writable
 from lumitree.core.seeds import check_seed
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained, shown
+from lumitree.rendering.opened import open_asset
 
 _ENDINGS = (".py", ".blend", ".vdb")
 # By measurement, see decision 69.
@@ -64,8 +64,8 @@ def export(
     metres.
 
     Args:
-        asset: an asset, or the path of its `.lumitree` file. It needs an exitant light field, or a
-            field for `.vdb`.
+        asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file. It
+            needs an exitant light field, or a field for `.vdb`.
         output: path of the file to write. A `.py` file is a script that contains the lamp and runs
             in Blender 4.2 or newer; a `.blend` file is made by running it. A `.vdb` file has the
             field as OpenVDB grids instead (`density` and `emission`, see `exporting.volume`); it
@@ -100,7 +100,7 @@ def export(
     load_mitsuba()
     watch = Stopwatch()
     with watch.stage("load"):
-        loaded = asset if isinstance(asset, Asset) else load(asset)
+        loaded = open_asset(asset)
     with watch.stage("write"):
         made = _volume(loaded, up) if output.suffix == ".vdb" else _lamp(loaded, lights, up, seed)
         with atomic_path(output) as temporary:

@@ -1,4 +1,4 @@
-"""Files that the functions of `lumitree` write: the asset, and the work folder of a bake."""
+"""Files of the functions of `lumitree`: assets, and the work folder of a bake."""
 
 import contextlib
 import os
@@ -8,8 +8,53 @@ from pathlib import Path
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import save
 from lumitree.core.work_folder import WorkFolder, scratch_folder
+from lumitree.errors import LumitreeError, explained, shown
+from lumitree.luminaire.source import LuminaireSource, source_kind
+from lumitree.rendering.opened import open_asset
 
 FilePath = str | os.PathLike[str]
+
+
+@explained
+def load(path: FilePath) -> Asset:
+    """Read an asset from a file, and check it. Nothing in the file is executed.
+
+    Args:
+        path: path of a `.lumitree` file; or of a photometric file (`.ies`, `.ldt`) or a ray file
+            (`.ray`, `.tm25ray`), of which an asset is made as by `bake`. While an asset is in use,
+            further calls for its file return the same one.
+
+    Returns:
+        The asset.
+
+    Raises:
+        LumitreeError: the file is missing, damaged or not an asset, or breaks an invariant.
+    """
+    return open_asset(path)
+
+
+def asset_of(source: object) -> Asset | None:
+    """The asset that a source is once it is opened; None for a luminaire or a dataset.
+
+    Raises:
+        LumitreeError: the asset cannot be read, or there are options for reading a luminaire.
+    """
+    if source_kind(source) not in ("asset", "photometric"):
+        return None
+    if isinstance(source, LuminaireSource):
+        refuse_options(source, "an asset or a photometric file")
+        source = source.name
+    assert isinstance(source, Asset | str | os.PathLike)
+    return open_asset(source)
+
+
+def refuse_options(source: LuminaireSource, kind: str) -> None:
+    """Refuse options for reading a luminaire that are given for a source of another kind."""
+    if source.options:
+        raise LumitreeError(
+            f"{', '.join(source.options)}: not for {kind} such as {shown(source.name, 300)}; leave "
+            "it out"
+        )
 
 
 def save_asset(asset: Asset, output: FilePath | None) -> Path | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lumitree.api.image_settings import image_settings
-from lumitree.asset.asset import Asset
+from lumitree.asset.asset import PARTS, Asset
 from lumitree.core.files import write_bytes, write_json
 from lumitree.core.images import encode_png
 from lumitree.core.reading import Record, parse_json, read_bytes
@@ -105,15 +105,14 @@ class LampFiles:
         """Write the thumbnail and the record of an asset that has been written."""
         from lumitree.core.directions import pose_towards
         from lumitree.evaluation.shown import shown_images
-        from lumitree.model.photometry import luminance
-        from lumitree.rendering.asset_flux import asset_watts
+        from lumitree.rendering.asset_flux import asset_lumens
 
         described = image_settings("bake", lamp=asset.luminaire, settings=json.loads(settings))
         pose = pose_towards(_FROM, (0, 1, 0), 4.0)
         ((radiance, _),) = shown_images(asset, [pose], 1.75, _PIXELS, _SAMPLES)
         write_bytes(self.thumbnail, encode_png(radiance, settings=described))
         figures: dict[str, Any] = {
-            "lumens": float(luminance(asset_watts(asset))),
+            "lumens": asset_lumens(asset),
             "file_bytes": self.asset.stat().st_size,
             "size": asset.frame.size.tolist(),
         }
@@ -141,5 +140,5 @@ class LampFiles:
 
 def settings_text(settings: dict[str, Any]) -> str:
     """Settings of a bake as JSON; equal settings have equal text."""
-    parts = {"parts": sorted(settings["parts"])}
+    parts = {"parts": sorted(settings["parts"] or PARTS)}
     return json.dumps(settings | parts, sort_keys=True)

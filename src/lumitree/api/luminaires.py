@@ -5,12 +5,12 @@ import os
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+from lumitree.api.files import refuse_options
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.dataset import MANIFEST
 from lumitree.errors import LumitreeError, LumitreeWarning, explained
-from lumitree.luminaire.source import LuminaireSource
+from lumitree.luminaire.source import LuminaireSource, as_source, source_kind
 
 if TYPE_CHECKING:
     from lumitree.luminaire.luminaire import Luminaire, LuminaireLike
@@ -78,23 +78,17 @@ def load_luminaire(
     return load(source)
 
 
-def dataset_folder(source: "LuminaireLike") -> Path | None:
+def dataset_folder(source: object) -> Path | None:
     """Folder of the dataset that `source` names; None if it does not name a dataset.
 
     Raises:
         LumitreeError: `source` names a dataset and has options for reading a luminaire.
     """
-    if not isinstance(source, str | os.PathLike | LuminaireSource):
+    if source_kind(source) != "dataset":
         return None
-    folder = Path(source.name if isinstance(source, LuminaireSource) else source)
-    if not os.path.isfile(folder / MANIFEST):
-        return None
-    if isinstance(source, LuminaireSource) and (source.materials or source.keep or source.drop):
-        raise LumitreeError(
-            f"{folder} is a dataset, which --materials, --keep and --drop cannot change; give the "
-            "luminaire itself"
-        )
-    return folder
+    described = as_source(cast(Any, source))
+    refuse_options(described, "a dataset")
+    return Path(described.name)
 
 
 def warn_of_faults(luminaire: "Luminaire") -> list[str]:

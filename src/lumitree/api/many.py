@@ -13,7 +13,7 @@ from lumitree.api.files import FilePath
 from lumitree.api.lamp_record import INDEX_FILES, LampFiles, LampRecord, settings_text
 from lumitree.api.luminaires import dataset_folder
 from lumitree.api.measures import peak_memory_bytes
-from lumitree.api.photometry import is_photometric_file
+from lumitree.api.photometric_files import applicable_settings, warn_of_unused
 from lumitree.api.results import Result
 from lumitree.asset.asset import Part
 from lumitree.builtin.registry import BUILTIN
@@ -28,7 +28,7 @@ from lumitree.core.reading import read_bytes
 from lumitree.core.transmittance import Law
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.evaluation.index_page import GENERATOR, Entry, figure_rows, index_page
-from lumitree.luminaire.source import LuminaireSource, as_source
+from lumitree.luminaire.source import LuminaireSource, as_source, source_kind
 
 INDEX = "index.html"
 State = Literal["baked", "kept", "failed", "interrupted", "waiting"]
@@ -46,7 +46,7 @@ class BakeSettings(TypedDict, total=False):
     tree_depth: int | None
     l_max: int | None
     law: Law | None
-    parts: Collection[Part]
+    parts: Collection[Part] | None
     irradiance_paths: int | None
     lumens: float | None
     temperature: float | None
@@ -127,7 +127,7 @@ def bake_many(
             a lamp have a report of the whole list as `within`.
         settings: keyword arguments of `bake`, for all lamps: `quality`, `time`, `rays`,
             `tree_depth`, `l_max`, `law`, `parts`, `irradiance_paths`, `lumens`, `temperature` and
-            `seed`.
+            `seed`. For photometric files those that do not apply are not used, with a warning.
 
     Returns:
         What became of each lamp (`lamps`), and the path of the index page (`index`).
@@ -145,13 +145,17 @@ def bake_many(
     named = _named([as_source(each) for each in luminaires], root)
     options = _complete(settings)
     check_bake(**{key: options[key] for key in options if key not in ("lumens", "temperature")})
+    defaults = _complete({})
+    given = {name: value for name, value in settings.items() if value != defaults[name]}
+    warn_of_unused(named.values(), given)
     load_mitsuba(variant)
     lamps = [BakedLamp(name, source.name, "waiting") for name, source in named.items()]
     stopped_by = None
     title = f"bake {len(lamps)} lamps"
     with reporting(progress), progress_of(title, len(lamps)) as advance:
         for index, (name, source) in enumerate(named.items()):
-            job = _Job(LampFiles(root, name), source, options, variant, progress)
+            applicable = applicable_settings(options, source)
+            job = _Job(LampFiles(root, name), source, applicable, variant, progress)
             lamps[index], stopped_by = job.run()
             with deferred_interrupt() as interruption:
                 _write_index(root, lamps)
@@ -266,7 +270,7 @@ class _Job:
     def _loaded(self) -> tuple[str, Any]:
         """Fingerprint of the luminaire, and what `bake` gets for it."""
         path = Path(self.source.name)
-        if is_photometric_file(self.source):
+        if source_kind(self.source) == "photometric":
             return _digest(path, "a photometric file"), self.source
         if (dataset := dataset_folder(self.source)) is not None:
             return _digest(dataset / MANIFEST, "a dataset"), self.source

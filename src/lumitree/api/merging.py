@@ -8,9 +8,9 @@ from lumitree.api.measures import Stopwatch
 from lumitree.api.results import BakeResult
 from lumitree.asset.asset import Asset
 from lumitree.asset.exitant import ExitantField
-from lumitree.asset.file import load
 from lumitree.core.arguments import check_asset_output
 from lumitree.errors import LumitreeError, explained, shown
+from lumitree.rendering.opened import open_asset
 
 
 @explained
@@ -48,7 +48,7 @@ def merge(assets: "Sequence[Asset | FilePath]", output: FilePath | None = None) 
 
     watch = Stopwatch()
     with watch.stage("merge"):
-        loaded = [each if isinstance(each, Asset) else load(each) for each in assets]
+        loaded = [open_asset(each) for each in assets]
         names = [_name(number, given) for number, given in enumerate(assets)]
         fields = [_exitant(*each) for each in zip(loaded, names, strict=True)]
         exitant = merge_exitant(fields, names)

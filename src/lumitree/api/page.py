@@ -7,9 +7,9 @@ from lumitree.api.files import FilePath
 from lumitree.api.measures import Stopwatch
 from lumitree.api.results import Result
 from lumitree.asset.asset import Asset
-from lumitree.asset.file import load
 from lumitree.core.files import check_writable, write_bytes
 from lumitree.errors import explained
+from lumitree.rendering.opened import open_asset
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -38,18 +38,21 @@ class ViewResult(Result):
 def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
     """Make a web page that shows the field of an asset, and the illuminance around it.
 
+    Without a field it shows the exitant light field, as images do: blurred, and hiding almost
+    nothing. A model is not shown.
+
     The page needs a browser with WebGL 2, and loads nothing from a network.
 
     Args:
-        asset: an asset, or the path of its `.lumitree` file. It needs a field.
+        asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file.
         output: path of the HTML file to write. Default: no file is written.
 
     Returns:
         The page as `html`; in a notebook, the result shows it.
 
     Raises:
-        LumitreeError: the asset cannot be read, has no field, or is too large for a browser; or the
-            file cannot be written.
+        LumitreeError: the asset cannot be read, or is too large for a browser; or the file cannot
+            be written.
     """
     if output is not None:
         check_writable(output)
@@ -57,7 +60,7 @@ def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
 
     watch = Stopwatch()
     with watch.stage("load"):
-        loaded = asset if isinstance(asset, Asset) else load(asset)
+        loaded = open_asset(asset)
     with watch.stage("page"):
         html = make_page(loaded)
         content = html.encode()

@@ -1,25 +1,27 @@
-"""Photometry of luminaires and assets, and assets from photometric files."""
+"""Photometry of luminaires and assets."""
 
 import dataclasses
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
-from lumitree.api.files import FilePath, save_asset
+from lumitree.api.files import FilePath, asset_of
 from lumitree.api.measures import Stopwatch
-from lumitree.api.results import BakeResult, PhotometryResult
+from lumitree.api.results import PhotometryResult
 from lumitree.asset.asset import Asset
-from lumitree.asset.file import load
 from lumitree.core.arguments import check_choice, check_range
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import check_writable
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, explained, shown
-from lumitree.exitant.config import EXITANT_QUALITIES
 from lumitree.importers.overrides_file import UNITS
-from lumitree.luminaire.source import LuminaireSource, as_source
+from lumitree.luminaire.source import (
+    PHOTOMETRIC_SUFFIXES,
+    RAY_SUFFIXES,
+    source_kind,
+)
 
 if TYPE_CHECKING:
     from lumitree.goniophotometry.figures import PhotometricData
@@ -33,9 +35,7 @@ MIN_PATHS = 1 << 14
 MAX_PATHS, MAX_FILE_RAYS = 1 << 32, 1 << 24
 # Samples whose rays a ray file gets.
 FILE_RAYS = 1 << 18
-RAY_SUFFIXES = (".ray", ".tm25ray")
-OUTPUTS = (".ies", ".ldt", *RAY_SUFFIXES, ".html", ".pdf")
-PHOTOMETRIC_FILES = (".ies", ".ldt", *RAY_SUFFIXES)
+OUTPUTS = (*PHOTOMETRIC_SUFFIXES, ".html", ".pdf")
 
 
 @explained
@@ -59,8 +59,8 @@ def photometry(
     errors.
 
     Args:
-        source: an asset, the path of a `.lumitree` file, or a luminaire in any form that `bake`
-            takes except the folder of a dataset and photometric files.
+        source: an asset, the path of a `.lumitree` file, of a photometric file or of a ray file; or
+            a luminaire in any form that `bake` takes except the folder of a dataset.
         output: path of a file to write, or several. The suffix decides: `.ies` (IES LM-63-2019),
             `.ldt` (EULUMDAT), `.ray` or `.tm25ray` (IES TM-25 ray file), `.html` or `.pdf`
             (report). Default: none.
@@ -68,9 +68,10 @@ def photometry(
             Default: the finest of 1, 2.5, 5 and 10 at which the noise of the intensities is at
             most 2 % RMS.
         unit: unit of length of the source: "m", "cm", "mm", "in", "ft", or the metres in a unit,
-            1e-6 to 1e6. Models (`.obj`, `.gltf`, `.glb`) and photometric files are in metres once
-            they are loaded.
-        up: upward axis of the source, "y" or "z". Models have y up once they are loaded.
+            1e-6 to 1e6. Models (`.obj`, `.gltf`, `.glb`) are in metres once they are loaded.
+            Photometric files state their unit, and none may be given.
+        up: upward axis of the source, "y" or "z". Models and photometric files have y up once they
+            are loaded.
         paths: number of light paths, or of rays of an asset, 16,384 to 2³²; rounded up to a
             multiple of 16.
         file_rays: number of light paths whose rays a ray file gets, up to 16,777,216. Those that
@@ -105,23 +106,26 @@ def photometry(
         expected = f"{', '.join(UNITS)}, or 1e-6 to 1e6 metres"
         raise LumitreeError(f"unit is {shown(repr(unit), 40)}; expected {expected}")
     load_mitsuba(variant)
-    from lumitree.goniophotometry.evaluate import evaluated
-    from lumitree.goniophotometry.measure import asset_source, luminaire_source, measure, oriented
+    from lumitree.evaluation.far_field import asset_source, luminaire_source, measure, oriented
+    from lumitree.evaluation.far_field_figures import evaluated
     from lumitree.goniophotometry.report import plots_png
     from lumitree.goniophotometry.type_c import Grid
     from lumitree.luminaire.luminaire import load_luminaire
 
     if step is not None:
         Grid(step)
-    if isinstance(source, str | os.PathLike) and Path(source).suffix == ".lumitree":
-        source = load(source)
+    if source_kind(source) == "photometric" and (metres, up) != (1, "y"):
+        raise LumitreeError(
+            f"unit and up: not for a photometric file such as {shown(source, 300)}, which states "
+            "its unit; leave them out"
+        )
     wanted = file_rays if any(_suffix(path) in RAY_SUFFIXES for path in outputs) else 0
     watch = Stopwatch()
     with reporting(progress), watch.stage("measure"):
-        if isinstance(source, Asset):
-            measured = asset_source(source)
+        if (asset := asset_of(source)) is not None:
+            measured = asset_source(asset)
         else:
-            measured = luminaire_source(load_luminaire(source))
+            measured = luminaire_source(load_luminaire(cast(Any, source)))
         measured = oriented(measured, metres, up)
         measurement = measure(measured, paths, step=step, kept_rays=wanted, seed=seed)
         data = evaluated(measurement)
@@ -145,46 +149,6 @@ def photometry(
         png=plots_png(data),
         **watch.costs(),
     )
-
-
-def is_photometric_file(source: object) -> bool:
-    """Whether a source is the path of a photometric file or ray file, by its suffix."""
-    name = source.name if isinstance(source, LuminaireSource) else source
-    return isinstance(name, str | os.PathLike) and _suffix(name) in PHOTOMETRIC_FILES
-
-
-def bake_photometric_file(
-    source: Any,
-    output: FilePath | None,
-    quality: str,
-    lumens: float | None,
-    temperature: float | None,
-    others: dict[str, Any],
-) -> BakeResult:
-    """`bake` for a photometric file or ray file.
-
-    Args:
-        source: path, or a `LuminaireSource` of one.
-        output, quality, lumens, temperature: as for `bake`.
-        others: arguments of `bake` that do not apply; all must be None.
-    """
-    described = as_source(source)
-    path = described.name
-    given = [name for name, value in others.items() if value is not None]
-    given += [name for name in ("materials", "keep", "drop") if getattr(described, name)]
-    if given:
-        raise LumitreeError(
-            f"{', '.join(given)}: not for a photometric file such as {shown(path, 300)}, from "
-            "which only the exitant light field is made; leave it out"
-        )
-    from lumitree.goniophotometry.baking import bake_file
-    from lumitree.rendering.asset_flux import with_light
-
-    watch = Stopwatch()
-    with watch.stage("exitant"):
-        config = EXITANT_QUALITIES[quality]
-        asset = with_light(bake_file(path, config), lumens, temperature)
-    return BakeResult(asset=asset, path=save_asset(asset, output), **watch.costs())
 
 
 def _suffix(path: FilePath) -> str:

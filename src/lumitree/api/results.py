@@ -142,7 +142,8 @@ class EvaluateResult(ImageResult):
             `irradiance_rms`: relative RMS error of the irradiance, mean over the cube's six faces;
             and `irradiance_rms_touching`: the same on a plane that touches the bounding box from
             below. One whose reference is too noisy, or dark, is omitted.
-        max_radiance: L_max of the views, W/(m² sr), by which the metrics divide radiance.
+        max_radiance: L_max of the views, W/(m² sr), by which the metrics divide radiance; None if
+            there are no views, because the asset was compared with another one.
         views: metrics by name, of each view.
         asset: `Asset.info` as a dictionary, and file and size in bytes if the asset is a file.
         sheet: file of the contact sheet; None if none was written.
@@ -156,7 +157,7 @@ class EvaluateResult(ImageResult):
     """
 
     metrics: dict[str, float]
-    max_radiance: float
+    max_radiance: float | None
     views: list[dict[str, Any]]
     asset: Json
     sheet: Path | None
@@ -354,17 +355,21 @@ def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
 
 def asset_report(asset: Asset, path: str | os.PathLike[str]) -> Json:
     """What `lumitree info` states: `asset_json`, and the luminous flux, lm, for metres."""
-    from lumitree.model.photometry import luminance
-    from lumitree.rendering.asset_flux import asset_watts
+    from lumitree.rendering.asset_flux import asset_lumens
 
     if asset.exitant is None:
         # Estimated by rays; else a sum that needs no variant of Mitsuba, and so no libLLVM.
         load_mitsuba()
-    return {**asset_json(asset, path), "lumens": float(luminance(asset_watts(asset)))}
+    return {**asset_json(asset, path), "lumens": asset_lumens(asset)}
 
 
 def plain(value: Any) -> Any:
-    """Convert a value for `json.dumps`: paths to text, arrays and tuples to lists, and so on."""
+    """Convert a value for `json.dumps`: paths to text, arrays and tuples to lists, and so on.
+
+    Numbers that JSON does not have, NaN and infinities, become None.
+    """
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, dict):
@@ -372,7 +377,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, tuple | list):
         return [plain(item) for item in value]
     if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
+        return plain(value.tolist())
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = dataclasses.fields(value)
         return plain({field.name: getattr(value, field.name) for field in fields})

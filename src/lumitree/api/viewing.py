@@ -2,11 +2,11 @@
 
 import contextlib
 import dataclasses
-import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
-from lumitree.api.files import FilePath
+from lumitree.api.asset_comparison import compare_assets
+from lumitree.api.files import FilePath, asset_of
 from lumitree.api.image_settings import image_settings
 from lumitree.api.irradiance import check_irradiance_paths
 from lumitree.api.luminaires import dataset_folder, warn_of_faults
@@ -20,7 +20,6 @@ from lumitree.api.results import (
     asset_json,
 )
 from lumitree.asset.asset import Asset
-from lumitree.asset.file import load
 from lumitree.core.arguments import (
     check_image_settings,
     check_range,
@@ -32,6 +31,7 @@ from lumitree.core.files import write_bytes
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained
+from lumitree.rendering.opened import open_asset
 
 if TYPE_CHECKING:
     from lumitree.luminaire.luminaire import LuminaireLike
@@ -61,8 +61,9 @@ def preview(
     of it, its model, its field or else its exitant light field, and one opacity.
 
     Args:
-        luminaire: what to render: an asset, the path of a `.lumitree` file, or a luminaire in any
-            form that `bake` takes except the folder of a dataset.
+        luminaire: what to render: an asset, the path of a `.lumitree` file, of a photometric file
+            or of a ray file; or a luminaire in any form that `bake` takes except the folder of a
+            dataset.
         sheet: path of the PNG file to write. Default: no file is written.
         resolution: pixels per side of each view, 1 to 16,384.
         samples_per_pixel: paths per pixel, 1 to 1,048,576. It does not apply to an asset without
@@ -84,13 +85,11 @@ def preview(
         check_sheet_output(sheet)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     mi = load_mitsuba(variant)
-    if isinstance(luminaire, str | os.PathLike) and Path(luminaire).suffix == ".lumitree":
-        luminaire = load(luminaire)
-    if isinstance(luminaire, Asset):
+    if (asset := asset_of(luminaire)) is not None:
         if bounces:
             raise LumitreeError("an asset has no paths to count the bounces of; leave bounces out")
         with reporting(progress):
-            return _preview_asset(luminaire, sheet, resolution, samples_per_pixel)
+            return _preview_asset(asset, sheet, resolution, samples_per_pixel)
     from lumitree.core.images import max_radiance
     from lumitree.evaluation.preview import draw_preview, take_preview
     from lumitree.luminaire.luminaire import load_luminaire
@@ -99,7 +98,7 @@ def preview(
     watch = Stopwatch()
     with reporting(progress):
         with watch.stage("load"):
-            lamp = load_luminaire(luminaire)
+            lamp = load_luminaire(cast(Any, luminaire))
         with watch.stage("diagnose"):
             faults = warn_of_faults(lamp)
         with watch.stage("views"):
@@ -205,7 +204,7 @@ def _facts(result: PreviewResult) -> list[str]:
 @explained
 def evaluate(
     asset: Asset | FilePath,
-    target: "LuminaireLike",
+    target: "Asset | LuminaireLike",
     sheet: FilePath | None = None,
     *,
     num_views: int = 8,
@@ -220,12 +219,14 @@ def evaluate(
     The irradiance is compared on the six faces of a cube of three times the size of the bounding
     box, and on a plane that touches the box from below. It is not compared for a dataset, whose
     views hold no light paths. An asset that has a gain, because it was baked with `lumens` or
-    `temperature`, is compared without it.
+    `temperature`, is compared without it. With a photometric file, or another asset, only the
+    irradiance is compared.
 
     Args:
-        asset: an asset, or the path of its `.lumitree` file.
+        asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file.
         target: the luminaire, in any form that `bake` takes, of which views are rendered first; or
-            the folder of a dataset, whose views are used.
+            the folder of a dataset, whose views are used; or a photometric file, ray file or
+            asset with the same bounding box.
         sheet: path of the PNG file of the contact sheet. The irradiance in false colour is written
             beside it, as sheet-irradiance.png for sheet.png. Default: no file is written.
         num_views: number of rendered views, 1 to 100,000. It does not apply to a dataset, nor do
@@ -239,11 +240,12 @@ def evaluate(
 
     Returns:
         The mean metrics (`metrics`), those of each view (`views`), the irradiance of each face
-        (`irradiance`), and the contact sheet as `png`.
+        (`irradiance`), and the contact sheet as `png`: without views, the irradiance.
 
     Raises:
         LumitreeError: an argument is out of range; the asset or the luminaire cannot be read; or
-            the bounding boxes of the two have different proportions.
+            the bounding boxes of the two have different proportions, or different sizes if both
+            are assets.
     """
     irradiance_sheet = None
     if sheet is not None:
@@ -261,8 +263,11 @@ def evaluate(
     from lumitree.views.capture import capture as capture_views
 
     path = None if isinstance(asset, Asset) else asset
-    baked = asset if isinstance(asset, Asset) else load(asset)
+    baked = open_asset(asset)
     title = baked.luminaire if path is None else f"{baked.luminaire}, {path}"
+    if (reference := asset_of(target)) is not None:
+        with reporting(progress):
+            return compare_assets(baked, path, reference, irradiance_sheet, irradiance_paths)
     views = (
         {}
         if dataset_folder(target) is not None
@@ -283,7 +288,7 @@ def evaluate(
         else:
             folder = stack.enter_context(scratch_folder())
             with watch.stage("references"):
-                lamp = load_luminaire(target)
+                lamp = load_luminaire(cast(Any, target))
                 warn_of_faults(lamp)
                 dataset = capture_views(
                     lamp,

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from lumitree.asset.asset import NO_GAIN, Asset
 from lumitree.asset.exitant import ExitantField, TracedPaths
 from lumitree.asset.model_bytes import MODEL_TENSORS, build_model, model_tensors
+from lumitree.core.file_kinds import ASSET, what_it_is
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import FRAME_KEYS, LocalFrame
 from lumitree.core.reading import Record, parse_json, read_bytes
 from lumitree.core.transmittance import LAWS
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 
 FORMAT = "lumitree"
 # Files without an exitant light field have the first version, those without a model at most the
@@ -121,6 +122,11 @@ def load(path: str | os.PathLike[str]) -> Asset:
         LumitreeError: the file is missing, damaged or not an asset, or breaks an invariant.
     """
     content = read_bytes(path, "a .lumitree asset", MAX_BYTES)
+    if (what := _other_kind(path, content)) is not None:
+        raise LumitreeError(
+            f"{shown(path, 300)} is {what}, not a .lumitree asset; expected a file that `lumitree "
+            "bake` made of a luminaire or of a photometric file"
+        )
     try:
         digest, _, text = _read_header(content).partition(" ")
         tensors = safetensors.numpy.load(content)
@@ -200,13 +206,25 @@ def _build_traced(description: Record) -> TracedPaths:
     )
 
 
+def _other_kind(path: str | os.PathLike[str], content: bytes) -> str | None:
+    """What a file is that does not begin as an asset; None for an asset, damaged or not."""
+    if content[8:9] == b"{" and _header_bytes(content) <= _MAX_HEADER_BYTES:
+        return None
+    what = what_it_is(path, content) or "a file of another kind"
+    return None if what == ASSET else what
+
+
+def _header_bytes(content: bytes) -> int:
+    return struct.unpack("<Q", content[:8])[0] if len(content) >= 8 else len(content)
+
+
 def _read_header(content: bytes) -> str:
     """The metadata of a file; refuses every header that lumitree does not write.
 
     safetensors itself accepts a repeated key, and uses the last of its values.
     """
     size = len(content)
-    length = struct.unpack("<Q", content[:8])[0] if size >= 8 else size
+    length = _header_bytes(content)
     if length > min(_MAX_HEADER_BYTES, size - 8):
         raise LumitreeError(
             f"a header of {length} bytes in a file of {size} (limit {_MAX_HEADER_BYTES})"

@@ -126,8 +126,6 @@ def run(args: argparse.Namespace) -> Any:
 
 def _settings(args: argparse.Namespace) -> dict[str, Any]:
     """Settings of a direct bake."""
-    from lumitree.asset.asset import PARTS
-
     return {
         "quality": args.quality or "standard",
         "time": args.time,
@@ -135,7 +133,7 @@ def _settings(args: argparse.Namespace) -> dict[str, Any]:
         "tree_depth": args.depth,
         "l_max": args.l_max,
         "law": args.law,
-        "parts": args.parts or PARTS,
+        "parts": args.parts,
         "irradiance_paths": args.irradiance_paths,
         "lumens": args.lumens,
         "temperature": args.temperature,

@@ -16,9 +16,9 @@ _PHOTOMETRIC = ("ies", "ldt", "ray", "tm25ray")
 _ENDINGS = {
     "ASSET": ("lumitree",),
     "ASSET|FOLDER/": ("lumitree",),
-    "ASSET|LUMINAIRE": ("lumitree", *_LUMINAIRE),
+    "ASSET|LUMINAIRE": ("lumitree", *_PHOTOMETRIC, *_LUMINAIRE),
     "LUMINAIRE": _LUMINAIRE,
-    "LUMINAIRE|DATASET": _LUMINAIRE,
+    "LUMINAIRE|DATASET": ("lumitree", *_PHOTOMETRIC, *_LUMINAIRE),
     "SCENE.xml": ("xml",),
     "SHEET": ("png",),
     "IMAGE": ("exr", "png"),
@@ -28,8 +28,9 @@ _ENDINGS = {
 }
 # The same for options that share a name in the help, and for arguments that take more.
 _ENDINGS_BY_DEST = {
+    "asset": ("lumitree", *_PHOTOMETRIC),
     "luminaires": (*_LUMINAIRE, *_PHOTOMETRIC),
-    "place": ("lumitree", *_LUMINAIRE),
+    "place": ("lumitree", *_PHOTOMETRIC, *_LUMINAIRE),
     "materials": ("toml",),
     "placements": ("toml",),
     "json": ("json",),

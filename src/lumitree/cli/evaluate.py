@@ -11,12 +11,13 @@ from lumitree.cli.output import print_metrics, print_open
 def add(commands: Any) -> None:
     text = "compare an asset with its luminaire: held-out views, and the irradiance around it"
     parser = options.command(commands, "evaluate", text, run)
-    parser.add_argument("asset", metavar="ASSET", help="a .lumitree file")
+    parser.add_argument("asset", metavar="ASSET", help=f"a .lumitree file{options.PHOTOMETRIC}")
     parser.add_argument(
         "target",
         metavar="LUMINAIRE|DATASET",
         help="the luminaire, of which views are rendered first; or the folder of a dataset, with "
-        "which the irradiance is not compared",
+        "which the irradiance is not compared; or a photometric file or an asset, with which only "
+        "the irradiance is compared",
     )
     options.add_reading(parser)
     parser.add_argument(
@@ -45,5 +46,5 @@ def run(args: argparse.Namespace) -> Any:
         variant=args.variant,
     )
     print_metrics(result.to_json())
-    print_open(result.sheet)
+    print_open(result.sheet or result.irradiance_sheet)
     return result

@@ -9,7 +9,7 @@ from lumitree.cli.output import print_report
 
 def add(commands: Any) -> None:
     parser = options.command(commands, "info", "describe an asset", run)
-    parser.add_argument("asset", metavar="ASSET", help="a .lumitree file")
+    parser.add_argument("asset", metavar="ASSET", help=f"a .lumitree file{options.PHOTOMETRIC}")
 
 
 def run(args: argparse.Namespace) -> Any:

@@ -9,6 +9,9 @@ from lumitree.errors import LumitreeError
 
 LUMINAIRE = "built-in name, Mitsuba 3 scene (.xml) or model (.obj, .gltf, .glb)"
 
+# What is taken wherever an asset is.
+PHOTOMETRIC = ", or a photometric file (.ies, .ldt, .ray, .tm25ray)"
+
 
 class Parser(argparse.ArgumentParser):
     """Argument parser that raises `LumitreeError`."""

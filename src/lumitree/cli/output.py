@@ -55,8 +55,9 @@ def print_metrics(report: dict[str, Any]) -> None:
     from rich.text import Text
 
     name = shown(report["asset"]["luminaire"])
+    views = f"{len(report['views'])} held-out views" if report["views"] else "irradiance"
     # Not a string, in which rich would interpret markup.
-    table = Table(title=Text(f"{name}: {len(report['views'])} held-out views"))
+    table = Table(title=Text(f"{name}: {views}"))
     table.add_column("metric")
     table.add_column("mean", justify="right")
     for metric, value in report["metrics"].items():

@@ -12,7 +12,9 @@ def add(commands: Any) -> None:
     text = "measure intensities and flux of a lamp; write IES, EULUMDAT and ray files, and reports"
     parser = options.command(commands, "photometry", text, run)
     parser.add_argument(
-        "source", metavar="ASSET|LUMINAIRE", help=f"a .lumitree file, or: {options.LUMINAIRE}"
+        "source",
+        metavar="ASSET|LUMINAIRE",
+        help=f"a .lumitree file{options.PHOTOMETRIC}; or: {options.LUMINAIRE}",
     )
     options.add_reading(parser)
     parser.add_argument(
@@ -59,9 +61,8 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    asset = args.source.endswith(".lumitree")
     result = lumitree.photometry(
-        args.source if asset else options.luminaire(args, args.source),
+        options.luminaire(args, args.source),
         args.output,
         step=args.step,
         unit=_number(args.unit),

@@ -10,7 +10,7 @@ from lumitree.cli.output import print_lines, print_open, print_result
 def add(commands: Any) -> None:
     text = "render a luminaire or an asset from six sides, and print its figures"
     parser = options.command(commands, "preview", text, run)
-    options.add_luminaire(parser, "; or a .lumitree file")
+    options.add_luminaire(parser, f"; or a .lumitree file{options.PHOTOMETRIC}")
     options.add_output(parser, "SHEET", "contact sheet to write, .png")
     options.add_pixels(parser, 256, 64)
     parser.add_argument(
@@ -24,9 +24,8 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    source = args.luminaire
     result = lumitree.preview(
-        source if source.endswith(".lumitree") else options.luminaire(args, source),
+        options.luminaire(args, args.luminaire),
         args.output,
         resolution=args.resolution,
         samples_per_pixel=args.spp,

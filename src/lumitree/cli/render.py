@@ -32,8 +32,9 @@ def add(commands: Any) -> None:
         "--place",
         action=_Place,
         metavar="ASSET",
-        help="a .lumitree file, or a LUMINAIRE, which is placed as explicit geometry; may be "
-        "repeated, each with its own --at, --size, --rotate, --gain, --lumens and --temperature",
+        help=f"a .lumitree file{options.PHOTOMETRIC}; or a LUMINAIRE, which is placed as explicit "
+        "geometry; may be repeated, each with its own --at, --size, --rotate, --gain, --lumens and "
+        "--temperature",
     )
     parser.add_argument(
         "--at",
@@ -61,7 +62,7 @@ def add(commands: Any) -> None:
         action=_Place,
         type=options.vector(1, 3),
         metavar="R,G,B",
-        help="factors on the red, green and blue light of a .lumitree file, or one number for all "
+        help="factors on the red, green and blue light of an asset, or one number for all "
         "(default: 1)",
     )
     parser.add_argument(
@@ -69,7 +70,7 @@ def add(commands: Any) -> None:
         action=_Place,
         type=float,
         metavar="LM",
-        help="luminous flux of a .lumitree file in the scene before --gain, lm, if the scene is in "
+        help="luminous flux of an asset in the scene before --gain, lm, if the scene is in "
         "metres (default: its own)",
     )
     parser.add_argument(
@@ -77,7 +78,7 @@ def add(commands: Any) -> None:
         action=_Place,
         type=float,
         metavar="K",
-        help="colour temperature of the light of a .lumitree file before --gain, 1000 to 20000 K "
+        help="colour temperature of the light of an asset before --gain, 1000 to 20000 K "
         "(default: its own colour)",
     )
     parser.add_argument(

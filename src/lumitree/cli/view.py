@@ -10,7 +10,7 @@ from lumitree.core.interrupt import Interrupted
 
 def add(commands: Any) -> None:
     parser = options.command(commands, "view", "show an asset in a web browser", run)
-    parser.add_argument("asset", metavar="ASSET", help="a .lumitree file with a field")
+    parser.add_argument("asset", metavar="ASSET", help=f"a .lumitree file{options.PHOTOMETRIC}")
     parser.add_argument(
         "-o",
         dest="output",

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
+from lumitree.core.file_kinds import EXR, what_it_is
 from lumitree.core.files import atomic_path, write_bytes
 from lumitree.errors import LumitreeError
 
@@ -157,7 +158,9 @@ def _read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
             header = dict(file.header())
             lower, upper = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
     except (RuntimeError, ValueError, KeyError) as error:
-        raise LumitreeError(f"{path} is not a readable OpenEXR image: {_one_line(error)}") from None
+        what = what_it_is(path)
+        reason = _one_line(error) if what in (None, EXR) else f"it is {what}"
+        raise LumitreeError(f"{path} is not a readable OpenEXR image: {reason}") from None
     width, height = (upper - lower + 1).tolist()
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
         raise LumitreeError(

@@ -51,11 +51,21 @@ def bin_density(direction: Any, resolution: int) -> Any:
 def solid_angles(resolution: int) -> NDArray[np.float64]:
     """Solid angle [R²] of each bin, sr: the Jacobian's mean over a grid in each bin."""
     fine = 8
-    centres = (np.arange(resolution * fine) + 0.5) * (2 / (resolution * fine)) - 1
+    density = np.linalg.norm(_on_octahedron(resolution * fine), axis=-1) ** -3
+    blocks = density.reshape(resolution, fine, resolution, fine).sum(axis=(1, 3)).ravel()
+    return blocks * (4 * np.pi / blocks.sum())
+
+
+def middle_directions(resolution: int) -> NDArray[Any]:
+    """Unit direction [R², 3] in the middle of each bin."""
+    points = _on_octahedron(resolution).reshape(-1, 3)
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def _on_octahedron(resolution: int) -> NDArray[Any]:
+    """Points [R, R, 3] of the octahedron in the middle of each bin."""
+    centres = (np.arange(resolution) + 0.5) * (2 / resolution) - 1
     u, v = np.meshgrid(centres, centres)
     z = 1 - np.abs(u) - np.abs(v)
     fold = np.maximum(-z, 0)
-    x, y = u - np.copysign(fold, u), v - np.copysign(fold, v)
-    density = (x**2 + y**2 + z**2) ** -1.5
-    blocks = density.reshape(resolution, fine, resolution, fine).sum(axis=(1, 3)).ravel()
-    return blocks * (4 * np.pi / blocks.sum())
+    return np.stack([u - np.copysign(fold, u), v - np.copysign(fold, v), z], axis=-1)

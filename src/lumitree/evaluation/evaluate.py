@@ -104,7 +104,7 @@ class IrradianceEvaluation:
 
     Attributes:
         num_paths: light paths of the luminaire, and rays of the asset.
-        explicit, baked: estimates for the luminaire and for the asset.
+        explicit, baked: estimates for what is compared with, and for the asset.
         error: of `baked`.
     """
 
@@ -153,18 +153,24 @@ class IrradianceEvaluation:
         }
 
 
-def evaluate_irradiance(asset: Asset, luminaire: Luminaire, num_paths: int) -> IrradianceEvaluation:
+def evaluate_irradiance(
+    asset: Asset, reference: Luminaire | Asset, num_paths: int
+) -> IrradianceEvaluation:
     """Compare the irradiance around an asset with that around its luminaire (decision D14).
 
     Args:
-        luminaire: must have a bounding box of the asset's proportions, which `evaluate_views`
-            checks.
+        reference: the luminaire, or another asset. It must have a bounding box of the asset's
+            proportions, which `evaluate_views` checks.
         num_paths: light paths of the luminaire, and as many rays of the asset.
 
     Raises:
         LumitreeError: a path's flux is NaN or infinite.
     """
-    explicit = luminaire_irradiance(luminaire, num_paths)
+    if isinstance(reference, Asset):
+        # Another seed than that of `asset`: the two estimates are independent.
+        explicit = asset_irradiance(reference, num_paths, seed=1)
+    else:
+        explicit = luminaire_irradiance(reference, num_paths)
     baked = asset_irradiance(asset, num_paths)
     return IrradianceEvaluation(num_paths, explicit, baked, irradiance_error(baked, explicit))
 

@@ -18,7 +18,7 @@ from lumitree.asset.asset import Asset, exitant_asset
 from lumitree.asset.exitant import MAX_RESOLUTION, make_exitant_field
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
-from lumitree.core.octahedral import direction_in_bin, solid_angles
+from lumitree.core.octahedral import direction_in_bin, middle_directions, solid_angles
 from lumitree.errors import LumitreeError
 from lumitree.exitant.bake import Histogram
 from lumitree.exitant.config import ExitantConfig
@@ -28,8 +28,7 @@ from lumitree.goniophotometry.opening import Opening
 from lumitree.goniophotometry.rays import Rays
 from lumitree.goniophotometry.tm25 import read_tm25
 from lumitree.goniophotometry.type_c import IntensityDistribution
-from lumitree.model.photometry import LUMENS_PER_WATT, luminance
-from lumitree.rendering.asset_flux import asset_watts
+from lumitree.model.photometry import LUMENS_PER_WATT
 
 # Side of the box of a source without extent, m; and the shortest side, as a part of the longest.
 POINT_SIZE = 0.01
@@ -42,19 +41,13 @@ _MAX_DEPTH, _DISK_DEPTH = 3, 3
 _BINS_AT_ONCE, _SOME = 64, 67
 # Relative RMS error of intensities that are constant in coarser bins.
 _COARSE_ERROR = 0.02
-SUFFIXES = (".ies", ".ldt", ".ray", ".tm25ray")
-
-
-def is_photometric(path: object) -> bool:
-    """Whether a path is that of a photometric file or ray file, by its suffix."""
-    return isinstance(path, str | os.PathLike) and Path(path).suffix.lower() in SUFFIXES
 
 
 def bake_file(path: str | os.PathLike[str], config: ExitantConfig) -> Asset:
     """Asset of a photometric file or ray file.
 
     Args:
-        path: file with one of `SUFFIXES`.
+        path: file with one of `luminaire.source.PHOTOMETRIC_SUFFIXES`.
         config: grid of a ray file's light field. That of a photometric file has 64² or 128² bins of
             direction, by how steep its intensities are, and as many cells as its opening needs.
 
@@ -115,7 +108,7 @@ def _projected_shares(
     beside the centre of the opening: cells then blur it evenly to all sides. If it started on the
     surface, cells would move it inwards.
     """
-    directions = _bin_centres(resolution)
+    directions = middle_directions(resolution)
     starts = _finest(opening, frame, directions)
     parts = range(0, len(directions), _BINS_AT_ONCE)
     flux = np.concatenate(
@@ -195,11 +188,6 @@ def bake_rays(rays: Rays, name: str, config: ExitantConfig) -> Asset:
     return exitant_asset(make_exitant_field(histogram.cells, intensity, config.depth), frame, name)
 
 
-def exitant_lumens(asset: Asset) -> float:
-    """Luminous flux of an asset's exitant light field, lm, for lengths in metres."""
-    return float(luminance(asset_watts(asset)))
-
-
 def _bin_means(distribution: IntensityDistribution) -> NDArray[np.float64]:
     """Mean intensity [R²], cd, of each octahedral bin; R is 64, or 128 for steep intensities."""
     fine = _means(distribution, MAX_RESOLUTION)
@@ -212,23 +200,10 @@ def _bin_means(distribution: IntensityDistribution) -> NDArray[np.float64]:
 
 def _means(distribution: IntensityDistribution, resolution: int) -> NDArray[np.float64]:
     points = (np.indices((_FINE, _FINE)).reshape(2, -1).T + 0.5) / _FINE
-    direction, density = _directions(points, resolution)
-    weight = 1 / density
-    value = distribution.at(direction)
-    parts = (each.reshape(-1, len(points)).sum(axis=1) for each in (weight * value, weight))
-    return np.divide(*parts)
-
-
-def _bin_centres(resolution: int) -> NDArray[np.float64]:
-    """Direction [R², 3] of the centre of each octahedral bin."""
-    return _directions(np.full((1, 2), 0.5), resolution)[0]
-
-
-def _directions(
-    points: NDArray[np.float64], resolution: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Directions [R² N, 3] of points [N, 2] of the unit square in each bin, and their densities."""
     bins = on_device(mi.UInt32, np.repeat(np.arange(resolution**2), len(points)))
     sample = on_device(mi.Point2f, np.tile(points, (resolution**2, 1)))
     direction, density = direction_in_bin(bins, sample, resolution)
-    return np.array(direction, np.float64).reshape(3, -1).T, np.array(density, np.float64)
+    weight = 1 / np.array(density, np.float64)
+    value = distribution.at(np.array(direction, np.float64).reshape(3, -1).T)
+    parts = (each.reshape(-1, len(points)).sum(axis=1) for each in (weight * value, weight))
+    return np.divide(*parts)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.builtin.registry import BUILTIN
 from lumitree.core.backend import load_mitsuba
+from lumitree.core.file_kinds import what_it_is
 from lumitree.core.frames import LocalFrame, similarity_scale
 from lumitree.core.reading import read_bytes
 from lumitree.core.work_folder import scratch_folder
@@ -26,11 +27,17 @@ from lumitree.importers.overrides_file import read_overrides
 from lumitree.luminaire.media import any_scatters
 from lumitree.luminaire.scene_file import SceneFile
 from lumitree.luminaire.scene_writer import write_scene
-from lumitree.luminaire.source import LuminaireSource, as_source
+from lumitree.luminaire.source import LuminaireSource, as_source, source_kind
 from lumitree.model.model import Model
 
 _ENVIRONMENTS = ("constant", "envmap", "sky", "sunsky", "directional")
 _MAX_FILE_BYTES = 2**40
+# Sources that have no shapes to load.
+_NOT_LUMINAIRES: dict[str, str] = {
+    "asset": "an asset, which is baked already",
+    "photometric": "a photometric file, which has no shapes and is used as an asset",
+    "dataset": "a dataset",
+}
 _INVISIBLE = ("point", "spot", "projector", "directionalarea")
 
 
@@ -215,9 +222,10 @@ def luminaire_path(source: LuminaireLike) -> Path:
         )
     kind = path.suffix.lower()
     if not builtin and kind not in (".xml", *_READERS):
+        what = _NOT_LUMINAIRES.get(source_kind(source)) or what_it_is(path)
         raise LumitreeError(
-            f"{shown(path, 300)} has an unsupported format; expected .xml (a Mitsuba 3 scene), "
-            f"{', '.join(_READERS)}, or a built-in name"
+            f"{shown(path, 300)} {f'is {what}' if what else 'has an unsupported format'}; expected "
+            f".xml (a Mitsuba 3 scene), {', '.join(_READERS)}, or a built-in name"
         )
     if kind == ".xml" and not builtin:
         if source.materials is not None:

@@ -9,6 +9,7 @@ from typing import Any
 from xml.parsers import expat
 
 from lumitree.core.backend import load_mitsuba
+from lumitree.core.file_kinds import SCENE, XML, what_it_is
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
 from lumitree.importers.model_folder import MAX_MODEL_BYTES
@@ -76,6 +77,10 @@ class SceneFile:
         try:
             parser.Parse(data, True)
         except (expat.ExpatError, ValueError) as error:
+            if (what := what_it_is(self.path, data)) not in (None, SCENE, XML):
+                raise LumitreeError(
+                    f"{self._name} is {what}; expected a Mitsuba 3 scene (.xml)"
+                ) from None
             raise LumitreeError(
                 f"{self._name} cannot be loaded: {shown(error)}; expected XML in UTF-8, or with "
                 "its encoding in the first line"

@@ -48,6 +48,11 @@ def asset_watts(asset: Asset) -> NDArray[np.float64]:
     return np.array(flux, np.float64).reshape(3, -1).mean(axis=1) * asset.frame.scale**2
 
 
+def asset_lumens(asset: Asset) -> float:
+    """Luminous flux that an asset emits, lm; as `asset_watts`."""
+    return float(luminance(asset_watts(asset)))
+
+
 def with_light(asset: Asset, lumens: float | None, temperature: float | None) -> Asset:
     """The asset with the gain that gives it a luminous flux and a colour temperature (`gain_to`).
 

@@ -1,4 +1,7 @@
-"""Emission of a lamp that is divided into what receivers get and what an image shows (D12)."""
+"""Emission of a lamp that is divided: receivers get the exitant light field, images show the field.
+
+Decision 62 states which paths get which.
+"""
 
 from typing import Any
 

@@ -32,7 +32,9 @@ def plugin_options(props: Any) -> dict[str, Any]:
     if "to_world" in options:
         options["to_world"] = np.array(options["to_world"].matrix)
     if not props.has_property("filename"):
-        raise LumitreeError("plugin 'lumitree' needs a 'filename': the .lumitree asset")
+        raise LumitreeError(
+            "plugin 'lumitree' needs a 'filename': a .lumitree asset or a photometric file"
+        )
     # Looked up relative to the scene file, as Mitsuba does.
     return {"asset": str(mi.file_resolver().resolve(props["filename"])), **options}
 

@@ -1,14 +1,13 @@
 """Where a luminaire goes in a scene."""
 
 import dataclasses
-import os
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain, check_light
 from lumitree.core.frames import check_placement
 from lumitree.errors import LumitreeError, shown
+from lumitree.luminaire.source import source_kind
 
 if TYPE_CHECKING:
     from lumitree.luminaire.luminaire import LuminaireLike
@@ -19,8 +18,9 @@ class Placement:
     """A luminaire in a scene.
 
     Attributes:
-        source: an asset or the path of a `.lumitree` file; or a luminaire, as for `lumitree.bake`,
-            whose explicit geometry is placed.
+        source: an asset, or the path of a `.lumitree` file, a photometric file (`.ies`, `.ldt`) or
+            a ray file (`.ray`, `.tm25ray`); or a luminaire, as for `lumitree.bake`, whose explicit
+            geometry is placed.
         at: [3] centre of its bounding box, scene units; default: where its own file has it.
         size: largest side of its bounding box, scene units; default: its own size.
         rotate: [4] axis x, y, z and angle in degrees, about the centre.
@@ -66,10 +66,8 @@ class Placement:
 
     @property
     def is_baked(self) -> bool:
-        """Whether `source` is an asset."""
-        if isinstance(self.source, str | os.PathLike):
-            return Path(self.source).suffix == ".lumitree"
-        return isinstance(self.source, Asset)
+        """Whether `source` is an asset once it is opened."""
+        return source_kind(self.source) in ("asset", "photometric")
 
     @property
     def name(self) -> str:

@@ -60,7 +60,10 @@ def _placement(path: Path, name: str, table: Table) -> Placement:
     }
     table.finish()
     if asset is None:
-        table.fail(f"{table.name} has no asset; expected a .lumitree file or a luminaire")
+        table.fail(
+            f"{table.name} has no asset; expected a .lumitree file, a photometric file "
+            "or a luminaire"
+        )
     if any(not 0 <= factor <= MAX_GAIN for factor in values["gain"] or ()):
         table.fail(f"{table.name}.gain has a factor that is not from 0 to {MAX_GAIN:,.0f}")
     source = asset if asset in BUILTIN else str(path.parent / asset)

@@ -3,7 +3,7 @@
 Emitter `lumitree`, BSDF `lumitree_null`, shape `lumitree_proxy` and integrator `lumitree_path`. The
 first three take the same properties:
 
-    filename      the asset
+    filename      the asset, or a photometric file or ray file
     to_world      where the luminaire goes, relative to its own file's frame (default: there)
     proxy         "box" (default) or "sphere"
     min_density, max_opacity    see `lumitree.octree.field.Field`; exact by default
@@ -70,7 +70,7 @@ def shape(
     """A baked luminaire as a shape dictionary for `mitsuba.load_dict`.
 
     Args:
-        asset: an asset, or the path of a `.lumitree` file.
+        asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file.
         to_world: [4, 4] matrix or Mitsuba transform that moves the luminaire from its own
             file's frame into the scene; rotation, translation and uniform scale. Default: stay.
         proxy: "box" or "sphere", the surface that carries the field.

@@ -1,7 +1,8 @@
 """What the page of the viewer holds of an asset: arrays of numbers in one compressed block.
 
-The field keeps its own numbers: densities in float32 and coefficients in float16. The exitant light
-field is reduced to luminous intensity, as float16 relative to the largest of each cell.
+The field keeps its own numbers: densities in float32 and coefficients in float16. Without a field
+the exitant light field is shown, as one (`light_as_field`). The exitant light field is reduced to
+luminous intensity, as float16 relative to the largest of each cell.
 """
 
 import base64
@@ -17,6 +18,7 @@ from lumitree.asset.exitant import ExitantField, unpack
 from lumitree.errors import LumitreeError
 from lumitree.model.photometry import luminance
 from lumitree.octree.wide_nodes import wide_levels, wide_nodes
+from lumitree.viewer.light_as_field import DEFAULT_VIEW, brightest_view, light_as_field
 
 # WebGL 2 textures of 4096 texels a row; GPUs in use have at least 8192 rows.
 MAX_TEXELS = 4096 * 8192
@@ -42,13 +44,13 @@ def pack_asset(asset: Asset) -> PackedAsset:
     """Convert an asset for the page.
 
     Raises:
-        LumitreeError: it has no field, or is too large for textures of WebGL 2.
+        LumitreeError: it is too large for textures of WebGL 2.
     """
-    if not asset.num_leaves:
-        raise LumitreeError(
-            f"the asset of {asset.luminaire} has no field, which the viewer shows; bake it with "
-            "--parts exitant,field"
-        )
+    num_bytes, has_field = asset.num_bytes, asset.num_leaves > 0
+    shown, view = "field", DEFAULT_VIEW
+    if not has_field:
+        asset, view = light_as_field(asset), brightest_view(asset)
+        shown = "exitant light field" + ("" if asset.model is None else ", not the model")
     levels = wide_nodes(asset.children, asset.tree_depth)
     starts = np.concatenate([[0], np.cumsum([level.size for level in levels])])
     arrays: dict[str, NDArray[Any]] = {
@@ -63,7 +65,10 @@ def pack_asset(asset: Asset) -> PackedAsset:
         "l_max": asset.l_max,
         "tree_depth": asset.tree_depth,
         "leaves": asset.num_leaves,
-        "bytes": asset.num_bytes,
+        "bytes": num_bytes,
+        "shown": shown,
+        "has_field": has_field,
+        "view": view,
         "max_radiance": asset.max_radiance * max(asset.gain),
         "colour": [factor / max(asset.gain) for factor in asset.gain],
         "half_extents": asset.frame.half_extents.tolist(),

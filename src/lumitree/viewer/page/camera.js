@@ -1,7 +1,8 @@
 // Orbit, pan and zoom by mouse, touch and keyboard.
 const orbit = { yaw: 0, pitch: 0, distance: 0, target: [0, 0, 0], up: 1, fov: 0.6 };
 function resetView() {
-  Object.assign(orbit, { yaw: 0.6, pitch: 0.2, target: [0, 0, 0], distance: 0.92 * Math.hypot(...asset.half_extents) / Math.sin(orbit.fov / 2) });
+  const [yaw, pitch] = asset.view;
+  Object.assign(orbit, { yaw, pitch, target: [0, 0, 0], distance: 0.92 * Math.hypot(...asset.half_extents) / Math.sin(orbit.fov / 2) });
 }
 function currentView() {
   const c = Math.cos(orbit.pitch), local = [c * Math.sin(orbit.yaw), Math.sin(orbit.pitch), c * Math.cos(orbit.yaw)];

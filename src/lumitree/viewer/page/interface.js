@@ -61,7 +61,8 @@ function meter() {
   field.draw(currentView(), 160, 120);
   const pixels = readTarget(field.target), lit = [];
   for (let i = 0; i < pixels.length; i += 4)
-    if (pixels[i + 3] < 0.99) lit.push(0.2126 * pixels[i] + 0.7152 * pixels[i + 1] + 0.0722 * pixels[i + 2]);
+    // An exitant light field hides almost nothing.
+    if (asset.has_field ? pixels[i + 3] < 0.99 : pixels[i + 3] < 1) lit.push(0.2126 * pixels[i] + 0.7152 * pixels[i + 1] + 0.0722 * pixels[i + 2]);
   lit.sort((a, b) => a - b);
   const white = lit[Math.floor(0.9 * lit.length)];
   state.key = white > 0 ? 0.8 / white : 1;
@@ -189,7 +190,9 @@ function selectTab(tab) {
 
 function connect() {
   $("name").textContent = asset.luminaire;
-  const figures = { Law: asset.law, "l_max": asset.l_max, Depth: asset.tree_depth, Leaves: asset.leaves.toLocaleString("en"), Size: `${(asset.bytes / 1e6).toFixed(2)} MB`, Frame: "" };
+  const count = asset.leaves.toLocaleString("en");
+  const kind = asset.has_field ? { Law: asset.law, "l_max": asset.l_max, Leaves: count } : { Cells: count };
+  const figures = { Shown: asset.shown, ...kind, Depth: asset.tree_depth, Size: `${(asset.bytes / 1e6).toFixed(2)} MB`, Frame: "" };
   $("figures").replaceChildren(...Object.entries(figures).flatMap(([name, value]) => [
     Object.assign(document.createElement("dt"), { textContent: name }),
     Object.assign(document.createElement("dd"), { textContent: value, id: name === "Frame" ? "ms" : `figure-${name}` })]));

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.evaluation.far_field import Measurement, jackknife
 from lumitree.goniophotometry.figures import (
     BEAM,
     FIELD,
@@ -16,7 +17,6 @@ from lumitree.goniophotometry.figures import (
     plane_curve,
     width_at,
 )
-from lumitree.goniophotometry.measure import Measurement, jackknife
 from lumitree.goniophotometry.opening import Opening
 from lumitree.goniophotometry.type_c import IntensityDistribution
 from lumitree.goniophotometry.ugr import ugr_table

@@ -12,11 +12,8 @@ from lumitree.asset.asset import exitant_asset
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from lumitree.errors import LumitreeError
-from lumitree.goniophotometry import measure as module
-from lumitree.goniophotometry.baking import exitant_lumens
-from lumitree.goniophotometry.evaluate import evaluated
-from lumitree.goniophotometry.figures import Estimate, plane_curve, width_at
-from lumitree.goniophotometry.measure import (
+from lumitree.evaluation import far_field as module
+from lumitree.evaluation.far_field import (
     BATCHES,
     MAX_NOISE,
     STEPS,
@@ -26,9 +23,12 @@ from lumitree.goniophotometry.measure import (
     luminaire_source,
     measure,
 )
+from lumitree.evaluation.far_field_figures import evaluated
+from lumitree.goniophotometry.figures import Estimate, plane_curve, width_at
 from lumitree.goniophotometry.near_field import DISTANCES, NearFieldTest
 from lumitree.goniophotometry.type_c import Grid, angles_of, node_solid_angles
 from lumitree.model.photometry import luminance
+from lumitree.rendering.asset_flux import asset_lumens
 from lumitree.transport.flux import flux_along_lines
 
 RADIANCE = np.array([3.0, 2.0, 1.0])
@@ -166,9 +166,9 @@ def test_an_asset_emits_what_its_exitant_light_field_has(mi):
     data = evaluated(measurement)
     figures = data.figures
     assert figures.emitted_lumens is figures.light_output_ratio is None
-    assert figures.lumens.value == pytest.approx(exitant_lumens(asset), rel=1e-2)
+    assert figures.lumens.value == pytest.approx(asset_lumens(asset), rel=1e-2)
     assert (
-        abs(figures.lumens.value - exitant_lumens(asset))
+        abs(figures.lumens.value - asset_lumens(asset))
         < 5 * figures.lumens.error + 1e-5 * figures.lumens.value
     )
     # The reference: directions uniform on the sphere, each with its bin's intensity.

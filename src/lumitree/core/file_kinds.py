@@ -1,0 +1,83 @@
+"""What a file is, by its first bytes and its suffix, for messages about a file of another kind."""
+
+import codecs
+import os
+from pathlib import Path
+
+ASSET, EXR = "a lumitree asset", "an OpenEXR image"
+SCENE, XML = "a Mitsuba scene", "an XML file"
+# First bytes.
+_STARTS = {
+    b"\x89PNG": "a PNG image",
+    b"\xff\xd8\xff": "a JPEG image",
+    b"v/1\x01": EXR,
+    b"#?RADIANCE": "a Radiance HDR image",
+    b"#?RGBE": "a Radiance HDR image",
+    b"GIF8": "a GIF image",
+    b"II*\x00": "a TIFF image",
+    b"MM\x00*": "a TIFF image",
+    b"%PDF": "a PDF document",
+    b"PK\x03\x04": "a zip archive",
+    b"\x1f\x8b": "a gzip archive",
+    b"glTF": "a glTF model",
+    b"ply": "a PLY mesh",
+    b"BLENDER": "a Blender file",
+    b"TM25": "a ray file (IES TM-25)",
+    b"IESNA": "a photometric file (IES LM-63)",
+    b"IES:LM-63": "a photometric file (IES LM-63)",
+}
+_SUFFIXES = {
+    ".lumitree": ASSET,
+    ".ies": "a photometric file (IES LM-63)",
+    ".ldt": "a photometric file (EULUMDAT)",
+    ".ray": "a ray file (IES TM-25)",
+    ".tm25ray": "a ray file (IES TM-25)",
+    ".obj": "an OBJ model",
+    ".mtl": "a material file of an OBJ model",
+    ".gltf": "a glTF model",
+    ".glb": "a glTF model",
+    ".fbx": "an FBX model",
+    ".dae": "a COLLADA model",
+    ".stl": "an STL mesh",
+    ".toml": "a TOML file",
+    ".json": "a JSON file",
+}
+_LOOKED_AT = 1 << 12
+
+
+def what_it_is(path: str | os.PathLike[str], content: bytes | None = None) -> str | None:
+    """What a file is, such as "a PNG image"; None if that cannot be told.
+
+    Args:
+        path: a file or folder that exists; only regular files are opened.
+        content: of the file, if it has been read.
+    """
+    path = Path(path)
+    if os.path.isdir(path):
+        return "a folder"
+    if not os.path.isfile(path):
+        return None
+    if content is None:
+        with path.open("rb") as file:
+            content = file.read(_LOOKED_AT)
+    start = content[:_LOOKED_AT].removeprefix(b"\xef\xbb\xbf")
+    if not start:
+        return "an empty file"
+    for first, kind in _STARTS.items():
+        if start.startswith(first):
+            return kind
+    if start.lstrip().startswith(b"<"):
+        if b"<scene" in start:
+            return SCENE
+        return "a web page" if b"<html" in start.lower() else XML
+    by_suffix = _SUFFIXES.get(path.suffix.lower())
+    return "a text file" if by_suffix in (None, ASSET) and _is_text(start) else by_suffix
+
+
+def _is_text(start: bytes) -> bool:
+    try:
+        # A character of several bytes may be cut at the end.
+        text = codecs.getincrementaldecoder("utf-8")().decode(start)
+    except UnicodeDecodeError:
+        return False
+    return all(char.isprintable() or char.isspace() for char in text)

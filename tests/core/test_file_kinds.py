@@ -1,0 +1,102 @@
+"""What a file is, for messages."""
+
+import io
+
+import numpy as np
+import OpenEXR
+import pytest
+from PIL import Image
+
+import lumitree
+from lumitree.cli import main
+from lumitree.core.file_kinds import what_it_is
+
+
+def png():
+    buffer = io.BytesIO()
+    Image.new("L", (2, 2)).save(buffer, "png")
+    return buffer.getvalue()
+
+
+FILES = {
+    "a.png": (png(), "a PNG image"),
+    "named.lumitree": (png(), "a PNG image"),
+    "a.jpg": (b"\xff\xd8\xff\xe0", "a JPEG image"),
+    "a.pdf": (b"%PDF-1.7", "a PDF document"),
+    "a.zip": (b"PK\x03\x04", "a zip archive"),
+    "a.glb": (b"glTF\x02\x00", "a glTF model"),
+    "a.gltf": (b'{"asset": {"version": "2.0"}}', "a glTF model"),
+    "short.gltf": (b'{"meta":{}}', "a glTF model"),
+    "a.OBJ": (b"v 0 0 0\n", "an OBJ model"),
+    "room.xml": (b'<?xml version="1.0"?>\n<scene version="3.0.0"/>', "a Mitsuba scene"),
+    "bom.xml": (b'\xef\xbb\xbf<scene version="3.0.0"/>', "a Mitsuba scene"),
+    "a.svg": (b"<svg/>", "an XML file"),
+    "a.html": (b"<!doctype html>\n<html></html>", "a web page"),
+    "lamp.txt": (b"IESNA:LM-63-2002\n", "a photometric file (IES LM-63)"),
+    "rays": (b"TM25\x00", "a ray file (IES TM-25)"),
+    "a.toml": (b"[lamps.a]\n", "a TOML file"),
+    "notes": ("café\n".encode(), "a text file"),
+    "text.lumitree": (b"hello", "a text file"),
+    "empty.lumitree": (b"", "an empty file"),
+    "a.bin": (bytes(range(256)), "a file of another kind"),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_what_is_not_an_asset_is_named(tmp_path, name, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    content, kind = FILES[name]
+    (tmp_path / name).write_bytes(content)
+    assert what_it_is(name) == (None if name == "a.bin" else kind)
+    for command in (["info", name], ["view", name, "-o", "a.html"]):
+        assert main(command) == 2
+        error = capsys.readouterr().err
+        assert f"{name} is {kind}, not a .lumitree asset; expected" in error
+        assert error.count("\n") == 1
+
+
+def test_folders_and_names_without_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    assert what_it_is("folder") == "a folder"
+    assert what_it_is("nothing") is None
+    for name, message in (
+        ("folder", "folder is a folder"),
+        ("nothing", "nothing does not exist"),
+        ("bulbs", "bulbs is a built-in luminaire, not an asset; bake it first"),
+        ("a\0b", "not a file name"),
+    ):
+        with pytest.raises(lumitree.LumitreeError, match=message):
+            lumitree.load(name)
+
+
+def test_a_damaged_asset_stays_a_damaged_asset(tmp_path):
+    (tmp_path / "a.lumitree").write_bytes(bytes(range(200, 256)) * 4)
+    with pytest.raises(lumitree.LumitreeError, match=r"is not a valid \.lumitree asset"):
+        lumitree.load(tmp_path / "a.lumitree")
+
+
+def test_other_places_name_it_too(mi, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.png").write_bytes(png())
+    (tmp_path / "a.ies").write_text("x")
+    (tmp_path / "room.xml").write_text(
+        '<scene version="3.0.0"><sensor type="perspective"/></scene>'
+    )
+    for command, message in (
+        (["mix", "a.png", "-o", "b.png"], "a.png is not a readable OpenEXR image: it is a PNG"),
+        (["render", "room.xml", "--place", "a.png", "-o", "b.png"], "a.png is a PNG image; exp"),
+        (["render", "a.png", "-o", "b.png"], "a.png is a PNG image; expected a Mitsuba 3 scene"),
+        (["capture", "a.ies", "-o", "d"], "a.ies is a photometric file, which has no shapes"),
+        (["bake", "room.xml.lumitree", "-o", "b.lumitree"], "no luminaire"),
+    ):
+        assert main(command) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
+    # A damaged image has the reader's message.
+    OpenEXR.File({}, {"Y": np.zeros((2, 2), np.float32)}).write("c.exr")
+    content = (tmp_path / "c.exr").read_bytes()
+    (tmp_path / "c.exr").write_bytes(content[:20])
+    assert main(["mix", "c.exr", "-o", "b.png"]) == 2
+    assert "it is" not in capsys.readouterr().err

@@ -1,0 +1,247 @@
+"""Photometric files and ray files are taken wherever an asset is."""
+
+import json
+
+import numpy as np
+import pytest
+
+import lumitree
+from lamps import AREA, scene, sphere
+from lumitree.cli import main
+from lumitree.core.dataset import MANIFEST
+from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.goniophotometry import baking
+from lumitree.goniophotometry.ies import write_ies
+from lumitree.goniophotometry.ldt import write_ldt
+from lumitree.goniophotometry.rays import Rays
+from lumitree.goniophotometry.tm25 import write_tm25
+from lumitree.goniophotometry.type_c import Grid, IntensityDistribution
+from lumitree.luminaire.source import LuminaireSource, source_kind
+from lumitree.model.photometry import colour_temperature, luminance
+from lumitree.rendering.asset_flux import asset_lumens, asset_watts
+from lumitree.rendering.opened import open_asset
+from tiny_bakes import set_qualities
+from walls import irradiance
+
+FILES = ("a.ies", "B.LDT", "c.Ray", "d.TM25RAY")
+ROOM = (
+    '<scene version="3.0.0"><sensor type="perspective"><transform name="to_world">'
+    '<lookat origin="0,1,4" target="0,1,0" up="0,1,0"/></transform><film type="hdrfilm">'
+    '<integer name="width" value="16"/><integer name="height" value="12"/></film></sensor>'
+    '<integrator type="path"/><shape type="rectangle"><transform name="to_world">'
+    '<scale value="5"/><rotate x="1" angle="-90"/></transform></shape></scene>'
+)
+
+
+@pytest.fixture(autouse=True)
+def folder(mi, tmp_path, monkeypatch):
+    """Files of a lamp that emits 100 cd · cos γ downwards from 0.2 x 0.1 m, and a room."""
+    monkeypatch.chdir(tmp_path)
+    grid = Grid(15)
+    down = 100 * np.maximum(np.cos(np.deg2rad(grid.gamma)), 0) * np.ones((len(grid.c), 1))
+    distribution = IntensityDistribution("down", grid.c, grid.gamma, down, (0.2, 0, 0.1))
+    write_ies("a.ies", distribution)
+    write_ldt("B.LDT", distribution)
+    random = np.random.default_rng(0)
+    direction = random.normal(size=(2000, 3))
+    direction[:, 1] = -np.abs(direction[:, 1])
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    # From the corners of a box: few cells.
+    origin = random.choice([-0.1, 0.1], (2000, 3))
+    rays = Rays(origin, direction, np.full((2000, 3), 1e-3))
+    write_tm25("c.Ray", rays, "rays")
+    write_tm25("d.TM25RAY", rays, "rays")
+    (tmp_path / "room.xml").write_text(ROOM)
+    return tmp_path
+
+
+@pytest.fixture
+def bakes(monkeypatch):
+    """Names of the files that were made into assets."""
+    names, bake = [], baking.bake_file
+
+    def record(path, config):
+        names.append(str(path))
+        return bake(path, config)
+
+    monkeypatch.setattr(baking, "bake_file", record)
+    return names
+
+
+def test_one_function_says_what_a_source_is(folder):
+    asset = open_asset("a.ies")
+    (folder / "views").mkdir()
+    (folder / "views" / MANIFEST).touch()
+    for source, kind in (
+        (asset, "asset"),
+        ("x/y.lumitree", "asset"),
+        ("Y.LUMITREE", "asset"),
+        *((name, "photometric") for name in FILES),
+        (folder / "a.ies", "photometric"),
+        (LuminaireSource("a.IES"), "photometric"),
+        ("views", "dataset"),
+        ("bulbs", "luminaire"),
+        ("ies", "luminaire"),
+        ("lamp.xml", "luminaire"),
+        ({"type": "scene"}, "luminaire"),
+        (None, "luminaire"),
+    ):
+        assert source_kind(source) == kind
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_is_the_asset_that_a_bake_makes_of_it(name):
+    baked = lumitree.bake(name).asset
+    opened = lumitree.load(name)
+    assert opened.exitant.intensity.tolist() == baked.exitant.intensity.tolist()
+    assert opened.frame == baked.frame
+    # The same one while it is in use.
+    assert lumitree.load(name) is opened
+
+
+@pytest.mark.parametrize("name", ["a.ies", "d.TM25RAY"])
+def test_commands_take_files(name, folder, capsys):
+    for command, shown in (
+        (["info", name], "lumens"),
+        (["preview", name, "-o", "p.png", "--resolution", "8"], "p.png"),
+        (["photometry", name, "--paths", "16384", "--step", "15"], "luminous flux"),
+        (["export", name, "-o", "lamp.py"], "lights"),
+        (["view", name, "-o", "lamp.html"], "lamp.html"),
+    ):
+        assert main([*command, "--json", "report.json"]) == 0
+        assert shown in capsys.readouterr().out
+    report = json.loads((folder / "report.json").read_text())
+    assert report["page_bytes"] == (folder / "lamp.html").stat().st_size
+
+
+def test_files_light_rooms(folder, bakes):
+    command = ["render", "room.xml", "-o", "room.exr", "--spp", "16", "--json", "report.json"]
+    place = ["--place", "a.ies", "--at", "0,2,0", "--lumens", "500", "--gain", "0.5,1,1"]
+    assert main([*command, *place, "--place", "c.Ray", "--size", "0.4", "--at", "1,2,0"]) == 0
+    assert json.loads((folder / "report.json").read_text())["mean_radiance"] > 0
+    assert [name.rpartition("/")[2] for name in bakes] == ["a.ies", "c.Ray"]
+
+
+def test_placements_of_one_file_bake_once(folder, bakes):
+    from lumitree.rendering.scene import PlacedLuminaire
+
+    lamps = [f'[lamps.{i}]\nasset = "a.ies"\nat = [{i}, 2, 0]\nlumens = 300' for i in range(20)]
+    (folder / "lamps.toml").write_text("\n".join(lamps))
+    placed = [PlacedLuminaire(each) for each in lumitree.read_placements("lamps.toml")]
+    assert len({id(each.field) for each in placed}) == len(bakes) == 1
+
+
+@pytest.mark.parametrize("how", ["path", "scene"])
+def test_a_wall_gets_the_intensity_of_the_file(mi, folder, how):
+    """E = I / d² below the lamp, for a file given to `shape` and in a scene."""
+    lumitree.register()
+    lamp = lumitree.shape(folder / "a.ies")
+    if how == "scene":
+        xml = '<shape type="lumitree_proxy"><string name="filename" value="a.ies"/></shape>'
+        (folder / "lamp.xml").write_text(f'<scene version="3.0.0">{xml}</scene>')
+        lamp = mi.load_file("lamp.xml").shapes()[0]
+    found, _ = irradiance(mi, {"lamp": lamp}, [0, -3, 0], [0, 1, 0], samples=1 << 14)
+    assert luminance(found) == pytest.approx(100 / 9, rel=0.03)
+
+
+def test_a_placed_file_has_the_flux_and_the_colour_that_are_asked_for():
+    from lumitree.rendering.scene import PlacedLuminaire
+
+    placement = lumitree.Placement("a.ies", size=0.4, lumens=800, temperature=2700)
+    assert placement.is_baked
+    placed = PlacedLuminaire(placement)
+    watts = asset_watts(placed.field.asset) * placed.gain * 2**2
+    assert luminance(watts) == pytest.approx(800)
+    assert colour_temperature(watts)[0] == pytest.approx(2700, rel=1e-3)
+
+
+def test_an_asset_is_compared_with_its_file(folder, capsys):
+    lumitree.bake("a.ies", "a.lumitree", lumens=10.0)
+    command = ["evaluate", "a.lumitree", "a.ies", "-o", "sheet.png", "--json", "report.json"]
+    assert main([*command, "--irradiance-paths", "65536"]) == 0
+    report = json.loads((folder / "report.json").read_text())
+    # Without its gain.
+    assert report["metrics"]["irradiance_ratio"] == pytest.approx(1, abs=0.02)
+    assert report["irradiance"]["faces"]["-y"]["explicit_lux"] > 0
+    assert (folder / "sheet-irradiance.png").exists()
+    assert not (folder / "sheet.png").exists()
+    assert "held-out" not in capsys.readouterr().out
+    for target, options, message in (
+        ("c.Ray", {}, "bounding box of 0.2 x 0.0002 x 0.1, and .*lumitree photometry"),
+        ("a.ies", {"irradiance_paths": 0}, "nothing is compared"),
+        (LuminaireSource("a.ies", keep=("x",)), {}, "keep: not for an asset or a photometric file"),
+    ):
+        with pytest.raises(LumitreeError, match=message):
+            lumitree.evaluate("a.lumitree", target, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--parts", "exitant,field"], "parts are exitant, field, but a.ies is a photometric"),
+        (["--parts", "field"], "of which only the part exitant can be made"),
+        (["--parts", "exitant,model"], "of which only the part exitant can be made"),
+        (["--work", "w"], "work: not for a photometric file such as a.ies"),
+        (["--seed", "3"], "seed: not for"),
+        (["--irradiance-paths", "4096"], "irradiance_paths: not for"),
+        (["--time", "3s", "--depth", "4"], "time, tree_depth: not for"),
+        (["--keep", "a", "--materials", "m.toml"], "materials, keep: not for"),
+        (["--method", "nerf"], "is a photometric file, which has no shapes"),
+    ],
+)
+def test_settings_of_a_bake_that_do_not_apply_are_refused(folder, capsys, options, message):
+    before = sorted(folder.iterdir())
+    assert main(["bake", "a.ies", "-o", "a.lumitree", *options]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_bake_reports_its_progress_and_takes_what_says_nothing_else(folder):
+    reports = []
+    command = {"parts": ["exitant"], "irradiance_paths": 0, "seed": 0}
+    lumitree.bake("a.ies", progress=reports.append, **command)
+    assert [report.task for report in reports][-1] == "light of a.ies"
+    assert reports[-1].finished
+
+
+def test_many_lamps_of_both_kinds(folder, monkeypatch, bakes):
+    set_qualities(monkeypatch.setitem)
+    (folder / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=AREA)))
+    names = ["lamp.xml", "a.ies"]
+    settings = {"parts": ("exitant", "model"), "irradiance_paths": 1 << 12, "seed": 3}
+    with pytest.warns(LumitreeWarning, match="a.ies: irradiance_paths, seed, part model not used"):
+        result = lumitree.bake_many(names, "out", **settings)
+    assert [lamp.state for lamp in result.lamps] == ["baked", "baked"]
+    assert lumitree.load("out/lamp.lumitree").parts == ("exitant", "model")
+    # Without settings that do not apply there is no warning, and the file's lamp is kept.
+    again = lumitree.bake_many(["a.ies"], "out")
+    assert [lamp.state for lamp in again.lamps] == ["kept"]
+    assert len(bakes) == 1
+    with pytest.warns(LumitreeWarning, match="part field not used"):
+        failed = lumitree.bake_many(["B.LDT"], "out", parts=["field"])
+    assert "only the part exitant can be made" in failed.failed[0].error
+
+
+@pytest.mark.parametrize("options", [["--unit", "cm"], ["--up", "z"]])
+def test_the_unit_of_a_file_is_its_own(capsys, options):
+    assert main(["photometry", "a.ies", *options]) == 2
+    assert "unit and up: not for a photometric file such as a.ies" in capsys.readouterr().err
+
+
+def test_a_missing_or_broken_file_is_one_line(folder, capsys):
+    (folder / "broken.ies").write_text("not an IES file")
+    for command in (["info"], ["view", "-o", "a.html"], ["preview", "-o", "a.png"]):
+        for name in ("none.ies", "broken.ies"):
+            assert main([command[0], name, *command[1:]]) == 2
+            error = capsys.readouterr().err
+            assert name in error
+            assert error.count("\n") == 1
+
+
+def test_a_changed_file_is_read_again(folder):
+    first = lumitree.load("a.ies")
+    (folder / "a.ies").write_text((folder / "a.ies").read_text() + "\n")
+    assert lumitree.load("a.ies") is not first
+    assert asset_lumens(first) == pytest.approx(100 * np.pi, rel=0.02)
