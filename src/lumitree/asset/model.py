@@ -9,20 +9,26 @@ Symbols
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.checks import expect, expect_arrays
-from lumitree.asset.materials import (
+from lumitree.asset.checks import expect, expect_arrays, naming, require
+from lumitree.asset.materials import check_material, check_radiance
+from lumitree.asset.textures import (
+    VERTEX_RANGE,
+    ImageFacts,
     Json,
-    check_material,
-    check_radiance,
+    check_coordinates,
+    textures_of,
     uses_vertex_colours,
+    within,
 )
 from lumitree.core.frames import LocalFrame
 from lumitree.core.reading import Record
+from lumitree.errors import LumitreeError, shown
 
 _WHAT = "model"
 _expect = functools.partial(expect, _WHAT)
@@ -79,13 +85,21 @@ class AssetModel:
     def __post_init__(self) -> None:
         """Refuse what a renderer could not use safely."""
         _check_images(self.images)
+        facts = [ImageFacts.of(image) for image in self.images]
         _expect(0 < len(self.materials) <= MAX_MATERIALS, f"{len(self.materials)} materials")
-        for material in self.materials:
-            check_material(material, len(self.images))
         _expect(0 < len(self.shapes) <= MAX_SHAPES, f"{len(self.shapes)} shapes")
-        for shape in self.shapes:
-            _check_shape(shape, self)
+        for index, material in enumerate(self.materials):
+            with naming(lambda index=index: f"invalid model: material {_used(index, self)}"):
+                check_material(material, facts)
+        for index, shape in enumerate(self.shapes):
+            with naming(lambda index=index: f"invalid model: shape {index}"):
+                _check_shape(shape, len(self.materials), facts)
         _check_arrays(self)
+        for index, (shape, mesh) in enumerate(zip(self.shapes, self.meshes(), strict=True)):
+            with naming(lambda index=index: f"invalid model: shape {index}"):
+                check_surface(
+                    self.materials[shape["material"]], shape["radiance"], mesh or {}, facts
+                )
 
     @property
     def num_bytes(self) -> int:
@@ -150,43 +164,81 @@ def _counts(shape: Json) -> dict[str, int]:
     return {"vertices": count, **flags, "faces": shape["faces"]}
 
 
-def _check_shape(shape: Json, model: AssetModel) -> None:
+def check_surface(
+    material: Json, radiance: Any, mesh: "dict[str, NDArray[Any]]", images: Sequence[ImageFacts]
+) -> None:
+    """Refuse a shape whose textures its texture coordinates or colours of vertices do not fit.
+
+    Args:
+        material, radiance: that `asset.materials` accepts.
+        mesh: arrays of the shape by the names of `ARRAYS`, without those that it lacks.
+        images: of the model.
+    """
+    used = [material, radiance]
+    if uses_vertex_colours(used):
+        colours = mesh.get("colours", np.zeros(0))
+        if not len(colours):
+            raise LumitreeError("it has no colours of vertices, which its material uses")
+        values = float(colours.min()), float(colours.max())
+        if not within(values, VERTEX_RANGE):
+            raise LumitreeError(
+                f"its colours of vertices are {values[0]:.4g} to {values[1]:.4g}; expected 0 to 1"
+            )
+    found = [texture for texture in textures_of(used) if "image" in texture]
+    coordinates = mesh.get("texcoords", np.zeros((0, 2)))
+    # Without coordinates of its own a shape has those of Mitsuba, from 0 to 1.
+    largest = np.abs(coordinates).max(axis=0) if found and len(coordinates) else np.ones(2)
+    for texture in found:
+        check_coordinates(texture, images, largest)
+
+
+def _used(index: int, model: AssetModel) -> str:
+    """A material by its index, its plugin and the first shape that has it, for messages."""
+    material = model.materials[index]
+    kind = material.get("type") if isinstance(material, dict) else None
+    found = (
+        number
+        for number, shape in enumerate(model.shapes)
+        if isinstance(shape, dict) and shape.get("material") == index
+    )
+    first = next(found, None)
+    of = "of no shape" if first is None else f"of shape {first}"
+    return f"{index} ({shown(kind, 60)}, {of})"
+
+
+def _check_shape(shape: Json, num_materials: int, images: Sequence[ImageFacts]) -> None:
     record = Record(shape, "a shape")
     kind = record.choice("type", ("mesh", *_ANALYTIC))
     sides = [side for side in MEDIA_SIDES if record.has(side)]
     record.expect_keys(*_SHAPE_KEYS, *(_MESH_KEYS if kind == "mesh" else ("to_world",)), *sides)
     for side in sides:
         absorption = record.array(side, 3)
-        _expect(
+        require(
             (absorption >= 0).all() and (absorption <= _MAX_ABSORPTION).all(),
             f"{side} of a {kind} is {absorption.tolist()}, expected 0 to {_MAX_ABSORPTION:g}",
         )
     index = record.integer("material")
-    _expect(0 <= index < len(model.materials), f"a shape has the material {index}")
+    if not 0 <= index < num_materials:
+        raise LumitreeError(f"it has the material {index} of {num_materials}")
     flags = ["flipped"]
-    colours = False
     if kind == "mesh":
         flags += ["normals", "texcoords", "colours"]
         for name in ("vertices", "faces"):
-            _expect(record.integer(name) > 0, f"a mesh has {record.integer(name)} {name}")
-        colours = shape["colours"] is True
+            require(record.integer(name) > 0, f"a mesh has {record.integer(name)} {name}")
     else:
         matrix = record.array("to_world", 4, 4)
         bounded = np.abs(matrix).max() <= _MAX_COORDINATE and (matrix[3] == [0, 0, 0, 1]).all()
-        _expect(
+        require(
             bounded and np.linalg.det(matrix[:3, :3]) != 0, f"to_world of a {kind} is not affine"
         )
         if kind == "sphere":
             scale = np.linalg.norm(matrix[:3, :3], axis=0)
-            _expect(np.ptp(scale) <= 1e-4 * scale.max(), "a sphere is scaled non-uniformly")
+            require(np.ptp(scale) <= 1e-4 * scale.max(), "a sphere is scaled non-uniformly")
     for name in flags:
-        _expect(isinstance(shape[name], bool), f"{name} of a {kind} is not true or false")
+        require(isinstance(shape[name], bool), f"{name} of a {kind} is not true or false")
     radiance = shape["radiance"]
     if radiance is not None:
-        check_radiance(radiance, len(model.images))
-    if not colours:
-        used = uses_vertex_colours([model.materials[index], radiance])
-        _expect(not used, f"a {kind} without colours of vertices has a material that uses them")
+        check_radiance(radiance, images)
 
 
 def _check_images(images: tuple[NDArray[Any], ...]) -> None:
