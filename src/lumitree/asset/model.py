@@ -101,6 +101,13 @@ class AssetModel:
                     self.materials[shape["material"]], shape["radiance"], mesh or {}, facts
                 )
 
+    def __repr__(self) -> str:
+        return (
+            f"AssetModel({len(self.shapes):,} shapes, {self.num_triangles:,} triangles, "
+            f"{len(self.materials):,} materials, {len(self.images):,} images, "
+            f"{self.num_bytes:,} bytes)"
+        )
+
     @property
     def num_bytes(self) -> int:
         """Bytes of all arrays and images."""

@@ -65,6 +65,13 @@ class Luminaire:
     bounding_radius: float
     shapes: tuple[SceneShape, ...]
 
+    def __repr__(self) -> str:
+        size = " x ".join(f"{side:.4g}" for side in self.size)
+        return (
+            f"Luminaire({shown(repr(self.name))}: {len(self.scene.shapes()):,} shapes, "
+            f"{self.num_triangles:,} triangles, {self.num_emitters:,} emitters, size {size})"
+        )
+
     @property
     def num_triangles(self) -> int:
         """Number of triangles of its meshes."""
