@@ -88,8 +88,9 @@ class Asset:
 
     def __repr__(self) -> str:
         size = " x ".join(f"{side:.4g}" for side in self.frame.size)
+        parts = " + ".join(self.parts) or "empty"
         return (
-            f"Asset({shown(repr(self.luminaire))}: {' + '.join(self.parts) or 'empty'}, size {size}, "
+            f"Asset({shown(repr(self.luminaire))}: {parts}, size {size}, "
             f"{self.num_leaves:,} leaves of depth {self.tree_depth}, {self.num_bytes:,} bytes)"
         )
 
