@@ -143,15 +143,16 @@ class AssetModel:
 
     def check_inside(self, frame: LocalFrame) -> None:
         """Refuse a model of which a part is outside the luminaire's box."""
-        corners = [self.vertices.astype(np.float64)]
-        corners += [_bounds(shape) for shape in self.shapes if shape["type"] != "mesh"]
-        points = np.concatenate(corners)
-        local = (points - frame.centre) @ frame.rotation / frame.scale
-        outside = float((np.abs(local) - frame.half_extents).max())
-        _expect(
-            outside <= _OUTSIDE + 1e-6 * np.abs(points).max() / frame.scale,
-            f"a shape is {outside:.3g} local units outside the box",
-        )
+        # Coordinates are rounded to single precision.
+        rounding = 1e-6 * (np.abs(frame.centre).max() / frame.scale + 2)
+        for index, (shape, mesh) in enumerate(zip(self.shapes, self.meshes(), strict=True)):
+            points = _bounds(shape) if mesh is None else mesh["vertices"].astype(np.float64)
+            local = (points - frame.centre) @ frame.rotation / frame.scale
+            outside = float((np.abs(local) - frame.half_extents).max())
+            _expect(
+                outside <= _OUTSIDE + rounding,
+                f"shape {index} is {outside:.3g} local units outside the box",
+            )
 
 
 # The arrays of meshes: type and width.
@@ -283,9 +284,10 @@ def _check_arrays(model: AssetModel) -> None:
             (np.abs(getattr(model, name)) <= _MAX_COORDINATE).all(),
             f"{name} hold NaN or values above {_MAX_COORDINATE:g}",
         )
-    for shape, mesh in zip(model.shapes, model.meshes(), strict=True):
+    for index, (shape, mesh) in enumerate(zip(model.shapes, model.meshes(), strict=True)):
         if mesh is not None:
-            _expect(mesh["faces"].max() < shape["vertices"], "a face has an unknown vertex")
+            known = mesh["faces"].max() < shape["vertices"]
+            _expect(known, f"shape {index}: a face has an unknown vertex")
 
 
 def _bounds(shape: Json) -> NDArray[np.float64]:
