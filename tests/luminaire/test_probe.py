@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lamps import AREA, cube, lamp_of, scene, sphere
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaire.luminaire import load_luminaire
 
 CHECKER = '<texture type="checkerboard" name="{}"/>'
@@ -133,6 +133,21 @@ def test_rooms_are_tried_too(folder, element, expected):
 
     (folder / "room.xml").write_text(scene('<sensor type="perspective"/>', BULB, element))
     with pytest.raises(LumitreeError, match=expected):
+        load_scene(str(folder / "room.xml"))
+
+
+def test_attributes_that_a_shape_lacks_are_named(folder):
+    colours = ATTRIBUTE.replace("radiance", "reflectance")
+    with pytest.warns(LumitreeWarning, match="lamp: shape 'box' has no attribute 'vertex_color'"):
+        lamp_of(folder, BULB, cube("box", 1, inside=f'<bsdf type="diffuse">{colours}</bsdf>'))
+
+
+def test_an_area_emitter_of_a_room_that_emits_nothing_is_said(folder):
+    from lumitree.rendering.scene import load_scene
+
+    room = scene('<integrator type="path"/><sensor type="perspective"/>', BULB, AREA)
+    (folder / "room.xml").write_text(room)
+    with pytest.warns(LumitreeWarning, match="area emitter outside of a shape emits nothing"):
         load_scene(str(folder / "room.xml"))
 
 

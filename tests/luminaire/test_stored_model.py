@@ -238,6 +238,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:.* has no attribute 'vertex_color'")
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_cannot_be_stored_is_refused_in_a_line(luminaire, name):
     shape, reason = REFUSED[name]

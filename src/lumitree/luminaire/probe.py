@@ -5,11 +5,12 @@ texture, or a curve that emits. Nothing is compiled here: the functions of the p
 they compute is dropped.
 """
 
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from lumitree.core.backend import load_mitsuba
-from lumitree.errors import LumitreeError, renderer_reason, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, renderer_reason, shown
 from lumitree.luminaire.scene_shapes import SceneShape, shapes_of_scene
 
 
@@ -17,6 +18,8 @@ def check_evaluates(
     scene: Any, shapes: Sequence[SceneShape], where: str, *, rays: bool = True
 ) -> None:
     """Refuse a scene with a BSDF or an emitter that Mitsuba cannot evaluate.
+
+    Warns of mesh attributes that a shape lacks.
 
     Args:
         scene: mi.Scene.
@@ -39,6 +42,14 @@ def check_evaluates(
         if emitter is not None:
             what = f"the emitter of shape {names.label}, {names.emitter or emitter.class_name()},"
             _try(_emitter_calls(emitter, shape, rays), f"{where}: {what}")
+        for name in names.attributes:
+            if not all(shape.has_attribute(name)):
+                warnings.warn(
+                    f"{where}: shape {names.label} has no attribute {shown(name, 60)!r}, which its "
+                    "BSDF or emitter uses; it is 0 there",
+                    LumitreeWarning,
+                    stacklevel=3,
+                )
     for emitter in scene.emitters():
         if emitter.get_shape() is None:
             calls = _emitter_calls(emitter, None, False)

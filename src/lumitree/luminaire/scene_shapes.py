@@ -24,6 +24,7 @@ class SceneShape:
         materials: ids of its BSDF and of those that this one holds, of which only some have any.
         bsdf: plugin of its BSDF, and of the textures that this one names; empty if it has none.
         emitter: likewise.
+        attributes: names of the mesh attributes that its BSDF and its emitter use.
 
     Of a `mi.Scene` there are classes in place of plugins.
     """
@@ -34,6 +35,7 @@ class SceneShape:
     materials: tuple[str, ...]
     bsdf: str
     emitter: str
+    attributes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         material = f", BSDF {shown(self.materials[0], 40)}" if self.materials else ""
@@ -65,6 +67,7 @@ def shape_of_node(number: int, key: str, node: Any, file: Any) -> SceneShape:
         materials=tuple(_ids(file, bsdfs)),
         bsdf=", ".join(_described(file, each) for each in bsdfs),
         emitter=", ".join(_described(file, each) for each in emitters),
+        attributes=tuple(dict.fromkeys(_attributes(file, [*bsdfs, *emitters]))),
     )
 
 
@@ -98,6 +101,14 @@ def _described(file: Any, node: Any) -> str:
         if child.type == load_mitsuba().ObjectType.Texture
     ]
     return node.props.plugin_name() + (f" with {', '.join(textures)}" if textures else "")
+
+
+def _attributes(file: Any, nodes: list[Any]) -> Iterator[str]:
+    """Names of the mesh attributes that nodes, or those that they hold, refer to."""
+    for node in nodes:
+        if node.props.plugin_name() == "mesh_attribute":
+            yield str(node.props.get("name", ""))
+        yield from _attributes(file, list(file.children(node.props).values()))
 
 
 def _ids(file: Any, bsdfs: list[Any]) -> Iterator[str]:

@@ -162,7 +162,10 @@ def load_scene(
     kind = described[0].plugin_name() if described else None
     if box_filter:
         file.set_box_filter()
-    for note in file.notes:
+    notes = list(file.notes)
+    if "area" in file.loose_lights():
+        notes.append("an area emitter outside of a shape emits nothing")
+    for note in notes:
         warnings.warn(f"{path}: {note}", LumitreeWarning, stacklevel=2)
     shapes = file.shapes
     scene = file.instantiate()
