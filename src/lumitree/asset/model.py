@@ -253,16 +253,16 @@ def _check_images(images: tuple[NDArray[Any], ...]) -> None:
     _expect(len(images) <= MAX_IMAGES, f"{len(images)} images, expected at most {MAX_IMAGES}")
     total = sum(image.nbytes for image in images)
     _expect(total <= MAX_IMAGE_BYTES, f"images of {total} bytes, at most {MAX_IMAGE_BYTES}")
-    for image in images:
+    for index, image in enumerate(images):
         sides, channels = image.shape[:2], image.shape[2:]
         _expect(
             len(sides) == 2 and all(0 < side <= MAX_IMAGE_SIDE for side in sides),
-            f"an image is {image.shape}, expected [height, width, channels]",
+            f"image {index} is {image.shape}, expected [height, width, channels]",
         )
-        _expect(channels in ((1,), (3,), (4,)), f"an image has {channels} channels")
+        _expect(channels in ((1,), (3,), (4,)), f"image {index} has {channels} channels")
         _expect(
             image.dtype in (np.uint8, np.float32) and np.isfinite(image).all(),
-            f"an image is {image.dtype}, expected uint8 or finite float32",
+            f"image {index} is {image.dtype}, expected uint8 or finite float32",
         )
 
 
