@@ -1,12 +1,15 @@
 """The exception and the warning of lumitree, and functions that format their messages."""
 
 import functools
+import re
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 _SHOWN_NAMES, _SHOWN_CHARACTERS = 12, 40
+# Mitsuba's messages begin with the class or the line of its source that found the error.
+_MITSUBA = re.compile(r"^\W*\[[\w:.]+(\[\w+\])?\] ")
 
 
 class LumitreeError(Exception):
@@ -71,12 +74,38 @@ def explained(function: F) -> F:
         except OverflowError as error:
             reason = f"a number is too large: {shown(error, 200)}"
         except RuntimeError as error:
-            if not _is_out_of_memory(error):
+            if _is_out_of_memory(error):
+                reason = f"not enough memory: {shown(error, 200)}; choose smaller sizes"
+            elif (found := renderer_reason(error)) is not None:
+                raise LumitreeError(f"Mitsuba stopped: {shown(found, 400)}") from error
+            else:
                 raise
-            reason = f"not enough memory: {shown(error, 200)}; choose smaller sizes"
         raise LumitreeError(reason)
 
     return cast(F, run)
+
+
+def renderer_reason(error: BaseException) -> str | None:
+    """What is wrong with a scene, from an exception of Mitsuba.
+
+    Returns:
+        The message of a `LumitreeError` that a plugin of lumitree raised, or else Mitsuba's,
+        without its place in the source. None if the exception is of another kind, such as one in
+        Python, or one of Dr.Jit for a wrong call: that is an error in the program.
+    """
+    text = str(error)
+    if own := re.search(r"LumitreeError: (.*)", text):
+        return own.group(1)
+    behind = error.__cause__ or error.__context__
+    if "Traceback (most recent call last)" in text or not isinstance(error, RuntimeError):
+        return None
+    line = " ".join(text.split())
+    if not _MITSUBA.match(line):
+        # Dr.Jit wraps what is raised while it traces a loop or renders.
+        return None if behind is None else renderer_reason(behind)
+    line = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", _MITSUBA.sub("", line))
+    # An object is printed as "Class[ member = ... ]".
+    return re.sub(r"\[ .* \]", "", line)
 
 
 def _is_out_of_memory(error: RuntimeError) -> bool:

@@ -14,7 +14,8 @@ from exitant_fields import random_exitant
 from fields import random_asset
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.file import _digest, load, save
-from lumitree.asset.materials import CONDUCTORS, check_material
+from lumitree.asset.materials import check_material
+from lumitree.asset.measured import CONDUCTORS, INDICES
 from lumitree.asset.model import AssetModel
 from lumitree.asset.model_bytes import model_tensors
 from lumitree.core.frames import LocalFrame
@@ -198,7 +199,14 @@ def test_the_names_of_conductors_are_mitsubas(mi):
 
     folder = Path(mi.__file__).parent / "data" / "ior"
     found = {path.name.removesuffix(".eta.spd") for path in folder.glob("*.eta.spd")}
-    assert found | {"none"} == CONDUCTORS
+    assert (found | {"none"}) - CONDUCTORS == {"AlSb", "AlSb_palik"}
+    assert found | {"none"} > CONDUCTORS
+
+
+def test_the_indices_of_refraction_are_mitsubas(mi):
+    for name, index in INDICES.items():
+        made = mi.load_dict({"type": "dielectric", "int_ior": name, "ext_ior": 1.0})
+        assert np.ravel(mi.traverse(made)["eta"])[0] == np.float32(index)
 
 
 BROKEN = {
@@ -232,10 +240,13 @@ BROKEN = {
         "normals of a mesh is not true or false",
     ),
     "radiance": (lambda d: d["shapes"][1].update(radiance=[1, 2, -3]), "radiance is"),
-    "a material": (lambda d: d["shapes"][1].update(material=3), "has the material 3"),
+    "a material": (
+        lambda d: d["shapes"][1].update(material=3),
+        "shape 1: it has the material 3",
+    ),
     "colours": (
         lambda d: d["materials"][1].update(specular_reflectance={"attribute": "vertex_color"}),
-        "without colours of vertices",
+        "shape 1: it has no colours of vertices",
     ),
     "absorption": (
         lambda d: d["shapes"][2].update(interior=[1, -1, 0]),
@@ -279,6 +290,10 @@ def set_to(name, index, value):
         (set_to("model.vertices", (0, 0), np.nan), "vertices hold NaN"),
         (set_to("model.vertices", (0, 0), 1.2), "outside the box"),
         (set_to("model.normals", (0, 0), np.inf), "normals hold NaN"),
+        (
+            set_to("model.texcoords", (0, 1), 1e12),
+            r"shape 0: texture coordinates reach 3e\+12 pixels .* expected at most 1073741824",
+        ),
         (lambda t: t.pop("model.faces"), "lacks"),
         (lambda t: t.pop("model.shapes"), "unknown key"),
     ],
@@ -321,9 +336,54 @@ def test_mutated_models_load_soundly_or_are_refused_in_a_line(original, tmp_path
     assert refusals > ROUNDS / 3
 
 
+def float_image(value):
+    """A model whose float image, the opacity of material 0, holds a value."""
+    image = np.full((2, 3, 1), 0.5, np.float32)
+    image[1, 1] = value
+    return small_model(images=(image, small_model().images[1]))
+
+
+def coloured(value):
+    """A model whose shape 0 reflects the colours of its vertices, one of which is a value."""
+    colours = small_model().colours.copy()
+    colours[2, 1] = value
+    reflects = {"type": "diffuse", "reflectance": {"attribute": "vertex_color"}}
+    return small_model(colours=colours, materials=(reflects, *small_model().materials[1:]))
+
+
+@pytest.mark.parametrize("value", [-1e-3, 1.01, 1e12])
+def test_values_of_images_and_of_vertices_have_the_range_of_their_parameter(value):
+    with pytest.raises(
+        LumitreeError,
+        match=r"material 0 \(mask, of shape 0\): opacity of mask is an image of values from",
+    ):
+        float_image(value)
+    with pytest.raises(LumitreeError, match=r"shape 0: its colours of vertices are .* 0 to 1"):
+        coloured(value)
+    # Rounding to 16 bits is not refused, and colours that no material uses are not looked at.
+    assert float_image(1.0005).images
+    assert coloured(1.0005).materials
+    assert small_model(colours=np.full((4, 3), value, np.float32)).num_triangles == 8
+
+
+def test_radiance_is_no_colour_of_vertices_and_not_negative():
+    """Mitsuba cannot sample an emitter by the colours of its vertices."""
+    shapes = list(small_model().shapes)
+    texture = small_model().materials[0]["opacity"]
+    for radiance, found in (
+        ({"attribute": "vertex_color"}, "radiance is the colours of the vertices"),
+        (texture, "radiance is an image of values from -2 to"),
+    ):
+        changed = ({**shapes[0], "radiance": radiance}, *shapes[1:])
+        image = np.array([[[-2], [1], [0]]] * 2, np.float32)
+        plain = ({"type": "diffuse"}, *small_model().materials[1:])
+        with pytest.raises(LumitreeError, match=f"shape 0: {found}"):
+            small_model(shapes=changed, materials=plain, images=(image, image))
+
+
 def test_deep_materials_are_refused():
     material = {"type": "diffuse"}
     for _ in range(8):
         material = {"type": "twosided", "nested": [material]}
     with pytest.raises(LumitreeError, match="nested more than 8 deep"):
-        check_material(material, 0)
+        check_material(material, [])

@@ -85,3 +85,12 @@ def test_sides_without_pixels_reserve_no_memory(layers):
     path.write_bytes(good[:window] + 2 * (2**20).to_bytes(4, "little") + good[window + 8 :])
     with pytest.raises(LumitreeError, match="1048577 x 1048577 pixels; expected"):
         read_exr(path)
+
+
+def test_channels_count_before_they_are_read(layers, monkeypatch):
+    path, _ = layers
+    monkeypatch.setattr("lumitree.core.images._MAX_VALUES", 5 * 7 * 6)
+    assert len(read_exr(path)) == 2
+    monkeypatch.setattr("lumitree.core.images._MAX_VALUES", 5 * 7 * 6 - 1)
+    with pytest.raises(LumitreeError, match="6 channels of 7 x 5 pixels; expected at most 209"):
+        read_exr(path)

@@ -89,9 +89,9 @@ def test_emission_has_the_gain_of_the_asset():
 
 
 def test_all_plugins_that_an_asset_may_have_become_nodes():
-    from lumitree.asset.materials import _PLUGINS
+    from lumitree.asset.plugins import PLUGINS
 
-    assert {each["type"] for each in MATERIALS} == set(_PLUGINS)
+    assert {each["type"] for each in MATERIALS} == set(PLUGINS)
     found, lost = trees(every_material())
     json.dumps(found, allow_nan=False)
     assert all(any(each["node"] == "ShaderNodeEmission" for each in nodes_of(t)) for t in found)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from lumitree.asset.measured import CONDUCTORS
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.importers.overrides import (
     Overrides,
@@ -16,7 +17,7 @@ from lumitree.importers.overrides import (
     material_area,
     select_parts,
 )
-from lumitree.importers.overrides_file import _CONDUCTORS, read_overrides
+from lumitree.importers.overrides_file import read_overrides
 from lumitree.model.geometry import Mesh
 from lumitree.model.model import (
     Diffuse,
@@ -170,9 +171,15 @@ def test_nothing_overridden_is_the_same_model():
     assert apply_overrides(model, Overrides()).parts == model.parts
 
 
-def test_every_conductor_is_known_to_mitsuba(mi):
-    for name in _CONDUCTORS.split():
-        mi.load_dict({"type": "conductor", "material": name})
+def test_conductors_are_those_of_assets(written):
+    """So that what is imported can be stored."""
+    for name in (*CONDUCTORS, "AlSb", "unobtainium"):
+        text = f'material.steel.metal.conductor = "{name}"'
+        if name in CONDUCTORS:
+            assert apply_overrides(lamp(), written(text)).materials[0].surface.conductor == name
+        else:
+            with pytest.raises(LumitreeError, match="conductor"):
+                written(text)
 
 
 @pytest.mark.parametrize(

@@ -260,7 +260,7 @@ def test_dropping_alone_leaves_the_rest_of_the_scene(room):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"keep": ("lamp",)}, "--keep 'lamp' matches no shape's id; there are lamp_bulb,"),
+        ({"keep": ("lamp",)}, "--keep 'lamp' matches no shape's id, BSDF's id or number"),
         ({"keep": ("lamp_*",), "drop": ("sky",)}, "--drop 'sky' matches no shape's id"),
         ({"keep": ("lamp_*",), "drop": ("*",)}, "leave nothing"),
         ({"keep": ("lamp_shade",)}, "holds no emitter"),

@@ -42,6 +42,10 @@ SURFACES = {
     "blend": '<bsdf type="blendbsdf"><float name="weight" value="0.3"/><bsdf type="diffuse"/>'
     '<bsdf type="principledthin"><float name="diff_trans" value="0.7"/></bsdf></bsdf>',
     "default": "",
+    "stretched": '<bsdf type="roughconductor"><float name="alpha_u" value="0.1"/>'
+    '<float name="alpha_v" value="0.4"/></bsdf>',
+    "bumps": '<bsdf type="bumpmap"><texture type="bitmap" name="any">'
+    '<string name="filename" value="grey.exr"/></texture><bsdf type="diffuse"/></bsdf>',
 }
 SHAPES = {
     "sphere": lambda inside: sphere("other", 0.4, (2, 0.1, 0), inside),
@@ -176,7 +180,38 @@ REFUSED = {
         cube("a", 0.2, (2, 0, 0), GLASS + MEDIUM.format("interior", 1, 0.5)),
         "media that scatter light",
     ),
-    "a BSDF": (cube("a", 0.2, (2, 0, 0), '<bsdf type="hair"/>'), "hair"),
+    "a BSDF": (cube("a", 0.2, (2, 0, 0), '<bsdf type="hair"/>'), "shape 'a': .*hair"),
+    "plastic in glass": (
+        cube(
+            "a",
+            0.2,
+            (2, 0, 0),
+            '<bsdf type="plastic"><float name="int_ior" value="1.2"/>'
+            '<float name="ext_ior" value="1.5"/></bsdf>',
+        ),
+        "shape 'a': plastic has int_ior 1.2.* and ext_ior 1.5; expected int_ior > ext_ior",
+    ),
+    "scaled colours of vertices": (
+        cube(
+            "a",
+            0.2,
+            (2, 0, 0),
+            '<bsdf type="diffuse"><texture type="mesh_attribute" name="reflectance">'
+            '<string name="name" value="vertex_color"/><float name="scale" value="0.5"/></texture>'
+            "</bsdf>",
+        ),
+        "shape 'a': a mesh_attribute has a parameter 'scale'",
+    ),
+    "colours that are not there": (
+        cube(
+            "a",
+            0.2,
+            (2, 0, 0),
+            '<bsdf type="diffuse"><texture type="mesh_attribute" name="reflectance">'
+            '<string name="name" value="vertex_color"/></texture></bsdf>',
+        ),
+        "shape 'a': it has no colours of vertices",
+    ),
     "a parameter": (
         cube(
             "a",
@@ -198,11 +233,12 @@ REFUSED = {
     "instances": (
         '<shape type="shapegroup" id="g"><shape type="sphere"/></shape>'
         '<shape type="instance"><ref id="g"/></shape>',
-        "shape 'shapegroup'|shape 'instance'|instances",
+        "shape 'g': a shapegroup holds an object",
     ),
 }
 
 
+@pytest.mark.filterwarnings("ignore:.* has no attribute 'vertex_color'")
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_cannot_be_stored_is_refused_in_a_line(luminaire, name):
     shape, reason = REFUSED[name]

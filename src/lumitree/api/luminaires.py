@@ -54,8 +54,9 @@ def load_luminaire(
             `mitsuba.Scene`.
         materials: path of a TOML file that overrides materials, unit and up axis of a model.
             Default: the file with the model's name and the suffix `.toml`, if there is one.
-        keep: patterns, with `*` and `?`, of the shapes to take: ids of shapes in a Mitsuba scene,
-            names of parts or of materials in a model. Default: all.
+        keep: patterns, with `*` and `?`, of the shapes to take: ids of shapes or of their BSDFs in
+            a Mitsuba scene, names of parts or of materials in a model. In a Mitsuba scene "#3" is
+            the shape with this number, as `preview` lists it. Default: all.
         drop: patterns of the shapes to leave out. Default: none.
         variant: Mitsuba variant; see `bake`.
 

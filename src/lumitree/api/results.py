@@ -14,6 +14,7 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.errors import shown
 from lumitree.goniophotometry.figures import PhotometricFigures
 from lumitree.goniophotometry.near_field import NearFieldLimit
+from lumitree.luminaire.scene_shapes import SceneShape
 
 Json = dict[str, Any]
 
@@ -271,6 +272,9 @@ class PreviewResult(ImageResult):
             is not closed.
         bounces: share of the flux that short paths miss; None if it was not measured.
         sheet: file of the contact sheet; None if none was written.
+        shapes: its shapes, with `number`, `name` (id), and `materials` (ids of BSDFs, names of
+            materials), by which `keep` and `drop` find them; and with their plugins, `kind`, `bsdf`
+            and `emitter`.
     """
 
     luminaire: str
@@ -285,6 +289,7 @@ class PreviewResult(ImageResult):
     faults: list[str]
     sheet: Path | None
     bounces: list[MissedFlux] | None = None
+    shapes: tuple[SceneShape, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)

@@ -75,7 +75,7 @@ def preview(
 
     Returns:
         The figures of the luminaire or the asset (`AssetPreviewResult`), and the contact sheet as
-        `png`.
+        `png`. Those of a luminaire have its `shapes`, for `keep` and `drop` of `load_luminaire`.
 
     Raises:
         LumitreeError: an argument is out of range; the luminaire cannot be read; or the file cannot
@@ -127,6 +127,7 @@ def preview(
         exposure=views.exposure,
         faults=faults,
         bounces=[MissedFlux(**dataclasses.asdict(each)) for each in missed] or None,
+        shapes=lamp.shapes,
         sheet=None if sheet is None else Path(sheet),
         png=b"",
         **watch.costs(),

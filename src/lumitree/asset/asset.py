@@ -20,7 +20,7 @@ from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import label
 from lumitree.core.transmittance import LAWS, Law
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 from lumitree.octree.build import MAX_TREE_DEPTH
 
 # What a renderer computes from values within these bounds is finite in float32, squares included.
@@ -85,6 +85,14 @@ class Asset:
         if self.model is not None:
             self.model.check_inside(self.frame)
             _expect(self.num_leaves or self.exitant, "a model without anything that illuminates")
+
+    def __repr__(self) -> str:
+        size = " x ".join(f"{side:.4g}" for side in self.frame.size)
+        parts = " + ".join(self.parts) or "empty"
+        return (
+            f"Asset({shown(repr(self.luminaire))}: {parts}, size {size}, "
+            f"{self.num_leaves:,} leaves of depth {self.tree_depth}, {self.num_bytes:,} bytes)"
+        )
 
     @property
     def num_leaves(self) -> int:

@@ -1,5 +1,7 @@
 """Checks that all parts of an asset share."""
 
+import contextlib
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -8,10 +10,24 @@ from numpy.typing import NDArray
 from lumitree.errors import LumitreeError
 
 
+def require(condition: Any, message: str) -> None:
+    """Raise a `LumitreeError` with a message if the condition is false."""
+    if not condition:
+        raise LumitreeError(message)
+
+
 def expect(what: str, condition: Any, message: str) -> None:
     """Refuse `what` with a message if the condition is false."""
-    if not condition:
-        raise LumitreeError(f"invalid {what}: {message}")
+    require(condition, f"invalid {what}: {message}")
+
+
+@contextlib.contextmanager
+def naming(name: Callable[[], str]) -> Iterator[None]:
+    """Context in which messages of a `LumitreeError` begin with a name, which is made on demand."""
+    try:
+        yield
+    except LumitreeError as error:
+        raise LumitreeError(f"{name()}: {error}") from None
 
 
 def expect_arrays(

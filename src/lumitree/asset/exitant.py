@@ -141,6 +141,12 @@ class ExitantField:
         _expect(self.lit.any(axis=1).all(), "a cell emits nothing")
         _expect((self.intensity & ((1 << EXPONENT_SHIFT) - 1)).all(), "an intensity is 0")
 
+    def __repr__(self) -> str:
+        return (
+            f"ExitantField({len(self.cells):,} cells of {self.resolution**2:,} directions, "
+            f"{self.num_bytes:,} bytes)"
+        )
+
     @property
     def num_bytes(self) -> int:
         """Bytes of all arrays."""

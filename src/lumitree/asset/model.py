@@ -9,20 +9,26 @@ Symbols
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.checks import expect, expect_arrays
-from lumitree.asset.materials import (
+from lumitree.asset.checks import expect, expect_arrays, naming, require
+from lumitree.asset.materials import check_material, check_radiance
+from lumitree.asset.textures import (
+    VERTEX_RANGE,
+    ImageFacts,
     Json,
-    check_material,
-    check_radiance,
+    check_coordinates,
+    textures_of,
     uses_vertex_colours,
+    within,
 )
 from lumitree.core.frames import LocalFrame
 from lumitree.core.reading import Record
+from lumitree.errors import LumitreeError, shown
 
 _WHAT = "model"
 _expect = functools.partial(expect, _WHAT)
@@ -79,13 +85,28 @@ class AssetModel:
     def __post_init__(self) -> None:
         """Refuse what a renderer could not use safely."""
         _check_images(self.images)
+        facts = [ImageFacts.of(image) for image in self.images]
         _expect(0 < len(self.materials) <= MAX_MATERIALS, f"{len(self.materials)} materials")
-        for material in self.materials:
-            check_material(material, len(self.images))
         _expect(0 < len(self.shapes) <= MAX_SHAPES, f"{len(self.shapes)} shapes")
-        for shape in self.shapes:
-            _check_shape(shape, self)
+        for index, material in enumerate(self.materials):
+            with naming(lambda index=index: f"invalid model: material {_used(index, self)}"):
+                check_material(material, facts)
+        for index, shape in enumerate(self.shapes):
+            with naming(lambda index=index: f"invalid model: shape {index}"):
+                _check_shape(shape, len(self.materials), facts)
         _check_arrays(self)
+        for index, (shape, mesh) in enumerate(zip(self.shapes, self.meshes(), strict=True)):
+            with naming(lambda index=index: f"invalid model: shape {index}"):
+                check_surface(
+                    self.materials[shape["material"]], shape["radiance"], mesh or {}, facts
+                )
+
+    def __repr__(self) -> str:
+        return (
+            f"AssetModel({len(self.shapes):,} shapes, {self.num_triangles:,} triangles, "
+            f"{len(self.materials):,} materials, {len(self.images):,} images, "
+            f"{self.num_bytes:,} bytes)"
+        )
 
     @property
     def num_bytes(self) -> int:
@@ -122,15 +143,16 @@ class AssetModel:
 
     def check_inside(self, frame: LocalFrame) -> None:
         """Refuse a model of which a part is outside the luminaire's box."""
-        corners = [self.vertices.astype(np.float64)]
-        corners += [_bounds(shape) for shape in self.shapes if shape["type"] != "mesh"]
-        points = np.concatenate(corners)
-        local = (points - frame.centre) @ frame.rotation / frame.scale
-        outside = float((np.abs(local) - frame.half_extents).max())
-        _expect(
-            outside <= _OUTSIDE + 1e-6 * np.abs(points).max() / frame.scale,
-            f"a shape is {outside:.3g} local units outside the box",
-        )
+        # Coordinates are rounded to single precision.
+        rounding = 1e-6 * (np.abs(frame.centre).max() / frame.scale + 2)
+        for index, (shape, mesh) in enumerate(zip(self.shapes, self.meshes(), strict=True)):
+            points = _bounds(shape) if mesh is None else mesh["vertices"].astype(np.float64)
+            local = (points - frame.centre) @ frame.rotation / frame.scale
+            outside = float((np.abs(local) - frame.half_extents).max())
+            _expect(
+                outside <= _OUTSIDE + rounding,
+                f"shape {index} is {outside:.3g} local units outside the box",
+            )
 
 
 # The arrays of meshes: type and width.
@@ -150,59 +172,97 @@ def _counts(shape: Json) -> dict[str, int]:
     return {"vertices": count, **flags, "faces": shape["faces"]}
 
 
-def _check_shape(shape: Json, model: AssetModel) -> None:
+def check_surface(
+    material: Json, radiance: Any, mesh: "dict[str, NDArray[Any]]", images: Sequence[ImageFacts]
+) -> None:
+    """Refuse a shape whose textures its texture coordinates or colours of vertices do not fit.
+
+    Args:
+        material, radiance: that `asset.materials` accepts.
+        mesh: arrays of the shape by the names of `ARRAYS`, without those that it lacks.
+        images: of the model.
+    """
+    used = [material, radiance]
+    if uses_vertex_colours(used):
+        colours = mesh.get("colours", np.zeros(0))
+        if not len(colours):
+            raise LumitreeError("it has no colours of vertices, which its material uses")
+        values = float(colours.min()), float(colours.max())
+        if not within(values, VERTEX_RANGE):
+            raise LumitreeError(
+                f"its colours of vertices are {values[0]:.4g} to {values[1]:.4g}; expected 0 to 1"
+            )
+    found = [texture for texture in textures_of(used) if "image" in texture]
+    coordinates = mesh.get("texcoords", np.zeros((0, 2)))
+    # Without coordinates of its own a shape has those of Mitsuba, from 0 to 1.
+    largest = np.abs(coordinates).max(axis=0) if found and len(coordinates) else np.ones(2)
+    for texture in found:
+        check_coordinates(texture, images, largest)
+
+
+def _used(index: int, model: AssetModel) -> str:
+    """A material by its index, its plugin and the first shape that has it, for messages."""
+    material = model.materials[index]
+    kind = material.get("type") if isinstance(material, dict) else None
+    found = (
+        number
+        for number, shape in enumerate(model.shapes)
+        if isinstance(shape, dict) and shape.get("material") == index
+    )
+    first = next(found, None)
+    of = "of no shape" if first is None else f"of shape {first}"
+    return f"{index} ({shown(kind, 60)}, {of})"
+
+
+def _check_shape(shape: Json, num_materials: int, images: Sequence[ImageFacts]) -> None:
     record = Record(shape, "a shape")
     kind = record.choice("type", ("mesh", *_ANALYTIC))
     sides = [side for side in MEDIA_SIDES if record.has(side)]
     record.expect_keys(*_SHAPE_KEYS, *(_MESH_KEYS if kind == "mesh" else ("to_world",)), *sides)
     for side in sides:
         absorption = record.array(side, 3)
-        _expect(
+        require(
             (absorption >= 0).all() and (absorption <= _MAX_ABSORPTION).all(),
             f"{side} of a {kind} is {absorption.tolist()}, expected 0 to {_MAX_ABSORPTION:g}",
         )
     index = record.integer("material")
-    _expect(0 <= index < len(model.materials), f"a shape has the material {index}")
+    if not 0 <= index < num_materials:
+        raise LumitreeError(f"it has the material {index} of {num_materials}")
     flags = ["flipped"]
-    colours = False
     if kind == "mesh":
         flags += ["normals", "texcoords", "colours"]
         for name in ("vertices", "faces"):
-            _expect(record.integer(name) > 0, f"a mesh has {record.integer(name)} {name}")
-        colours = shape["colours"] is True
+            require(record.integer(name) > 0, f"a mesh has {record.integer(name)} {name}")
     else:
         matrix = record.array("to_world", 4, 4)
         bounded = np.abs(matrix).max() <= _MAX_COORDINATE and (matrix[3] == [0, 0, 0, 1]).all()
-        _expect(
+        require(
             bounded and np.linalg.det(matrix[:3, :3]) != 0, f"to_world of a {kind} is not affine"
         )
         if kind == "sphere":
             scale = np.linalg.norm(matrix[:3, :3], axis=0)
-            _expect(np.ptp(scale) <= 1e-4 * scale.max(), "a sphere is scaled non-uniformly")
+            require(np.ptp(scale) <= 1e-4 * scale.max(), "a sphere is scaled non-uniformly")
     for name in flags:
-        _expect(isinstance(shape[name], bool), f"{name} of a {kind} is not true or false")
+        require(isinstance(shape[name], bool), f"{name} of a {kind} is not true or false")
     radiance = shape["radiance"]
     if radiance is not None:
-        check_radiance(radiance, len(model.images))
-    if not colours:
-        used = uses_vertex_colours([model.materials[index], radiance])
-        _expect(not used, f"a {kind} without colours of vertices has a material that uses them")
+        check_radiance(radiance, images)
 
 
 def _check_images(images: tuple[NDArray[Any], ...]) -> None:
     _expect(len(images) <= MAX_IMAGES, f"{len(images)} images, expected at most {MAX_IMAGES}")
     total = sum(image.nbytes for image in images)
     _expect(total <= MAX_IMAGE_BYTES, f"images of {total} bytes, at most {MAX_IMAGE_BYTES}")
-    for image in images:
+    for index, image in enumerate(images):
         sides, channels = image.shape[:2], image.shape[2:]
         _expect(
             len(sides) == 2 and all(0 < side <= MAX_IMAGE_SIDE for side in sides),
-            f"an image is {image.shape}, expected [height, width, channels]",
+            f"image {index} is {image.shape}, expected [height, width, channels]",
         )
-        _expect(channels in ((1,), (3,), (4,)), f"an image has {channels} channels")
+        _expect(channels in ((1,), (3,), (4,)), f"image {index} has {channels} channels")
         _expect(
             image.dtype in (np.uint8, np.float32) and np.isfinite(image).all(),
-            f"an image is {image.dtype}, expected uint8 or finite float32",
+            f"image {index} is {image.dtype}, expected uint8 or finite float32",
         )
 
 
@@ -224,9 +284,10 @@ def _check_arrays(model: AssetModel) -> None:
             (np.abs(getattr(model, name)) <= _MAX_COORDINATE).all(),
             f"{name} hold NaN or values above {_MAX_COORDINATE:g}",
         )
-    for shape, mesh in zip(model.shapes, model.meshes(), strict=True):
+    for index, (shape, mesh) in enumerate(zip(model.shapes, model.meshes(), strict=True)):
         if mesh is not None:
-            _expect(mesh["faces"].max() < shape["vertices"], "a face has an unknown vertex")
+            known = mesh["faces"].max() < shape["vertices"]
+            _expect(known, f"shape {index}: a face has an unknown vertex")
 
 
 def _bounds(shape: Json) -> NDArray[np.float64]:

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.materials import Json
 from lumitree.asset.model import (
     ARRAYS,
     MAX_IMAGE_BYTES,
@@ -22,6 +21,7 @@ from lumitree.asset.model import (
     MAX_SHAPES,
     AssetModel,
 )
+from lumitree.asset.textures import Json
 from lumitree.core.reading import Record, parse_json
 from lumitree.errors import LumitreeError
 

@@ -78,8 +78,9 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
         metavar="PATTERN",
         action="append",
         default=[],
-        help="take only the shapes (.xml, by id) or parts (models, by name or material) that match "
-        "the pattern, with * and ?; may be repeated",
+        help="take only the shapes (.xml, by id, by their BSDF's id, or by number such as '#3') or "
+        "parts (models, by name or material) that match the pattern, with * and ?; may be "
+        "repeated; 'preview' lists them",
     )
     parser.add_argument(
         "--drop",

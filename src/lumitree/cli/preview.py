@@ -6,9 +6,12 @@ from typing import Any
 from lumitree.cli import options
 from lumitree.cli.output import print_lines, print_open, print_result
 
+# Shapes that are printed.
+_MAX_SHAPES = 40
+
 
 def add(commands: Any) -> None:
-    text = "render a luminaire or an asset from six sides, and print its figures"
+    text = "render a luminaire or an asset from six sides, and print its figures and its shapes"
     parser = options.command(commands, "preview", text, run)
     options.add_luminaire(parser, f"; or a .lumitree file{options.PHOTOMETRIC}")
     options.add_output(parser, "SHEET", "contact sheet to write, .png")
@@ -51,6 +54,11 @@ def run(args: argparse.Namespace) -> Any:
     for item in result.bounces or ():
         name = f"beyond {item.path_depth} bounces"
         lines[name] = f"{100 * item.share:.2g} ± {100 * item.error:.1g} % of the flux"
-    print_lines(lines | {"sheet": result.sheet})
+    print_lines(lines)
+    for shape in result.shapes[:_MAX_SHAPES]:
+        print_lines({"shape": shape})
+    if (more := len(result.shapes) - _MAX_SHAPES) > 0:
+        print_lines({"shapes": f"{more:,} more; --json writes all"})
+    print_lines({"sheet": result.sheet})
     print_open(result.sheet)
     return result

@@ -18,6 +18,9 @@ from lumitree.errors import LumitreeError
 
 # Largest side of an image that is read, pixels.
 MAX_SIDE = 1 << 14
+# Most values of all channels together: 8 GiB once they are read. A file of equal values is a
+# thousandth of that.
+_MAX_VALUES = 1 << 31
 
 
 def write_exr(
@@ -151,12 +154,13 @@ def check_image_name(path: str | os.PathLike[str]) -> None:
 
 
 def _read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Header of an OpenEXR file; refuses sides for which memory would be reserved in vain."""
+    """Header of an OpenEXR file; refuses sizes for which memory would be reserved in vain."""
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
             # A copy: the file empties its own when it is closed.
             header = dict(file.header())
             lower, upper = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
+            channels = len(header["channels"])
     except (RuntimeError, ValueError, KeyError) as error:
         what = what_it_is(path)
         reason = _one_line(error) if what in (None, EXR) else f"it is {what}"
@@ -165,6 +169,11 @@ def _read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
         raise LumitreeError(
             f"{path} has {width} x {height} pixels; expected an image of 1 to {MAX_SIDE} a side"
+        )
+    if width * height * channels > _MAX_VALUES:
+        raise LumitreeError(
+            f"{path} has {channels} channels of {width} x {height} pixels; expected at most "
+            f"{_MAX_VALUES} values"
         )
     return header
 

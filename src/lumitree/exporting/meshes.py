@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.materials import Json
 from lumitree.asset.model import AssetModel
+from lumitree.asset.textures import Json
 
 # Segments of a circle in place of an analytic shape.
 _SEGMENTS = 96

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from lumitree.asset.materials import VERTEX_COLOUR, Json
+from lumitree.asset.textures import VERTEX_COLOUR, Json
 
 # Shows emission to camera rays and to mirror images of them only. The script names the node, so
 # that it can be found.

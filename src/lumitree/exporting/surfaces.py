@@ -15,8 +15,8 @@ import mitsuba as mi
 import numpy as np
 
 from lumitree.asset.asset import NO_GAIN
-from lumitree.asset.materials import Json
 from lumitree.asset.model import AssetModel
+from lumitree.asset.textures import Json
 from lumitree.exporting.nodes import (
     SCALED_GAIN,
     VISIBLE,

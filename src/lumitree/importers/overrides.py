@@ -2,6 +2,7 @@
 
 import dataclasses
 import fnmatch
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Literal
@@ -13,6 +14,9 @@ from lumitree.importers.topology import count_solids
 from lumitree.model.geometry import Floats, area_normals
 from lumitree.model.model import RGB, WHITE, Glass, Material, Model, Part, Surface
 from lumitree.model.photometry import radiance_from_flux
+
+# A pattern of digits alone; a name of this form is matched by "[#]3".
+_NUMBER = re.compile(r"#[0-9]{1,9}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,23 +108,34 @@ def select_parts(model: Model, keep: Sequence[str], drop: Sequence[str], file: s
 
 
 def select_names(
-    names: Sequence[Sequence[str]], keep: Sequence[str], drop: Sequence[str], file: str, kind: str
+    names: Sequence[Sequence[str]],
+    keep: Sequence[str],
+    drop: Sequence[str],
+    file: str,
+    kind: str,
+    listed: Sequence[str] | None = None,
 ) -> list[bool]:
     """Which of the things are kept, each known by one or more names.
+
+    Args:
+        file, kind: name of the file, and what the things are, for messages.
+        listed: descriptions of the things, for messages; those of a file whose things may also be
+            chosen by number, as "#3". None: by names alone.
 
     Raises:
         LumitreeError: a pattern matches nothing, or nothing is left.
     """
+    numbered = listed is not None
     matched = {
-        pattern: [any(fnmatch.fnmatchcase(name, pattern) for name in own) for own in names]
+        pattern: [_matches(pattern, own, at if numbered else None) for at, own in enumerate(names)]
         for pattern in (*keep, *drop)
     }
     for pattern, hits in matched.items():
         if not any(hits):
             option = "--keep" if pattern in keep else "--drop"
-            known = shown_names(dict.fromkeys(name for own in names for name in own if name))
             raise LumitreeError(
-                f"{file}: {option} {shown(pattern)!r} matches no {kind}; there are {known}"
+                f"{file}: {option} {shown(pattern)!r} matches no {kind}; there are "
+                f"{_known(names, listed, file)}"
             )
     kept = [
         (not keep or any(matched[pattern][at] for pattern in keep))
@@ -130,6 +145,20 @@ def select_names(
     if not any(kept):
         raise LumitreeError(f"{file}: --keep and --drop leave nothing; keep more or drop less")
     return kept
+
+
+def _matches(pattern: str, names: Sequence[str], number: int | None) -> bool:
+    """Whether a pattern is the number of a thing, if it has one, or matches one of its names."""
+    if number is not None and _NUMBER.fullmatch(pattern):
+        return int(pattern[1:]) == number
+    return any(fnmatch.fnmatchcase(name, pattern) for name in names)
+
+
+def _known(names: Sequence[Sequence[str]], listed: Sequence[str] | None, file: str) -> str:
+    if listed is None:
+        return shown_names(dict.fromkeys(name for own in names for name in own if name))
+    how = f"; 'lumitree preview {file} --keep \"*\"' lists them with their numbers"
+    return shown_names(listed) + how
 
 
 def check_emits(model: Model, file: str, overrides_name: str) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
+from lumitree.asset.measured import CONDUCTORS
 from lumitree.core.toml_table import (
     Table,
     UnexpectedError,
@@ -35,14 +36,6 @@ from lumitree.model.photometry import MAX_TEMPERATURE, MIN_TEMPERATURE, blackbod
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 _MAX_EMISSION = 1e9
-# Mitsuba's measured conductors, and its name for none.
-_CONDUCTORS = """
-    a-C Ag Al AlAs AlAs_palik AlSb AlSb_palik Au Be Be_palik Cr CsI CsI_palik Cu Cu_palik Cu2O
-    Cu2O_palik CuO CuO_palik d-C d-C_palik Hg Hg_palik HgTe HgTe_palik Ir Ir_palik K K_palik
-    Li Li_palik MgO MgO_palik Mo Mo_palik Na_palik Nb Nb_palik Ni_palik Rh Rh_palik Se
-    Se_palik SiC SiC_palik SnTe SnTe_palik Ta Ta_palik Te Te_palik ThF4 ThF4_palik TiC
-    TiC_palik TiN TiN_palik TiO2 TiO2_palik VC VC_palik V_palik VN VN_palik W none
-"""
 
 
 def read_overrides(path: Path) -> Overrides:
@@ -204,6 +197,6 @@ def _up(value: Any) -> Literal["y", "z"]:
 
 
 def _conductor(value: Any) -> str:
-    if value not in _CONDUCTORS.split():
+    if value not in CONDUCTORS:
         raise UnexpectedError("Ag, Al, Au, Cr, Cu, W or another of Mitsuba's, or none")
     return str(value)

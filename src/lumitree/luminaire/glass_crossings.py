@@ -92,8 +92,10 @@ def trace_lines(shapes: Sequence[Any]) -> Crossings:
 
 def _denser_side(shape: Any) -> int:
     """+1 if the normal points out of the denser medium, else -1."""
-    parameters = dict(load_mitsuba().traverse(shape.bsdf()))
-    eta = [np.ravel(value)[0] for name, value in parameters.items() if name.endswith("eta")]
+    # Only what is needed is read: Mitsuba cannot return some parameters of other plugins.
+    parameters = load_mitsuba().traverse(shape.bsdf())
+    names = [name for name in parameters.keys() if name.endswith("eta")]  # noqa: SIM118
+    eta = [np.ravel(parameters[name])[0] for name in names]
     return -1 if eta and eta[0] < 1 else 1
 
 

@@ -7,6 +7,7 @@ import functools
 import hashlib
 import importlib
 import os
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,13 +21,15 @@ from lumitree.core.file_kinds import what_it_is
 from lumitree.core.frames import LocalFrame, similarity_scale
 from lumitree.core.reading import read_bytes
 from lumitree.core.work_folder import scratch_folder
-from lumitree.errors import LumitreeError, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.importers.overrides import Overrides, apply_overrides, check_emits, select_parts
 from lumitree.importers.overrides_file import read_overrides
 from lumitree.luminaire.media import any_scatters
+from lumitree.luminaire.probe import check_evaluates
 from lumitree.luminaire.scene_file import SceneFile
-from lumitree.luminaire.scene_writer import write_scene
+from lumitree.luminaire.scene_shapes import SceneShape, shape_of_object
+from lumitree.luminaire.scene_writer import model_shapes, write_scene
 from lumitree.luminaire.source import LuminaireSource, as_source, source_kind
 from lumitree.model.model import Model
 
@@ -38,7 +41,8 @@ _NOT_LUMINAIRES: dict[str, str] = {
     "photometric": "a photometric file, which has no shapes and is used as an asset",
     "dataset": "a dataset",
 }
-_INVISIBLE = ("point", "spot", "projector", "directionalarea")
+# Of a shape, but in one direction only.
+_INVISIBLE = ("directionalarea",)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,6 +59,7 @@ class Luminaire:
         frame: its local frame.
         bounding_radius: radius of the sphere around the centre of the bounding box that contains
             all geometry, local units.
+        shapes: its shapes as the file names them, by which parts of it can be chosen.
     """
 
     name: str
@@ -65,6 +70,14 @@ class Luminaire:
     scatters: bool
     frame: LocalFrame
     bounding_radius: float
+    shapes: tuple[SceneShape, ...]
+
+    def __repr__(self) -> str:
+        size = " x ".join(f"{side:.4g}" for side in self.size)
+        return (
+            f"Luminaire({shown(repr(self.name))}: {len(self.scene.shapes()):,} shapes, "
+            f"{self.num_triangles:,} triangles, {self.num_emitters:,} emitters, size {size})"
+        )
 
     @property
     def num_triangles(self) -> int:
@@ -107,7 +120,10 @@ def load_luminaire(luminaire: "LuminaireLike | Any") -> Luminaire:
     name = source.name if named else _folder_and_name(source.name)
     if isinstance(luminaire, Mapping):
         name = str(luminaire.get("id", "dictionary"))
-    return _luminaire(name, source, fingerprint, file.instantiate(), bool(media))
+    for note in file.notes:
+        warnings.warn(f"{name}: {note}", LumitreeWarning, stacklevel=2)
+    shapes = file.shapes if file.path == Path(source.name) else model_shapes(file.shapes)
+    return _luminaire(name, source, fingerprint, file.instantiate(), bool(media), shapes)
 
 
 def luminaire_source(luminaire: "LuminaireLike") -> LuminaireSource:
@@ -132,8 +148,14 @@ def luminaire_source(luminaire: "LuminaireLike") -> LuminaireSource:
 
 
 def _luminaire(
-    name: str, source: LuminaireSource | None, fingerprint: str, scene: Any, has_media: bool
+    name: str,
+    source: LuminaireSource | None,
+    fingerprint: str,
+    scene: Any,
+    has_media: bool,
+    shapes: tuple[SceneShape, ...],
 ) -> Luminaire:
+    check_evaluates(scene, shapes, name)
     frame = LocalFrame.of_box(np.ravel(scene.bbox().min), np.ravel(scene.bbox().max))
     return Luminaire(
         name=name,
@@ -144,6 +166,7 @@ def _luminaire(
         scatters=has_media and any_scatters(scene),
         frame=frame,
         bounding_radius=_bounding_radius(scene, frame),
+        shapes=shapes,
     )
 
 
@@ -170,7 +193,8 @@ def _luminaire_of_scene(scene: Any) -> Luminaire:
     for key, value in load_mitsuba().traverse(scene):
         digest.update(key.encode())
         digest.update(repr(value).encode() if not hasattr(value, "numpy") else _bytes_of(value))
-    return _luminaire("scene", None, digest.hexdigest(), scene, bool(media))
+    shapes = tuple(shape_of_object(*item) for item in enumerate(scene.shapes()))
+    return _luminaire("scene", None, digest.hexdigest(), scene, bool(media), shapes)
 
 
 def _bytes_of(value: Any) -> bytes:
@@ -277,8 +301,8 @@ def read_model(source: str | os.PathLike[str] | LuminaireSource) -> Model:
     model = _READERS[path.suffix.lower()](path, overrides)
     model = select_parts(model, source.keep, source.drop, str(path))
     model = apply_overrides(model, overrides)
-    shown = overrides_path or path.with_suffix(".toml")
-    check_emits(model, str(path), shown.name)
+    named = overrides_path or path.with_suffix(".toml")
+    check_emits(model, str(path), named.name)
     return model
 
 
@@ -342,12 +366,19 @@ def _check_emitters(file: SceneFile) -> None:
     if not file.nodes("Shape"):
         raise LumitreeError(f"{file.path} holds no shapes; expected a luminaire's geometry")
     kinds = [node.props.plugin_name() for node in file.nodes("Emitter")]
-    environments = [kind for kind in kinds if kind in _ENVIRONMENTS]
-    invisible = [kind for kind in kinds if kind in _INVISIBLE]
+    loose = file.loose_lights()
+    environments = [kind for kind in loose if kind in _ENVIRONMENTS]
+    invisible = [kind for kind in kinds if kind in loose or kind in _INVISIBLE]
     if environments:
         raise LumitreeError(
             f"{file.path} holds an environment light ({environments[0]}), which does not belong "
-            "to a luminaire; remove it from the file, or --keep only the lamp's shapes"
+            "to a luminaire; remove it from the file, or --keep only the lamp's shapes: "
+            f"{shown_names(map(str, file.shapes))}"
+        )
+    if "area" in loose:
+        raise LumitreeError(
+            f"{file.path} holds an area emitter outside of a shape, which emits nothing; move it "
+            "into the <shape> that emits, or remove it"
         )
     if invisible:
         raise LumitreeError(

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,13 +10,17 @@ from xml.parsers import expat
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.file_kinds import SCENE, XML, what_it_is
 from lumitree.core.reading import read_bytes
-from lumitree.errors import LumitreeError, shown
+from lumitree.errors import LumitreeError, renderer_reason, shown
 from lumitree.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.importers.overrides import select_names
+from lumitree.luminaire.blackbodies import replace_blackbodies
 from lumitree.luminaire.media import keep_clear_channels
+from lumitree.luminaire.scene_shapes import SceneShape, shape_of_node
 
 # Largest nesting depths; in a luminaire's file they are about 8 and 6.
 _MAX_ELEMENTS, _MAX_OBJECTS = 64, 16
+# What patterns are compared with, for messages.
+_CHOSEN_BY = "shape's id, BSDF's id or number"
 
 
 class SceneFile:
@@ -32,9 +35,10 @@ class SceneFile:
         """Parse `path`.
 
         Args:
-            keep: patterns with * and ? of ids of shapes. If there are any, all other shapes are
-                left out of the scene, and all objects that are not shapes.
-            drop: patterns of ids of shapes that are left out.
+            keep: patterns with * and ? of ids of shapes or of their BSDFs, or numbers of shapes
+                such as "#3". If there are any, all other shapes are left out of the scene, and all
+                objects that are not shapes.
+            drop: patterns or numbers of shapes that are left out.
 
         Raises:
             LumitreeError: the file is missing or is not a Mitsuba scene, or a pattern matches no
@@ -46,14 +50,23 @@ class SceneFile:
         mi = load_mitsuba()
         self._config = mi.parser.ParserConfig(mi.variant())
         # Shapes keep the ids of the file; unused parameters are not reported.
-        self._config.merge_meshes = False
+        self._config.merge_meshes = self._config.merge_equivalent = False
         self._config.unused_parameters = mi.LogLevel.Debug
         with self._readable():
             self._state = mi.parser.parse_file(self._config, str(self.path))
             mi.parser.transform_all(self._config, self._state)
         self._check_nesting()
+        # Shapes of the scene by their keys. A group is only visible through its instances.
+        self._shapes = {
+            key: shape_of_node(number, key, node, self)
+            for number, (key, node) in enumerate(self._root("Shape"))
+        }
         if keep or drop:
             self._select(keep, drop)
+        # Last, because equal BSDFs become one, with one id.
+        mi.parser.transform_merge_equivalent(self._config, self._state)
+        # What has been read in another way than Mitsuba would; one line each.
+        self.notes = replace_blackbodies(self)
 
     def _check_text(self, data: bytes) -> None:
         """Refuse XML that is not well-formed, or would overflow the stack of Mitsuba's parser."""
@@ -105,30 +118,40 @@ class SceneFile:
                     "luminaire's shapes, materials and emitters"
                 )
 
-    def _select(self, keep: Sequence[str], drop: Sequence[str]) -> None:
-        shape = load_mitsuba().ObjectType.Shape
+    def _root(self, kind: str) -> list[tuple[str, Any]]:
+        """Keys and nodes of a type that the scene itself holds, in the order of the file."""
         root = self._state.nodes[0].props
-        children = {
-            key: self._state.nodes[root[key].index()]
-            for key in list(root.keys())
-            if _is_reference(root, key)
-        }
-        groups = {
-            key
-            for key, node in children.items()
-            if node.type == shape and node.props.plugin_name() == "shapegroup"
-        }
-        shapes = [key for key, node in children.items() if node.type == shape and key not in groups]
-        names = [(children[key].props.id(),) for key in shapes]
-        chosen = select_names(names, keep, drop, str(self.path), "shape's id")
-        kept = {key for key, wanted in zip(shapes, chosen, strict=True) if wanted}
+        children = self.children(root).items()
+        found = [(key, node) for key, node in children if _is_a(node, kind) and not _is_group(node)]
+        return sorted(found, key=lambda item: root[item[0]].index())
+
+    def _select(self, keep: Sequence[str], drop: Sequence[str]) -> None:
+        root = self._state.nodes[0].props
+        children = self.children(root)
+        shapes = list(self._shapes.values())
+        names = [(shape.name, *shape.materials) for shape in shapes]
+        chosen = select_names(names, keep, drop, self._name, _CHOSEN_BY, list(map(str, shapes)))
+        kept = {key for key, wanted in zip(self._shapes, chosen, strict=True) if wanted}
+        groups = {key for key, node in children.items() if _is_group(node)}
         if not keep:
-            kept |= children.keys() - groups - set(shapes)
-        # A group is only visible through its instances, so it is kept if an instance is.
-        shown = {index for key in kept for index in _references(children[key].props)}
-        kept |= {key for key in groups if root[key].index() in shown}
+            kept |= children.keys() - groups - self._shapes.keys()
+        # A group is kept if an instance of it is.
+        visible = {index for key in kept for index in _references(children[key].props)}
+        kept |= {key for key in groups if root[key].index() in visible}
         for key in children.keys() - kept:
             del root[key]
+        self._shapes = {key: shape for key, shape in self._shapes.items() if key in kept}
+
+    @property
+    def shapes(self) -> tuple[SceneShape, ...]:
+        """Shapes and instances that the scene holds, in the order of the file."""
+        return tuple(self._shapes.values())
+
+    def loose_lights(self) -> list[str]:
+        """Plugins of the emitters that no shape has."""
+        held = {index for node in self.nodes("Shape") for index in _references(node.props)}
+        loose = (self._state.nodes[index] for index in sorted(self._used_indices() - held))
+        return [node.props.plugin_name() for node in loose if _is_a(node, "Emitter")]
 
     def nodes(self, kind: str) -> list[Any]:
         """Nodes of one type of Mitsuba object, such as "Shape" or "Emitter"."""
@@ -161,12 +184,15 @@ class SceneFile:
 
     def _used(self) -> list[Any]:
         """Nodes that belong to the scene, directly or within others, in the order of the file."""
+        return [self._state.nodes[index] for index in sorted(self._used_indices())]
+
+    def _used_indices(self) -> set[int]:
         found, waiting = {0}, [0]
         while waiting:
             inner = _references(self._state.nodes[waiting.pop()].props)
             waiting += inner - found
             found |= inner
-        return [self._state.nodes[index] for index in sorted(found)]
+        return found
 
     def references(self) -> list[Path]:
         """Paths of the files that the scene refers to."""
@@ -211,17 +237,17 @@ class SceneFile:
         try:
             yield
         except (RuntimeError, UnicodeError) as error:
-            # An error of a lumitree plugin is inside a traceback. Mitsuba's messages begin with a
-            # position in its source.
-            own = re.search(r"LumitreeError: (.*)", str(error))
-            reason = own.group(1) if own else " ".join(str(error).split())
-            reason = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", reason)
+            reason = renderer_reason(error) or " ".join(str(error).split())
             raise LumitreeError(f"{self._name} cannot be loaded: {shown(reason, 400)}") from None
 
 
 def _is_a(node: Any, kind: str) -> bool:
     """Whether a node is of a type of Mitsuba object, such as "Film"."""
     return node.type == getattr(load_mitsuba().ObjectType, kind)
+
+
+def _is_group(node: Any) -> bool:
+    return _is_a(node, "Shape") and node.props.plugin_name() == "shapegroup"
 
 
 def _is_reference(props: Any, key: str) -> bool:

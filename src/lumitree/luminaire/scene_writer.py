@@ -1,15 +1,19 @@
 """Writing of a model as a Mitsuba 3 scene, which is then loaded like a scene of the user."""
 
+import dataclasses
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from lumitree.asset.textures import VERTEX_COLOUR
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.device import on_device
 from lumitree.core.files import atomic_path
+from lumitree.luminaire.scene_shapes import SceneShape
 from lumitree.model.geometry import Floats, Mesh
 from lumitree.model.model import (
     WHITE,
@@ -29,7 +33,8 @@ from lumitree.model.model import (
 )
 
 SCENE_FILE = "luminaire.xml"
-_COLOUR_ATTRIBUTE = "vertex_color"
+# Of the ids of materials.
+_PREFIX = "material_"
 
 
 def write_scene(model: Model, folder: str | os.PathLike[str]) -> Path:
@@ -149,7 +154,7 @@ class _Writer:
                 self._texture(parent, name, colour)
             case VertexColour():
                 texture = SubElement(parent, "texture", type="mesh_attribute", name=name)
-                _add(texture, "string", "name", _COLOUR_ATTRIBUTE)
+                _add(texture, "string", "name", VERTEX_COLOUR)
             case _:
                 _rgb(parent, name, colour)
 
@@ -185,9 +190,21 @@ class _Writer:
         return self._textures[key]
 
 
+def model_shapes(shapes: Sequence[SceneShape]) -> tuple[SceneShape, ...]:
+    """The shapes of a scene that `write_scene` wrote, with the names that the model has."""
+    return tuple(
+        dataclasses.replace(
+            shape,
+            number=None,
+            materials=tuple(name.removeprefix(_PREFIX) for name in shape.materials),
+        )
+        for shape in shapes
+    )
+
+
 def _reference(material: Material) -> str:
     # In a scene, ids of shapes and materials share one namespace, and $ begins a parameter.
-    return f"material_{material.name.replace('$', '%24')}"
+    return _PREFIX + material.name.replace("$", "%24")
 
 
 def _transmits(surface: Surface) -> bool:
@@ -221,7 +238,7 @@ def _write_mesh(path: Path, mesh: Mesh) -> None:
         has_vertex_texcoords=mesh.uv is not None,
     )
     if mesh.colours is not None:
-        written.add_attribute(_COLOUR_ATTRIBUTE, 3, on_device(mi.Float, mesh.colours))
+        written.add_attribute(VERTEX_COLOUR, 3, on_device(mi.Float, mesh.colours))
     parameters = mi.traverse(written)
     parameters["vertex_positions"] = on_device(mi.Float, _rounded(mesh.vertices, 9))
     parameters["vertex_normals"] = on_device(mi.Float, _rounded(mesh.normals, 6))

@@ -23,8 +23,9 @@ class LuminaireSource:
         name: built-in name, or path of a .xml, .obj, .gltf or .glb file.
         materials: TOML file of overrides for a model. By default it is the file with the model's
             name and the suffix .toml, if there is one.
-        keep: patterns with * and ? of what belongs to the luminaire: ids of shapes in a Mitsuba
-            scene, or names of parts or materials in a model; empty for everything.
+        keep: patterns with * and ? of what belongs to the luminaire: ids of shapes or of their
+            BSDFs, or numbers of shapes such as "#3", in a Mitsuba scene; or names of parts or
+            materials in a model; empty for everything.
         drop: patterns of what does not belong to the luminaire.
     """
 

@@ -1,14 +1,17 @@
 """A luminaire as the model of an asset: its meshes and images as arrays, its BSDFs by name."""
 
 from collections import defaultdict
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.materials import Json, check_material, check_radiance, uses_vertex_colours
-from lumitree.asset.model import ARRAYS, AssetModel
+from lumitree.asset.checks import naming
+from lumitree.asset.materials import check_material, check_radiance
+from lumitree.asset.model import ARRAYS, AssetModel, check_surface
+from lumitree.asset.textures import VERTEX_COLOUR, ImageFacts, Json
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError, shown
 from lumitree.luminaire.luminaire import Luminaire, luminaire_source, open_scene_file
@@ -20,11 +23,10 @@ _TRAVERSED = {
     "vertices": "vertex_positions",
     "normals": "vertex_normals",
     "texcoords": "vertex_texcoords",
-    "colours": "vertex_color",
+    "colours": VERTEX_COLOUR,
     "faces": "faces",
 }
-# Images are counted while materials are read, and refused by the model if there are too many.
-_MANY = 1 << 31
+_BITMAP = ("filename", "raw", "filter_type", "wrap_mode", "to_uv")
 
 
 def stored_model(luminaire: Luminaire) -> AssetModel:
@@ -48,13 +50,17 @@ class _Reader:
     def __init__(self, file: SceneFile) -> None:
         self._file = file
         self._images: list[NDArray[Any]] = []
+        self._facts: list[ImageFacts] = []
         self._image_of: dict[tuple[Path, bool], int] = {}
         self._materials: list[Json] = []
 
     def read(self) -> AssetModel:
         nodes = self._file.nodes("Shape")
-        described = [self._describe(node.props) for node in nodes]
         names = [shown(node.props.id() or node.props.plugin_name(), 60) for node in nodes]
+        described = []
+        for node, name in zip(nodes, names, strict=True):
+            with _of_shape(name):
+                described.append(self._describe(node.props))
         # Creating the scene clears the nodes.
         shapes = self._file.instantiate().shapes()
         if len(shapes) != len(nodes):
@@ -65,18 +71,15 @@ class _Reader:
             description |= _media(shape)
             # A rectangle is a mesh to Mitsuba, but has no arrays.
             mesh = _arrays(shape) if shape.is_mesh() else {}
+            with _of_shape(name):
+                material = self._materials[description["material"]]
+                check_surface(material, description["radiance"], mesh, self._facts)
             if mesh:
-                if "colours" not in mesh and self._uses_colours(description):
-                    raise LumitreeError(f"the shape {name} has no colours that are stored")
                 key = repr((description, sorted(mesh)))
                 meshes[key].append((description, mesh))
             else:
                 others.append(_analytic(name, shape, description))
         return _joined(meshes, others, self._images, self._materials)
-
-    def _uses_colours(self, description: Json) -> bool:
-        used = self._materials[description["material"]], description["radiance"]
-        return uses_vertex_colours(list(used))
 
     def _describe(self, props: Any) -> Json:
         """What a shape has besides its geometry."""
@@ -88,11 +91,11 @@ class _Reader:
             elif child.type == load_mitsuba().ObjectType.BSDF:
                 material = self._material(child.props)
             elif child.type != load_mitsuba().ObjectType.Medium:
-                raise LumitreeError(f"shape {plugin!r} holds an object that is not stored")
+                raise LumitreeError(f"a {plugin} holds an object that is not stored")
         if material is None:
             # As Mitsuba has it: what emits reflects nothing.
             material = {"type": "diffuse"} | ({} if radiance is None else {"reflectance": 0.0})
-        check_material(material, _MANY)
+        check_material(material, self._facts)
         if material not in self._materials:
             self._materials.append(material)
         return {
@@ -109,7 +112,7 @@ class _Reader:
         if set(values) - {"radiance"}:
             raise LumitreeError("an area emitter has parameters that are not stored")
         radiance = values.get("radiance", [1.0, 1.0, 1.0])
-        check_radiance(radiance, _MANY)
+        check_radiance(radiance, self._facts)
         return radiance
 
     def _material(self, props: Any) -> Json:
@@ -126,7 +129,9 @@ class _Reader:
             if child is None:
                 values[name] = _plain(name, props[name])
             elif child.type == mi.ObjectType.Texture:
-                values[name] = self._texture(child.props)
+                # Mitsuba takes the texture of a bump map by any name.
+                key = "bumpmap" if props.plugin_name() == "bumpmap" else name
+                values[key] = self._texture(child.props)
             elif child.type == mi.ObjectType.BSDF:
                 values.setdefault("nested", []).append(self._material(child.props))
             else:
@@ -138,13 +143,14 @@ class _Reader:
 
     def _texture(self, props: Any) -> Json:
         plugin = props.plugin_name()
-        if plugin == "mesh_attribute":
-            return {"attribute": str(props.get("name", ""))}
-        if plugin != "bitmap" or not props.has_property("filename"):
+        attribute = plugin == "mesh_attribute"
+        if not attribute and (plugin != "bitmap" or not props.has_property("filename")):
             raise LumitreeError(f"a texture {plugin!r} is not stored; expected bitmap")
-        known = ("filename", "raw", "filter_type", "wrap_mode", "to_uv")
+        known = ("name",) if attribute else _BITMAP
         if unknown := sorted(set(props.keys()) - set(known)):
-            raise LumitreeError(f"a bitmap has a parameter {unknown[0]!r} that is not stored")
+            raise LumitreeError(f"a {plugin} has a parameter {unknown[0]!r} that is not stored")
+        if attribute:
+            return {"attribute": str(props.get("name", ""))}
         raw = bool(props.get("raw", False))
         to_uv = props.get("to_uv", load_mitsuba().ScalarTransform4f())
         return {
@@ -167,7 +173,12 @@ class _Reader:
             pixels = np.array(bitmap)
             self._image_of[key] = len(self._images)
             self._images.append(pixels[..., None] if pixels.ndim == 2 else pixels)
+            self._facts.append(ImageFacts.of(self._images[-1]))
         return self._image_of[key]
+
+
+def _of_shape(name: str) -> AbstractContextManager[None]:
+    return naming(lambda: f"shape {name!r}")
 
 
 def _plain(name: str, value: Any) -> Any:
@@ -199,7 +210,7 @@ def _arrays(shape: Any) -> dict[str, NDArray[Any]]:
 
 def _analytic(name: str, shape: Any, description: Json) -> Json:
     if description["type"] not in _ANALYTIC:
-        raise LumitreeError(f"the shape {name} is a {description['type']}, which is not stored")
+        raise LumitreeError(f"shape {name!r} is a {description['type']}, which is not stored")
     matrix = np.array(load_mitsuba().traverse(shape)["to_world"].matrix, np.float64)
     matrix = matrix.reshape(4, 4)
     return {**description, "to_world": matrix.tolist()}

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.device import on_device
+from lumitree.errors import LumitreeError
 from lumitree.model.model import RGB
 
 # Maximum luminous efficacy, lm/W.
@@ -30,6 +31,10 @@ _SRGB_FROM_XYZ = np.array(
 )
 # The other way; the rows are x, y and z, so the second is `LUMA` of IEC 61966-2-1, rounded.
 _XYZ_FROM_SRGB = np.linalg.inv(_SRGB_FROM_XYZ)
+# Wavelengths, nm, over which spectra are summed, 1 nm each.
+_VISIBLE = np.arange(360.0, 831.0)
+# 2hc² for wavelengths in nm and radiance per nm, W/(m² sr).
+_PLANCK = 1.191043e20
 # Temperatures of the Planckian locus, K: neighbours differ by 0.5 %.
 _LOCUS_TEMPERATURES = np.geomspace(900.0, 1e5, 950)
 # Largest distance from the locus for which a correlated colour temperature is defined (CIE 15).
@@ -69,6 +74,28 @@ def blackbody_colour(temperature: float) -> RGB:
     """
     rgb = np.maximum(_SRGB_FROM_XYZ @ _blackbody_xyz(np.array([temperature]))[0], 0.0)
     rgb /= rgb @ LUMA
+    return (float(rgb[0]), float(rgb[1]), float(rgb[2]))
+
+
+def blackbody_radiance(temperature: float, shortest: float = 360.0, longest: float = 830.0) -> RGB:
+    """Radiance, W/(m² sr), of a black body as linear sRGB, with its luminance.
+
+    The spectral radiance is integrated against the CIE 1931 colour matching functions. Channels
+    that are negative outside the gamut become 0; the others are then scaled to the luminance.
+
+    Args:
+        temperature: in kelvin, from 100 to 100000.
+        shortest, longest: wavelengths between which it emits, nm.
+
+    Raises:
+        LumitreeError: the temperature is out of range.
+    """
+    if not 100 <= temperature <= 1e5:
+        raise LumitreeError(f"a black body of {temperature:g} K; expected 100 to 100000 K")
+    wavelength = np.array([each for each in _VISIBLE if shortest <= each <= longest])
+    xyz = _PLANCK * _blackbody_xyz(np.array([temperature]), wavelength)[0]
+    rgb = np.maximum(_SRGB_FROM_XYZ @ xyz, 0.0)
+    rgb *= xyz[1] / max(rgb @ LUMA, np.finfo(float).tiny)
     return (float(rgb[0]), float(rgb[1]), float(rgb[2]))
 
 
@@ -121,10 +148,11 @@ def _uv(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([4 * x, 6 * y], axis=-1) / (x + 15 * y + 3 * z)[..., None]
 
 
-def _blackbody_xyz(temperature: NDArray[np.float64]) -> NDArray[np.float64]:
-    """CIE 1931 XYZ [N, 3], up to a factor, of black bodies [N], K."""
-    wavelength = np.arange(360.0, 831.0)
-    # Planck's law up to a factor; 1.438777e7 nm K is hc/k.
+def _blackbody_xyz(
+    temperature: NDArray[np.float64], wavelength: NDArray[np.float64] = _VISIBLE
+) -> NDArray[np.float64]:
+    """CIE 1931 XYZ [N, 3], divided by `_PLANCK`, of black bodies [N], K, at wavelengths in nm."""
+    # Planck's law; 1.438777e7 nm K is hc/k.
     spectrum = wavelength**-5 / np.expm1(1.438777e7 / (wavelength * temperature[:, None]))
     mi = load_mitsuba()
     matching = np.array(mi.cie1931_xyz(on_device(mi.Float, wavelength)), np.float64)

@@ -6,15 +6,15 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.materials import Json, is_specular
+from lumitree.asset.materials import is_specular
 from lumitree.asset.model import MEDIA_SIDES, AssetModel
+from lumitree.asset.textures import VERTEX_COLOUR, Json
 from lumitree.core.device import on_device
 from lumitree.core.frames import similarity_scale
+from lumitree.rendering.model_materials import Materials
 from lumitree.rendering.model_plugins import model_emitter_class, model_glass_class
 from lumitree.rendering.own_lights import OwnLights
 from lumitree.rendering.plugin_objects import make_object, make_properties
-
-_COLOURS = "vertex_color"
 
 
 def model_shapes(model: AssetModel, scene_from_world: NDArray[np.float64], lamp: Any) -> list[Any]:
@@ -39,7 +39,7 @@ class _Builder:
         self._lights, self._emitting = OwnLights(), []
         self._scale = similarity_scale(scene_from_world, "to_world")
         self._emitter, self._glass = model_emitter_class(), model_glass_class()
-        self._textures: dict[str, Any] = {}
+        self._materials = Materials(model.images)
         self._bsdfs = [self._top(material) for material in model.materials]
 
     def shape(self, shape: Json, mesh: "dict[str, NDArray[Any]] | None") -> Any:
@@ -48,7 +48,7 @@ class _Builder:
         radiance = shape["radiance"]
         values = {"flip_normals": shape["flipped"], "bsdf": self._bsdfs[shape["material"]]}
         # A surface that shows other things needs no emitter: it neither emits nor scatters.
-        emitted = None if radiance is None else self._texture_of(radiance)
+        emitted = None if radiance is None else self._materials.radiance(radiance)
         if radiance is not None or not is_specular(material):
             values["emitter"] = self._emitter(
                 self._lamp, self._lights, emitted, len(self._emitting)
@@ -95,7 +95,7 @@ class _Builder:
             props=props,
         )
         if len(mesh["colours"]):
-            shape.add_attribute(_COLOURS, 3, on_device(mi.Float, mesh["colours"]))
+            shape.add_attribute(VERTEX_COLOUR, 3, on_device(mi.Float, mesh["colours"]))
         parameters = mi.traverse(shape)
         for name, values in placed.items():
             parameters[name] = on_device(mi.UInt32 if name == "faces" else mi.Float, values)
@@ -115,42 +115,5 @@ class _Builder:
         )
 
     def _top(self, material: Json) -> Any:
-        bsdf = self._bsdf(material)
+        bsdf = self._materials.bsdf(material)
         return self._glass(bsdf) if material["type"] == "dielectric" else bsdf
-
-    def _bsdf(self, material: Json) -> Any:
-        values = {f"nested_{i}": self._bsdf(m) for i, m in enumerate(material.get("nested", []))}
-        for name in material.keys() - {"type", "nested"}:
-            values[name] = self._value(material[name])
-        return make_object(material["type"], values)
-
-    def _value(self, value: Any) -> Any:
-        if isinstance(value, list):
-            return mi.ScalarColor3d(value)
-        return self._texture(value) if isinstance(value, dict) else value
-
-    def _texture_of(self, radiance: Any) -> Any:
-        """Radiance as a mi.Texture."""
-        values = {"radiance": self._value(radiance)}
-        return make_properties("", values).get_emissive_texture("radiance")
-
-    def _texture(self, texture: Json) -> Any:
-        key = repr(sorted(texture.items()))
-        if key not in self._textures:
-            self._textures[key] = mi.load_dict(self._description(texture))
-        return self._textures[key]
-
-    def _description(self, texture: Json) -> dict[str, Any]:
-        if "attribute" in texture:
-            return {"type": "mesh_attribute", "name": texture["attribute"]}
-        image = self._model.images[texture["image"]]
-        bitmap = mi.Bitmap(np.ascontiguousarray(image))
-        bitmap.set_srgb_gamma(image.dtype == np.uint8 and not texture["raw"])
-        return {
-            "type": "bitmap",
-            "bitmap": bitmap,
-            "raw": texture["raw"],
-            "filter_type": texture["filter_type"],
-            "wrap_mode": texture["wrap_mode"],
-            "to_uv": mi.ScalarTransform4f(np.array(texture["to_uv"])),
-        }

@@ -15,6 +15,7 @@ from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.luminaire.luminaire import Luminaire, load_luminaire, place_shapes
 from lumitree.luminaire.media import any_heterogeneous
+from lumitree.luminaire.probe import check_evaluates
 from lumitree.luminaire.scene_file import SceneFile
 from lumitree.octree.field import EXACT, Field, Thresholds
 from lumitree.rendering.asset_flux import asset_watts, gain_to
@@ -149,7 +150,8 @@ def load_scene(
     With `box_filter`, each pixel is the mean of its own samples, whatever filter the scene names.
 
     Raises:
-        LumitreeError: the scene cannot be loaded or has no camera.
+        LumitreeError: the scene cannot be loaded or has no camera, or Mitsuba cannot evaluate one
+            of its BSDFs or emitters.
     """
     register()  # the scene may name our plugins itself
     file = SceneFile(path)
@@ -160,7 +162,14 @@ def load_scene(
     kind = described[0].plugin_name() if described else None
     if box_filter:
         file.set_box_filter()
+    notes = list(file.notes)
+    if "area" in file.loose_lights():
+        notes.append("an area emitter outside of a shape emits nothing")
+    for note in notes:
+        warnings.warn(f"{path}: {note}", LumitreeWarning, stacklevel=2)
+    shapes = file.shapes
     scene = file.instantiate()
+    check_evaluates(scene, shapes, str(path), rays=False)
     heterogeneous = any_heterogeneous(scene)
     if heterogeneous or kind in _SEE_MEDIA:
         for item in luminaires:

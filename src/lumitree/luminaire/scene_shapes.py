@@ -1,0 +1,120 @@
+"""The shapes of a scene as its file names them, for selections and messages."""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from lumitree.core.backend import load_mitsuba
+from lumitree.errors import shown
+
+# Of keys that Mitsuba gives to elements without a name.
+_UNNAMED = "_arg_"
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneShape:
+    """A shape of a scene, or an instance of a group of shapes.
+
+    Attributes:
+        number: place among the shapes of the file, from 0; None if the scene was written from a
+            model, whose shapes all have names.
+        name: its id, or else the attribute `name` of its element, as in a scene that was written
+            from a dictionary; empty if it has neither.
+        kind: plugin of Mitsuba.
+        materials: ids of its BSDF and of those that this one holds, of which only some have any.
+        bsdf: plugin of its BSDF, and of the textures that this one names; empty if it has none.
+        emitter: likewise.
+        attributes: names of the mesh attributes that its BSDF and its emitter use.
+
+    Of a `mi.Scene` there are classes in place of plugins.
+    """
+
+    number: int | None
+    name: str
+    kind: str
+    materials: tuple[str, ...]
+    bsdf: str
+    emitter: str
+    attributes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        material = f", BSDF {shown(self.materials[0], 40)}" if self.materials else ""
+        emits = ", emits" if self.emitter else ""
+        number = "" if self.number is None else f"#{self.number} "
+        return f"{number}{shown(self.name, 40) or '-'} ({self.kind}{material}{emits})"
+
+    @property
+    def label(self) -> str:
+        """Its id, or its number and kind, for messages."""
+        return shown(repr(self.name), 60) if self.name else f"#{self.number} ({self.kind})"
+
+
+def shape_of_node(number: int, key: str, node: Any, file: Any) -> SceneShape:
+    """The shape of a node of a `SceneFile`, before it is created.
+
+    Args:
+        number: see `SceneShape`.
+        key: under which the scene holds the node: the attribute `name`, or made by Mitsuba.
+    """
+    types = load_mitsuba().ObjectType
+    held = file.children(node.props).values()
+    bsdfs = [child for child in held if child.type == types.BSDF]
+    emitters = [child for child in held if child.type == types.Emitter]
+    return SceneShape(
+        number=number,
+        name=node.props.id() or ("" if key.startswith(_UNNAMED) else key),
+        kind=node.props.plugin_name(),
+        materials=tuple(_ids(file, bsdfs)),
+        bsdf=", ".join(_described(file, each) for each in bsdfs),
+        emitter=", ".join(_described(file, each) for each in emitters),
+        attributes=tuple(dict.fromkeys(_attributes(file, [*bsdfs, *emitters]))),
+    )
+
+
+def shape_of_object(number: int, shape: Any) -> SceneShape:
+    """The shape of a mi.Shape."""
+    bsdf, emitter = shape.bsdf(), shape.emitter()
+    return SceneShape(
+        number=number,
+        name=shape.id(),
+        kind=shape.class_name(),
+        materials=(bsdf.id(),) if bsdf is not None and bsdf.id() else (),
+        bsdf="" if bsdf is None else bsdf.class_name(),
+        emitter="" if emitter is None else emitter.class_name(),
+    )
+
+
+def shapes_of_scene(scene: Any, shapes: Sequence[SceneShape]) -> Sequence[SceneShape]:
+    """The shapes of a mi.Scene, as those of its file where they are the same."""
+    made = scene.shapes()
+    if len(made) == len(shapes):
+        return shapes
+    # A plugin, such as `merge`, has become several shapes.
+    return [shape_of_object(*item) for item in enumerate(made)]
+
+
+def _described(file: Any, node: Any) -> str:
+    """Plugin of a BSDF or an emitter, and of the textures that it names."""
+    textures = [
+        child.props.plugin_name()
+        for child in file.children(node.props).values()
+        if child.type == load_mitsuba().ObjectType.Texture
+    ]
+    return node.props.plugin_name() + (f" with {', '.join(textures)}" if textures else "")
+
+
+def _attributes(file: Any, nodes: list[Any]) -> Iterator[str]:
+    """Names of the mesh attributes that nodes, or those that they hold, refer to."""
+    for node in nodes:
+        if node.props.plugin_name() == "mesh_attribute":
+            yield str(node.props.get("name", ""))
+        yield from _attributes(file, list(file.children(node.props).values()))
+
+
+def _ids(file: Any, bsdfs: list[Any]) -> Iterator[str]:
+    """Ids of BSDFs, outermost first, and of those that they hold."""
+    for node in bsdfs:
+        if node.props.id():
+            yield node.props.id()
+        inner = file.children(node.props).values()
+        yield from _ids(file, [child for child in inner if child.type == node.type])

@@ -1,0 +1,32 @@
+"""What Python prints of large objects is a line, however large they are."""
+
+import numpy as np
+
+from exitant_fields import random_exitant
+from fields import random_asset
+from lamps import AREA, cube, lamp_of
+from lumitree.asset.asset import Asset
+from model_assets import small_model, with_model
+
+
+def test_assets_and_their_parts():
+    field = random_asset(0, tree_depth=3, l_max=1)
+    whole = Asset(**{**vars(field), "model": small_model(), "exitant": random_exitant(0)})
+    for asset in (whole, field, with_model(small_model())):
+        text = repr(asset)
+        assert text.startswith(f"Asset('{asset.luminaire}': {' + '.join(asset.parts)}, size ")
+        assert f"{asset.num_bytes:,} bytes" in text
+        assert len(text) < 300
+    light = whole.exitant
+    assert repr(whole.model) == (
+        f"AssetModel(3 shapes, 8 triangles, 3 materials, 2 images, {whole.model.num_bytes:,} bytes)"
+    )
+    assert repr(light).startswith(f"ExitantField({len(light.cells):,} cells of ")
+    assert len(repr(light)) < 200
+
+
+def test_luminaires(mi, tmp_path):
+    lamp = lamp_of(tmp_path, *(cube(f"c{i}", 0.1, (i, 0, 0), AREA) for i in range(50)))
+    assert repr(lamp).startswith(f"Luminaire({lamp.name!r}: 50 shapes, 600 triangles, 50 emitters")
+    assert len(repr(lamp)) < 250
+    assert np.isfinite(lamp.size).all()
