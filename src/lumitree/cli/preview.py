@@ -9,7 +9,7 @@ from lumitree.cli.output import print_lines, print_open, print_result
 
 def add(commands: Any) -> None:
     text = "render a luminaire or an asset from six sides, and print its figures"
-    parser = options.command(commands, "preview", text, run)
+    parser = options.command(commands, "preview", text, run, show)
     options.add_luminaire(parser, "; or a .lumitree file")
     options.add_output(parser, "SHEET", "contact sheet to write, .png")
     options.add_pixels(parser, 256, 64)
@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> Any:
     import lumitree
 
     source = args.luminaire
-    result = lumitree.preview(
+    return lumitree.preview(
         source if source.endswith(".lumitree") else options.luminaire(args, source),
         args.output,
         resolution=args.resolution,
@@ -33,9 +33,14 @@ def run(args: argparse.Namespace) -> Any:
         bounces=args.bounces,
         variant=args.variant,
     )
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
+    import lumitree
+
     if isinstance(result, lumitree.AssetPreviewResult):
         print_result(result, result.sheet)
-        return result
+        return
     watts = ", ".join(f"{value:.4g}" for value in result.flux.watts)
     errors = ", ".join(f"{value:.2g}" for value in result.flux.watts_error)
     lines = {
@@ -54,4 +59,3 @@ def run(args: argparse.Namespace) -> Any:
         lines[name] = f"{100 * item.share:.2g} ± {100 * item.error:.1g} % of the flux"
     print_lines(lines | {"sheet": result.sheet})
     print_open(result.sheet)
-    return result
