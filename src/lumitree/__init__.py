@@ -16,8 +16,9 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 if TYPE_CHECKING:
     from lumitree.api.baking import bake, refine
     from lumitree.api.exporting import ExportResult, export
+    from lumitree.api.lamp_index import BakedLamp
     from lumitree.api.luminaires import builtin_luminaires, load_luminaire
-    from lumitree.api.many import BakedLamp, BakeManyResult, bake_many
+    from lumitree.api.many import BakeManyResult, bake_many
     from lumitree.api.merging import merge
     from lumitree.api.network import bake_network, capture, extract, train
     from lumitree.api.page import ViewResult, view
@@ -60,7 +61,7 @@ _HOMES = {
     "AssetPreviewResult": "api.results",
     "BakeManyResult": "api.many",
     "BakeResult": "api.results",
-    "BakedLamp": "api.many",
+    "BakedLamp": "api.lamp_index",
     "CaptureResult": "api.results",
     "Estimate": "goniophotometry.figures",
     "EvaluateResult": "api.results",

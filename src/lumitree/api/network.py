@@ -277,6 +277,7 @@ def train(
         psnr_black=result.psnr_black,
         rays_per_second=result.rays_per_second,
         stopped_by=result.stopped_by,
+        finished=result.steps == config.num_steps,
         **watch.costs(),
     )
 

@@ -123,7 +123,7 @@ def _show(args: argparse.Namespace, result: Any) -> None:
 def _status(result: Any) -> int:
     """Exit status of a command that has returned; prints one line if it was interrupted."""
     number = getattr(result, "stopped_by", None)
-    if number is None:
+    if number is None or result.finished:
         failed = getattr(result, "failed", ())
         if not failed:
             return 0

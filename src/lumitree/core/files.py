@@ -76,17 +76,60 @@ def _create_locked(path: Path) -> tuple[int, Path]:
         Path(name).unlink(missing_ok=True)
 
 
-def lock(handle: int) -> bool | None:
-    """Lock an open file for this process.
+def lock(handle: int, *, wait: bool = False) -> bool | None:
+    """Lock an open file or folder for this process.
+
+    Args:
+        wait: whether to wait until no other process holds it.
 
     Returns:
         True, or False where another process holds it; None where the file system has no locks.
     """
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         return False if error.errno in (errno.EWOULDBLOCK, errno.EACCES) else None
     return True
+
+
+@contextlib.contextmanager
+def exclusive(path: Path) -> Iterator[bool]:
+    """Context in which no other process holds `path`; yields False if one does.
+
+    While it is held, `path` is an empty file. What killed processes left is not in the way.
+
+    Raises:
+        LumitreeError: the folder cannot be written, or the disk is full.
+    """
+    while True:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError as error:
+            raise _write_error(path, error) from error
+        held = lock(handle) is not False
+        # The process that held the file may just have removed it.
+        if not held or os.fstat(handle).st_nlink:
+            break
+        os.close(handle)
+    try:
+        yield held
+    finally:
+        if held:
+            path.unlink(missing_ok=True)
+        os.close(handle)
+
+
+@contextlib.contextmanager
+def one_at_a_time(folder: Path) -> Iterator[None]:
+    """Context that waits until no other process is in such a context of `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        lock(handle, wait=True)
+        yield
+    finally:
+        os.close(handle)
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:

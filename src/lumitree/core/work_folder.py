@@ -23,6 +23,10 @@ _MARKER_TEXT = (
 _SCRATCH = "lumitree-scratch-"
 
 
+class BusyFolderError(LumitreeError):
+    """Another process works in a folder."""
+
+
 class WorkFolder:
     """A folder of intermediate results, locked by this process while the object is open.
 
@@ -33,8 +37,8 @@ class WorkFolder:
         path: the folder; made if it is missing.
 
     Raises:
-        LumitreeError: the folder is not lumitree's, cannot be written, or is locked by another
-            process.
+        LumitreeError: the folder is not lumitree's, or cannot be written.
+        BusyFolderError: it is locked by another process.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -51,7 +55,7 @@ class WorkFolder:
             self._handle = os.open(marker, os.O_RDWR | os.O_CREAT, 0o666)
             if lock(self._handle) is False:
                 os.close(self._handle)
-                raise LumitreeError(
+                raise BusyFolderError(
                     f"another process works in {self.path}; wait for it, or choose another folder "
                     "with --work"
                 )
