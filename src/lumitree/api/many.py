@@ -23,7 +23,7 @@ from lumitree.builtin.registry import BUILTIN
 from lumitree.core.arguments import check_asset_output
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import MANIFEST
-from lumitree.core.files import exclusive
+from lumitree.core.files import WriteError, exclusive
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_of
@@ -234,6 +234,9 @@ class _Job:
         except (Exception, KeyboardInterrupt) as error:
             if (interrupted := interruption_behind(error)) is not None:
                 return self._lamp("interrupted", self.files.read()), interrupted.number
+            if _disk_is_full(error):
+                # No other lamp could be written either.
+                raise
             reason = " ".join(str(error).split()) or "no details"
             if not isinstance(error, LumitreeError):
                 reason = f"unexpected {type(error).__name__}: {reason}"
@@ -287,6 +290,12 @@ class _Job:
         return dataclasses.replace(
             lamp, path=self.files.asset, seconds=record.seconds, figures=record.figures
         )
+
+
+def _disk_is_full(error: BaseException | None) -> bool:
+    while error is not None and not isinstance(error, WriteError):
+        error = error.__cause__
+    return error is not None and error.full
 
 
 def _digest(path: Path, kind: str) -> str:

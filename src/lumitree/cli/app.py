@@ -111,7 +111,7 @@ def _show(args: argparse.Namespace, result: Any) -> None:
         # Else the end of the process tries to write the same again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise LumitreeError(
-            f"cannot print the results: {error.strerror or error}; all files are written"
+            f"cannot print the results: {error.strerror or error}; print them elsewhere"
         ) from error
     finally:
         if args.json:
