@@ -130,7 +130,7 @@ def save_checkpoint(folder: Path, manager: ocp.CheckpointManager, step: int, sta
         manager.save(step, args=ocp.args.StandardSave(state))
     except (OSError, ValueError, WriteError) as error:
         with contextlib.suppress(OSError):
-            remove_written(folder, [f"{CHECKPOINTS}/*.orbax-checkpoint-tmp"])
+            remove_written(folder / CHECKPOINTS, ["*.orbax-checkpoint-tmp"])
         remedy = "choose another output"
         if has_checkpoint(folder):
             remedy = "make the folder writable, and continue with --resume"
