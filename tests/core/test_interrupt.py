@@ -199,6 +199,25 @@ def test_completed_work_ends_as_without_a_signal(monkeypatch):
     assert signal.getitimer(signal.ITIMER_REAL) == (0, 0)
 
 
+def test_a_block_within_another_ends_by_the_signal_of_that():
+    """The signal came before, and was caught."""
+    reached = []
+
+    def work():
+        with interruptible():
+            with contextlib.suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGTERM)
+            with contextlib.suppress(KeyboardInterrupt), interruptible():
+                time.sleep(LONG)
+            # It has been heeded, so what follows is not interrupted again.
+            with deferred_interrupt():
+                time.sleep(0.1)
+                reached.append("end")
+
+    work()
+    assert reached == ["end"]
+
+
 PROGRAM = "import sys, signal; sys.argv[:] = ['lumitree', '--version']; import lumitree\n"
 
 

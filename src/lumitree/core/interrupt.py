@@ -71,7 +71,7 @@ class _Block:
     """A block of `interruptible`.
 
     Attributes:
-        number: number of a signal that was received in the block; None if there was none.
+        number: number of the signal by which the block is to end; None if there was none.
     """
 
     def __init__(self, outer: "_Block | None") -> None:
@@ -128,6 +128,8 @@ def interruptible() -> Iterator[None]:
         return
     outer = _innermost
     block = _innermost = _Block(outer)
+    if outer is not None:
+        block.number, outer.number = outer.number, None
     handlers = {**dict.fromkeys(STOP_SIGNALS, block.receive), signal.SIGALRM: block.receive_again}
     try:
         with _handling(handlers):

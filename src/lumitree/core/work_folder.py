@@ -79,14 +79,20 @@ class WorkFolder:
     @property
     def is_empty(self) -> bool:
         """Whether the folder holds nothing from which a later call could continue."""
-        return os.listdir(self.path) == [MARKER]
+        try:
+            return set(os.listdir(self.path)) <= {MARKER}
+        except OSError:
+            return True
 
     def _close(self) -> None:
         os.close(self._handle)
         if self.is_empty:
-            (self.path / MARKER).unlink()
+            (self.path / MARKER).unlink(missing_ok=True)
             if self._made:
                 self.path.rmdir()
+        elif not (self.path / MARKER).exists():
+            # Someone removed the folder, and the work wrote into it again.
+            (self.path / MARKER).write_text(_MARKER_TEXT)
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove what lumitree wrote, and the folder if it is then empty.
@@ -100,8 +106,10 @@ class WorkFolder:
             remove_written(self.path, names)
             kept = [entry for entry in sorted(os.listdir(self.path)) if entry != MARKER]
             if not kept:
-                (self.path / MARKER).unlink()
+                (self.path / MARKER).unlink(missing_ok=True)
                 self.path.rmdir()
+        except FileNotFoundError:
+            kept = []
         except OSError as error:
             kept = [error.strerror or str(error)]
         if kept:
