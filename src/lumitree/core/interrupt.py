@@ -130,7 +130,8 @@ def interruptible() -> Iterator[None]:
     block = _innermost = _Block(outer)
     if outer is not None:
         block.number, outer.number = outer.number, None
-    handlers = {**dict.fromkeys(STOP_SIGNALS, block.receive), signal.SIGALRM: block.receive_again}
+    handlers: dict[int, _Handler] = dict.fromkeys(STOP_SIGNALS, block.receive)
+    handlers[signal.SIGALRM] = block.receive_again
     try:
         with _handling(handlers):
             try:

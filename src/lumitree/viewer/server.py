@@ -90,7 +90,7 @@ def _handler(content: bytes) -> Callable[..., BaseHTTPRequestHandler]:
             """Whether the request names this computer: a page elsewhere may have a name of its own
             for this address (DNS rebinding), and would otherwise be allowed to read the answer.
             """
-            port = self.server.server_address[1]
+            port = self.connection.getsockname()[1]
             allowed = {each for name in _NAMES for each in (name, f"{name}:{port}")}
             hosts = self.headers.get_all("Host", [])
             return len(hosts) == 1 and hosts[0].strip().lower() in allowed
