@@ -1,9 +1,14 @@
 """Many lamps in one folder: what is baked, kept and continued, and the index page."""
 
+import contextlib
 import functools
 import json
+import os
 import re
 import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +16,8 @@ import lumitree
 from lamps import AREA, scene, sphere
 from lumitree.api import lamp_record, many
 from lumitree.cli import main
+from lumitree.core.files import exclusive
+from lumitree.core.work_folder import WorkFolder
 from tiny_bakes import set_qualities
 
 SETTINGS = {"parts": ("exitant",), "irradiance_paths": 1 << 14}
@@ -100,6 +107,118 @@ def test_an_unexpected_error_is_a_failure_too(monkeypatch):
     monkeypatch.setattr(many, "bake", fail)
     result = lumitree.bake_many(["a.xml"], "out", **SETTINGS)
     assert result.failed[0].error == "unexpected ZeroDivisionError: division by zero"
+
+
+OTHER = """
+import sys
+import lumitree
+from tiny_bakes import set_qualities
+
+def wait(report):
+    if report.task.startswith("light of") and report.within.done == 0:
+        print("working", flush=True)
+        sys.stdin.readline()
+
+set_qualities(dict.__setitem__)
+result = lumitree.bake_many(
+    ["a.xml", "b.xml"], "out", parts=("exitant",), irradiance_paths=1 << 14, progress=wait
+)
+print([(lamp.name, lamp.state) for lamp in result.lamps])
+"""
+
+
+def test_two_processes_share_a_folder(folder, baked, monkeypatch):
+    """The other one is halfway through the first lamp until this one has nothing else to do."""
+    other = subprocess.Popen(
+        [sys.executable, "-c", OTHER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        cwd=folder, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    )  # fmt: skip
+    pages, outputs = [], []
+
+    def finish_other(_):
+        pages.append((folder / "out/index.html").read_text())
+        outputs.append(other.communicate("go\n" * 1000)[0])
+
+    monkeypatch.setattr("lumitree.api.many.time.sleep", finish_other)
+    try:
+        assert other.stdout.readline() == "working\n"
+        with pytest.warns(lumitree.LumitreeWarning, match="another process works on a; it is left"):
+            result = lumitree.bake_many(["a.xml", "b.xml"], "out", **SETTINGS)
+    finally:
+        other.kill()
+        other.wait()
+    assert states(result) == [("a", "kept"), ("b", "baked")]
+    assert baked == ["b"]
+    assert outputs[0].splitlines()[-1] == "[('a', 'baked'), ('b', 'kept')]"
+    (during,) = pages
+    assert "failed:" not in during
+    assert during.count("not baked yet") == 1
+    after = result.index.read_text()
+    assert after.count("<dt>flux</dt>") == 2
+    assert "not baked yet" not in after
+    assert sorted(path.name for path in (folder / "out/index-files").iterdir()) == [
+        "a.json", "a.png", "b.json", "b.png",
+    ]  # fmt: skip
+
+
+def test_a_page_has_what_other_processes_have_baked_meanwhile(folder):
+    """Also lamps that are still to come in the list of the process that writes it."""
+    lumitree.bake_many(["a.xml"], "out", **SETTINGS)
+    lamps = [many.BakedLamp("a", "a.xml", "waiting"), many.BakedLamp("c", "c.xml", "waiting")]
+    many.write_index(Path("out"), lamps)
+    page = (folder / "out/index.html").read_text()
+    assert page.count("<dt>flux</dt>") == 1
+    assert page.count("not baked yet") == 1
+
+
+def test_a_lamp_that_is_baked_alone_is_left_until_then(folder, monkeypatch):
+    (folder / "out").mkdir()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(WorkFolder("out/a.work"))
+        monkeypatch.setattr("lumitree.api.many.time.sleep", lambda _: stack.close())
+        with pytest.warns(lumitree.LumitreeWarning, match="another process works on a"):
+            result = lumitree.bake_many(["a.xml"], "out", **SETTINGS)
+    assert states(result) == [("a", "baked")]
+
+
+def test_a_signal_while_a_list_waits_is_heeded(folder, monkeypatch):
+    monkeypatch.setattr(
+        "lumitree.api.many.time.sleep", lambda _: signal.raise_signal(signal.SIGTERM)
+    )
+    with exclusive(folder / "out/index-files/a.lock") as free:
+        assert free
+        with pytest.warns(lumitree.LumitreeWarning, match="another process works on a"):
+            result = lumitree.bake_many(["a.xml"], "out", **SETTINGS)
+    assert result.stopped_by == signal.SIGTERM
+    assert not result.finished
+
+
+@pytest.mark.parametrize("moment", ["record", "page"])
+def test_a_signal_after_the_last_lamp_changes_nothing(monkeypatch, capfd, moment):
+    target = (lamp_record.LampFiles, "write") if moment == "record" else (many, "write_index")
+    original = getattr(*target)
+
+    def write(*args, **options):
+        signal.raise_signal(signal.SIGINT)
+        return original(*args, **options)
+
+    monkeypatch.setattr(*target, write)
+    assert main(["bake", "a.xml", "-o", "out/", *ARGUMENTS]) == 0
+    assert " a  baked" in capfd.readouterr().out
+
+
+def test_a_signal_before_the_last_lamp_leaves_the_others(monkeypatch, capfd):
+    write = many.write_index
+
+    def signalled(*args):
+        signal.raise_signal(signal.SIGINT)
+        write(*args)
+
+    monkeypatch.setattr(many, "write_index", signalled)
+    assert main(["bake", "a.xml", "b.xml", "-o", "out/", *ARGUMENTS]) == 130
+    captured = capfd.readouterr()
+    assert " b  waiting" in captured.out
+    assert "error: interrupted; the same command continues" in captured.err
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ import lumitree
 import tiny_bakes
 from fields import random_asset
 from lumitree.cli import main
+from lumitree.core.files import atomic_path
 from lumitree.core.work_folder import MARKER
 from lumitree.errors import LumitreeError
 from lumitree.nerf.config import PRESETS
@@ -108,6 +109,111 @@ def stop_and_finish(name, number, moment):
 )
 def test_stopped_commands_leave_nothing_broken_and_can_be_finished(name, number, moment):
     stop_and_finish(name, number, moment)
+
+
+# Runs the command line, with a signal as soon as a module is being imported.
+SIGNAL_IN_IMPORT = """
+import signal, sys
+name, number = sys.argv[1], int(sys.argv[2])
+
+class Finder:
+    def find_spec(self, found, path=None, target=None):
+        if found == name:
+            sys.meta_path.remove(self)
+            signal.raise_signal(number)
+
+sys.meta_path.insert(0, Finder())
+sys.argv[:] = ["lumitree", *sys.argv[3:]]
+from lumitree.cli import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "number", "command"),
+    [
+        ("lumitree.cli.app", signal.SIGINT, ("info", "rough.lumitree")),
+        # trimesh catches what these imports raise.
+        ("scipy.spatial", signal.SIGTERM, ("photometry", "lamp.xml")),
+        ("mitsuba", signal.SIGINT, ("render", "no.xml", "-o", "a.png")),
+    ],
+)
+def test_a_signal_while_modules_are_imported_ends_the_command(module, number, command):
+    """Two processes of some seconds, since that is when all of these modules are imported."""
+    process = subprocess.run(
+        [sys.executable, "-c", SIGNAL_IN_IMPORT, module, str(int(number)), *command],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert process.returncode == 128 + number
+    assert process.stdout == ""
+    *first, last = process.stderr.splitlines()
+    assert first in ([], ["lumitree: stopping ..."])
+    assert last.startswith("lumitree: error: interrupted")
+    assert left() == []
+
+
+ROOM = (
+    '<scene version="3.0.0"><integrator type="path"/><sensor type="perspective">'
+    '<film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/>'
+    '</film></sensor><shape type="rectangle"/></scene>'
+)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_mitsuba_makes_a_plugin_ends_the_command(monkeypatch, capfd, number):
+    """Mitsuba turns it into RuntimeError."""
+    from lumitree.rendering import proxy_shape
+
+    make = proxy_shape._proxy
+
+    def signalled(*args):
+        signal.raise_signal(number)
+        return make(*args)
+
+    monkeypatch.setattr(proxy_shape, "_proxy", signalled)
+    Path("room.xml").write_text(ROOM)
+    command = ["render", "room.xml", "--place", "rough.lumitree", "--at", "0,9,0", "-o", "a.png"]
+    assert main(command) == 128 + number
+    first, last = capfd.readouterr().err.splitlines()
+    assert first == "lumitree: stopping ..."
+    assert last.startswith("lumitree: error: interrupted; ")
+    assert not Path("a.png").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_results_are_printed_changes_nothing(monkeypatch, capfd, number):
+    from lumitree.cli import info
+
+    show = info.print_report
+
+    def signalled(report):
+        signal.raise_signal(number)
+        show(report)
+
+    monkeypatch.setattr(info, "print_report", signalled)
+    assert main(["info", "rough.lumitree", "--json", "a.json"]) == 0
+    captured = capfd.readouterr()
+    assert "leaves" in captured.out
+    assert captured.err == "lumitree: the work is complete; a second signal ends at once\n"
+    assert Path("a.json").exists()
+
+
+def test_a_signal_after_a_bake_is_complete_changes_nothing(tiny, monkeypatch, capfd):
+    """Its asset is written, and its irradiance is not to be compared."""
+    from lumitree.api import finishing
+
+    save = finishing.save_asset
+
+    def signalled(*args):
+        signal.raise_signal(signal.SIGTERM)
+        return save(*args)
+
+    monkeypatch.setattr(finishing, "save_asset", signalled)
+    command = [*BAKE, "--parts", "exitant", "--irradiance-paths"]
+    assert main([*command, "0"]) == 0
+    assert left() == ["out/lamp.lumitree"]
+    assert main([*command, "1024"]) == 143
+    assert "is complete, but its irradiance was not compared" in capfd.readouterr().err
 
 
 @pytest.mark.slow
@@ -220,6 +326,79 @@ def test_a_full_disk_at_the_end_loses_no_work(tiny, steps, monkeypatch, capsys):
     assert main(list(BAKE)) == 0
     assert steps == done
     assert left() == ["out/lamp.lumitree"]
+
+
+def test_a_full_disk_ends_a_list_of_bakes(tiny, monkeypatch, capsys):
+    """And fails no lamp: the next one could not be written either."""
+    Path("next.xml").write_text(LAMP)
+    command = ["bake", "lamp.xml", "next.xml", "-o", "out/", "--parts", "exitant"]
+    with monkeypatch.context() as patch:
+        patch.setattr("safetensors.numpy.save_file", run_out_of_disk)
+        assert main(command) == 2
+    captured = capsys.readouterr()
+    expected = "cannot write out/lamp.lumitree: No space left on device; free some space or choose"
+    assert captured.err.splitlines()[-1] == f"lumitree: error: {expected} another output"
+    assert captured.out == ""
+    assert left() == ["next.xml"]
+    assert main(command) == 0
+
+
+def test_state_that_stays_on_a_full_disk_is_said(tiny, monkeypatch, capsys):
+    from lumitree.api import finishing
+
+    def fail(*_):
+        with atomic_path("out/lamp.lumitree"):
+            run_out_of_disk()
+
+    monkeypatch.setattr(finishing, "save_asset", fail)
+    assert main([*BAKE, "--parts", "exitant"]) == 2
+    assert capsys.readouterr().err.endswith(
+        "; free some space or choose another output; the same command continues from what "
+        "out/lamp.work holds\n"
+    )
+    assert left() == UNFINISHED[:2]
+
+
+def test_results_that_cannot_be_printed_are_an_error(monkeypatch, capfd):
+    with open("/dev/full", "w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert main(["info", "rough.lumitree"]) == 2
+    expected = "cannot print the results: No space left on device; print them elsewhere"
+    assert capfd.readouterr().err == f"lumitree: error: {expected}\n"
+
+
+def test_a_run_without_a_checkpoint_is_removed_from_a_full_disk(tmp_path):
+    from lumitree.nerf import run
+
+    class Manager:
+        def latest_step(self):
+            return None
+
+        def save(self, step, **_):
+            partial = folder / run.CHECKPOINTS / f"{step}.orbax-checkpoint-tmp"
+            partial.mkdir(parents=True)
+            (partial / "data").write_text("x" * 1000)
+            raise ValueError('Failed writing: "/x/10": No space left on device [os_error_code=28]')
+
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / run.RECORD).write_text("{}")
+    line = f"cannot write a checkpoint to {folder}: No space left on device; free some space or"
+    with pytest.raises(LumitreeError, match=f"^{re.escape(line)} choose another output$"):
+        run.save_checkpoint(folder, Manager(), 10, {"a": np.zeros(3)})
+    assert left() == ["run/run.json"]
+    # A run that can be continued stays.
+    checkpoint = folder / run.CHECKPOINTS / "5" / "data"
+    checkpoint.parent.mkdir()
+    checkpoint.write_text("x")
+    with pytest.raises(LumitreeError, match="and continue with --resume"):
+        run.save_checkpoint(folder, Manager(), 10, {"a": np.zeros(3)})
+    run.remove_unfinished(folder, made=True)
+    assert left() == ["run/checkpoints/5/data", "run/run.json"]
+    checkpoint.unlink()
+    checkpoint.parent.rmdir()
+    run.remove_unfinished(folder, made=True)
+    assert not folder.exists()
 
 
 @pytest.mark.parametrize("name", ["precious.txt", "run/precious.txt"])

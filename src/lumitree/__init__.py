@@ -5,19 +5,21 @@ Import lumitree before mitsuba: it then names a working libLLVM to Mitsuba (see
 """
 
 import importlib
+import os
+import sys
 from typing import TYPE_CHECKING, Any
 
 from lumitree.core.backend import select_llvm
-from lumitree.core.interrupt import Interrupted
-from lumitree.core.progress import Progress, show_progress
+from lumitree.core.interrupt import Interrupted, exit_on_signals
 from lumitree.errors import LumitreeError, LumitreeWarning
 
 if TYPE_CHECKING:
     from lumitree.api.baking import bake, refine
     from lumitree.api.exporting import ExportResult, export
     from lumitree.api.files import load
+    from lumitree.api.lamp_index import BakedLamp
     from lumitree.api.luminaires import builtin_luminaires, load_luminaire
-    from lumitree.api.many import BakedLamp, BakeManyResult, bake_many
+    from lumitree.api.many import BakeManyResult, bake_many
     from lumitree.api.merging import merge
     from lumitree.api.network import bake_network, capture, extract, train
     from lumitree.api.page import ViewResult, view
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from lumitree.asset.asset import Asset, AssetInfo
     from lumitree.asset.file import save
     from lumitree.core.frames import LocalFrame
+    from lumitree.core.progress import Progress, show_progress
     from lumitree.goniophotometry.figures import Estimate, PhotometricFigures
     from lumitree.goniophotometry.near_field import NearFieldLimit
     from lumitree.luminaire.luminaire import Luminaire
@@ -59,7 +62,7 @@ _HOMES = {
     "AssetPreviewResult": "api.results",
     "BakeManyResult": "api.many",
     "BakeResult": "api.results",
-    "BakedLamp": "api.many",
+    "BakedLamp": "api.lamp_index",
     "CaptureResult": "api.results",
     "Estimate": "goniophotometry.figures",
     "EvaluateResult": "api.results",
@@ -74,6 +77,7 @@ _HOMES = {
     "PhotometryResult": "api.results",
     "Placement": "rendering.placement",
     "PreviewResult": "api.results",
+    "Progress": "core.progress",
     "MixResult": "api.results",
     "RenderResult": "api.results",
     "Result": "api.results",
@@ -99,6 +103,7 @@ _HOMES = {
     "render": "api.rendering",
     "save": "asset.file",
     "shape": "rendering.plugins",
+    "show_progress": "core.progress",
     "train": "api.network",
     "view": "api.page",
 }
@@ -157,6 +162,17 @@ __all__ = [
     "view",
 ]
 
+
+def _is_program() -> bool:
+    """Whether the process is the command line, and not a program that imports lumitree."""
+    name = os.path.basename(sys.argv[0]) if getattr(sys, "argv", None) else ""
+    # While Python locates the module of `python -m`, the name is -m.
+    return name == "lumitree" or (name == "-m" and "lumitree.cli" in sys.orig_argv)
+
+
+if _is_program():
+    # The command line imports this package first; its own handlers are installed by `main`.
+    exit_on_signals()
 select_llvm()
 
 

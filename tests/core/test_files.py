@@ -1,6 +1,7 @@
 """Files appear whole or not at all."""
 
 import contextlib
+import errno
 import os
 import resource
 import subprocess
@@ -12,8 +13,17 @@ import numpy as np
 import pytest
 
 from lumitree.core import files
-from lumitree.core.files import atomic_path, check_writable, is_empty, write_json
+from lumitree.core.files import (
+    WriteError,
+    atomic_path,
+    check_room,
+    check_writable,
+    exclusive,
+    is_empty,
+    write_json,
+)
 from lumitree.core.images import read_exr, tonemap, write_exr, write_image
+from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError
 
 
@@ -160,15 +170,93 @@ def test_outputs_that_cannot_be_written_are_refused_before(tmp_path):
 
 def test_a_full_disk_is_told_alike_by_mitsuba(mi, tmp_path):
     """Its streams raise RuntimeError with a line of its own."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
     mesh = mi.Mesh("many", vertex_count=100_000, face_count=1)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
-    try:
+    with (
+        largest_file(100),
+        pytest.raises(WriteError, match=r"cannot write .*/a.ply: File too large; free"),
+        atomic_path(tmp_path / "a.ply") as temporary,
+    ):
+        mesh.write_ply(str(temporary))
+    assert os.listdir(tmp_path) == []
+
+
+def test_small_files_are_not_lost_silently(mi, tmp_path):
+    """OpenEXR and Mitsuba write them when they close them, and do not report that it failed."""
+    mesh = mi.Mesh("few", vertex_count=3, face_count=1)
+    with largest_file(100):
+        with pytest.raises(WriteError, match=r"cannot write .*/a.exr: File too large; free some"):
+            write_exr(tmp_path / "a.exr", {"RGB": np.ones((8, 8, 3), np.float32)})
         with (
-            pytest.raises(LumitreeError, match=r"cannot write .*/a.ply: File too large; free"),
+            pytest.raises(WriteError, match=r"cannot write .*/a.ply: File too large; free some"),
             atomic_path(tmp_path / "a.ply") as temporary,
         ):
             mesh.write_ply(str(temporary))
+    assert os.listdir(tmp_path) == []
+
+
+@contextlib.contextmanager
+def largest_file(size):
+    """Files cannot be larger than `size`, as if the disk was full then."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError(errno.EDQUOT, os.strerror(errno.EDQUOT), "/tmp/.a.lumitree-12345678.txt"),
+        OSError(None, "Error while serializing: I/O error: Disk quota exceeded (os error 122)"),
+        RuntimeError('[FileStream] "x": I/O error while writing: Disk quota exceeded'),
+        ValueError("RESOURCE_EXHAUSTED: Error writing \"x\": Disk quota exceeded [os_error='122']"),
+        LumitreeError("blender ended with status 1: Disk quota exceeded"),
+    ],
+)
+def test_all_libraries_messages_of_a_full_disk_become_one(tmp_path, error):
+    target = tmp_path / "a b é.txt"
+    with pytest.raises(WriteError) as raised, atomic_path(target):
+        raise error
+    expected = f"cannot write {target}: Disk quota exceeded; free some space or choose another"
+    assert str(raised.value) == f"{expected} output"
+    assert raised.value.full
+
+
+def test_other_errors_pass(tmp_path):
+    for error in (RuntimeError("no"), ValueError("no"), LumitreeError("no")):
+        with pytest.raises(type(error), match=r"^no$"), atomic_path(tmp_path / "a.txt"):
+            raise error
+
+
+def test_temporary_files_are_not_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    message = f"cannot write temporary files in {tmp_path}: File too large; free some space or name"
+    with (
+        scratch_folder() as folder,
+        largest_file(1000),
+        pytest.raises(WriteError, match=message + " another folder with TMPDIR"),
+    ):
+        write_json(folder / "meshes" / "a.json", list(range(1000)))
+
+
+def test_room_is_checked_before(tmp_path):
+    check_room(tmp_path / "new", 1 << 20)
+    with largest_file(1000), pytest.raises(WriteError, match="File too large; free some space"):
+        check_room(tmp_path / "new", 1 << 20)
+    assert os.listdir(tmp_path / "new") == []
+
+
+def test_one_process_at_a_time_holds_a_name(tmp_path):
+    path = tmp_path / "new" / "a.lock"
+    with exclusive(path) as first:
+        with exclusive(path) as second:
+            assert (first, second) == (True, False)
+        assert path.exists()
+    assert not path.exists()
+    # As a killed process leaves it.
+    path.touch()
+    with exclusive(path) as third:
+        assert third
+    assert not path.exists()

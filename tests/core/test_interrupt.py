@@ -1,15 +1,20 @@
 """Signals that ask a job to stop."""
 
+import contextlib
 import os
 import pty
 import signal
 import subprocess
 import sys
 import textwrap
+import time
 
 import pytest
 
 from lumitree.core.interrupt import STOP_SIGNALS, Interrupted, deferred_interrupt, interruptible
+
+# Longer than any test waits: a signal ends it.
+LONG = 60.0
 
 
 @pytest.mark.parametrize("number", STOP_SIGNALS)
@@ -56,6 +61,186 @@ def test_ignored_signals_stay_ignored():
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+def test_a_signal_in_an_import_is_raised_after_it(tmp_path, monkeypatch):
+    """A module that is half imported is broken, and trimesh catches what its imports raise."""
+    (tmp_path / "slow_module.py").write_text(
+        "import signal\nsignal.raise_signal(signal.SIGTERM)\ncomplete = True\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    reached = []
+
+    def work():
+        with interruptible():
+            import slow_module  # pyright: ignore[reportMissingImports]
+
+            reached.append(slow_module.complete)
+            time.sleep(LONG)
+
+    with pytest.raises(Interrupted) as raised:
+        work()
+    assert reached == [True]
+    assert raised.value.number == signal.SIGTERM
+
+
+def test_a_second_signal_does_not_wait_for_an_import(tmp_path, monkeypatch):
+    (tmp_path / "slower_module.py").write_text(
+        "import signal\n" + 2 * "signal.raise_signal(signal.SIGTERM)\n" + "complete = True\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(Interrupted), interruptible():
+        import slower_module  # pyright: ignore[reportMissingImports]  # noqa: F401
+    assert "slower_module" not in sys.modules
+
+
+def test_a_signal_that_a_library_catches_is_raised_again():
+    def catch_all():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except BaseException:
+            return
+
+    reached = []
+
+    def work():
+        with interruptible():
+            catch_all()
+            reached.append("caught")
+            time.sleep(LONG)
+
+    with pytest.raises(Interrupted):
+        work()
+    assert reached == ["caught"]
+
+
+def test_a_signal_that_a_library_turns_into_its_own_error_is_a_signal():
+    """As Mitsuba does while it makes a plugin."""
+
+    def convert():
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except BaseException:
+            error = RuntimeError("failed to instantiate")
+        raise error
+
+    with pytest.raises(Interrupted) as raised, interruptible():
+        convert()
+    assert raised.value.number == signal.SIGTERM
+    with pytest.raises(RuntimeError, match="no signal"), interruptible():
+        raise RuntimeError("no signal")
+
+
+def test_what_cleans_up_is_not_interrupted_again():
+    reached = []
+
+    def work():
+        with interruptible():
+            try:
+                signal.raise_signal(signal.SIGINT)
+            finally:
+                time.sleep(0.1)
+                reached.append("clean")
+
+    with pytest.raises(Interrupted):
+        work()
+    assert reached == ["clean"]
+
+
+def test_work_in_an_except_is_interrupted_like_other_work():
+    def work():
+        try:
+            raise ValueError
+        except ValueError:
+            with interruptible():
+                with pytest.raises(Interrupted):
+                    signal.raise_signal(signal.SIGINT)
+                time.sleep(LONG)
+
+    with pytest.raises(Interrupted):
+        work()
+
+
+def test_a_caught_signal_is_raised_before_signals_are_deferred():
+    reached = []
+
+    def work():
+        with interruptible():
+            with pytest.raises(Interrupted):
+                signal.raise_signal(signal.SIGINT)
+            with deferred_interrupt():
+                reached.append("deferred")
+
+    with pytest.raises(Interrupted):
+        work()
+    assert reached == []
+
+
+def test_completed_work_ends_as_without_a_signal(monkeypatch):
+    """But work around it is interrupted."""
+    before = signal.getsignal(signal.SIGALRM)
+
+    def inner():
+        with interruptible(), contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+
+    def outer():
+        with interruptible():
+            inner()
+            time.sleep(LONG)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("lumitree.core.interrupt._AGAIN_SECONDS", LONG)
+        inner()
+    with pytest.raises(Interrupted) as raised:
+        outer()
+    assert raised.value.number == signal.SIGTERM
+    assert signal.getsignal(signal.SIGALRM) is before
+    assert signal.getitimer(signal.ITIMER_REAL) == (0, 0)
+
+
+def test_a_block_within_another_ends_by_the_signal_of_that():
+    """The signal came before, and was caught."""
+    reached = []
+
+    def work():
+        with interruptible():
+            with contextlib.suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGTERM)
+            with contextlib.suppress(KeyboardInterrupt), interruptible():
+                time.sleep(LONG)
+            # It has been heeded, so what follows is not interrupted again.
+            with deferred_interrupt():
+                time.sleep(0.1)
+                reached.append("end")
+
+    work()
+    assert reached == ["end"]
+
+
+PROGRAM = "import sys, signal; sys.argv[:] = ['lumitree', '--version']; import lumitree\n"
+
+
+@pytest.mark.parametrize("number", STOP_SIGNALS)
+def test_a_signal_before_the_command_begins_ends_the_program_with_one_line(number):
+    code = PROGRAM + f"signal.raise_signal({int(number)})"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert process.returncode == 128 + number
+    assert process.stderr == "lumitree: error: interrupted before the command began\n"
+
+
+def test_a_signal_after_the_command_has_ended_changes_nothing():
+    code = PROGRAM + "from lumitree.cli import main\ntry:\n    main()\nfinally:\n"
+    code += "".join(f"    signal.raise_signal({int(number)})\n" for number in STOP_SIGNALS)
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (process.returncode, process.stderr) == (0, "")
+    assert process.stdout.startswith("lumitree ")
+
+
+def test_other_programs_keep_their_handlers():
+    code = "import signal, lumitree; print(signal.getsignal(signal.SIGTERM) is signal.SIG_DFL)"
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert process.stdout == "True\n"
 
 
 def test_output_goes_nowhere_once_the_terminal_has_gone(tmp_path):

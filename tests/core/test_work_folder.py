@@ -1,6 +1,8 @@
 """Folders that lumitree owns, and what it never deletes."""
 
+import errno
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -82,6 +84,36 @@ def test_a_file_is_no_folder(tmp_path):
     (tmp_path / "w").write_text("mine")
     with pytest.raises(LumitreeError, match="cannot write the work folder"):
         WorkFolder(tmp_path / "w")
+
+
+def test_a_folder_that_vanishes_is_no_obstacle(tmp_path):
+    """Someone removes it while a process works in it."""
+    with WorkFolder(tmp_path / "w") as work:
+        shutil.rmtree(work.path)
+        assert work.is_empty
+        work.remove(NAMES)
+    assert os.listdir(tmp_path) == []
+    with WorkFolder(tmp_path / "w") as work:
+        shutil.rmtree(work.path)
+        fill(work.path)
+    # It can be continued.
+    with WorkFolder(tmp_path / "w") as work:
+        assert not work.is_empty
+        shutil.rmtree(work.path)
+        fill(work.path)
+        work.remove(NAMES)
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_full_disk_leaves_no_marker(tmp_path, monkeypatch):
+    def fail(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "write", fail)
+    message = "cannot write the work folder .*: No space left on device; free some space or choose"
+    with pytest.raises(LumitreeError, match=message + " another with --work"):
+        WorkFolder(tmp_path / "w")
+    assert os.listdir(tmp_path) == []
 
 
 def test_one_process_at_a_time(tmp_path):

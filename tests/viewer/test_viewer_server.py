@@ -2,8 +2,11 @@
 
 import os
 import signal
+import socket
+import struct
 import subprocess
 import sys
+import threading
 import urllib.request
 
 import pytest
@@ -76,3 +79,73 @@ def test_command_serves_until_interrupted(asset_file):
 def test_address_is_of_this_computer():
     with open_server("page") as server:
         assert address(server).startswith("http://127.0.0.1:")
+
+
+@pytest.fixture
+def port():
+    """Port of a server in the background."""
+    with open_server("<p>page</p>" * 100_000) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield server.server_address[1]
+        server.shutdown()
+        thread.join()
+
+
+def answer(port, request):
+    """Status, headers and body of the answer to the bytes of a request."""
+    with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
+        connection.sendall(request)
+        received = b"".join(iter(lambda: connection.recv(1 << 16), b""))
+    head, _, body = received.partition(b"\r\n\r\n")
+    first, *lines = head.decode().split("\r\n")
+    return int(first.split()[1]), dict(line.split(": ", 1) for line in lines), body
+
+
+def get(port, *hosts, method="GET", path="/"):
+    lines = [f"{method} {path} HTTP/1.1", *(f"Host: {host}" for host in hosts), "", ""]
+    return answer(port, "\r\n".join(lines).encode())
+
+
+def test_only_names_of_this_computer_are_answered(port):
+    for name in ("localhost", "127.0.0.1", "[::1]", "LocalHost"):
+        for host in (name, f"{name}:{port}"):
+            assert get(port, host)[0] == 200
+    for host in ("evil.example", f"evil.example:{port}", f"localhost:{port + 1}", "localhost.evil",
+                 "127.0.0.1.evil.example", "0.0.0.0", "", f"evil@localhost:{port}"):  # fmt: skip
+        status, headers, body = get(port, host)
+        assert (status, headers["Content-Type"]) == (403, "text/plain; charset=utf-8")
+        assert b"page" not in body
+    assert get(port)[0] == 403
+    assert get(port, "localhost", "evil.example")[0] == 403
+    assert answer(port, b"GET http://evil.example/ HTTP/1.1\r\nHost: localhost\r\n\r\n")[0] == 404
+
+
+def test_head_and_headers(port):
+    status, headers, body = get(port, "localhost", method="HEAD")
+    assert (status, body) == (200, b"")
+    assert headers["Content-Length"] == "1100000"
+    for name, value in (
+        ("Cache-Control", "no-store"),
+        ("Cross-Origin-Resource-Policy", "same-origin"),
+        ("Referrer-Policy", "no-referrer"),
+        ("X-Content-Type-Options", "nosniff"),
+    ):
+        assert headers[name] == value
+    assert get(port, "localhost", path="/?a=1")[0] == 200
+    assert get(port, "localhost", path="/other")[0] == 404
+
+
+def test_aborted_connections_print_nothing(port, capfd):
+    for request in (b"", b"GET", b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", b"\x16\x03\x01\0"):
+        for _ in range(5):
+            connection = socket.create_connection(("127.0.0.1", port), timeout=20)
+            connection.sendall(request)
+            # Closed by a reset, while the server writes.
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            connection.close()
+    assert get(port, "localhost")[0] == 200
+    for thread in threading.enumerate():
+        if "process_request_thread" in thread.name:
+            thread.join(timeout=20)
+    assert capfd.readouterr() == ("", "")

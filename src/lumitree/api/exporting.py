@@ -12,7 +12,7 @@ from lumitree.api.results import Result
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_choice, check_range
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.files import atomic_path, check_writable
+from lumitree.core.files import atomic_path, check_writable, write_bytes
 from lumitree.core.seeds import check_seed
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained, shown
@@ -152,7 +152,7 @@ def _run(program: str, made: _Made, output: Path) -> None:
 
     with scratch_folder() as folder:
         content = folder / "content"
-        content.write_bytes(made.content)
+        write_bytes(content, made.content)
         if made.script is None:
             run_script(program, content, [os.fspath(output)])
             return

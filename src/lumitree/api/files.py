@@ -7,6 +7,7 @@ from pathlib import Path
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import save
+from lumitree.core.files import WriteError
 from lumitree.core.work_folder import WorkFolder, scratch_folder
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.luminaire.source import LuminaireSource, source_kind
@@ -73,10 +74,23 @@ def open_work_folder(output: FilePath | None, work: FilePath | None) -> Iterator
         output: the `.lumitree` file of the bake, or None.
         work: the folder that the user chose. If it is None, the folder has the name of `output`
             with the suffix `.work`, or is a temporary one if `output` is None too.
+
+    Raises:
+        LumitreeError: the folder cannot be used; and for a `WriteError` that the block raises if
+            the folder then holds state, which it says.
     """
+    temporary = work is None and output is None
     with contextlib.ExitStack() as stack:
-        if work is None and output is None:
+        if temporary:
             work = stack.enter_context(scratch_folder()) / "work"
         elif work is None:
             work = Path(str(output)).with_suffix(".work")
-        yield stack.enter_context(WorkFolder(str(work)))
+        folder = stack.enter_context(WorkFolder(str(work)))
+        try:
+            yield folder
+        except WriteError as error:
+            if temporary or folder.is_empty:
+                raise
+            raise LumitreeError(
+                f"{error}; the same command continues from what {shown(folder.path, 300)} holds"
+            ) from error

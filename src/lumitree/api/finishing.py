@@ -43,6 +43,7 @@ def finish_bake(
     with deferred_interrupt() as interruption:
         path = save_asset(asset, output)
     stopped_by = interruption.number if stopped_by is None else stopped_by
+    compares = luminaire is not None and irradiance_paths > 0
     if luminaire is not None and stopped_by is None:
         try:
             with interruptible():
@@ -57,6 +58,7 @@ def finish_bake(
         irradiance=irradiance,
         stopped_by=stopped_by,
         complete=complete,
+        finished=complete and (irradiance is not None or not compares),
         **figures,
         **watch.costs(),
     )
@@ -65,7 +67,7 @@ def finish_bake(
 def remove_state(
     folder: WorkFolder, work: FilePath | None, result: BakeResult, names: Iterable[str]
 ) -> None:
-    """Remove the saved state of a bake, unless it was interrupted or its folder is the user's.
+    """Remove the saved state of a bake, unless it is not finished or its folder is the user's.
 
     Args:
         folder: holds the state.
@@ -73,5 +75,5 @@ def remove_state(
         result: of the bake.
         names: patterns of what to remove, as for `WorkFolder.remove`.
     """
-    if work is None and result.stopped_by is None:
+    if work is None and result.finished:
         folder.remove(names)

@@ -55,6 +55,7 @@ class LampFiles:
     Attributes:
         name: of the lamp.
         asset, thumbnail: the asset, and an image of it.
+        lock: held by the process that works on the lamp; see `core.files.exclusive`.
     """
 
     def __init__(self, folder: Path, name: str) -> None:
@@ -63,6 +64,7 @@ class LampFiles:
         self.asset = folder / f"{name}.lumitree"
         # Not beside the asset, where images and files of this name may be the user's.
         self.thumbnail = folder / INDEX_FILES / f"{name}.png"
+        self.lock = folder / INDEX_FILES / f"{name}.lock"
         self._record = folder / INDEX_FILES / f"{name}.json"
 
     def read(self) -> LampRecord | None:

@@ -3,14 +3,17 @@
 import dataclasses
 import hashlib
 import inspect
-import os
+import time
+import warnings
+from collections import deque
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 from lumitree.api.baking import Quality, bake, check_bake
 from lumitree.api.files import FilePath
-from lumitree.api.lamp_record import INDEX_FILES, LampFiles, LampRecord, settings_text
+from lumitree.api.lamp_index import INDEX, BakedLamp, State, check_index, write_index
+from lumitree.api.lamp_record import LampFiles, LampRecord, settings_text
 from lumitree.api.luminaires import dataset_folder
 from lumitree.api.measures import peak_memory_bytes
 from lumitree.api.photometric_files import applicable_settings, warn_of_unused
@@ -20,19 +23,19 @@ from lumitree.builtin.registry import BUILTIN
 from lumitree.core.arguments import check_asset_output
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import MANIFEST
-from lumitree.core.files import check_writable, write_bytes
-from lumitree.core.interrupt import deferred_interrupt, interruption_behind
+from lumitree.core.files import WriteError, exclusive
+from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_of
 from lumitree.core.reading import read_bytes
 from lumitree.core.transmittance import Law
-from lumitree.errors import LumitreeError, explained, shown
-from lumitree.evaluation.index_page import GENERATOR, Entry, figure_rows, index_page
+from lumitree.core.work_folder import BusyFolderError
+from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 from lumitree.luminaire.source import LuminaireSource, as_source, source_kind
 
-INDEX = "index.html"
-State = Literal["baked", "kept", "failed", "interrupted", "waiting"]
-_MAX_SOURCE_BYTES, _MAX_INDEX_BYTES = 1 << 26, 1 << 30
+# Interval at which a lamp is tried again that another process works on, s.
+_AGAIN_SECONDS = 0.5
+_MAX_SOURCE_BYTES = 1 << 26
 # Arguments of `bake` that do not apply, or do not change the asset.
 _NOT_SETTINGS = ("luminaire", "output", "work", "variant", "progress")
 
@@ -51,31 +54,6 @@ class BakeSettings(TypedDict, total=False):
     lumens: float | None
     temperature: float | None
     seed: int
-
-
-@dataclasses.dataclass(frozen=True)
-class BakedLamp:
-    """One lamp of `bake_many`.
-
-    Attributes:
-        name: of the lamp and of its files.
-        source: luminaire that it was baked from.
-        state: "baked"; "kept", if an earlier call has baked it with these settings; "failed";
-            "interrupted", which the same call continues; or "waiting", if the call was
-            interrupted before it.
-        path: file of the asset; None if none was written.
-        error: why it failed; None if it did not.
-        seconds: wall time of its bake, with that of earlier calls.
-        figures: `lumens`, `file_bytes`, `size` and `irradiance_rms`; empty if there is no asset.
-    """
-
-    name: str
-    source: str
-    state: State
-    path: Path | None = None
-    error: str | None = None
-    seconds: float = 0.0
-    figures: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -99,6 +77,11 @@ class BakeManyResult(Result):
         """The lamps that failed."""
         return [lamp for lamp in self.lamps if lamp.state == "failed"]
 
+    @property
+    def finished(self) -> bool:
+        """Whether no lamp is left to be baked. A signal may have arrived afterwards."""
+        return all(lamp.state in ("baked", "kept", "failed") for lamp in self.lamps)
+
 
 @explained
 def bake_many(
@@ -118,6 +101,9 @@ def bake_many(
     The same call continues where an earlier one was interrupted. It keeps lamps whose luminaire
     and settings are those of the record, continues the interrupted one, and tries those again that
     failed. A lamp that fails does not affect the others.
+
+    Several processes may bake into one folder. Each takes the lamps on which no other one works,
+    and at the end waits for the others.
 
     Args:
         luminaires: names, files and `LuminaireSource`, as for `bake`.
@@ -141,7 +127,7 @@ def bake_many(
         >>> [(lamp.name, lamp.state) for lamp in result.lamps]
     """
     root = Path(folder)
-    _check_index(root / INDEX)
+    check_index(root / INDEX)
     named = _named([as_source(each) for each in luminaires], root)
     options = _complete(settings)
     check_bake(**{key: options[key] for key in options if key not in ("lumens", "temperature")})
@@ -151,17 +137,33 @@ def bake_many(
     load_mitsuba(variant)
     lamps = [BakedLamp(name, source.name, "waiting") for name, source in named.items()]
     stopped_by = None
-    title = f"bake {len(lamps)} lamps"
-    with reporting(progress), progress_of(title, len(lamps)) as advance:
-        for index, (name, source) in enumerate(named.items()):
-            applicable = applicable_settings(options, source)
-            job = _Job(LampFiles(root, name), source, applicable, variant, progress)
-            lamps[index], stopped_by = job.run()
+    jobs = deque(
+        enumerate(
+            _Job(
+                LampFiles(root, name),
+                source,
+                applicable_settings(options, source),
+                variant,
+                progress,
+            )
+            for name, source in named.items()
+        )
+    )
+    skipped: set[str] = set()
+    with reporting(progress), progress_of(f"bake {len(lamps)} lamps", len(lamps)) as advance:
+        while jobs and stopped_by is None:
+            index, job = jobs.popleft()
+            # Then only such lamps are left.
+            wait = len(jobs) < len(skipped)
+            lamps[index], stopped_by = job.run(wait)
+            if lamps[index].state == "waiting":
+                jobs.append((index, job))
+                _warn_of_other(job.files.name, skipped)
+                continue
+            skipped.discard(job.files.name)
             with deferred_interrupt() as interruption:
-                _write_index(root, lamps)
+                write_index(root, lamps)
             stopped_by = interruption.number if stopped_by is None else stopped_by
-            if stopped_by is not None:
-                break
             advance(1)
     return BakeManyResult(
         folder=root,
@@ -173,15 +175,15 @@ def bake_many(
     )
 
 
-def _check_index(path: Path) -> None:
-    """Refuse an index page that cannot be written, or that is not lumitree's."""
-    check_writable(path)
-    if os.path.exists(path):
-        content = read_bytes(path, "an index page", _MAX_INDEX_BYTES)
-        if GENERATOR.encode() not in content[:1000]:
-            raise LumitreeError(
-                f"{shown(path, 300)} is not a page of lumitree; choose another folder, or move it"
-            )
+def _warn_of_other(name: str, skipped: set[str]) -> None:
+    """Warn once that another process works on a lamp."""
+    if name not in skipped:
+        skipped.add(name)
+        warnings.warn(
+            f"another process works on {shown(name, 200)}; it is left until the end",
+            LumitreeWarning,
+            stacklevel=3,
+        )
 
 
 def _named(sources: Sequence[LuminaireSource], folder: Path) -> dict[str, LuminaireSource]:
@@ -225,13 +227,27 @@ class _Job:
     variant: str | None
     progress: ProgressCallback | None
 
-    def run(self) -> tuple[BakedLamp, int | None]:
-        """Bake the lamp, or keep it; returns its state, and the number of a signal or None."""
+    def run(self, wait: bool) -> tuple[BakedLamp, int | None]:
+        """Bake the lamp, or keep it; returns its state, and the number of a signal or None.
+
+        The state is "waiting" if another process works on the lamp. With `wait` that is seen after
+        a while.
+        """
         try:
-            return self._run()
+            with interruptible():
+                if wait:
+                    time.sleep(_AGAIN_SECONDS)
+                with exclusive(self.files.lock) as free:
+                    return self._run() if free else (self._lamp("waiting", None), None)
+        except BusyFolderError:
+            # A command that bakes this lamp alone.
+            return self._lamp("waiting", None), None
         except (Exception, KeyboardInterrupt) as error:
             if (interrupted := interruption_behind(error)) is not None:
                 return self._lamp("interrupted", self.files.read()), interrupted.number
+            if _disk_is_full(error):
+                # No other lamp could be written either.
+                raise
             reason = " ".join(str(error).split()) or "no details"
             if not isinstance(error, LumitreeError):
                 reason = f"unexpected {type(error).__name__}: {reason}"
@@ -253,7 +269,6 @@ class _Job:
             progress=self.progress,
             **self.options,
         )
-        finished = result.stopped_by is None
         # Otherwise a signal would make the next call repeat a bake that is complete.
         with deferred_interrupt() as interruption:
             record = self.files.write(
@@ -261,11 +276,11 @@ class _Job:
                 result.irradiance,
                 fingerprint=fingerprint,
                 settings=settings,
-                finished=finished,
+                finished=result.finished,
                 seconds=seconds + sum(result.seconds.values()),
             )
-        stopped_by = result.stopped_by if not finished else interruption.number
-        return self._lamp("baked" if finished else "interrupted", record), stopped_by
+        stopped_by = interruption.number if result.stopped_by is None else result.stopped_by
+        return self._lamp("baked" if result.finished else "interrupted", record), stopped_by
 
     def _loaded(self) -> tuple[str, Any]:
         """Fingerprint of the luminaire, and what `bake` gets for it."""
@@ -288,39 +303,11 @@ class _Job:
         )
 
 
+def _disk_is_full(error: BaseException | None) -> bool:
+    while error is not None and not isinstance(error, WriteError):
+        error = error.__cause__
+    return error is not None and error.full
+
+
 def _digest(path: Path, kind: str) -> str:
     return hashlib.sha256(read_bytes(path, kind, _MAX_SOURCE_BYTES)).hexdigest()
-
-
-def _write_index(folder: Path, lamps: Sequence[BakedLamp]) -> None:
-    """Write the index page of these lamps, and of others that the folder has records of."""
-    names = {lamp.name for lamp in lamps}
-    others = []
-    for path in sorted((folder / INDEX_FILES).glob("*.json")):
-        record = LampFiles(folder, path.stem).read() if path.stem not in names else None
-        if record is not None:
-            state: State = "kept" if record.finished else "interrupted"
-            asset = LampFiles(folder, path.stem).asset
-            others.append(
-                BakedLamp(path.stem, "", state, asset, None, record.seconds, record.figures)
-            )
-    entries = [_entry(folder, lamp) for lamp in (*lamps, *others)]
-    write_bytes(folder / INDEX, index_page(folder.resolve().name or "lamps", entries))
-
-
-def _entry(folder: Path, lamp: BakedLamp) -> Entry:
-    notes = {
-        "failed": f"failed: {lamp.error}",
-        "interrupted": "interrupted; the same command continues",
-        "waiting": "not baked yet",
-    }
-    thumbnail = LampFiles(folder, lamp.name).thumbnail
-    shows = lamp.path is not None and thumbnail.is_file()
-    return Entry(
-        name=lamp.name,
-        link=None if lamp.path is None else lamp.path.name,
-        image=thumbnail.read_bytes() if shows else None,
-        rows=figure_rows(lamp.figures, lamp.seconds) if lamp.figures else (),
-        note=notes.get(lamp.state, ""),
-        failed=lamp.state == "failed",
-    )

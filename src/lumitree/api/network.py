@@ -21,7 +21,7 @@ from lumitree.core.arguments import (
 )
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
-from lumitree.core.files import check_writable
+from lumitree.core.files import WriteError, check_writable
 from lumitree.core.interrupt import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
@@ -214,14 +214,19 @@ def capture(
     with reporting(progress), watch.stage("capture"):
         lamp = load_luminaire(luminaire)
         warn_of_faults(lamp)
-        dataset = capture_views(
-            lamp,
-            output,
-            num_views=num_views,
-            resolution=resolution,
-            samples_per_pixel=samples_per_pixel,
-            split=split,
-        )
+        try:
+            dataset = capture_views(
+                lamp,
+                output,
+                num_views=num_views,
+                resolution=resolution,
+                samples_per_pixel=samples_per_pixel,
+                split=split,
+            )
+        except WriteError as error:
+            if not (Path(output) / MANIFEST).exists():
+                raise
+            raise LumitreeError(f"{error}; the same command continues the capture") from error
     return CaptureResult(
         dataset=Path(output),
         luminaire=dataset.manifest.luminaire,
@@ -277,6 +282,7 @@ def train(
         psnr_black=result.psnr_black,
         rays_per_second=result.rays_per_second,
         stopped_by=result.stopped_by,
+        finished=result.steps == config.num_steps,
         **watch.costs(),
     )
 

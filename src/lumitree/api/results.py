@@ -61,8 +61,9 @@ class BakeResult(Result):
             None if no field was baked from rays.
         stopped_by: number of the signal that interrupted the bake; None if there was none.
             The asset is then the best so far, or `complete`.
-        complete: whether the asset is complete. If `stopped_by` is set too, only the irradiance
-            around it was not compared.
+        complete: whether the asset is complete.
+        finished: whether the bake is finished: the asset is complete, and the irradiance around it
+            was compared if it should be. A signal may have arrived afterwards.
     """
 
     asset: Asset
@@ -73,6 +74,7 @@ class BakeResult(Result):
     rays: int | None = None
     stopped_by: int | None = None
     complete: bool = dataclasses.field(default=True, repr=False)
+    finished: bool = dataclasses.field(default=True, repr=False)
 
     def to_json(self) -> Json:
         """Dictionary of the result, for `json.dumps`, with `Asset.info` in place of the asset."""
@@ -108,6 +110,7 @@ class TrainResult(Result):
         psnr_black: PSNR of an all-black prediction of the same rays, dB.
         rays_per_second: training speed of this call.
         stopped_by: number of the signal that interrupted the training; None if there was none.
+        finished: whether the training is finished. A signal may have arrived afterwards.
     """
 
     run: Path
@@ -116,6 +119,7 @@ class TrainResult(Result):
     psnr_black: float
     rays_per_second: float
     stopped_by: int | None = None
+    finished: bool = dataclasses.field(default=True, repr=False)
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)

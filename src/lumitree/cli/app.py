@@ -1,5 +1,6 @@
 """The program `lumitree`: parses the command line, runs one command, prints errors in one line."""
 
+import argparse
 import os
 import sys
 import warnings
@@ -28,7 +29,12 @@ from lumitree.cli.completion import complete
 from lumitree.cli.options import Parser
 from lumitree.cli.output import LONGEST_LINE
 from lumitree.core.backend import quieten
-from lumitree.core.interrupt import interruptible, interruption_behind
+from lumitree.core.interrupt import (
+    deferred_interrupt,
+    ignore_signals,
+    interruptible,
+    interruption_behind,
+)
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 
 DEBUG = "LUMITREE_DEBUG"
@@ -64,36 +70,60 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit status: 0 for success, 1 for an error in lumitree, 2 for invalid input, and 128
         plus the number of the signal if the command was interrupted.
     """
-    arguments = _join_vectors(list(sys.argv[1:] if argv is None else argv))
-    if not arguments:
-        arguments = ["--help"]
+    try:
+        return _run(list(sys.argv[1:] if argv is None else argv))
+    except BrokenPipeError:
+        # The program that reads the output, such as `head`, has closed it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (Exception, KeyboardInterrupt) as error:
+        return _explain(error)
+    finally:
+        if argv is None:
+            ignore_signals()
+
+
+def _run(arguments: list[str]) -> int:
+    """Run one command; returns the exit status. A signal after its work has no effect."""
     quieten()
-    with warnings.catch_warnings(), interruptible():
+    with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         warnings.simplefilter("always", LumitreeWarning)
-        try:
+        with interruptible():
             parser = _parser()
             complete(parser)
-            args = parser.parse_args(arguments)
+            args = parser.parse_args(_join_vectors(arguments or ["--help"]))
             _check_json_output(args.json)
             result = args.run(args)
-            if args.json:
-                from lumitree.core.files import write_json
-
-                write_json(args.json, result if isinstance(result, dict) else result.to_json())
+        with deferred_interrupt("the work is complete; a second signal ends at once"):
+            _show(args, result)
             return _status(result)
-        except BrokenPipeError:
-            # The program that reads the output, such as `head`, has closed it.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return 0
-        except (Exception, KeyboardInterrupt) as error:
-            return _explain(error)
+
+
+def _show(args: argparse.Namespace, result: Any) -> None:
+    """Print the results of a command, and write them as JSON if that was asked for."""
+    try:
+        args.show(args, result)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        # Else the end of the process tries to write the same again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise LumitreeError(
+            f"cannot print the results: {error.strerror or error}; print them elsewhere"
+        ) from error
+    finally:
+        if args.json:
+            from lumitree.core.files import write_json
+
+            write_json(args.json, result if isinstance(result, dict) else result.to_json())
 
 
 def _status(result: Any) -> int:
     """Exit status of a command that has returned; prints one line if it was interrupted."""
     number = getattr(result, "stopped_by", None)
-    if number is None:
+    if number is None or result.finished:
         failed = getattr(result, "failed", ())
         if not failed:
             return 0

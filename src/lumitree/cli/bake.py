@@ -13,7 +13,7 @@ _NETWORK_ONLY = ("preset",)
 
 
 def add(commands: Any) -> None:
-    parser = options.command(commands, "bake", "convert a luminaire into an asset", run)
+    parser = options.command(commands, "bake", "convert a luminaire into an asset", run, show)
     options.add_luminaire(
         parser,
         "; or the folder of a dataset, or a photometric file (.ies, .ldt, .ray, .tm25ray). Several "
@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> Any:
     if args.method == "nerf":
         from lumitree.api.network import NETWORK_PARTS
 
-        result = lumitree.bake_network(
+        return lumitree.bake_network(
             luminaire,
             args.output,
             preset=args.preset or "preview",
@@ -112,16 +112,23 @@ def run(args: argparse.Namespace) -> Any:
             work=args.work,
             variant=args.variant,
         )
+    return lumitree.bake(
+        luminaire,
+        args.output,
+        **_settings(args),
+        work=args.work,
+        variant=args.variant,
+    )
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
+    import lumitree
+
+    if isinstance(result, lumitree.BakeManyResult):
+        print_lamps(result.lamps)
+        print_open(result.index)
     else:
-        result = lumitree.bake(
-            luminaire,
-            args.output,
-            **_settings(args),
-            work=args.work,
-            variant=args.variant,
-        )
-    print_result(result, result.path)
-    return result
+        print_result(result, result.path)
 
 
 def _settings(args: argparse.Namespace) -> dict[str, Any]:
@@ -153,7 +160,4 @@ def _run_many(args: argparse.Namespace) -> Any:
             f"{len(args.luminaires)} luminaires; give a folder"
         )
     luminaires = [options.luminaire(args, name) for name in args.luminaires]
-    result = lumitree.bake_many(luminaires, args.output, variant=args.variant, **_settings(args))
-    print_lamps(result.lamps)
-    print_open(result.index)
-    return result
+    return lumitree.bake_many(luminaires, args.output, variant=args.variant, **_settings(args))

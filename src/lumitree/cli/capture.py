@@ -9,7 +9,7 @@ from lumitree.cli.output import print_result
 
 def add(commands: Any) -> None:
     text = "render views of a luminaire: radiance and opacity"
-    parser = options.command(commands, "capture", text, run)
+    parser = options.command(commands, "capture", text, run, show)
     options.add_luminaire(parser)
     options.add_output(
         parser, "DATASET", "folder for the views; the same command continues an interrupted capture"
@@ -27,7 +27,7 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    result = lumitree.capture(
+    return lumitree.capture(
         options.luminaire(args, args.luminaire),
         args.output,
         num_views=args.views,
@@ -36,5 +36,7 @@ def run(args: argparse.Namespace) -> Any:
         split=args.split,
         variant=args.variant,
     )
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
     print_result(result, result.dataset)
-    return result

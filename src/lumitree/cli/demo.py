@@ -10,7 +10,7 @@ from lumitree.cli.output import print_metrics, print_open, print_report
 
 def add(commands: Any) -> None:
     text = "bake a built-in lamp, and compare it with the explicit lamp in a room"
-    parser = options.command(commands, "demo", text, run)
+    parser = options.command(commands, "demo", text, run, show)
     parser.add_argument(
         "-o",
         dest="output",
@@ -24,15 +24,17 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     from lumitree import demo
 
-    report = demo.run(args.output, args.variant)
-    evaluation = report["evaluate"]
+    return demo.run(args.output, args.variant)
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
+    evaluation = result["evaluate"]
     print_metrics(evaluation)
     metrics = evaluation["metrics"]
     print(
         f"gain over an all-black image: {metrics['gain_linear']:.1f} dB linear, "
         f"{metrics['gain_mulaw']:.1f} dB mu-law"
     )
-    print_report({name: report[name] for name in ("seconds", "peak_memory_bytes")})
-    print(f"written: {', '.join(report['files'])}")
+    print_report({name: result[name] for name in ("seconds", "peak_memory_bytes")})
+    print(f"written: {', '.join(result['files'])}")
     print_open(Path(args.output) / "comparison.png")
-    return report

@@ -10,7 +10,7 @@ from lumitree.cli.output import print_metrics, print_open
 
 def add(commands: Any) -> None:
     text = "compare an asset with its luminaire: held-out views, and the irradiance around it"
-    parser = options.command(commands, "evaluate", text, run)
+    parser = options.command(commands, "evaluate", text, run, show)
     parser.add_argument("asset", metavar="ASSET", help=f"a .lumitree file{options.PHOTOMETRIC}")
     parser.add_argument(
         "target",
@@ -35,7 +35,7 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    result = lumitree.evaluate(
+    return lumitree.evaluate(
         args.asset,
         options.luminaire(args, args.target),
         args.output or f"{Path(args.asset).with_suffix('')}-evaluation.png",
@@ -45,6 +45,8 @@ def run(args: argparse.Namespace) -> Any:
         irradiance_paths=args.irradiance_paths,
         variant=args.variant,
     )
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
     print_metrics(result.to_json())
     print_open(result.sheet or result.irradiance_sheet)
-    return result

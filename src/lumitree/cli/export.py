@@ -8,7 +8,7 @@ from lumitree.cli.output import print_open, print_report
 
 
 def add(commands: Any) -> None:
-    parser = options.command(commands, "export", "write an asset for Blender", run)
+    parser = options.command(commands, "export", "write an asset for Blender", run, show)
     parser.add_argument(
         "asset",
         metavar="ASSET",
@@ -38,12 +38,14 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    result = lumitree.export(
+    return lumitree.export(
         args.asset, args.output, lights=args.lights, up=args.up, blender=args.blender
     )
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
     report = result.to_json()
     for line in report.pop("not_carried_over"):
         print(f"note: {line}")
     print_report(report)
     print_open(result.file)
-    return result

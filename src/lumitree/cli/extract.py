@@ -9,7 +9,7 @@ from lumitree.cli.output import print_result
 
 def add(commands: Any) -> None:
     text = "convert a trained network into an asset"
-    parser = options.command(commands, "extract", text, run)
+    parser = options.command(commands, "extract", text, run, show)
     parser.add_argument(
         "run_folder", metavar="RUN", help="folder of the run, made by 'lumitree train'"
     )
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> Any:
     import lumitree
 
     luminaire = None if args.luminaire is None else options.luminaire(args, args.luminaire)
-    result = lumitree.extract(
+    return lumitree.extract(
         args.run_folder,
         args.output,
         tree_depth=args.depth,
@@ -48,5 +48,7 @@ def run(args: argparse.Namespace) -> Any:
         seed=args.seed,
         variant=args.variant,
     )
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
     print_result(result, result.path)
-    return result

@@ -8,7 +8,7 @@ from lumitree.cli.output import print_report
 
 
 def add(commands: Any) -> None:
-    parser = options.command(commands, "info", "describe an asset", run)
+    parser = options.command(commands, "info", "describe an asset", run, show)
     parser.add_argument("asset", metavar="ASSET", help=f"a .lumitree file{options.PHOTOMETRIC}")
 
 
@@ -16,6 +16,8 @@ def run(args: argparse.Namespace) -> Any:
     import lumitree
     from lumitree.api.results import asset_report
 
-    report = {"asset": asset_report(lumitree.load(args.asset), args.asset)}
-    print_report(report)
-    return report
+    return {"asset": asset_report(lumitree.load(args.asset), args.asset)}
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
+    print_report(result)

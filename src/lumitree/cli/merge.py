@@ -9,7 +9,7 @@ from lumitree.cli.output import print_result
 
 def add(commands: Any) -> None:
     text = "combine exitant light fields of one luminaire that were baked with different seeds"
-    parser = options.command(commands, "merge", text, run)
+    parser = options.command(commands, "merge", text, run, show)
     parser.add_argument(
         "assets",
         metavar="ASSET",
@@ -23,6 +23,8 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    result = lumitree.merge(args.assets, args.output)
+    return lumitree.merge(args.assets, args.output)
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
     print_result(result, result.path)
-    return result

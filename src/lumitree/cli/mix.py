@@ -9,7 +9,7 @@ from lumitree.cli.output import print_result
 
 def add(commands: Any) -> None:
     text = "change the brightness and colour of lamps in an image, without rendering it again"
-    parser = options.command(commands, "mix", text, run)
+    parser = options.command(commands, "mix", text, run, show)
     parser.add_argument("layers", metavar="LAYERS.exr", help="a file of `render --layers`")
     options.add_output(
         parser, "IMAGE", "image to write, .exr (linear radiance) or .png (tone-mapped)"
@@ -28,9 +28,11 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    result = lumitree.mix(args.layers, args.output, dict(args.gain))
+    return lumitree.mix(args.layers, args.output, dict(args.gain))
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
     print_result(result, result.image)
-    return result
 
 
 def _gain(text: str) -> tuple[str, Any]:

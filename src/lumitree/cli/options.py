@@ -30,7 +30,11 @@ class Formatter(argparse.ArgumentDefaultsHelpFormatter):
 
 
 def command(
-    commands: Any, name: str, text: str, run: Callable[[argparse.Namespace], Any]
+    commands: Any,
+    name: str,
+    text: str,
+    run: Callable[[argparse.Namespace], Any],
+    show: Callable[[argparse.Namespace, Any], None],
 ) -> argparse.ArgumentParser:
     """Add a command.
 
@@ -38,8 +42,9 @@ def command(
         commands: the object that `add_subparsers` returned.
         name: name of the command.
         text: short description, which starts with a verb in lower case.
-        run: function that is called with the parsed arguments. It prints its results, and returns
-            a `Result` or a dictionary for `--json`.
+        run: function that is called with the parsed arguments. It returns a `Result`, or a
+            dictionary for `--json`. All files are written when it returns.
+        show: function that is called with the parsed arguments and this result, and prints it.
 
     Returns:
         The parser of the command, to which its options are added.
@@ -48,7 +53,7 @@ def command(
         name, help=text, description=text[0].upper() + text[1:] + ".", formatter_class=Formatter
     )
     parser.add_argument("--json", metavar="FILE", help="also write the results as JSON to FILE")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, show=show)
     return parser
 
 

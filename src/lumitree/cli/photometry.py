@@ -10,7 +10,7 @@ from lumitree.errors import shown
 
 def add(commands: Any) -> None:
     text = "measure intensities and flux of a lamp; write IES, EULUMDAT and ray files, and reports"
-    parser = options.command(commands, "photometry", text, run)
+    parser = options.command(commands, "photometry", text, run, show)
     parser.add_argument(
         "source",
         metavar="ASSET|LUMINAIRE",
@@ -61,7 +61,7 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    result = lumitree.photometry(
+    return lumitree.photometry(
         options.luminaire(args, args.source),
         args.output,
         step=args.step,
@@ -72,6 +72,9 @@ def run(args: argparse.Namespace) -> Any:
         seed=args.seed,
         variant=args.variant,
     )
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
     from lumitree.goniophotometry.tables import figure_rows
 
     rows = figure_rows(result, result.size, result.step, result.rays, result.ugr)
@@ -82,7 +85,6 @@ def run(args: argparse.Namespace) -> Any:
     # A report, if there is one.
     reports = [path for path in result.files if path.suffix.lower() in (".html", ".pdf")]
     print_open(next(iter((*reports, *result.files)), None))
-    return result
 
 
 def _number(text: str) -> float | str:

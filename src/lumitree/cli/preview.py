@@ -12,7 +12,7 @@ _MAX_SHAPES = 40
 
 def add(commands: Any) -> None:
     text = "render a luminaire or an asset from six sides, and print its figures and its shapes"
-    parser = options.command(commands, "preview", text, run)
+    parser = options.command(commands, "preview", text, run, show)
     options.add_luminaire(parser, f"; or a .lumitree file{options.PHOTOMETRIC}")
     options.add_output(parser, "SHEET", "contact sheet to write, .png")
     options.add_pixels(parser, 256, 64)
@@ -27,7 +27,7 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    result = lumitree.preview(
+    return lumitree.preview(
         options.luminaire(args, args.luminaire),
         args.output,
         resolution=args.resolution,
@@ -35,9 +35,14 @@ def run(args: argparse.Namespace) -> Any:
         bounces=args.bounces,
         variant=args.variant,
     )
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
+    import lumitree
+
     if isinstance(result, lumitree.AssetPreviewResult):
         print_result(result, result.sheet)
-        return result
+        return
     watts = ", ".join(f"{value:.4g}" for value in result.flux.watts)
     errors = ", ".join(f"{value:.2g}" for value in result.flux.watts_error)
     lines = {
@@ -61,4 +66,3 @@ def run(args: argparse.Namespace) -> Any:
         print_lines({"shapes": f"{more:,} more; --json writes all"})
     print_lines({"sheet": result.sheet})
     print_open(result.sheet)
-    return result

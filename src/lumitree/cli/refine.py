@@ -9,7 +9,7 @@ from lumitree.cli.output import print_result
 
 def add(commands: Any) -> None:
     text = "improve an asset with rays traced through its luminaire"
-    parser = options.command(commands, "refine", text, run)
+    parser = options.command(commands, "refine", text, run, show)
     parser.add_argument("asset", metavar="ASSET", help="a .lumitree file, baked with either method")
     options.add_luminaire(parser)
     options.add_output(
@@ -26,7 +26,7 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    result = lumitree.refine(
+    return lumitree.refine(
         args.asset,
         options.luminaire(args, args.luminaire),
         args.output,
@@ -37,5 +37,7 @@ def run(args: argparse.Namespace) -> Any:
         work=args.work,
         variant=args.variant,
     )
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
     print_result(result, result.path)
-    return result

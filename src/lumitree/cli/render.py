@@ -23,7 +23,7 @@ class _Place(argparse.Action):
 
 def add(commands: Any) -> None:
     text = "render a Mitsuba scene with luminaires placed in it"
-    parser = options.command(commands, "render", text, run)
+    parser = options.command(commands, "render", text, run, show)
     parser.add_argument("scene", metavar="SCENE.xml", help="a Mitsuba 3 scene with a camera")
     options.add_output(
         parser, "IMAGE", "image to write, .exr (linear radiance) or .png (tone-mapped)"
@@ -141,7 +141,7 @@ def run(args: argparse.Namespace) -> Any:
 
     placements = [] if args.placements is None else lumitree.read_placements(args.placements)
     placements += [lumitree.Placement(**placement) for placement in args.place or ()]
-    result = lumitree.render(
+    return lumitree.render(
         args.scene,
         placements,
         args.output,
@@ -155,5 +155,7 @@ def run(args: argparse.Namespace) -> Any:
         proxy=args.proxy,
         variant=args.variant,
     )
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
     print_result(result, result.image)
-    return result

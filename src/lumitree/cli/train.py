@@ -9,7 +9,7 @@ from lumitree.cli.output import print_result
 
 def add(commands: Any) -> None:
     text = "train the network of the paper on a dataset"
-    parser = options.command(commands, "train", text, run)
+    parser = options.command(commands, "train", text, run, show)
     parser.add_argument(
         "dataset", metavar="DATASET", help="folder of the dataset, made by 'lumitree capture'"
     )
@@ -24,8 +24,10 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    result = lumitree.train(
+    return lumitree.train(
         args.dataset, args.output, preset=args.preset, seed=args.seed, resume=args.resume
     )
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
     print_result(result, result.run)
-    return result

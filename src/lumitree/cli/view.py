@@ -9,7 +9,7 @@ from lumitree.core.interrupt import Interrupted
 
 
 def add(commands: Any) -> None:
-    parser = options.command(commands, "view", "show an asset in a web browser", run)
+    parser = options.command(commands, "view", "show an asset in a web browser", run, show)
     parser.add_argument("asset", metavar="ASSET", help=f"a .lumitree file{options.PHOTOMETRIC}")
     parser.add_argument(
         "-o",
@@ -29,7 +29,6 @@ def run(args: argparse.Namespace) -> Any:
 
     result = lumitree.view(args.asset, args.output)
     if result.page is not None:
-        print_open(result.page)
         return result
     with open_server(result.html, args.port) as server:
         print(f"open {address(server)} in a browser; Ctrl-C ends", flush=True)
@@ -38,3 +37,7 @@ def run(args: argparse.Namespace) -> Any:
         except Interrupted as interrupted:
             raise Interrupted("the page is no longer served", interrupted.number) from None
     return result
+
+
+def show(args: argparse.Namespace, result: Any) -> None:
+    print_open(result.page)

@@ -7,7 +7,6 @@ Dr.Jit before that import. A value of DRJIT_LIBLLVM_PATH that the user has set i
 """
 
 import importlib
-import importlib.metadata
 import os
 import sys
 from pathlib import Path
@@ -95,6 +94,9 @@ def check_llvm(version: tuple[int, ...] | None, path: str | None) -> None:
 
 
 def _bundled_llvm() -> Path | None:
+    # Takes as long as all else that `import lumitree` needs.
+    import importlib.metadata
+
     try:
         files = importlib.metadata.distribution("karellen-llvm-core").files or []
     except importlib.metadata.PackageNotFoundError:

@@ -9,15 +9,55 @@ import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from lumitree.errors import LumitreeError, shown
 
 # The part of a temporary name before its random characters, and the pattern of the whole name.
 _TEMPORARY = ".lumitree-"
+# Temporary folders have names that begin so.
+SCRATCH = "lumitree-scratch-"
+# What the system says of a full disk; libraries repeat it in messages of their own.
+_FULL = {number: os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)}
+# Bytes, more than what C++ keeps back until a file is closed.
+_BUFFER = 1 << 14
 _TEMPORARY_NAME = re.compile(
     r"\.(?P<stem>.*)\.lumitree-[a-z0-9_]{8}(?P<suffix>(\.[^.]*)?)", re.DOTALL
 )
+
+
+class WriteError(LumitreeError):
+    """A file cannot be written.
+
+    Attributes:
+        path: the file.
+        reason: why, as the system says it.
+        full: whether its disk is full.
+    """
+
+    def __init__(self, path: Path, error: Exception, what: str = "", remedy: str = "") -> None:
+        """Describe what went wrong.
+
+        Args:
+            error: of the system, or of the library that wrote the file.
+            what: what cannot be written. Default: the path, or for a file of a temporary folder,
+                whose name means nothing, where that is.
+            remedy: what to do. Default: choose another output, or place for temporary files.
+        """
+        scratch = next((each for each in path.parents if each.name.startswith(SCRATCH)), None)
+        if scratch is not None:
+            what = f"temporary files in {shown(scratch.parent, 400)}"
+            remedy = "name another folder with TMPDIR"
+        number = getattr(error, "errno", None)
+        text = getattr(error, "strerror", None) or " ".join(str(error).split())
+        reasons = [reason for key, reason in _FULL.items() if key == number or reason in text]
+        self.path, self.full = path, bool(reasons)
+        self.reason = shown(reasons[0] if reasons else text, 400)
+        first = "free some space or " if self.full else ""
+        super().__init__(
+            f"cannot write {what or shown(path, 400)}: {self.reason}; "
+            f"{first}{remedy or 'choose another output'}"
+        )
 
 
 @contextlib.contextmanager
@@ -28,7 +68,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     Temporary files that killed processes left for the same `path` are removed too.
 
     Raises:
-        LumitreeError: the folder cannot be written, or the disk is full.
+        WriteError: the folder cannot be written, or the disk is full.
     """
     path = Path(path)
     try:
@@ -36,28 +76,36 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         _remove_abandoned(path)
         handle, temporary = _create_locked(path)
     except (OSError, ValueError) as error:
-        raise _write_error(path, error) from error
+        raise WriteError(path, error) from error
     try:
         yield temporary
         with open(temporary, "rb+") as file:
+            _check_room(file)
             os.fsync(file.fileno())
         # mkstemp creates 0600; a finished result follows the user's umask.
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, path)
-    except OSError as error:
-        raise _write_error(path, error) from error
-    except RuntimeError as error:
-        # Mitsuba's message names the temporary file and ends with the reason.
-        _, failed, reason = str(error).partition("I/O error")
-        if not failed:
+    except WriteError:
+        raise
+    except Exception as error:
+        if not isinstance(error, OSError) and not _says_of_writing(error):
             raise
-        full = OSError(errno.ENOSPC, reason.rpartition(": ")[2])
-        raise _write_error(path, full) from error
+        raise WriteError(path, error) from error
     finally:
         os.close(handle)
         temporary.unlink(missing_ok=True)
+
+
+def _check_room(file: IO[bytes]) -> None:
+    """Raise `OSError` if the disk is full.
+
+    OpenEXR and Mitsuba do not report it if it was full when they closed the file.
+    """
+    end = file.seek(0, os.SEEK_END)
+    file.write(bytes(_BUFFER))
+    file.truncate(end)
 
 
 def _create_locked(path: Path) -> tuple[int, Path]:
@@ -76,17 +124,60 @@ def _create_locked(path: Path) -> tuple[int, Path]:
         Path(name).unlink(missing_ok=True)
 
 
-def lock(handle: int) -> bool | None:
-    """Lock an open file for this process.
+def lock(handle: int, *, wait: bool = False) -> bool | None:
+    """Lock an open file or folder for this process.
+
+    Args:
+        wait: whether to wait until no other process holds it.
 
     Returns:
         True, or False where another process holds it; None where the file system has no locks.
     """
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         return False if error.errno in (errno.EWOULDBLOCK, errno.EACCES) else None
     return True
+
+
+@contextlib.contextmanager
+def exclusive(path: Path) -> Iterator[bool]:
+    """Context in which no other process holds `path`; yields False if one does.
+
+    While it is held, `path` is an empty file. What killed processes left is not in the way.
+
+    Raises:
+        WriteError: the folder cannot be written, or the disk is full.
+    """
+    while True:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError as error:
+            raise WriteError(path.parent, error) from error
+        held = lock(handle) is not False
+        # The process that held the file may just have removed it.
+        if not held or os.fstat(handle).st_nlink:
+            break
+        os.close(handle)
+    try:
+        yield held
+    finally:
+        if held:
+            path.unlink(missing_ok=True)
+        os.close(handle)
+
+
+@contextlib.contextmanager
+def one_at_a_time(folder: Path) -> Iterator[None]:
+    """Context that waits until no other process is in such a context of `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        lock(handle, wait=True)
+        yield
+    finally:
+        os.close(handle)
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
@@ -110,9 +201,26 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         if not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
         if not os.access(folder, os.W_OK | os.X_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            read_only = os.statvfs(folder).f_flag & os.ST_RDONLY
+            number = errno.EROFS if read_only else errno.EACCES
+            raise OSError(number, os.strerror(number))
     except (OSError, ValueError) as error:
-        raise _write_error(path, error) from error
+        raise WriteError(path, error) from error
+
+
+def check_room(folder: Path, size: int) -> None:
+    """Refuse a folder on whose disk there is no room for so many bytes.
+
+    Raises:
+        WriteError: there is no room, or the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as file:
+            for _ in range(0, size, 1 << 20):
+                file.write(bytes(1 << 20))
+    except OSError as error:
+        raise WriteError(folder, error) from error
 
 
 def is_empty(folder: Path) -> bool:
@@ -154,10 +262,12 @@ def _remove_abandoned(path: Path) -> None:
                 os.close(handle)
 
 
-def _write_error(path: Path, error: OSError | ValueError) -> LumitreeError:
-    reason = getattr(error, "strerror", None) or str(error)
-    full = getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-    remedy = "free some space or choose" if full else "choose"
-    return LumitreeError(
-        f"cannot write {shown(path, 400)}: {reason}; {remedy} another output with -o"
+def _says_of_writing(error: Exception) -> bool:
+    """Whether an exception of a library says that a file could not be written.
+
+    Mitsuba raises RuntimeError with the text "I/O error".
+    """
+    text = str(error)
+    return any(reason in text for reason in _FULL.values()) or (
+        isinstance(error, RuntimeError) and "I/O error" in text
     )

@@ -38,7 +38,7 @@ def write_exr(
         try:
             OpenEXR.File(header, planes).write(str(temporary))
         except RuntimeError as error:
-            raise LumitreeError(f"cannot write {path}: {_one_line(error)}") from error
+            raise OSError(None, _one_line(error)) from error
 
 
 def read_exr(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:

@@ -4,6 +4,10 @@ The handler at once writes a line to standard error. In a block of `interruptibl
 `Interrupted`; in a block of `deferred_interrupt` it only records the signal, so that the work can
 reach a state that can be saved. A signal that the parent process ignores, such as SIGHUP under
 nohup, stays ignored.
+
+`Interrupted` may be raised anywhere, and libraries catch it: trimesh does so while it imports its
+optional dependencies, and Mitsuba while it makes a plugin. Therefore it is raised after an import,
+not within it, and it is raised again until the block ends.
 """
 
 import contextlib
@@ -14,11 +18,17 @@ import signal
 import sys
 import termios
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Interval at which `Interrupted` is raised again, s.
+_AGAIN_SECONDS = 0.02
+# File name of the frames that import a module.
+_IMPORTS = "<frozen importlib._bootstrap>"
+
+_Handler = Callable[[int, FrameType | None], None]
 
 
 class Interrupted(KeyboardInterrupt):
@@ -57,52 +67,167 @@ class Interruption:
         return self.number is not None
 
 
+class _Block:
+    """A block of `interruptible`.
+
+    Attributes:
+        number: number of the signal by which the block is to end; None if there was none.
+    """
+
+    def __init__(self, outer: "_Block | None") -> None:
+        self.number: int | None = None
+        self._outer, self._closed = outer, False
+        # The whole block may be in an `except`, or in a module that is being imported.
+        self._handled, self._imports = sys.exception(), _imports(sys._getframe())
+
+    def receive(self, number: int, frame: FrameType | None) -> None:
+        """Handle a stop signal: raise `Interrupted`, but in an import defer the first signal."""
+        deferred = self._closed or (self.number is None and _imports(frame) > self._imports)
+        self.number = number
+        _announce("stopping ...", number)
+        if not self._closed:
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_SECONDS, _AGAIN_SECONDS)
+        if not deferred:
+            raise Interrupted(number=number)
+
+    def receive_again(self, _: int, frame: FrameType | None) -> None:
+        """Handle the timer: raise what was deferred, or caught by a library.
+
+        While an exception is handled nothing is raised: it may be on its way, and clean up.
+        """
+        imports = _imports(frame) > self._imports
+        if not (self._closed or imports or sys.exception() is not self._handled):
+            self.end()
+
+    def end(self) -> None:
+        """Raise `Interrupted` if a signal was received."""
+        if self.number is not None:
+            raise Interrupted(number=self.number)
+
+    def close(self) -> None:
+        """Raise nothing from now on."""
+        self._closed = True
+        if self._outer is None:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+_innermost: _Block | None = None
+
+
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Context in which every stop signal raises `Interrupted`."""
+    """Context in which every stop signal raises `Interrupted`; in the main thread only.
 
-    def stop(number: int, frame: FrameType | None) -> None:
-        _announce("stopping ...", number)
-        raise Interrupted(number=number)
-
-    with _handling(stop):
+    After a signal any exception that leaves the block becomes `Interrupted`, since a library may
+    have caught that one and raised its own. If nothing leaves the block, its work is complete, and
+    the signal is that of the block around it, if there is one.
+    """
+    global _innermost
+    if not _in_main_thread():
         yield
+        return
+    outer = _innermost
+    block = _innermost = _Block(outer)
+    if outer is not None:
+        block.number, outer.number = outer.number, None
+    handlers: dict[int, _Handler] = dict.fromkeys(STOP_SIGNALS, block.receive)
+    handlers[signal.SIGALRM] = block.receive_again
+    try:
+        with _handling(handlers):
+            try:
+                yield
+            except Exception:
+                block.end()
+                raise
+            finally:
+                block.close()
+        if outer is not None and block.number is not None:
+            outer.number = block.number
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_SECONDS, _AGAIN_SECONDS)
+    finally:
+        _innermost = outer
 
 
 @contextmanager
-def deferred_interrupt() -> Iterator[Interruption]:
-    """Context that only records the first stop signal; a second one acts as outside of it."""
+def deferred_interrupt(
+    text: str = "stopping ...; a second signal ends at once",
+) -> Iterator[Interruption]:
+    """Context that only records the first stop signal; a second one acts as outside of it.
+
+    Args:
+        text: the line that the first signal prints.
+    """
     interruption = Interruption()
+    if not _in_main_thread():
+        yield interruption
+        return
+    if _innermost is not None:
+        _innermost.receive_again(signal.SIGALRM, sys._getframe())
     with contextlib.ExitStack() as stack:
 
         def note(number: int, frame: FrameType | None) -> None:
-            _announce("stopping ...; a second signal ends at once", number)
+            _announce(text, number)
             interruption.number = number
             stack.close()
 
-        stack.enter_context(_handling(note))
+        stack.enter_context(_handling(dict.fromkeys(STOP_SIGNALS, note)))
         yield interruption
 
 
-@contextmanager
-def _handling(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Install a handler for the stop signals that are not ignored; in the main thread only."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+def exit_on_signals() -> None:
+    """Make every stop signal end the process at once, with one line.
+
+    For a program that has not begun its work, and has nothing to clean up.
+    """
+
+    def end(number: int, frame: FrameType | None) -> None:
+        _announce("error: interrupted before the command began", number)
+        os._exit(128 + number)
+
+    _install(dict.fromkeys(STOP_SIGNALS, end))
+
+
+def ignore_signals() -> None:
+    """Ignore stop signals from now on, for a program whose exit status is known."""
+    for number in STOP_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
+
+
+def _imports(frame: FrameType | None) -> int:
+    """Number of frames that import a module, in the calls that led to a frame."""
+    count = 0
+    while frame is not None:
+        count += frame.f_code.co_filename == _IMPORTS
+        frame = frame.f_back
+    return count
+
+
+def _install(handlers: Mapping[int, _Handler]) -> dict[int, _Handler | int]:
+    """Install handlers for the signals that are not ignored; returns those before."""
+    before = {number: signal.getsignal(number) for number in handlers}
+    # None: the handler was not installed from Python.
     handled = {
         number: previous
         for number, previous in before.items()
-        # None: the handler was not installed from Python.
         if previous not in (signal.SIG_IGN, None)
     }
+    for number in handled:
+        signal.signal(number, handlers[number])
+    return handled
+
+
+@contextmanager
+def _handling(handlers: Mapping[int, _Handler]) -> Iterator[None]:
+    """Context in which the signals that are not ignored have handlers."""
+    before = _install(handlers)
     try:
-        for number in handled:
-            signal.signal(number, handler)
         yield
     finally:
-        for number, previous in handled.items():
+        for number, previous in before.items():
             signal.signal(number, previous)
 
 

@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from lumitree.core.files import lock
+from lumitree.core.files import SCRATCH, WriteError, lock
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 MARKER = ".lumitree-work"
@@ -20,7 +20,10 @@ _MARKER_TEXT = (
     "This folder holds intermediate results of lumitree. It is removed when they are not needed\n"
     "any more, except for files that lumitree did not write.\n"
 )
-_SCRATCH = "lumitree-scratch-"
+
+
+class BusyFolderError(LumitreeError):
+    """Another process works in a folder."""
 
 
 class WorkFolder:
@@ -33,8 +36,8 @@ class WorkFolder:
         path: the folder; made if it is missing.
 
     Raises:
-        LumitreeError: the folder is not lumitree's, cannot be written, or is locked by another
-            process.
+        LumitreeError: the folder is not lumitree's, or cannot be written.
+        BusyFolderError: it is locked by another process.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -51,16 +54,19 @@ class WorkFolder:
             self._handle = os.open(marker, os.O_RDWR | os.O_CREAT, 0o666)
             if lock(self._handle) is False:
                 os.close(self._handle)
-                raise LumitreeError(
+                raise BusyFolderError(
                     f"another process works in {self.path}; wait for it, or choose another folder "
                     "with --work"
                 )
-            if not os.fstat(self._handle).st_size:
-                os.write(self._handle, _MARKER_TEXT.encode())
+            try:
+                if not os.fstat(self._handle).st_size:
+                    os.write(self._handle, _MARKER_TEXT.encode())
+            except OSError:
+                self._close()
+                raise
         except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            raise LumitreeError(
-                f"cannot write the work folder {self.path}: {reason}; choose another with --work"
+            raise WriteError(
+                self.path, error, f"the work folder {self.path}", "choose another with --work"
             ) from error
 
     def __enter__(self) -> "WorkFolder":
@@ -68,12 +74,25 @@ class WorkFolder:
 
     def __exit__(self, *_: object) -> None:
         with contextlib.suppress(OSError):
-            os.close(self._handle)
-            if os.listdir(self.path) == [MARKER]:
-                # The work wrote nothing that a later call could continue from.
-                (self.path / MARKER).unlink()
-                if self._made:
-                    self.path.rmdir()
+            self._close()
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the folder holds nothing from which a later call could continue."""
+        try:
+            return set(os.listdir(self.path)) <= {MARKER}
+        except OSError:
+            return True
+
+    def _close(self) -> None:
+        os.close(self._handle)
+        if self.is_empty:
+            (self.path / MARKER).unlink(missing_ok=True)
+            if self._made:
+                self.path.rmdir()
+        elif not (self.path / MARKER).exists():
+            # Someone removed the folder, and the work wrote into it again.
+            (self.path / MARKER).write_text(_MARKER_TEXT)
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove what lumitree wrote, and the folder if it is then empty.
@@ -84,19 +103,13 @@ class WorkFolder:
         """
         kept = [MARKER]
         try:
-            for name in names:
-                for path in self.path.glob(name):
-                    if path.is_dir() and not path.is_symlink():
-                        shutil.rmtree(path)
-                    else:
-                        path.unlink()
-            for folder, _, _ in os.walk(self.path, topdown=False):
-                if folder != str(self.path) and not os.listdir(folder):
-                    os.rmdir(folder)
+            remove_written(self.path, names)
             kept = [entry for entry in sorted(os.listdir(self.path)) if entry != MARKER]
             if not kept:
-                (self.path / MARKER).unlink()
+                (self.path / MARKER).unlink(missing_ok=True)
                 self.path.rmdir()
+        except FileNotFoundError:
+            kept = []
         except OSError as error:
             kept = [error.strerror or str(error)]
         if kept:
@@ -105,6 +118,26 @@ class WorkFolder:
                 LumitreeWarning,
                 stacklevel=2,
             )
+
+
+def remove_written(folder: Path, names: Iterable[str]) -> None:
+    """Remove what lumitree wrote into a folder, and the folders in it that are then empty.
+
+    Args:
+        names: patterns of files and folders; see `WorkFolder.remove`.
+
+    Raises:
+        OSError: something cannot be removed.
+    """
+    for name in names:
+        for path in folder.glob(name):
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+    for inner, _, _ in os.walk(folder, topdown=False):
+        if inner != str(folder) and not os.listdir(inner):
+            os.rmdir(inner)
 
 
 @contextlib.contextmanager
@@ -117,7 +150,7 @@ def scratch_folder() -> Iterator[Path]:
     try:
         root = Path(tempfile.gettempdir())
         _remove_abandoned(root)
-        folder = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=root))
+        folder = Path(tempfile.mkdtemp(prefix=SCRATCH, dir=root))
         handle = os.open(folder / MARKER, os.O_RDWR | os.O_CREAT, 0o600)
     except OSError as error:
         raise LumitreeError(
@@ -135,7 +168,7 @@ def scratch_folder() -> Iterator[Path]:
 def _remove_abandoned(root: Path) -> None:
     """Remove temporary folders that no running process has locked."""
     for folder in root.iterdir():
-        if not re.fullmatch(f"{_SCRATCH}[a-z0-9_]{{8}}", folder.name):
+        if not re.fullmatch(f"{SCRATCH}[a-z0-9_]{{8}}", folder.name):
             continue
         # The folder may be another user's, or another process may be making or removing it.
         with contextlib.suppress(OSError):

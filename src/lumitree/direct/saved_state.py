@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.files import atomic_path
+from lumitree.core.files import WriteError, atomic_path
 from lumitree.core.reading import read_arrays
 from lumitree.direct.config import DirectConfig
 from lumitree.direct.leaf_field import LEAVES, LeafField
@@ -98,12 +98,12 @@ class StateFile:
             with atomic_path(self._path) as temporary:
                 np.savez(temporary, **state)  # type: ignore[arg-type]
             self._warned = False
-        except LumitreeError as error:
+        except WriteError as error:
             if not self._warned:
                 self._warned = True
                 warnings.warn(
-                    f"cannot save the state of the bake: {error.__cause__}; the bake goes on, but "
-                    "cannot be continued if it is killed",
+                    f"cannot save the state of the bake in {self._path.parent}: {error.reason}; "
+                    "the bake goes on, but cannot be continued if it is killed",
                     LumitreeWarning,
                     stacklevel=2,
                 )

@@ -9,6 +9,7 @@ from pathlib import Path
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.exitant import ExitantField
 from lumitree.asset.file import load, save
+from lumitree.core.files import WriteError
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.exitant.config import ExitantConfig
 from lumitree.luminaire.luminaire import Luminaire
@@ -47,10 +48,10 @@ class SavedExitantField:
         """Write the field; warns where it cannot be written, since the bake does not need it."""
         try:
             save(exitant_asset(field, self._frame, self._digest), self._path)
-        except LumitreeError as error:
+        except WriteError as error:
             warnings.warn(
-                f"cannot save the exitant light field: {error}; the bake goes on, and would trace "
-                "it again if it were stopped",
+                f"cannot save the exitant light field in {self._path.parent}: {error.reason}; the "
+                "bake goes on, and would trace it again if it were stopped",
                 LumitreeWarning,
                 stacklevel=2,
             )

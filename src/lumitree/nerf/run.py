@@ -6,6 +6,7 @@ RUN/history.json    list of {step, seconds, loss, psnr}
 RUN/checkpoints/    Orbax checkpoints; the last two are kept
 """
 
+import contextlib
 import dataclasses
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,9 +16,10 @@ from typing import Any
 import jax
 import orbax.checkpoint as ocp
 
-from lumitree.core.files import write_json
+from lumitree.core.files import WriteError, check_room, write_json
 from lumitree.core.frames import LocalFrame, file_keys, file_members
 from lumitree.core.reading import Record, label, parse_json, read_bytes
+from lumitree.core.work_folder import remove_written
 from lumitree.errors import LumitreeError
 from lumitree.nerf.config import TrainConfig
 
@@ -28,6 +30,8 @@ CHECKPOINTS = "checkpoints"
 # Patterns of what is in a run's folder. A checkpoint is a folder named after its step.
 RUN_FILES = (RECORD, OCCUPANCY, HISTORY, f"{CHECKPOINTS}/[0-9]*")
 VERSION = 1
+# Of a checkpoint, beside its arrays; about.
+_METADATA_BYTES = 1 << 18
 _MAX_RECORD_BYTES, _MAX_PATH = 1 << 20, 1 << 14
 
 
@@ -112,22 +116,37 @@ def has_checkpoint(folder: Path) -> bool:
     return saved.is_dir() and any(entry.name.isdigit() for entry in saved.iterdir())
 
 
-def save_checkpoint(manager: ocp.CheckpointManager, step: int, state: Any) -> None:
+def save_checkpoint(folder: Path, manager: ocp.CheckpointManager, step: int, state: Any) -> None:
     """Write the state after `step` steps, atomically, unless it was already written.
 
     Raises:
-        LumitreeError: the disk is full or not writable.
+        WriteError: the disk is full or not writable.
     """
     if manager.latest_step() == step:
         return
     try:
+        # Orbax prints pages of tracebacks when the disk is full.
+        check_room(folder, _METADATA_BYTES + sum(leaf.nbytes for leaf in jax.tree.leaves(state)))
         manager.save(step, args=ocp.args.StandardSave(state))
-    except (OSError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise LumitreeError(
-            f"cannot write a checkpoint to {manager.directory}: {reason}; free some space and "
-            "continue with --resume"
-        ) from error
+    except (OSError, ValueError, WriteError) as error:
+        with contextlib.suppress(OSError):
+            remove_written(folder / CHECKPOINTS, ["*.orbax-checkpoint-tmp"])
+        remedy = "choose another output"
+        if has_checkpoint(folder):
+            remedy = "make the folder writable, and continue with --resume"
+        if isinstance(error, WriteError):
+            error = OSError(None, error.reason)
+        raise WriteError(folder, error, f"a checkpoint to {folder}", remedy) from error
+
+
+def remove_unfinished(folder: Path, made: bool) -> None:
+    """Remove the files of a run that has no checkpoint; and its folder, if lumitree `made` it."""
+    if has_checkpoint(folder):
+        return
+    with contextlib.suppress(OSError):
+        remove_written(folder, RUN_FILES)
+        if made:
+            folder.rmdir()
 
 
 def restore_checkpoint(folder: Path, template: Any) -> Any:

@@ -14,7 +14,7 @@ import orbax.checkpoint as ocp
 from flax import nnx
 
 from lumitree.core.dataset import Dataset
-from lumitree.core.files import is_empty, write_json
+from lumitree.core.files import WriteError, is_empty, write_json
 from lumitree.core.interrupt import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError, LumitreeWarning
@@ -29,6 +29,7 @@ from lumitree.nerf.run import (
     RunRecord,
     has_checkpoint,
     open_checkpoints,
+    remove_unfinished,
     restore_checkpoint,
     save_checkpoint,
 )
@@ -90,6 +91,7 @@ def train(
             run, there is nothing to resume, or the loss is not finite.
     """
     dataset, folder = Dataset.open(dataset_path), Path(run_path)
+    made = not folder.exists()
     _check_folder(folder, config, resume)
     resume = resume and has_checkpoint(folder)
     rays, occupancy = load_rays(dataset, config.opacity_kind, config.skip_empty)
@@ -108,14 +110,19 @@ def train(
         _check_same_data(RunRecord.load(folder), record)
         state = restore_checkpoint(folder, state)
         history = _load_history(folder, int(state.step))
-    else:
-        record.save(folder)
-        save_occupancy(folder / OCCUPANCY, occupancy)
     last = config.num_steps
     if stop_after is not None:
         last = min(last, int(state.step) + stop_after)
-    with open_checkpoints(folder) as checkpoints:
-        return _Loop(folder, rays, occupancy, config, graph, checkpoints, history).run(state, last)
+    try:
+        if not resume:
+            record.save(folder)
+            save_occupancy(folder / OCCUPANCY, occupancy)
+        with open_checkpoints(folder) as checkpoints:
+            loop = _Loop(folder, rays, occupancy, config, graph, checkpoints, history)
+            return loop.run(state, last)
+    except WriteError:
+        remove_unfinished(folder, made)
+        raise
 
 
 class _Loop:
@@ -204,7 +211,7 @@ class _Loop:
             warnings.warn(f"{error}; the training continues", LumitreeWarning, stacklevel=2)
 
     def _save(self, done: int, state: TrainState) -> None:
-        save_checkpoint(self.checkpoints, done, state)
+        save_checkpoint(self.folder, self.checkpoints, done, state)
         write_json(self.folder / HISTORY, self.history)
 
 

@@ -1,5 +1,6 @@
 """A web server on this computer that serves one page."""
 
+import sys
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -8,6 +9,16 @@ from lumitree.errors import LumitreeError
 
 # Only programs of the same computer can connect.
 _HOST = "127.0.0.1"
+# Names of this computer by which a browser may ask.
+_NAMES = ("localhost", "127.0.0.1", "[::1]")
+# Of every answer: no other page may load it, and browsers keep no copy.
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
 
 
 def open_server(page: str, port: int = 0) -> ThreadingHTTPServer:
@@ -39,18 +50,50 @@ def address(server: ThreadingHTTPServer) -> str:
 class _Server(ThreadingHTTPServer):
     # Else a browser's open connection would keep the command from ending.
     daemon_threads = True
+    # Else the sixth connection at a time waits for a second.
+    request_queue_size = 128
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Report nothing where the browser closed the connection, which is no error."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
 
 def _handler(content: bytes) -> Callable[..., BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
+        # Connections that send no request end after this time, s.
+        timeout = 60
+
         def do_GET(self) -> None:
-            found = self.path.partition("?")[0] == "/"
-            body = content if found else b"not found"
-            self.send_response(200 if found else 404)
-            self.send_header("Content-Type", "text/html; charset=utf-8" if found else "text/plain")
+            self._answer(with_body=True)
+
+        def do_HEAD(self) -> None:
+            self._answer(with_body=False)
+
+        def _answer(self, with_body: bool) -> None:
+            if not self._is_local():
+                status, kind, body = 403, "text/plain", b"this host name is not served\n"
+            elif self.path.partition("?")[0] == "/":
+                status, kind, body = 200, "text/html", content
+            else:
+                status, kind, body = 404, "text/plain", b"not found\n"
+            self.send_response(status)
+            self.send_header("Content-Type", f"{kind}; charset=utf-8")
             self.send_header("Content-Length", str(len(body)))
+            for name, value in _HEADERS.items():
+                self.send_header(name, value)
             self.end_headers()
-            self.wfile.write(body)
+            if with_body:
+                self.wfile.write(body)
+
+        def _is_local(self) -> bool:
+            """Whether the request names this computer: a page elsewhere may have a name of its own
+            for this address (DNS rebinding), and would otherwise be allowed to read the answer.
+            """
+            port = self.connection.getsockname()[1]
+            allowed = {each for name in _NAMES for each in (name, f"{name}:{port}")}
+            hosts = self.headers.get_all("Host", [])
+            return len(hosts) == 1 and hosts[0].strip().lower() in allowed
 
         def log_message(self, format: str, *args: Any) -> None:
             """Requests are not logged."""
