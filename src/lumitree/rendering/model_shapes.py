@@ -1,5 +1,6 @@
 """The shapes of an asset's model in a scene."""
 
+import weakref
 from typing import Any
 
 import mitsuba as mi
@@ -12,9 +13,12 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import similarity_scale
 from lumitree.rendering.model_plugins import model_emitter_class, model_glass_class
 from lumitree.rendering.own_lights import OwnLights
-from lumitree.rendering.plugin_objects import make_object, make_properties
+from lumitree.rendering.plugin_objects import load_ordered, make_object, make_properties
 
 _COLOURS = "vertex_color"
+_SURFACES: "weakref.WeakKeyDictionary[AssetModel, dict[str, _Surfaces]]" = (
+    weakref.WeakKeyDictionary()
+)
 
 
 def model_shapes(model: AssetModel, scene_from_world: NDArray[np.float64], lamp: Any) -> list[Any]:
@@ -38,17 +42,17 @@ class _Builder:
         self._model, self._matrix, self._lamp = model, scene_from_world, lamp
         self._lights, self._emitting = OwnLights(), []
         self._scale = similarity_scale(scene_from_world, "to_world")
-        self._emitter, self._glass = model_emitter_class(), model_glass_class()
-        self._textures: dict[str, Any] = {}
-        self._bsdfs = [self._top(material) for material in model.materials]
+        self._emitter = model_emitter_class()
+        self._surfaces = _surfaces(model)
 
     def shape(self, shape: Json, mesh: "dict[str, NDArray[Any]] | None") -> Any:
         """The mi.Shape of a shape of the model, with its BSDF and its emitter."""
         material = self._model.materials[shape["material"]]
         radiance = shape["radiance"]
-        values = {"flip_normals": shape["flipped"], "bsdf": self._bsdfs[shape["material"]]}
+        bsdf = self._surfaces.bsdfs[shape["material"]]
+        values = {"flip_normals": shape["flipped"], "bsdf": bsdf}
         # A surface that shows other things needs no emitter: it neither emits nor scatters.
-        emitted = None if radiance is None else self._texture_of(radiance)
+        emitted = None if radiance is None else self._surfaces.emitted(radiance)
         if radiance is not None or not is_specular(material):
             values["emitter"] = self._emitter(
                 self._lamp, self._lights, emitted, len(self._emitting)
@@ -114,6 +118,30 @@ class _Builder:
             },
         )
 
+
+def _surfaces(model: AssetModel) -> "_Surfaces":
+    """BSDFs and textures of a model, made on first use."""
+    known, variant = _SURFACES.setdefault(model, {}), str(mi.variant())
+    if variant not in known:
+        # Mitsuba creates plugins in parallel: of two, the first is kept.
+        return known.setdefault(variant, _Surfaces(model))
+    return known[variant]
+
+
+class _Surfaces:
+    """The BSDFs and textures of a model, which its instances share."""
+
+    def __init__(self, model: AssetModel) -> None:
+        self._images = model.images
+        self._textures: dict[str, Any] = {}
+        self._glass = model_glass_class()
+        self.bsdfs = [self._top(material) for material in model.materials]
+
+    def emitted(self, radiance: Any) -> Any:
+        """Radiance as a mi.Texture."""
+        values = {"radiance": self._value(radiance)}
+        return make_properties("", values).get_emissive_texture("radiance")
+
     def _top(self, material: Json) -> Any:
         bsdf = self._bsdf(material)
         return self._glass(bsdf) if material["type"] == "dielectric" else bsdf
@@ -129,21 +157,16 @@ class _Builder:
             return mi.ScalarColor3d(value)
         return self._texture(value) if isinstance(value, dict) else value
 
-    def _texture_of(self, radiance: Any) -> Any:
-        """Radiance as a mi.Texture."""
-        values = {"radiance": self._value(radiance)}
-        return make_properties("", values).get_emissive_texture("radiance")
-
     def _texture(self, texture: Json) -> Any:
         key = repr(sorted(texture.items()))
         if key not in self._textures:
-            self._textures[key] = mi.load_dict(self._description(texture))
+            self._textures[key] = load_ordered(self._description(texture))
         return self._textures[key]
 
     def _description(self, texture: Json) -> dict[str, Any]:
         if "attribute" in texture:
             return {"type": "mesh_attribute", "name": texture["attribute"]}
-        image = self._model.images[texture["image"]]
+        image = self._images[texture["image"]]
         bitmap = mi.Bitmap(np.ascontiguousarray(image))
         bitmap.set_srgb_gamma(image.dtype == np.uint8 and not texture["raw"])
         return {

@@ -15,7 +15,7 @@ from lumitree.rendering.emitter_sampling import SAMPLING_KINDS, Sampling
 from lumitree.rendering.model_shapes import model_shapes
 from lumitree.rendering.opened import file_name, open_asset, open_field
 from lumitree.rendering.placed import APPEARANCES, MODEL_MARGIN, Appearance, Placed, shows_model
-from lumitree.rendering.plugin_objects import make_object, make_properties
+from lumitree.rendering.plugin_objects import load_ordered, make_object, make_properties
 from lumitree.rendering.proxy import PROXY_KINDS, ProxyKind, make_proxy
 
 
@@ -71,11 +71,11 @@ def make_shapes(name: str, **options: Any) -> Any:
     """
     description = describe_proxy(**options)
     if description["type"] != "lumitree_proxy":
-        return mi.load_dict(description)
+        return load_ordered(description)
     properties = {n: value for n, value in description.items() if n not in ("type", "gain")}
     placed = Placed(make_properties("lumitree_proxy", properties))
     matrix = np.array(properties["to_world"].matrix, np.float64).reshape(4, 4)
-    proxy = mi.load_dict(
+    proxy = load_ordered(
         _proxy(
             placed.asset,
             matrix,

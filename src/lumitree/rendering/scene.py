@@ -1,18 +1,17 @@
 """Scenes with luminaires placed in them."""
 
+import itertools
 import warnings
 from collections.abc import Sequence
 from typing import Any, cast
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain
-from lumitree.core.device import on_device
 from lumitree.core.frames import similarity_scale
-from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.luminaire.luminaire import Luminaire, load_luminaire, place_shapes
 from lumitree.luminaire.media import any_heterogeneous
 from lumitree.luminaire.scene_file import SceneFile
@@ -22,6 +21,7 @@ from lumitree.rendering.emitter_sampling import Sampling
 from lumitree.rendering.opened import open_field
 from lumitree.rendering.placed import Appearance, shows_model
 from lumitree.rendering.placement import Placement
+from lumitree.rendering.placement_checks import contains, holds_objects, warn_of_overlaps
 from lumitree.rendering.plugin_objects import load_ordered
 from lumitree.rendering.plugins import register, shape
 from lumitree.rendering.proxy import ProxyKind
@@ -70,6 +70,17 @@ class PlacedLuminaire:
             gain *= gain_to(watts, placement.lumens, placement.temperature, placement.name)
         return check_gain(gain)
 
+    @property
+    def title(self) -> str:
+        """What it is called in messages: its label, if it has one."""
+        label = self.placement.label
+        return self.placement.name if label is None else shown(label, 200)
+
+    @property
+    def kind(self) -> object:
+        """What is placed; equal for instances of one lamp."""
+        return self.placement.name if self.field is None else self.field.asset
+
     def shapes(
         self,
         proxy: ProxyKind,
@@ -104,8 +115,8 @@ def place_luminaires(
     The appearance "model" is for `lumitree_path` only (`appearance_for`). The thresholds are those
     of all baked luminaires.
 
-    Warns on standard error where an object, or the camera, is inside a proxy: there a baked
-    luminaire neither shades nor lights it correctly (D10).
+    Warns on standard error where an object, the camera or another luminaire is inside a proxy:
+    there a baked luminaire neither shades nor lights it correctly (D10).
     """
     register()
     objects: dict[str, Any] = {"type": "scene"}
@@ -115,17 +126,24 @@ def place_luminaires(
         objects["environment"] = scene.environment()
     distant = [e for e in scene.emitters() if e.get_shape() is None and not e.is_environment()]
     objects |= {f"emitter_{i}": item for i, item in enumerate(distant)}
-    taken: list[tuple[str, bytes]] = []
-    for start, placed in zip(placed_ids(luminaires), luminaires, strict=True):
-        placement = placed.placement
-        place_taken = (placement.name, placed.scene_from_world.tobytes())
-        if place_taken in taken:
+    taken: set[tuple[str, bytes]] = set()
+    for placed in luminaires:
+        place = (placed.placement.name, placed.scene_from_world.tobytes())
+        if place in taken:
             raise LumitreeError(
-                f"{placement.name} is placed twice in the same place; give each its own --at"
+                f"{place[0]} is placed twice in the same place; give each its own --at"
             )
-        taken.append(place_taken)
-        if placement.is_baked:
-            _warn_inside(scene, placed, appearance)
+        taken.add(place)
+    baked = [placed.placement.is_baked for placed in luminaires]
+    _warn_inside(scene, [*itertools.compress(luminaires, baked)], appearance)
+    if luminaires:
+        warn_of_overlaps(
+            np.stack([placed.scene_from_box for placed in luminaires]),
+            [placed.title for placed in luminaires],
+            [placed.kind for placed in luminaires],
+            baked,
+        )
+    for start, placed in zip(placed_ids(luminaires), luminaires, strict=True):
         shapes = placed.shapes(proxy, sampling, appearance, thresholds)
         objects |= {start + name: value for name, value in shapes.items()}
     return load_ordered(objects)
@@ -228,36 +246,26 @@ def _warn_far(placed: PlacedLuminaire) -> None:
         )
 
 
-def _warn_inside(scene: Any, placed: PlacedLuminaire, appearance: Appearance) -> None:
-    """Look for geometry inside the proxy with random segments, and for the camera."""
-    assert placed.field is not None
-    model = shows_model(placed.field.asset, appearance)
-    box, name = placed.scene_from_box, placed.placement.name
-    samples = 1 << 14
-    random = np.random.default_rng(0)
-    # A little smaller than the box, so that a ceiling it touches does not count.
-    start, end = (0.998 * random.uniform(-1, 1, (2, samples, 3))) @ box[:3, :3].T + box[:3, 3]
-    offset = end - start
-    length = np.linalg.norm(offset, axis=1)
-    direction = on_device(mi.Vector3f, offset / length[:, None])
-    ray = mi.Ray3f(
-        on_device(mi.Point3f, start), direction, on_device(mi.Float, length), mi.Float(0), []
-    )
-    if dr.any(scene.ray_test(ray)):
-        warnings.warn(
-            f"{name}: an object of the room is inside its proxy; it is not lit or shaded "
-            "correctly there (a baked luminaire illuminates what is outside only)",
-            LumitreeWarning,
-            stacklevel=2,
-        )
-    if model:
+def _warn_inside(scene: Any, luminaires: Sequence[PlacedLuminaire], appearance: Appearance) -> None:
+    """Tell of surfaces of a scene that are inside the box of a baked luminaire, and the camera."""
+    if not luminaires:
         return
-    camera = scene.sensors()[0].world_transform().translation()
-    local = np.linalg.solve(box[:3, :3], np.ravel(camera) - box[:3, 3])
-    if (np.abs(local) < 1).all():
-        warnings.warn(
-            f"{name}: the camera is inside its proxy; a baked luminaire is rendered from "
-            "outside only",
-            LumitreeWarning,
-            stacklevel=2,
-        )
+    camera = np.ravel(scene.sensors()[0].world_transform().translation())
+    holds = holds_objects(scene, np.stack([each.scene_from_box for each in luminaires]))
+    for placed, holds_object in zip(luminaires, holds, strict=True):
+        assert placed.field is not None
+        if holds_object:
+            warnings.warn(
+                f"{placed.title}: an object of the room is inside its proxy; it is not lit or "
+                "shaded correctly there (a baked luminaire illuminates what is outside only)",
+                LumitreeWarning,
+                stacklevel=2,
+            )
+        model = shows_model(placed.field.asset, appearance)
+        if not model and contains(placed.scene_from_box, camera):
+            warnings.warn(
+                f"{placed.title}: the camera is inside its proxy; a baked luminaire is rendered "
+                "from outside only",
+                LumitreeWarning,
+                stacklevel=2,
+            )
