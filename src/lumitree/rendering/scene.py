@@ -1,6 +1,7 @@
 """Scenes with luminaires placed in them."""
 
 import itertools
+import os
 import warnings
 from collections.abc import Sequence
 from typing import Any, cast
@@ -15,6 +16,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.luminaire.luminaire import Luminaire, load_luminaire, place_shapes
 from lumitree.luminaire.media import any_heterogeneous
 from lumitree.luminaire.scene_file import SceneFile
+from lumitree.luminaire.source import LuminaireSource
 from lumitree.octree.field import EXACT, Field, Thresholds
 from lumitree.rendering.asset_flux import asset_watts, gain_to
 from lumitree.rendering.emitter_sampling import Sampling
@@ -37,18 +39,24 @@ _FAR_FOR_VOLPATH = 0.09
 
 
 class PlacedLuminaire:
-    """A luminaire that has been read, and where it goes."""
+    """A luminaire that has been read, and where it goes.
 
-    def __init__(self, placement: Placement) -> None:
+    Args:
+        placement: what to read, and where it goes.
+        luminaire: the explicit luminaire of the placement, if it is loaded already.
+    """
+
+    def __init__(self, placement: Placement, luminaire: Luminaire | None = None) -> None:
         self.placement = placement
         self.field: Field | None = None
-        self.luminaire: Luminaire | None = None
+        self.luminaire = luminaire
         if placement.is_baked:
             # The field, not only the asset: the proxy's plugins then find it open.
             self.field = open_field(cast(Any, placement.source))
             frame = self.field.asset.frame
         else:
-            self.luminaire = load_luminaire(cast(Any, placement.source))
+            if self.luminaire is None:
+                self.luminaire = load_luminaire(cast(Any, placement.source))
             frame = self.luminaire.frame
         scene_from_local = frame.placed(
             at=placement.at, size=placement.size, rotate=placement.rotate
@@ -100,6 +108,21 @@ class PlacedLuminaire:
             "max_opacity": thresholds.max_opacity,
         }
         return {"proxy": shape(source, self.scene_from_world, proxy, **options)}
+
+
+def open_placements(placements: Sequence[Placement]) -> list[PlacedLuminaire]:
+    """Read the luminaires of placements, each once."""
+    loaded: dict[object, Luminaire] = {}
+    opened = []
+    for placement in placements:
+        source = placement.source
+        # A dictionary has no hash.
+        key = source if isinstance(source, str | os.PathLike | LuminaireSource) else id(source)
+        placed = PlacedLuminaire(placement, loaded.get(key))
+        if placed.luminaire is not None:
+            loaded[key] = placed.luminaire
+        opened.append(placed)
+    return opened
 
 
 def place_luminaires(
