@@ -21,7 +21,7 @@ from lumitree.asset.materials import (
     check_radiance,
     uses_vertex_colours,
 )
-from lumitree.core.frames import LocalFrame
+from lumitree.core.frames import LocalFrame, similarity
 from lumitree.core.reading import Record
 
 _WHAT = "model"
@@ -41,11 +41,12 @@ _SHAPE_KEYS = ("type", "material", "flipped", "radiance")
 MEDIA_SIDES = ("interior", "exterior")
 # Per unit of length.
 _MAX_ABSORPTION = 1e15
+NO_ORIGIN = (0.0, 0.0, 0.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AssetModel:
-    """Shapes, materials and images of a luminaire, in the frame and unit of its file.
+    """Shapes, materials and images of a luminaire, in the axes and unit of its file.
 
     Attributes:
         vertices: float32 [V, 3] positions of all meshes, one mesh after the other.
@@ -62,6 +63,8 @@ class AssetModel:
             light has `interior` or `exterior`, the absorption [3] behind or before it, per unit of
             length.
         materials: JSON objects, see `asset.materials`.
+        origin: [3] origin of the coordinates of vertices and of `to_world`, in the frame of the
+            luminaire's file; see `Luminaire.origin`.
 
     Raises:
         LumitreeError: a member has a wrong type, shape or range.
@@ -75,6 +78,7 @@ class AssetModel:
     images: tuple[NDArray[Any], ...]
     shapes: tuple[Json, ...]
     materials: tuple[Json, ...]
+    origin: tuple[float, float, float] = NO_ORIGIN
 
     def __post_init__(self) -> None:
         """Refuse what a renderer could not use safely."""
@@ -86,6 +90,15 @@ class AssetModel:
         for shape in self.shapes:
             _check_shape(shape, self)
         _check_arrays(self)
+        _expect(
+            len(self.origin) == 3 and all(abs(each) <= _MAX_COORDINATE for each in self.origin),
+            f"origin {self.origin!r}, expected three numbers of at most {_MAX_COORDINATE:g}",
+        )
+
+    @property
+    def file_from_model(self) -> NDArray[np.float64]:
+        """[4, 4] translation from its coordinates to the frame of the luminaire's file."""
+        return similarity(np.eye(3), 1.0, self.origin)
 
     @property
     def num_bytes(self) -> int:
@@ -125,7 +138,8 @@ class AssetModel:
         corners = [self.vertices.astype(np.float64)]
         corners += [_bounds(shape) for shape in self.shapes if shape["type"] != "mesh"]
         points = np.concatenate(corners)
-        local = (points - frame.centre) @ frame.rotation / frame.scale
+        # The differences of far points are taken first, as they are exact.
+        local = (points - (frame.centre - self.origin)) @ frame.rotation / frame.scale
         outside = float((np.abs(local) - frame.half_extents).max())
         _expect(
             outside <= _OUTSIDE + 1e-6 * np.abs(points).max() / frame.scale,

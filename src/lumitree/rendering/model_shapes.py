@@ -39,7 +39,9 @@ def model_shapes(model: AssetModel, scene_from_world: NDArray[np.float64], lamp:
 
 class _Builder:
     def __init__(self, model: AssetModel, scene_from_world: NDArray[np.float64], lamp: Any) -> None:
-        self._model, self._matrix, self._lamp = model, scene_from_world, lamp
+        self._model, self._lamp = model, lamp
+        # From the coordinates of the model, in double precision: they may be far from the file's.
+        self._matrix = scene_from_world @ model.file_from_model
         self._lights, self._emitting = OwnLights(), []
         self._scale = similarity_scale(scene_from_world, "to_world")
         self._emitter = model_emitter_class()

@@ -46,9 +46,11 @@ def describe_proxy(
     similarity_scale(matrix, "to_world")
     opened = open_asset(asset)
     field = open_field(opened, min_density, max_opacity)
+    # In double precision where the transform ends far from where it begins.
+    transform = mi.ScalarTransform4d if opened.frame.is_far else mi.ScalarTransform4f
     options = {
         "filename": file_name(asset),
-        "to_world": mi.ScalarTransform4f(matrix),
+        "to_world": transform(matrix),
         "proxy": proxy,
         "min_density": min_density,
         "max_opacity": max_opacity,

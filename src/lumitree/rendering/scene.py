@@ -11,7 +11,7 @@ import numpy as np
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain
-from lumitree.core.frames import similarity_scale
+from lumitree.core.frames import float32_step, is_far, similarity_scale
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.luminaire.luminaire import Luminaire, load_luminaire, place_shapes
 from lumitree.luminaire.media import any_heterogeneous
@@ -157,6 +157,7 @@ def place_luminaires(
                 f"{place[0]} is placed twice in the same place; give each its own --at"
             )
         taken.add(place)
+        _warn_rounded(placed)
     baked = [placed.placement.is_baked for placed in luminaires]
     _warn_inside(scene, [*itertools.compress(luminaires, baked)], appearance)
     if luminaires:
@@ -251,6 +252,22 @@ def set_film_width(scene: Any, width: int) -> None:
     params["crop_size"] = [width, height]
     params["crop_offset"] = [0, 0]
     params.update()
+
+
+def _warn_rounded(placed: PlacedLuminaire) -> None:
+    """Tell where coordinates of a scene are too coarse for a luminaire."""
+    box = placed.scene_from_box
+    corners = box[:3, 3] + np.abs(box[:3, :3]).sum(axis=1) * np.sign(box[:3, 3])
+    size = 2 * float(np.linalg.norm(box[:3, :3], axis=0).max())
+    if is_far(corners, size):
+        step = float32_step(corners)
+        warnings.warn(
+            f"{placed.title}: at {np.abs(corners).max():.4g} units from the origin of the scene, "
+            f"coordinates are rounded to multiples of {step:.2g}, {step / size:.2%} of its size; "
+            "surfaces and shadows there are rough: move the scene to the origin",
+            LumitreeWarning,
+            stacklevel=3,
+        )
 
 
 def _warn_far(placed: PlacedLuminaire) -> None:
