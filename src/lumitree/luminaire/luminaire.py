@@ -109,8 +109,8 @@ def load_luminaire(luminaire: "LuminaireLike | Any") -> Luminaire:
     name = source.name if named else _folder_and_name(source.name)
     if isinstance(luminaire, Mapping):
         name = str(luminaire.get("id", "dictionary"))
-    # Shapes that are too small for their coordinates may not even be created.
-    origin = _near(file.analytic_box())
+    # Shapes that are much too small for their coordinates may not even be created.
+    origin = _near(file.analytic_box(), tolerance=100)
     if origin.any():
         file.recentre(origin)
     mesh_files, scene = file.mesh_files(), file.instantiate()
@@ -409,9 +409,14 @@ def _fingerprint(file: SceneFile, source: LuminaireSource) -> str:
     return digest.hexdigest()
 
 
-def _near(box: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[3] an origin near a box [2, 3], if its coordinates are too coarse in float32; else 0."""
-    if not np.isfinite(box).all() or not is_far(box, np.ptp(box, axis=0).max()):
+def _near(box: NDArray[np.float64], tolerance: float = 1) -> NDArray[np.float64]:
+    """[3] an origin near a box [2, 3], if its coordinates are too coarse in float32; else 0.
+
+    Args:
+        box: smallest and largest corner.
+        tolerance: how many times as coarse they may be.
+    """
+    if not np.isfinite(box).all() or not is_far(box, tolerance * np.ptp(box, axis=0).max()):
         return np.zeros(3)
     # What float32 represents exactly, so that vertices of mesh files are moved exactly.
     return box.mean(axis=0).astype(np.float32).astype(np.float64)
