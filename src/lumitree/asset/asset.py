@@ -116,7 +116,7 @@ class Asset:
 
     @property
     def near_origin(self) -> "Asset":
-        """The asset, moved to the origin of its file if float32 is too coarse for its coordinates."""
+        """The asset, moved to the origin of its file if its coordinates are too coarse there."""
         if not self.frame.is_far:
             return self
         offset, model = -self.frame.centre, self.model

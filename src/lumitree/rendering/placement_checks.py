@@ -35,7 +35,7 @@ def holds_objects(scene: Any, boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
     """
     unit = _INSIDE * np.random.default_rng(0).uniform(-1, 1, (2, _SEGMENTS, 3))
     start, end = (on_device(mi.Point3f, points) for points in unit)
-    found = [np.zeros(0, bool)]
+    found = np.zeros(len(boxes), bool)
     for first in range(0, len(boxes), _AT_ONCE):
         some = boxes[first : first + _AT_ONCE]
         rows = on_device(mi.Float, some[:, :3])
@@ -48,9 +48,9 @@ def holds_objects(scene: Any, boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
         length = dr.norm(offset)
         centre = mi.Point3f(*values[3::4])
         ray = mi.Ray3f(matrix @ origin + centre, offset / length, length, mi.Float(0), [])
-        hit = np.array(scene.ray_test(ray), bool)
-        found.append(np.broadcast_to(hit, len(index)).reshape(len(some), -1).any(axis=1))
-    return np.concatenate(found)
+        hit = np.broadcast_to(np.array(scene.ray_test(ray), bool), len(index))
+        found[first : first + len(some)] = hit.reshape(len(some), -1).any(axis=1)
+    return found
 
 
 def contains(box: NDArray[np.float64], point: NDArray[np.float64]) -> bool:
