@@ -212,3 +212,28 @@ def test_objects_in_boxes_are_found_for_each_box(mi):
     scene = mi.load_dict({"type": "scene", "ball": ball})
     boxes = np.array([similarity(np.eye(3), 0.5, [x, 0, 0]) for x in np.arange(0, 301, 0.5)])
     assert np.flatnonzero(holds_objects(scene, boxes)).tolist() == [9, 10, 11]
+
+
+@pytest.mark.parametrize(("lamp", "parallel"), [("lumitree_proxy", False), ("sphere", True)])
+def test_a_scene_file_with_lamps_is_created_in_one_thread(mi, asset, tmp_path, lamp, parallel):
+    from lumitree.luminaire.scene_file import SceneFile
+
+    shape = sphere("ball", 1)
+    if lamp == "lumitree_proxy":
+        shape = f'<shape type="{lamp}"><string name="filename" value="{asset}"/></shape>'
+    (tmp_path / "room.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
+    file = SceneFile(tmp_path / "room.xml")
+    assert len(file.instantiate().shapes()) == 1
+    assert file._config.parallel == parallel
+
+
+@pytest.mark.parametrize(("at", "size", "told"), [(500, 1.0, False), (3e3, 1.0, True),
+                                                  (3e3, 100.0, False)])  # fmt: skip
+def test_a_lamp_too_far_for_the_coordinates_of_the_scene_is_told_of(mi, asset, at, size, told):
+    from lumitree.rendering.placement import Placement
+
+    messages = warned(mi, Placement(asset, at=(0, at, 0), size=size, label="far"))
+    assert len(messages) == told
+    for message in messages:
+        assert message.startswith("far: at 3000 units from the origin")
+        assert "multiples of 0.00024, 0.02% of its size" in message

@@ -249,6 +249,9 @@ class SceneFile:
         mi = load_mitsuba()
         # Creating the scene clears the nodes.
         has_media = bool(self.nodes("Medium"))
+        # Lamps would be created within each other, by tasks that wait.
+        lamps = (node.props.plugin_name() == "lumitree_proxy" for node in self._used())
+        self._config.parallel = not any(lamps)
         with self._searching(), self._readable():
             scene = mi.parser.instantiate(self._config, self._state)
         if not isinstance(scene, mi.Scene):
