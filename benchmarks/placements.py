@@ -22,11 +22,11 @@ from lumitree.asset.file import load
 
 # The room's side, scene units; lamps stand in a grid and fill half of each cell.
 SIDE = 10.0
-ROOM = """<scene version="3.0.0"><integrator type="path"/><sensor type="perspective"><transform
-name="to_world"><lookat origin="0,0,25" target="0,0,0" up="0,1,0"/></transform><film
-type="hdrfilm"><integer name="width" value="64"/><integer name="height" value="64"/></film></sensor>
-<shape type="rectangle"><transform name="to_world"><scale value="10"/><translate z="-6"/></transform>
-</shape></scene>
+ROOM = """<scene version="3.0.0"><integrator type="path"/><sensor type="perspective">
+<transform name="to_world"><lookat origin="0,0,25" target="0,0,0" up="0,1,0"/></transform>
+<film type="hdrfilm"><integer name="width" value="64"/><integer name="height" value="64"/></film>
+</sensor><shape type="rectangle"><transform name="to_world"><scale value="10"/>
+<translate z="-6"/></transform></shape></scene>
 """
 
 
