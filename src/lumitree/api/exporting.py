@@ -100,7 +100,8 @@ def export(
     load_mitsuba()
     watch = Stopwatch()
     with watch.stage("load"):
-        loaded = open_asset(asset)
+        given = open_asset(asset)
+        loaded = given.near_origin
     with watch.stage("write"):
         made = _volume(loaded, up) if output.suffix == ".vdb" else _lamp(loaded, lights, up, seed)
         with atomic_path(output) as temporary:
@@ -108,13 +109,17 @@ def export(
                 temporary.write_bytes(made.content)
             else:
                 _run(program, made, temporary.resolve())
+    lost = made.lost
+    if loaded is not given:
+        place = ", ".join(f"{each:.10g}" for each in given.frame.centre)
+        lost = [*lost, f"the place of the lamp in its file, ({place}): it is moved to the origin"]
     return ExportResult(
         luminaire=loaded.luminaire,
         file=output,
         file_bytes=output.stat().st_size,
         lights=made.lights,
         triangles=made.triangles,
-        not_carried_over=made.lost,
+        not_carried_over=lost,
         **watch.costs(),
     )
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -15,7 +16,7 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import check_writable
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
-from lumitree.errors import LumitreeError, explained, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 from lumitree.importers.overrides_file import UNITS
 from lumitree.luminaire.source import (
     PHOTOMETRIC_SUFFIXES,
@@ -126,6 +127,14 @@ def photometry(
             measured = asset_source(asset)
         else:
             measured = luminaire_source(load_luminaire(cast(Any, source)))
+        if wanted and measured.frame.is_far:
+            place = ", ".join(f"{each:.10g}" for each in measured.frame.centre)
+            warnings.warn(
+                f"{measured.name} is at ({place}) in its file, where the float32 coordinates of a "
+                "ray file are too coarse; the rays are those of the lamp at the origin",
+                LumitreeWarning,
+                stacklevel=3,
+            )
         measured = oriented(measured, metres, up)
         measurement = measure(measured, paths, step=step, kept_rays=wanted, seed=seed)
         data = evaluated(measurement)

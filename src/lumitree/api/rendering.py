@@ -117,9 +117,9 @@ def render(
     from lumitree.rendering.layers import Layers
     from lumitree.rendering.passes import Budget, render_passes
     from lumitree.rendering.scene import (
-        PlacedLuminaire,
         appearance_for,
         load_scene,
+        open_placements,
         place_luminaires,
         placed_ids,
         set_film_width,
@@ -131,7 +131,7 @@ def render(
     watch = Stopwatch()
     with reporting(progress):
         with watch.stage("load"):
-            placed = [PlacedLuminaire(each) for each in placements]
+            placed = open_placements(placements)
             loaded, integrator = load_scene(str(scene), placed, box_filter=denoise)
             if width is not None:
                 set_film_width(loaded, width)

@@ -123,6 +123,17 @@ class Asset:
         return self if self.gain == NO_GAIN else dataclasses.replace(self, gain=NO_GAIN)
 
     @property
+    def near_origin(self) -> "Asset":
+        """The asset, moved to the origin of its file if its coordinates are too coarse there."""
+        if not self.frame.is_far:
+            return self
+        offset, model = -self.frame.centre, self.model
+        if model is not None:
+            x, y, z = (np.array(model.origin) + offset).tolist()
+            model = dataclasses.replace(model, origin=(x, y, z))
+        return dataclasses.replace(self, frame=self.frame.moved(offset), model=model)
+
+    @property
     def info(self) -> "AssetInfo":
         """Size, depth and bounds of the asset."""
         traced = None if self.exitant is None else self.exitant.traced

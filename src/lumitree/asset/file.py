@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import NO_GAIN, Asset
 from lumitree.asset.exitant import ExitantField, TracedPaths
+from lumitree.asset.model import NO_ORIGIN
 from lumitree.asset.model_bytes import MODEL_TENSORS, build_model, model_tensors
 from lumitree.core.file_kinds import ASSET, what_it_is
 from lumitree.core.files import atomic_path
@@ -24,10 +25,11 @@ from lumitree.errors import LumitreeError, shown
 
 FORMAT = "lumitree"
 # Files without an exitant light field have the first version, those without a model at most the
-# second, those with neither a gain nor images of a model at most the third, and those whose model
-# has no media at most the fourth, which older readers know. Images are compressed from the fourth.
+# second, those with neither a gain nor images of a model at most the third, those whose model has
+# no media at most the fourth, and those whose model has no origin at most the fifth, which older
+# readers know. Images are compressed from the fourth.
 VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL, VERSION_WITH_GAIN = 1, 2, 3, 4
-VERSION_WITH_MEDIA = 5
+VERSION_WITH_MEDIA, VERSION_WITH_ORIGIN = 5, 6
 ACTIVATION = "sigmoid"
 _MAX_HEADER_BYTES = 1 << 20
 # Three million leaves, the most that a bake makes, take at most 0.6 GB.
@@ -91,9 +93,9 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
     if asset.model is not None:
         tensors |= model_tensors(asset.model)
         description["version"] = VERSION_WITH_MODEL
-    has_media = asset.model is not None and asset.model.has_media
-    if asset.gain != NO_GAIN or has_media or (asset.model is not None and asset.model.images):
-        description["version"] = VERSION_WITH_MEDIA if has_media else VERSION_WITH_GAIN
+    needed = _version_of(asset)
+    if needed >= VERSION_WITH_GAIN:
+        description["version"] = needed
         description["gain"] = asset.gain
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     # One key only: safetensors does not keep the order of several keys.
@@ -107,6 +109,17 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
             )
         except safetensors.SafetensorError as error:
             raise OSError(None, str(error)) from error
+
+
+def _version_of(asset: Asset) -> int:
+    """The version that the gain and the model of an asset need."""
+    model = asset.model
+    if model is not None and model.origin != NO_ORIGIN:
+        return VERSION_WITH_ORIGIN
+    if model is not None and model.has_media:
+        return VERSION_WITH_MEDIA
+    has_images = model is not None and len(model.images) > 0
+    return VERSION_WITH_GAIN if asset.gain != NO_GAIN or has_images else VERSION
 
 
 def load(path: str | os.PathLike[str]) -> Asset:
@@ -147,6 +160,7 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
         VERSION_WITH_MODEL,
         VERSION_WITH_GAIN,
         VERSION_WITH_MEDIA,
+        VERSION_WITH_ORIGIN,
     )
     # A file of the third version or a later one may have an exitant light field.
     optional = version >= VERSION_WITH_MODEL and description.has("exitant")
@@ -161,6 +175,8 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
     model = build_model(tensors, compressed=has_gain) if has_model else None
     if model is not None and model.has_media and version < VERSION_WITH_MEDIA:
         raise LumitreeError(f"version {version} has no media")
+    if model is not None and model.origin != NO_ORIGIN and version < VERSION_WITH_ORIGIN:
+        raise LumitreeError(f"version {version} has no origin of a model")
     red, green, blue = description.array("gain", 3).tolist() if has_gain else NO_GAIN
     expected = {*_TENSORS, *(_EXITANT_TENSORS if has_exitant else ())}
     if extra := tensors.keys() - expected - (MODEL_TENSORS.keys() if model is not None else set()):

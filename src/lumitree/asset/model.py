@@ -26,7 +26,7 @@ from lumitree.asset.textures import (
     uses_vertex_colours,
     within,
 )
-from lumitree.core.frames import LocalFrame
+from lumitree.core.frames import LocalFrame, similarity
 from lumitree.core.reading import Record
 from lumitree.errors import LumitreeError, shown
 
@@ -47,11 +47,12 @@ _SHAPE_KEYS = ("type", "material", "flipped", "radiance")
 MEDIA_SIDES = ("interior", "exterior")
 # Per unit of length.
 _MAX_ABSORPTION = 1e15
+NO_ORIGIN = (0.0, 0.0, 0.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AssetModel:
-    """Shapes, materials and images of a luminaire, in the frame and unit of its file.
+    """Shapes, materials and images of a luminaire, in the axes and unit of its file.
 
     Attributes:
         vertices: float32 [V, 3] positions of all meshes, one mesh after the other.
@@ -68,6 +69,8 @@ class AssetModel:
             light has `interior` or `exterior`, the absorption [3] behind or before it, per unit of
             length.
         materials: JSON objects, see `asset.materials`.
+        origin: [3] origin of the coordinates of vertices and of `to_world`, in the frame of the
+            luminaire's file; see `Luminaire.origin`.
 
     Raises:
         LumitreeError: a member has a wrong type, shape or range.
@@ -81,6 +84,7 @@ class AssetModel:
     images: tuple[NDArray[Any], ...]
     shapes: tuple[Json, ...]
     materials: tuple[Json, ...]
+    origin: tuple[float, float, float] = NO_ORIGIN
 
     def __post_init__(self) -> None:
         """Refuse what a renderer could not use safely."""
@@ -100,6 +104,10 @@ class AssetModel:
                 check_surface(
                     self.materials[shape["material"]], shape["radiance"], mesh or {}, facts
                 )
+        _expect(
+            len(self.origin) == 3 and all(abs(each) <= _MAX_COORDINATE for each in self.origin),
+            f"origin {self.origin!r}, expected three numbers of at most {_MAX_COORDINATE:g}",
+        )
 
     def __repr__(self) -> str:
         return (
@@ -107,6 +115,11 @@ class AssetModel:
             f"{len(self.materials):,} materials, {len(self.images):,} images, "
             f"{self.num_bytes:,} bytes)"
         )
+
+    @property
+    def file_from_model(self) -> NDArray[np.float64]:
+        """[4, 4] translation from its coordinates to the frame of the luminaire's file."""
+        return similarity(np.eye(3), 1.0, self.origin)
 
     @property
     def num_bytes(self) -> int:
@@ -143,14 +156,14 @@ class AssetModel:
 
     def check_inside(self, frame: LocalFrame) -> None:
         """Refuse a model of which a part is outside the luminaire's box."""
-        # Coordinates are rounded to single precision.
-        rounding = 1e-6 * (np.abs(frame.centre).max() / frame.scale + 2)
         for index, (shape, mesh) in enumerate(zip(self.shapes, self.meshes(), strict=True)):
             points = _bounds(shape) if mesh is None else mesh["vertices"].astype(np.float64)
-            local = (points - frame.centre) @ frame.rotation / frame.scale
+            # The differences of far points are taken first, as they are exact.
+            local = (points - (frame.centre - self.origin)) @ frame.rotation / frame.scale
             outside = float((np.abs(local) - frame.half_extents).max())
+            # Coordinates are rounded to single precision.
             _expect(
-                outside <= _OUTSIDE + rounding,
+                outside <= _OUTSIDE + 1e-6 * np.abs(points).max() / frame.scale,
                 f"shape {index} is {outside:.3g} local units outside the box",
             )
 

@@ -19,6 +19,7 @@ from lumitree.asset.model import (
     MAX_IMAGE_SIDE,
     MAX_IMAGES,
     MAX_SHAPES,
+    NO_ORIGIN,
     AssetModel,
 )
 from lumitree.asset.textures import Json
@@ -42,6 +43,7 @@ def model_tensors(model: AssetModel) -> dict[str, NDArray[Any]]:
         "images": [{"shape": list(i.shape), "dtype": str(i.dtype)} for i in model.images],
         "materials": list(model.materials),
         "shapes": list(model.shapes),
+        **({} if model.origin == NO_ORIGIN else {"origin": list(model.origin)}),
     }
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return {
@@ -66,7 +68,9 @@ def build_model(tensors: dict[str, NDArray[Any]], *, compressed: bool = True) ->
     if len(text) > _MAX_TEXT:
         raise LumitreeError(f"the model's description has {len(text)} bytes (limit {_MAX_TEXT})")
     description = Record(parse_json(text), "the model")
-    description.expect_keys("images", "materials", "shapes")
+    has_origin = description.has("origin")
+    description.expect_keys("images", "materials", "shapes", *(["origin"] if has_origin else []))
+    x, y, z = description.array("origin", 3).tolist() if has_origin else NO_ORIGIN
     return AssetModel(
         **{name: tensors[f"model.{name}"] for name in ARRAYS},
         images=_images(
@@ -74,6 +78,7 @@ def build_model(tensors: dict[str, NDArray[Any]], *, compressed: bool = True) ->
         ),
         shapes=tuple(description.items("shapes")[: MAX_SHAPES + 1]),
         materials=tuple(description.items("materials")),
+        origin=(x, y, z),
     )
 
 

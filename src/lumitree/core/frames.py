@@ -23,6 +23,9 @@ Vector = TypeVar("Vector")
 MIN_HALF_EXTENT = 1e-3
 # Range of scales, sizes and coordinates. Their squares and cubes are finite in float32.
 MIN_SCALE, MAX_SCALE = 1e-12, 1e12
+# Coordinates are far from the origin where float32 numbers are farther apart than this part of a
+# lamp's size.
+_COARSE = 1e-4
 # Keys of `half_extents` and `world_from_local` in assets, datasets and runs.
 FRAME_KEYS = ("half_extents", "world_from_proxy")
 
@@ -84,6 +87,22 @@ def similarity_scale(matrix: ArrayLike, what: str = "transform") -> float:
             "use rotation, translation and uniform scale only"
         )
     return scale
+
+
+def float32_step(coordinates: ArrayLike) -> float:
+    """Distance of neighbouring float32 numbers at the largest of some coordinates."""
+    largest = np.abs(np.asarray(coordinates, np.float64)).max(initial=0.0)
+    return float(np.spacing(np.float32(min(largest, np.finfo(np.float32).max / 2))))
+
+
+def is_far(coordinates: ArrayLike, size: float) -> bool:
+    """Whether float32 coordinates are too coarse for a lamp of this size.
+
+    Args:
+        coordinates: of any shape, the lamp's unit of length.
+        size: longest side of its bounding box.
+    """
+    return float32_step(coordinates) > _COARSE * size
 
 
 def check_placement(
@@ -197,6 +216,18 @@ class LocalFrame:
     def size(self) -> NDArray[np.float64]:
         """[3] sides of the bounding box, world units."""
         return 2 * self.half_extents * self.scale
+
+    @property
+    def is_far(self) -> bool:
+        """Whether the lamp is too far from the origin of its file for float32 coordinates."""
+        return is_far(self.centre, self.size.max())
+
+    def moved(self, offset: ArrayLike) -> "LocalFrame":
+        """The local frame of the luminaire moved by [3] `offset`, world units."""
+        return LocalFrame(
+            self.half_extents,
+            similarity(np.eye(3), 1.0, np.asarray(offset, np.float64)) @ self.world_from_local,
+        )
 
     @property
     def local_from_world(self) -> NDArray[np.float64]:

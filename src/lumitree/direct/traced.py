@@ -48,8 +48,8 @@ class TracedRays:
         self._seed = seed
         self._sampler = mi.load_dict({"type": "independent"})
         self._integrator = path_integrator(luminaire, PATH_DEPTH)
-        self._to_world = mi.Transform4f(luminaire.frame.world_from_local)
-        self._to_local = mi.Transform4f(luminaire.frame.local_from_world)
+        self._to_world = mi.Transform4f(luminaire.scene_frame.world_from_local)
+        self._to_local = mi.Transform4f(luminaire.scene_frame.local_from_world)
         dr.make_opaque(self._to_world, self._to_local)
 
     @property

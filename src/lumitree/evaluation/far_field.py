@@ -61,7 +61,9 @@ class Source:
 
 
 def oriented(source: Source, unit: float, up: Up) -> Source:
-    """The source with lengths in metres and y up.
+    """The source with lengths in metres and y up; near the origin, if it is far from it.
+
+    Intensities do not depend on its place. A ray file has float32 coordinates.
 
     Args:
         unit: metres in a unit of length of the luminaire's file.
@@ -70,7 +72,9 @@ def oriented(source: Source, unit: float, up: Up) -> Source:
     turn = y_up(np.eye(3)).T if up == "z" else np.eye(3)
     frame = source.frame
     matrix = similarity(turn, unit) @ frame.world_from_local
-    return dataclasses.replace(source, frame=LocalFrame(frame.half_extents, matrix))
+    turned = LocalFrame(frame.half_extents, matrix)
+    moved = turned.moved(-turned.centre) if turned.is_far else turned
+    return dataclasses.replace(source, frame=moved)
 
 
 def luminaire_source(luminaire: Luminaire) -> Source:

@@ -24,7 +24,8 @@ def blender_meshes(model: AssetModel, blender_from_world: NDArray[np.float64]) -
     for shape, stored in zip(model.shapes, model.meshes(), strict=True):
         mesh = _analytic(shape) if stored is None else {k: v for k, v in stored.items() if len(v)}
         faces = mesh["faces"]
-        placed: Arrays = {"vertices": mesh["vertices"] @ blender_from_world.T}
+        offset = np.asarray(model.origin, mesh["vertices"].dtype)
+        placed: Arrays = {"vertices": (mesh["vertices"] + offset) @ blender_from_world.T}
         sign = -1 if shape["flipped"] else 1
         placed["faces"] = faces[:, ::-1] if shape["flipped"] else faces
         if "normals" in mesh:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.builtin.registry import BUILTIN
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.file_kinds import what_it_is
-from lumitree.core.frames import LocalFrame, similarity_scale
+from lumitree.core.frames import LocalFrame, float32_step, is_far, similarity, similarity_scale
 from lumitree.core.reading import read_bytes
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
@@ -53,13 +53,15 @@ class Luminaire:
         name: built-in name, or the file's folder and name.
         source: name or file that it was loaded from; None for a `mi.Scene`.
         fingerprint: SHA-256 of the scene file and of every file that it refers to.
-        scene: the Mitsuba scene, in the frame and units of the luminaire's file.
+        scene: the Mitsuba scene, in the axes and units of the luminaire's file.
         has_media: whether there are participating media.
         scatters: whether one of them scatters light.
         frame: its local frame.
         bounding_radius: radius of the sphere around the centre of the bounding box that contains
             all geometry, local units.
         shapes: its shapes as the file names them, by which parts of it can be chosen.
+        origin: [3] origin of the scene's coordinates, in the frame of the luminaire's file. It is
+            (0, 0, 0), but for a lamp far from there, whose coordinates in float32 would be coarse.
     """
 
     name: str
@@ -71,6 +73,7 @@ class Luminaire:
     frame: LocalFrame
     bounding_radius: float
     shapes: tuple[SceneShape, ...]
+    origin: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.zeros(3))
 
     def __repr__(self) -> str:
         size = " x ".join(f"{side:.4g}" for side in self.size)
@@ -78,6 +81,11 @@ class Luminaire:
             f"Luminaire({shown(repr(self.name))}: {len(self.scene.shapes()):,} shapes, "
             f"{self.num_triangles:,} triangles, {self.num_emitters:,} emitters, size {size})"
         )
+
+    @property
+    def scene_frame(self) -> LocalFrame:
+        """Its local frame, with the frame of `scene` as the world."""
+        return self.frame.moved(-self.origin) if self.origin.any() else self.frame
 
     @property
     def num_triangles(self) -> int:
@@ -123,7 +131,20 @@ def load_luminaire(luminaire: "LuminaireLike | Any") -> Luminaire:
     for note in file.notes:
         warnings.warn(f"{name}: {note}", LumitreeWarning, stacklevel=2)
     shapes = file.shapes if file.path == Path(source.name) else model_shapes(file.shapes)
-    return _luminaire(name, source, fingerprint, file.instantiate(), bool(media), shapes)
+    # Shapes that are much too small for their coordinates may not even be created.
+    origin = _near(file.analytic_box(), tolerance=100)
+    if origin.any():
+        file.recentre(origin)
+    mesh_files, scene = file.mesh_files(), file.instantiate()
+    offset = _near(np.array([scene.bbox().min, scene.bbox().max], np.float64).reshape(2, 3))
+    if offset.any():
+        origin += offset
+        file = open_scene_file(source, origin)
+        mesh_files, scene = file.mesh_files(), file.instantiate()
+    loaded = _luminaire(name, source, fingerprint, scene, bool(media), shapes, origin)
+    if origin.any():
+        _warn_of_far_meshes(loaded, mesh_files)
+    return loaded
 
 
 def luminaire_source(luminaire: "LuminaireLike") -> LuminaireSource:
@@ -154,8 +175,10 @@ def _luminaire(
     scene: Any,
     has_media: bool,
     shapes: tuple[SceneShape, ...],
+    origin: NDArray[np.float64] | None = None,
 ) -> Luminaire:
     check_evaluates(scene, shapes, name)
+    origin = np.zeros(3) if origin is None else origin
     frame = LocalFrame.of_box(np.ravel(scene.bbox().min), np.ravel(scene.bbox().max))
     return Luminaire(
         name=name,
@@ -164,9 +187,10 @@ def _luminaire(
         scene=scene,
         has_media=has_media,
         scatters=has_media and any_scatters(scene),
-        frame=frame,
+        frame=frame.moved(origin) if origin.any() else frame,
         bounding_radius=_bounding_radius(scene, frame),
         shapes=shapes,
+        origin=origin,
     )
 
 
@@ -194,7 +218,17 @@ def _luminaire_of_scene(scene: Any) -> Luminaire:
         digest.update(key.encode())
         digest.update(repr(value).encode() if not hasattr(value, "numpy") else _bytes_of(value))
     shapes = tuple(shape_of_object(*item) for item in enumerate(scene.shapes()))
-    return _luminaire("scene", None, digest.hexdigest(), scene, bool(media), shapes)
+    luminaire = _luminaire("scene", None, digest.hexdigest(), scene, bool(media), shapes)
+    if luminaire.frame.is_far:
+        step, size = float32_step(luminaire.frame.centre), luminaire.size.max()
+        warnings.warn(
+            f"{what} is so far from its origin that its coordinates are rounded to multiples of "
+            f"{step:.2g}, {step / size:.2%} of the lamp's size; move it to the origin, or give its "
+            "file or its dictionary",
+            LumitreeWarning,
+            stacklevel=3,
+        )
+    return luminaire
 
 
 def _bytes_of(value: Any) -> bytes:
@@ -270,14 +304,11 @@ def place_shapes(luminaire: LuminaireLike, scene_from_world: ArrayLike) -> dict[
             extinction of interior media is divided by its scale, so that the appearance of the
             luminaire does not depend on its size.
     """
-    mi = load_mitsuba()
     matrix = np.asarray(scene_from_world, np.float64)
     scale = similarity_scale(matrix, "placement")
-    file = open_scene_file(luminaire_source(luminaire))
-    for node in file.nodes("Shape"):
-        # The parser keeps transforms in double precision.
-        own = node.props.get("to_world", mi.ScalarTransform4d())
-        node.props["to_world"] = mi.ScalarTransform4d(matrix @ np.array(own.matrix))
+    origin = luminaire.origin if isinstance(luminaire, Luminaire) else np.zeros(3)
+    file = open_scene_file(luminaire_source(luminaire), origin)
+    file.move(matrix @ similarity(np.eye(3), 1.0, origin) if origin.any() else matrix)
     for node in file.nodes("Medium"):
         node.props["scale"] = node.props.get("scale", 1.0) / scale
     return {f"luminaire_{i}": shape for i, shape in enumerate(file.instantiate().shapes())}
@@ -348,12 +379,21 @@ _until_exit = contextlib.ExitStack()
 atexit.register(_until_exit.close)
 
 
-def open_scene_file(source: LuminaireSource) -> SceneFile:
-    """The parsed and checked scene of a source; its patterns are applied if its file is a scene."""
+def open_scene_file(
+    source: LuminaireSource, origin: NDArray[np.float64] | None = None
+) -> SceneFile:
+    """The parsed and checked scene of a source; its patterns are applied if its file is a scene.
+
+    Args:
+        source: what to open.
+        origin: [3] of the scene's coordinates, as `Luminaire.origin`.
+    """
     path = luminaire_path(source)
     own = path == Path(source.name)
     file = SceneFile(path, source.keep, source.drop) if own else SceneFile(path)
     _check_emitters(file)
+    if origin is not None and origin.any():
+        file.recentre(origin)
     return file
 
 
@@ -401,6 +441,38 @@ def _fingerprint(file: SceneFile, source: LuminaireSource) -> str:
         if os.path.isfile(path):
             digest.update(read_bytes(path, "a file of a scene", _MAX_FILE_BYTES))
     return digest.hexdigest()
+
+
+def _near(box: NDArray[np.float64], tolerance: float = 1) -> NDArray[np.float64]:
+    """[3] an origin near a box [2, 3], if its coordinates are too coarse in float32; else 0.
+
+    Args:
+        box: smallest and largest corner.
+        tolerance: how many times as coarse they may be.
+    """
+    if not np.isfinite(box).all() or not is_far(box, tolerance * np.ptp(box, axis=0).max()):
+        return np.zeros(3)
+    # What float32 represents exactly, so that vertices of mesh files are moved exactly.
+    return box.mean(axis=0).astype(np.float32).astype(np.float64)
+
+
+def _warn_of_far_meshes(
+    luminaire: Luminaire, mesh_files: list[tuple[str, NDArray[np.float64]]]
+) -> None:
+    """Tell of mesh files with vertices so far from their own origin that float32 rounds them."""
+    size = float(luminaire.size.max())
+    # A mesh is about where the lamp is.
+    reach = {name: place - luminaire.scene_frame.centre for name, place in mesh_files}
+    far = [name for name, offset in reach.items() if is_far(offset, size)]
+    if far:
+        step = max(float32_step(reach[name]) for name in far)
+        warnings.warn(
+            f"{luminaire.name}: vertices of {shown_names(far)} are so far from the origin of "
+            f"their file that Mitsuba rounds them to multiples of {step:.2g}, {step / size:.2%} of "
+            "the lamp's size; move the mesh to the origin of its file and place it by to_world",
+            LumitreeWarning,
+            stacklevel=3,
+        )
 
 
 def _bounding_radius(scene: Any, frame: LocalFrame) -> float:

@@ -7,8 +7,12 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.file_kinds import SCENE, XML, what_it_is
+from lumitree.core.frames import similarity
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, renderer_reason, shown
 from lumitree.importers.model_folder import MAX_MODEL_BYTES
@@ -177,6 +181,71 @@ class SceneFile:
                         del film.props[name]
                 film.props["rfilter"] = box
 
+    def move(self, matrix: NDArray[np.float64]) -> None:
+        """Move all shapes by a similarity transform [4, 4], in double precision."""
+        transform = load_mitsuba().ScalarTransform4d
+        for props in self._placed_shapes():
+            # The parser keeps transforms in double precision.
+            own = props.get("to_world", transform())
+            props["to_world"] = transform(matrix @ np.array(own.matrix))
+
+    def recentre(self, origin: NDArray[np.float64]) -> None:
+        """Move the origin of the scene's coordinates to [3] `origin`, in double precision.
+
+        The points by which spheres and cylinders are placed become a part of their transform.
+        Vertices of mesh files are read as float32, and stay what they are.
+        """
+        mi = load_mitsuba()
+        transform = mi.ScalarTransform4d
+        for props in self._placed_shapes():
+            first = next((name for name in ("center", "p0") if name in props), None)
+            if first is not None:
+                place = np.array(props[first], np.float64)
+                for name in {first, "p1"} & set(props.keys()):
+                    props[name] = mi.ScalarPoint3d(np.array(props[name], np.float64) - place)
+                own = np.array(props.get("to_world", transform()).matrix)
+                props["to_world"] = transform(own @ similarity(np.eye(3), 1.0, place))
+        self.move(similarity(np.eye(3), 1.0, -np.asarray(origin)))
+
+    def mesh_files(self) -> list[tuple[str, NDArray[np.float64]]]:
+        """Name of each shape that a file has, and [3] where its transform puts (0, 0, 0)."""
+        transform = load_mitsuba().ScalarTransform4d
+        return [
+            (
+                shown(props.id() or props["filename"], 100),
+                np.array(props.get("to_world", transform()).matrix)[:3, 3],
+            )
+            for props in self._placed_shapes()
+            if "filename" in props
+        ]
+
+    def analytic_box(self) -> NDArray[np.float64]:
+        """[2, 3] a box around the shapes that are no files, in double precision; NaN for none."""
+        transform = load_mitsuba().ScalarTransform4d
+        corners = [np.full((2, 3), np.nan)]
+        for props in self._placed_shapes():
+            if "filename" in props or props.plugin_name() in ("instance", "merge"):
+                continue
+            matrix = np.array(props.get("to_world", transform()).matrix)
+            place = np.array(next((props[n] for n in ("center", "p0") if n in props), np.zeros(3)))
+            length = np.linalg.norm(np.array(props["p1"]) - place) if "p1" in props else 0.0
+            reach = max(length, props.get("radius", 1.0)) * np.linalg.norm(matrix[:3, :3], axis=0)
+            centre = matrix[:3, :3] @ place + matrix[:3, 3]
+            corners.append(centre + np.outer([-1, 1], np.full(3, reach.max())))
+        box = np.array(corners)
+        return np.stack([np.fmin.reduce(box[:, 0]), np.fmax.reduce(box[:, 1])])
+
+    def _placed_shapes(self) -> list[Any]:
+        """Properties of the shapes whose transform is that of the scene.
+
+        Shapes of a group are placed by its instances.
+        """
+        shapes = [node.props for node in self.nodes("Shape")]
+        groups = [props for props in shapes if props.plugin_name() == "shapegroup"]
+        grouped = [node.props for group in groups for node in self.children(group).values()]
+        left_out = [*groups, *grouped]
+        return [props for props in shapes if not any(props is other for other in left_out)]
+
     def resolve(self, name: str) -> Path:
         """Path of a file that the scene refers to."""
         with self._searching() as resolver:
@@ -211,6 +280,9 @@ class SceneFile:
         mi = load_mitsuba()
         # Creating the scene clears the nodes.
         has_media = bool(self.nodes("Medium"))
+        # Lamps would be created within each other, by tasks that wait.
+        lamps = (node.props.plugin_name() == "lumitree_proxy" for node in self._used())
+        self._config.parallel = not any(lamps)
         with self._searching(), self._readable():
             scene = mi.parser.instantiate(self._config, self._state)
         if not isinstance(scene, mi.Scene):

@@ -1,6 +1,7 @@
 """Writing of a model as a Mitsuba 3 scene, which is then loaded like a scene of the user."""
 
 import dataclasses
+import itertools
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +14,7 @@ from lumitree.asset.textures import VERTEX_COLOUR
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.device import on_device
 from lumitree.core.files import atomic_path
+from lumitree.core.frames import is_far, similarity
 from lumitree.luminaire.scene_shapes import SceneShape
 from lumitree.model.geometry import Floats, Mesh
 from lumitree.model.model import (
@@ -54,7 +56,8 @@ def write_scene(model: Model, folder: str | os.PathLike[str]) -> Path:
 
 class _Writer:
     def __init__(self, model: Model, folder: Path) -> None:
-        self._model, self._folder = model, folder
+        self._far = _is_far(model)
+        self._model, self._folder = _recentred(model) if self._far else model, folder
         self._materials = {material.name: material for material in model.materials}
         # A texture that several materials share is written once.
         self._textures: dict[int, str] = {}
@@ -81,7 +84,7 @@ class _Writer:
         name = part.name if len(part.places) == 1 else f"{part.name}_{copy + 1}"
         shape = SubElement(root, "shape", type="ply", id=name)
         _add(shape, "string", "filename", mesh_file)
-        _transform(shape, "to_world", part.places[copy])
+        _transform(shape, "to_world", part.places[copy], exact=self._far)
         SubElement(shape, "ref", id=_reference(material))
         if isinstance(material.surface, Glass) and material.surface.medium is not None:
             _medium(shape, material.surface.medium)
@@ -202,6 +205,37 @@ def model_shapes(shapes: Sequence[SceneShape]) -> tuple[SceneShape, ...]:
     )
 
 
+def _is_far(model: Model) -> bool:
+    """Whether coordinates of the model, or of a mesh in its frame, are too coarse in float32."""
+    boxes = {id(part.mesh): _box(part.mesh) for part in model.parts}
+    corners, reach = [np.zeros((0, 3))], [0.0]
+    for part in model.parts:
+        own = np.array(list(itertools.product(*boxes[id(part.mesh)].T)))
+        for place in part.places:
+            corners.append(own @ place[:3, :3].T + place[:3, 3])
+            scale = np.linalg.norm(place[:3, :3], axis=0).max()
+            reach.append(float(np.abs(own).max() * scale))
+    points = np.concatenate(corners)
+    return is_far([np.abs(points).max(initial=0.0), *reach], np.ptp(points, axis=0).max())
+
+
+def _box(mesh: Mesh) -> Floats:
+    """[2, 3] smallest and largest coordinates."""
+    return np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
+
+
+def _recentred(model: Model) -> Model:
+    """The model with the centre of each mesh in the origin of its own frame."""
+    parts = []
+    for part in model.parts:
+        centre = _box(part.mesh).mean(axis=0)
+        mesh = dataclasses.replace(part.mesh, vertices=part.mesh.vertices - centre)
+        shift = similarity(np.eye(3), 1.0, centre)
+        places = tuple(place @ shift for place in part.places)
+        parts.append(dataclasses.replace(part, mesh=mesh, places=places))
+    return dataclasses.replace(model, parts=tuple(parts))
+
+
 def _reference(material: Material) -> str:
     # In a scene, ids of shapes and materials share one namespace, and $ begins a parameter.
     return _PREFIX + material.name.replace("$", "%24")
@@ -255,9 +289,11 @@ def _rounded(values: Floats, decimals: int) -> np.ndarray:
     return (values.round(decimals) + 0.0).astype(np.float32)
 
 
-def _transform(parent: Element, name: str, matrix: Floats) -> None:
+def _transform(parent: Element, name: str, matrix: Floats, *, exact: bool = False) -> None:
+    """A matrix of 9 digits; or of all, where 9 are too few for large coordinates."""
     transform = SubElement(parent, "transform", name=name)
-    values = " ".join(f"{value:.9g}" for value in (matrix.round(9) + 0.0).ravel())
+    numbers = (matrix.round(9) + 0.0).ravel().tolist()
+    values = " ".join(repr(value) if exact else f"{value:.9g}" for value in numbers)
     SubElement(transform, "matrix", value=values)
 
 

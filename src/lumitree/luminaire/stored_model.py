@@ -41,7 +41,8 @@ def stored_model(luminaire: Luminaire) -> AssetModel:
     """
     if luminaire.scatters:
         raise LumitreeError(f"{luminaire.name} has media that scatter light, which are not stored")
-    return _Reader(open_scene_file(luminaire_source(luminaire))).read()
+    file = open_scene_file(luminaire_source(luminaire), luminaire.origin)
+    return _Reader(file).read(luminaire.origin)
 
 
 class _Reader:
@@ -54,7 +55,7 @@ class _Reader:
         self._image_of: dict[tuple[Path, bool], int] = {}
         self._materials: list[Json] = []
 
-    def read(self) -> AssetModel:
+    def read(self, origin: NDArray[np.float64]) -> AssetModel:
         nodes = self._file.nodes("Shape")
         names = [shown(node.props.id() or node.props.plugin_name(), 60) for node in nodes]
         described = []
@@ -79,7 +80,7 @@ class _Reader:
                 meshes[key].append((description, mesh))
             else:
                 others.append(_analytic(name, shape, description))
-        return _joined(meshes, others, self._images, self._materials)
+        return _joined(meshes, others, self._images, self._materials, origin)
 
     def _describe(self, props: Any) -> Json:
         """What a shape has besides its geometry."""
@@ -221,6 +222,7 @@ def _joined(
     others: list[Json],
     images: list[NDArray[Any]],
     materials: list[Json],
+    origin: NDArray[np.float64],
 ) -> AssetModel:
     shapes = []
     arrays: dict[str, list[NDArray[Any]]] = {name: [] for name in ARRAYS}
@@ -246,5 +248,9 @@ def _joined(
         for name, (dtype, width) in ARRAYS.items()
     }
     return AssetModel(
-        **joined, images=tuple(images), shapes=(*shapes, *others), materials=tuple(materials)
+        **joined,
+        images=tuple(images),
+        shapes=(*shapes, *others),
+        materials=tuple(materials),
+        origin=(float(origin[0]), float(origin[1]), float(origin[2])),
     )

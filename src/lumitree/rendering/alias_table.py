@@ -4,6 +4,8 @@ Symbols
     N   entries of a row        q   N times the probability of an index
 """
 
+import itertools
+from collections.abc import Iterable
 from typing import Any
 
 import drjit as dr
@@ -22,16 +24,16 @@ class AliasTable:
     has probability 0, and the probabilities are those of the rounded thresholds.
 
     Args:
-        weights: [rows, N], at least 0, with a positive sum in each row. Probabilities are
-            proportional to them but for the rounding.
+        weights: arrays [.., N] of all rows, at least 0, with a positive sum in each row.
+            Probabilities are proportional to them but for the rounding.
+        rows, count: number of rows, and N.
     """
 
-    def __init__(self, weights: NDArray[np.float64]) -> None:
-        rows, count = weights.shape
+    def __init__(self, weights: Iterable[NDArray[np.float64]], rows: int, count: int) -> None:
         bits = int(count - 1).bit_length()
         steps = 1 << (32 - bits)
         words = np.empty((rows, count, 2), np.uint32)
-        for row, weight in enumerate(weights):
+        for row, weight in enumerate(itertools.chain.from_iterable(weights)):
             threshold, alias = alias_row(weight)
             rounded = np.clip(np.ceil(threshold * steps), 1, steps)
             chance = rounded / steps + np.bincount(alias, 1 - rounded / steps, count)

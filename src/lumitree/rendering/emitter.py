@@ -1,5 +1,6 @@
 """The emitter `lumitree`: what a baked luminaire sends out."""
 
+import functools
 from typing import Any
 
 import drjit as dr
@@ -9,6 +10,7 @@ from lumitree.core.arguments import check_gain
 from lumitree.errors import LumitreeError
 from lumitree.rendering.divided_sampling import emitter_sampler
 from lumitree.rendering.placed import Placed
+from lumitree.rendering.plugin_objects import complete_later
 
 
 def emitter_class() -> type:
@@ -23,13 +25,17 @@ def emitter_class() -> type:
     class LumitreeEmitter(mi.Emitter):
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.placed = placed = Placed(props)
-            self.sampler = emitter_sampler(
-                placed.asset, placed.field, placed.proxy, placed.sampling
-            )
+            self.placed = Placed(props)
+            # Its tables are made while the scene is loaded, and not by the first image.
+            complete_later(lambda: self.sampler)
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
             self.gain = mi.Color3f(*check_gain(props.get("gain", 1.0)))
-            self._set_gain()
+            self._accept_gain()
+
+        @functools.cached_property
+        def sampler(self):
+            placed = self.placed
+            return emitter_sampler(placed.asset, placed.field, placed.proxy, placed.sampling)
 
         def traverse(self, callback):
             super().traverse(callback)
@@ -46,6 +52,9 @@ def emitter_class() -> type:
             except LumitreeError:
                 mi.set_property(self.gain, self._accepted)
                 raise
+            self._accept_gain()
+
+        def _accept_gain(self):
             # Opaque: another gain does not compile new kernels.
             dr.make_opaque(self.gain)
             self._accepted = mi.Color3f(self.gain)

@@ -28,6 +28,7 @@ Symbols
 """
 
 import weakref
+from collections.abc import Iterator
 from typing import Any
 
 import drjit as dr
@@ -123,23 +124,29 @@ class ExitantLight:
         cumulated = np.cumsum(flux, axis=1)
         self._bin_chances = on_device(mi.Float, cumulated / cumulated[:, -1:])
         self._cell_chances = on_device(mi.Float, np.cumsum(self._flux_shares))
-        self._table = AliasTable(self._shares())
+        self._table = AliasTable(self._shares(), self._around.count, count)
 
-    def _shares(self) -> NDArray[np.float64]:
-        """Share [cells of receivers, C] of samples that each cell is to get."""
-        rows = []
-        for first in range(0, self._around.count, _ROWS_AT_ONCE):
-            points = _ROWS_AT_ONCE * _POINTS_PER_CELL
-            rng = mi.PCG32(points, initstate=dr.opaque(mi.UInt64, first))
-            row = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
-            sample = mi.Point2f(rng.next_float32(), rng.next_float32())
-            x = self._around.point(row, sample, rng.next_float32())
-            square = self._mean_square(x, first)
-            rows.append(np.sqrt(np.array(square, np.float64).reshape(_ROWS_AT_ONCE, -1)))
-        light = np.concatenate(rows)
-        total = light.sum(axis=1, keepdims=True)
-        shares = np.where(total > 0, light / np.maximum(total, 1e-300), self._flux_shares)
-        return (1 - _FLUX_FRACTION) * shares + _FLUX_FRACTION * self._flux_shares
+    def _shares(self) -> Iterator[NDArray[np.float64]]:
+        """Share [.., C] of samples that each cell is to get, for some cells of receivers each."""
+        square = self._square(0)
+        for first in range(_ROWS_AT_ONCE, self._around.count + 1, _ROWS_AT_ONCE):
+            # The device computes the next rows while these become a part of the table.
+            following = self._square(first) if first < self._around.count else None
+            light = np.sqrt(np.array(square, np.float64).reshape(_ROWS_AT_ONCE, -1))
+            total = light.sum(axis=1, keepdims=True)
+            shares = np.where(total > 0, light / np.maximum(total, 1e-300), self._flux_shares)
+            yield (1 - _FLUX_FRACTION) * shares + _FLUX_FRACTION * self._flux_shares
+            square = following
+
+    def _square(self, first: int) -> Any:
+        """`_mean_square` for random receivers in `_ROWS_AT_ONCE` cells from `first`."""
+        points = _ROWS_AT_ONCE * _POINTS_PER_CELL
+        rng = mi.PCG32(points, initstate=dr.opaque(mi.UInt64, first))
+        row = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
+        sample = mi.Point2f(rng.next_float32(), rng.next_float32())
+        square = self._mean_square(self._around.point(row, sample, rng.next_float32()), first)
+        dr.eval(square)
+        return square
 
     @dr.syntax
     def _mean_square(self, points: Any, seed: int) -> Any:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.textures import Json
-from lumitree.rendering.plugin_objects import make_object, make_properties
+from lumitree.rendering.plugin_objects import load_ordered, make_object, make_properties
 
 
 class Materials:
@@ -42,7 +42,7 @@ class Materials:
     def _texture(self, texture: Json) -> Any:
         key = repr(sorted(texture.items()))
         if key not in self._textures:
-            self._textures[key] = mi.load_dict(self._description(texture))
+            self._textures[key] = load_ordered(self._description(texture))
         return self._textures[key]
 
     def _description(self, texture: Json) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """The shapes of an asset's model in a scene."""
 
+import weakref
 from typing import Any
 
 import mitsuba as mi
@@ -15,6 +16,10 @@ from lumitree.rendering.model_materials import Materials
 from lumitree.rendering.model_plugins import model_emitter_class, model_glass_class
 from lumitree.rendering.own_lights import OwnLights
 from lumitree.rendering.plugin_objects import make_object, make_properties
+
+_SURFACES: "weakref.WeakKeyDictionary[AssetModel, dict[str, _Surfaces]]" = (
+    weakref.WeakKeyDictionary()
+)
 
 
 def model_shapes(model: AssetModel, scene_from_world: NDArray[np.float64], lamp: Any) -> list[Any]:
@@ -35,20 +40,22 @@ def model_shapes(model: AssetModel, scene_from_world: NDArray[np.float64], lamp:
 
 class _Builder:
     def __init__(self, model: AssetModel, scene_from_world: NDArray[np.float64], lamp: Any) -> None:
-        self._model, self._matrix, self._lamp = model, scene_from_world, lamp
+        self._model, self._lamp = model, lamp
+        # From the coordinates of the model, in double precision: they may be far from the file's.
+        self._matrix = scene_from_world @ model.file_from_model
         self._lights, self._emitting = OwnLights(), []
         self._scale = similarity_scale(scene_from_world, "to_world")
-        self._emitter, self._glass = model_emitter_class(), model_glass_class()
-        self._materials = Materials(model.images)
-        self._bsdfs = [self._top(material) for material in model.materials]
+        self._emitter = model_emitter_class()
+        self._surfaces = _surfaces(model)
 
     def shape(self, shape: Json, mesh: "dict[str, NDArray[Any]] | None") -> Any:
         """The mi.Shape of a shape of the model, with its BSDF and its emitter."""
         material = self._model.materials[shape["material"]]
         radiance = shape["radiance"]
-        values = {"flip_normals": shape["flipped"], "bsdf": self._bsdfs[shape["material"]]}
+        bsdf = self._surfaces.bsdfs[shape["material"]]
+        values = {"flip_normals": shape["flipped"], "bsdf": bsdf}
         # A surface that shows other things needs no emitter: it neither emits nor scatters.
-        emitted = None if radiance is None else self._materials.radiance(radiance)
+        emitted = None if radiance is None else self._surfaces.emitted(radiance)
         if radiance is not None or not is_specular(material):
             values["emitter"] = self._emitter(
                 self._lamp, self._lights, emitted, len(self._emitting)
@@ -113,6 +120,27 @@ class _Builder:
                 "scale": densest / self._scale,
             },
         )
+
+
+def _surfaces(model: AssetModel) -> "_Surfaces":
+    """BSDFs and textures of a model, made on first use."""
+    known, variant = _SURFACES.setdefault(model, {}), str(mi.variant())
+    if variant not in known:
+        # Mitsuba creates plugins in parallel: of two, the first is kept.
+        return known.setdefault(variant, _Surfaces(model))
+    return known[variant]
+
+
+class _Surfaces:
+    """The BSDFs and textures of a model, which its instances share."""
+
+    def __init__(self, model: AssetModel) -> None:
+        self._materials, self._glass = Materials(model.images), model_glass_class()
+        self.bsdfs = [self._top(material) for material in model.materials]
+
+    def emitted(self, radiance: Any) -> Any:
+        """Radiance as a mi.Texture."""
+        return self._materials.radiance(radiance)
 
     def _top(self, material: Json) -> Any:
         bsdf = self._materials.bsdf(material)

@@ -1,9 +1,14 @@
 """Objects of Mitsuba that `mitsuba.load_dict` does not make, or not always in the same order."""
 
-from collections.abc import Mapping
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import mitsuba as mi
+
+_STEPS: deque[Callable[[], object]] = deque()
+_LOCK = threading.Lock()
 
 
 def make_properties(plugin: str, values: Mapping[str, Any]) -> Any:
@@ -20,13 +25,34 @@ def make_object(plugin: str, values: Mapping[str, Any]) -> Any:
 
 
 def load_ordered(description: Mapping[str, Any]) -> Any:
-    """`mitsuba.load_dict` for a scene, with shapes and emitters in the order of the dictionary.
+    """`mitsuba.load_dict`, with shapes and emitters in the order of the dictionary, in one thread.
 
     `load_dict` merges meshes, and then brings shapes into an order that differs from one call to
-    the next: emitters are numbered differently, and equal seeds do not give equal images.
+    the next: emitters are numbered differently, and equal seeds do not give equal images. It also
+    creates objects as parallel tasks. A task that waits for others executes them within itself.
     """
     config = mi.parser.ParserConfig(mi.variant())
-    config.merge_meshes = False
+    config.merge_meshes = config.parallel = False
     state = mi.parser.parse_dict(config, dict(description))
     mi.parser.transform_all(config, state)
     return mi.parser.instantiate(config, state)
+
+
+def complete_later(step: Callable[[], object]) -> None:
+    """Do a step of the creation of a plugin that waits for the device; one at a time.
+
+    Mitsuba creates plugins as parallel tasks, and a thread that waits for the device executes other
+    tasks meanwhile. Else plugins would be created within each other, each with tables of its own.
+    If a step is being done, this one is done after it, by the same thread. Mitsuba creates the
+    scene when all tasks are completed.
+    """
+    _STEPS.append(step)
+    while _STEPS and _LOCK.acquire(blocking=False):
+        try:
+            while _STEPS:
+                _STEPS.popleft()()
+        except BaseException:
+            _STEPS.clear()
+            raise
+        finally:
+            _LOCK.release()

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from lumitree.core.backend import load_mitsuba
+from lumitree.errors import LumitreeError
 
 if TYPE_CHECKING:
     from lumitree.asset.asset import Asset
@@ -33,6 +34,10 @@ if TYPE_CHECKING:
     from lumitree.rendering.proxy import ProxyKind
 
 _registered: set[str] = set()
+_TOO_MANY = (
+    "Mitsuba loads this scene in parallel, and creates more lamps with the appearance 'model' "
+    "within each other than Python's limit of recursion allows; load it with parallel=False"
+)
 
 
 def register() -> None:
@@ -53,7 +58,17 @@ def register() -> None:
     mi.register_emitter("lumitree", emitter)
     mi.register_bsdf("lumitree_null", bsdf)
     mi.register_integrator("lumitree_path", integrator)
-    mi.register_shape("lumitree_proxy", lambda props: make(props.id(), **options(props)))
+
+    def make_proxy(props: Any) -> Any:
+        try:
+            return make(props.id(), **options(props))
+        except (RecursionError, RuntimeError) as error:
+            # Mitsuba turns exceptions of the plugins within this one into a RuntimeError.
+            if not isinstance(error, RecursionError) and "RecursionError" not in str(error):
+                raise
+            raise LumitreeError(_TOO_MANY) from None
+
+    mi.register_shape("lumitree_proxy", make_proxy)
     _registered.add(mi.variant())
 
 

@@ -15,7 +15,7 @@ from lumitree.rendering.emitter_sampling import SAMPLING_KINDS, Sampling
 from lumitree.rendering.model_shapes import model_shapes
 from lumitree.rendering.opened import file_name, open_asset, open_field
 from lumitree.rendering.placed import APPEARANCES, MODEL_MARGIN, Appearance, Placed, shows_model
-from lumitree.rendering.plugin_objects import make_object, make_properties
+from lumitree.rendering.plugin_objects import load_ordered, make_object, make_properties
 from lumitree.rendering.proxy import PROXY_KINDS, ProxyKind, make_proxy
 
 
@@ -46,9 +46,11 @@ def describe_proxy(
     similarity_scale(matrix, "to_world")
     opened = open_asset(asset)
     field = open_field(opened, min_density, max_opacity)
+    # In double precision where the transform ends far from where it begins.
+    transform = mi.ScalarTransform4d if opened.frame.is_far else mi.ScalarTransform4f
     options = {
         "filename": file_name(asset),
-        "to_world": mi.ScalarTransform4f(matrix),
+        "to_world": transform(matrix),
         "proxy": proxy,
         "min_density": min_density,
         "max_opacity": max_opacity,
@@ -71,11 +73,11 @@ def make_shapes(name: str, **options: Any) -> Any:
     """
     description = describe_proxy(**options)
     if description["type"] != "lumitree_proxy":
-        return mi.load_dict(description)
+        return load_ordered(description)
     properties = {n: value for n, value in description.items() if n not in ("type", "gain")}
     placed = Placed(make_properties("lumitree_proxy", properties))
     matrix = np.array(properties["to_world"].matrix, np.float64).reshape(4, 4)
-    proxy = mi.load_dict(
+    proxy = load_ordered(
         _proxy(
             placed.asset,
             matrix,

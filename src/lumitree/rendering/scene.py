@@ -1,28 +1,30 @@
 """Scenes with luminaires placed in them."""
 
+import itertools
+import os
 import warnings
 from collections.abc import Sequence
 from typing import Any, cast
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain
-from lumitree.core.device import on_device
-from lumitree.core.frames import similarity_scale
-from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.core.frames import float32_step, is_far, similarity_scale
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.luminaire.luminaire import Luminaire, load_luminaire, place_shapes
 from lumitree.luminaire.media import any_heterogeneous
 from lumitree.luminaire.probe import check_evaluates
 from lumitree.luminaire.scene_file import SceneFile
+from lumitree.luminaire.source import LuminaireSource
 from lumitree.octree.field import EXACT, Field, Thresholds
 from lumitree.rendering.asset_flux import asset_watts, gain_to
 from lumitree.rendering.emitter_sampling import Sampling
 from lumitree.rendering.opened import open_field
 from lumitree.rendering.placed import Appearance, shows_model
 from lumitree.rendering.placement import Placement
+from lumitree.rendering.placement_checks import contains, holds_objects, warn_of_overlaps
 from lumitree.rendering.plugin_objects import load_ordered
 from lumitree.rendering.plugins import register, shape
 from lumitree.rendering.proxy import ProxyKind
@@ -38,18 +40,24 @@ _FAR_FOR_VOLPATH = 0.09
 
 
 class PlacedLuminaire:
-    """A luminaire that has been read, and where it goes."""
+    """A luminaire that has been read, and where it goes.
 
-    def __init__(self, placement: Placement) -> None:
+    Args:
+        placement: what to read, and where it goes.
+        luminaire: the explicit luminaire of the placement, if it is loaded already.
+    """
+
+    def __init__(self, placement: Placement, luminaire: Luminaire | None = None) -> None:
         self.placement = placement
         self.field: Field | None = None
-        self.luminaire: Luminaire | None = None
+        self.luminaire = luminaire
         if placement.is_baked:
             # The field, not only the asset: the proxy's plugins then find it open.
             self.field = open_field(cast(Any, placement.source))
             frame = self.field.asset.frame
         else:
-            self.luminaire = load_luminaire(cast(Any, placement.source))
+            if self.luminaire is None:
+                self.luminaire = load_luminaire(cast(Any, placement.source))
             frame = self.luminaire.frame
         scene_from_local = frame.placed(
             at=placement.at, size=placement.size, rotate=placement.rotate
@@ -70,6 +78,17 @@ class PlacedLuminaire:
             watts = asset_watts(asset) * scale**2
             gain *= gain_to(watts, placement.lumens, placement.temperature, placement.name)
         return check_gain(gain)
+
+    @property
+    def title(self) -> str:
+        """What it is called in messages: its label, if it has one."""
+        label = self.placement.label
+        return self.placement.name if label is None else shown(label, 200)
+
+    @property
+    def kind(self) -> object:
+        """What is placed; equal for instances of one lamp."""
+        return self.placement.name if self.field is None else self.field.asset
 
     def shapes(
         self,
@@ -92,6 +111,21 @@ class PlacedLuminaire:
         return {"proxy": shape(source, self.scene_from_world, proxy, **options)}
 
 
+def open_placements(placements: Sequence[Placement]) -> list[PlacedLuminaire]:
+    """Read the luminaires of placements, each once."""
+    loaded: dict[object, Luminaire] = {}
+    opened = []
+    for placement in placements:
+        source = placement.source
+        # A dictionary has no hash.
+        key = source if isinstance(source, str | os.PathLike | LuminaireSource) else id(source)
+        placed = PlacedLuminaire(placement, loaded.get(key))
+        if placed.luminaire is not None:
+            loaded[key] = placed.luminaire
+        opened.append(placed)
+    return opened
+
+
 def place_luminaires(
     scene: Any,
     luminaires: Sequence[PlacedLuminaire],
@@ -105,8 +139,8 @@ def place_luminaires(
     The appearance "model" is for `lumitree_path` only (`appearance_for`). The thresholds are those
     of all baked luminaires.
 
-    Warns on standard error where an object, or the camera, is inside a proxy: there a baked
-    luminaire neither shades nor lights it correctly (D10).
+    Warns on standard error where an object, the camera or another luminaire is inside a proxy:
+    there a baked luminaire neither shades nor lights it correctly (D10).
     """
     register()
     objects: dict[str, Any] = {"type": "scene"}
@@ -116,17 +150,25 @@ def place_luminaires(
         objects["environment"] = scene.environment()
     distant = [e for e in scene.emitters() if e.get_shape() is None and not e.is_environment()]
     objects |= {f"emitter_{i}": item for i, item in enumerate(distant)}
-    taken: list[tuple[str, bytes]] = []
-    for start, placed in zip(placed_ids(luminaires), luminaires, strict=True):
-        placement = placed.placement
-        place_taken = (placement.name, placed.scene_from_world.tobytes())
-        if place_taken in taken:
+    taken: set[tuple[str, bytes]] = set()
+    for placed in luminaires:
+        place = (placed.placement.name, placed.scene_from_world.tobytes())
+        if place in taken:
             raise LumitreeError(
-                f"{placement.name} is placed twice in the same place; give each its own --at"
+                f"{place[0]} is placed twice in the same place; give each its own --at"
             )
-        taken.append(place_taken)
-        if placement.is_baked:
-            _warn_inside(scene, placed, appearance)
+        taken.add(place)
+        _warn_rounded(placed)
+    baked = [placed.placement.is_baked for placed in luminaires]
+    _warn_inside(scene, [*itertools.compress(luminaires, baked)], appearance)
+    if luminaires:
+        warn_of_overlaps(
+            np.stack([placed.scene_from_box for placed in luminaires]),
+            [placed.title for placed in luminaires],
+            [placed.kind for placed in luminaires],
+            baked,
+        )
+    for start, placed in zip(placed_ids(luminaires), luminaires, strict=True):
         shapes = placed.shapes(proxy, sampling, appearance, thresholds)
         objects |= {start + name: value for name, value in shapes.items()}
     return load_ordered(objects)
@@ -221,6 +263,22 @@ def set_film_width(scene: Any, width: int) -> None:
     params.update()
 
 
+def _warn_rounded(placed: PlacedLuminaire) -> None:
+    """Tell where coordinates of a scene are too coarse for a luminaire."""
+    box = placed.scene_from_box
+    corners = box[:3, 3] + np.abs(box[:3, :3]).sum(axis=1) * np.sign(box[:3, 3])
+    size = 2 * float(np.linalg.norm(box[:3, :3], axis=0).max())
+    if is_far(corners, size):
+        step = float32_step(corners)
+        warnings.warn(
+            f"{placed.title}: at {np.abs(corners).max():.4g} units from the origin of the scene, "
+            f"coordinates are rounded to multiples of {step:.2g}, {step / size:.2%} of its size; "
+            "surfaces and shadows there are rough: move the scene to the origin",
+            LumitreeWarning,
+            stacklevel=3,
+        )
+
+
 def _warn_far(placed: PlacedLuminaire) -> None:
     """Tell where `volpath` cannot resolve a baked luminaire."""
     box, name = placed.scene_from_box, placed.placement.name
@@ -237,36 +295,26 @@ def _warn_far(placed: PlacedLuminaire) -> None:
         )
 
 
-def _warn_inside(scene: Any, placed: PlacedLuminaire, appearance: Appearance) -> None:
-    """Look for geometry inside the proxy with random segments, and for the camera."""
-    assert placed.field is not None
-    model = shows_model(placed.field.asset, appearance)
-    box, name = placed.scene_from_box, placed.placement.name
-    samples = 1 << 14
-    random = np.random.default_rng(0)
-    # A little smaller than the box, so that a ceiling it touches does not count.
-    start, end = (0.998 * random.uniform(-1, 1, (2, samples, 3))) @ box[:3, :3].T + box[:3, 3]
-    offset = end - start
-    length = np.linalg.norm(offset, axis=1)
-    direction = on_device(mi.Vector3f, offset / length[:, None])
-    ray = mi.Ray3f(
-        on_device(mi.Point3f, start), direction, on_device(mi.Float, length), mi.Float(0), []
-    )
-    if dr.any(scene.ray_test(ray)):
-        warnings.warn(
-            f"{name}: an object of the room is inside its proxy; it is not lit or shaded "
-            "correctly there (a baked luminaire illuminates what is outside only)",
-            LumitreeWarning,
-            stacklevel=2,
-        )
-    if model:
+def _warn_inside(scene: Any, luminaires: Sequence[PlacedLuminaire], appearance: Appearance) -> None:
+    """Tell of surfaces of a scene that are inside the box of a baked luminaire, and the camera."""
+    if not luminaires:
         return
-    camera = scene.sensors()[0].world_transform().translation()
-    local = np.linalg.solve(box[:3, :3], np.ravel(camera) - box[:3, 3])
-    if (np.abs(local) < 1).all():
-        warnings.warn(
-            f"{name}: the camera is inside its proxy; a baked luminaire is rendered from "
-            "outside only",
-            LumitreeWarning,
-            stacklevel=2,
-        )
+    camera = np.ravel(scene.sensors()[0].world_transform().translation())
+    holds = holds_objects(scene, np.stack([each.scene_from_box for each in luminaires]))
+    for placed, holds_object in zip(luminaires, holds, strict=True):
+        assert placed.field is not None
+        if holds_object:
+            warnings.warn(
+                f"{placed.title}: an object of the room is inside its proxy; it is not lit or "
+                "shaded correctly there (a baked luminaire illuminates what is outside only)",
+                LumitreeWarning,
+                stacklevel=2,
+            )
+        model = shows_model(placed.field.asset, appearance)
+        if not model and contains(placed.scene_from_box, camera):
+            warnings.warn(
+                f"{placed.title}: the camera is inside its proxy; a baked luminaire is rendered "
+                "from outside only",
+                LumitreeWarning,
+                stacklevel=2,
+            )

@@ -166,7 +166,7 @@ def _trace(luminaire: Luminaire, integrator: Any, sampler_seed: int) -> NDArray[
     frame = mi.Frame3f(mi.warp.square_to_uniform_sphere(sampler.next_2d()))
     disk = mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
     radius = mi.Float(luminaire.bounding_radius * luminaire.frame.scale)
-    centre = mi.Point3f(luminaire.frame.centre)
+    centre = mi.Point3f(luminaire.scene_frame.centre)
     dr.make_opaque(radius, centre)
     # The bounding box may reach out of the sphere where shapes are not meshes.
     start = frame.to_world(mi.Vector3f(disk.x, disk.y, -2))

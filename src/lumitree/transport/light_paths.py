@@ -65,7 +65,7 @@ def trace_light(
     if not dr.width(chosen):
         # Dr.Jit does not combine an empty array with others, so one path without flux is returned.
         chosen, flux = mi.UInt32([0]), mi.Color3f(dr.zeros(mi.Float, count))
-    to_local = mi.Transform4f(luminaire.frame.local_from_world)
+    to_local = mi.Transform4f(luminaire.scene_frame.local_from_world)
     dr.make_opaque(to_local)
     scale = dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2))
     paths = LightPaths(

@@ -103,7 +103,7 @@ class Camera:
 
     def _ray(self, pose: NDArray[np.float64], position: Any) -> Any:
         """Orthographic ray through an image position in pixels, row 0 at the top."""
-        world_from_camera = mi.Transform4f(self._luminaire.frame.world_from_local @ pose)
+        world_from_camera = mi.Transform4f(self._luminaire.scene_frame.world_from_local @ pose)
         half_width = self._luminaire.bounding_radius
         scale = 2 * half_width / self._resolution
         dr.make_opaque(world_from_camera)
