@@ -7,8 +7,8 @@ _PROBE = 400
 def in_utf8(content: bytes) -> bytes:
     """The text of a file without its byte order mark, lines ending in \\n.
 
-    UTF-16, with or without a byte order mark, becomes UTF-8. Other encodings are left: UTF-8, or one
-    with single bytes.
+    UTF-16, with or without a byte order mark, becomes UTF-8. Other encodings are left: UTF-8, or
+    one of single bytes.
     """
     if (encoding := _utf16(content)) is not None:
         content = content.decode(encoding, "replace").encode("utf-8", "replace")

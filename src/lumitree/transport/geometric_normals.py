@@ -4,8 +4,8 @@ BSDFs are defined by the shading normal, which differs from the geometric normal
 shaded smoothly. A direction that is above the surface by one normal may be below it by the other.
 There an opaque BSDF would scatter light through the surface: a closed shade of few triangles
 around a bulb would leak. So opaque BSDFs are 0 for pairs of directions on opposite sides of the
-geometric surface, both where they are evaluated and where they are sampled. The rule is symmetric in both
-directions, so light paths and camera paths agree.
+geometric surface, both where they are evaluated and where they are sampled. The rule is symmetric
+in both directions, so light paths and camera paths agree.
 """
 
 from typing import Any
