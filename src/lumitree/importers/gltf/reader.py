@@ -18,8 +18,9 @@ from lumitree.importers.gltf.lights import light_part
 from lumitree.importers.gltf.materials import Materials, Use, safe_name
 from lumitree.importers.gltf.nodes import Node, scene_nodes
 from lumitree.importers.gltf.notes import Notes
-from lumitree.importers.gltf.primitives import MAX_TRIANGLES, baked, read_triangles, selected
+from lumitree.importers.gltf.primitives import MAX_TRIANGLES, baked, read_triangles
 from lumitree.importers.gltf.variants import Variants
+from lumitree.importers.mesh_faces import selected
 from lumitree.importers.mesh_normals import turned_with_normals
 from lumitree.importers.topology import Pieces, faces_to_turn, is_solid, weld
 from lumitree.model.geometry import Floats, Mesh
