@@ -28,7 +28,7 @@ _GROUPS = (b"g", b"o", b"mg")
 _FREE_FORM = (b"vp", b"cstype", b"deg", b"bmat", b"step", b"curv", b"curv2", b"surf", b"parm")
 _FREE_FORM += (b"trim", b"hole", b"scrv", b"sp", b"end", b"con", b"bzp", b"bsp", b"cdc", b"cdp")
 _LEFT_OUT: dict[bytes, str] = {b"l": "lines", b"p": "points"}
-_LEFT_OUT |= {key: "free-form curves and surfaces (export polygons)" for key in _FREE_FORM}
+_LEFT_OUT |= dict.fromkeys(_FREE_FORM, "free-form curves and surfaces (export polygons)")
 
 
 @dataclasses.dataclass(frozen=True)
