@@ -23,6 +23,7 @@ from lumitree.importers.model_folder import ModelFolder
 MAX_FILE_BYTES = 2**31
 SUPPORTED_EXTENSIONS = frozenset(
     {
+        "EXT_mesh_gpu_instancing",
         "EXT_texture_webp",
         "KHR_lights_punctual",
         "KHR_materials_anisotropy",
