@@ -13,6 +13,7 @@ from lumitree.importers.obj.parse import parse_obj
 LINES = ["v 0 0 0", "v 1 0 0", "v 0 1 0", "vt 0 1", "vn 0 1 0", "f 1 2 3", "f -1 -2 -3", "f"]
 LINES += ["f 1/1 2/1 3/1", "f 1//1 2 3", "usemtl", "s", "s 1", "mtllib", "v", "#", "\\", "vt"]
 LINES += ["f 1/ 2/ 3/", "f f f f"]
+FACE = "f 1 2 3"
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 
 
@@ -62,13 +63,96 @@ def test_negative_indices_count_from_the_line_they_are_in(parsed):
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_text_in_any_encoding_and_with_any_line_ends(parsed, encoding, end):
+    text = "usemtl Küche\n" + TRIANGLE + "f 1 2 \\\n3\n"
+    file = parsed(text.replace("\n", end).encode(encoding))
+    assert file.materials == ("Küche",)
+    assert file.corners[:, 0].tolist() == [0, 1, 2]
+    # Of single bytes.
+    assert parsed(text.replace("\n", end).encode("latin-1")).materials == ("Küche",)
+
+
+def test_decimal_commas(parsed):
+    text = "v 1,5 2,0 -3,25e-1\nv 0 0 0\nv 1,0 0 0\nvn 0 0,6 0,8\nf 1//1 2//1 3//1"
+    with pytest.warns(LumitreeWarning, match="decimal commas"):
+        file = parsed(text)
+    np.testing.assert_array_equal(file.positions, [[1.5, 2, -0.325], [0, 0, 0], [1, 0, 0]])
+    np.testing.assert_array_equal(file.normals, [[0, 0.6, 0.8]])
+
+
+def test_normals_and_texture_coordinates_that_are_not_there(parsed):
+    text = TRIANGLE + "vt 0 0\nvn 0 0 1\nf 1/1/1 2/2/0 3/0/2\nf 1/-9/-9 2/1/1 3//"
+    with pytest.warns(LumitreeWarning) as caught:
+        file = parsed(text)
+    assert [str(item.message).partition("obj: ")[2] for item in caught] == [
+        "3 corners of faces name texture coordinates that are not there (the file has 1); they are "
+        "left out",
+        "3 corners of faces name normals that are not there (the file has 1); they are computed",
+    ]
+    assert file.corners.tolist() == [
+        [0, 0, 0], [1, -1, -1], [2, -1, -1], [0, -1, -1], [1, 0, 0], [2, -1, -1],
+    ]  # fmt: skip
+
+
+def coloured(*rows):
+    return "".join(f"v {at} {at % 2} 0 {row}\n" for at, row in enumerate(rows)) + "f 1 2 3\n"
+
+
+def test_vertex_colours(parsed):
+    assert parsed(TRIANGLE + "f 1 2 3").colours is None
+    linear = [[1, 0, 0], [0.5, 0.5, 0.5], [1, 1, 1]]
+    grey = 0.735356983
+    for rows in (
+        ("1 0 0", f"{grey} {grey} {grey}", ""),
+        ("1 1 0 0", f"1 {grey} {grey} {grey}", "1"),
+        ("1 0 0 1 # red", f"{grey} {grey} {grey} 1", ""),
+    ):
+        np.testing.assert_allclose(parsed(coloured(*rows)).colours, linear, atol=1e-6)
+    bytes_ = parsed(coloured("255 0 0", "188 188 188", "255 255 255")).colours
+    np.testing.assert_allclose(bytes_, linear, atol=3e-3)
+    painted = parsed(TRIANGLE + "#MRGB ffff0000ffbcbcbcffffffff\nf 1 2 3").colours
+    np.testing.assert_array_equal(painted, bytes_)
+
+
+@pytest.mark.parametrize(
+    ("rows", "match"),
+    [
+        (("0.5", "", ""), "left out: weights of vertices"),
+        (("0.2 0 0 0.5", "", ""), "left out: opacities of vertices"),
+        (("1 0", "", ""), "left out: what follows the positions"),
+        (("-1 0 0", "", ""), "left out: vertex colours beyond"),
+        (("300 0 0", "", ""), "left out: vertex colours beyond"),
+    ],
+)
+def test_what_vertices_have_besides(parsed, rows, match):
+    with pytest.warns(LumitreeWarning, match=match):
+        parsed(coloured(*rows))
+    with pytest.warns(LumitreeWarning, match="left out: #MRGB"):
+        parsed(TRIANGLE + "#MRGB ffff0000\nf 1 2 3")
+
+
+def test_keys_that_are_not_used_are_said_once(parsed):
+    text = TRIANGLE + "vt 0 0 0.5\nusemap x\nusemap y\ncurv 1 2\nsurf 1\nl 1 2\nf 1 2 3"
+    with pytest.warns(LumitreeWarning) as caught:
+        parsed(text)
+    assert [str(item.message).partition("obj: ")[2] for item in caught] == [
+        "left out: lines of 'usemap', free-form curves and surfaces (export polygons), lines, "
+        "third texture coordinates"
+    ]
+    with pytest.raises(LumitreeError, match="holds no faces, but points; expected"):
+        parsed(TRIANGLE + "p 1 2 3")
+
+
 def test_materials_groups_and_odd_text(parsed):
     text = (
         "\ufeffmtllib a b.mtl\r\n# note\r\n  v 0 0 0 # first\r\nv\t1 0 0\r\nv 0 1 0 0.5 0.5 0.5\r\n"
         "f 1 2 3\r\nusemtl old brass\r\ns 2\r\nf 1 2 \\\r\n3 # tail\r\no x\r\ng y\r\ns off\r\n"
         "usemtl b\r\n f 3 2 1\r\nusemtl old brass\r\nf 2 3 1\r\nl 1 2\r\np 1"
     )
-    file = parsed(text)
+    with pytest.warns(LumitreeWarning, match="left out: lines, points$"):
+        file = parsed(text)
     assert file.materials == ("old brass", "b", "")
     assert [file.materials[number] for number in file.material] == [
         "", "old brass", "b", "old brass",
@@ -100,7 +184,7 @@ def test_free_form_surfaces_are_reported(parsed):
         (b"\x00\xff\xfe\x89PNG\r\n", "holds no faces"),
         (TRIANGLE + "f 1 2", "line 4: a face with 2 corners"),
         (TRIANGLE + "f 1 2 3\nf", "holds no faces|line 5: a face with 0 corners"),
-        (TRIANGLE + "f 1 2 4", "line 4: corner '4' names what is not there.*3 positions"),
+        (TRIANGLE + "f 1 2 4", "line 4: corner '4' names a position .* the file has 3"),
         (TRIANGLE + "\n\nf 1 2 3\nf 0 1 2", "line 7: corner '0'"),
         (TRIANGLE + "f -4 -2 -1", "line 4: corner '-4'"),
         (TRIANGLE + "f -99999999999999999999 2 3", "line 4: corner"),
@@ -108,8 +192,11 @@ def test_free_form_surfaces_are_reported(parsed):
         (TRIANGLE + "f 1 2 9223372036854775808", "line 4: corner"),
         (TRIANGLE + "f \x1b[31m 1 2", r"corner '\?\[31m'"),
         (TRIANGLE + "f 1 2 99999999999999999999999", "line 4: corner"),
-        (TRIANGLE + "f 1/1 2/1 3/1", "line 4: corner '1/1'.* 0 texture"),
-        (TRIANGLE + "f 1//1 2//1 3//1", "0 normals"),
+        (TRIANGLE + "f 1 2 0", "line 4: corner '0' names a position that is not there"),
+        (TRIANGLE + "f 1 2 -4", "line 4: corner '-4' names a position that is not there"),
+        (TRIANGLE.replace("1 0 0", "1,5 0.0 0") + FACE, "line 2: '1,5' is not a number; write"),
+        (TRIANGLE.replace("1 0 0", "1, 0, 0") + FACE, "line 2: '1,' is not a number; write"),
+        (TRIANGLE.replace("1 0 0", "1,0,0") + FACE, "line 2: 1 numbers after 'v'; .* by spaces"),
         (TRIANGLE + "f 1/1/1/1 2 3", "line 4: corner"),
         (TRIANGLE + "f /1 2 3", "line 4: corner '/1'"),
         (TRIANGLE + "f a b c", "line 4: corner 'a' is not of the form"),
@@ -135,6 +222,7 @@ def test_wrong_files(parsed, text, message):
 
 @settings(deadline=None, max_examples=150)
 @given(st.lists(st.sampled_from(LINES), max_size=12))
+@pytest.mark.filterwarnings("ignore::lumitree.errors.LumitreeWarning")
 def test_any_lines_are_read_or_refused(tmp_path_factory, lines):
     path = tmp_path_factory.getbasetemp() / "any.obj"
     path.write_text("\n".join(lines))

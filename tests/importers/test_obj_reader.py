@@ -13,7 +13,7 @@ from lumitree.importers.obj import mesh, reader
 from lumitree.importers.obj.reader import read_obj
 from lumitree.importers.topology import count_solids
 from lumitree.model import model as model_module
-from lumitree.model.model import Diffuse, Glass, Metal, Principled, Texture
+from lumitree.model.model import Diffuse, Glass, Metal, Principled, Texture, VertexColour
 
 QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 
@@ -89,11 +89,113 @@ def test_part_names_are_fit_for_files_and_distinct(model):
 
 def test_repeated_faces_go_and_pieces_face_outwards(model):
     ball = trimesh.creation.icosphere(subdivisions=2)
-    text = obj_text(ball, "a", flip=True) + obj_text(ball, "a", len(ball.vertices))
+    text = "s 1\n" + obj_text(ball, "a", flip=True) + obj_text(ball, "a", len(ball.vertices))
     mesh = model(text, "newmtl a\nKd 1 1 1").parts[0].mesh
     assert len(mesh.faces) == len(ball.faces)
     assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume > 4
     np.testing.assert_allclose(mesh.normals, mesh.vertices, atol=0.02)
+
+
+def test_normals_are_smooth_where_the_file_asks_for_it(model):
+    """In a file that names no smoothing group they are those of the faces, as the format says."""
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    text = obj_text(ball, "a")
+    mesh = model(text, "newmtl a").parts[0].mesh
+    np.testing.assert_allclose(mesh.normals[mesh.faces[:, 0]], ball.face_normals, atol=1e-6)
+    np.testing.assert_allclose(mesh.normals[mesh.faces[:, 1]], ball.face_normals, atol=1e-6)
+    smooth = model("s on\n" + text, "newmtl a").parts[0].mesh
+    np.testing.assert_allclose(smooth.normals, smooth.vertices, atol=0.02)
+    # Faces of one plane share their vertices.
+    plane = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nusemtl a\nf 1 2 3\nf 1 3 4"
+    assert len(model(plane, "newmtl a").parts[0].mesh.vertices) == 4
+
+
+WINDINGS = ["f 1/1 2/2 3/3 4/4\nf 4/4 3/3 2/2 1/1", "f 1 2 3\nf 1 3 4\nf 3 2 1\nf 1 4 3"]
+
+
+@pytest.mark.parametrize("faces", [*WINDINGS, "f 1 2 3 4\nf 3 2 1 4\nf 2 3 4 1\nf 2 1 4 3"])
+def test_both_sides_emit_where_a_face_has_both_windings(mi, model, tmp_path, faces):
+    """A ray from either side meets a face that emits towards it."""
+    from lumitree.luminaire.scene_writer import write_scene
+
+    lamp = model(QUAD + "usemtl a\n" + faces, "newmtl a\nKe 3 2 1")
+    mesh = lamp.parts[0].mesh
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).area == pytest.approx(8)
+    scene = mi.load_file(str(write_scene(lamp, tmp_path / "scene")))
+    at = np.random.default_rng(0).uniform(-0.9, 0.9, (2, 64))
+    for side in (1.0, -1.0):
+        ray = mi.Ray3f(mi.Point3f(at[0], at[1], 3 * side), mi.Vector3f(0, 0, -side))
+        hit = scene.ray_intersect(ray)
+        radiance = np.array(hit.emitter(scene).eval(hit)).T
+        np.testing.assert_allclose(radiance, [[3, 2, 1]] * 64, rtol=1e-6)
+
+
+def test_copies_of_one_winding_emit_once_and_others_reflect_once(model):
+    twice = QUAD + "usemtl a\nf 1 2 3 4\nf 2 3 4 1"
+    assert len(model(twice, "newmtl a\nKe 1 1 1").parts[0].mesh.faces) == 2
+    both = QUAD + "usemtl a\n" + WINDINGS[0]
+    assert len(model(both, "newmtl a\nKd 1 1 1").parts[0].mesh.faces) == 2
+
+
+def test_a_closed_emitter_in_both_windings(model):
+    """One side of the copy faces inwards; textures and colours are those of the front."""
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    text = obj_text(ball, "a") + obj_text(ball, "a", len(ball.vertices), flip=True)
+    mesh = model(text, "newmtl a\nKe 1 1 1").parts[0].mesh
+    assert len(mesh.faces) == 2 * len(ball.faces)
+    assert abs(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume) < 1e-3
+    outer, inner = mesh.faces[: len(ball.faces)], mesh.faces[len(ball.faces) :]
+    assert ((mesh.normals * mesh.vertices)[outer].sum(axis=-1) > 0.9).all()
+    assert ((mesh.normals * mesh.vertices)[inner].sum(axis=-1) < -0.9).all()
+    assert np.linalg.norm(mesh.vertices[inner]) < np.linalg.norm(mesh.vertices[outer])
+
+
+PAINTED = "v -1 -1 0 1 0 0\nv 1 -1 0 1 0 0\nv 1 1 0 0 0 1\nv -1 1 0 0 0 1\nvt 0 0\n"
+
+
+def test_vertex_colours_times_kd(model, tmp_path):
+    text = PAINTED + "usemtl a\nf 1/1 2/1 3/1 4/1"
+    lamp = model(text, "newmtl a\nKd 0.5 0.5 0.25\nKe 1 2 3")
+    assert lamp.materials[0].surface == Diffuse(VertexColour())
+    assert lamp.materials[0].radiance == (1, 2, 3)
+    mesh = lamp.parts[0].mesh
+    np.testing.assert_allclose(mesh.colours[mesh.vertices[:, 1] < 0], [[0.5, 0, 0]] * 2)
+    np.testing.assert_allclose(mesh.colours[mesh.vertices[:, 1] > 0], [[0, 0, 0.25]] * 2)
+    # Without Kd the colours are the vertices' own.
+    assert model(text, "newmtl a").parts[0].mesh.colours.max() == 1
+    glossy = model(text, "newmtl a\nKs 0.5 0.5 0.5").materials[0].surface
+    assert glossy.base_color == VertexColour()
+    with pytest.warns(LumitreeWarning, match="or to have the colours of its vertices"):
+        assert model(text).materials[0].surface == Diffuse(VertexColour())
+
+
+def test_vertex_colours_that_are_not_used(model, tmp_path):
+    image(tmp_path / "a.png", np.zeros((2, 2, 3)))
+    text = PAINTED + "usemtl a\nf 1/1 2/1 3/1 4/1"
+    for lines in ("map_Kd a.png", "illum 4", "illum 3\nKd 0 0 0\nKs 1 1 1"):
+        with pytest.warns(LumitreeWarning, match="left out: vertex colours"):
+            assert model(text, "newmtl a\n" + lines).parts[0].mesh.colours is None
+    white = PAINTED.replace("1 0 0\n", "1 1 1\n").replace("0 0 1\n", "1 1 1\n")
+    assert model(white + "usemtl a\nf 1 2 3", "newmtl a").parts[0].mesh.colours is None
+
+
+def test_vertex_colours_when_rendered(mi, model, tmp_path):
+    from lumitree.luminaire.scene_writer import write_scene
+
+    lamp = model(PAINTED + "usemtl a\nf 1 2 3 4", "newmtl a\nKd 1 1 1")
+    scene = mi.load_file(str(write_scene(lamp, tmp_path / "scene")))
+    ray = mi.Ray3f(mi.Point3f([0.0, 0.0], [-1.0, 1.0], [3.0, 3.0]), mi.Vector3f(0, 0, -1))
+    hit = scene.ray_intersect(ray)
+    reflectance = np.array(hit.bsdf().eval_diffuse_reflectance(hit)).T
+    np.testing.assert_allclose(reflectance, [[1, 0, 0], [0, 0, 1]], atol=1e-3)
+
+
+def test_text_of_materials_in_any_encoding(model, tmp_path):
+    text = "newmtl Küche\rKd 0,5 0,25 1\rNs 10\r"
+    for encoding in ("utf-8", "utf-16", "latin-1"):
+        (tmp_path / "b.mtl").write_bytes(text.encode(encoding))
+        lamp = model("mtllib b.mtl\n" + QUAD + "usemtl Küche\nf 1 2 3")
+        assert lamp.materials[0].surface == Diffuse((0.5, 0.25, 1))
 
 
 def test_a_copy_rounded_differently_is_still_a_copy(model):
@@ -261,20 +363,58 @@ def test_texture_stands_upright_when_rendered(mi, model, tmp_path):
     np.testing.assert_allclose(radiance, [[2, 0, 0], [0, 2, 0]], atol=1e-3)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["/etc/passwd", "../secret.mtl", "a/../../secret.mtl", "C:\\lamp\\a.mtl", "..\\secret.mtl",
-     "file:///etc/passwd", "https://example.org/a.mtl", "data:text/plain,x", "\\\\host\\a.mtl"],
-)  # fmt: skip
+OUTSIDE = [
+    "/etc/passwd",
+    "../secret.mtl",
+    "a/../../secret.mtl",
+    "C:\\lamp\\secret.mtl",
+    "C:secret.mtl",
+]
+OUTSIDE += ["..\\secret.mtl", "file:///etc/secret.mtl", "https://example.org/secret.mtl"]
+OUTSIDE += ["data:text/plain,x", "\\\\host\\secret.mtl", "file:///C:/a/SECRET.mtl"]
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
 @pytest.mark.parametrize("where", ["mtllib", "map_Kd", "map_Bump"])
-def test_names_outside_the_folder_are_refused(model, tmp_path, name, where):
-    (tmp_path.parent / "secret.mtl").write_text("newmtl a\n")
+def test_nothing_outside_the_folder_is_read(model, tmp_path, name, where):
+    folder = tmp_path.parent
+    (folder / "secret.mtl").write_text("newmtl a\nKd 1 0 0\n")
     obj, mtl = QUAD + "usemtl a\nf 1 2 3", f"newmtl a\n{where} {name}"
     if where == "mtllib":
         obj, mtl = f"mtllib {name}\n" + obj, None
-    with pytest.raises(LumitreeError, match="expected a file in the model's own folder") as caught:
-        model(obj, mtl)
-    assert "\n" not in str(caught.value)
+    with pytest.warns(LumitreeWarning, match="is not there|no MTL file"):
+        assert model(obj, mtl).materials[0].surface == Diffuse((0.5, 0.5, 0.5))
+
+
+@pytest.mark.parametrize("name", OUTSIDE[1:8] + OUTSIDE[9:])
+def test_the_file_of_the_same_name_beside_the_model_is_taken(model, tmp_path, name):
+    (tmp_path / "secret.mtl").write_text("newmtl a\nKd 1 0 0\n")
+    with pytest.warns(LumitreeWarning, match="'secret.mtl' in the model's folder is tak") as caught:
+        lamp = model(f"mtllib {name}\n" + QUAD + "usemtl a\nf 1 2 3")
+    assert len(caught) == 1
+    assert lamp.materials[0].surface == Diffuse((1, 0, 0))
+
+
+def test_an_image_is_found_by_most_of_its_path_and_in_any_case(quad, tmp_path):
+    for folder, level in ((tmp_path, 50), (tmp_path / "Tex", 100), (tmp_path / "Tex" / "x", 150)):
+        folder.mkdir(exist_ok=True)
+        image(folder / "half.png", np.full((2, 2, 3), level))
+
+    def level(name):
+        with pytest.warns(LumitreeWarning, match="in the model's folder is taken") as caught:
+            found = quad(f"map_Kd {name}\nmap_Ke {name}")
+        assert len(caught) == 1
+        return found.surface.reflectance.pixels.max()
+
+    assert level("C:\\work\\tex\\half.png") == 100
+    assert level("/home/me/lamp/tex/X/Half.PNG") == 150
+    assert level("/elsewhere/HALF.png") == 50
+    assert level("lost/half.png") == 50
+    if (tmp_path / "HALF.png").exists():
+        return  # The file system does not distinguish case.
+    image(tmp_path / "HALF.png", np.full((2, 2, 3), 200))
+    assert quad("map_Kd HALF.png").surface.reflectance.pixels.max() == 200
+    assert quad("map_Kd half.png").surface.reflectance.pixels.max() == 50
 
 
 def test_links_out_of_the_folder_are_refused(model, tmp_path, tmp_path_factory):

@@ -57,6 +57,20 @@ def test_light_paths_and_lines_agree_behind_glass(mi, tmp_path):
     assert (error < 0.01 * light.watts).all()
 
 
+def test_light_paths_and_lines_agree_behind_an_alpha_mask(mi, tmp_path):
+    """A small emitter in a shade that lets half of its light through, above a plate."""
+    from lumitree.transport.flux import estimate_flux, flux_along_lines
+
+    mask = '<bsdf type="mask"><float name="opacity" value="0.5"/><bsdf type="diffuse"/></bsdf>'
+    shapes = sphere("lamp", 1, inside=AREA), sphere("shade", 10, inside=mask)
+    (tmp_path / "lamp.xml").write_text(scene(*shapes, cube("plate", (30, 1, 30), (0, -20, 0))))
+    lamp = load_luminaire(tmp_path / "lamp.xml")
+    light, lines = estimate_flux(lamp, 1 << 20), flux_along_lines(lamp, 1 << 21)
+    error = np.hypot(light.watts_error, lines.watts_error)
+    assert (np.abs(light.watts - lines.watts) < 4 * error).all()
+    assert (error < 0.06 * light.watts).all()
+
+
 def test_flux_of_captured_views_agrees(lamp, tmp_path):
     from lumitree.views.capture import capture
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lamps import scene
+from lamps import cube, scene, sphere
 from lumitree.luminaire.luminaire import load_luminaire, place_shapes
 from lumitree.transport.tracing import path_integrator
 
@@ -55,6 +55,23 @@ def looked_through(mi, tmp_path, luminaire, count=1 << 16):
 def test_integrator_suits_the_media(mi, tmp_path, sigma_t, albedo, expected):
     integrator = path_integrator(load(tmp_path, sigma_t, albedo), 32)
     assert str(integrator).startswith(expected)
+
+
+def test_next_event_estimation_crosses_masks(mi, tmp_path):
+    """An emitter in a mask, which other paths would hit one time in ten thousand."""
+    emitter = '<emitter type="area"><rgb name="radiance" value="1e6"/></emitter>'
+    mask = '<bsdf type="mask"><float name="opacity" value="0.5"/><bsdf type="diffuse"/></bsdf>'
+    plate = cube("plate", (3, 0.1, 3), (0, -2, 0))
+    shapes = sphere("lamp", 0.05, inside=emitter), sphere("shade", 1, inside=mask), plate
+    (tmp_path / "lamp.xml").write_text(scene(*shapes))
+    lamp = load_luminaire(tmp_path / "lamp.xml")
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(3, 1 << 14)
+    at = mi.Point2f(2, 0) + 0.1 * sampler.next_2d()
+    ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(at.x, -1, at.y), mi.Vector3f(0, -1, 0)))
+    radiance, _, _ = path_integrator(lamp, 2).sample(lamp.scene, sampler, ray)
+    irradiance = 0.5 * 1e6 * np.pi * 0.05**2 * 1.9 / (1.9**2 + 2.05**2 + 0.05**2) ** 1.5
+    assert np.array(radiance[1]).mean() == pytest.approx(0.5 * irradiance / np.pi, rel=0.02)
 
 
 def test_media_are_not_told_by_names(mi, tmp_path):

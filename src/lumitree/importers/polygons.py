@@ -43,7 +43,7 @@ def triangulate(points: Floats) -> tuple[Indices, Indices]:
     return np.concatenate(triangles)[order], owner[order]
 
 
-def _newell(points: Floats) -> Floats:
+def newell(points: Floats) -> Floats:
     """Normals [P, 3] of polygons [P, N, 3], as long as twice their area."""
     centred = points - points.mean(axis=1, keepdims=True)
     return np.cross(centred, np.roll(centred, -1, axis=1)).sum(axis=1)
@@ -51,7 +51,7 @@ def _newell(points: Floats) -> Floats:
 
 def _strictly_convex(points: Floats) -> NDArray[np.bool_]:
     """Whether [P] all fan triangles and corners have the polygon's orientation, with a margin."""
-    normal = _newell(points)
+    normal = newell(points)
     area = np.linalg.norm(normal, axis=-1)
     ahead = np.roll(points, -1, axis=1) - points
     turns = np.cross(np.roll(ahead, 1, axis=1), ahead)
@@ -65,7 +65,7 @@ def _strictly_convex(points: Floats) -> NDArray[np.bool_]:
 
 def _flattened(points: Floats) -> Floats:
     """A polygon [N, 3] in its best-fit plane [N, 2], counter-clockwise."""
-    normal = _newell(points[None])[0]
+    normal = newell(points[None])[0]
     length = np.linalg.norm(normal)
     normal = normal / length if length > 0 else np.array([0.0, 0.0, 1.0])
     side = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])

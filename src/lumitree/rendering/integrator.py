@@ -34,6 +34,7 @@ from lumitree.rendering.layers import Layers, Unrecorded
 from lumitree.rendering.model_plugins import CROSSED_STRAIGHT, ModelEmitter
 from lumitree.rendering.proxies import NONE, DividedScene, is_instance
 from lumitree.transport import medium_paths
+from lumitree.transport.geometric_normals import is_opaque, on_opposite_sides
 from lumitree.transport.spawning import offset, scene_extent, spawn
 
 _DEFAULT_RR_DEPTH = 5
@@ -231,6 +232,8 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
         value, value_pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
             context, si, wo, sampler.next_1d(), sampler.next_2d(), reflects
         )
+        opaque = reflects & is_opaque(bsdf)
+        value[opaque & on_opposite_sides(si, ray.d, ds.d)] = 0
         onwards = mi.Vector3f(0)
         if dr.hint(sees_scattering, mode="scalar"):
             phase = medium_paths.eval_phase(medium, ray, ds.d, collides)
@@ -261,6 +264,7 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
             ds.pdf *= chance
             found = shows & (ds.pdf > 0)
             value, value_pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), found)
+            found &= ~(opaque & on_opposite_sides(si, ray.d, ds.d))
             direct = β * value * _visible(*way, si, ds, medium, found)
             found &= dr.max(direct) > 0
             direct *= dr.dispatch(shape.emitter(), _own_radiance, ds, found)
@@ -291,6 +295,7 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
         direction = dr.select(null, ray.d, si.to_world(bs.wo))
         if dr.hint(sees_scattering, mode="scalar"):
             direction[collides] = onwards
+        β[opaque & ~null & on_opposite_sides(si, ray.d, direction)] = 0
         ray = spawn(si, direction, extent)
         crossings[null] += 1
         if dr.hint(sees_media, mode="scalar"):

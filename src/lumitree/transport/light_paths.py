@@ -20,6 +20,7 @@ import mitsuba as mi
 
 from lumitree.luminaire.luminaire import Luminaire
 from lumitree.transport import medium_paths
+from lumitree.transport.geometric_normals import is_opaque, on_opposite_sides
 from lumitree.transport.spawning import scene_extent, spawn
 from lumitree.transport.straight_through import COSINE_OF_CONE, is_smooth, is_transmitted
 
@@ -125,7 +126,8 @@ def _trace(scene, sampler, path_depth):
         flux[collides], ρ[collides] = flux * weight, densities
         scattered, phase_weight, _ = medium_paths.sample_phase(medium, ray, sampler, collides)
 
-        sample, bsdf_weight = si.bsdf().sample(
+        bsdf = si.bsdf()
+        sample, bsdf_weight = bsdf.sample(
             context, si, sampler.next_1d(hits), sampler.next_2d(hits), hits
         )
         towards = si.to_world(sample.wo)
@@ -134,6 +136,8 @@ def _trace(scene, sampler, path_depth):
         cos_in, cos_out = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(sample.wo)
         true_in, true_out = dr.dot(si.n, ray.d), dr.dot(si.n, towards)
         hits &= (true_in != 0) & (cos_out != 0)
+        crosses = ~is_transmitted(sample.sampled_type) & on_opposite_sides(si, ray.d, towards)
+        hits &= ~(crosses & is_opaque(bsdf))
         correction = dr.abs(cos_in * true_out / (cos_out * true_in))
         flux = dr.select(
             collides, flux * phase_weight, dr.select(hits, flux * bsdf_weight * correction, flux)

@@ -15,7 +15,10 @@ PATH_DEPTH = 128
 
 
 def path_integrator(luminaire: Luminaire, path_depth: int, **options: Any) -> Any:
-    """The mi.Integrator that traces this luminaire's paths: `path` where there are no media.
+    """The mi.Integrator that traces this luminaire's paths.
+
+    `path` where there are neither media nor alpha masks. Its next-event estimation takes a mask for
+    opaque: the light of a spot light in its shade would be found by chance alone.
 
     `volpath` samples distances by one channel's extinction, so that in coloured media the weights
     of the others have no bound; `volpathmis` weighs all three. But where media scatter that has
@@ -32,7 +35,8 @@ def path_integrator(luminaire: Luminaire, path_depth: int, **options: Any) -> An
 def integrator_kind(luminaire: Luminaire) -> str:
     """Name of the Mitsuba integrator of `path_integrator`."""
     if not luminaire.has_media:
-        return "path"
+        masked = any(shape.bsdf().class_name() == "MaskBSDF" for shape in luminaire.scene.shapes())
+        return "volpath" if masked else "path"
     only_colours = not luminaire.scatters and any(map(is_coloured, media(luminaire.scene)))
     return "volpathmis" if only_colours else "volpath"
 

@@ -119,13 +119,28 @@ def test_nothing_outside_the_folder_is_read(tmp_path, uri, kind):
     (tmp_path / "secret.bin").write_bytes(bytes(gltf.data))
     os.symlink(tmp_path / "secret.bin", folder / "link.bin")
     os.symlink(tmp_path, folder / "linked")
-    match = "model's (own )?folder"
+    match = "model's folder"
     if kind == "buffer":
         refused_json(folder, gltf.with_buffer(uri), match)
-    else:
-        gltf = textured("placeholder.png")
-        gltf.json["images"][0]["uri"] = uri
+        return
+    gltf = textured("placeholder.png")
+    gltf.json["images"][0]["uri"] = uri
+    if uri.startswith("link"):
         refused(gltf.save(folder), match)
+    else:
+        with pytest.warns(LumitreeWarning, match="left out: .* is not in the model's folder"):
+            assert read_gltf(gltf.save(folder)).parts
+
+
+@pytest.mark.parametrize("uri", ["C:%5Cwork%5Cdata.bin", "file:///tmp/Data.BIN", "a/../data.bin"])
+def test_files_beside_the_model_are_taken(tmp_path, uri):
+    gltf = quad()
+    (tmp_path / "data.bin").write_bytes(bytes(gltf.data))
+    path = tmp_path / "lamp.gltf"
+    path.write_text(json.dumps(gltf.with_buffer(uri)))
+    with pytest.warns(LumitreeWarning, match="'data.bin' in the model's folder is taken") as caught:
+        assert read_gltf(path).parts
+    assert len(caught) == 1
 
 
 @pytest.mark.parametrize("uri", ["\ud800.bin", "x" * 300, "a/" * 3000 + "b", "\x1b[31m.bin"])

@@ -1,5 +1,7 @@
 """Nodes, meshes, instances, closed bodies and lights."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
@@ -10,6 +12,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.importers.gltf import read_gltf
 from lumitree.importers.gltf.lights import LIGHT_RADIUS
 from lumitree.importers.gltf.reader import oriented_outwards
+from lumitree.model import model as model_module
 from lumitree.model.model import Glass, VertexColour
 from lumitree.model.photometry import flux_from_radiance
 
@@ -346,17 +349,150 @@ def test_a_point_light_of_15_candela_emits_188_lumens(tmp_path):
     assert flux == pytest.approx(188.5, abs=0.1)
 
 
-def test_spot_lights_become_small_disks_along_minus_z(tmp_path):
-    turn = Rotation.from_euler("x", -90, degrees=True).as_quat().tolist()
+DOWN = Rotation.from_euler("x", -90, degrees=True).as_quat().tolist()
+
+
+def test_spot_lights_become_small_disks_along_minus_z_in_a_shade(tmp_path):
     light = {"type": "spot", "intensity": 10, "spot": {}, "name": "down"}
-    with pytest.warns(LumitreeWarning, match="cone of a spot light"):
-        model = read_gltf(lamp_with_light(tmp_path, light, rotation=turn))
-    part = next(part for part in model.parts if part.name == "light_down")
-    material = next(entry for entry in model.materials if entry.name == part.material)
+    model = read_gltf(lamp_with_light(tmp_path, light, rotation=DOWN, translation=[1, 2, 3]))
+    part, shade = (part for part in model.parts if part.name.startswith("light_down"))
+    assert shade.name == "light_down_shade"
+    materials = {material.name: material for material in model.materials}
     _, normals, solid = world_mesh(part)
     np.testing.assert_allclose(normals, [[0, -1, 0]] * len(normals), atol=1e-9)
     np.testing.assert_allclose(solid.face_normals, [[0, -1, 0]] * len(part.mesh.faces), atol=1e-9)
-    np.testing.assert_allclose(683 * np.array(material.radiance) * solid.area, 10, rtol=1e-6)
+    radiance = np.array(materials[part.material].radiance)
+    np.testing.assert_allclose(683 * radiance * solid.area, 10, rtol=0.002)
+    vertices, _, _ = world_mesh(shade)
+    np.testing.assert_allclose(np.linalg.norm(vertices - (1, 2, 3), axis=1), LIGHT_RADIUS)
+    # The default outer angle is 45 degrees; it is opaque from there on.
+    opacity = materials[shade.material].opacity
+    assert opacity.pixels[-1] == 1
+    assert opacity.pixels[0] == pytest.approx(0, abs=1e-3)
+    angle = np.arccos(np.clip((vertices[:, 1] - 2) / -LIGHT_RADIUS, -1, 1))
+    np.testing.assert_allclose(shade.mesh.uv[:, 1] * np.pi / 4 * 65 / 64, angle, atol=1e-6)
+
+
+CONES = [
+    (0, np.pi / 12),
+    (0.25, np.pi / 12),
+    (0, np.pi / 4),
+    (0.3, 0.6),
+    (0, np.pi / 2),
+    (1.2, 1.5),
+]
+
+
+@pytest.mark.parametrize(("inner", "outer"), CONES)
+def test_spot_lights_have_the_cone_of_the_file(mi, tmp_path, inner, outer):
+    """Intensity by angle, and flux: the integral of KHR_lights_punctual's attenuation."""
+    from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.luminaire.scene_writer import write_scene
+    from lumitree.transport.light_paths import trace_light
+
+    spot = {"innerConeAngle": inner, "outerConeAngle": outer}
+    light = {"type": "spot", "intensity": 50, "spot": spot}
+    model = read_gltf(lamp_with_light(tmp_path, light, rotation=DOWN, translation=[0, 0, 5]))
+    parts = tuple(part for part in model.parts if part.name.startswith("light"))
+    scene = write_scene(dataclasses.replace(model, parts=parts), tmp_path / "scene")
+    lamp, count = load_luminaire(scene), 1 << 18
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(1, count)
+    paths = trace_light(lamp, sampler, count, 8, all_light=True)
+    flux = 683 * np.array(paths.flux, np.float64)[1] * lamp.frame.scale**2
+    angle = np.arccos(np.clip(np.array(paths.direction)[1], -1, 1))
+    edges = np.linspace(0, outer, 6)
+    found, number = np.histogram(angle, edges, weights=flux)[0], np.histogram(angle, edges)[0]
+    fine = (np.arange(5000) + 0.5) / 5000 * outer
+    scale, offset = 1 / (np.cos(inner) - np.cos(outer)), np.cos(outer)
+    falloff = np.clip((np.cos(fine) - offset) * scale, 0, 1) ** 2
+    expected = 50 * 2 * np.pi * (falloff * np.sin(fine) * outer / 5000).reshape(5, -1).sum(axis=1)
+    error = expected / np.sqrt(np.maximum(number, 1))
+    assert (np.abs(found - expected)[:-1] < 4 * error[:-1] + 0.01 * expected[:-1]).all()
+    # The emitter has a size, so that the cone's edge is not sharp.
+    assert flux.sum() == pytest.approx(expected.sum(), rel=0.003 + 4 / np.sqrt(number.sum()))
+    assert flux[angle > 1.2 * outer + 0.02].sum() == 0
+
+
+@pytest.mark.parametrize(
+    ("inner", "outer", "match"),
+    [(0.5, 0.4, "innerConeAngle 0.5 and outerConeAngle 0.4"), (0, 1.6, "outerConeAngle is 1.6"),
+     (0, 0, "innerConeAngle 0 and outerConeAngle 0"), (-0.1, 0.4, "innerConeAngle is -0.1")],
+)  # fmt: skip
+def test_cones_that_cannot_be(tmp_path, inner, outer, match):
+    spot = {"innerConeAngle": inner, "outerConeAngle": outer}
+    with pytest.raises(LumitreeError, match=match):
+        read_gltf(lamp_with_light(tmp_path, {"type": "spot", "spot": spot}))
+
+
+def test_cones_with_sharp_edges_and_of_a_half_space(tmp_path):
+    for angle in (0.4, np.float32(np.pi / 2).item()):
+        spot = {"innerConeAngle": angle, "outerConeAngle": angle}
+        assert len(read_gltf(lamp_with_light(tmp_path, {"type": "spot", "spot": spot})).parts) == 3
+
+
+def test_what_lights_have_besides_is_said(tmp_path):
+    light = {"type": "point", "range": 3}
+    with pytest.warns(LumitreeWarning, match="ignored: the range of lights"):
+        read_gltf(lamp_with_light(tmp_path, light))
+
+
+def instanced(tmp_path, required=False, **attributes):
+    gltf = Gltf()
+    indices = {
+        name: gltf.accessor(values, **({"normalized": True} if values.dtype.kind == "i" else {}))
+        for name, values in attributes.items()
+    }
+    gltf.quad(
+        translation=[0, 10, 0],
+        extensions={"EXT_mesh_gpu_instancing": {"attributes": indices}},
+    )
+    gltf.json["extensionsUsed"] = ["EXT_mesh_gpu_instancing"]
+    if required:
+        gltf.json["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
+    return gltf.save(tmp_path)
+
+
+def test_instances_are_in_all_their_places(tmp_path):
+    moved = np.array([[1, 0, 0], [2, 0, 0], [3, 5, 0]], np.float32)
+    turns = Rotation.from_euler("xyz", [[0, 0, 0], [0.3, -0.7, 1.1], [0, 0, np.pi / 2]])
+    scale = np.full((3, 3), [[1], [2], [3]], np.float32)
+    quantised = np.round(turns.as_quat() * 32767).astype(np.int16)
+    for rotation, within in ((turns.as_quat().astype(np.float32), 1e-6), (quantised, 1e-3)):
+        path = instanced(tmp_path, True, TRANSLATION=moved, ROTATION=rotation, SCALE=scale)
+        places = [place for part in read_gltf(path).parts for place in part.places]
+        assert len(places) == 3
+        places = sorted(places, key=lambda place: place[0, 3])
+        for at, place in enumerate(places):
+            linear = turns[at].as_matrix() * scale[at]
+            expected = affine(translation=(0, 10, 0)) @ affine(linear, moved[at])
+            np.testing.assert_allclose(place, expected, atol=3 * within)
+
+
+def test_instances_may_lack_attributes(tmp_path):
+    turned = np.array([[0, 0, 1, 1], [0, 0, 0, 2]], np.float32)
+    part = only(instanced(tmp_path, ROTATION=turned))
+    assert len(part.places) == 2
+    np.testing.assert_allclose(part.places[0][:3, 0], [0, 1, 0], atol=1e-7)
+    assert len(only(instanced(tmp_path)).places) == 1
+    stretched = np.array([[1, 2, 3], [1, 1, 1]], np.float32)
+    parts = read_gltf(instanced(tmp_path, SCALE=stretched)).parts
+    assert sum(len(part.places) for part in parts) == 2
+
+
+def test_instances_that_do_not_fit_together(tmp_path, monkeypatch):
+    three, two = np.zeros((3, 3), np.float32), np.ones((2, 3), np.float32)
+    with pytest.raises(LumitreeError, match=r"accessors of \[2, 3\] instances"):
+        read_gltf(instanced(tmp_path, TRANSLATION=three, SCALE=two))
+    with pytest.raises(LumitreeError, match="no unit quaternion"):
+        read_gltf(instanced(tmp_path, ROTATION=np.zeros((2, 4), np.float32)))
+    with pytest.raises(LumitreeError, match=r"expected .* components"):
+        read_gltf(instanced(tmp_path, ROTATION=two))
+    with pytest.warns(LumitreeWarning, match="attributes of instances _ID"):
+        read_gltf(instanced(tmp_path, TRANSLATION=three, _ID=np.zeros(3, np.float32)))
+    monkeypatch.setattr(model_module, "MAX_SHAPES", 2)
+    with pytest.raises(LumitreeError, match="3 shapes; at most 2"):
+        read_gltf(instanced(tmp_path, TRANSLATION=three))
 
 
 def test_other_lights(tmp_path):

@@ -23,6 +23,7 @@ from lumitree.importers.model_folder import ModelFolder
 MAX_FILE_BYTES = 2**31
 SUPPORTED_EXTENSIONS = frozenset(
     {
+        "EXT_mesh_gpu_instancing",
         "EXT_texture_webp",
         "KHR_lights_punctual",
         "KHR_materials_anisotropy",
@@ -111,17 +112,25 @@ class Document:
         stride = item.integer("byteStride") if "byteStride" in item else None
         return memoryview(buffer)[start : start + length], stride
 
+    def is_missing(self, item: Item) -> bool:
+        """Whether an item's `uri` names a file that is not in the model's folder."""
+        uri = item.string("uri", "data:")
+        return not uri.startswith("data:") and self._file(uri, item) is None
+
     def resource(self, item: Item) -> bytes:
         """What an item's `uri` names: a data URI, or a file in the model's folder."""
         uri = item.string("uri", "")
         if uri.startswith("data:"):
             return _data_uri(uri, item)
-        path = self._folder.find(unquote(uri), item.where)
+        path = self._file(uri, item)
         if path is None:
             raise item.error(f"names {shown(uri)!r}, which is not in the model's folder")
         data = read_bytes(path, "another file of the model", MAX_FILE_BYTES - self._held)
         self._held += len(data)
         return data
+
+    def _file(self, uri: str, item: Item) -> Path | None:
+        return self._folder.find(unquote(uri), item.where)
 
     def _buffer(self, index: int) -> bytes:
         if index not in self._buffers:

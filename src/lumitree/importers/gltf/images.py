@@ -35,11 +35,11 @@ class GltfImages:
     def __init__(self, document: Document, images: Images) -> None:
         self._document, self._images = document, images
 
-    def texture(self, index: int) -> tuple[DecodedImage, Sampler]:
-        """Image of a texture, and its sampler.
+    def texture(self, index: int) -> tuple[DecodedImage, Sampler] | str:
+        """Image of a texture, and its sampler; the name of a file that is missing.
 
         Raises:
-            LumitreeError: missing, outside the model's folder, damaged, or too large.
+            LumitreeError: a link out of the model's folder, damaged, or too large.
         """
         texture = self._document.entry("textures", index)
         source = texture.index("source")
@@ -48,6 +48,8 @@ class GltfImages:
         if source is None:
             raise texture.error("has no PNG, JPEG or WebP image; export it with one")
         item = self._document.entry("images", source)
+        if self._document.is_missing(item):
+            return item.string("uri", "")
         image = self._images.decoded(source, lambda: self._bytes(item), item.where, _FORMATS)
         return image, self._sampler(texture)
 

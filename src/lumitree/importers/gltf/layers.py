@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 
+from lumitree.errors import shown
 from lumitree.importers.gltf.item import Item
 from lumitree.importers.gltf.maps import Array, Map, Textures, constant, uv_set
 from lumitree.importers.gltf.notes import Notes
@@ -29,13 +30,16 @@ class Layers:
         self._notes.material(self.name, text)
 
     def texture(self, parent: Item, key: str, channels: str, encoded: bool = False) -> Map | None:
-        """A texture's channels; None where there is no such texture."""
+        """A texture's channels; None where there is no such texture, or its image is missing."""
         if key not in parent:
             return None
         info = parent.item(key)
         if uv_set(info) != self.uv_set:
             self.note("textures with several sets of texture coordinates (one is used)")
         found = self._textures.read(info, channels, encoded)
+        if isinstance(found, str):
+            self.note(f"{key} (left out: {shown(found)!r} is not in the model's folder)")
+            return None
         if found.sampler is not None and found.sampler.wrap[0] != found.sampler.wrap[1]:
             self.note("different wrapping along u and v")
         return found

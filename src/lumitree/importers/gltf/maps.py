@@ -143,15 +143,18 @@ class Textures:
         # Maps of the same pixels share one array, so that it is written once.
         self._pixels: dict[tuple, NDArray] = {}
 
-    def read(self, info: Item, channels: str, encoded: bool) -> Map:
-        """Map [H, W, C] of a texture info.
+    def read(self, info: Item, channels: str, encoded: bool) -> Map | str:
+        """Map [H, W, C] of a texture info; the name of its image's file if that is missing.
 
         Args:
             info: its JSON.
             channels: neighbours in "RGBA", such as "RGB" or "A".
             encoded: whether the values are sRGB-encoded.
         """
-        image, sampler = self._textures.texture(info.integer("index"))
+        texture = self._textures.texture(info.integer("index"))
+        if isinstance(texture, str):
+            return texture
+        image, sampler = texture
         levels = np.repeat((_DECODED if encoded else _LINEAR)[:, None], len(channels), axis=1)
         first = "RGBA".index(channels)
         transform = uv_transform(info)

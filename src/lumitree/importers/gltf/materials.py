@@ -15,16 +15,8 @@ from lumitree.importers.gltf.maps import Array, Map, Textures, constant, uv_tran
 from lumitree.importers.gltf.notes import Notes
 from lumitree.importers.gltf.surfaces import note_ignored, read_surface, read_volume
 from lumitree.importers.images import Images
-from lumitree.model.model import (
-    RGB,
-    Diffuse,
-    Glass,
-    Material,
-    Metal,
-    Surface,
-    Texture,
-    VertexColour,
-)
+from lumitree.importers.mesh_faces import painted
+from lumitree.model.model import RGB, Material, Surface, Texture
 from lumitree.model.names import Names
 from lumitree.model.photometry import LUMENS_PER_WATT
 
@@ -159,13 +151,12 @@ def _painted(layers: Layers, surface: Surface, base: Base) -> tuple[Surface, RGB
     """A surface with the mesh's vertex colours, and their factor."""
     if layers.item.string("alphaMode", "OPAQUE") != "OPAQUE":
         layers.note("opacity of the vertex colours")
-    if isinstance(surface, Glass | Metal) or not base.colour.constant:
+    result = painted(surface) if base.colour.constant else None
+    if result is None:
         layers.note("vertex colours (left out: glass or a texture has the colour)")
         return surface, None
     red, green, blue = base.colour.mean()
-    if isinstance(surface, Diffuse):
-        return Diffuse(VertexColour()), (red, green, blue)
-    return dataclasses.replace(surface, base_color=VertexColour()), (red, green, blue)
+    return result, (red, green, blue)
 
 
 def _opacity(layers: Layers, base: Base) -> Map:

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lumitree.importers.gltf.container import Document
 from lumitree.importers.gltf.item import MAX_MAGNITUDE, Item
@@ -80,17 +81,39 @@ def _local(item: Item) -> Floats:
         if not np.array_equal(matrix[3], (0, 0, 0, 1)):
             raise item.error("has a matrix that is not affine")
         return matrix
-    x, y, z, w = item.numbers("rotation", (0.0, 0.0, 0.0, 1.0))
+    return transforms(
+        item.numbers("translation", (0.0, 0.0, 0.0)),
+        item.numbers("rotation", (0.0, 0.0, 0.0, 1.0)),
+        item.numbers("scale", (1.0, 1.0, 1.0)),
+        item,
+    )[0]
+
+
+def transforms(translation: ArrayLike, rotation: ArrayLike, scale: ArrayLike, item: Item) -> Floats:
+    """Transforms [N, 4, 4] that scale, then rotate, then translate.
+
+    Args:
+        translation, scale: [N, 3], or [3] for all.
+        rotation: [N, 4] or [4], quaternions x, y, z and w of any length.
+        item: what they belong to, for messages.
+    """
+    quaternion = np.atleast_2d(np.asarray(rotation, np.float64))
+    x, y, z, w = quaternion.T
     length = np.sqrt(x * x + y * y + z * z + w * w)
-    if not 0 < length < np.inf:
+    if not ((length > 0) & (length < np.inf)).all():
         raise item.error("has a rotation that is no unit quaternion")
-    x, y, z, w = np.array([x, y, z, w]) / length
-    local = np.eye(4)
-    local[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    local[:3, :3] *= item.numbers("scale", (1.0, 1.0, 1.0))
-    local[:3, 3] = item.numbers("translation", (0.0, 0.0, 0.0))
+    x, y, z, w = quaternion.T / length
+    turn = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    scale, translation = np.atleast_2d(scale), np.atleast_2d(translation)
+    count = max(map(len, (quaternion, scale, translation)))
+    local = np.zeros((count, 4, 4))
+    local[:, :3, :3] = turn.transpose(2, 0, 1) * scale[:, None]
+    local[:, :3, 3] = translation
+    local[:, 3, 3] = 1.0
     return local

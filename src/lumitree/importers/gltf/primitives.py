@@ -77,18 +77,6 @@ def baked(mesh: Mesh, world: Floats) -> Mesh:
     return dataclasses.replace(mesh, vertices=vertices, normals=normals, faces=faces)
 
 
-def selected(mesh: Mesh, keep: NDArray[np.bool_]) -> Mesh:
-    """The faces that `keep` [F] marks, with the vertices they use."""
-    used, faces = np.unique(mesh.faces[keep], return_inverse=True)
-    return Mesh(
-        mesh.vertices[used],
-        mesh.normals[used],
-        faces.reshape(-1, 3),
-        None if mesh.uv is None else mesh.uv[used],
-        None if mesh.colours is None else mesh.colours[used],
-    )
-
-
 def _faces(order: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
     if mode == _TRIANGLES:
         return order[: len(order) // 3 * 3].reshape(-1, 3)

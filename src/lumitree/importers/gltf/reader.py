@@ -4,6 +4,7 @@ Lengths are metres and y is up, as in every glTF file. Emissive factors times st
 luminances in cd/m², and intensities of lights are in cd; both are divided by 683 lm/W.
 """
 
+import dataclasses
 import os
 import warnings
 from collections.abc import Iterator
@@ -13,13 +14,15 @@ import numpy as np
 from lumitree.errors import LumitreeError, LumitreeWarning, shown_names
 from lumitree.importers.gltf.accessors import Accessors
 from lumitree.importers.gltf.container import Document
+from lumitree.importers.gltf.instances import instances
 from lumitree.importers.gltf.item import Item
-from lumitree.importers.gltf.lights import light_part
+from lumitree.importers.gltf.lights import light_parts
 from lumitree.importers.gltf.materials import Materials, Use, safe_name
 from lumitree.importers.gltf.nodes import Node, scene_nodes
 from lumitree.importers.gltf.notes import Notes
-from lumitree.importers.gltf.primitives import MAX_TRIANGLES, baked, read_triangles, selected
+from lumitree.importers.gltf.primitives import MAX_TRIANGLES, baked, read_triangles
 from lumitree.importers.gltf.variants import Variants
+from lumitree.importers.mesh_faces import selected
 from lumitree.importers.mesh_normals import turned_with_normals
 from lumitree.importers.topology import Pieces, faces_to_turn, is_solid, weld
 from lumitree.model.geometry import Floats, Mesh
@@ -57,11 +60,11 @@ class _Reader:
         lights = document.root.extension("KHR_lights_punctual")
         self._lights = [] if lights is None else lights.items("lights")
         self._accessors = Accessors(document)
-        self._part_names, material_names = Names("_"), Names("_")
-        self._materials = Materials(document, notes, material_names)
+        self._part_names, self._material_names = Names("_"), Names("_")
+        self._materials = Materials(document, notes, self._material_names)
         self._parts: list[Part] = []
         self._light_materials: list[Material] = []
-        self._triangles = self._shapes = 0
+        self._triangles = self._shapes = self._instances = 0
 
     def read(self) -> Model:
         if unknown := self._document.unknown_extensions:
@@ -71,7 +74,11 @@ class _Reader:
             if "skin" in node.item:
                 self._notes.file("skins (meshes stay in their rest pose)")
             if (mesh := node.item.index("mesh")) is not None:
-                meshes.setdefault(mesh, []).append(node)
+                placed = instances(node, self._accessors, self._notes, self._instances)
+                self._instances += len(placed)
+                meshes.setdefault(mesh, []).extend(placed)
+            elif node.item.extension("EXT_mesh_gpu_instancing") is not None:
+                self._notes.file("instances of nodes without a mesh")
             if (light := node.item.extension("KHR_lights_punctual")) is not None:
                 self._light(node, light.integer("light"))
         for index, nodes in meshes.items():
@@ -87,11 +94,11 @@ class _Reader:
         check_shapes(self._shapes, node.item.where)
         light = self._lights[index]
         name = self._part_names.unique(safe_name("light_" + light.string("name", str(index))))
-        found = light_part(light, node.world, name, self._notes)
-        if found is not None:
-            part, material = found
-            self._parts.append(part)
-            self._light_materials.append(material)
+        for part, material in light_parts(light, node.world, name, self._notes):
+            title = self._material_names.unique(material.name)
+            self._light_materials.append(dataclasses.replace(material, name=title))
+            own = name if part.name == name else self._part_names.unique(part.name)
+            self._parts.append(dataclasses.replace(part, name=own, material=title))
 
     def _mesh(self, index: int, nodes: list[Node]) -> None:
         item = self._document.entry("meshes", index)

@@ -11,6 +11,9 @@
 
 In materials other than glass, `d` or 1 - `Tr` is the opacity. `Ke` is the emitted radiance,
 W/(m² sr). Opaque materials reflect equally on both sides.
+
+Vertex colours are a factor of `Kd`; `Ke` does not depend on them. Glass, metal and `map_Kd` leave
+them out.
 """
 
 import dataclasses
@@ -23,6 +26,7 @@ from numpy.typing import NDArray
 from lumitree.core.images import linear_from_srgb
 from lumitree.errors import LumitreeWarning, shown
 from lumitree.importers.images import DecodedImage, by_rows, looked_up
+from lumitree.importers.mesh_faces import painted
 from lumitree.importers.obj.files import ObjFolder
 from lumitree.importers.obj.mtl import MtlMaterial
 from lumitree.model.model import (
@@ -37,6 +41,7 @@ from lumitree.model.model import (
     Surface,
     Texture,
     Value,
+    VertexColour,
 )
 
 GREY = Diffuse((0.5, 0.5, 0.5))
@@ -49,17 +54,25 @@ _USED_MAPS = {"map_Kd", "map_Ke", "map_d", "map_Pr", "map_Pm", "map_Ps", "bump",
 
 
 def material(
-    name: str, source: MtlMaterial, closed: Callable[[], bool], folder: ObjFolder
-) -> Material:
+    name: str,
+    source: MtlMaterial,
+    closed: Callable[[], bool],
+    coloured: bool,
+    folder: ObjFolder,
+) -> tuple[Material, RGB | None]:
     """The material that an MTL block describes.
 
     Args:
         closed: returns whether every piece of the mesh that it covers is closed.
+        coloured: whether the mesh has vertex colours.
+
+    Returns:
+        The material, and the factor of the vertex colours; None where it does not use them.
 
     Raises:
         LumitreeError: a map leads out of the folder, or is damaged or too large.
     """
-    return _Reader(name, source, folder).read(closed)
+    return _Reader(name, source, folder).read(closed, coloured)
 
 
 class _Reader:
@@ -68,8 +81,10 @@ class _Reader:
         self._maps = dict(source.maps)
         self._ignored = [key for key in self._maps if key not in _USED_MAPS]
 
-    def read(self, closed: Callable[[], bool]) -> Material:
-        surface = self._surface(closed)
+    def read(self, closed: Callable[[], bool], coloured: bool) -> tuple[Material, RGB | None]:
+        surface, factor = self._surface(closed), None
+        if coloured:
+            surface, factor = self._painted(surface)
         opacity = 1.0 if isinstance(surface, Glass) else self._opacity()
         result = Material(
             self._name,
@@ -81,7 +96,15 @@ class _Reader:
         )
         if self._ignored:
             self._warn(f"left out: {', '.join(dict.fromkeys(self._ignored))}")
-        return result
+        return result, factor
+
+    def _painted(self, surface: Surface) -> tuple[Surface, RGB | None]:
+        """The surface with the mesh's vertex colours, and their factor."""
+        result = None if "map_Kd" in self._maps else painted(surface)
+        if result is None:
+            self._ignored.append("vertex colours (glass, metal or map_Kd has the colour)")
+            return surface, None
+        return result, self._rgb("Kd", WHITE)
 
     def _surface(self, closed: Callable[[], bool]) -> Surface:
         illum, refraction = int(self._number("illum", 2)), self._number("Ni", 1.0)
@@ -218,9 +241,15 @@ class _Reader:
         )
 
 
-def without_mtl(name: str) -> Material:
-    """Grey, for a material that no MTL file describes."""
-    return Material(name, dataclasses.replace(GREY), two_sided=True)
+def without_mtl(name: str, coloured: bool) -> tuple[Material, RGB | None]:
+    """Grey or the vertex colours, and their factor, for a material that no MTL file describes."""
+    surface = Diffuse(VertexColour()) if coloured else dataclasses.replace(GREY)
+    return Material(name, surface, two_sided=True), WHITE if coloured else None
+
+
+def emits(source: MtlMaterial) -> bool:
+    """Whether an MTL block describes a material that emits."""
+    return "map_Ke" in source.maps or max(source.values.get("Ke", (0.0,))) > 0
 
 
 def _colour(image: DecodedImage) -> NDArray[np.uint8]:

@@ -1,14 +1,16 @@
 """From the polygons of one material to a mesh that light can be traced through."""
 
 import dataclasses
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.errors import shown
-from lumitree.importers.mesh_normals import crease_normals, face_normals, unit
+from lumitree.importers.mesh_faces import with_backs
+from lumitree.importers.mesh_normals import CREASE, crease_normals, face_normals, unit
 from lumitree.importers.obj.parse import ObjFile
-from lumitree.importers.polygons import triangulate
+from lumitree.importers.polygons import newell, triangulate
 from lumitree.importers.topology import Indices, Pieces, faces_to_turn, weld
 from lumitree.model.geometry import Floats, Mesh
 from lumitree.model.model import check_shapes
@@ -16,21 +18,36 @@ from lumitree.model.model import check_shapes
 # Of the bounding box's diagonal: faces whose corners are all nearer than this are one face. A
 # copy of a face may have been rounded differently when it was written.
 _REPEATED = 1e-5
+# Sharpest angle, degrees, across which shading is smooth in a file that does not ask for it: faces
+# of one plane share their vertices.
+_FLAT = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
 class _Triangles:
-    """Corners [F, 3, 3] (position, texture coordinate, normal) and smoothing groups [F]."""
+    """Some of the file's triangles.
+
+    Attributes:
+        corners: [F, 3, 3] position, texture coordinate and normal.
+        groups: [F] smoothing groups.
+        doubled: [F] whether the file has them in both windings.
+    """
 
     corners: Indices
     groups: Indices
+    doubled: NDArray[np.bool_]
 
 
-def build_meshes(file: ObjFile) -> dict[int, Mesh]:
+def build_meshes(file: ObjFile, emitting: Collection[str]) -> dict[int, Mesh]:
     """Mesh of every material, by its number; materials whose faces have no area are left out.
 
-    Faces that are repeated are kept once, whichever way the copies are wound; closed pieces face
-    outwards; missing normals are computed; v is 0 at an image's first row.
+    Faces that are repeated are kept once, whichever way the copies are wound; but of an emitting
+    material once in each winding, so that both sides emit. Closed pieces face outwards. Missing
+    normals are computed, smooth only where the file names smoothing groups, as the format says. v
+    is 0 at an image's first row.
+
+    Args:
+        emitting: names of materials that emit.
     """
     places, rough_places = weld(file.positions), weld(file.positions, _REPEATED)
     # One vertex stands for all those in its place.
@@ -41,10 +58,15 @@ def build_meshes(file: ObjFile) -> dict[int, Mesh]:
     used, begins = np.unique(file.material[order], return_index=True)
     check_shapes(len(used), shown(file.path, 300))
     meshes = {}
+    behind = _REPEATED * float(np.linalg.norm(np.ptp(positions, axis=0)))
     for number, chosen in zip(used.tolist(), np.split(order, begins[1:]), strict=True):
-        triangles = _cut(file, places, rough_places, chosen, starts)
-        if len(triangles.corners):
-            meshes[number] = _mesh(file, places, positions, triangles, file.materials[number])
+        triangles, name = _cut(file, places, rough_places, chosen, starts), file.materials[number]
+        if not len(triangles.corners):
+            continue
+        mesh = _mesh(file, places, positions, triangles, name)
+        if name in emitting and triangles.doubled.any():
+            mesh = with_backs(mesh, triangles.doubled, behind)
+        meshes[number] = mesh
     return meshes
 
 
@@ -54,28 +76,38 @@ def _cut(
     """The chosen polygons as triangles, in the file's order of sizes; repeated ones once."""
     corners: list[Indices] = [np.zeros((0, 3, 3), np.int64)]
     groups: list[Indices] = [np.zeros(0, np.int64)]
+    doubled: list[NDArray[np.bool_]] = [np.zeros(0, np.bool_)]
     for size in np.unique(file.sizes[chosen]):
         polygons = chosen[file.sizes[chosen] == size]
         own = file.corners[starts[polygons][:, None] + np.arange(size)]
         first = _first_of_each(np.sort(rough_places[own[..., 0]], axis=1))
-        own, polygons = own[first], polygons[first]
+        normals = newell(file.positions[own[..., 0]])
+        both = np.zeros(len(own), np.bool_)
+        both[first[(normals * normals[first]).sum(axis=1) < 0]] = True
+        first = np.unique(first)
+        own, polygons, both = own[first], polygons[first], both[first]
         pick, polygon = triangulate(file.positions[own[..., 0]])
         corners.append(own[polygon[:, None], pick])
         groups.append(file.smoothing[polygons[polygon]])
-    every = _Triangles(np.concatenate(corners), np.concatenate(groups))
-    ends = places[every.corners[..., 0]]
+        doubled.append(both[polygon])
+    every = np.concatenate(corners)
+    ends = places[every[..., 0]]
     proper = (ends != np.roll(ends, 1, axis=1)).all(axis=1)
-    return _Triangles(every.corners[proper], every.groups[proper])
+    return _Triangles(
+        every[proper], np.concatenate(groups)[proper], np.concatenate(doubled)[proper]
+    )
 
 
 def _first_of_each(sets: Indices) -> Indices:
-    """Indices of the rows [P, N] (sorted places) that are not repeats of an earlier one."""
+    """Index [P] of the first row [P, N] (sorted places) that is equal to each."""
     order = np.lexsort(sets.T)
     new = np.ones(len(sets), bool)
     new[1:] = (np.diff(sets[order], axis=0) != 0).any(axis=1)
+    first = np.empty(len(sets), np.int64)
+    first[order] = order[new][np.cumsum(new) - 1]
     # Faces too small for this comparison would all look alike.
     small = (np.diff(sets, axis=1) == 0).any(axis=1)
-    return np.union1d(order[new], np.flatnonzero(small))
+    return np.where(small, np.arange(len(sets)), first)
 
 
 def _mesh(
@@ -94,7 +126,8 @@ def _mesh(
     corners[..., 2][has_normal] = index
     flip = _turned(positions, faces, corners, given, name)
     faces[flip], corners[flip] = faces[flip][:, ::-1], corners[flip][:, ::-1]
-    index, normals = _normals(positions, faces, corners, given, triangles.groups)
+    crease = CREASE if file.smooths else _FLAT
+    index, normals = _normals(positions, faces, corners, given, triangles.groups, crease)
     uv = corners[..., 1].ravel()
     has_uv = bool((uv >= 0).any())
     keys = [corners[..., 0].ravel(), uv, index.ravel()]
@@ -104,6 +137,7 @@ def _mesh(
         normals=normals[used[:, 2]],
         faces=vertex.reshape(-1, 3),
         uv=_flipped(file.uv, used[:, 1]) if has_uv else None,
+        colours=_colours(file, used[:, 0]),
     )
 
 
@@ -120,8 +154,20 @@ def _turned(
     return flip
 
 
+def _colours(file: ObjFile, vertices: Indices) -> Floats | None:
+    """Colours of some vertices; None if all are white, which changes nothing."""
+    if file.colours is None or (file.colours[vertices] == 1).all():
+        return None
+    return file.colours[vertices]
+
+
 def _normals(
-    positions: Floats, faces: Indices, corners: Indices, given: Floats, groups: Indices
+    positions: Floats,
+    faces: Indices,
+    corners: Indices,
+    given: Floats,
+    groups: Indices,
+    crease: float,
 ) -> tuple[Indices, Floats]:
     """Number [F, 3] of every corner's normal, and unit normals: given, computed, or the face's.
 
@@ -137,7 +183,7 @@ def _normals(
     index = corners[..., 2] + turned * len(given)
     normals = [unit(given), -unit(given)]
     if not usable.all():
-        smooth_index, smooth = crease_normals(positions, faces, pieces, groups)
+        smooth_index, smooth = crease_normals(positions, faces, pieces, groups, crease)
         agrees = (smooth[smooth_index] * flat[:, None]).sum(axis=-1) > 0
         own_face = len(smooth) + np.arange(len(faces))[:, None]
         computed = 2 * len(given) + np.where(agrees, smooth_index, own_face)

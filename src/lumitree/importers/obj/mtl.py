@@ -6,8 +6,9 @@ import warnings
 from pathlib import Path
 
 from lumitree.core.reading import read_bytes
+from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
-from lumitree.importers.obj.parse import readable
+from lumitree.importers.obj.numbers import readable, with_point
 
 _MAX_BYTES = 16 * 2**20
 # Keys with up to three numbers, spelled as below whatever case the file has.
@@ -71,7 +72,7 @@ def parse_mtl(path: Path) -> dict[str, MtlMaterial]:
     """
     materials: dict[str, MtlMaterial] = {}
     current = MtlMaterial()
-    lines = read_bytes(path, "an MTL file", _MAX_BYTES).splitlines()
+    lines = in_utf8(read_bytes(path, "an MTL file", _MAX_BYTES)).split(b"\n")
     for number, line in enumerate(lines, 1):
         words = readable(line.strip().replace(b"\t", b" ")).split(None, 1)
         if not words or words[0].startswith("#"):
@@ -108,7 +109,7 @@ def _add_value(material: MtlMaterial, key: str, text: str, where: str) -> None:
 
 def _number(word: str, key: str, where: str) -> float:
     try:
-        value = float(word)
+        value = float(with_point(word))
     except ValueError:
         value = math.nan
     if not abs(value) <= _MAX_VALUE:
@@ -150,7 +151,7 @@ def _leading_numbers(words: list[str], option: str, where: str) -> list[float]:
     numbers: list[float] = []
     while words and len(numbers) < _NUM_VALUES.get(option, 0):
         try:
-            float(words[0])
+            float(with_point(words[0]))
         except ValueError:
             break
         numbers.append(_number(words.pop(0), option, where))

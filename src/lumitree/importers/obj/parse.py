@@ -1,24 +1,34 @@
 """The text of an OBJ file as arrays."""
 
-import codecs
 import dataclasses
 import re
 import warnings
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.core.reading import read_bytes
+from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.importers.model_folder import MAX_MODEL_BYTES
+from lumitree.importers.obj.corners import read_corners
+from lumitree.importers.obj.numbers import (
+    painted_colours,
+    read_table,
+    readable,
+    vertex_colours,
+)
 from lumitree.importers.polygons import MAX_CORNERS
 from lumitree.importers.topology import Indices
 from lumitree.model.geometry import Floats
 
-# Beyond this, squares of lengths leave the range of single precision.
-MAX_COORDINATE = 1e9
-_FREE_FORM = {b"vp", b"cstype", b"deg", b"curv", b"curv2", b"surf", b"bzp", b"bsp"}
+# Faces are grouped by material alone.
+_GROUPS = (b"g", b"o", b"mg")
+_FREE_FORM = (b"vp", b"cstype", b"deg", b"bmat", b"step", b"curv", b"curv2", b"surf", b"parm")
+_FREE_FORM += (b"trim", b"hole", b"scrv", b"sp", b"end", b"con", b"bzp", b"bsp", b"cdc", b"cdp")
+_LEFT_OUT: dict[bytes, str] = {b"l": "lines", b"p": "points"}
+_LEFT_OUT |= dict.fromkeys(_FREE_FORM, "free-form curves and surfaces (export polygons)")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,6 +38,7 @@ class ObjFile:
     Attributes:
         path: of the file.
         positions: [V, 3].
+        colours: [V, 3] linear RGB of the vertices; None for none.
         uv: [T, 2], v = 0 at an image's last row, as the file has it.
         normals: [N, 3], of any length.
         corners: [C, 3] position, texture coordinate and normal of every polygon's corners, one
@@ -35,18 +46,21 @@ class ObjFile:
         sizes: [P] corners of each polygon.
         material: [P] number in `materials`.
         smoothing: [P] smoothing group; 0 for none; 1 throughout in a file that names none.
+        smooths: whether the file names any smoothing group.
         materials: names; "" for what comes before any `usemtl`.
         libraries: rest of every `mtllib` line.
     """
 
     path: Path
     positions: Floats
+    colours: Floats | None
     uv: Floats
     normals: Floats
     corners: Indices
     sizes: Indices
     material: Indices
     smoothing: Indices
+    smooths: bool
     materials: tuple[str, ...]
     libraries: tuple[str, ...]
 
@@ -71,11 +85,13 @@ class _Parser:
         self._group_runs: list[tuple[int, int]] = []
         self._materials: dict[str, int] = {}
         self._libraries: list[str] = []
-        self._free_form = False
+        self._painted: list[bytes] = []
+        # What is not used, for one warning; a dictionary, because sets do not keep their order.
+        self._left_out: dict[str, None] = {}
+        self._commas = False
 
     def parse(self, data: bytes) -> ObjFile:
-        data = data.removeprefix(codecs.BOM_UTF8).replace(b"\\\r\n", b"  ").replace(b"\\\n", b" ")
-        self._lines = data.splitlines()
+        self._lines = in_utf8(data).replace(b"\\\n", b" ").split(b"\n")
         # What nearly all lines begin with; "vtx" is refused with the numbers.
         frequent = {b"v ": self._values[b"v"], b"vt": self._values[b"vt"]}
         frequent[b"vn"] = self._values[b"vn"]
@@ -92,10 +108,14 @@ class _Parser:
     def _other(self, line: bytes) -> None:
         """A line that is not one of the four frequent ones, or that is indented."""
         words = line.split(None, 1)
-        if not words or words[0].startswith(b"#"):
+        if not words:
             return
         key, rest = words[0], words[1].strip() if len(words) > 1 else b""
-        if key == b"f":
+        if key == b"#MRGB":
+            self._painted.append(rest)
+        elif key.startswith(b"#"):
+            return
+        elif key == b"f":
             self._add_face(line)
         elif key in self._values:
             self._values[key].append(line)
@@ -107,17 +127,13 @@ class _Parser:
         elif key == b"s":
             off = rest in (b"off", b"0", b"")
             self._group_runs.append((len(self._faces), 0 if off else self._group(rest)))
-        elif key in _FREE_FORM and not self._free_form:
-            self._free_form = True
-            warnings.warn(
-                f"{self._path}: free-form curves and surfaces are left out; export polygons",
-                LumitreeWarning,
-                stacklevel=2,
-            )
+        elif key not in _GROUPS:
+            text = _LEFT_OUT.get(key) or f"lines of {shown(readable(key))!r}"
+            self._left_out[text] = None
 
     def _group(self, text: bytes) -> int:
         try:
-            return int(text) % 2**31
+            return 1 if text == b"on" else int(text) % 2**31
         except ValueError:
             raise LumitreeError(
                 f"{self._path}: smoothing group {shown(readable(text))!r} is neither a number nor "
@@ -145,25 +161,35 @@ class _Parser:
 
     def _finished(self) -> ObjFile:
         if not self._faces:
-            raise LumitreeError(f"{self._path} holds no faces; expected an OBJ model of polygons")
+            others = f", but {self._shown_left_out()}" if self._left_out else ""
+            raise LumitreeError(
+                f"{self._path} holds no faces{others}; expected an OBJ model of polygons"
+            )
         if not self._material_runs or self._material_runs[0][0] > 0:
             self._material_runs.insert(0, (0, self._materials.setdefault("", len(self._materials))))
-        if not self._group_runs:
+        smooths = bool(self._group_runs)
+        if not smooths:
             self._group_runs.append((0, 1))
         elif self._group_runs[0][0] > 0:
             self._group_runs.insert(0, (0, 0))
-        positions, uv = self._numbers(b"v", 3), self._numbers(b"vt", 2)
-        normals = self._numbers(b"vn", 3)
+        positions, colours = self._vertices()
+        uv, normals = self._texture_coordinates(), self._table(b"vn", 3)[:, :3]
         corners, sizes = self._corners((len(positions), len(uv), len(normals)))
+        if self._commas:
+            self._warn("numbers have decimal commas, which are read as decimal points")
+        if self._left_out:
+            self._warn(f"left out: {self._shown_left_out()}")
         return ObjFile(
             path=self._path,
             positions=positions,
+            colours=colours,
             uv=uv,
             normals=normals,
             corners=corners,
             sizes=sizes,
             material=self._spread(self._material_runs),
             smoothing=self._spread(self._group_runs),
+            smooths=smooths,
             materials=tuple(self._materials),
             libraries=tuple(self._libraries),
         )
@@ -173,42 +199,33 @@ class _Parser:
         starts, values = zip(*runs, strict=True)
         return np.repeat(values, np.diff([*starts, len(self._faces)])).astype(np.int64)
 
-    def _numbers(self, key: bytes, width: int) -> Floats:
-        """First `width` numbers of every line [N, width] that begins with `key`."""
-        lines = self._values[key]
-        if not lines:
-            return np.zeros((0, width))
-        words = b" ".join(lines).split()
-        if len(words) != len(lines) * (width + 1) or set(words[:: width + 1]) != {key}:
-            # A line may be cut short by a comment, or hold a weight or a colour that is not used;
-            # a texture coordinate may lack its v.
-            rows = [self._row(line.split(), key, width, at) for at, line in enumerate(lines)]
-            words = [word for row in rows for word in row]
-        del words[:: width + 1]
-        try:
-            values = np.array(list(map(float, words))).reshape(-1, width)
-        except ValueError:
-            at = _first_failing(words, float)
-            word = shown(readable(words[at]))
-            raise self._error(key, at // width, f"{word!r} is not a number") from None
-        bad = ~(np.abs(values) <= MAX_COORDINATE).all(axis=1)
-        if bad.any():
-            raise self._error(
-                key, int(bad.argmax()), f"a value is not finite or beyond {MAX_COORDINATE:g}"
-            )
+    def _table(self, key: bytes, fewest: int) -> Floats:
+        """The numbers of every line that begins with `key`, see `read_table`."""
+
+        def error(index: int, message: str) -> LumitreeError:
+            return self._error(key, index, message)
+
+        values, commas = read_table(self._values[key], key, fewest, error)
+        self._commas |= commas
         return values
 
-    def _row(self, row: list[bytes], key: bytes, width: int, at: int) -> list[bytes]:
-        comment = [index for index, word in enumerate(row) if word.startswith(b"#")]
-        found = row[: comment[0]] if comment else row
-        if width == 2 and len(found) == 2:
-            found = [*found, b"0"]
-        if row[0] != key:
-            raise LumitreeError(f"{self._path}: a line begins with {shown(readable(row[0]))!r}")
-        if len(found) <= width:
-            message = f"{len(found) - 1} numbers after {readable(key)!r}; expected {width}"
-            raise self._error(key, at, message)
-        return found[: width + 1]
+    def _vertices(self) -> tuple[Floats, Floats | None]:
+        """Positions and colours [V, 3]."""
+        rows = self._table(b"v", 3)
+        colours, left_out = vertex_colours(rows)
+        for text in left_out:
+            self._left_out[text] = None
+        if colours is None and self._painted:
+            colours = painted_colours(self._painted, len(rows))
+            if colours is None:
+                self._left_out["#MRGB colours (not one for each vertex)"] = None
+        return rows[:, :3], colours
+
+    def _texture_coordinates(self) -> Floats:
+        rows = np.nan_to_num(self._table(b"vt", 1))
+        if (rows[:, 2:] != 0).any():
+            self._left_out["third texture coordinates"] = None
+        return np.pad(rows, ((0, 0), (0, 1)))[:, :2]
 
     def _corners(self, counts: tuple[int, int, int]) -> tuple[Indices, Indices]:
         """Corners [C, 3] counted from 0, -1 where there is none, and corners of each face [P]."""
@@ -225,12 +242,30 @@ class _Parser:
         # Every face around a corner repeats it: each distinct text is parsed only once.
         spellings = {word: at for at, word in enumerate(dict.fromkeys(words))}
         use = np.array([spellings[word] for word in words])
-        read, wrong, reason = _read_corners(list(spellings), counts)
-        if wrong is not None:
-            face = int(np.searchsorted(np.cumsum(sizes), (use == wrong).argmax(), side="right"))
-            word = shown(readable(list(spellings)[wrong]))
-            raise self._error(b"f", face, f"corner {word!r} {reason}")
-        return read[use], sizes
+        found = read_corners(list(spellings), counts)
+        if found.wrong is not None:
+            face = int(np.searchsorted(np.cumsum(sizes), (use == found.wrong).argmax(), "right"))
+            word = shown(readable(list(spellings)[found.wrong]))
+            raise self._error(b"f", face, f"corner {word!r} {found.reason}")
+        self._warn_of_absent(found.absent[use], counts)
+        return found.indices[use], sizes
+
+    def _warn_of_absent(self, absent: NDArray[np.bool_], counts: tuple[int, int, int]) -> None:
+        kinds = ("texture coordinates", "left out"), ("normals", "computed")
+        for (kind, treated), number, count in zip(
+            kinds, absent.sum(axis=0), counts[1:], strict=True
+        ):
+            if number:
+                self._warn(
+                    f"{number} corners of faces name {kind} that are not there (the file has "
+                    f"{count}); they are {treated}"
+                )
+
+    def _shown_left_out(self) -> str:
+        return shown(", ".join(self._left_out), 300)
+
+    def _warn(self, text: str) -> None:
+        warnings.warn(f"{shown(self._path, 300)}: {text}", LumitreeWarning, stacklevel=2)
 
     def _error(self, key: bytes, index: int, message: str) -> LumitreeError:
         """Error in the line that holds element `index` of its kind."""
@@ -240,53 +275,3 @@ class _Parser:
             if seen == index:
                 return LumitreeError(f"{self._path}, line {number}: {message}")
         return LumitreeError(f"{self._path}: {message}")
-
-
-def _read_corners(
-    spellings: list[bytes], counts: tuple[int, int, int]
-) -> tuple[Indices, int | None, str]:
-    """Indices [S, 3] of corners such as 1/2/3, the first wrong one or None, and why it is."""
-    fields = [word.split(b"/") for word in spellings]
-    read = np.full((len(fields), 3), -1, np.int64)
-    for column in range(3):
-        words = [row[column] if len(row) > column else b"" for row in fields]
-        try:
-            read[:, column] = [_index(word) for word in words]
-        except (ValueError, OverflowError):
-            at = _first_failing(words, _index)
-            return read, at, "is not of the form 1, 1/2, 1//3 or 1/2/3"
-        given = np.array([bool(word) for word in words])
-        wrong = given & ((read[:, column] < 0) | (read[:, column] >= counts[column]))
-        if column == 0:
-            wrong |= ~given
-        if wrong.any():
-            reason = (
-                f"names what is not there; the file has {counts[0]} positions, "
-                f"{counts[1]} texture coordinates and {counts[2]} normals"
-            )
-            return read, int(wrong.argmax()), reason
-    too_long = [at for at, row in enumerate(fields) if len(row) > 3]
-    return read, too_long[0] if too_long else None, "has more than three indices"
-
-
-def _index(word: bytes) -> np.int64:
-    """Index of a corner, counted from 0; -1 for none."""
-    return np.int64(int(word) - 1 if word else -1)
-
-
-def readable(text: bytes) -> str:
-    """Text of a file that does not say how it is encoded, without control characters."""
-    try:
-        decoded = text.decode("utf-8")
-    except UnicodeDecodeError:
-        decoded = text.decode("latin-1")
-    return shown(decoded, len(decoded))
-
-
-def _first_failing(words: Sequence[bytes], convert: Callable[[bytes], object]) -> int:
-    for at, word in enumerate(words):
-        try:
-            convert(word)
-        except (ValueError, OverflowError):
-            return at
-    raise AssertionError("no word fails")

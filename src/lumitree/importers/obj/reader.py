@@ -1,5 +1,6 @@
 """An OBJ file with its MTL files as a model."""
 
+import dataclasses
 import os
 import re
 import warnings
@@ -8,13 +9,13 @@ from pathlib import Path
 
 from lumitree.errors import LumitreeWarning, shown, shown_names
 from lumitree.importers.obj.files import ObjFolder
-from lumitree.importers.obj.materials import material, without_mtl
+from lumitree.importers.obj.materials import emits, material, without_mtl
 from lumitree.importers.obj.mesh import build_meshes
 from lumitree.importers.obj.mtl import MtlMaterial, parse_mtl
 from lumitree.importers.obj.parse import ObjFile, parse_obj
 from lumitree.importers.topology import count_solids
 from lumitree.model.geometry import Mesh
-from lumitree.model.model import Material, Model, Part
+from lumitree.model.model import RGB, Material, Model, Part
 from lumitree.model.names import Names
 
 _UNNAMED = "default"
@@ -32,14 +33,16 @@ def read_obj(path: str | os.PathLike[str]) -> Model:
     file = parse_obj(path)
     folder = ObjFolder(path)
     library = _library(file, folder)
-    meshes = build_meshes(file)
+    emitting = [name for name, source in library.items() if emits(source)]
+    meshes = build_meshes(file, emitting)
     if not meshes:
         warnings.warn(f"{path}: no face has any area", LumitreeWarning, stacklevel=2)
     names = part_names(file.materials[number] for number in meshes)
     missing = [name for name in file.materials if name and name not in library]
     if missing:
         warnings.warn(
-            f"{shown(path, 300)}: no MTL file describes {shown_names(missing)}; taken to be grey",
+            f"{shown(path, 300)}: no MTL file describes {shown_names(missing)}; taken to be grey, "
+            "or to have the colours of its vertices",
             LumitreeWarning,
             stacklevel=2,
         )
@@ -47,14 +50,20 @@ def read_obj(path: str | os.PathLike[str]) -> Model:
     for name, (number, mesh) in zip(names, meshes.items(), strict=True):
         title = file.materials[number] or _UNNAMED
         source = library.get(file.materials[number])
-        materials.append(_material(title, source, mesh, folder))
-        parts.append(Part(name, mesh, title))
+        made, factor = _material(title, source, mesh, folder)
+        colours = None if mesh.colours is None or factor is None else mesh.colours * factor
+        materials.append(made)
+        parts.append(Part(name, dataclasses.replace(mesh, colours=colours), title))
     return Model(tuple(parts), tuple(materials))
 
 
-def _material(title: str, source: MtlMaterial | None, mesh: Mesh, folder: ObjFolder) -> Material:
+def _material(
+    title: str, source: MtlMaterial | None, mesh: Mesh, folder: ObjFolder
+) -> tuple[Material, RGB | None]:
+    """A material, and the factor of its mesh's vertex colours; None where it ignores them."""
+    coloured = mesh.colours is not None
     if source is None:
-        return without_mtl(title)
+        return without_mtl(title, coloured)
 
     def closed_throughout() -> bool:
         closed, pieces = count_solids(mesh)
@@ -67,7 +76,7 @@ def _material(title: str, source: MtlMaterial | None, mesh: Mesh, folder: ObjFol
             )
         return closed == pieces
 
-    return material(title, source, closed_throughout, folder)
+    return material(title, source, closed_throughout, coloured, folder)
 
 
 def _library(file: ObjFile, folder: ObjFolder) -> dict[str, MtlMaterial]:

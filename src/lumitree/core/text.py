@@ -1,0 +1,29 @@
+"""Text of files that do not say how they are encoded."""
+
+# UTF-16 without a byte order mark is recognised by this part of a file.
+_PROBE = 400
+
+
+def in_utf8(content: bytes) -> bytes:
+    """The text of a file without its byte order mark, lines ending in \\n.
+
+    UTF-16, with or without a byte order mark, becomes UTF-8. Other encodings are left: UTF-8, or
+    one of single bytes.
+    """
+    if (encoding := _utf16(content)) is not None:
+        content = content.decode(encoding, "replace").encode("utf-8", "replace")
+    content = content.removeprefix(b"\xef\xbb\xbf")
+    if b"\r" in content:
+        # Some programs write \r\r\n.
+        content = content.replace(b"\r\r\n", b"\n").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return content
+
+
+def _utf16(content: bytes) -> str | None:
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    start = content[:_PROBE]
+    if start.count(0) <= len(start) / 4:
+        return None
+    # ASCII in UTF-16: every other byte is 0.
+    return "utf-16-le" if start[1::2].count(0) > start[::2].count(0) else "utf-16-be"
