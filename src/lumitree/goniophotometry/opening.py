@@ -16,8 +16,9 @@ from lumitree.errors import LumitreeError
 Shape = Literal["box", "ellipsoid", "cylinder"]
 Sides = tuple[float, float, float]
 _MAX_SIDE = 1e6
-# Points of the quadrature of a surface.
+# Points of the quadrature of a surface. Flat ones are cheap, since all directions share them.
 _NUM_SIDE, _NUM_ROUND, _NUM_DISK, _NUM_ELLIPSOID = 16, 64, 384, 2048
+_NUM_FLAT_SIDE, _NUM_FLAT_DISK = 64, 1 << 14
 
 # Shapes of IES LM-63 by the signs of width, length and height: the shape; the axis of a cylinder
 # (0: x, along C = 0; 1: up; 2: z, along C = 90); and a dimension that a zero repeats.
@@ -101,7 +102,7 @@ class Opening:
             is_disk = self.shape == "ellipsoid" or (
                 self.shape == "cylinder" and self.sides[self.axis] == 0
             )
-            points = _disk() if is_disk else _square()
+            points = _disk(_NUM_FLAT_DISK) if is_disk else _square(_NUM_FLAT_SIDE)
             # The unit shape lies in the plane of the first two axes that have a length.
             order = sorted(range(3), key=lambda axis: (self.sides[axis] == 0, axis))
             placed = np.zeros((len(points), 3))
@@ -173,15 +174,15 @@ def _centres(count: int) -> NDArray[np.float64]:
     return (np.arange(count) + 0.5) / count * 2 - 1
 
 
-def _square() -> NDArray[np.float64]:
+def _square(side: int = _NUM_SIDE) -> NDArray[np.float64]:
     """Points [N, 2] of the square [-1, 1]²."""
-    return np.stack(np.meshgrid(_centres(_NUM_SIDE), _centres(_NUM_SIDE)), axis=-1).reshape(-1, 2)
+    return np.stack(np.meshgrid(_centres(side), _centres(side)), axis=-1).reshape(-1, 2)
 
 
-def _disk() -> NDArray[np.float64]:
+def _disk(count: int = _NUM_DISK) -> NDArray[np.float64]:
     """Points [N, 2] of the unit disk, each for an equal area: Vogel's spiral."""
-    index = np.arange(_NUM_DISK)
-    angle, radius = index * np.pi * (3 - math.sqrt(5)), np.sqrt((index + 0.5) / _NUM_DISK)
+    index = np.arange(count)
+    angle, radius = index * np.pi * (3 - math.sqrt(5)), np.sqrt((index + 0.5) / count)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
 
 

@@ -1,7 +1,6 @@
 """Text of photometric files: its encoding, and messages about its numbers."""
 
 import os
-import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from lumitree.core.reading import read_bytes
+from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 T = TypeVar("T")
@@ -18,7 +18,6 @@ MAX_FILE_BYTES = 1 << 24
 MAX_ANGLES, MAX_SETS = 3601, 20
 # EULUMDAT limits the length of text lines.
 _TEXT = 78
-_BYTE_ORDER_MARKS = ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8"))
 
 
 def read_text(path: str | os.PathLike[str], kind: str, parse: Callable[[str], T]) -> T:
@@ -42,19 +41,12 @@ def read_text(path: str | os.PathLike[str], kind: str, parse: Callable[[str], T]
 
 
 def decoded(content: bytes) -> str:
-    """Text in UTF-8, UTF-16 with or without a byte order mark, or else Latin-1."""
-    encoding = next((name for mark, name in _BYTE_ORDER_MARKS if content.startswith(mark)), None)
-    if encoding is None and content[:400].count(0) > len(content[:400]) / 4:
-        # ASCII in UTF-16: every other byte is 0.
-        encoding = (
-            "utf-16-le" if content[1:400:2].count(0) > content[:400:2].count(0) else "utf-16-be"
-        )
+    """Text in UTF-8, UTF-16 or else Latin-1, with lines that end in \\n."""
+    content = in_utf8(content)
     try:
-        text = content.decode(encoding or "utf-8", "replace" if encoding else "strict")
+        return content.decode("utf-8")
     except UnicodeDecodeError:
-        text = content.decode("latin-1")
-    # Some programs write \r\r\n.
-    return re.sub(r"\r+\n?", "\n", text.removeprefix("\ufeff"))
+        return content.decode("latin-1")
 
 
 def number(text: str, what: str) -> float:
