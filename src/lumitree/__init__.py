@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from lumitree.goniophotometry.figures import Estimate, PhotometricFigures
     from lumitree.goniophotometry.near_field import NearFieldLimit
     from lumitree.luminaire.luminaire import Luminaire
+    from lumitree.luminaire.scene_shapes import SceneShape
     from lumitree.luminaire.source import LuminaireSource
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.placement_file import read_placements
@@ -81,6 +82,7 @@ _HOMES = {
     "MixResult": "api.results",
     "RenderResult": "api.results",
     "Result": "api.results",
+    "SceneShape": "luminaire.scene_shapes",
     "TrainResult": "api.results",
     "ViewResult": "api.page",
     "bake": "api.baking",
@@ -135,6 +137,7 @@ __all__ = [
     "Progress",
     "RenderResult",
     "Result",
+    "SceneShape",
     "TrainResult",
     "ViewResult",
     "bake",

@@ -7,7 +7,7 @@ from lumitree.cli import options
 from lumitree.cli.output import print_lines, print_open, print_result
 
 # Shapes that are printed.
-_MAX_SHAPES = 40
+_MAX_SHAPES = 20
 
 
 def add(commands: Any) -> None:

@@ -53,7 +53,7 @@ def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
     if asset.exitant is None:
         raise LumitreeError(
             f"the asset of {asset.luminaire} has no exitant light field, from which the lights are "
-            "made; bake it with --parts exitant,field,model"
+            "made; bake its luminaire with the part exitant, which a dataset does not give"
         )
     points = cluster_lights(asset.exitant, asset.frame.half_extents, lights, seed)
     points = dataclasses.replace(points, intensity=points.intensity * asset.gain)

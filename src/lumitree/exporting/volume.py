@@ -33,8 +33,8 @@ def volume_arrays(asset: Asset, z_up: NDArray[np.float64]) -> dict[str, NDArray[
     """
     if not asset.num_leaves:
         raise LumitreeError(
-            f"the asset of {asset.luminaire} has no field, which a .vdb file holds; bake it with "
-            "--parts exitant,field"
+            f"the asset of {asset.luminaire} has no field, which a .vdb file holds; bake its "
+            "luminaire with the part field (a photometric file has none: export it as .py)"
         )
     voxels = 1 << asset.tree_depth
     lower, upper = leaf_boxes(asset)
