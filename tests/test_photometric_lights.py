@@ -15,6 +15,7 @@ from lumitree.goniophotometry.ies import write_ies
 from lumitree.goniophotometry.ldt import write_ldt
 from lumitree.goniophotometry.rays import Rays
 from lumitree.goniophotometry.tm25 import write_tm25
+from lumitree.goniophotometry.opening import Opening
 from lumitree.goniophotometry.type_c import Grid, IntensityDistribution
 from lumitree.luminaire.source import LuminaireSource, source_kind
 from lumitree.model.photometry import colour_temperature, luminance
@@ -39,7 +40,7 @@ def folder(mi, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     grid = Grid(15)
     down = 100 * np.maximum(np.cos(np.deg2rad(grid.gamma)), 0) * np.ones((len(grid.c), 1))
-    distribution = IntensityDistribution("down", grid.c, grid.gamma, down, (0.2, 0, 0.1))
+    distribution = IntensityDistribution("down", grid.c, grid.gamma, down, Opening((0.2, 0, 0.1)))
     write_ies("a.ies", distribution)
     write_ldt("B.LDT", distribution)
     random = np.random.default_rng(0)
