@@ -4,13 +4,17 @@ Import lumitree before mitsuba: it then names a working libLLVM to Mitsuba (see
 `lumitree.core.backend`).
 """
 
+from lumitree.core.program import exit_on_signals, is_program
+
+if is_program():
+    # The command line imports this package first; `main` installs its own handlers.
+    exit_on_signals()
+
 import importlib
-import os
-import sys
 from typing import TYPE_CHECKING, Any
 
 from lumitree.core.backend import select_llvm
-from lumitree.core.interrupt import Interrupted, exit_on_signals
+from lumitree.core.interrupt import Interrupted
 from lumitree.errors import LumitreeError, LumitreeWarning
 
 if TYPE_CHECKING:
@@ -165,17 +169,6 @@ __all__ = [
     "view",
 ]
 
-
-def _is_program() -> bool:
-    """Whether the process is the command line, and not a program that imports lumitree."""
-    name = os.path.basename(sys.argv[0]) if getattr(sys, "argv", None) else ""
-    # While Python locates the module of `python -m`, the name is -m.
-    return name == "lumitree" or (name == "-m" and "lumitree.cli" in sys.orig_argv)
-
-
-if _is_program():
-    # The command line imports this package first; its own handlers are installed by `main`.
-    exit_on_signals()
 select_llvm()
 
 

@@ -71,6 +71,21 @@ def test_a_pattern_without_a_match_lists_what_there_is(room, pattern):
     assert f"'lumitree preview {room} --keep \"*\"' lists" in str(caught.value)
 
 
+def test_bsdfs_that_are_shared_many_times_are_listed_once(mi, tmp_path):
+    """Each holds the one before it twice: 2^14 ways lead to the first."""
+    bsdfs = ['<bsdf type="diffuse" id="b0"/>']
+    for i in range(1, 14):
+        held = f'<ref id="b{i - 1}" name="x"/><ref id="b{i - 1}" name="y"/>'
+        bsdfs.append(
+            f'<bsdf type="blendbsdf" id="b{i}"><float name="weight" value="0.5"/>{held}</bsdf>'
+        )
+    shapes = [sphere(f"s{i}", 1, inside='<ref id="b13"/>') for i in range(20)]
+    (tmp_path / "lamp.xml").write_text(scene(*bsdfs, *shapes))
+    found = SceneFile(tmp_path / "lamp.xml").shapes
+    assert len(found) == 20
+    assert sorted(found[0].materials) == sorted(f"b{i}" for i in range(14))
+
+
 def test_a_lamp_in_a_room_without_ids_can_be_taken(room):
     with pytest.raises(LumitreeError, match="--keep only the lamp's shapes: #0 - "):
         load_luminaire(room)

@@ -202,6 +202,15 @@ REFUSED = {
         ),
         "shape 'a': a mesh_attribute has a parameter 'scale'",
     ),
+    "many layers": (
+        cube(
+            "a",
+            0.2,
+            (2, 0, 0),
+            '<bsdf type="twosided">' * 8 + '<bsdf type="diffuse"/>' + "</bsdf>" * 8,
+        ),
+        "shape 'a': materials are nested more than 8 deep",
+    ),
     "colours that are not there": (
         cube(
             "a",

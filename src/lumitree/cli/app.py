@@ -29,12 +29,8 @@ from lumitree.cli.completion import complete
 from lumitree.cli.options import Parser
 from lumitree.cli.output import LONGEST_LINE
 from lumitree.core.backend import quieten
-from lumitree.core.interrupt import (
-    deferred_interrupt,
-    ignore_signals,
-    interruptible,
-    interruption_behind,
-)
+from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
+from lumitree.core.program import ignore_signals
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 
 DEBUG = "LUMITREE_DEBUG"

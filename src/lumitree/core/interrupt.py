@@ -22,7 +22,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
 
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+from lumitree.core.program import STOP_SIGNALS
+
 # Interval at which `Interrupted` is raised again, s.
 _AGAIN_SECONDS = 0.02
 # File name of the frames that import a module.
@@ -172,25 +173,6 @@ def deferred_interrupt(
 
         stack.enter_context(_handling(dict.fromkeys(STOP_SIGNALS, note)))
         yield interruption
-
-
-def exit_on_signals() -> None:
-    """Make every stop signal end the process at once, with one line.
-
-    For a program that has not begun its work, and has nothing to clean up.
-    """
-
-    def end(number: int, frame: FrameType | None) -> None:
-        _announce("error: interrupted before the command began", number)
-        os._exit(128 + number)
-
-    _install(dict.fromkeys(STOP_SIGNALS, end))
-
-
-def ignore_signals() -> None:
-    """Ignore stop signals from now on, for a program whose exit status is known."""
-    for number in STOP_SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
 
 
 def _in_main_thread() -> bool:

@@ -154,7 +154,7 @@ class SceneFile:
     def loose_lights(self) -> list[str]:
         """Plugins of the emitters that no shape has."""
         held = {index for node in self.nodes("Shape") for index in _references(node.props)}
-        loose = (self._state.nodes[index] for index in sorted(self._used_indices() - held))
+        loose = (self._state.nodes[index] for index in sorted(self._reached({0}) - held))
         return [node.props.plugin_name() for node in loose if _is_a(node, "Emitter")]
 
     def nodes(self, kind: str) -> list[Any]:
@@ -165,6 +165,12 @@ class SceneFile:
         """Nodes that a node's properties refer to, by the names of the properties."""
         names = [key for key in list(props.keys()) if _is_reference(props, key)]
         return {key: self._state.nodes[props[key].index()] for key in names}
+
+    def within(self, props: Any, *kinds: str) -> list[Any]:
+        """Nodes of some types that a node refers to, and all within these, each once."""
+        nodes = self._state.nodes
+        start = {i for i in _references(props) if any(_is_a(nodes[i], kind) for kind in kinds)}
+        return [nodes[index] for index in sorted(self._reached(start))]
 
     def set_box_filter(self) -> None:
         """Make the reconstruction filter of all sensors a box, so that pixels share no samples."""
@@ -253,10 +259,11 @@ class SceneFile:
 
     def _used(self) -> list[Any]:
         """Nodes that belong to the scene, directly or within others, in the order of the file."""
-        return [self._state.nodes[index] for index in sorted(self._used_indices())]
+        return [self._state.nodes[index] for index in sorted(self._reached({0}))]
 
-    def _used_indices(self) -> set[int]:
-        found, waiting = {0}, [0]
+    def _reached(self, start: set[int]) -> set[int]:
+        """Indices of nodes and of all that they refer to, directly or within others."""
+        found, waiting = set(start), list(start)
         while waiting:
             inner = _references(self._state.nodes[waiting.pop()].props)
             waiting += inner - found

@@ -1,7 +1,7 @@
 """The shapes of a scene as its file names them, for selections and messages."""
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from lumitree.core.backend import load_mitsuba
@@ -64,10 +64,18 @@ def shape_of_node(number: int, key: str, node: Any, file: Any) -> SceneShape:
         number=number,
         name=node.props.id() or ("" if key.startswith(_UNNAMED) else key),
         kind=node.props.plugin_name(),
-        materials=tuple(_ids(file, bsdfs)),
+        materials=tuple(
+            each.props.id()
+            for each in file.within(node.props, "BSDF")
+            if each.type == types.BSDF and each.props.id()
+        ),
         bsdf=", ".join(_described(file, each) for each in bsdfs),
         emitter=", ".join(_described(file, each) for each in emitters),
-        attributes=tuple(dict.fromkeys(_attributes(file, [*bsdfs, *emitters]))),
+        attributes=tuple(
+            str(each.props.get("name", ""))
+            for each in file.within(node.props, "BSDF", "Emitter")
+            if each.props.plugin_name() == "mesh_attribute"
+        ),
     )
 
 
@@ -101,20 +109,3 @@ def _described(file: Any, node: Any) -> str:
         if child.type == load_mitsuba().ObjectType.Texture
     ]
     return node.props.plugin_name() + (f" with {', '.join(textures)}" if textures else "")
-
-
-def _attributes(file: Any, nodes: list[Any]) -> Iterator[str]:
-    """Names of the mesh attributes that nodes, or those that they hold, refer to."""
-    for node in nodes:
-        if node.props.plugin_name() == "mesh_attribute":
-            yield str(node.props.get("name", ""))
-        yield from _attributes(file, list(file.children(node.props).values()))
-
-
-def _ids(file: Any, bsdfs: list[Any]) -> Iterator[str]:
-    """Ids of BSDFs, outermost first, and of those that they hold."""
-    for node in bsdfs:
-        if node.props.id():
-            yield node.props.id()
-        inner = file.children(node.props).values()
-        yield from _ids(file, [child for child in inner if child.type == node.type])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.checks import naming
-from lumitree.asset.materials import check_material, check_radiance
+from lumitree.asset.materials import MAX_NESTING, check_material, check_radiance
 from lumitree.asset.model import ARRAYS, AssetModel, check_surface
 from lumitree.asset.textures import VERTEX_COLOUR, ImageFacts, Json
 from lumitree.core.backend import load_mitsuba
@@ -116,11 +116,13 @@ class _Reader:
         check_radiance(radiance, self._facts)
         return radiance
 
-    def _material(self, props: Any) -> Json:
-        values = self._values(props)
-        return {"type": props.plugin_name(), **values}
+    def _material(self, props: Any, nesting: int = 1) -> Json:
+        # Refused here already: materials may hold one that they share in very many ways.
+        if nesting > MAX_NESTING:
+            raise LumitreeError(f"materials are nested more than {MAX_NESTING} deep")
+        return {"type": props.plugin_name(), **self._values(props, nesting)}
 
-    def _values(self, props: Any) -> Json:
+    def _values(self, props: Any, nesting: int = 1) -> Json:
         """Parameters of a plugin, and the materials that it holds."""
         mi = load_mitsuba()
         values: Json = {}
@@ -134,7 +136,8 @@ class _Reader:
                 key = "bumpmap" if props.plugin_name() == "bumpmap" else name
                 values[key] = self._texture(child.props)
             elif child.type == mi.ObjectType.BSDF:
-                values.setdefault("nested", []).append(self._material(child.props))
+                held = self._material(child.props, nesting + 1)
+                values.setdefault("nested", []).append(held)
             else:
                 raise LumitreeError(f"{props.plugin_name()} holds an object that is not stored")
         return values

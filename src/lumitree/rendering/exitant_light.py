@@ -128,15 +128,13 @@ class ExitantLight:
 
     def _shares(self) -> Iterator[NDArray[np.float64]]:
         """Share [.., C] of samples that each cell is to get, for some cells of receivers each."""
-        square = self._square(0)
-        for first in range(_ROWS_AT_ONCE, self._around.count + 1, _ROWS_AT_ONCE):
-            # The device computes the next rows while these become a part of the table.
-            following = self._square(first) if first < self._around.count else None
+        # All are begun before the first is waited for: each waiting costs time of the processor.
+        firsts = range(0, self._around.count, _ROWS_AT_ONCE)
+        for square in [self._square(first) for first in firsts]:
             light = np.sqrt(np.array(square, np.float64).reshape(_ROWS_AT_ONCE, -1))
             total = light.sum(axis=1, keepdims=True)
             shares = np.where(total > 0, light / np.maximum(total, 1e-300), self._flux_shares)
             yield (1 - _FLUX_FRACTION) * shares + _FLUX_FRACTION * self._flux_shares
-            square = following
 
     def _square(self, first: int) -> Any:
         """`_mean_square` for random receivers in `_ROWS_AT_ONCE` cells from `first`."""

@@ -8,6 +8,9 @@ cross it with the transmittance that its BSDF states.
 Homogeneous media attenuate and scatter light along each way (`medium_paths`). A scattering is a
 vertex like one on a rough surface. Heterogeneous media need `volpath`, and are refused.
 
+Opaque BSDFs do not scatter light through the geometric surface (`geometric_normals`), as `path`
+lets them do where shading normals are smooth.
+
 Proxies are not traced. The integrator traces the other shapes as a scene of their own, and finds
 the proxies that a ray enters by itself (`proxies.DividedScene`). Where a scene cannot be divided, a
 ray crosses a proxy as any null surface.
@@ -233,7 +236,7 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
             context, si, wo, sampler.next_1d(), sampler.next_2d(), reflects
         )
         opaque = reflects & is_opaque(bsdf)
-        value[opaque & on_opposite_sides(si, ray.d, ds.d)] = 0
+        estimates &= ~(opaque & on_opposite_sides(si, ray.d, ds.d))
         onwards = mi.Vector3f(0)
         if dr.hint(sees_scattering, mode="scalar"):
             phase = medium_paths.eval_phase(medium, ray, ds.d, collides)
@@ -295,7 +298,7 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
         direction = dr.select(null, ray.d, si.to_world(bs.wo))
         if dr.hint(sees_scattering, mode="scalar"):
             direction[collides] = onwards
-        β[opaque & ~null & on_opposite_sides(si, ray.d, direction)] = 0
+        leaks = opaque & ~null & on_opposite_sides(si, ray.d, direction)
         ray = spawn(si, direction, extent)
         crossings[null] += 1
         if dr.hint(sees_media, mode="scalar"):
@@ -307,7 +310,8 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
         roulette = bounces & (depth >= settings.rr_depth)
         survives = ~roulette | (sampler.next_1d() < survival)
         β[roulette] *= dr.rcp(survival)
-        active = (proxy | scatters) & survives & (brightest != 0) & (crossings < _MAX_CROSSINGS)
+        active = (proxy | scatters) & ~leaks & survives
+        active &= (brightest != 0) & (crossings < _MAX_CROSSINGS)
         pi = surfaces.ray_intersect_preliminary(ray, coherent=False, active=active)
 
     return radiance, valid, layers.channels(record)

@@ -129,9 +129,11 @@ def test_the_default_scene_is_read(tmp_path):
     gltf.quad(name="second")
     gltf.json["scenes"] = [{"nodes": [0]}, {"nodes": [1]}]
     gltf.json["scene"] = 1
-    assert only(gltf.save(tmp_path)).name == "second"
+    with pytest.warns(LumitreeWarning, match="scenes other than the default"):
+        assert only(gltf.save(tmp_path)).name == "second"
     del gltf.json["scene"]
-    assert only(gltf.save(tmp_path)).name == "first"
+    with pytest.warns(LumitreeWarning, match="scenes other than the default"):
+        assert only(gltf.save(tmp_path)).name == "first"
     del gltf.json["scenes"]
     assert len(read_gltf(gltf.save(tmp_path)).parts) == 2
 
@@ -506,6 +508,14 @@ def test_other_lights(tmp_path):
     path.write_text(path.read_text().replace('{"light": 0}', '{"light": 1}'))
     with pytest.raises(LumitreeError, match="names light 1, but there are 1"):
         read_gltf(path)
+
+
+def test_animations_are_reported(tmp_path):
+    gltf = Gltf()
+    gltf.quad()
+    gltf.json["animations"] = [{"channels": [], "samplers": []}]
+    with pytest.warns(LumitreeWarning, match=r"animations \(nodes stay where they are\)"):
+        assert len(read_gltf(gltf.save(tmp_path)).parts) == 1
 
 
 def test_skins_and_morph_targets_are_reported(tmp_path):

@@ -69,6 +69,10 @@ class _Reader:
     def read(self) -> Model:
         if unknown := self._document.unknown_extensions:
             self._notes.file(f"extension {shown_names(unknown)}")
+        if self._document.root.items("animations"):
+            self._notes.file("animations (nodes stay where they are)")
+        if len(self._document.root.items("scenes")) > 1:
+            self._notes.file("scenes other than the default")
         meshes: dict[int, list[Node]] = {}
         for node in scene_nodes(self._document):
             if "skin" in node.item:

@@ -1,0 +1,38 @@
+"""Stop signals of the program `lumitree` while its command has not begun, and once it has ended.
+
+In between `core.interrupt` handles them. This is imported before anything that takes time.
+"""
+
+import os
+import signal
+import sys
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def is_program() -> bool:
+    """Whether the process is the command line, and not a program that imports lumitree."""
+    name = os.path.basename(sys.argv[0]) if getattr(sys, "argv", None) else ""
+    # While Python locates the module of `python -m`, the name is -m.
+    return name == "lumitree" or (name == "-m" and "lumitree.cli" in sys.orig_argv)
+
+
+def exit_on_signals() -> None:
+    """Let every stop signal that is not ignored end the process at once, with one line."""
+
+    def end(number: int, _: object) -> None:
+        line = b"lumitree: error: interrupted before the command began\n"
+        try:
+            os.write(2, line)
+        finally:
+            os._exit(128 + number)
+
+    for number in STOP_SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, end)
+
+
+def ignore_signals() -> None:
+    """Ignore stop signals from now on: the exit status is known."""
+    for number in STOP_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
