@@ -13,9 +13,9 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.goniophotometry import baking
 from lumitree.goniophotometry.ies import write_ies
 from lumitree.goniophotometry.ldt import write_ldt
+from lumitree.goniophotometry.opening import Opening
 from lumitree.goniophotometry.rays import Rays
 from lumitree.goniophotometry.tm25 import write_tm25
-from lumitree.goniophotometry.opening import Opening
 from lumitree.goniophotometry.type_c import Grid, IntensityDistribution
 from lumitree.luminaire.source import LuminaireSource, source_kind
 from lumitree.model.photometry import colour_temperature, luminance
