@@ -258,7 +258,8 @@ class _Parser:
             if number:
                 corners = "1 corner names" if number == 1 else f"{number} corners of faces name"
                 self._warn(
-                    f"{corners} {kind} that are not there (the file has {count}); they are {treated}"
+                    f"{corners} {kind} that are not there (the file has {count}); they are "
+                    f"{treated}"
                 )
 
     def _shown_left_out(self) -> str:
