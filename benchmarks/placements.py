@@ -4,8 +4,8 @@
 
 `lumitree.render` of an empty room, one sample a pixel, with a number of placements of one asset,
 and with as many different assets: copies of it, which share nothing. Each is a process of its own,
-so that its peak memory is its own; its CPU time includes that of starting. The baseline is one placement. Writes `placements.md` and
-`placements.json`.
+so that its peak memory is its own; its CPU time includes that of starting. The baseline is one
+placement. Writes `placements.md` and `placements.json`.
 """
 
 import argparse
