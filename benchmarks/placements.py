@@ -4,13 +4,14 @@
 
 `lumitree.render` of an empty room, one sample a pixel, with a number of placements of one asset,
 and with as many different assets: copies of it, which share nothing. Each is a process of its own,
-so that its peak memory is its own. The baseline is one placement. Writes `placements.md` and
-`placements.json`.
+so that its peak memory is its own; its CPU time includes that of starting. The baseline is one
+placement. Writes `placements.md` and `placements.json`.
 """
 
 import argparse
 import json
 import math
+import resource
 import subprocess
 import sys
 import tempfile
@@ -53,26 +54,44 @@ def measure(folder: Path, assets: list[Path], count: int, variant: str | None) -
     ]
     command += ["-o", "image.exr", "--spp", "1", "--json", "result.json"]
     command += [] if variant is None else ["--variant", variant]
+    before = _processor_seconds()
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    processor = _processor_seconds() - before
     result = json.loads((folder / "result.json").read_text())
     return {
         "lamps": min(len(assets), count),
         "placements": count,
         "load_seconds": result["seconds"]["load"],
         "render_seconds": result["seconds"]["render"],
+        "processor_seconds": processor,
         "peak_bytes": result["peak_memory_bytes"],
     }
 
 
+def _processor_seconds() -> float:
+    """Time of the processor that child processes have taken so far, s."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def table(rows: list[dict]) -> Table:
     """A line for each number of placements."""
-    heads = ["lamps", "placements", "load, s", "image, s", "peak memory, MB", "load / one"]
+    heads = [
+        "lamps",
+        "placements",
+        "load, s",
+        "image, s",
+        "CPU, s",
+        "peak memory, MB",
+        "load / one",
+    ]
     lines = [
         [
             f"{row['lamps']:,}",
             f"{row['placements']:,}",
             f"{row['load_seconds']:.2f}",
             f"{row['render_seconds']:.2f}",
+            f"{row['processor_seconds']:.1f}",
             f"{row['peak_bytes'] / 1e6:.0f}",
             f"{row['load_seconds'] / rows[0]['load_seconds']:.1f}",
         ]

@@ -355,7 +355,7 @@ def coloured(value):
 def test_values_of_images_and_of_vertices_have_the_range_of_their_parameter(value):
     with pytest.raises(
         LumitreeError,
-        match=r"material 0 \(mask, of shape 0\): opacity of mask is an image of values from",
+        match=r"material 0 \(mask, of shape 0\): opacity of mask: an image of values from",
     ):
         float_image(value)
     with pytest.raises(LumitreeError, match=r"shape 0: its colours of vertices are .* 0 to 1"):
@@ -371,8 +371,8 @@ def test_radiance_is_no_colour_of_vertices_and_not_negative():
     shapes = list(small_model().shapes)
     texture = small_model().materials[0]["opacity"]
     for radiance, found in (
-        ({"attribute": "vertex_color"}, "radiance is the colours of the vertices"),
-        (texture, "radiance is an image of values from -2 to"),
+        ({"attribute": "vertex_color"}, "radiance: the colours of the vertices"),
+        (texture, "radiance: an image of values from -2 to"),
     ):
         changed = ({**shapes[0], "radiance": radiance}, *shapes[1:])
         image = np.array([[[-2], [1], [0]]] * 2, np.float32)

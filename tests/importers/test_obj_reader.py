@@ -393,6 +393,8 @@ def test_the_file_of_the_same_name_beside_the_model_is_taken(model, tmp_path, na
         lamp = model(f"mtllib {name}\n" + QUAD + "usemtl a\nf 1 2 3")
     assert len(caught) == 1
     assert lamp.materials[0].surface == Diffuse((1, 0, 0))
+    quoted = model('mtllib "secret.mtl"\n' + QUAD + "usemtl a\nf 1 2 3")
+    assert quoted.materials[0].surface == Diffuse((1, 0, 0))
 
 
 def test_an_image_is_found_by_most_of_its_path_and_in_any_case(quad, tmp_path):

@@ -183,7 +183,7 @@ def test_lamps_that_overlap_are_warned_of_once(mi, asset):
     apart = [Placement(asset, at=(2.0 * i, 0, 0), label=f"n{i}") for i in range(4)]
     assert warned(mi, *apart) == []
     (message,) = warned(mi, *apart, Placement(asset, at=(1, 1, 0), label="sixth"))
-    assert message.startswith("n0 at (0, 0, 0) and sixth at (1, 1, 0), and 1 more pairs, are lamps")
+    assert message.startswith("n0 at (0, 0, 0) and sixth at (1, 1, 0), and 1 more pair, are lamps")
 
 
 def test_a_lamp_in_the_place_of_the_same_lamp_is_twice_the_light(mi, asset):

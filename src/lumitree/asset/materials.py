@@ -87,7 +87,7 @@ def _check_value(what: str, kind: Kind, value: Any, images: Sequence[ImageFacts]
     try:
         accepted = kind.accepts(value, images)
     except LumitreeError as error:
-        raise LumitreeError(f"{what} is {error}") from None
+        raise LumitreeError(f"{what}: {error}") from None
     if not accepted:
         raise LumitreeError(f"{what} is {shown(value, 60)}; expected {kind}")
 

@@ -131,7 +131,8 @@ def _images(
         if compressed:
             rows = np.cumsum(_rows(pixels), axis=1, dtype=np.uint8)
             pixels = rows.view(dtype).reshape(shape)
-        images.append(pixels.astype(dtype.newbyteorder("=")))
+        # What was decompressed is already a copy.
+        images.append(pixels.astype(dtype.newbyteorder("="), copy=not compressed))
         start += size
     return tuple(images)
 

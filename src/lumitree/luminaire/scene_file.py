@@ -52,6 +52,8 @@ class SceneFile:
         self._name = shown(path, 300)
         self._check_text(read_bytes(self.path, "a Mitsuba scene", MAX_MODEL_BYTES))
         mi = load_mitsuba()
+        # Compared for each property of each node.
+        self._types, self._reference = mi.ObjectType, mi.Properties.Type.ResolvedReference
         self._config = mi.parser.ParserConfig(mi.variant())
         # Shapes keep the ids of the file; unused parameters are not reported.
         self._config.merge_meshes = self._config.merge_equivalent = False
@@ -112,7 +114,7 @@ class SceneFile:
         waiting = [0]
         while waiting:
             index = waiting.pop()
-            for inner in _references(self._state.nodes[index].props):
+            for inner in self._references(self._state.nodes[index].props):
                 if depth[index] >= depth.get(inner, 0):
                     depth[inner] = depth[index] + 1
                     waiting.append(inner)
@@ -126,7 +128,11 @@ class SceneFile:
         """Keys and nodes of a type that the scene itself holds, in the order of the file."""
         root = self._state.nodes[0].props
         children = self.children(root).items()
-        found = [(key, node) for key, node in children if _is_a(node, kind) and not _is_group(node)]
+        found = [
+            (key, node)
+            for key, node in children
+            if self._is_a(node, kind) and not self._is_group(node)
+        ]
         return sorted(found, key=lambda item: root[item[0]].index())
 
     def _select(self, keep: Sequence[str], drop: Sequence[str]) -> None:
@@ -136,11 +142,11 @@ class SceneFile:
         names = [(shape.name, *shape.materials) for shape in shapes]
         chosen = select_names(names, keep, drop, self._name, _CHOSEN_BY, list(map(str, shapes)))
         kept = {key for key, wanted in zip(self._shapes, chosen, strict=True) if wanted}
-        groups = {key for key, node in children.items() if _is_group(node)}
+        groups = {key for key, node in children.items() if self._is_group(node)}
         if not keep:
             kept |= children.keys() - groups - self._shapes.keys()
         # A group is kept if an instance of it is.
-        visible = {index for key in kept for index in _references(children[key].props)}
+        visible = {index for key in kept for index in self._references(children[key].props)}
         kept |= {key for key in groups if root[key].index() in visible}
         for key in children.keys() - kept:
             del root[key]
@@ -153,23 +159,25 @@ class SceneFile:
 
     def loose_lights(self) -> list[str]:
         """Plugins of the emitters that no shape has."""
-        held = {index for node in self.nodes("Shape") for index in _references(node.props)}
+        held = {index for node in self.nodes("Shape") for index in self._references(node.props)}
         loose = (self._state.nodes[index] for index in sorted(self._reached({0}) - held))
-        return [node.props.plugin_name() for node in loose if _is_a(node, "Emitter")]
+        return [node.props.plugin_name() for node in loose if self._is_a(node, "Emitter")]
 
     def nodes(self, kind: str) -> list[Any]:
         """Nodes of one type of Mitsuba object, such as "Shape" or "Emitter"."""
-        return [node for node in self._used() if _is_a(node, kind)]
+        return [node for node in self._used() if self._is_a(node, kind)]
 
     def children(self, props: Any) -> dict[str, Any]:
         """Nodes that a node's properties refer to, by the names of the properties."""
-        names = [key for key in list(props.keys()) if _is_reference(props, key)]
+        names = [key for key in list(props.keys()) if self._is_reference(props, key)]
         return {key: self._state.nodes[props[key].index()] for key in names}
 
     def within(self, props: Any, *kinds: str) -> list[Any]:
         """Nodes of some types that a node refers to, and all within these, each once."""
         nodes = self._state.nodes
-        start = {i for i in _references(props) if any(_is_a(nodes[i], kind) for kind in kinds)}
+        start = {
+            i for i in self._references(props) if any(self._is_a(nodes[i], kind) for kind in kinds)
+        }
         return [nodes[index] for index in sorted(self._reached(start))]
 
     def set_box_filter(self) -> None:
@@ -177,13 +185,13 @@ class SceneFile:
         mi = load_mitsuba()
         box = mi.load_dict({"type": "box"})
         for sensor in self.nodes("Sensor"):
-            films = [n for n in self.children(sensor.props).values() if _is_a(n, "Film")]
+            films = [n for n in self.children(sensor.props).values() if self._is_a(n, "Film")]
             if not films:
                 film = {"type": "hdrfilm", "rfilter": {"type": "box"}}
                 sensor.props["film"] = mi.load_dict(film)
             for film in films:
                 for name, node in self.children(film.props).items():
-                    if _is_a(node, "ReconstructionFilter"):
+                    if self._is_a(node, "ReconstructionFilter"):
                         del film.props[name]
                 film.props["rfilter"] = box
 
@@ -265,7 +273,7 @@ class SceneFile:
         """Indices of nodes and of all that they refer to, directly or within others."""
         found, waiting = set(start), list(start)
         while waiting:
-            inner = _references(self._state.nodes[waiting.pop()].props)
+            inner = self._references(self._state.nodes[waiting.pop()].props)
             waiting += inner - found
             found |= inner
         return found
@@ -319,20 +327,16 @@ class SceneFile:
             reason = renderer_reason(error) or " ".join(str(error).split())
             raise LumitreeError(f"{self._name} cannot be loaded: {shown(reason, 400)}") from None
 
+    def _is_a(self, node: Any, kind: str) -> bool:
+        """Whether a node is of a type of Mitsuba object, such as "Film"."""
+        return node.type == getattr(self._types, kind)
 
-def _is_a(node: Any, kind: str) -> bool:
-    """Whether a node is of a type of Mitsuba object, such as "Film"."""
-    return node.type == getattr(load_mitsuba().ObjectType, kind)
+    def _is_group(self, node: Any) -> bool:
+        return self._is_a(node, "Shape") and node.props.plugin_name() == "shapegroup"
 
+    def _is_reference(self, props: Any, key: str) -> bool:
+        return props.type(key) == self._reference
 
-def _is_group(node: Any) -> bool:
-    return _is_a(node, "Shape") and node.props.plugin_name() == "shapegroup"
-
-
-def _is_reference(props: Any, key: str) -> bool:
-    return props.type(key) == load_mitsuba().Properties.Type.ResolvedReference
-
-
-def _references(props: Any) -> set[int]:
-    """Indices of the nodes that a node refers to."""
-    return {props[key].index() for key in list(props.keys()) if _is_reference(props, key)}
+    def _references(self, props: Any) -> set[int]:
+        """Indices of the nodes that a node refers to."""
+        return {props[key].index() for key in list(props.keys()) if self._is_reference(props, key)}

@@ -133,7 +133,10 @@ def _listed(pairs: NDArray[np.int64], boxes: NDArray[np.float64], names: Sequenc
     """The beginning of a sentence about pairs, of which the first is named."""
     named = [f"{names[i]} at {_point(boxes[i])}" for i in pairs[0]]
     both = " and ".join(named)
-    return f"{both} are" if len(pairs) == 1 else f"{both}, and {len(pairs) - 1:,} more pairs, are"
+    if len(pairs) == 1:
+        return f"{both} are"
+    more = "1 more pair" if len(pairs) == 2 else f"{len(pairs) - 1:,} more pairs"
+    return f"{both}, and {more}, are"
 
 
 def _point(box: NDArray[np.float64]) -> str:

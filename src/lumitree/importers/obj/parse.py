@@ -256,9 +256,10 @@ class _Parser:
             kinds, absent.sum(axis=0), counts[1:], strict=True
         ):
             if number:
+                corners = "1 corner names" if number == 1 else f"{number} corners of faces name"
                 self._warn(
-                    f"{number} corners of faces name {kind} that are not there (the file has "
-                    f"{count}); they are {treated}"
+                    f"{corners} {kind} that are not there (the file has {count}); they are "
+                    f"{treated}"
                 )
 
     def _shown_left_out(self) -> str:

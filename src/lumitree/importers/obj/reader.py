@@ -86,7 +86,7 @@ def _library(file: ObjFile, folder: ObjFolder) -> dict[str, MtlMaterial]:
         # A line may hold several names, or one name with spaces in it.
         whole = line.lower().count(".mtl") <= 1
         for name in [line] if whole else line.split():
-            path = folder.find(name, "mtllib")
+            path = folder.find(name.strip('"'), "mtllib")
             if path is not None:
                 paths[path] = None
     found: dict[str, MtlMaterial] = {}
