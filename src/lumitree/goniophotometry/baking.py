@@ -6,6 +6,7 @@ surface element of area dA and normal n adds max(n·ω, 0) dA. A file without an
 of 1 cm.
 """
 
+import itertools
 import math
 import os
 from pathlib import Path
@@ -38,7 +39,8 @@ _FINE = 8
 # Bins of an asset of a photometric file, cells times bins of direction; 4 bytes each.
 _MAX_BINS = 1 << 21
 _MAX_DEPTH, _DISK_DEPTH = 3, 3
-_BINS_AT_ONCE, _SOME = 64, 67
+# Bins of direction a side in which the light starts in the same cells, and how many at once.
+_COARSE, _BINS_AT_ONCE = 32, 32
 # Relative RMS error of intensities that are constant in coarser bins.
 _COARSE_ERROR = 0.02
 
@@ -106,48 +108,45 @@ def _projected_shares(
 
     Light that leaves a surface in a direction may start anywhere on the ray behind it. It starts
     beside the centre of the opening: cells then blur it evenly to all sides. If it started on the
-    surface, cells would move it inwards.
+    surface, cells would move it inwards. The parts are constant in coarser bins than intensities.
     """
-    directions = middle_directions(resolution)
-    starts = _finest(opening, frame, directions)
-    parts = range(0, len(directions), _BINS_AT_ONCE)
-    flux = np.concatenate(
-        [starts.flux(directions[at : at + _BINS_AT_ONCE]) for at in parts], axis=1
-    )
-    cells = np.flatnonzero(flux.any(axis=1))
-    shares = flux[cells] / flux[cells].sum(axis=0)
-    return starts.depth, np.stack(np.unravel_index(cells, (starts.side,) * 3), axis=1), shares
-
-
-def _finest(opening: Opening, frame: LocalFrame, directions: NDArray[np.float64]) -> "_Starts":
-    """The finest grid whose cells, times directions, are not too many."""
-    for depth in range(_MAX_DEPTH, 1, -1):
+    directions = middle_directions(_COARSE)
+    depth, flux = _MAX_DEPTH, np.zeros((0, 0))
+    while depth > 0:
         starts = _Starts(opening, frame, depth)
-        # Some directions tell which cells all of them need.
-        if starts.flux(directions[::_SOME]).any(axis=1).sum() * len(directions) <= _MAX_BINS:
-            return starts
-    return _Starts(opening, frame, 1)
+        parts = range(0, len(directions), _BINS_AT_ONCE)
+        flux = np.concatenate(
+            [starts.flux(directions[at : at + _BINS_AT_ONCE]) for at in parts], axis=1
+        )
+        if np.count_nonzero(flux.any(axis=1)) * resolution**2 <= _MAX_BINS:
+            break
+        depth -= 1
+    cells = np.flatnonzero(flux.any(axis=1))
+    shares = (flux[cells] / flux[cells].sum(axis=0)).reshape(-1, _COARSE, _COARSE)
+    shares = np.kron(shares, np.ones((1, resolution // _COARSE, resolution // _COARSE)))
+    places = np.stack(np.unravel_index(cells, (1 << depth,) * 3), axis=1)
+    return depth, places, shares.reshape(len(cells), -1)
 
 
 class _Starts:
     """Where light starts in a grid of 2**depth cells a side, by its direction."""
 
     def __init__(self, opening: Opening, frame: LocalFrame, depth: int) -> None:
-        self.depth, self.side = depth, 1 << depth
-        self._half = frame.half_extents
+        self._side, self._half = 1 << depth, frame.half_extents
         points, self._areas = opening.surface()
         self._points = points / frame.scale / self._half
-        edges = np.linspace(-1, 1, self.side + 1)
+        edges = np.linspace(-1, 1, self._side + 1)
         # Of each axis the cells that are in the box, and the middle of what is inside.
         inside = [np.clip(edges, -half, half) for half in self._half]
         self._cells = [np.flatnonzero(np.diff(each) > 0) for each in inside]
         self._middles = [(each[1:] + each[:-1])[np.diff(each) > 0] / 2 for each in inside]
-        # The R sequence in three dimensions: powers of the root of x⁴ = x + 1.
-        steps = 1.2207440846057596 ** -np.arange(1.0, 4.0)
-        self._jitter = (0.5 + np.outer(np.arange(len(points)), steps)) % 1
 
     def flux(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Relative flux [side³, B] of each cell in directions [B, 3]."""
+        """Relative flux [side³, B] of each cell in directions [B, 3].
+
+        Each start is divided between the eight cells around it, so that their mean place is its
+        own.
+        """
         along = directions / self._half
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         # In the cube [-1, 1]³: the point of the ray next to the centre, if that is inside.
@@ -155,16 +154,26 @@ class _Starts:
         to_face = ((self._points + np.copysign(1, safe)) / safe).min(axis=2)
         back = np.clip(along @ self._points.T, 0, to_face)
         start = (self._points - back[..., None] * along[:, None]) * self._half
-        code = self.side**3 * np.arange(len(along))[:, None]
-        for axis, scale in enumerate((self.side**2, self.side, 1)):
-            # Rounded up or down so that the mean place of the cells is that of the starts.
-            cells, middles = self._cells[axis], self._middles[axis]
-            place = np.interp(start[..., axis], middles, np.arange(len(cells)))
-            index = (place + self._jitter[:, axis]).astype(np.int64)
-            code = code + scale * cells[np.minimum(index, len(cells) - 1)]
-        weight = np.maximum(directions @ self._areas.T, 0)
-        found = np.bincount(code.ravel(), weight.ravel(), self.side**3 * len(along))
-        return found.astype(np.float64, copy=False).reshape(len(along), -1).T
+        projected = np.maximum(directions @ self._areas.T, 0)
+        size = self._side**3
+        total = np.zeros(size * len(along))
+        ends = [self._neighbours(start[..., axis], axis) for axis in range(3)]
+        for x, y, z in itertools.product(*ends):
+            code = (x[0] * self._side + y[0]) * self._side + z[0]
+            code += size * np.arange(len(along))[:, None]
+            weight = projected * x[1] * y[1] * z[1]
+            total += np.bincount(code.ravel(), weight.ravel(), len(total))
+        return total.reshape(len(along), size).T
+
+    def _neighbours(
+        self, place: NDArray[np.float64], axis: int
+    ) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+        """The two cells whose middles are next to a coordinate, and their weights."""
+        cells, middles = self._cells[axis], self._middles[axis]
+        at = np.interp(place, middles, np.arange(len(cells)))
+        lower = np.minimum(at.astype(np.int64), max(len(cells) - 2, 0))
+        upper = np.minimum(lower + 1, len(cells) - 1)
+        return [(cells[lower], 1 - (at - lower)), (cells[upper], at - lower)]
 
 
 def bake_rays(rays: Rays, name: str, config: ExitantConfig) -> Asset:

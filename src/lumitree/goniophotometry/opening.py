@@ -17,7 +17,7 @@ Shape = Literal["box", "ellipsoid", "cylinder"]
 Sides = tuple[float, float, float]
 _MAX_SIDE = 1e6
 # Points of the quadrature of a surface. Flat ones are cheap, since all directions share them.
-_NUM_SIDE, _NUM_ROUND, _NUM_DISK, _NUM_ELLIPSOID = 16, 64, 384, 2048
+_NUM_SIDE, _NUM_ROUND, _NUM_DISK, _NUM_ELLIPSOID = 20, 80, 512, 3072
 _NUM_FLAT_SIDE, _NUM_FLAT_DISK = 64, 1 << 14
 
 # Shapes of IES LM-63 by the signs of width, length and height: the shape; the axis of a cylinder
