@@ -231,6 +231,20 @@ def test_vertices_that_are_rounded_by_their_file_are_told_of(mi, lamps, tmp_path
         lumitree.load_luminaire(str(tmp_path / "lamp.xml"))
 
 
+def test_vertices_that_a_transform_brings_back_are_told_of(mi, lamps, tmp_path):
+    _, far = lamps("obj")
+    x, y, z = FAR
+    (tmp_path / "lamp.xml").write_text(
+        scene(
+            f'<shape type="obj" id="tent"><string name="filename" value="{far}"/>{AREA}'
+            f'<transform name="to_world"><translate x="{-x}" y="{-y}" z="{-z}"/></transform>'
+            "</shape>"
+        )
+    )
+    with pytest.warns(LumitreeWarning, match=r"rounds them to multiples of 0\.5"):
+        assert not lumitree.load_luminaire(str(tmp_path / "lamp.xml")).origin.any()
+
+
 def test_a_scene_that_is_far_is_told_of(mi, lamps):
     """Its coordinates are float32 already."""
     lamp = {"type": "sphere", "center": [0, 1e5, 0], "emitter": {"type": "area"}}

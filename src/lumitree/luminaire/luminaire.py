@@ -18,13 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.builtin.registry import BUILTIN
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.file_kinds import what_it_is
-from lumitree.core.frames import LocalFrame, float32_step, is_far, similarity, similarity_scale
+from lumitree.core.frames import LocalFrame, float32_step, similarity, similarity_scale
 from lumitree.core.reading import read_bytes
 from lumitree.core.work_folder import scratch_folder
-from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.importers.overrides import Overrides, apply_overrides, check_emits, select_parts
 from lumitree.importers.overrides_file import read_overrides
+from lumitree.luminaire.far_coordinates import origin_near, warn_of_far_meshes
 from lumitree.luminaire.media import any_scatters
 from lumitree.luminaire.probe import check_evaluates
 from lumitree.luminaire.scene_file import SceneFile
@@ -132,18 +133,18 @@ def load_luminaire(luminaire: "LuminaireLike | Any") -> Luminaire:
         warnings.warn(f"{name}: {note}", LumitreeWarning, stacklevel=2)
     shapes = file.shapes if file.path == Path(source.name) else model_shapes(file.shapes)
     # Shapes that are much too small for their coordinates may not even be created.
-    origin = _near(file.analytic_box(), tolerance=100)
+    origin = origin_near(file.analytic_box(), tolerance=100)
     if origin.any():
         file.recentre(origin)
     mesh_files, scene = file.mesh_files(), file.instantiate()
-    offset = _near(np.array([scene.bbox().min, scene.bbox().max], np.float64).reshape(2, 3))
+    corners = np.array([scene.bbox().min, scene.bbox().max], np.float64).reshape(2, 3)
+    offset = origin_near(corners)
     if offset.any():
         origin += offset
         file = open_scene_file(source, origin)
         mesh_files, scene = file.mesh_files(), file.instantiate()
     loaded = _luminaire(name, source, fingerprint, scene, bool(media), shapes, origin)
-    if origin.any():
-        _warn_of_far_meshes(loaded, mesh_files)
+    warn_of_far_meshes(name, float(loaded.size.max()), loaded.scene_frame.centre, mesh_files)
     return loaded
 
 
@@ -441,38 +442,6 @@ def _fingerprint(file: SceneFile, source: LuminaireSource) -> str:
         if os.path.isfile(path):
             digest.update(read_bytes(path, "a file of a scene", _MAX_FILE_BYTES))
     return digest.hexdigest()
-
-
-def _near(box: NDArray[np.float64], tolerance: float = 1) -> NDArray[np.float64]:
-    """[3] an origin near a box [2, 3], if its coordinates are too coarse in float32; else 0.
-
-    Args:
-        box: smallest and largest corner.
-        tolerance: how many times as coarse they may be.
-    """
-    if not np.isfinite(box).all() or not is_far(box, tolerance * np.ptp(box, axis=0).max()):
-        return np.zeros(3)
-    # What float32 represents exactly, so that vertices of mesh files are moved exactly.
-    return box.mean(axis=0).astype(np.float32).astype(np.float64)
-
-
-def _warn_of_far_meshes(
-    luminaire: Luminaire, mesh_files: list[tuple[str, NDArray[np.float64]]]
-) -> None:
-    """Tell of mesh files with vertices so far from their own origin that float32 rounds them."""
-    size = float(luminaire.size.max())
-    # A mesh is about where the lamp is.
-    reach = {name: place - luminaire.scene_frame.centre for name, place in mesh_files}
-    far = [name for name, offset in reach.items() if is_far(offset, size)]
-    if far:
-        step = max(float32_step(reach[name]) for name in far)
-        warnings.warn(
-            f"{luminaire.name}: vertices of {shown_names(far)} are so far from the origin of "
-            f"their file that Mitsuba rounds them to multiples of {step:.2g}, {step / size:.2%} of "
-            "the lamp's size; move the mesh to the origin of its file and place it by to_world",
-            LumitreeWarning,
-            stacklevel=3,
-        )
 
 
 def _bounding_radius(scene: Any, frame: LocalFrame) -> float:

@@ -158,7 +158,7 @@ def place_luminaires(
                 f"{place[0]} is placed twice in the same place; give each its own --at"
             )
         taken.add(place)
-        _warn_rounded(placed)
+    _warn_rounded(luminaires)
     baked = [placed.placement.is_baked for placed in luminaires]
     _warn_inside(scene, [*itertools.compress(luminaires, baked)], appearance)
     if luminaires:
@@ -263,17 +263,22 @@ def set_film_width(scene: Any, width: int) -> None:
     params.update()
 
 
-def _warn_rounded(placed: PlacedLuminaire) -> None:
-    """Tell where coordinates of a scene are too coarse for a luminaire."""
-    box = placed.scene_from_box
-    corners = box[:3, 3] + np.abs(box[:3, :3]).sum(axis=1) * np.sign(box[:3, 3])
-    size = 2 * float(np.linalg.norm(box[:3, :3], axis=0).max())
-    if is_far(corners, size):
-        step = float32_step(corners)
+def _warn_rounded(luminaires: Sequence[PlacedLuminaire]) -> None:
+    """Tell once where coordinates of a scene are too coarse for luminaires."""
+    far: list[tuple[float, float, PlacedLuminaire]] = []
+    for placed in luminaires:
+        box = placed.scene_from_box
+        reach = np.abs(box[:3, 3]) + np.abs(box[:3, :3]).sum(axis=1)
+        size = 2 * float(np.linalg.norm(box[:3, :3], axis=0).max())
+        if is_far(reach, size):
+            far.append((float32_step(reach) / size, float(reach.max()), placed))
+    if far:
+        part, reach, placed = max(far, key=lambda each: each[0])
+        others = "" if len(far) == 1 else f" and {len(far) - 1:,} others"
         warnings.warn(
-            f"{placed.title}: at {np.abs(corners).max():.4g} units from the origin of the scene, "
-            f"coordinates are rounded to multiples of {step:.2g}, {step / size:.2%} of its size; "
-            "surfaces and shadows there are rough: move the scene to the origin",
+            f"{placed.title}{others}: at {reach:.4g} units from the origin of the scene, "
+            f"coordinates are rounded to multiples of {float32_step(reach):.2g}, {part:.2%} of its "
+            "size; surfaces and shadows there are rough: move the scene to the origin",
             LumitreeWarning,
             stacklevel=3,
         )
