@@ -21,7 +21,7 @@ from lumitree.core.file_kinds import what_it_is
 from lumitree.core.frames import LocalFrame, float32_step, similarity, similarity_scale
 from lumitree.core.reading import read_bytes
 from lumitree.core.work_folder import scratch_folder
-from lumitree.errors import LumitreeError, LumitreeWarning, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.importers.overrides import Overrides, apply_overrides, check_emits, select_parts
 from lumitree.importers.overrides_file import read_overrides
