@@ -116,6 +116,7 @@ def test_network_bake_evaluate(mi, tiny_network, tmp_path, monkeypatch):
     assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 6
 
 
+@pytest.mark.slow
 def test_a_network_bakes_the_parts_that_are_chosen(mi, tiny_network, tmp_path, monkeypatch, capsys):
     """In one command and in steps; all random numbers but those of views depend on the seed."""
     monkeypatch.chdir(tmp_path)

@@ -263,7 +263,14 @@ UNFINISHED = [f"out/lamp.work/{name}" for name in (MARKER, "exitant.lumitree", "
 UNSAVED = [UNFINISHED[0], UNFINISHED[2]]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGTERM,
+        pytest.param(signal.SIGINT, marks=pytest.mark.slow),
+        pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
+    ],
+)
 def test_a_stopped_bake_writes_its_best_and_continues(tiny, steps, capfd, number):
     steps.before[3] = lambda: signal.raise_signal(number)
     assert main(list(BAKE)) == 128 + number
@@ -445,6 +452,7 @@ def test_training_that_was_killed_before_its_first_checkpoint_starts_again(monke
     assert "run is not empty; continue it with --resume" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_training_goes_on_where_a_checkpoint_cannot_be_written(monkeypatch, capsys):
     from lumitree.nerf import train as training
 

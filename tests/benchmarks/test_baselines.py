@@ -172,6 +172,7 @@ def test_a_ray_set_answers_no_receiver(mi, rays):
     assert ray_set(rays).sample_direction(mi.Point3f(0, -3, 0), seeded(mi, 1)) is None
 
 
+@pytest.mark.slow
 def test_the_benchmark_makes_a_row_for_each(tmp_path, monkeypatch, capsys):
     import json
 

@@ -30,7 +30,7 @@ def score(mi, truth, field):
     return psnr, np.sqrt((difference**2).mean())
 
 
-@pytest.mark.parametrize("split", [False, True])
+@pytest.mark.parametrize("split", [pytest.param(False, marks=pytest.mark.slow), True])
 @pytest.mark.parametrize("law", [pytest.param("linear", marks=pytest.mark.slow), "exponential"])
 def test_a_wrong_start_becomes_the_truth(mi, law, split):
     truth, start = truth_and_start(law)

@@ -45,6 +45,7 @@ def _assert_equal_to_rounding(one, four, start):
         np.testing.assert_allclose(first, second, rtol=0, atol=1e-3 * moved)
 
 
+@pytest.mark.slow
 def test_four_devices_give_the_result_of_one(tmp_path):
     dataset = sphere_dataset(tmp_path / "sphere", num_views=4).folder
     script, output = Path(__file__).with_name("four_devices.py"), tmp_path / "four.npz"

@@ -99,6 +99,7 @@ def test_the_rendered_views_are_those_of_the_training(dataset, tiny_run):
     np.testing.assert_allclose(few, radiance[:3], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_run_with_literal_weights_trains_and_is_not_extracted(dataset, tmp_path):
     config = dataclasses.replace(TINY, emission_weights="literal", num_steps=2)
     train(dataset, tmp_path / "run", config)
