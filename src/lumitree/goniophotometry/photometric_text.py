@@ -26,7 +26,7 @@ def read_text(path: str | os.PathLike[str], kind: str, parse: Callable[[str], T]
     Args:
         path: of the file.
         kind: of file, for messages.
-        parse: raises `LumitreeError`, or ValueError of numbers; gets lines that end in \\n.
+        parse: takes text whose lines end in \\n, and raises `LumitreeError`.
 
     Raises:
         LumitreeError: the file is missing, too large, or `parse` refuses it.
