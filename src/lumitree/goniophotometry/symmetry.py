@@ -90,7 +90,7 @@ def type_b(horizontal: Array, vertical: Array, intensity: Array) -> tuple[Array,
     The flux of the grid is that of the file.
     """
     # The same angles about an axis that is vertical in Type A, and towards C = 270 here.
-    native = IntensityDistribution("", *type_a(vertical, horizontal, _transposed(intensity)))
+    native = IntensityDistribution("", *type_a(vertical, horizontal, intensity.T))
     c = np.arange(0, 360, _STEP_OF_B)
     gamma = np.sort(np.append(np.arange(0, 180 + _STEP_OF_B, _STEP_OF_B), 90 + _EDGE))
     x, y, z = np.moveaxis(direction_of(c[:, None], gamma), -1, 0)
@@ -112,10 +112,6 @@ def without_noise(intensity: Array) -> tuple[Array, float]:
             f"expected at least 0 (down to {-_NOISE * largest:g} would count as noise)"
         )
     return np.maximum(intensity, 0), least
-
-
-def _transposed(intensity: Array) -> Array:
-    return np.ascontiguousarray(intensity.T)
 
 
 def _half_space(horizontal: Array, vertical: Array, intensity: Array) -> tuple[Array, Array, Array]:
