@@ -20,7 +20,7 @@ from lumitree.core.frames import LocalFrame, towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.transmittance import BLOCKED, Law, transmittance
 from lumitree.octree.coarse import COARSE_DEPTH, coarsened
-from lumitree.octree.traversal import Octree
+from lumitree.octree.traversal import Octree, Span
 
 # record(recorded, leaf, start, length, active[, emission]) -> recorded: see `Field.integrate`.
 Record = Callable[..., Any]
@@ -105,18 +105,21 @@ class Field:
             return self
         return Field(coarsened(self.asset, self._min_density), max_opacity=self._max_opacity)
 
-    def emission(self, origin: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
+    def emission(
+        self, origin: Any, direction: Any, active: Any = True, span: Span = None
+    ) -> tuple[Any, Any]:
         """Emitted radiance L_e (Eq. 3) and transmittance T (Eq. 4) of the line through the proxy.
 
         Args:
             origin: mi.Point3f, any point of the line, local units.
             direction: mi.Vector3f, unit direction of travel, local frame.
             active: mi.Bool mask.
+            span: as for `Octree.traverse`.
 
         Returns:
             mi.Color3f, radiance units of the luminaire's scene; mi.Float in [0, 1].
         """
-        radiance, through, _ = self.integrate(origin, direction, active, _nothing, ())
+        radiance, through, _ = self.integrate(origin, direction, active, _nothing, (), span)
         return radiance, through
 
     def eval_rays(
@@ -132,7 +135,13 @@ class Field:
         return np.stack([np.array(channel) for channel in radiance], axis=-1), np.array(through)
 
     def integrate(
-        self, origin: Any, direction: Any, active: Any, record: Record, recorded: Any
+        self,
+        origin: Any,
+        direction: Any,
+        active: Any,
+        record: Record,
+        recorded: Any,
+        span: Span = None,
     ) -> tuple[Any, Any, Any]:
         """As `emission`, and calls a function for every leaf that the ray reaches.
 
@@ -165,6 +174,7 @@ class Field:
             clear,
             shade,
             (mi.Color3f(0), *clear, recorded),
+            span,
         )
         return radiance, through, recorded
 
@@ -182,10 +192,12 @@ class Field:
         state = ((mi.Float(0), mi.Float(1)), recorded)
         return self._octree.traverse(origin, direction, mi.Bool(active), visit, state)[1]
 
-    def transmittance(self, origin: Any, direction: Any, active: Any = True) -> Any:
+    def transmittance(
+        self, origin: Any, direction: Any, active: Any = True, span: Span = None
+    ) -> Any:
         """Transmittance T (Eq. 4) alone; arguments as for `emission`."""
-        state = (mi.Float(0), mi.Float(1))
-        return self._octree.traverse(origin, direction, mi.Bool(active), self._visit, state)[1]
+        state, active = (mi.Float(0), mi.Float(1)), mi.Bool(active)
+        return self._octree.traverse(origin, direction, active, self._visit, state, span)[1]
 
     def _visit(self, state, leaf, start, length, active):
         tau, through = self._cross(state[0], leaf, length, active)

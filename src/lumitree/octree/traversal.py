@@ -21,6 +21,8 @@ from lumitree.octree.wide_nodes import LEAF, wide_levels, wide_nodes
 # active) -> state: see `Octree.traverse`.
 Visit = Callable[[Any, Any, Any, Any, Any], tuple[Any, Any]]
 Shade = Callable[[Any, Any, Any, Any, Any], Any]
+# First and last distance (mi.Float) of a part of a line; None for all of it.
+Span = tuple[Any, Any] | None
 # Leaves of a ray that are shaded together.
 _DEFERRED = 8
 # A point that is so close to the proxy box's border is on it, local units.
@@ -72,7 +74,15 @@ class Octree:
         dr.eval(self._nodes)
 
     @dr.syntax
-    def traverse(self, origin: Any, direction: Any, active: Any, visit: Visit, state: Any) -> Any:
+    def traverse(
+        self,
+        origin: Any,
+        direction: Any,
+        active: Any,
+        visit: Visit,
+        state: Any,
+        span: Span = None,
+    ) -> Any:
         """Visit the leaves that the line crosses inside the proxy box, front to back.
 
         Args:
@@ -84,11 +94,12 @@ class Octree:
                 and the mask of rays that are in a leaf; returns the new state and the mask of
                 rays that go on.
             state: tuple of Dr.Jit arrays, what `visit` starts with.
+            span: distances from the origin of the part of the line that is meant; default: all.
 
         Returns:
             The last state.
         """
-        ray, t_exit, ahead, active = self._enter(origin, direction, active)
+        ray, t_exit, ahead, active = self._enter(origin, direction, active, span)
         # Symbolic even where derivatives make the caller's loop an evaluated one: within a call of
         # an emitter there are no other loops, and Dr.Jit would warn of each.
         while dr.hint(active, mode="symbolic"):
@@ -110,6 +121,7 @@ class Octree:
         state: Any,
         shade: Shade,
         shaded: Any,
+        span: Span = None,
     ) -> tuple[Any, Any]:
         """As `traverse`, and call `shade` for the same leaves in the same order.
 
@@ -120,7 +132,7 @@ class Octree:
         Returns:
             The last states of both.
         """
-        ray, t_exit, ahead, active = self._enter(origin, direction, active)
+        ray, t_exit, ahead, active = self._enter(origin, direction, active, span)
         # In registers: Dr.Jit 1.5 has no local memory in functions that are called.
         queue = _DEFERRED * [(mi.UInt32(0), mi.Float(0), mi.Float(0))]
         while dr.hint(active, mode="symbolic"):
@@ -142,13 +154,15 @@ class Octree:
                 count -= 1
         return state, shaded
 
-    def _enter(self, origin, direction, active):
+    def _enter(self, origin, direction, active, span):
         """A ray in grid units, its first distance and cell, and whether it meets the proxy box."""
         size = 1 << self.tree_depth
         o, d = (origin + 1) * (size / 2), direction * (size / 2)
         moving = dr.abs(d) > 1e-18
         inverse = dr.rcp(dr.select(moving, d, 1))
         t, t_end, inside = self._clip(o, moving, inverse)
+        if span is not None:
+            t, t_end = dr.maximum(t, span[0]), dr.minimum(t_end, span[1])
         cell = mi.Vector3i(dr.clip(mi.Vector3i(dr.floor(o + t * d)), 0, size - 1))
         rising = d > 0
         octant = mi.Int32(rising.x) + 2 * mi.Int32(rising.y) + 4 * mi.Int32(rising.z)
