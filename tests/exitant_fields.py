@@ -1,8 +1,12 @@
 """Small exitant light fields that several tests share."""
 
+import dataclasses
+
 import numpy as np
 
-from lumitree.asset.exitant import ExitantField, TracedPaths, make_exitant_field
+from lumitree.asset.exitant import ExitantField, TracedPaths, make_exitant_field, pack
+from lumitree.asset.light_inside import LightInside
+from lumitree.octree.build import morton
 
 
 def random_exitant(
@@ -24,6 +28,40 @@ def random_exitant(
     return make_exitant_field(cells, intensity, depth, traced)
 
 
+def random_inside(seed: int, field: ExitantField) -> LightInside:
+    """Light inside the box for a field: two more cells, light that ends in half of the entries."""
+    random = np.random.default_rng(seed)
+    side, coarse = 1 << field.depth, field.resolution // 2
+    own = field.cells.astype(np.int64) @ [1, side, side**2]
+    others = random.choice(np.setdiff1d(np.arange(side**3), own), 2, replace=False)
+    codes = np.concatenate([own, others])
+    cells = np.stack([codes % side, codes // side % side, codes // side**2], axis=1)
+    emits = np.unpackbits(field.lit, axis=1).reshape(-1, coarse, 2, coarse, 2).any(axis=(2, 4))
+    lit = np.ones((len(cells), coarse**2), bool)
+    lit[: len(own)] = emits.reshape(len(own), -1) | (random.random(lit[: len(own)].shape) < 0.2)
+    order = np.argsort(morton(cells))
+    cells, lit = cells[order], lit[order]
+    count = lit.sum()
+    colours = random.random((count, 3)) * (random.random((count, 1)) < 0.5)
+    reach = -np.sort(-random.random((4, 3)), axis=1)
+    return LightInside(
+        cells=cells.astype(np.uint8),
+        lit=np.packbits(lit, axis=1),
+        intensity=pack(colours),
+        reach=random.integers(4, size=count, dtype=np.uint8),
+        visibility=random.integers(3, size=count, dtype=np.uint8),
+        distances=np.array([0, 0.1, 0.5, 2], np.float32),
+        reach_curves=np.append(reach, np.zeros((4, 1)), axis=1).astype(np.float32),
+        visibility_curves=random.uniform(0, 8, (3, 4)).astype(np.float32),
+        scale=2.5,
+    )
+
+
+def with_inside(seed: int, field: ExitantField) -> ExitantField:
+    """A field with light inside its box."""
+    return dataclasses.replace(field, inside=random_inside(seed, field))
+
+
 def assert_equal_fields(first: ExitantField, second: ExitantField) -> None:
     """Both hold the same numbers, of the same types."""
     for name in ("cells", "lit", "intensity"):
@@ -32,3 +70,9 @@ def assert_equal_fields(first: ExitantField, second: ExitantField) -> None:
         assert np.array_equal(one, other)
     for name in ("depth", "resolution", "scale", "traced"):
         assert getattr(first, name) == getattr(second, name)
+    assert (first.inside is None) == (second.inside is None)
+    if first.inside is not None and second.inside is not None:
+        for name in (field.name for field in dataclasses.fields(LightInside)):
+            one, other = getattr(first.inside, name), getattr(second.inside, name)
+            assert np.asarray(one).dtype == np.asarray(other).dtype
+            assert np.array_equal(one, other)

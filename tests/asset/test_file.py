@@ -3,6 +3,7 @@
 import base64
 import json
 import struct
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,8 @@ import safetensors.numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exitant_fields import assert_equal_fields, random_exitant
+import damage
+from exitant_fields import assert_equal_fields, random_exitant, with_inside
 from fields import make_asset, random_asset
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.exitant import TracedPaths, make_exitant_field
@@ -51,6 +53,17 @@ def with_gain(tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def lit_inside(tmp_path_factory):
+    """An asset with an exitant light field, light inside its box and a model."""
+    path = tmp_path_factory.mktemp("inside") / "lamp.lumitree"
+    save(replace(with_model(small_model()), exitant=INSIDE), path)
+    return path
+
+
+INSIDE = with_inside(
+    1, random_exitant(0, resolution=16, traced=TracedPaths(3, (1, 5), 64 * "0", 0.5))
+)
 TRACED = {"count": 3, "seeds": [1, 5], "luminaire": 64 * "0", "noise": 0.5}
 
 
@@ -65,12 +78,12 @@ def test_the_record_of_light_paths_is_kept(tmp_path, noise):
     assert random_asset(0).info.exitant_paths is None
 
 
-FILES = ("original", "with_exitant", "exitant_only", "with_gain")
+FILES = ("original", "with_exitant", "exitant_only", "with_gain", "lit_inside")
 
 
 @pytest.fixture(params=FILES)
 def any_file(request):
-    """A file without an exitant light field, with one, with nothing else, or with a gain."""
+    """A file without an exitant light field, with one, alone, with a gain, or light inside."""
     return request.getfixturevalue(request.param)
 
 
@@ -98,6 +111,119 @@ def test_loaded_exitant_light_field_equals_saved(with_exitant):
     assert found.num_bytes == plain.num_bytes + field.num_bytes
     assert found.info.exitant_cells == len(field.cells) == 5
     assert plain.info.exitant_cells == 0
+
+
+def test_loaded_light_inside_equals_saved(lit_inside):
+    found = load(lit_inside)
+    assert_equal_fields(found.exitant, INSIDE)
+    plain = with_model(small_model())
+    assert found.num_bytes == plain.num_bytes - plain.exitant.num_bytes + INSIDE.num_bytes
+    assert not found.exitant.lacks_inside
+
+
+def test_a_baked_field_of_earlier_files_lacks_light_inside(tmp_path):
+    """A photometric file has none, and lacks nothing."""
+    for traced in (INSIDE.traced, None):
+        field = replace(INSIDE, inside=None, traced=traced)
+        save(exitant_asset(field, random_asset(0).frame, "test"), tmp_path / "a.lumitree")
+        found = load(tmp_path / "a.lumitree")
+        assert found.exitant.inside is None
+        assert found.exitant.lacks_inside == (traced is not None)
+
+
+def test_the_fewest_bins_have_light_inside(tmp_path):
+    """Four coarse bins are half a byte."""
+    field = with_inside(0, random_exitant(0))
+    assert field.inside.lit.shape == (7, 1)
+    save(exitant_asset(field, random_asset(0).frame, "test"), tmp_path / "a.lumitree")
+    assert_equal_fields(load(tmp_path / "a.lumitree").exitant, field)
+
+
+def stream(change):
+    """Change the content of the compressed exitant light field."""
+
+    def changed(tensors):
+        content = change(zlib.decompress(tensors["exitant.light"].tobytes()))
+        tensors["exitant.light"] = np.frombuffer(zlib.compress(content), np.uint8)
+
+    return changed
+
+
+def cut(tensors):
+    tensors["exitant.light"] = tensors["exitant.light"][:-3]
+
+
+def append(tensors):
+    tensors["exitant.light"] = np.append(tensors["exitant.light"], np.uint8(0))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (stream(lambda content: content[:-1]), "does not decompress to"),
+        (stream(lambda content: content + b"0"), "does not decompress to"),
+        # A thousand times as much as is stored.
+        (stream(lambda content: content + bytes(1 << 26)), "does not decompress to"),
+        (stream(lambda content: b"\xff" + content[1:]), "a cell is outside the grid"),
+        (stream(lambda content: content[:-4] + b"\xff\xff\xff\xff"), "visibility curves are not"),
+        (cut, "does not decompress to"),
+        (append, "does not decompress to"),
+        (lambda t: t.update({"exitant.light": np.zeros(9, np.uint8)}), "cannot be decompressed"),
+        (lambda t: t.update({"exitant.light": np.zeros((), np.uint8)}), "decompress"),
+        (lambda t: t.pop("exitant.light"), "tensors of the exitant light field are missing"),
+        (
+            lambda t: t.update({"exitant.cells": t.pop("exitant.light")}),
+            '"exitant.lit"|"exitant.intensity"',
+        ),
+    ],
+)
+def test_broken_streams_are_refused(lit_inside, tmp_path, change, message):
+    rewrite(lit_inside, tmp_path / "bad.lumitree", change_tensors=change)
+    with pytest.raises(LumitreeError, match=message) as caught:
+        load(tmp_path / "bad.lumitree")
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d["exitant"].update(cells=6), "does not decompress to"),
+        (lambda d: d["exitant"].update(bins=-1), "bins -1, expected 0 to"),
+        (lambda d: d["exitant"].update(bins=1 << 40), "bins 1099511627776, expected 0 to"),
+        (lambda d: d["exitant"].update(cells=1 << 28, bins=1 << 28), r"limit 2147483648"),
+        (lambda d: d["exitant"].update(bins=True), "bins"),
+        (lambda d: d["exitant"].pop("cells"), 'lacks "cells"'),
+        (lambda d: d["exitant"].pop("inside"), 'lacks "inside"'),
+        (lambda d: d["exitant"]["inside"].update(more=1), 'unknown key "more"'),
+        (lambda d: d["exitant"]["inside"].update(distances=5), "does not decompress to"),
+        (lambda d: d["exitant"]["inside"].update(scale=0.0), "scale 0.0, expected"),
+        (lambda d: d["exitant"]["inside"].update(scale=1e16), "scale 1e"),
+        (lambda d: d.update(version=6), 'unknown key "bins"'),
+        (lambda d: d.update(gain=[1e15, 1, 1]), "emission exceeds"),
+    ],
+)
+def test_broken_descriptions_of_streams_are_refused(lit_inside, tmp_path, change, message):
+    rewrite(lit_inside, tmp_path / "bad.lumitree", change_text=change)
+    with pytest.raises(LumitreeError, match=message) as caught:
+        load(tmp_path / "bad.lumitree")
+    assert str(caught.value).isprintable()
+
+
+def test_a_random_stream_is_refused_or_read(lit_inside, tmp_path):
+    """Any bytes of the right number: no other exception than a `LumitreeError`."""
+    random = np.random.default_rng(0)
+    refused = 0
+    for _ in range(200):
+
+        def change(content):
+            content = bytearray(content)
+            for _ in range(random.integers(1, 4)):
+                content[random.integers(len(content))] = random.integers(256)
+            return bytes(content)
+
+        rewrite(lit_inside, tmp_path / "bad.lumitree", change_tensors=stream(change))
+        refused += damage.refused(lambda: load(tmp_path / "bad.lumitree"))
+    assert 20 < refused < 200
 
 
 def test_an_asset_of_an_exitant_light_field_alone(exitant_only):
@@ -227,7 +353,7 @@ def test_broken_tensors_are_refused(original, tmp_path, change, message):
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("version", 7, "version 7, this lumitree reads 1 and 2 and 3 and 4 and 5 and 6"),
+        ("version", 8, "version 8, this lumitree reads 1 and 2 and 3 and 4 and 5 and 6 and 7"),
         ("version", 2, 'lacks "exitant"'),
         ("version", 0, "version 0, this"),
         ("version", 1.0, "version 1.0, this"),
@@ -317,7 +443,7 @@ def exitant(name, change):
         (exitant("intensity", lambda a: 0 * a), "an intensity is 0"),
     ],
 )
-@pytest.mark.parametrize("name", FILES[1:])
+@pytest.mark.parametrize("name", FILES[1:-1])
 def test_broken_tensors_of_the_exitant_light_field_are_refused(
     request, tmp_path, name, change, message
 ):

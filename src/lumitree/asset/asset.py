@@ -272,8 +272,10 @@ def _check_scalars(asset: Asset) -> None:
         len(gain) == 3 and all(type(each) is float and each >= 0 for each in gain) and any(gain),
         f"gain {gain!r}, expected three numbers of at least 0, not all 0",
     )
-    exitant = 0.0 if asset.exitant is None else asset.exitant.scale
-    brightest = max(gain) * max(asset.max_radiance, exitant)
+    exitant = asset.exitant
+    scales = [] if exitant is None else [exitant.scale]
+    scales += [] if exitant is None or exitant.inside is None else [exitant.inside.scale]
+    brightest = max(gain) * max(asset.max_radiance, *scales, 0.0)
     _expect(brightest <= MAX_RADIANCE, f"gain {gain!r}, with which emission exceeds {MAX_RADIANCE}")
 
 

@@ -1,5 +1,7 @@
 """The exitant light field of a luminaire: what it sends to receivers outside its box.
 
+With `lumitree.asset.light_inside` it also lights receivers inside.
+
 Symbols
     C   cells           R   bins of direction a side, see `core.octahedral`
     B   bins of all cells in which anything is emitted
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.checks import expect, expect_arrays
+from lumitree.asset.light_inside import LightInside
 from lumitree.core.seeds import MAX_SEED
 from lumitree.errors import LumitreeError, shown
 from lumitree.octree.build import morton
@@ -101,6 +104,8 @@ class ExitantField:
         resolution: R, a power of two from 4 to 128.
         scale: the largest intensity that occurs.
         traced: the light paths that it was estimated from; None if they are not known.
+        inside: light that ends on the luminaire, for receivers inside its box. None if none does,
+            as in a photometric file, or if it is not known, see `lacks_inside`.
 
     Raises:
         LumitreeError: a member has a wrong type, shape or range.
@@ -113,6 +118,7 @@ class ExitantField:
     resolution: int
     scale: float
     traced: TracedPaths | None = None
+    inside: LightInside | None = None
 
     def __post_init__(self) -> None:
         """Refuse what a renderer could not use safely."""
@@ -140,6 +146,8 @@ class ExitantField:
         # A renderer divides by the flux of a cell.
         _expect(self.lit.any(axis=1).all(), "a cell emits nothing")
         _expect((self.intensity & ((1 << EXPONENT_SHIFT) - 1)).all(), "an intensity is 0")
+        if self.inside is not None:
+            self.inside.check_beside(self.cells, self.lit, self.depth, self.resolution)
 
     def __repr__(self) -> str:
         return (
@@ -150,7 +158,16 @@ class ExitantField:
     @property
     def num_bytes(self) -> int:
         """Bytes of all arrays."""
-        return self.cells.nbytes + self.lit.nbytes + self.intensity.nbytes
+        inside = 0 if self.inside is None else self.inside.num_bytes
+        return self.cells.nbytes + self.lit.nbytes + self.intensity.nbytes + inside
+
+    @property
+    def lacks_inside(self) -> bool:
+        """Whether it was baked from a luminaire before `inside` was.
+
+        Receivers inside the box then lack the light that ends on the luminaire.
+        """
+        return self.inside is None and self.traced is not None
 
     def dense(self, values: NDArray[Number]) -> NDArray[Number]:
         """Values [B] of the bins that emit, by cell and bin [C, R²]; 0 in other bins."""
@@ -182,7 +199,7 @@ def make_exitant_field(
         raise LumitreeError(f"the largest exitant intensity is {scale}; expected light")
     if (least := float(intensity.min())) < 0:
         raise LumitreeError(f"the smallest exitant intensity is {least}; expected 0 or more")
-    packed = pack(intensity / scale)
+    packed = pack_lit(intensity, scale)
     emits = np.flatnonzero(packed.any(axis=1))
     emits = emits[np.argsort(morton(cells[emits]))]
     packed = packed[emits]
@@ -196,6 +213,14 @@ def make_exitant_field(
         scale=scale,
         traced=traced,
     )
+
+
+def pack_lit(intensity: NDArray[np.floating], scale: float) -> NDArray[np.uint32]:
+    """Intensities [..., 3] over `scale` as RGB9_E5 numbers [...]; most may be 0."""
+    packed = np.zeros(intensity.shape[:-1], np.uint32)
+    lit = intensity.any(axis=-1)
+    packed[lit] = pack(intensity[lit] / scale)
+    return packed
 
 
 def pack(colours: NDArray[np.floating]) -> NDArray[np.uint32]:

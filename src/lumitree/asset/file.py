@@ -1,6 +1,5 @@
 """The `.lumitree` file: one safetensors container, laid out in docs/format.md."""
 
-import dataclasses
 import hashlib
 import json
 import os
@@ -13,7 +12,13 @@ import safetensors.numpy
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import NO_GAIN, Asset
-from lumitree.asset.exitant import ExitantField, TracedPaths
+from lumitree.asset.exitant_bytes import (
+    COMPRESSED_TENSORS,
+    PLAIN_TENSORS,
+    build_exitant,
+    exitant_description,
+    exitant_tensors,
+)
 from lumitree.asset.model import NO_ORIGIN
 from lumitree.asset.model_bytes import MODEL_TENSORS, build_model, model_tensors
 from lumitree.core.file_kinds import ASSET, what_it_is
@@ -26,18 +31,16 @@ from lumitree.errors import LumitreeError, shown
 FORMAT = "lumitree"
 # Files without an exitant light field have the first version, those without a model at most the
 # second, those with neither a gain nor images of a model at most the third, those whose model has
-# no media at most the fourth, and those whose model has no origin at most the fifth, which older
-# readers know. Images are compressed from the fourth.
+# no media at most the fourth, those whose model has no origin at most the fifth, and those without
+# light inside the box at most the sixth, which older readers know. Images are compressed from the
+# fourth, exitant light fields from the seventh.
 VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL, VERSION_WITH_GAIN = 1, 2, 3, 4
-VERSION_WITH_MEDIA, VERSION_WITH_ORIGIN = 5, 6
+VERSION_WITH_MEDIA, VERSION_WITH_ORIGIN, VERSION_WITH_INSIDE = 5, 6, 7
 ACTIVATION = "sigmoid"
 _MAX_HEADER_BYTES = 1 << 20
 # Three million leaves, the most that a bake makes, take at most 0.6 GB.
 MAX_BYTES = 1 << 32
 _TENSORS = {"children": "I32", "density": "F32", "coefficients": "F16"}
-_EXITANT_TENSORS = {"exitant.cells": "U8", "exitant.lit": "U8", "exitant.intensity": "U32"}
-_EXITANT_KEYS = ("depth", "resolution", "scale")
-_TRACED_KEYS = ("count", "seeds", "luminaire", "noise")
 _KEYS = (
     "format",
     "version",
@@ -80,16 +83,9 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
         **asset.frame.members(),
     }
     if (exitant := asset.exitant) is not None:
-        tensors |= {
-            "exitant.cells": exitant.cells,
-            "exitant.lit": exitant.lit,
-            "exitant.intensity": exitant.intensity,
-        }
+        tensors |= exitant_tensors(exitant)
         description["version"] = VERSION_WITH_EXITANT
-        members = {key: getattr(exitant, key) for key in _EXITANT_KEYS}
-        if exitant.traced is not None:
-            members["traced"] = dataclasses.asdict(exitant.traced)
-        description["exitant"] = members
+        description["exitant"] = exitant_description(exitant)
     if asset.model is not None:
         tensors |= model_tensors(asset.model)
         description["version"] = VERSION_WITH_MODEL
@@ -112,8 +108,10 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
 
 
 def _version_of(asset: Asset) -> int:
-    """The version that the gain and the model of an asset need."""
-    model = asset.model
+    """The version that the gain, the light inside the box and the model of an asset need."""
+    model, exitant = asset.model, asset.exitant
+    if exitant is not None and exitant.inside is not None:
+        return VERSION_WITH_INSIDE
     if model is not None and model.origin != NO_ORIGIN:
         return VERSION_WITH_ORIGIN
     if model is not None and model.has_media:
@@ -161,24 +159,30 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
         VERSION_WITH_GAIN,
         VERSION_WITH_MEDIA,
         VERSION_WITH_ORIGIN,
+        VERSION_WITH_INSIDE,
     )
+    has_inside = version >= VERSION_WITH_INSIDE
     # A file of the third version or a later one may have an exitant light field.
     optional = version >= VERSION_WITH_MODEL and description.has("exitant")
-    has_exitant = version == VERSION_WITH_EXITANT or optional
+    has_exitant = version == VERSION_WITH_EXITANT or has_inside or optional
     has_gain = version >= VERSION_WITH_GAIN
     has_model = version == VERSION_WITH_MODEL or (has_gain and "model.shapes" in tensors)
     description.expect_keys(
         *_KEYS, *(["exitant"] if has_exitant else []), *(["gain"] if has_gain else [])
     )
     description.choice("activation", (ACTIVATION,))
-    exitant = _build_exitant(description.record("exitant"), tensors) if has_exitant else None
+    exitant = None
+    if has_exitant:
+        record = description.record("exitant")
+        exitant = build_exitant(record, tensors, compressed=has_inside)
     model = build_model(tensors, compressed=has_gain) if has_model else None
     if model is not None and model.has_media and version < VERSION_WITH_MEDIA:
         raise LumitreeError(f"version {version} has no media")
     if model is not None and model.origin != NO_ORIGIN and version < VERSION_WITH_ORIGIN:
         raise LumitreeError(f"version {version} has no origin of a model")
     red, green, blue = description.array("gain", 3).tolist() if has_gain else NO_GAIN
-    expected = {*_TENSORS, *(_EXITANT_TENSORS if has_exitant else ())}
+    stored = COMPRESSED_TENSORS if has_inside else PLAIN_TENSORS
+    expected = {*_TENSORS, *(stored if has_exitant else ())}
     if extra := tensors.keys() - expected - (MODEL_TENSORS.keys() if model is not None else set()):
         raise LumitreeError(f"version {version} has no tensor {min(extra)}")
     return Asset(
@@ -192,33 +196,6 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
         exitant=exitant,
         model=model,
         gain=(red, green, blue),
-    )
-
-
-def _build_exitant(description: Record, tensors: dict[str, NDArray[Any]]) -> ExitantField:
-    # Files of earlier versions lack it.
-    traced = description.has("traced")
-    description.expect_keys(*_EXITANT_KEYS, *(["traced"] if traced else []))
-    if not tensors.keys() >= _EXITANT_TENSORS.keys():
-        raise LumitreeError("the tensors of the exitant light field are missing")
-    return ExitantField(
-        cells=tensors["exitant.cells"],
-        lit=tensors["exitant.lit"],
-        intensity=tensors["exitant.intensity"],
-        depth=description.integer("depth"),
-        resolution=description.integer("resolution"),
-        scale=description.number("scale"),
-        traced=_build_traced(description.record("traced")) if traced else None,
-    )
-
-
-def _build_traced(description: Record) -> TracedPaths:
-    description.expect_keys(*_TRACED_KEYS)
-    return TracedPaths(
-        count=description.integer("count"),
-        seeds=tuple(description.integers("seeds")),
-        luminaire=description.text("luminaire", 64),
-        noise=None if description.is_null("noise") else description.number("noise"),
     )
 
 
@@ -248,7 +225,9 @@ def _read_header(content: bytes) -> str:
     header = Record(parse_json(content[8 : 8 + length]), "the header")
     tensors = dict(_TENSORS)
     if header.has("exitant.cells"):
-        tensors |= _EXITANT_TENSORS
+        tensors |= PLAIN_TENSORS
+    if header.has("exitant.light"):
+        tensors |= COMPRESSED_TENSORS
     if header.has("model.shapes"):
         tensors |= MODEL_TENSORS
     header.expect_keys("__metadata__", *tensors)

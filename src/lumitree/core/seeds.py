@@ -42,6 +42,9 @@ class Purpose(enum.IntEnum):
     ASSET_FLUX = 19  # flux of an asset without an exitant light field
     EXPORT = 20  # clusters of an exitant light field
     LINES = 21  # total flux from camera paths; step: batch
+    ENDING = 22  # light that ends on a luminaire; draw 0: which segments, step: batch; 1: curves
+    VISIBILITY = 23  # its surfaces inside its box; draw 0: rays, step: bins at once; 1: curves
+    RECEIVED = 24  # irradiance at points of a scene; step: samples at once
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,29 +1,36 @@
-"""A histogram of light paths by the cell of their last vertex and by direction (decision 62)."""
+"""A histogram of light paths by the cell of their last vertex and by direction (decision 62).
 
+Light that ends on the luminaire is counted too, by its reach (`inside`).
+"""
+
+import dataclasses
 from pathlib import Path
-from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from lumitree.asset.exitant import ExitantField, TracedPaths, make_exitant_field
-from lumitree.core.octahedral import bin_of, solid_angles
+from lumitree.core.octahedral import solid_angles
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.exitant.config import ExitantConfig
+from lumitree.exitant.histograms import EndingHistogram, Histogram
+from lumitree.exitant.inside import DISTANCES, make_entries
 from lumitree.exitant.merge import relative_noise
 from lumitree.exitant.saved_field import SavedExitantField
+from lumitree.exitant.visibility import unoccluded
 from lumitree.luminaire.luminaire import Luminaire
 from lumitree.model.photometry import luminance
+from lumitree.transport.ending_segments import EndingConfig
 from lumitree.transport.light_paths import trace_light
 from lumitree.transport.tracing import PATH_DEPTH, check_finite
 
 
 def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> ExitantField:
     """Estimate the exitant light field of a luminaire, and its noise from the batches' spread.
+
+    With it the light that ends on the luminaire, for receivers inside its box.
 
     Args:
         luminaire: what is baked.
@@ -37,15 +44,26 @@ def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> E
     if (field := saved.load()) is not None:
         return field
     histogram = Histogram(config.depth, config.resolution)
+    places = SeedStream(Purpose.ENDING, 0, 2).seed(config.seed)
+    ending = EndingHistogram(config.depth, config.resolution // 2, DISTANCES, places)
     batches = -(-config.paths // config.batch)
     by_direction = []
     with progress(f"light of {luminaire.name}", batches) as advance:
         for step in range(batches):
             sampler = mi.load_dict({"type": "independent"})
             sampler.seed(SeedStream(Purpose.EXITANT, step).seed(config.seed), config.batch)
-            paths = trace_light(luminaire, sampler, config.batch, PATH_DEPTH, all_light=True)
+            segments = EndingConfig(
+                config.depth, SeedStream(Purpose.ENDING, step).seed(config.seed)
+            )
+            paths = trace_light(
+                luminaire, sampler, config.batch, PATH_DEPTH, all_light=True, ending=segments
+            )
             flux = np.array(paths.flux, np.float64).reshape(3, -1)
             check_finite(luminaire, flux)
+            assert paths.ending is not None
+            ends = np.array(paths.ending.flux, np.float64).reshape(3, -1)
+            check_finite(luminaire, ends)
+            ending.add(paths.ending, ends / batches)
             # Paths have the direction of the camera ray that meets them.
             bins = histogram.add(paths.origin, -paths.direction, flux / batches)
             by_direction.append(np.bincount(bins, luminance(flux.T), config.resolution**2))
@@ -63,47 +81,10 @@ def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> E
     )
     intensity = histogram.flux / solid_angle[:, None]
     field = make_exitant_field(histogram.cells, intensity, config.depth, traced)
+    entries = make_entries(field, ending.cells, ending.flux, ending.by_reach)
+    reach, curves = entries.reach(config.seed)
+    free, other = unoccluded(luminaire, entries, config.seed)
+    inside = entries.encoded(reach, curves, free, config.seed, independent=other)
+    field = dataclasses.replace(field, inside=inside)
     saved.save(field)
     return field
-
-
-class Histogram:
-    """Flux by cell and bin of direction.
-
-    Attributes:
-        cells: [C, 3] cells that have light.
-        flux: [C, R², 3] flux of the bins of each.
-    """
-
-    def __init__(self, depth: int, resolution: int) -> None:
-        self._side, self._resolution = 1 << depth, resolution
-        # Row of each cell of the grid in `flux`, or -1.
-        self._rows = np.full(self._side**3, -1)
-        self._codes = np.zeros(0, np.int64)
-        self.flux = np.zeros((0, resolution**2, 3))
-
-    @property
-    def cells(self) -> NDArray[np.int64]:
-        side = self._side
-        codes = self._codes
-        return np.stack([codes % side, codes // side % side, codes // side**2], axis=1)
-
-    def add(self, origin: Any, direction: Any, flux: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Add rays (mi.Point3f, mi.Vector3f, [3, N]) that start inside the grid.
-
-        Returns:
-            [N] bins of their directions.
-        """
-        side = self._side
-        cell = mi.Point3i(dr.clip(mi.Point3i(dr.floor((origin + 1) * (side / 2))), 0, side - 1))
-        code = np.array((cell.z * side + cell.y) * side + cell.x).astype(np.int64)
-        bins = np.array(bin_of(direction, self._resolution)).astype(np.int64)
-        new = np.setdiff1d(code, self._codes)
-        self._rows[new] = len(self._codes) + np.arange(len(new))
-        self._codes = np.append(self._codes, new)
-        self.flux = np.concatenate([self.flux, np.zeros((len(new), *self.flux.shape[1:]))])
-        index = self._rows[code] * self._resolution**2 + bins
-        flat = self.flux.reshape(-1, 3)
-        for channel in range(3):
-            flat[:, channel] += np.bincount(index, flux[channel], len(flat))
-        return bins

@@ -1,21 +1,30 @@
-"""Exitant light fields of one luminaire, from different light paths, combined into one."""
+"""Exitant light fields of one luminaire, from different light paths, combined into one.
 
+Symbols
+    Q, K, I, J, s, V, κ     as in `lumitree.asset.light_inside`
+"""
+
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lumitree.asset.exitant import ExitantField, TracedPaths, make_exitant_field, unpack
+from lumitree.asset.light_inside import LightInside
 from lumitree.core.octahedral import solid_angles
 from lumitree.errors import LumitreeError
+from lumitree.exitant.inside import DISTANCES, by_coarse_bin, make_entries
 from lumitree.model.photometry import luminance
+from lumitree.octree.build import morton
 
 
 def merge_exitant(fields: Sequence[ExitantField], names: Sequence[str]) -> ExitantField:
     """The estimate from all light paths of several fields: their mean, weighted by path counts.
 
     It differs from one longer bake only by the rounding of stored intensities, at most 0.2 % of
-    the largest channel of each bin, in each field and in the result.
+    the largest channel of each bin, in each field and in the result; and by the curves of light
+    inside the box, which are found anew. If a field lacks that light, so does the result.
 
     Args:
         fields: at least two, of one luminaire, with grids and bins of the same numbers.
@@ -44,7 +53,84 @@ def merge_exitant(fields: Sequence[ExitantField], names: Sequence[str]) -> Exita
         luminaire=records[0].luminaire,
         noise=relative_noise(by_direction, counts),
     )
-    return make_exitant_field(cells, intensity, fields[0].depth, traced)
+    merged = make_exitant_field(cells, intensity, fields[0].depth, traced)
+    inside = [field.inside for field in fields if field.inside is not None]
+    if len(inside) < len(fields):
+        return merged
+    return dataclasses.replace(merged, inside=_merged_inside(merged, fields, counts))
+
+
+def _merged_inside(
+    merged: ExitantField, fields: Sequence[ExitantField], counts: NDArray[np.float64]
+) -> LightInside:
+    """Light inside the box of several fields, weighted by path counts.
+
+    J s is averaged. From the curves of κ follow the means of (I + J) V, which are averaged too.
+    """
+    side, coarse = 1 << merged.depth, merged.resolution // 2
+    parts = [_expanded(field) for field in fields]
+    codes = [part.cells.astype(np.int64) @ [1, side, side**2] for part in parts]
+    occupied = np.unique(np.concatenate(codes))
+    bins, points = coarse**2, len(DISTANCES)
+    flux = np.zeros((len(occupied), bins, 3))
+    beyond, free = np.zeros((2, len(occupied), bins, points), np.float32)
+    for part, code, weight in zip(parts, codes, counts / counts.sum(), strict=True):
+        rows = np.searchsorted(occupied, code)
+        flux[rows] += weight * part.flux
+        beyond[rows] += np.float32(weight) * part.beyond
+        free[rows] += np.float32(weight) * part.free
+    cells = np.stack([occupied % side, occupied // side % side, occupied // side**2], axis=1)
+    entries = make_entries(merged, cells, flux, -np.diff(beyond, axis=2))
+    assert merged.traced is not None
+    seed = merged.traced.seeds[0]
+    reach, curves = entries.reach(seed)
+    codes_of_entries = entries.cells[entries.rows] @ [1, side, side**2]
+    unoccluded = free[np.searchsorted(occupied, codes_of_entries), entries.bins]
+    return entries.encoded(reach, curves, unoccluded, seed)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Expanded:
+    """Light inside the box of one field, by cell [C] and bin [Q²].
+
+    Attributes:
+        cells: [C, 3].
+        flux: [C, Q², 3] of J.
+        beyond: [C, Q², K] luminous flux of J s.
+        free: [C, Q², K] luminous flux of (I + J) V.
+    """
+
+    cells: NDArray[np.uint8]
+    flux: NDArray[np.float64]
+    beyond: NDArray[np.float32]
+    free: NDArray[np.float32]
+
+
+def _expanded(field: ExitantField) -> _Expanded:
+    inside = field.inside
+    assert inside is not None
+    if not np.array_equal(inside.distances, DISTANCES):
+        raise LumitreeError(
+            "the light inside the box is stated for other distances than this lumitree's; bake it "
+            "again"
+        )
+    bins = (field.resolution // 2) ** 2
+    lit = np.unpackbits(inside.lit, axis=1, count=bins).view(bool)
+    flux = np.zeros((*lit.shape, 3))
+    coarse_solid_angles = solid_angles(field.resolution // 2)
+    flux[lit] = inside.scale * unpack(inside.intensity)
+    flux *= coarse_solid_angles[:, None]
+    beyond, free = np.zeros((2, *lit.shape, len(DISTANCES)), np.float32)
+    beyond[lit] = luminance(flux[lit])[:, None] * inside.reach_curves[inside.reach]
+    exits = field.dense(luminance(field.scale * unpack(field.intensity)))
+    leaving = by_coarse_bin(exits * solid_angles(field.resolution)).sum(axis=2)
+    rows = np.searchsorted(morton(inside.cells), morton(field.cells))
+    everything = beyond.copy()
+    everything[rows] += leaving[..., None].astype(np.float32)
+    factor = np.zeros_like(free)
+    factor[lit] = inside.visibility_curves[inside.visibility]
+    np.divide(everything, factor, out=free, where=factor > 0)
+    return _Expanded(inside.cells, flux, beyond, free)
 
 
 def relative_noise(estimates: ArrayLike, counts: ArrayLike) -> float | None:

@@ -42,7 +42,10 @@ class SavedExitantField:
             asset = load(self._path)
         except LumitreeError:
             return None
-        return asset.exitant if asset.luminaire == self._digest else None
+        field = asset.exitant
+        if field is None or field.inside is None or asset.luminaire != self._digest:
+            return None
+        return field
 
     def save(self, field: ExitantField) -> None:
         """Write the field; warns where it cannot be written, since the bake does not need it."""

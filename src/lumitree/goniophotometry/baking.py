@@ -21,8 +21,8 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import direction_in_bin, middle_directions, solid_angles
 from lumitree.errors import LumitreeError
-from lumitree.exitant.bake import Histogram
 from lumitree.exitant.config import ExitantConfig
+from lumitree.exitant.histograms import Histogram
 from lumitree.goniophotometry.ies import read_ies
 from lumitree.goniophotometry.ldt import read_ldt
 from lumitree.goniophotometry.opening import Opening

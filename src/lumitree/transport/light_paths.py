@@ -20,6 +20,7 @@ import mitsuba as mi
 
 from lumitree.luminaire.luminaire import Luminaire
 from lumitree.transport import medium_paths
+from lumitree.transport.ending_segments import EndingConfig, EndingSegments, make_reservoir
 from lumitree.transport.geometric_normals import is_opaque, on_opposite_sides
 from lumitree.transport.spawning import scene_extent, spawn
 from lumitree.transport.straight_through import COSINE_OF_CONE, is_smooth, is_transmitted
@@ -38,16 +39,25 @@ class LightPaths:
             frame.
         flux: mi.Color3f; the sum over the paths of a trace is an estimate of the emitted flux.
         termination: mi.Point3f, termination point, local frame.
+        ending: segments of all paths, also of absorbed ones, that end on the luminaire; None if
+            they were not asked for.
     """
 
     origin: Any
     direction: Any
     flux: Any
     termination: Any
+    ending: EndingSegments | None = None
 
 
 def trace_light(
-    luminaire: Luminaire, sampler: Any, count: int, path_depth: int, *, all_light: bool = False
+    luminaire: Luminaire,
+    sampler: Any,
+    count: int,
+    path_depth: int,
+    *,
+    all_light: bool = False,
+    ending: EndingConfig | None = None,
 ) -> LightPaths:
     """Trace `count` light paths; those that leave the luminaire are returned.
 
@@ -55,13 +65,15 @@ def trace_light(
         sampler: mi.Sampler, seeded for as many paths.
         path_depth: longest path, events.
         all_light: also return paths that leave by smooth transmission alone.
+        ending: also return segments that end on the luminaire. The paths are the same with it.
     """
-    origin, direction, flux, termination, leaves, smooth = _trace(
-        luminaire.scene, sampler, path_depth
+    reservoir = None if ending is None else make_reservoir(ending, luminaire.scene_frame, count)
+    origin, direction, flux, termination, leaves, smooth, reservoir = _trace(
+        luminaire.scene, sampler, path_depth, reservoir
     )
     if not all_light:
         leaves &= ~smooth
-    dr.eval(origin, direction, flux, termination, leaves)
+    dr.eval(origin, direction, flux, termination, leaves, reservoir)
     chosen = dr.compress(leaves)
     if not dr.width(chosen):
         # Dr.Jit does not combine an empty array with others, so one path without flux is returned.
@@ -74,6 +86,7 @@ def trace_light(
         dr.normalize(to_local @ dr.gather(mi.Vector3f, -direction, chosen)),
         dr.gather(mi.Color3f, flux, chosen) * scale,
         to_local @ dr.gather(mi.Point3f, termination, chosen),
+        None if reservoir is None else reservoir.segments(scale),
     )
     dr.eval(paths.origin, paths.direction, paths.flux, paths.termination)
     return paths
@@ -95,7 +108,7 @@ def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> Any:
 
 
 @dr.syntax
-def _trace(scene, sampler, path_depth):
+def _trace(scene, sampler, path_depth, reservoir):
     context = mi.BSDFContext(mi.TransportMode.Importance)
     extent = scene_extent(scene)
     ray, light = _emit(scene, sampler, extent)
@@ -109,14 +122,18 @@ def _trace(scene, sampler, path_depth):
     depth = mi.UInt32(0)
     leaves = mi.Bool(False)
     active = dr.max(flux) > 0
+    if dr.hint(reservoir is not None, mode="scalar"):
+        reservoir.start(ray.o, active)
     while active:
         si = scene.ray_intersect(ray, active)
-        leaves |= active & ~si.is_valid()
+        misses = active & ~si.is_valid()
+        leaves |= misses
         active &= si.is_valid()
         # An emitter inside a medium: the medium is that behind the first border.
         medium = medium_paths.behind(si, -ray.d, medium, active & first)
         first &= ~active
 
+        arriving = mi.Color3f(flux)
         flight = medium_paths.flight(medium, channel, sampler, active)
         collides = active & (flight < si.t)
         hits = active & ~collides
@@ -131,6 +148,12 @@ def _trace(scene, sampler, path_depth):
             context, si, sampler.next_1d(hits), sampler.next_2d(hits), hits
         )
         towards = si.to_world(sample.wo)
+        passes = hits & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        passes &= dr.max(bsdf_weight) > 0
+        if dr.hint(reservoir is not None, mode="scalar"):
+            # What leaves behind null surfaces begins at the last of them.
+            end = dr.select(misses, ray.o, dr.select(collides, ray(flight), si.p))
+            reservoir.stop(end, ray.d, arriving, (misses | active) & ~passes)
         # Correction for shading normals, Veach 1997, Eq. 5.19. Camera paths decide by the shading
         # normal which side of a surface they are on, so these do too.
         cos_in, cos_out = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(sample.wo)
@@ -150,6 +173,8 @@ def _trace(scene, sampler, path_depth):
         begins = collides | (hits & ~transmits)
         start = dr.select(begins, ray.o, start)
         start_direction = dr.select(begins, ray.d, start_direction)
+        if dr.hint(reservoir is not None, mode="scalar"):
+            reservoir.start(ray.o, active & ~passes)
         medium = medium_paths.behind(si, ray.d, medium, transmits)
         depth += 1
         active = (collides | hits) & (depth < path_depth) & (dr.max(flux) > 0)
@@ -161,7 +186,7 @@ def _trace(scene, sampler, path_depth):
     deflected = dr.dot(ray.d, start_direction) < COSINE_OF_CONE
     at_first = sampler.next_1d() < 0.5
     termination = termination_point(scene.bbox(), -ray.d, ray.o, start, deflected & at_first)
-    return ray.o, ray.d, flux, termination, leaves, smooth
+    return ray.o, ray.d, flux, termination, leaves, smooth, reservoir
 
 
 def _emit(scene, sampler, extent):

@@ -1,0 +1,187 @@
+"""The exitant light field as tensors and a description of its file, see docs/format.md.
+
+A field with light inside the box is one zlib stream of all of its arrays, whose sizes are in the
+description. A field without is stored as before: three tensors.
+"""
+
+import dataclasses
+import math
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.exitant import MAX_BINS, ExitantField, TracedPaths
+from lumitree.asset.light_inside import LightInside
+from lumitree.core.reading import Record
+from lumitree.errors import LumitreeError
+
+PLAIN_TENSORS = {"exitant.cells": "U8", "exitant.lit": "U8", "exitant.intensity": "U32"}
+COMPRESSED_TENSORS = {"exitant.light": "U8"}
+_KEYS = ("depth", "resolution", "scale")
+_TRACED_KEYS = ("count", "seeds", "luminaire", "noise")
+# Numbers of rows of the arrays.
+_COUNTS = ("cells", "bins")
+_INSIDE_COUNTS = ("cells", "entries", "distances", "reach_curves", "visibility_curves")
+# Of the arrays of a stream together.
+_MAX_BYTES = 1 << 31
+# Name, type and shape of an array of a stream.
+_Layout = tuple[str, Any, tuple[int, ...]]
+
+
+def exitant_tensors(field: ExitantField) -> dict[str, NDArray[Any]]:
+    """Tensors of a field, by name."""
+    if (inside := field.inside) is None:
+        return {name: getattr(field, name.partition(".")[2]) for name in PLAIN_TENSORS}
+    outer, inner = _layouts(_counts(field), field.resolution)
+    compressor, parts = zlib.compressobj(6), []
+    for part, layouts in ((field, outer), (inside, inner)):
+        for name, dtype, _ in layouts:
+            array = np.ascontiguousarray(getattr(part, name), dtype)
+            parts.append(compressor.compress(array.tobytes()))
+    content = b"".join([*parts, compressor.flush()])
+    return {"exitant.light": np.frombuffer(content, np.uint8)}
+
+
+def exitant_description(field: ExitantField) -> dict[str, Any]:
+    """What the file states of a field besides its tensors."""
+    members: dict[str, Any] = {key: getattr(field, key) for key in _KEYS}
+    if field.traced is not None:
+        members["traced"] = dataclasses.asdict(field.traced)
+    if field.inside is not None:
+        counts, inside = _counts(field)
+        members |= counts
+        members["inside"] = {**inside, "scale": field.inside.scale}
+    return members
+
+
+def build_exitant(
+    description: Record, tensors: dict[str, NDArray[Any]], *, compressed: bool
+) -> ExitantField:
+    """The field of a file; the inverse of `exitant_tensors` and `exitant_description`.
+
+    Args:
+        description: what the file states of it.
+        tensors: all tensors of the file.
+        compressed: whether it is a stream, and has light inside the box.
+
+    Raises:
+        LumitreeError: a tensor is missing, or the field is invalid.
+    """
+    # Files of earlier versions lack it.
+    traced = description.has("traced")
+    description.expect_keys(
+        *_KEYS, *(["traced"] if traced else []), *([*_COUNTS, "inside"] if compressed else [])
+    )
+    if not tensors.keys() >= (COMPRESSED_TENSORS if compressed else PLAIN_TENSORS).keys():
+        raise LumitreeError("the tensors of the exitant light field are missing")
+    depth, resolution = description.integer("depth"), description.integer("resolution")
+    inside = None
+    if compressed:
+        own = description.record("inside")
+        own.expect_keys(*_INSIDE_COUNTS, "scale")
+        counts = _read_counts(description, _COUNTS), _read_counts(own, _INSIDE_COUNTS)
+        arrays, inside_arrays = _decompressed(
+            tensors["exitant.light"], _layouts(counts, resolution)
+        )
+        inside = LightInside(**inside_arrays, scale=own.number("scale"))
+    else:
+        arrays = {name.partition(".")[2]: tensors[name] for name in PLAIN_TENSORS}
+    return ExitantField(
+        **arrays,
+        depth=depth,
+        resolution=resolution,
+        scale=description.number("scale"),
+        traced=_build_traced(description.record("traced")) if traced else None,
+        inside=inside,
+    )
+
+
+def _build_traced(description: Record) -> TracedPaths:
+    description.expect_keys(*_TRACED_KEYS)
+    return TracedPaths(
+        count=description.integer("count"),
+        seeds=tuple(description.integers("seeds")),
+        luminaire=description.text("luminaire", 64),
+        noise=None if description.is_null("noise") else description.number("noise"),
+    )
+
+
+def _counts(field: ExitantField) -> tuple[dict[str, int], dict[str, int]]:
+    """Numbers of rows of the arrays of a field with light inside, and of that light."""
+    inside = field.inside
+    assert inside is not None
+    return (
+        {"cells": len(field.cells), "bins": len(field.intensity)},
+        {
+            "cells": len(inside.cells),
+            "entries": len(inside.intensity),
+            "distances": len(inside.distances),
+            "reach_curves": len(inside.reach_curves),
+            "visibility_curves": len(inside.visibility_curves),
+        },
+    )
+
+
+def _read_counts(description: Record, keys: tuple[str, ...]) -> dict[str, int]:
+    counts = {key: description.integer(key) for key in keys}
+    for key, count in counts.items():
+        if not 0 <= count <= MAX_BINS:
+            raise LumitreeError(f"{key} {count}, expected 0 to {MAX_BINS}")
+    return counts
+
+
+def _layouts(
+    counts: tuple[dict[str, int], dict[str, int]], resolution: int
+) -> tuple[list[_Layout], list[_Layout]]:
+    """Arrays of a stream, in its order: those of a field, and those of the light inside."""
+    outer, inner = counts
+    distances = inner["distances"]
+    return (
+        [
+            ("cells", np.uint8, (outer["cells"], 3)),
+            ("lit", np.uint8, (outer["cells"], resolution**2 // 8)),
+            ("intensity", np.dtype("<u4"), (outer["bins"],)),
+        ],
+        [
+            ("cells", np.uint8, (inner["cells"], 3)),
+            ("lit", np.uint8, (inner["cells"], -(-((resolution // 2) ** 2) // 8))),
+            ("intensity", np.dtype("<u4"), (inner["entries"],)),
+            ("reach", np.uint8, (inner["entries"],)),
+            ("visibility", np.uint8, (inner["entries"],)),
+            ("distances", np.dtype("<f4"), (distances,)),
+            ("reach_curves", np.dtype("<f4"), (inner["reach_curves"], distances)),
+            ("visibility_curves", np.dtype("<f4"), (inner["visibility_curves"], distances)),
+        ],
+    )
+
+
+def _decompressed(
+    stream: NDArray[np.uint8], layouts: tuple[list[_Layout], list[_Layout]]
+) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+    """Arrays of a stream, by name."""
+    sizes = [
+        math.prod(shape) * np.dtype(dtype).itemsize for part in layouts for _, dtype, shape in part
+    ]
+    if (size := sum(sizes)) > _MAX_BYTES:
+        raise LumitreeError(f"an exitant light field of {size} bytes (limit {_MAX_BYTES})")
+    decompressor = zlib.decompressobj()
+    try:
+        # No more than is expected, whatever the stream holds.
+        content = decompressor.decompress(stream.tobytes(), size + 1)
+    except zlib.error as error:
+        raise LumitreeError(f"the exitant light field cannot be decompressed: {error}") from None
+    if len(content) != size or not decompressor.eof or decompressor.unused_data:
+        raise LumitreeError(f"the exitant light field does not decompress to {size} bytes")
+    found: list[dict[str, NDArray[Any]]] = []
+    start = 0
+    for part in layouts:
+        arrays = {}
+        for name, dtype, shape in part:
+            array = np.frombuffer(content, dtype, math.prod(shape), start).reshape(shape)
+            # A copy: parts of the stream are not aligned.
+            arrays[name] = array.astype(array.dtype.newbyteorder("="))
+            start += array.nbytes
+        found.append(arrays)
+    return found[0], found[1]

@@ -1,0 +1,171 @@
+"""Light inside the box of a luminaire: what its exitant light field lacks for receivers there.
+
+Light that leaves a cell and ends on the luminaire itself never gets out of the box, but it lights
+what stands in its way. How much of it gets as far as a distance r is its reach.
+
+Symbols
+    C   cells           Q   bins of direction a side, half as many as the exitant light field's
+    E   entries: bins of all cells in which there is any light         K   distances
+    I   radiant intensity of a cell that leaves the box, from the exitant light field
+    J   radiant intensity of a cell that ends on the luminaire
+    s   reach: part of J that gets farther than r
+    V   whether the luminaire's own surfaces leave the way from a cell to a receiver free
+    κ   visibility factor: the mean of I + J s over a bin of a cell, over that of (I + J) V
+
+A receiver at distance r from a point of a cell gets I + J s, in which V is contained on average
+over the bin and the cell. Where the luminaire's surfaces are in the scene, it gets (I + J) V κ,
+which has the same mean, and the shadows are those of the surfaces.
+"""
+
+import dataclasses
+import functools
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.checks import expect, expect_arrays
+from lumitree.octree.build import morton
+
+Number = TypeVar("Number", bound=np.generic)
+_expect = functools.partial(expect, "light inside the box")
+# An entry names a curve by 8 bits.
+MAX_CURVES, MAX_DISTANCES = 256, 64
+MAX_ENTRIES = 1 << 28
+# κ is at most this: of light from a bin whose surfaces let almost nothing pass, some is lost.
+MAX_FACTOR = 8.0
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LightInside:
+    """Light that ends on a luminaire, by cell, direction and distance.
+
+    Curves are linear between the distances, and constant beyond the last.
+
+    Attributes:
+        cells: uint8 [C, 3], coordinates of the cells that light leaves, in Morton order: those of
+            the exitant light field, and others whose light all ends on the luminaire.
+        lit: uint8 [C, ⌈Q² / 8⌉], which bins of each cell have an entry; the first bin in the
+            highest bit. All do that contain a bin of the exitant light field that emits.
+        intensity: uint32 [E], J by cell and then by bin: RGB9_E5 numbers (`exitant.unpack`) times
+            `scale`; 0 where nothing ends. Local units, as those of the exitant light field.
+        reach: uint8 [E], row of each entry in `reach_curves`.
+        visibility: uint8 [E], row of each entry in `visibility_curves`.
+        distances: float32 [K], increasing from 0, local units.
+        reach_curves: float32 [.., K], s, 0 to 1, not increasing, the last 0.
+        visibility_curves: float32 [.., K], κ, 0 to `MAX_FACTOR`.
+        scale: factor of `intensity`.
+
+    Raises:
+        LumitreeError: a member has a wrong type, shape or range.
+    """
+
+    cells: NDArray[np.uint8]
+    lit: NDArray[np.uint8]
+    intensity: NDArray[np.uint32]
+    reach: NDArray[np.uint8]
+    visibility: NDArray[np.uint8]
+    distances: NDArray[np.float32]
+    reach_curves: NDArray[np.float32]
+    visibility_curves: NDArray[np.float32]
+    scale: float
+
+    def __post_init__(self) -> None:
+        """Refuse what a renderer could not use safely."""
+        entries, first = self.intensity.shape, self.cells.shape[:1]
+        bins = self.lit.shape[1:]
+        distances = self.distances.shape
+        expect_arrays(
+            "light inside the box",
+            {
+                "cells": (self.cells, np.uint8, (*first, 3)),
+                "lit": (self.lit, np.uint8, (*first, *bins)),
+                "intensity": (self.intensity, np.uint32, (self.intensity.size,)),
+                "reach": (self.reach, np.uint8, entries),
+                "visibility": (self.visibility, np.uint8, entries),
+                "distances": (self.distances, np.float32, (self.distances.size,)),
+                "reach_curves": (
+                    self.reach_curves,
+                    np.float32,
+                    (*self.reach_curves.shape[:1], *distances),
+                ),
+                "visibility_curves": (
+                    self.visibility_curves,
+                    np.float32,
+                    (*self.visibility_curves.shape[:1], *distances),
+                ),
+            },
+        )
+        _expect(
+            type(self.scale) is float and 1e-15 <= self.scale <= 1e15,
+            f"scale {self.scale!r}, expected 1e-15 to 1e15",
+        )
+        _expect((np.diff(morton(self.cells)) > 0).all(), "cells are repeated or out of order")
+        found = int(np.bitwise_count(self.lit).sum())
+        _expect(found == entries[0], f"{entries[0]} intensities for {found} bins that have light")
+        steps = self.distances
+        _expect(
+            2 <= len(steps) <= MAX_DISTANCES
+            and np.isfinite(steps).all()
+            and steps[0] == 0
+            and (np.diff(steps) > 0).all(),
+            f"distances are no increasing numbers from 0, 2 to {MAX_DISTANCES}",
+        )
+        for name, curves, largest in (
+            ("reach", self.reach_curves, 1.0),
+            ("visibility", self.visibility_curves, MAX_FACTOR),
+        ):
+            rows = getattr(self, name)
+            _expect(
+                1 <= len(curves) <= MAX_CURVES
+                and (curves >= 0).all()
+                and (curves <= largest).all(),
+                f"{name} curves are not 1 to {MAX_CURVES} of numbers from 0 to {largest:g}",
+            )
+            _expect((rows < len(curves)).all(), f"a {name} curve is named that is not there")
+        _expect(
+            (np.diff(self.reach_curves, axis=1) <= 0).all() and not self.reach_curves[:, -1].any(),
+            "a reach increases, or does not end at 0",
+        )
+
+    def check_beside(
+        self, cells: NDArray[np.uint8], lit: NDArray[np.uint8], depth: int, resolution: int
+    ) -> None:
+        """Refuse it beside an exitant light field that it does not fit; arguments as its members.
+
+        Raises:
+            LumitreeError: bins are of another number, a cell is outside the grid, or a bin that
+                emits has no entry.
+        """
+        bins = (resolution // 2) ** 2
+        expect_arrays(
+            "light inside the box", {"lit": (self.lit, np.uint8, (len(self.cells), -(-bins // 8)))}
+        )
+        _expect(len(self.cells) * bins <= MAX_ENTRIES, f"{len(self.cells)} cells of {bins} bins")
+        _expect((self.cells < 1 << depth).all(), "a cell is outside the grid")
+        own, codes = morton(self.cells), morton(cells)
+        rows = np.minimum(np.searchsorted(own, codes), max(len(own) - 1, 0))
+        _expect(
+            len(own) >= len(codes) and (own[rows] == codes).all(),
+            "a cell of the exitant light field is missing",
+        )
+        coarse = resolution // 2
+        emits = np.unpackbits(lit, axis=1).reshape(-1, coarse, 2, coarse, 2).any(axis=(2, 4))
+        needed = np.packbits(emits.reshape(-1, bins), axis=1)
+        _expect(not (needed & ~self.lit[rows]).any(), "a bin that emits has no entry")
+        if padding := -bins % 8:
+            _expect(
+                not (self.lit & ((1 << padding) - 1)).any(), "a bin beyond the last has an entry"
+            )
+
+    def dense(self, values: NDArray[Number]) -> NDArray[Number]:
+        """Values [E] of the entries, by cell and bin [C, Q²]; 0 in other bins."""
+        bins = np.zeros((len(self.cells), 8 * self.lit.shape[1]), values.dtype)
+        bins[np.unpackbits(self.lit, axis=1).view(bool)] = values
+        return bins
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of all arrays."""
+        fields = (getattr(self, field.name) for field in dataclasses.fields(self))
+        return sum(value.nbytes for value in fields if isinstance(value, np.ndarray))

@@ -1,0 +1,124 @@
+"""Light inside the box in memory: what is refused."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from exitant_fields import random_exitant, random_inside
+from lumitree.errors import LumitreeError
+
+FIELD = random_exitant(0)
+INSIDE = random_inside(0, FIELD)
+
+
+def changed(name, index, value):
+    array = getattr(INSIDE, name).copy()
+    array[index] = value
+    return {name: array}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"cells": INSIDE.cells.astype(np.int64)}, "cells is int64"),
+        ({"cells": np.uint8(0)}, r"cells is uint8 \(\)"),
+        ({"cells": INSIDE.cells[::-1]}, "repeated or out of order"),
+        (changed("cells", 1, INSIDE.cells[0]), "repeated or out of order"),
+        ({"lit": np.uint8(0)}, r"lit is uint8 \(\)"),
+        ({"lit": INSIDE.lit[1:]}, "lit is uint8"),
+        ({"intensity": INSIDE.intensity.astype(np.float32)}, "intensity is float32"),
+        ({"intensity": np.uint32(0)}, r"intensity is uint32 \(\)"),
+        ({"reach": INSIDE.reach[1:]}, "reach is uint8"),
+        ({"visibility": INSIDE.visibility.astype(np.int64)}, "visibility is int64"),
+        ({"distances": INSIDE.distances[:3]}, "reach_curves is float32"),
+        ({"distances": np.float32(0)}, r"distances is float32 \(\)"),
+        ({"reach_curves": np.float32(0)}, r"reach_curves is float32 \(\)"),
+        ({"visibility_curves": INSIDE.visibility_curves[:0]}, "visibility curves are not 1 to 256"),
+        (changed("distances", 0, 0.05), "distances are no increasing numbers from 0"),
+        (changed("distances", 2, 0.1), "distances are no increasing numbers"),
+        (changed("distances", 3, np.inf), "distances are no increasing numbers"),
+        (changed("distances", 3, np.nan), "distances are no increasing numbers"),
+        (changed("reach_curves", (0, 0), 1.01), "reach curves are not"),
+        (changed("reach_curves", (0, 0), np.nan), "reach curves are not"),
+        (changed("reach_curves", (0, 2), 1), "a reach increases"),
+        (changed("reach_curves", (0, slice(None)), 0.5), "does not end at 0"),
+        (changed("visibility_curves", (0, 3), 8.01), "from 0 to 8"),
+        (changed("visibility_curves", (0, 3), -1), "from 0 to 8"),
+        (changed("reach", 0, 4), "a reach curve is named that is not there"),
+        (changed("visibility", 0, 3), "a visibility curve is named that is not there"),
+        ({"scale": 0.0}, "scale 0.0"),
+        ({"scale": float("nan")}, "scale nan"),
+        ({"scale": 1}, "scale 1,"),
+    ],
+)
+def test_what_a_renderer_could_not_use_is_refused(change, message):
+    with pytest.raises(LumitreeError, match=message) as caught:
+        dataclasses.replace(INSIDE, **change)
+    assert str(caught.value).startswith("invalid light inside the box: ")
+    assert str(caught.value).isprintable()
+
+
+def without(row):
+    """Light inside without one of its cells."""
+    bits = np.unpackbits(INSIDE.lit, axis=1)
+    entry = np.repeat(np.arange(len(bits)), bits.sum(axis=1, dtype=np.int64))
+    members = {
+        name: np.delete(getattr(INSIDE, name), entry == row)
+        for name in ("intensity", "reach", "visibility")
+    }
+    cells, lit = (np.delete(each, row, axis=0) for each in (INSIDE.cells, INSIDE.lit))
+    return dataclasses.replace(INSIDE, cells=cells, lit=lit, **members)
+
+
+def test_every_cell_of_the_exitant_light_field_is_needed():
+    own = {tuple(cell) for cell in FIELD.cells.tolist()}
+    for row, cell in enumerate(INSIDE.cells.tolist()):
+        if tuple(cell) in own:
+            with pytest.raises(LumitreeError, match="cell of the exitant light field is missing"):
+                dataclasses.replace(FIELD, inside=without(row))
+        else:
+            assert dataclasses.replace(FIELD, inside=without(row)).num_bytes < (
+                FIELD.num_bytes + INSIDE.num_bytes
+            )
+
+
+def moved(bit):
+    """Light inside with the first entry of a cell of the field at another bin."""
+    row = INSIDE.cells.tolist().index(FIELD.cells[0].tolist())
+    bits = np.unpackbits(INSIDE.lit, axis=1)
+    bits[row] = 0
+    bits[row, bit] = 1
+    kept = int(np.unpackbits(INSIDE.lit[row]).sum()) - 1
+    first = int(np.unpackbits(INSIDE.lit[:row]).sum())
+    members = {
+        name: np.delete(getattr(INSIDE, name), slice(first, first + kept))
+        for name in ("intensity", "reach", "visibility")
+    }
+    return dataclasses.replace(INSIDE, lit=np.packbits(bits, axis=1), **members)
+
+
+def test_bins_that_emit_need_entries():
+    with pytest.raises(LumitreeError, match="a bin that emits has no entry"):
+        dataclasses.replace(FIELD, inside=moved(3))
+
+
+def test_bins_beyond_the_last_are_refused():
+    """Q² is 4, and a byte has eight bits."""
+    bits = np.unpackbits(INSIDE.lit, axis=1)
+    others = [
+        row for row, cell in enumerate(INSIDE.cells.tolist()) if cell not in FIELD.cells.tolist()
+    ]
+    bits[others[0], :5] = [1, 1, 1, 0, 1]
+    inside = dataclasses.replace(INSIDE, lit=np.packbits(bits, axis=1))
+    with pytest.raises(LumitreeError, match="a bin beyond the last has an entry"):
+        dataclasses.replace(FIELD, inside=inside)
+
+
+def test_light_inside_of_another_grid_is_refused():
+    with pytest.raises(LumitreeError, match=r"lit is uint8 \(7, 1\), expected uint8 \(7, 8\)"):
+        dataclasses.replace(random_exitant(0, resolution=16), inside=INSIDE)
+    with pytest.raises(LumitreeError, match="a cell is outside the grid"):
+        dataclasses.replace(
+            random_exitant(0, depth=1), inside=random_inside(0, random_exitant(0, depth=3))
+        )
