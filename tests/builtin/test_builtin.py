@@ -7,9 +7,11 @@ import pytest
 import trimesh
 
 from lumitree.builtin.registry import BUILTIN
+from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
 from lumitree.luminaire.luminaire import load_luminaire, luminaire_path
 from lumitree.luminaire.scene_writer import SCENE_FILE, write_scene
+from lumitree.luminaire.stored_model import stored_model
 from lumitree.model.geometry import coil, frames, lathe, offset, smooth, sweep
 from lumitree.model.model import Glass
 from lumitree.transport.tracing import PATH_DEPTH
@@ -115,7 +117,7 @@ def test_everything_is_closed_and_faces_outwards(models, name):
             assert merged.volume > 0, part.name
 
 
-@pytest.mark.parametrize("name", ["bulbs", "dallas", "cluster"])
+@pytest.mark.parametrize("name", ["arc", "bulbs", "dallas", "cluster"])
 def test_nothing_touches_the_bulb_glass(models, name):
     """Exact distance to the turned glass, in the plane of its profile."""
 
@@ -167,6 +169,7 @@ def files(folder):
         ("neoclassical", 18, [0.820, 0.948, 0.820]),
         ("portica", 7, [0.411, 0.83, 0.359]),
         ("star", 26, [0.624, 0.752, 0.624]),
+        ("arc", 1, [1.540, 2.050, 0.380]),
     ],
 )
 def test_scene_loads(mi, folders, name, emitters, extents):
@@ -176,12 +179,21 @@ def test_scene_loads(mi, folders, name, emitters, extents):
     for axis, extent in enumerate(extents):
         if extent is not None:
             assert scene.bbox().extents()[axis] == pytest.approx(extent, abs=2e-3)
-    assert scene.bbox().max[1] == pytest.approx(0, abs=1e-6)
+    # Where it meets the ceiling, or the floor.
+    origin = scene.bbox().min if name == "arc" else scene.bbox().max
+    assert origin[1] == pytest.approx(0, abs=1e-6)
 
 
 @pytest.mark.parametrize(
     ("name", "radiance"),
-    [("dallas", 20), ("cluster", 40), ("neoclassical", 24), ("portica", 22), ("star", 10)],
+    [
+        ("dallas", 20),
+        ("cluster", 40),
+        ("neoclassical", 24),
+        ("portica", 22),
+        ("star", 10),
+        ("arc", 150),
+    ],
 )
 def test_emitted_radiance_is_warm(models, name, radiance):
     emitting = [material for material in models[name].materials if material.radiance is not None]
@@ -235,6 +247,19 @@ def test_star_is_seen_at_radiance_of_about_four_and_a_half(mi):
     assert np.percentile(radiance.max(axis=-1), 99) == pytest.approx(4.5, rel=0.15)
 
 
+def test_the_arc_lamp_is_stored_and_leaves_its_box_empty(mi):
+    lamp = load_luminaire("arc")
+    assert stored_model(lamp).shapes
+    x, y, z = np.random.default_rng(0).uniform(-1, 1, (3, 4096)) * lamp.frame.half_extents[:, None]
+    points = np.stack([x, y, z], axis=1) * lamp.frame.scale + lamp.frame.centre
+    scene = lamp.scene
+    near = np.array(scene.ray_intersect(mi.Ray3f(on_device(mi.Point3f, points), [0, 0, 1])).t)
+    near = np.minimum(
+        near, np.array(scene.ray_intersect(mi.Ray3f(on_device(mi.Point3f, points), [0, 0, -1])).t)
+    )
+    assert np.isinf(near).mean() > 0.9
+
+
 def test_unknown_name_is_told_the_known_ones():
     with pytest.raises(LumitreeError, match=r"'chandelier'.*bulbs"):
         luminaire_path("chandelier")
@@ -244,6 +269,9 @@ def test_builtins_are_frozen_and_described():
     for name, builtin in BUILTIN.items():
         assert name == builtin.name
         assert builtin.description
-        assert name == "bulbs" or f"stand-in for the paper's {name.title()}" in builtin.description
+        assert (
+            name in ("bulbs", "arc")
+            or f"stand-in for the paper's {name.title()}" in builtin.description
+        )
         with pytest.raises(dataclasses.FrozenInstanceError):
             builtin.name = "other"

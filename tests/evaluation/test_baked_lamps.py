@@ -12,6 +12,7 @@ PATHS = 1 << 20
 # it has; and bounds on the irradiance of a face, relative to that of the explicit lamp: its mean,
 # and its RMS difference. Harmonics of band 2 are too smooth for light from panes of `portica`.
 FLOORS = {
+    "arc": (1.2, 0.4, 0.10, 0.10),
     "bulbs": (9.5, 2.0, 0.06, 0.08),
     "cluster": (5.0, 0.6, 0.30, 0.35),
     "dallas": (7.5, 2.7, 0.06, 0.09),

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 
-from lumitree.builtin import bulbs, cluster, dallas, neoclassical, portica, star
+from lumitree.builtin import arc, bulbs, cluster, dallas, neoclassical, portica, star
 from lumitree.model.model import Model
 
 
@@ -46,6 +46,11 @@ _ALL = (
         "star",
         "stand-in for the paper's Star: Moravian star of scattering opal glass, 0.75 m",
         star.build,
+    ),
+    Builtin(
+        "arc",
+        "arc floor lamp: an opal globe on a long curved steel arm, 2.05 m",
+        arc.build,
     ),
 )
 BUILTIN: dict[str, Builtin] = {builtin.name: builtin for builtin in _ALL}

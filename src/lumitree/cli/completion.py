@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 # Not read from the registry, whose imports take longer than a completion may.
-BUILTIN_NAMES = ("bulbs", "cluster", "dallas", "neoclassical", "portica", "star")
+BUILTIN_NAMES = ("arc", "bulbs", "cluster", "dallas", "neoclassical", "portica", "star")
 _LUMINAIRE = ("xml", "obj", "gltf", "glb")
 _PHOTOMETRIC = ("ies", "ldt", "ray", "tm25ray")
 # Endings of the files of an argument, by its name in the help; no ending: folders only.
