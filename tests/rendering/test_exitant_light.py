@@ -154,7 +154,7 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
     direction = offset / distance
     arrives = BoxProxy(HALF).enter(origin, direction)[2]
     weight = light.contribution(
-        direction, distance, cell, chance, mi.Float(density(direction)), arrives
+        direction, distance, cell, chance, mi.Float(density(direction)), mi.Bool(False), arrives
     )
     radius = float(np.linalg.norm(HALF))
     plain = sample_cone(origin, radius, uniform_samples(mi, count, 1).next_2d())
@@ -163,7 +163,8 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
     if other:
         near, _, enters = BoxProxy(HALF).enter(origin, plain)
         inverse = dr.rcp(density(plain))
-        rest = light.received(origin, origin + near * plain, plain, near, inverse, enters)
+        entry, seen = origin + near * plain, mi.Bool(False)
+        rest = light.received(origin, entry, plain, near, inverse, seen, None, enters)
         # Only the balance heuristic with a positive b bounds the weights of near points.
         volume = np.array(light._volume)
         brightest = unpack(some_light().intensity).max() * some_light().scale

@@ -95,8 +95,11 @@ def test_methods_of_the_emitter_agree_on_it(mi, asset):
         sees = mi.Bool(True)
         chances = mi.Float(0.3), mi.Float(0.5)
         ray = mi.Ray3f(it.p, ds.d)
-        radiance, through, pdf = emitter.eval_entered(ray, si.t, it, sees, *chances, si.is_valid())
-        target, point = emitter.sample_target(it, sample, mi.Bool(True))
+        ends = mi.Float(dr.inf), mi.Float(dr.inf)
+        radiance, through, pdf = emitter.eval_entered(
+            ray, si.t, it, sees, *chances, ends, si.is_valid()
+        )
+        target, point, _ = emitter.sample_target(it, sample, mi.Bool(True))
         value, value_pdf = emitter.eval_target(it, target, point, *chances, target.pdf > 0)
         _, flux = emitter.sample_ray(0.0, sampler.next_1d(), sample, sampler.next_2d())
         light = (

@@ -35,10 +35,10 @@ def created(monkeypatch, mi):
         found["tables"] += 1
         table(*args)
 
-    def nested(*args):
+    def nested(*args, **options):
         found["depth"] += 1
         found["deepest"] = max(found["deepest"], found["depth"])
-        result = sampler(*args)
+        result = sampler(*args, **options)
         found["depth"] -= 1
         return result
 
@@ -211,7 +211,7 @@ def test_objects_in_boxes_are_found_for_each_box(mi):
     ball = {"type": "sphere", "center": [5, 0, 0], "radius": 0.3}
     scene = mi.load_dict({"type": "scene", "ball": ball})
     boxes = np.array([similarity(np.eye(3), 0.5, [x, 0, 0]) for x in np.arange(0, 301, 0.5)])
-    assert np.flatnonzero(holds_objects(scene, boxes)).tolist() == [9, 10, 11]
+    assert np.flatnonzero(holds_objects(scene.shapes(), boxes)).tolist() == [9, 10, 11]
 
 
 @pytest.mark.parametrize(("lamp", "parallel"), [("lumitree_proxy", False), ("sphere", True)])

@@ -128,16 +128,15 @@ def test_render_shows_the_model_where_the_integrator_can(monkeypatch, integrator
         assert json.load(file)["mean_radiance"] > 0
 
 
-def test_a_camera_inside_a_model_is_no_fault(mi, recwarn):
+def test_a_camera_inside_a_lamp_is_no_fault(mi, recwarn):
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 
     film = {"type": "hdrfilm", "width": 4, "height": 4}
     room = mi.load_dict({"type": "scene", "sensor": {"type": "perspective", "film": film}})
-    for appearance, count in (("model", 0), ("field", 1)):
-        recwarn.clear()
+    for appearance in ("model", "field"):
         place_luminaires(room, [PlacedLuminaire(Placement(bar()))], appearance=appearance)
-        assert len([w for w in recwarn if "the camera is inside" in str(w.message)]) == count
+    assert not [each for each in recwarn if issubclass(each.category, LumitreeWarning)]
 
 
 def test_parts_are_plain_data():

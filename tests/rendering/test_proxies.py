@@ -110,9 +110,9 @@ class Undivided:
     """Leaves the proxies in the scene that is traced."""
 
     def of(self, scene):
-        from lumitree.rendering.proxies import Proxies
+        from lumitree.rendering.proxies import Divided, Owners, Proxies
 
-        return scene, Proxies([])
+        return Divided(scene, Proxies([]), None, Owners({}))
 
 
 def room(mi, **objects):
@@ -187,7 +187,7 @@ def test_surfaces_are_built_again_only_when_shapes_change(mi, lamps):
 
     scene = room(mi, lamp0=lamps["lamp0"])
     divided = DividedScene()
-    first, proxies = divided.of(scene)
+    first, proxies, *_ = divided.of(scene)
     assert proxies.exist
     assert len(first.shapes()) == len(scene.shapes()) - 1
     parameters = mi.traverse(scene)
@@ -204,12 +204,12 @@ def test_a_scene_without_lamps_or_with_instances_is_not_divided(mi, lamps):
     from lumitree.rendering.proxies import DividedScene
 
     plain = room(mi)
-    surfaces, proxies = DividedScene().of(plain)
+    surfaces, proxies, *_ = DividedScene().of(plain)
     assert surfaces is plain
     assert not proxies.exist
     group = {"type": "shapegroup", "ball": {"type": "sphere", "radius": 0.2}}
     repeated = {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}}
     scene = room(mi, group=group, repeated=repeated, lamp0=lamps["lamp0"])
-    surfaces, proxies = DividedScene().of(scene)
+    surfaces, proxies, *_ = DividedScene().of(scene)
     assert surfaces is scene
     assert not proxies.exist

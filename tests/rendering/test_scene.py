@@ -9,6 +9,7 @@ import pytest
 import lumitree
 from fields import random_asset
 from lamps import sphere
+from lumitree.core.device import on_device
 from lumitree.errors import LumitreeWarning
 
 ROOM = '<scene version="3.0.0"><integrator type="{}"/><sensor type="perspective"/>{}</scene>'
@@ -81,6 +82,27 @@ def test_emitters_have_the_same_order_each_time(mi, asset):
         orders.add(centres.round(3).tobytes())
     assert len(scene.emitters()) == 5
     assert len(orders) == 1
+
+
+def test_the_ball_of_the_demonstration_hangs_in_the_box_clear_of_the_lamp(mi):
+    from lumitree.demo import LUMINAIRE
+    from lumitree.rendering import demo_room
+    from lumitree.rendering.scene import PlacedLuminaire
+
+    placed = PlacedLuminaire(demo_room.lamp(LUMINAIRE))
+    centre, radius = np.array(demo_room.BALL_CENTRE), demo_room.BALL_RADIUS
+    box = placed.scene_from_box
+    inside = np.abs(np.linalg.solve(box, [*centre, 1])[:3]) * np.diag(box)[:3]
+    assert (inside + radius < np.diag(box)[:3]).all()
+    lamp = mi.load_dict({"type": "scene", **placed.shapes("box", "emission", "field")})
+    directions = np.random.default_rng(0).normal(size=(1 << 14, 3)).astype(np.float32)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    ray = mi.Ray3f(mi.Point3f(*centre.tolist()), on_device(mi.Vector3f, directions))
+    assert np.array(lamp.ray_intersect_preliminary(ray).t).min() > 1.1 * radius
+    with_ball, without = (
+        len(demo_room.demo_room(16, ball_in_box=ball).shapes()) for ball in (True, False)
+    )
+    assert with_ball == without + 2
 
 
 def test_a_shape_is_read_once(mi, asset, loads):

@@ -21,7 +21,11 @@ class DeferredEmitter(Protocol):
 
     placed: Placed
 
-    def sample_target(self, it: Any, sample: Any, active: Any) -> tuple[Any, Any]:
+    def light_inside(self) -> bool:
+        """Light what is in the box from now on. Returns whether that is possible."""
+        ...
+
+    def sample_target(self, it: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
         """First half of `sample_direction`: a direction towards the proxy.
 
         Args:
@@ -32,7 +36,8 @@ class DeferredEmitter(Protocol):
         Returns:
             mi.DirectionSample3f, whose `pdf` is 1 where there is a direction and 0 elsewhere, and
             whose `delta` says that `eval_target` returns a weight that includes multiple importance
-            sampling; and what `eval_target` needs of the sample: mi.Float, mi.UInt32, mi.Float.
+            sampling; what `eval_target` needs of the sample, a `Target`; and mi.Float, how far the
+            way goes on beyond the sample's point, through the lamp's own surfaces.
         """
         ...
 
@@ -55,7 +60,15 @@ class DeferredEmitter(Protocol):
         ...
 
     def eval_entered(
-        self, ray: Any, distance: Any, it: Any, sees: Any, pdf: Any, chance: Any, active: Any
+        self,
+        ray: Any,
+        distance: Any,
+        it: Any,
+        sees: Any,
+        pdf: Any,
+        chance: Any,
+        ends: tuple[Any, Any],
+        active: Any,
     ) -> tuple[Any, Any, Any]:
         """`eval`, `eval_null_transmission` and `pdf_direction` in one traversal.
 
@@ -68,6 +81,8 @@ class DeferredEmitter(Protocol):
             pdf: mi.Float, density per steradian with which the BSDF sampled the ray.
             chance: mi.Float, probability with which next-event estimation chooses this emitter; 0
                 if it could not have found the ray.
+            ends: mi.Float, distances from the ray's origin of the first surface that belongs to
+                the emitter's lamp, and of the first other one.
             active: mi.Bool mask.
 
         Returns:

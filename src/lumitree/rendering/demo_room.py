@@ -9,6 +9,8 @@ from lumitree.rendering.plugin_objects import load_ordered
 
 LAMP_CENTRE = (0.0, 1.72, 0.0)
 LAMP_SIZE = 0.9
+# Above the bulbs, in the upper part of the lamp's box, which ends at y = 2.17.
+BALL_CENTRE, BALL_RADIUS = (0.33, 1.96, -0.26), 0.08
 
 
 def lamp(source: str) -> Placement:
@@ -16,10 +18,14 @@ def lamp(source: str) -> Placement:
     return Placement(source, at=LAMP_CENTRE, size=LAMP_SIZE)
 
 
-def demo_room(width: int = 320) -> Any:
+def demo_room(width: int = 320, *, ball_in_box: bool = False) -> Any:
     """Room of 4 x 2.4 x 4 metres, y up, with a lit window behind the lamp (an area light).
 
     Through the gaps of the lamp the window shows; its light throws the lamp's shadow.
+
+    Args:
+        width: of the image, pixels.
+        ball_in_box: a ball hangs from the ceiling into the lamp's bounding box.
     """
     to = mi.ScalarTransform4f
 
@@ -67,6 +73,24 @@ def demo_room(width: int = 320) -> Any:
             "diffuse_reflectance": {"type": "rgb", "value": [0.1, 0.3, 0.5]},
         },
     }
+    if ball_in_box:
+        x, y, z = BALL_CENTRE
+        scene["ball"] = {
+            "type": "sphere",
+            "center": [x, y, z],
+            "radius": BALL_RADIUS,
+            "bsdf": {
+                "type": "plastic",
+                "diffuse_reflectance": {"type": "rgb", "value": [0.7, 0.25, 0.15]},
+            },
+        }
+        scene["cord"] = {
+            "type": "cylinder",
+            "p0": [x, y, z],
+            "p1": [x, 2.4, z],
+            "radius": 0.004,
+            "bsdf": matte(0.1, 0.1, 0.1),
+        }
     for index, x in enumerate((-0.36, 0.36)):
         scene[f"window_{index}"] = {
             "type": "rectangle",

@@ -12,10 +12,22 @@ import numpy as np
 from lumitree.asset.asset import Asset
 from lumitree.core.device import parameter
 from lumitree.octree.field import Field
-from lumitree.rendering.emitter_sampling import DirectionSampler, EmitterSampler, Sampling
+from lumitree.octree.traversal import Span
+from lumitree.rendering.emitter_sampling import (
+    INSIDE,
+    NEAR,
+    OUTSIDE,
+    DirectionSampler,
+    EmitterSampler,
+    RayEnds,
+    Sampling,
+    Target,
+)
 from lumitree.rendering.exitant_light import exitant_light
+from lumitree.rendering.inside_light import InsideLight
 from lumitree.rendering.light_leaves import light_leaves
 from lumitree.rendering.proxy import Proxy, cone_pdf
+from lumitree.rendering.samples import scrambled
 
 # Where the BSDF's density is below this part of a uniform density over the lamp's bounding sphere,
 # next-event estimation alone finds the light. The sphere is enlarged by the second number, and
@@ -24,13 +36,23 @@ _CUTOFF, _CUTOFF_RADIUS = 0.5, 1.25
 
 
 def emitter_sampler(
-    asset: Asset, field: Field, proxy: Proxy, sampling: Sampling = "emission"
+    asset: Asset,
+    field: Field,
+    proxy: Proxy,
+    sampling: Sampling = "emission",
+    *,
+    blocked: bool = False,
 ) -> DirectionSampler:
-    """Sampler of what an asset emits; arguments as for `EmitterSampler` and `lumitree.shape`."""
+    """Sampler of what an asset emits; arguments as for `EmitterSampler` and `lumitree.shape`.
+
+    With `blocked`, the lamp's own surfaces are in the scene, and block its light.
+    """
     uniform = sampling == "uniform"
     if asset.exitant is None:
         return EmitterSampler(proxy, field, None if uniform else light_leaves(field))
-    return DividedSampler(asset, field, proxy) if uniform else CellSampler(asset, field)
+    if uniform:
+        return DividedSampler(asset, field, proxy)
+    return CellSampler(asset, field, blocked=blocked)
 
 
 def look(asset: Asset, field: Field, origin: Any, direction: Any, active: Any) -> tuple[Any, Any]:
@@ -87,13 +109,13 @@ class DividedSampler(DirectionSampler):
         return radiance, through, density
 
     def _divide(
-        self, radiance: Any, entry: Any, direction: Any, active: Any, sees: Any
+        self, radiance: Any, entry: Any, direction: Any, active: Any, sees: Any, span: Span = None
     ) -> tuple[Any, Any]:
         """What rays get of a radiance for receivers, and their transmittance."""
         if not self._asset.num_leaves:
             return radiance, mi.Float(1)
-        seen, through = self._field.emission(entry, direction, active & sees)
-        passed = self._field.coarse.transmittance(entry, direction, active & ~mi.Bool(sees))
+        seen, through = self._field.emission(entry, direction, active & sees, span)
+        passed = self._field.coarse.transmittance(entry, direction, active & ~mi.Bool(sees), span)
         return dr.select(sees, seen, radiance), dr.select(sees, through, passed)
 
     def pdf(self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True) -> Any:
@@ -123,30 +145,69 @@ class CellSampler(DividedSampler):
 
     weighs = True
 
-    def __init__(self, asset: Asset, field: Field) -> None:
+    def __init__(self, asset: Asset, field: Field, *, blocked: bool = False) -> None:
         super().__init__(asset, field)
+        self._blocked = blocked
+        self._inside: InsideLight | None = None
         self._radius = parameter(mi.Float, float(np.linalg.norm(asset.frame.half_extents)))
 
-    def sample_target(self, x: Any, sample: Any, active: Any) -> tuple[Any, tuple[Any, Any, Any]]:
+    def light_inside(self) -> None:
+        """Make what receivers inside the box need."""
+        if self._inside is None:
+            exitant, frame = self._asset.exitant, self._asset.frame
+            assert exitant is not None
+            self._inside = InsideLight(
+                exitant, frame.half_extents, self._light, self._asset.gain, blocked=self._blocked
+            )
+
+    def sample_target(self, x: Any, sample: Any, active: Any, inside: Any) -> tuple[Any, Target]:
         """As `DirectionSampler.sample_target`."""
-        point, cell, chance = self._light.sample_point(x, sample, active)
+        point, cell, chance = self._light.sample_point(x, sample, active & ~inside)
+        place = mi.UInt32(OUTSIDE)
+        if self._blocked:
+            # Other bits of the same sample, which the point does not depend on.
+            near = scrambled(mi.Point2f(sample.y, sample.x)).z < self._light.blocked_part(x)
+            place = dr.select(near, mi.UInt32(NEAR), place)
+        if self._inside is not None:
+            others = *self._inside.sample_point(x, sample, active & inside), mi.UInt32(INSIDE)
+            found = zip(others, (point, cell, chance, place), strict=True)
+            point, cell, chance, place = (dr.select(inside, *each) for each in found)
         offset = mi.Vector3f(point - x)
         distance = dr.norm(offset)
-        return offset / distance, (distance, cell, chance)
+        return offset / distance, (distance, cell, chance, place)
+
+    def border(self, x: Any, direction: Any, target: Target, active: Any) -> Any:
+        """Distance up to which the lamp's own surfaces block; 0 where they do not."""
+        _, cell, _, place = target
+        border = mi.Float(0)
+        if self._blocked:
+            near = active & (place == NEAR)
+            border = dr.select(near, self._light.border(x, direction, cell, near), border)
+        if self._inside is not None and self._inside.blocked:
+            inside = active & (place == INSIDE)
+            border = dr.select(inside, self._inside.border(x, direction, cell, inside), border)
+        return border
 
     def eval_target(
         self,
         x: Any,
         direction: Any,
         entry_distance: Any,
-        target: tuple[Any, Any, Any],
+        target: Target,
         pdf: Any,
         chance: Any,
         active: Any,
     ) -> tuple[Any, Any]:
         """As `DirectionSampler.eval_target`."""
+        far, cell, probability, place = target
         other = dr.select(self._left_out(x, pdf), 0, pdf / (self._radius * chance))
-        weight = self._light.contribution(direction, *target, other, active)
+        weight = self._light.contribution(
+            direction, far, cell, probability, other, place == NEAR, active & (place != INSIDE)
+        )
+        if self._inside is not None:
+            weight += self._inside.contribution(
+                direction, far, cell, probability, other, active & (place == INSIDE)
+            )
         return weight, dr.select(active, mi.Float(1), 0)
 
     def eval_hit(
@@ -159,14 +220,27 @@ class CellSampler(DividedSampler):
         pdf: Any,
         chance: Any,
         active: Any,
+        inside: Any,
+        ends: RayEnds | None,
     ) -> tuple[Any, Any, Any]:
         """As `DirectionSampler.eval_hit`."""
         gets = active & ~((chance > 0) & self._left_out(x, pdf))
         if self._asset.num_leaves:
             gets &= ~mi.Bool(sees)
         inverse = dr.select(chance > 0, self._radius * chance / pdf, 0)
-        radiance = self._light.received(x, entry, direction, distance, inverse, gets)
-        radiance, through = self._divide(radiance, entry, direction, active, sees)
+        blocked = mi.Bool(False)
+        if self._blocked:
+            # A random number that the path has not used.
+            choice = scrambled(mi.Point2f(direction.x, direction.y)).z
+            blocked = gets & (choice < self._light.blocked_part(x))
+        radiance = self._light.received(
+            x, entry, direction, distance, inverse, blocked, ends, gets & ~inside
+        )
+        if self._inside is not None:
+            assert ends is not None
+            radiance += self._inside.received(x, entry, direction, inverse, ends, gets & inside)
+        span = None if ends is None else (mi.Float(0), ends.other)
+        radiance, through = self._divide(radiance, entry, direction, active, sees, span)
         return radiance, through, mi.Float(0)
 
     def _left_out(self, x, pdf):

@@ -9,8 +9,10 @@ import mitsuba as mi
 from lumitree.core.arguments import check_gain
 from lumitree.errors import LumitreeError
 from lumitree.rendering.divided_sampling import emitter_sampler
+from lumitree.rendering.emitter_sampling import RayEnds
 from lumitree.rendering.placed import Placed
 from lumitree.rendering.plugin_objects import complete_later
+from lumitree.rendering.proxy import BoxProxy
 
 
 def emitter_class() -> type:
@@ -35,7 +37,17 @@ def emitter_class() -> type:
         @functools.cached_property
         def sampler(self):
             placed = self.placed
-            return emitter_sampler(placed.asset, placed.field, placed.proxy, placed.sampling)
+            blocked = placed.shows_model
+            return emitter_sampler(
+                placed.asset, placed.field, placed.proxy, placed.sampling, blocked=blocked
+            )
+
+        def light_inside(self):
+            placed = self.placed
+            if self.sampler.weighs and isinstance(placed.proxy, BoxProxy):
+                self.sampler.light_inside()
+                placed.holds = True
+            return placed.holds
 
         def traverse(self, callback):
             super().traverse(callback)
@@ -63,16 +75,21 @@ def emitter_class() -> type:
             line, entering = self.placed.entering_line(si, active)
             return self.gain * self.sampler.look(*line, entering)[0] & entering
 
-        def eval_entered(self, ray, distance, it, sees, pdf, chance, active):
+        def eval_entered(self, ray, distance, it, sees, pdf, chance, ends, active):
             placed = self.placed
             x, (entry, direction) = placed.local_point(it.p), placed.entry(ray, distance)
             if placed.shows_model:
                 # Images show the model's own shapes, which also hide what is behind them.
                 active &= ~sees
-            # Next-event estimation alone finds the light for receivers in the margin.
-            active &= (chance <= 0) | ~placed.in_margin(x)
+            inside = mi.Bool(False)
+            if placed.holds:
+                inside = placed.in_box(x)
+            else:
+                # Next-event estimation alone finds the light for receivers in the margin.
+                active &= (chance <= 0) | ~placed.in_margin(x)
+            ends = RayEnds(*((end - distance) / placed.scale for end in ends))
             radiance, through, density = self.sampler.eval_hit(
-                x, entry, direction, dr.norm(entry - x), sees, pdf, chance, active
+                x, entry, direction, dr.norm(entry - x), sees, pdf, chance, active, inside, ends
             )
             if not placed.dims:
                 through = mi.Float(1)
@@ -81,8 +98,11 @@ def emitter_class() -> type:
         def transmittance(self, ray, distance, active):
             if not self.placed.dims:
                 return mi.Float(1)
-            line = self.placed.entry(ray, distance)
-            return dr.select(active, self.placed.shadow_field.transmittance(*line, active), 1)
+            placed = self.placed
+            line = placed.entry(ray, distance)
+            # Not of what is behind a receiver in the box.
+            span = (mi.Float(0), mi.Float(dr.inf)) if placed.holds else None
+            return dr.select(active, placed.shadow_field.transmittance(*line, active, span), 1)
 
         def sample_direction(self, it, sample, active=True):
             placed = self.placed
@@ -100,11 +120,27 @@ def emitter_class() -> type:
             return ds, dr.select(ds.pdf > 0, self.gain * radiance / ds.pdf, 0)
 
         def sample_target(self, it, sample, active):
-            x = self.placed.local_point(it.p)
-            direction, target = self.sampler.sample_target(x, sample, active)
+            placed = self.placed
+            x = placed.local_point(it.p)
+            inside = placed.in_box(x) if placed.holds else mi.Bool(False)
+            direction, target = self.sampler.sample_target(x, sample, active, inside)
             ds = self._towards(it, x, direction, active)
             ds.delta |= self.sampler.weighs
-            return ds, target
+            end, beyond = ds.dist, mi.Float(0)
+            if placed.shows_model:
+                # The lamp's own surfaces block up to the box, or within it up to the cell.
+                border = self.sampler.border(x, direction, target, active) * placed.scale
+                end = dr.maximum(dr.select(inside, 0, end), border)
+            if placed.holds:
+                ds.pdf = dr.select(active & inside, 1, ds.pdf)
+                point = target[0] * placed.scale
+                if placed.shows_model:
+                    beyond = dr.maximum(point - end, 0)
+                else:
+                    end = point
+            ds.p = dr.select(ds.dist == end, ds.p, dr.fma(end, ds.d, it.p))
+            ds.dist = end
+            return ds, target, beyond
 
         def _towards(self, it, origin, direction, active):
             """Sample of a direction (local frame), without its density, which is 1 where it is."""
@@ -127,8 +163,9 @@ def emitter_class() -> type:
         def eval_target(self, it, ds, target, pdf, chance, active):
             x, direction = self.placed.local_line(it.p, ds.d)
             near = ds.dist / self.placed.scale
-            # A receiver in the margin is not found by rays of its BSDF.
-            pdf = dr.select(self.placed.in_margin(x), 0, pdf)
+            if not self.placed.holds:
+                # A receiver in the margin is not found by rays of its BSDF.
+                pdf = dr.select(self.placed.in_margin(x), 0, pdf)
             weight, density = self.sampler.eval_target(
                 x, direction, near, target, pdf, chance, active
             )

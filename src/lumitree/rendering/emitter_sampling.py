@@ -8,7 +8,7 @@ The density of a direction is computed along its ray, together with its radiance
 """
 
 import math
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import drjit as dr
 import mitsuba as mi
@@ -24,6 +24,33 @@ Sampling = Literal["emission", "uniform"]
 SAMPLING_KINDS: tuple[Sampling, ...] = get_args(Sampling)
 # Part of the samples that is taken uniformly.
 UNIFORM_FRACTION = 0.1
+# Where a receiver is: outside the box, near it, where the lamp's own surfaces block; or inside.
+OUTSIDE, NEAR, INSIDE = range(3)
+# Of a sampled point: distance, cell and its probability where cells are sampled, and place of the
+# receiver (mi.Float, mi.UInt32, mi.Float, mi.UInt32).
+Target = tuple[Any, Any, Any, Any]
+
+
+class RayEnds(NamedTuple):
+    """Where a ray through a lamp's box ends, from the point where it enters, local units.
+
+    Attributes:
+        own: mi.Float, distance of the first of the lamp's own surfaces, if they block. The cell in
+            which it is counts as a whole, as it does where a point of it is sampled.
+        other: mi.Float, distance of the first other surface.
+    """
+
+    own: Any
+    other: Any
+
+    def reached(self, start: Any, blocked: Any, active: Any) -> Any:
+        """Whether the ray sees a cell that it enters at a distance `start` (mi.Float).
+
+        Args:
+            blocked: mi.Bool, whether the lamp's own surfaces block.
+            active: mi.Bool mask.
+        """
+        return active & ~(blocked & (start > self.own))
 
 
 class DirectionSampler(Protocol):
@@ -57,17 +84,27 @@ class DirectionSampler(Protocol):
         self, choice: Any, sample1: Any, sample2: Any, active: Any = True
     ) -> tuple[Any, Any, Any]: ...
 
-    def sample_target(self, x: Any, sample: Any, active: Any) -> tuple[Any, tuple[Any, Any, Any]]:
-        """Direction as `sample` returns it, and what `eval_target` needs of the sample."""
+    def sample_target(self, x: Any, sample: Any, active: Any, inside: Any) -> tuple[Any, Target]:
+        """Direction as `sample` returns it, and what `eval_target` needs of the sample.
+
+        `inside` (mi.Bool): whether the receiver is inside the box, and gets light there.
+        """
         direction, distance = self.sample(x, sample, active)
-        return direction, (distance, mi.UInt32(0), mi.Float(0))
+        return direction, (distance, mi.UInt32(0), mi.Float(0), mi.UInt32(OUTSIDE))
+
+    def border(self, x: Any, direction: Any, target: Target, active: Any) -> Any:
+        """Distance (mi.Float) within which the lamp's own surfaces block; 0 where they do not."""
+        return mi.Float(0)
+
+    def light_inside(self) -> None:
+        """Prepare light for receivers inside the box."""
 
     def eval_target(
         self,
         x: Any,
         direction: Any,
         entry_distance: Any,
-        target: tuple[Any, Any, Any],
+        target: Target,
         pdf: Any,
         chance: Any,
         active: Any,
@@ -97,6 +134,8 @@ class DirectionSampler(Protocol):
         pdf: Any,
         chance: Any,
         active: Any,
+        inside: Any,
+        ends: RayEnds | None,
     ) -> tuple[Any, Any, Any]:
         """Radiance, transmittance and density of a ray that has hit the proxy.
 
@@ -104,6 +143,8 @@ class DirectionSampler(Protocol):
             x, entry, direction, distance, sees, active: as for `eval`.
             pdf, chance: as for `eval_target`; a chance of 0 if next-event estimation could not have
                 found the direction.
+            inside: as for `sample_target`.
+            ends: where the ray ends in the box; None if nothing is in the box.
         """
         return self.eval(x, entry, direction, distance, active, sees=sees)
 

@@ -16,7 +16,8 @@ integrator that leaves the weights to the lamp gets the light of the sampled cel
 traversal. A path that samples its direction by the BSDF then gets the rest (`received`).
 
 Symbols
-    x   receiver, outside the lamp's box        C   cells        R   bins of direction a side
+    x   receiver, outside the lamp's box (inside it, see `inside_light`)
+    C   cells        R   bins of direction a side
     I   radiant intensity of a cell             f   BSDF times cosine
     p   probability with which a cell is sampled
     V   volume of the part of a cell that is inside the lamp's box. A cell adds
@@ -25,10 +26,14 @@ Symbols
     b   what stands for the density of a direction sampled by the BSDF, per steradian and length.
         With the balance heuristic a sampled point has the weight I f / (V (a r² + b)), and a point
         of a ray that was sampled by the BSDF has a part b / (a r² + b) of its light
+    J, κ    see `asset.light_inside`
+
+Where the lamp's own surfaces are in the scene, receivers near the box get (I + J) κ of cells that
+they see past these surfaces, and nothing of others: the same on average, but with sharp shadows.
+From the box to `_NEAR` beyond it, a decreasing part of the samples is of this kind.
 """
 
 import weakref
-from collections.abc import Iterator
 from typing import Any
 
 import drjit as dr
@@ -48,24 +53,21 @@ from lumitree.asset.exitant import (
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
 from lumitree.model.photometry import luminance
-from lumitree.octree.build import build_children
+from lumitree.octree.build import build_children, morton
 from lumitree.octree.leaves import boxes_inside
 from lumitree.octree.traversal import Octree
-from lumitree.rendering.alias_table import AliasTable
-from lumitree.rendering.emitter_sampling import UNIFORM_FRACTION
-from lumitree.rendering.proxy import cone_pdf, sample_cone
+from lumitree.rendering.cell_table import cell_table
+from lumitree.rendering.emitter_sampling import UNIFORM_FRACTION, RayEnds
+from lumitree.rendering.proxy import cone_pdf, safe_inverse, sample_cone, slab
 from lumitree.rendering.receiver_cells import ReceiverCells
 from lumitree.rendering.samples import divide_sample, sample_row, scrambled
 
-# Part of the samples of a cell that is by flux alone.
-_FLUX_FRACTION = 0.1
-# Cells of receivers, see `receiver_cells`, and points in each that a row of the table is made from.
+# Cells of receivers, see `receiver_cells`.
 _RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 16, 4, 0.3
-_POINTS_PER_CELL = 16
 # Entries of the table, of 8 bytes: lamps with more cells have fewer rows.
 _MAX_ENTRIES = 1 << 24
-# Rows of the table that are made at once.
-_ROWS_AT_ONCE = 16
+# Distance from the box, local units, up to which shadows of the lamp's own surfaces are sharp.
+_NEAR = 0.5
 
 _LIGHTS: "weakref.WeakKeyDictionary[ExitantField, dict[tuple[object, ...], ExitantLight]]" = (
     weakref.WeakKeyDictionary()
@@ -115,66 +117,45 @@ class ExitantLight:
         volume = (upper - lower).prod(axis=1)
         self._corners = on_device(mi.Float, np.stack([lower, upper], axis=1))
         self._volume = on_device(mi.Float, volume)
+        self._half = parameter(mi.Vector3f, *half_extents.tolist())
         self._packed = on_device(mi.UInt32, field.dense(field.intensity))
-        self._scale = dr.opaque(mi.Float, field.scale * max(gain))
+        self.scale = dr.opaque(mi.Float, field.scale * max(gain))
         self._colour = parameter(mi.Color3f, *(factor / max(gain) for factor in gain))
         flux = field.dense(luminance(unpack(field.intensity))) * solid_angles(field.resolution)
         by_cell = flux.sum(axis=1)
-        self._flux_shares = by_cell / by_cell.sum()
         cumulated = np.cumsum(flux, axis=1)
         self._bin_chances = on_device(mi.Float, cumulated / cumulated[:, -1:])
-        self._cell_chances = on_device(mi.Float, np.cumsum(self._flux_shares))
-        self._table = AliasTable(self._shares(), self._around.count, count)
+        self._cell_chances = on_device(mi.Float, np.cumsum(by_cell / by_cell.sum()))
+        self._table = cell_table(self._around, self._corners, self._towards, self.scale, by_cell)
+        # J and κ of all bins, for receivers outside the box.
+        self._factors = None
+        if (inside := field.inside) is not None:
+            rows = np.searchsorted(morton(inside.cells), morton(field.cells))
+            far = inside.visibility_curves[:, -1][inside.visibility]
+            self._factors = on_device(mi.Float, inside.dense(far)[rows])
+            self._ending = on_device(mi.UInt32, inside.dense(inside.intensity)[rows])
+            self._ending_scale = parameter(mi.Color3f, *(inside.scale * each for each in gain))
 
-    def _shares(self) -> Iterator[NDArray[np.float64]]:
-        """Share [.., C] of samples that each cell is to get, for some cells of receivers each."""
-        # All are begun before the first is waited for: each waiting costs time of the processor.
-        firsts = range(0, self._around.count, _ROWS_AT_ONCE)
-        for square in [self._square(first) for first in firsts]:
-            light = np.sqrt(np.array(square, np.float64).reshape(_ROWS_AT_ONCE, -1))
-            total = light.sum(axis=1, keepdims=True)
-            shares = np.where(total > 0, light / np.maximum(total, 1e-300), self._flux_shares)
-            yield (1 - _FLUX_FRACTION) * shares + _FLUX_FRACTION * self._flux_shares
+    def blocked_part(self, x: Any) -> Any:
+        """Part of the samples for receivers (mi.Point3f) that the lamp's own surfaces block.
 
-    def _square(self, first: int) -> Any:
-        """`_mean_square` for random receivers in `_ROWS_AT_ONCE` cells from `first`."""
-        points = _ROWS_AT_ONCE * _POINTS_PER_CELL
-        rng = mi.PCG32(points, initstate=dr.opaque(mi.UInt64, first))
-        row = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
-        sample = mi.Point2f(rng.next_float32(), rng.next_float32())
-        square = self._mean_square(self._around.point(row, sample, rng.next_float32()), first)
-        dr.eval(square)
-        return square
+        0 where it is not known how much they leave.
+        """
+        if self._factors is None:
+            return mi.Float(0)
+        beyond = dr.norm(dr.maximum(dr.abs(mi.Vector3f(x)) - self._half, 0))
+        return dr.maximum(1 - beyond / _NEAR, 0)
 
-    @dr.syntax
-    def _mean_square(self, points: Any, seed: int) -> Any:
-        """Mean square of the light that cells send to receivers, relative to `_scale`.
+    def border(self, x: Any, direction: Any, cell: Any, active: Any = True) -> Any:
+        """Distance (mi.Float) at which a ray from a receiver that meets a cell enters it.
 
         Args:
-            points: mi.Point3f, `_POINTS_PER_CELL` receivers for each of `_ROWS_AT_ONCE` rows.
-            seed: of the points in the cells.
-
-        Returns:
-            mi.Float, for all cells in each row.
+            x: mi.Point3f, local frame.
+            direction: mi.Vector3f, unit.
+            cell: mi.UInt32.
+            active: mi.Bool mask.
         """
-        index = dr.arange(mi.UInt32, _ROWS_AT_ONCE * self._count)
-        row, cell = index // self._cells, index % self._cells
-        lower = dr.gather(mi.Point3f, self._corners, 2 * cell)
-        upper = dr.gather(mi.Point3f, self._corners, 2 * cell + 1)
-        rng = mi.PCG32(dr.width(index), initstate=dr.opaque(mi.UInt64, seed))
-        done, total = mi.UInt32(0), mi.Float(0)
-        # In a loop, since the table is made of some ten million terms, which need not be stored.
-        while done < _POINTS_PER_CELL:
-            x = dr.gather(mi.Point3f, points, row * _POINTS_PER_CELL + done)
-            within = mi.Point3f(rng.next_float32(), rng.next_float32(), rng.next_float32())
-            offset = mi.Vector3f(x - dr.lerp(lower, upper, within))
-            # Not the mean over channels: its divisor would be a constant that depends on the width.
-            light = dr.sum(self._intensity(cell, bin_of(offset, self._resolution), True))
-            # Relative to the largest intensity: squares of others may be out of range.
-            light *= dr.squared_norm(mi.Vector3f(x)) / (dr.squared_norm(offset) * self._scale)
-            total += dr.square(light)
-            done += 1
-        return total / _POINTS_PER_CELL
+        return cell_border(self._corners, x, direction, cell, active)
 
     def sample(self, x: Any, sample: Any, active: Any = True) -> Any:
         """Unit direction (mi.Vector3f) from a receiver.
@@ -217,7 +198,7 @@ class ExitantLight:
             per_volume = length * dr.rcp(dr.gather(mi.Float, self._volume, cell, active))
             third = self._table.probability(row, cell, active) * per_volume / 3
             part = third * (near * near + near * far + far * far)
-            light = self._intensity(cell, bins, active) * per_volume
+            light = self.intensity(cell, bins, active) * per_volume
             return (
                 radiance + dr.select(active, light, 0),
                 density + dr.select(active, part, 0),
@@ -240,7 +221,14 @@ class ExitantLight:
         return self._point(cell, scrambled(sample), active), cell, chance
 
     def contribution(
-        self, direction: Any, distance: Any, cell: Any, chance: Any, other: Any, active: Any = True
+        self,
+        direction: Any,
+        distance: Any,
+        cell: Any,
+        chance: Any,
+        other: Any,
+        blocked: Any,
+        active: Any = True,
     ) -> Any:
         """I / (V (a r² + b)) of a point of `sample_point` (mi.Color3f).
 
@@ -249,15 +237,24 @@ class ExitantLight:
             distance: mi.Float, r.
             cell, chance: as `sample_point` returned them.
             other: mi.Float, b.
+            blocked: mi.Bool, whether the lamp's own surfaces block: then it is (I + J) κ.
             active: mi.Bool mask.
         """
         volume = dr.gather(mi.Float, self._volume, cell, active)
         density = chance * dr.square(distance) + other * volume
-        light = self._intensity(cell, bin_of(-direction, self._resolution), active)
+        light = self._light(cell, direction, blocked, active)
         return dr.select(active, light / density, 0)
 
     def received(
-        self, x: Any, entry: Any, direction: Any, distance: Any, inverse: Any, active: Any = True
+        self,
+        x: Any,
+        entry: Any,
+        direction: Any,
+        distance: Any,
+        inverse: Any,
+        blocked: Any,
+        ends: RayEnds | None,
+        active: Any = True,
     ) -> Any:
         """Part of the radiance from a direction that `contribution` leaves (mi.Color3f).
 
@@ -267,24 +264,37 @@ class ExitantLight:
         Args:
             x, entry, direction, distance, active: as for `eval`.
             inverse: mi.Float, 1 / b; 0 for the whole radiance.
+            blocked: as for `contribution`.
+            ends: where the ray ends; None if nothing is in the box.
         """
         row = self._around.index(x)
-        bins = bin_of(-direction, self._resolution)
         shared = mi.Bool(active) & (inverse > 0)
 
         def visit(state, cell, start, length, active):
+            if ends is not None:
+                active = ends.reached(start, blocked, active)
             near = start + distance
             inverse_volume = dr.rcp(dr.gather(mi.Float, self._volume, cell, active))
             chance = self._table.probability(row, cell, active & shared)
-            k = dr.sqrt(chance * inverse_volume * inverse)
-            left = length * dr.rcp(dr.fma(k * k, near * (near + length), 1))
-            z = k * left
-            left *= dr.select(z > 1e-3, dr.atan(z) / z, 1)
-            light = self._intensity(cell, bins, active) * (left * inverse_volume)
+            left = left_part(chance, inverse_volume, inverse, near, length)
+            light = self._light(cell, direction, blocked, active) * (left * inverse_volume)
             return (state[0] + dr.select(active, light, 0),), active
 
-        (radiance,) = self._octree.traverse(entry, direction, active, visit, (mi.Color3f(0),))
-        return radiance
+        span = None if ends is None else (mi.Float(0), ends.other)
+        state = (mi.Color3f(0),)
+        return self._octree.traverse(entry, direction, active, visit, state, span)[0]
+
+    def _light(self, cell, direction, blocked, active):
+        """I of a cell towards where a ray comes from; where its surfaces block, (I + J) κ."""
+        light = self.intensity(cell, bin_of(-direction, self._resolution), active)
+        if self._factors is None:
+            return light
+        blocked &= active
+        coarse = self._resolution // 2
+        index = cell * coarse**2 + bin_of(-direction, coarse)
+        ending = unpacked(dr.gather(mi.UInt32, self._ending, index, blocked))
+        factor = dr.gather(mi.Float, self._factors, index, blocked)
+        return dr.select(blocked, (light + self._ending_scale * ending) * factor, light)
 
     def sample_ray(
         self, choice: Any, sample1: Any, sample2: Any, active: Any = True
@@ -312,7 +322,7 @@ class ExitantLight:
         )
         chance = self._chance(self._cell_chances, mi.UInt32(0), cell, active)
         chance *= self._chance(self._bin_chances, cell * bins, index, active)
-        flux = self._intensity(cell, index, active) / (chance * density)
+        flux = self.intensity(cell, index, active) / (chance * density)
         return point, direction, dr.select(active & (chance > 0), flux, 0)
 
     def _chance(self, cumulated, first, index, active):
@@ -327,11 +337,43 @@ class ExitantLight:
         upper = dr.gather(mi.Point3f, self._corners, 2 * cell + 1, active)
         return dr.lerp(lower, upper, within)
 
-    def _intensity(self, cell, index, active):
-        """Radiant intensity (mi.Color3f) of a bin of a cell."""
+    def _towards(self, cell, offset, _distance):
+        """Radiant intensity (mi.Color3f) of a cell in the direction of a mi.Vector3f."""
+        return self.intensity(cell, bin_of(offset, self._resolution), True)
+
+    def intensity(self, cell: Any, index: Any, active: Any) -> Any:
+        """Radiant intensity (mi.Color3f) of a bin (mi.UInt32) of a cell (mi.UInt32)."""
         packed = dr.gather(mi.UInt32, self._packed, cell * self._resolution**2 + index, active)
-        # As `asset.exitant.unpack`: a power of two is a number whose mantissa's 23 bits are 0.
-        exponent = (packed >> EXPONENT_SHIFT) + (127 - EXPONENT_OF_ONE)
-        unit = dr.reinterpret_array(mi.Float, exponent << 23) * self._scale
-        mantissas = (packed >> shift & MANTISSA for shift in MANTISSA_SHIFTS)
-        return self._colour * mi.Color3f(*(mi.Float(each) for each in mantissas)) * unit
+        return self._colour * (self.scale * unpacked(packed))
+
+
+def left_part(chance: Any, inverse_volume: Any, inverse: Any, near: Any, length: Any) -> Any:
+    """∫ dr / (1 + k² r²) of `ExitantLight.received` over a cell (mi.Float).
+
+    Args:
+        chance: mi.Float, p.
+        inverse_volume: mi.Float, 1 / V.
+        inverse: mi.Float, 1 / b.
+        near, length: mi.Float, r₀ and r₁ - r₀.
+    """
+    k = dr.sqrt(chance * inverse_volume * inverse)
+    left = length * dr.rcp(dr.fma(k * k, near * (near + length), 1))
+    z = k * left
+    return left * dr.select(z > 1e-3, dr.atan(z) / z, 1)
+
+
+def cell_border(corners: Any, x: Any, direction: Any, cell: Any, active: Any) -> Any:
+    """`ExitantLight.border` for cells with these corners."""
+    lower = dr.gather(mi.Vector3f, corners, 2 * cell, active)
+    upper = dr.gather(mi.Vector3f, corners, 2 * cell + 1, active)
+    near, _ = slab((lower + upper) / 2 - x, (upper - lower) / 2, safe_inverse(direction))
+    return dr.maximum(dr.max(near), 0)
+
+
+def unpacked(packed: Any) -> Any:
+    """Colours (mi.Color3f) of RGB9_E5 numbers (mi.UInt32)."""
+    # As `asset.exitant.unpack`: a power of two is a number whose mantissa's 23 bits are 0.
+    exponent = (packed >> EXPONENT_SHIFT) + (127 - EXPONENT_OF_ONE)
+    unit = dr.reinterpret_array(mi.Float, exponent << 23)
+    mantissas = (packed >> shift & MANTISSA for shift in MANTISSA_SHIFTS)
+    return mi.Color3f(*(mi.Float(each) for each in mantissas)) * unit

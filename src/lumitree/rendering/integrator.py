@@ -16,10 +16,11 @@ the proxies that a ray enters by itself (`proxies.DividedScene`). Where a scene 
 ray crosses a proxy as any null surface.
 
 Where images show the model of a lamp, its shapes are in the scene, and each path gets its light
-once. If all vertices since the camera are specular, a path that enters the lamp's box gets what its
-shapes emit. Otherwise it gets the exitant light field where it enters, and its shapes emit nothing
-(`own`). After the first vertex that is not specular, the lamp's glass bends no ray
-(`model_plugins`), and a crossing of it is a null interaction.
+once. As long as all vertices since the camera are specular or on surfaces of this lamp, the path
+gets what the lamp's shapes emit (`own`). Vertices elsewhere, inside its box too, get its exitant
+light field, which contains all light that its surfaces scatter: so these surfaces get none of it
+again. After the first vertex that is not specular, the lamp's glass bends no ray (`model_plugins`),
+and a crossing of it is a null interaction.
 
 Symbols
     β, η    throughput of the path, product of its relative indices of refraction
@@ -35,15 +36,13 @@ from lumitree.luminaire.media import absorption, media
 from lumitree.rendering.deferred_emitter import DeferredEmitter
 from lumitree.rendering.layers import Layers, Unrecorded
 from lumitree.rendering.model_plugins import CROSSED_STRAIGHT, ModelEmitter
-from lumitree.rendering.proxies import NONE, DividedScene, is_instance
+from lumitree.rendering.proxies import NONE, DividedScene, bit_of
+from lumitree.rendering.shadow_rays import MAX_CROSSINGS, has_null_surfaces, visible
 from lumitree.transport import medium_paths
 from lumitree.transport.geometric_normals import is_opaque, on_opposite_sides
-from lumitree.transport.spawning import offset, scene_extent, spawn
+from lumitree.transport.spawning import scene_extent, spawn
 
 _DEFAULT_RR_DEPTH = 5
-# Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
-# ends whatever the geometry.
-_MAX_CROSSINGS = 1024
 
 
 def integrator_class() -> type:
@@ -83,7 +82,7 @@ def integrator_class() -> type:
             divided = self._divided.of(scene)
             medium = dr.zeros(mi.MediumPtr) if medium is None else mi.MediumPtr(medium)
             ray, active = mi.Ray3f(ray), mi.Bool(active)
-            return _trace(self, scene, *divided, crossed, sampler, ray, medium, active)
+            return _trace(self, scene, divided, crossed, sampler, ray, medium, active)
 
         def aov_names(self):
             return self.layers.channel_names()
@@ -95,9 +94,10 @@ def integrator_class() -> type:
 
 
 @dr.syntax
-def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, active):
+def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
     """Radiance along camera rays, whether they met something (for the film's alpha), and layers."""
     max_depth = mi.UInt32(settings.max_depth % (1 << 32))  # no limit: the largest number
+    surfaces, proxies, room, owners = divided
     sees_null = has_null_surfaces(surfaces)
     sees_media = bool(crossed)
     sees_scattering = any(absorption(each) is None for each in crossed)
@@ -122,9 +122,11 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
     pdf, delta = mi.Float(1), mi.Bool(True)
     # Whether all interactions since the camera were specular, so that the image shows what is met.
     specular = mi.Bool(True)
-    # Whether the emission of a lamp's own shapes counts; and whether next-event estimation at the
-    # vertex could have found it.
-    own, sampled_own = mi.Bool(True), mi.Bool(False)
+    # The lamp whose own shapes' emission counts even if not all interactions were specular; and
+    # whether next-event estimation at the vertex could have found it.
+    own, sampled_own = mi.UInt32(NONE), mi.Bool(False)
+    # Lamps whose light the ray does not get in the box in which it starts (`proxies.bit_of`).
+    skipped = mi.UInt32(0)
     active &= depth < max_depth
     pi = surfaces.ray_intersect_preliminary(ray, coherent=True, active=active)
 
@@ -146,7 +148,7 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
                 ray[hidden] = spawn(passed, ray.d, extent)
                 pi[hidden] = surfaces.ray_intersect_preliminary(ray, coherent=True, active=hidden)
                 crossings[hidden] += 1
-                active &= crossings < _MAX_CROSSINGS
+                active &= crossings < MAX_CROSSINGS
                 if dr.hint(sees_scattering, mode="scalar"):
                     flight[hidden] = medium_paths.flight(medium, channel, sampler, hidden)
                     collides |= hidden & (flight < pi.t)
@@ -158,13 +160,29 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
             if dr.hint(settings.hide_emitters, mode="scalar"):
                 entered &= depth > 0
             end = dr.minimum(pi.t, flight)
-            distance, lamp = proxies.first(ray, end, entered)
+            distance, lamp = proxies.first(ray, end, entered, specular, skipped)
             entered &= lamp != NONE
+            ahead = owners.of(pi.shape, entered & pi.is_valid() & ~collides)
             while entered:
+                mine = ahead == lamp
+                ends = dr.select(mine, pi.t, dr.inf), dr.select(mine, dr.inf, end)
+                if dr.hint(room is not None, mode="scalar"):
+                    # What else is in the box may be behind the lamp's own surface.
+                    other = room.ray_intersect_preliminary(ray, False, entered & mine)
+                    ends = ends[0], dr.select(mine, other.t, ends[1])
                 emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), lamp, entered)
                 chance = dr.select(delta, 0, emitter.sampling_weight() * dr.rcp(sampling_weight))
                 emitted, through, emitter_pdf = dr.dispatch(
-                    emitter, _entered, ray, distance, vertex, specular, pdf, chance, entered
+                    emitter,
+                    entered_light,
+                    ray,
+                    distance,
+                    vertex,
+                    specular,
+                    pdf,
+                    chance,
+                    ends,
+                    entered,
                 )
                 emitted *= β * _mis_weight(pdf, emitter_pdf * chance)
                 if dr.hint(sees_media, mode="scalar"):
@@ -172,9 +190,8 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
                 radiance[entered] += emitted
                 layers.add_light(record, emitter, emitted, specular, entered)
                 β[entered] *= through
-                own[entered] = specular
                 valid |= entered & (dr.max(emitted) > 0)
-                distance, lamp = proxies.next(ray, distance, lamp, end, entered)
+                distance, lamp = proxies.next(ray, distance, lamp, end, entered, specular, skipped)
                 entered &= lamp != NONE
 
         si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
@@ -195,9 +212,14 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
             seen &= depth > 0
         ds = mi.DirectionSample3f(scene, si, vertex)
         share = ds.emitter.sampling_weight() * dr.rcp(sampling_weight)
+        # The lamp that the surface belongs to, and whether the path gets what its shapes emit.
+        owner, shown = mi.UInt32(NONE), mi.Bool(specular)
+        if dr.hint(shows_models, mode="scalar"):
+            owner = owners.of(si.shape, met & si.is_valid())
+            shown |= (owner == own) & (owner != NONE)
         chance = dr.select(delta, 0, share)
         emitted, through, emitter_pdf, proxy, of_lamp = dr.dispatch(
-            ds.emitter, _emitted, si, vertex, ds, specular, own, pdf, chance, met
+            ds.emitter, _emitted, si, vertex, ds, specular, shown, pdf, chance, met
         )
         own_chance = dr.select(sampled_own & ~delta, 1, 0)
         emitter_pdf *= dr.select(of_lamp, own_chance, chance)
@@ -215,7 +237,6 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
 
         glass, behind, shows = mi.Bool(False), mi.Bool(False), mi.Bool(False)
         if dr.hint(shows_models, mode="scalar"):
-            own[proxy & (mi.Frame3f.cos_theta(si.wi) > 0)] = specular
             # Glass that light crosses straight is seen from outside on both sides.
             glass = reflects & ~specular & ((bsdf.flags() & CROSSED_STRAIGHT) != 0)
             behind = glass & (si.wi.z < 0)
@@ -229,7 +250,8 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
         sample = sampler.next_2d()
         index, emitter_weight, sample.x = scene.sample_emitter(sample.x, estimates)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index, estimates)
-        ds, weight, target = dr.dispatch(emitter, _sample_target, si, sample, estimates)
+        estimates &= (index != owner) | collides
+        ds, weight, target, beyond = dr.dispatch(emitter, sample_target, si, sample, estimates)
         estimates &= ds.pdf != 0
         wo = si.to_local(ds.d)
         value, value_pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
@@ -245,12 +267,12 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
             bsdf_weight[collides], bs.pdf[collides] = phase
         direct = β * value
         estimates &= dr.max(direct) > 0
-        way = scene, surfaces, proxies, sees_null, sees_media, extent
-        direct *= _visible(*way, si, ds, medium, estimates)
+        way = scene, divided, sees_null, sees_media, extent
+        direct *= visible(*way, si, ds, beyond, index, medium, estimates)
         estimates &= dr.max(direct) > 0
         chance = dr.rcp(emitter_weight)
         weight, ds.pdf = dr.dispatch(
-            emitter, _eval_target, si, ds, weight, target, value_pdf, chance, estimates
+            emitter, eval_target, si, ds, weight, target, value_pdf, chance, estimates
         )
         weight *= emitter_weight
         ds.pdf *= chance
@@ -260,7 +282,7 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
 
         # The same from a surface of a lamp, for the lamp's own light.
         if dr.hint(shows_models, mode="scalar"):
-            shows = reflects & own & of_lamp & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            shows = reflects & shown & of_lamp & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             sample = sampler.next_2d()
             shape, chance, sample.x = dr.dispatch(si.emitter(scene), _sample_own, sample.x, shows)
             ds = shape.sample_direction(si, sample, shows)
@@ -268,7 +290,7 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
             found = shows & (ds.pdf > 0)
             value, value_pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), found)
             found &= ~(opaque & on_opposite_sides(si, ray.d, ds.d))
-            direct = β * value * _visible(*way, si, ds, medium, found)
+            direct = β * value * visible(*way, si, ds, mi.Float(0), mi.UInt32(NONE), medium, found)
             found &= dr.max(direct) > 0
             direct *= dr.dispatch(shape.emitter(), _own_radiance, ds, found)
             direct *= _mis_weight(ds.pdf, value_pdf) / ds.pdf
@@ -290,6 +312,11 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
         vertex[bounces] = mi.Interaction3f(si)
         pdf[bounces] = bs.pdf
         sampled_own[bounces] = shows
+        if dr.hint(shows_models, mode="scalar"):
+            # Where the surface of a lamp is crossed straight, the way goes on.
+            own[bounces] = dr.select(shown & reflects, owner, NONE)
+            skipped[bounces] = 0
+            skipped[bounces | null] |= bit_of(owner)
         delta[bounces] = reflects & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
         specular &= ~bounces | delta
         depth[bounces] += 1
@@ -311,7 +338,7 @@ def _trace(settings, scene, surfaces, proxies, crossed, sampler, ray, medium, ac
         survives = ~roulette | (sampler.next_1d() < survival)
         β[roulette] *= dr.rcp(survival)
         active = (proxy | scatters) & ~leaks & survives
-        active &= (brightest != 0) & (crossings < _MAX_CROSSINGS)
+        active &= (brightest != 0) & (crossings < MAX_CROSSINGS)
         pi = surfaces.ray_intersect_preliminary(ray, coherent=False, active=active)
 
     return radiance, valid, layers.channels(record)
@@ -323,7 +350,7 @@ def _emitted(
     vertex: Any,
     ds: Any,
     specular: Any,
-    own: Any,
+    shown: Any,
     pdf: Any,
     chance: Any,
     active: Any,
@@ -337,15 +364,18 @@ def _emitted(
         # Only where the scene is not divided.
         ray = mi.Ray3f(si.p, -si.to_world(si.wi))
         entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-        hit = _entered(emitter, ray, mi.Float(0), vertex, specular, pdf, chance, entering)
+        nowhere = mi.Float(dr.inf), mi.Float(dr.inf)
+        hit = entered_light(
+            emitter, ray, mi.Float(0), vertex, specular, pdf, chance, nowhere, entering
+        )
         return *hit, mi.Bool(True), no
     if isinstance(emitter, ModelEmitter):
-        return *_own(emitter.eval_own(si, vertex, ds, active & own), own), no, mi.Bool(True)
+        return *_own(emitter.eval_own(si, vertex, ds, active & shown), shown), no, mi.Bool(True)
     pdf = emitter.pdf_direction(vertex, ds, active)
     return emitter.eval(si, active), mi.Float(1), pdf, no, no
 
 
-def _entered(
+def entered_light(
     emitter: Any,
     ray: Any,
     distance: Any,
@@ -353,19 +383,13 @@ def _entered(
     specular: Any,
     pdf: Any,
     chance: Any,
+    ends: tuple[Any, Any],
     active: Any,
 ) -> tuple[Any, Any, Any]:
     """Radiance, transmittance and density of a lamp whose proxy a ray enters."""
     if isinstance(emitter, DeferredEmitter):
-        return emitter.eval_entered(ray, distance, vertex, specular, pdf, chance, active)
+        return emitter.eval_entered(ray, distance, vertex, specular, pdf, chance, ends, active)
     return mi.Color3f(0), mi.Float(1), mi.Float(0)
-
-
-def _shadow(emitter: Any, ray: Any, distance: Any, active: Any) -> Any:
-    """Transmittance of a lamp whose proxy a shadow ray enters."""
-    if isinstance(emitter, DeferredEmitter):
-        return emitter.transmittance(ray, distance, active)
-    return mi.Float(1)
 
 
 def _own(evaluated: tuple[Any, Any], own: Any) -> tuple[Any, Any, Any]:
@@ -388,19 +412,20 @@ def _own_radiance(emitter: Any, ds: Any, active: Any) -> Any:
     return mi.Color3f(0)
 
 
-def _sample_target(emitter: Any, it: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
-    """Direction sampled towards an emitter, its weight, and what `_eval_target` needs of it.
+def sample_target(emitter: Any, it: Any, sample: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+    """Direction sampled towards an emitter, its weight, and what `eval_target` needs of it.
 
-    Weight and density of a `DeferredEmitter` are for `_eval_target` to find.
+    Weight and density of a `DeferredEmitter` are for `eval_target` to find. Last, how far the way
+    goes on in its box.
     """
     if isinstance(emitter, DeferredEmitter):
-        ds, target = emitter.sample_target(it, sample, active)
-        return ds, mi.Color3f(1), target
-    none = mi.Float(0), mi.UInt32(0), mi.Float(0)
-    return *emitter.sample_direction(it, sample, active), none
+        ds, target, beyond = emitter.sample_target(it, sample, active)
+        return ds, mi.Color3f(1), target, beyond
+    none = mi.Float(0), mi.UInt32(0), mi.Float(0), mi.UInt32(0)
+    return *emitter.sample_direction(it, sample, active), none, mi.Float(0)
 
 
-def _eval_target(
+def eval_target(
     emitter: Any,
     it: Any,
     ds: Any,
@@ -410,82 +435,15 @@ def _eval_target(
     chance: Any,
     active: Any,
 ) -> tuple[Any, Any]:
-    """Weight and density of a direction of `_sample_target`."""
+    """Weight and density of a direction of `sample_target`."""
     if isinstance(emitter, DeferredEmitter):
         return emitter.eval_target(it, ds, target, pdf, chance, active)
     return mi.Color3f(weight), mi.Float(ds.pdf)
 
 
-@dr.syntax
-def _visible(scene, surfaces, proxies, sees_null, sees_media, extent, si, ds, medium, active):
-    """Transmittance of the way from a surface to a sampled point: 0 behind what is not null."""
-    through = mi.Color3f(1)
-    # Like Mitsuba's, a shadow ray ends before its goal; and by no less than it starts after its
-    # origin, so that rounding does not bring it to the goal.
-    margin = dr.maximum(ds.dist * mi.math.ShadowEpsilon, offset(si, extent))
-    ray, active = _spawn_to(si, ds, margin, extent, active)
-    way, wanted = mi.Ray3f(ray), mi.Bool(active)
-    if dr.hint(sees_media, mode="scalar"):
-        medium = medium_paths.behind(si, ds.d, medium, active)
-    if dr.hint(not sees_null, mode="scalar"):
-        through[surfaces.ray_test(ray, active)] = 0
-        if dr.hint(sees_media, mode="scalar"):
-            through *= medium_paths.transmittance(medium, ray.maxt, active)
-    else:
-        crossings = mi.UInt32(0)
-        while active:
-            pi = surfaces.ray_intersect_preliminary(ray, coherent=False, active=active)
-            hit = active & pi.is_valid()
-            if dr.hint(sees_media, mode="scalar"):
-                length = dr.minimum(pi.t, ray.maxt)
-                through *= medium_paths.transmittance(medium, length, active)
-            bsdf = pi.shape.bsdf()
-            null = hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
-            crossing = pi.compute_surface_interaction(ray, mi.RayFlags.All, null)
-            through[hit] *= dr.select(null, bsdf.eval_null_transmission(crossing, null), 0)
-            crossings += 1
-            through[null & (crossings >= _MAX_CROSSINGS)] = 0
-            null &= dr.max(through) > 0
-            if dr.hint(sees_media, mode="scalar"):
-                medium = medium_paths.behind(crossing, ds.d, medium, null)
-            ray[null], active = _spawn_to(crossing, ds, margin, extent, null)
-    if dr.hint(proxies.dim, mode="scalar"):
-        crossed = wanted & (dr.max(through) > 0)
-        distance, lamp = proxies.first(way, way.maxt, crossed)
-        crossed &= lamp != NONE
-        while crossed:
-            emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), lamp, crossed)
-            through[crossed] *= dr.dispatch(emitter, _shadow, way, distance, crossed)
-            distance, lamp = proxies.next(way, distance, lamp, way.maxt, crossed)
-            crossed &= lamp != NONE
-    return through
-
-
-def _spawn_to(si, ds, margin, extent, active):
-    """Ray from a surface towards a sampled point, and whether any of the way is left.
-
-    Where an offset has brought it past the point, a ray that turned round would meet the same
-    surface for ever.
-    """
-    origin = spawn(si, ds.d, extent).o
-    way = ds.p - origin
-    length = dr.norm(way)
-    left = dr.dot(way, ds.d) > margin
-    ray = mi.Ray3f(origin, way / length, length - margin, si.time, si.wavelengths)
-    return ray, active & left
-
-
 def _emits(pi: Any) -> Any:
     """Whether a preliminary intersection is with an emitter."""
     return pi.is_valid() & (pi.shape.emitter() != None)  # noqa: E711 (a vector comparison)
-
-
-def has_null_surfaces(scene: Any) -> bool:
-    """Whether light may pass some shape of the scene without being bent."""
-    for shape in scene.shapes():
-        if is_instance(shape) or mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null):
-            return True
-    return False
 
 
 def _mis_weight(pdf: Any, other_pdf: Any) -> Any:

@@ -55,6 +55,10 @@ class Placed:
         self.proxy = make_proxy(options.get("proxy", "box"), asset.frame.half_extents)
         self.sampling = options.get("sampling", "emission")
         self.shows_model = shows_model(asset, options.get("appearance", "field"))
+        # Whether something else of the scene is in the box, and gets light there.
+        self.holds = False
+        # Numbers of the model's shapes (`plugin_objects.shape_number`).
+        self.own_shapes: list[int] = []
         scene_from_local = options.get("to_world", np.eye(4)) @ asset.frame.world_from_local
         scale = similarity_scale(scene_from_local, "to_world")
         self._scale, self._origin = scale, scene_from_local[:3, 3]
@@ -87,10 +91,21 @@ class Placed:
 
     def in_margin(self, point: Any) -> Any:
         """Whether a point of the local frame is inside the proxy of a model."""
-        if not self.shows_model:
-            return mi.Bool(False)
-        half = mi.Vector3f(*(self.asset.frame.half_extents + MODEL_MARGIN).tolist())
+        return self.in_box(point) if self.shows_model else mi.Bool(False)
+
+    def in_box(self, point: Any) -> Any:
+        """Whether a point of the local frame is inside the box, with the margin of a model."""
+        margin = MODEL_MARGIN if self.shows_model else 0.0
+        half = mi.Vector3f(*(self.asset.frame.half_extents + margin).tolist())
         return dr.all(dr.abs(point) <= half)
+
+    @property
+    def scene_from_box(self) -> NDArray[np.float64]:
+        """Transform [4, 4] of [-1, 1]³ into the scene, as the box."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self._scale * self._axes * self.asset.frame.half_extents
+        matrix[:3, 3] = self._origin
+        return matrix
 
     def entering_line(self, si: Any, active: Any) -> tuple[tuple[Any, Any], Any]:
         """Local line of what looks at an interaction with the proxy, and where it enters there."""

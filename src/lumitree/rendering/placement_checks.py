@@ -5,62 +5,108 @@ Symbols
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device
 from lumitree.errors import LumitreeWarning
 
-# Random segments in each box.
-_SEGMENTS = 1 << 14
-# Boxes that are tested at once.
-_AT_ONCE = 256
 # A little smaller than the box, so that a ceiling or a box that it touches does not count.
 _INSIDE = 0.998
 # Boxes are in one place if their corners agree to this part of their size.
 _SAME = 1e-3
 
 
-def holds_objects(scene: Any, boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether a surface of a scene is inside each box, by random segments.
+def holds_objects(shapes: Sequence[Any], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether one of some shapes is in each box, by more than it may touch.
+
+    Meshes, rectangles and spheres are tested exactly; of other shapes, the axis-aligned box.
 
     Args:
-        scene: mi.Scene.
+        shapes: mi.Shape.
         boxes: [N, 4, 4] transforms of [-1, 1]³ into the scene.
     """
-    unit = _INSIDE * np.random.default_rng(0).uniform(-1, 1, (2, _SEGMENTS, 3))
-    start, end = (on_device(mi.Point3f, points) for points in unit)
-    found = np.zeros(len(boxes), bool)
-    for first in range(0, len(boxes), _AT_ONCE):
-        some = boxes[first : first + _AT_ONCE]
-        rows = on_device(mi.Float, some[:, :3])
-        index = dr.arange(mi.UInt32, len(some) * _SEGMENTS)
-        box, segment = index // _SEGMENTS, index % _SEGMENTS
-        values = [dr.gather(mi.Float, rows, 12 * box + i) for i in range(12)]
-        matrix = mi.Matrix3f(*(value for i, value in enumerate(values) if i % 4 < 3))
-        origin = dr.gather(mi.Point3f, start, segment)
-        offset = mi.Vector3f(matrix @ (dr.gather(mi.Point3f, end, segment) - origin))
-        length = dr.norm(offset)
-        centre = mi.Point3f(*values[3::4])
-        ray = mi.Ray3f(matrix @ origin + centre, offset / length, length, mi.Float(0), [])
-        hit = np.broadcast_to(np.array(scene.ray_test(ray), bool), len(index))
-        found[first : first + len(some)] = hit.reshape(len(some), -1).any(axis=1)
-    return found
+    holds = np.zeros(len(boxes), bool)
+    if not len(boxes):
+        return holds
+    centres = boxes[:, :3, 3]
+    reach = _INSIDE * np.abs(boxes[:, :3, :3]).sum(axis=2)
+    for shape in shapes:
+        lower, upper = (np.ravel(each) for each in (shape.bbox().min, shape.bbox().max))
+        near = ((centres - reach < upper) & (centres + reach > lower)).all(axis=1) & ~holds
+        if near.any():
+            within = _in_boxes(shape, lower, upper)
+            holds[near] = [within(box) for box in boxes[near]]
+    return holds
 
 
-def contains(box: NDArray[np.float64], point: NDArray[np.float64]) -> bool:
-    """Whether a point [3] is inside a box [4, 4]."""
-    local = np.linalg.solve(box[:3, :3], point - box[:3, 3])
-    return bool((np.abs(local) < 1).all())
+def _in_boxes(
+    shape: Any, lower: NDArray[np.float64], upper: NDArray[np.float64]
+) -> Callable[[NDArray[np.float64]], bool]:
+    """A test of a shape with these bounds: whether it is in a box [4, 4] that the bounds meet."""
+    if (triangles := _triangles(shape)) is not None:
+        return lambda box: _any_in_box(_in_frame(box, triangles))
+    if shape.class_name() == "Sphere":
+        centre, radius = (lower + upper) / 2, (upper[0] - lower[0]) / 2
+
+        def crosses(box: NDArray[np.float64]) -> bool:
+            sides = _INSIDE * np.linalg.norm(box[:3, :3], axis=0)
+            offset = np.abs(_in_frame(box, centre)) * sides / _INSIDE
+            nearest = np.linalg.norm(np.maximum(offset - sides, 0))
+            return bool(nearest < radius < np.linalg.norm(offset + sides))
+
+        return crosses
+    return lambda _: True
+
+
+def _in_frame(box: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points [.., 3] where a box [4, 4] is [-1, 1]³."""
+    return (points - box[:3, 3]) @ np.linalg.inv(box[:3, :3]).T
+
+
+def _triangles(shape: Any) -> NDArray[np.float64] | None:
+    """Triangles [T, 3, 3] of a mesh or a rectangle; None for other shapes."""
+    if shape.is_mesh():
+        vertices = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)
+        return vertices[np.array(shape.faces_buffer()).reshape(-1, 3)]
+    if shape.class_name() == "Rectangle":
+        matrix = np.array(mi.traverse(shape)["to_world"].matrix, np.float64).reshape(4, 4)
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) @ matrix[:3, :2].T + matrix[:3, 3]
+        return corners[[[0, 1, 2], [0, 2, 3]]]
+    return None
+
+
+def _any_in_box(triangles: NDArray[np.float64]) -> bool:
+    """Whether one of some triangles [T, 3, 3] reaches into [-1, 1]³.
+
+    No axis may separate them: one of the box, the triangle's normal, or normal to an edge of each.
+    """
+    for axis in range(3):
+        along = triangles[:, :, axis]
+        triangles = triangles[
+            (along.min(axis=1, initial=np.inf) < _INSIDE)
+            & (along.max(axis=1, initial=-np.inf) > -_INSIDE)
+        ]
+    edges = np.roll(triangles, -1, axis=1) - triangles
+    crossed = np.cross(np.eye(3)[:, None], edges[:, None]).reshape(-1, 9, 3)
+    normal = np.cross(edges[:, 0], edges[:, 1])[:, None]
+    axes = np.concatenate([normal, crossed], axis=1)
+    along = np.einsum("tai,tvi->tav", axes, triangles)
+    reach = _INSIDE * np.abs(axes).sum(axis=2)
+    apart = (along.min(axis=2) >= reach) | (along.max(axis=2) <= -reach)
+    # The product of parallel edges separates nothing.
+    apart &= np.abs(axes).max(axis=2) > 1e-12
+    return bool((~apart.any(axis=1)).any())
 
 
 def warn_of_overlaps(
-    boxes: NDArray[np.float64], names: Sequence[str], kinds: Sequence[object], baked: Sequence[bool]
+    boxes: NDArray[np.float64],
+    names: Sequence[str],
+    kinds: Sequence[object],
+    fields: Sequence[bool],
 ) -> None:
     """Warn once of boxes that overlap, and once of lamps that are in one place.
 
@@ -68,11 +114,11 @@ def warn_of_overlaps(
         boxes: [N, 4, 4] as for `holds_objects`.
         names: of the lamps, for the message.
         kinds: what is placed; equal for instances of one lamp.
-        baked: which are baked. Explicit lamps may overlap each other.
+        fields: which are shown by a radiance field. Others may overlap each other.
     """
     pairs = overlapping(boxes)
     same = np.array([kinds[i] == kinds[j] for i, j in pairs], bool) & _coincide(boxes, pairs)
-    wrong = np.array([baked[i] or baked[j] for i, j in pairs], bool) & ~same
+    wrong = np.array([fields[i] or fields[j] for i, j in pairs], bool) & ~same
     if same.any():
         warnings.warn(
             f"{_listed(pairs[same], boxes, names)} the same lamp in the same place: twice the "
@@ -82,9 +128,8 @@ def warn_of_overlaps(
         )
     if wrong.any():
         warnings.warn(
-            f"{_listed(pairs[wrong], boxes, names)} lamps whose boxes overlap; in its box a baked "
-            "luminaire neither lights nor shades correctly what belongs to another one; move them "
-            "apart, or bake them as one luminaire",
+            f"{_listed(pairs[wrong], boxes, names)} lamps whose boxes overlap; what is shown by a "
+            "radiance field is not lit by the other: move them apart, or use the models of both",
             LumitreeWarning,
             stacklevel=3,
         )

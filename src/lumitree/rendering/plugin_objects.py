@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 
 _STEPS: deque[Callable[[], object]] = deque()
@@ -22,6 +23,11 @@ def make_properties(plugin: str, values: Mapping[str, Any]) -> Any:
 def make_object(plugin: str, values: Mapping[str, Any]) -> Any:
     """The object of a plugin, as it is: one that holds several is not expanded into them."""
     return mi.PluginManager.instance().create_object(make_properties(plugin, values))
+
+
+def shape_number(shape: Any) -> int:
+    """The number that stands for a mi.Shape in arrays of mi.ShapePtr."""
+    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
 
 
 def load_ordered(description: Mapping[str, Any]) -> Any:

@@ -6,7 +6,8 @@ times. So `DividedScene` divides a scene into its surfaces, which are traced, an
 are few and need no acceleration structure.
 """
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -14,13 +15,15 @@ import numpy as np
 
 from lumitree.core.device import on_device
 from lumitree.rendering.deferred_emitter import DeferredEmitter
-from lumitree.rendering.plugin_objects import make_object
+from lumitree.rendering.placement_checks import holds_objects, overlapping
+from lumitree.rendering.plugin_objects import make_object, shape_number
 from lumitree.rendering.proxy import SphereProxy, safe_inverse, slab
 
 # What stands for no emitter.
 NONE = 0xFFFFFFFF
-# Numbers of a proxy on the device: a point, a matrix, and whether it is a sphere.
-_NUMBERS = 13
+# Numbers of a proxy on the device: a point, a matrix, whether it is a sphere, and whether it gives
+# light to what is in it.
+_NUMBERS = 14
 
 
 class Proxies:
@@ -36,7 +39,7 @@ class Proxies:
             if isinstance(emitter, DeferredEmitter):
                 matrix, centre = emitter.placed.unit_proxy()
                 is_sphere = isinstance(emitter.placed.proxy, SphereProxy)
-                rows.append([*centre, *matrix.ravel(), is_sphere])
+                rows.append([*centre, *matrix.ravel(), is_sphere, emitter.placed.holds])
                 indices.append(index)
                 dims |= emitter.placed.dims
         # Whether there are any, and whether any has a transmittance below 1.
@@ -47,19 +50,35 @@ class Proxies:
             self._rows = on_device(mi.Float, np.array(rows))
             self._indices = on_device(mi.UInt32, np.array(indices))
 
-    def first(self, ray: Any, end: Any, active: Any) -> tuple[Any, Any]:
+    def first(
+        self, ray: Any, end: Any, active: Any, starts: Any = False, skipped: Any = 0
+    ) -> tuple[Any, Any]:
         """As `next`, for the first proxy on a ray."""
-        return self.next(ray, mi.Float(0), mi.UInt32(NONE), end, active)
+        return self.next(ray, mi.Float(-1), mi.UInt32(NONE), end, active, starts, skipped)
 
     @dr.syntax
-    def next(self, ray: Any, after: Any, last: Any, end: Any, active: Any) -> tuple[Any, Any]:
-        """The proxy that a ray enters next. A ray does not enter a proxy in which it starts.
+    def next(
+        self,
+        ray: Any,
+        after: Any,
+        last: Any,
+        end: Any,
+        active: Any,
+        starts: Any = False,
+        skipped: Any = 0,
+    ) -> tuple[Any, Any]:
+        """The proxy that a ray enters next.
+
+        A proxy in which a ray starts is entered at the origin, if it gives light to what is in it,
+        or else if the ray is one of `starts`.
 
         Args:
             ray: mi.Ray3f.
             after, last: what was returned for the proxy before.
             end: mi.Float, distance at which the ray ends.
             active: mi.Bool mask.
+            starts: mi.Bool.
+            skipped: mi.UInt32, `bit_of` the lamps whose proxies are not entered at the origin.
 
         Returns:
             mi.Float, distance from the origin of the ray; and mi.UInt32, index of the emitter in
@@ -68,8 +87,8 @@ class Proxies:
         distance, found = mi.Float(end), dr.full(mi.UInt32, NONE, dr.width(end))
         proxy = mi.UInt32(0)
         while active & (proxy < self._count):
-            entry, enters = self._enter(proxy, ray, active)
             index = dr.gather(mi.UInt32, self._indices, proxy, active)
+            entry, enters = self._enter(proxy, ray, active, starts, skipped & bit_of(index))
             # Proxies that are entered at the same distance come in the order of their emitters.
             enters &= (entry > after) | ((entry == after) & (last != NONE) & (index > last))
             enters &= entry < distance
@@ -78,7 +97,9 @@ class Proxies:
             proxy += 1
         return distance, found
 
-    def _enter(self, proxy: Any, ray: Any, active: Any) -> tuple[Any, Any]:
+    def _enter(
+        self, proxy: Any, ray: Any, active: Any, starts: Any, skipped: Any
+    ) -> tuple[Any, Any]:
         """Distance at which a ray enters a proxy, and whether it does."""
         first = proxy * _NUMBERS
         values = [dr.gather(mi.Float, self._rows, first + i, active) for i in range(_NUMBERS)]
@@ -92,7 +113,59 @@ class Proxies:
         sphere_entry = middle - dr.safe_sqrt((1 - off_axis) * inverse_square)
         entry = dr.select(is_sphere, sphere_entry, dr.max(near))
         crosses = dr.select(is_sphere, off_axis < 1, dr.max(near) <= dr.min(far))
-        return entry, active & crosses & (entry > 0)
+        outermost = dr.max(dr.abs(o))
+        begins = ~is_sphere & (outermost <= 1) & ((values[13] > 0) | starts) & (skipped == 0)
+        return dr.select(begins, 0, entry), active & (begins | (crosses & (entry > 0)))
+
+
+class Divided(NamedTuple):
+    """A scene as `DividedScene` divides it.
+
+    Attributes:
+        surfaces: mi.Scene that rays are traced against.
+        proxies: those that it leaves out.
+        room: mi.Scene, the surfaces without those of lamps; None if no lamp needs it.
+        owners: whose surfaces are whose.
+    """
+
+    surfaces: Any
+    proxies: Proxies
+    room: Any
+    owners: "Owners"
+
+
+class Owners:
+    """The lamps that shapes of a scene belong to.
+
+    Args:
+        lamps: emitters by their index in the scene.
+    """
+
+    def __init__(self, lamps: Mapping[int, DeferredEmitter]) -> None:
+        # By the number of a shape.
+        self.owner = {
+            number: index for index, lamp in lamps.items() for number in lamp.placed.own_shapes
+        }
+        self.exist = bool(self.owner)
+        if not self.exist:
+            return
+        lamps_of = np.full(max(self.owner) + 1, NONE, np.uint32)
+        lamps_of[list(self.owner)] = list(self.owner.values())
+        self._count = dr.opaque(mi.UInt32, len(lamps_of))
+        self._lamps = on_device(mi.UInt32, lamps_of)
+
+    def of(self, shape: Any, active: Any) -> Any:
+        """Index (mi.UInt32) of the emitter whose lamp a mi.ShapePtr belongs to, or `NONE`."""
+        if not self.exist:
+            return mi.UInt32(NONE)
+        number = dr.reinterpret_array(mi.UInt32, shape)
+        known = active & (number < self._count)
+        return dr.select(known, dr.gather(mi.UInt32, self._lamps, number, known), NONE)
+
+
+def bit_of(lamp: Any) -> Any:
+    """A bit (mi.UInt32) for the index of a lamp, which it shares with every 32nd lamp."""
+    return dr.select(lamp == NONE, 0, mi.UInt32(1) << (lamp & 31))
 
 
 class DividedScene:
@@ -106,30 +179,53 @@ class DividedScene:
         self._shapes: list[Any] | None = None
         self._geometry: list[list[Any]] = []
         self._surfaces: Any = None
+        self._room: Any = None
 
-    def of(self, scene: Any) -> tuple[Any, Proxies]:
+    def of(self, scene: Any) -> Divided:
         """What rays of a scene (mi.Scene) are traced against, and the proxies that it leaves out.
 
         The scene itself and no proxies, if it has none or cannot be divided: under OptiX one kernel
         traces one scene, and instances belong to the scene that they were loaded with.
         """
-        shapes = scene.shapes()
+        shapes, emitters = scene.shapes(), scene.emitters()
         surfaces = [s for s in shapes if not isinstance(s.emitter(), DeferredEmitter)]
+        lamps = {i: each for i, each in enumerate(emitters) if isinstance(each, DeferredEmitter)}
+        owners = Owners(lamps)
         on_gpu = dr.backend_v(mi.Float) == dr.JitBackend.CUDA
         if len(surfaces) == len(shapes) or on_gpu or any(map(is_instance, surfaces)):
-            return scene, Proxies([])
+            return Divided(scene, Proxies([]), None, owners)
         geometry = [_geometry(shape) for shape in surfaces]
         same = surfaces == self._shapes and all(map(_same, geometry, self._geometry))
         if not same:
-            described: dict[str, Any] = {f"shape_{i}": shape for i, shape in enumerate(surfaces)}
-            emitters = [shape.emitter() for shape in surfaces if shape.is_emitter()]
-            if emitters and not any(emitter.sampling_weight() for emitter in emitters):
-                # Mitsuba accepts no scene whose emitters are never sampled. Nothing is asked of it.
-                described["light"] = make_object("point", {})
-            # Not by `load_dict`, which would rename the shapes.
-            self._surfaces = make_object("scene", described)
+            self._surfaces = _scene_of(surfaces)
+            others = [shape for shape in surfaces if shape_number(shape) not in owners.owner]
+            self._room = _scene_of(others) if owners.exist else None
             self._shapes, self._geometry = surfaces, geometry
-        return self._surfaces, Proxies(scene.emitters())
+            _light_insides(list(lamps.values()), others)
+        holds = any(lamp.placed.holds for lamp in lamps.values())
+        return Divided(self._surfaces, Proxies(emitters), self._room if holds else None, owners)
+
+
+def _light_insides(lamps: list[DeferredEmitter], room: list[Any]) -> None:
+    """Let lamps light what is in their boxes: shapes of the room, and those of other lamps."""
+    boxes = np.stack([lamp.placed.scene_from_box for lamp in lamps])
+    holds = holds_objects(room, boxes)
+    for pair in overlapping(boxes):
+        if any(lamps[i].placed.shows_model for i in pair):
+            holds[pair] = True
+    for index in np.flatnonzero(holds):
+        lamps[index].light_inside()
+
+
+def _scene_of(shapes: list[Any]) -> Any:
+    """A mi.Scene of shapes."""
+    described: dict[str, Any] = {f"shape_{i}": shape for i, shape in enumerate(shapes)}
+    emitters = [shape.emitter() for shape in shapes if shape.is_emitter()]
+    if emitters and not any(emitter.sampling_weight() for emitter in emitters):
+        # Mitsuba accepts no scene whose emitters are never sampled. Nothing is asked of it.
+        described["light"] = make_object("point", {})
+    # Not by `load_dict`, which would rename the shapes.
+    return make_object("scene", described)
 
 
 def is_instance(shape: Any) -> bool:

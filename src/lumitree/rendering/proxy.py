@@ -1,6 +1,6 @@
 """Sampling directions towards a proxy, in the luminaire's local frame.
 
-Both proxies are sampled from outside only (decision D10): from a point inside, nothing is.
+Both proxies are sampled from outside only: from a point inside, nothing is.
 
 Symbols
     h       half extents of the box

@@ -15,7 +15,12 @@ from lumitree.rendering.emitter_sampling import SAMPLING_KINDS, Sampling
 from lumitree.rendering.model_shapes import model_shapes
 from lumitree.rendering.opened import file_name, open_asset, open_field
 from lumitree.rendering.placed import APPEARANCES, MODEL_MARGIN, Appearance, Placed, shows_model
-from lumitree.rendering.plugin_objects import load_ordered, make_object, make_properties
+from lumitree.rendering.plugin_objects import (
+    load_ordered,
+    make_object,
+    make_properties,
+    shape_number,
+)
 from lumitree.rendering.proxy import PROXY_KINDS, ProxyKind, make_proxy
 
 
@@ -90,6 +95,7 @@ def make_shapes(name: str, **options: Any) -> Any:
     # The plugin `merge` expands into the shapes that it is given.
     assert placed.asset.model is not None
     shapes = model_shapes(placed.asset.model, matrix, proxy.emitter())
+    proxy.emitter().placed.own_shapes += map(shape_number, shapes)
     together = {f"model_{index}": shape for index, shape in enumerate(shapes)}
     proxy.set_id(name)
     for key, shape in together.items():

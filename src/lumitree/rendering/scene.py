@@ -1,6 +1,5 @@
 """Scenes with luminaires placed in them."""
 
-import itertools
 import os
 import warnings
 from collections.abc import Sequence
@@ -24,7 +23,7 @@ from lumitree.rendering.emitter_sampling import Sampling
 from lumitree.rendering.opened import open_field
 from lumitree.rendering.placed import Appearance, shows_model
 from lumitree.rendering.placement import Placement
-from lumitree.rendering.placement_checks import contains, holds_objects, warn_of_overlaps
+from lumitree.rendering.placement_checks import holds_objects, warn_of_overlaps
 from lumitree.rendering.plugin_objects import load_ordered
 from lumitree.rendering.plugins import register, shape
 from lumitree.rendering.proxy import ProxyKind
@@ -90,6 +89,10 @@ class PlacedLuminaire:
         """What is placed; equal for instances of one lamp."""
         return self.placement.name if self.field is None else self.field.asset
 
+    def is_shown_by_field(self, appearance: Appearance) -> bool:
+        """Whether images show its radiance field."""
+        return self.field is not None and not shows_model(self.field.asset, appearance)
+
     def shapes(
         self,
         proxy: ProxyKind,
@@ -139,8 +142,7 @@ def place_luminaires(
     The appearance "model" is for `lumitree_path` only (`appearance_for`). The thresholds are those
     of all baked luminaires.
 
-    Warns on standard error where an object, the camera or another luminaire is inside a proxy:
-    there a baked luminaire neither shades nor lights it correctly (D10).
+    Warns on standard error of objects in the box of a luminaire that does not light them there.
     """
     register()
     objects: dict[str, Any] = {"type": "scene"}
@@ -159,14 +161,13 @@ def place_luminaires(
             )
         taken.add(place)
     _warn_rounded(luminaires)
-    baked = [placed.placement.is_baked for placed in luminaires]
-    _warn_inside(scene, [*itertools.compress(luminaires, baked)], appearance)
+    _warn_unlit(scene, luminaires, proxy, sampling)
     if luminaires:
         warn_of_overlaps(
             np.stack([placed.scene_from_box for placed in luminaires]),
             [placed.title for placed in luminaires],
             [placed.kind for placed in luminaires],
-            baked,
+            [placed.is_shown_by_field(appearance) for placed in luminaires],
         )
     for start, placed in zip(placed_ids(luminaires), luminaires, strict=True):
         shapes = placed.shapes(proxy, sampling, appearance, thresholds)
@@ -217,6 +218,7 @@ def load_scene(
         for item in luminaires:
             if item.placement.is_baked:
                 _warn_far(item)
+                _warn_unlit_by_volpath(scene, item)
     if kind in _SEE_MEDIA:
         return scene, scene.integrator()
     if kind in _PATH_TRACERS:
@@ -300,26 +302,40 @@ def _warn_far(placed: PlacedLuminaire) -> None:
         )
 
 
-def _warn_inside(scene: Any, luminaires: Sequence[PlacedLuminaire], appearance: Appearance) -> None:
-    """Tell of surfaces of a scene that are inside the box of a baked luminaire, and the camera."""
-    if not luminaires:
+def _warn_unlit_by_volpath(scene: Any, placed: PlacedLuminaire) -> None:
+    """Tell of objects in a lamp's box, which `volpath` does not light."""
+    if holds_objects(scene.shapes(), placed.scene_from_box[None])[0]:
+        warnings.warn(
+            f"{placed.title}: an object of the room is inside its box, where volpath does not "
+            "light it; lumitree_path does",
+            LumitreeWarning,
+            stacklevel=3,
+        )
+
+
+def _warn_unlit(
+    scene: Any, luminaires: Sequence[PlacedLuminaire], proxy: ProxyKind, sampling: Sampling
+) -> None:
+    """Tell of baked luminaires that do not light, or not well, what is in their boxes."""
+    lacking = []
+    for placed in luminaires:
+        asset = placed.field.asset if placed.field is not None else None
+        exitant = asset.exitant if isinstance(asset, Asset) else None
+        if asset is None:
+            continue
+        if exitant is None or sampling == "uniform" or proxy == "sphere":
+            told = "is not lit: use its exitant light field, in its box and with its own sampling"
+            lacking.append((placed, told))
+        elif exitant.lacks_inside:
+            told = "gets only the light that leaves the box: bake it again with this version"
+            lacking.append((placed, told))
+    if not lacking:
         return
-    camera = np.ravel(scene.sensors()[0].world_transform().translation())
-    holds = holds_objects(scene, np.stack([each.scene_from_box for each in luminaires]))
-    for placed, holds_object in zip(luminaires, holds, strict=True):
-        assert placed.field is not None
-        if holds_object:
+    boxes = np.stack([placed.scene_from_box for placed, _ in lacking])
+    for (placed, told), holds in zip(lacking, holds_objects(scene.shapes(), boxes), strict=True):
+        if holds:
             warnings.warn(
-                f"{placed.title}: an object of the room is inside its proxy; it is not lit or "
-                "shaded correctly there (a baked luminaire illuminates what is outside only)",
+                f"{placed.title}: an object of the room is inside its box, where it {told}",
                 LumitreeWarning,
-                stacklevel=2,
-            )
-        model = shows_model(placed.field.asset, appearance)
-        if not model and contains(placed.scene_from_box, camera):
-            warnings.warn(
-                f"{placed.title}: the camera is inside its proxy; a baked luminaire is rendered "
-                "from outside only",
-                LumitreeWarning,
-                stacklevel=2,
+                stacklevel=3,
             )
