@@ -78,7 +78,7 @@ def _render_room(output: Path, asset: str, watch: Stopwatch) -> dict[str, Any]:
     report: dict[str, Any] = {}
     for name, source in (("baked", asset), ("explicit", LUMINAIRE)):
         scene = place_luminaires(
-            demo_room(WIDTH),
+            demo_room(WIDTH, ball_in_box=True),
             [PlacedLuminaire(lamp(source))],
             appearance=appearance_for(integrator),
         )
