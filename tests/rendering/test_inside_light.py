@@ -309,3 +309,20 @@ def test_glass_about_the_light(mi, tmp_path):
     for part in (slice(0, 30), slice(30, 60)):
         assert light[part].mean() / plain[part].mean() == pytest.approx(0.97, abs=0.08)
     assert light[60].max() < 0.01 * light[:30].mean()
+
+
+@pytest.mark.slow
+def test_a_scene_with_instances_lights_what_is_in_the_box(mi, plate):
+    """It is not divided, and looks as one that is, but for shadows far from the box."""
+    repeated = {
+        "group": {"type": "shapegroup", "ball": {"type": "sphere", "radius": 0.1}},
+        "repeated": {
+            "type": "instance",
+            "shapegroup": {"type": "ref", "id": "group"},
+            "to_world": mi.ScalarTransform4f().translate([9, 9, 9]),
+        },
+    }
+    things = still_life(mi) | {"lamp": lumitree.shape(plate[1])}
+    sensor = camera(mi, [2.5, 2.0, 3.0], [0, -0.5, 0], 40)
+    divided = blocks(mi, things, sensor, spp=256)
+    assert_alike(blocks(mi, repeated | things, sensor, spp=256), divided, 0.03)

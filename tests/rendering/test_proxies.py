@@ -201,7 +201,7 @@ def test_surfaces_are_built_again_only_when_shapes_change(mi, lamps):
 
 
 def test_a_scene_without_lamps_or_with_instances_is_not_divided(mi, lamps):
-    from lumitree.rendering.proxies import DividedScene
+    from lumitree.rendering.proxies import NONE, DividedScene
 
     plain = room(mi)
     surfaces, proxies, *_ = DividedScene().of(plain)
@@ -210,6 +210,11 @@ def test_a_scene_without_lamps_or_with_instances_is_not_divided(mi, lamps):
     group = {"type": "shapegroup", "ball": {"type": "sphere", "radius": 0.2}}
     repeated = {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}}
     scene = room(mi, group=group, repeated=repeated, lamp0=lamps["lamp0"])
-    surfaces, proxies, *_ = DividedScene().of(scene)
+    surfaces, proxies, room_only, _ = DividedScene().of(scene)
     assert surfaces is scene
-    assert not proxies.exist
+    assert room_only is None
+    # Only rays that start in a proxy are found beside the scene.
+    ray = mi.Ray3f(mi.Point3f([9, 0.1], [0, 0.05], [0, 0.05]), mi.Vector3f(-1, 0, 0))
+    starts = mi.Bool(True)
+    _, lamp = proxies.first(ray, mi.Float(20), mi.Bool(True), starts)
+    assert list(np.array(lamp) == NONE) == [True, False]

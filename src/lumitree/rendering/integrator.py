@@ -36,7 +36,7 @@ from lumitree.luminaire.media import absorption, media
 from lumitree.rendering.deferred_emitter import DeferredEmitter
 from lumitree.rendering.layers import Layers, Unrecorded
 from lumitree.rendering.model_plugins import CROSSED_STRAIGHT, ModelEmitter
-from lumitree.rendering.proxies import NONE, DividedScene, bit_of
+from lumitree.rendering.proxies import ALL, NONE, DividedScene, bit_of
 from lumitree.rendering.shadow_rays import MAX_CROSSINGS, has_null_surfaces, visible
 from lumitree.transport import medium_paths
 from lumitree.transport.geometric_normals import is_opaque, on_opposite_sides
@@ -312,10 +312,11 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
         vertex[bounces] = mi.Interaction3f(si)
         pdf[bounces] = bs.pdf
         sampled_own[bounces] = shows
+        # A ray that goes on behind a proxy, or behind a surface of a lamp, has its light already.
+        skipped[bounces] = 0
+        skipped[proxy] = ALL
         if dr.hint(shows_models, mode="scalar"):
-            # Where the surface of a lamp is crossed straight, the way goes on.
             own[bounces] = dr.select(shown & reflects, owner, NONE)
-            skipped[bounces] = 0
             skipped[bounces | null] |= bit_of(owner)
         delta[bounces] = reflects & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
         specular &= ~bounces | delta

@@ -19,8 +19,8 @@ from lumitree.rendering.placement_checks import holds_objects, overlapping
 from lumitree.rendering.plugin_objects import make_object, shape_number
 from lumitree.rendering.proxy import SphereProxy, safe_inverse, slab
 
-# What stands for no emitter.
-NONE = 0xFFFFFFFF
+# What stands for no emitter, and the bits of all.
+NONE = ALL = 0xFFFFFFFF
 # Numbers of a proxy on the device: a point, a matrix, whether it is a sphere, and whether it gives
 # light to what is in it.
 _NUMBERS = 14
@@ -31,9 +31,11 @@ class Proxies:
 
     Args:
         emitters: `mi.Scene.emitters()`; those that are no `DeferredEmitter` are left out.
+        traced: whether the proxies are traced as shapes, so that only rays that start in them are
+            found here.
     """
 
-    def __init__(self, emitters: list[Any]) -> None:
+    def __init__(self, emitters: list[Any], *, traced: bool = False) -> None:
         rows, indices, dims = [], [], False
         for index, emitter in enumerate(emitters):
             if isinstance(emitter, DeferredEmitter):
@@ -43,7 +45,8 @@ class Proxies:
                 indices.append(index)
                 dims |= emitter.placed.dims
         # Whether there are any, and whether any has a transmittance below 1.
-        self.exist, self.dim = bool(rows), dims
+        self.exist, self.dim = bool(rows), dims and not traced
+        self._traced = traced
         if rows:
             # On the device: numbers of lamps do not compile new kernels.
             self._count = dr.opaque(mi.UInt32, len(rows))
@@ -115,6 +118,8 @@ class Proxies:
         crosses = dr.select(is_sphere, off_axis < 1, dr.max(near) <= dr.min(far))
         outermost = dr.max(dr.abs(o))
         begins = ~is_sphere & (outermost <= 1) & ((values[13] > 0) | starts) & (skipped == 0)
+        if self._traced:
+            return mi.Float(0), active & begins
         return dr.select(begins, 0, entry), active & (begins | (crosses & (entry > 0)))
 
 
@@ -184,31 +189,40 @@ class DividedScene:
     def of(self, scene: Any) -> Divided:
         """What rays of a scene (mi.Scene) are traced against, and the proxies that it leaves out.
 
-        The scene itself and no proxies, if it has none or cannot be divided: under OptiX one kernel
-        traces one scene, and instances belong to the scene that they were loaded with.
+        The scene itself, if it has no proxies or cannot be divided: under OptiX one kernel traces
+        one scene, and instances belong to the scene that they were loaded with. Then there is no
+        `room`, and what is in a box throws shadows only beyond the cell that light comes from, and
+        only for receivers in or near the box.
         """
         shapes, emitters = scene.shapes(), scene.emitters()
         surfaces = [s for s in shapes if not isinstance(s.emitter(), DeferredEmitter)]
         lamps = {i: each for i, each in enumerate(emitters) if isinstance(each, DeferredEmitter)}
         owners = Owners(lamps)
         on_gpu = dr.backend_v(mi.Float) == dr.JitBackend.CUDA
-        if len(surfaces) == len(shapes) or on_gpu or any(map(is_instance, surfaces)):
+        if not lamps:
             return Divided(scene, Proxies([]), None, owners)
+        whole = on_gpu or any(map(is_instance, surfaces))
         geometry = [_geometry(shape) for shape in surfaces]
         same = surfaces == self._shapes and all(map(_same, geometry, self._geometry))
         if not same:
-            self._surfaces = _scene_of(surfaces)
             others = [shape for shape in surfaces if shape_number(shape) not in owners.owner]
-            self._room = _scene_of(others) if owners.exist else None
+            if not whole:
+                self._surfaces = _scene_of(surfaces)
+                self._room = _scene_of(others) if owners.exist else None
             self._shapes, self._geometry = surfaces, geometry
-            _light_insides(list(lamps.values()), others)
+            # Shadow rays that cross a traced proxy are dimmed by its field, even on the way to its own
+            # light.
+            lighting = [lamp for lamp in lamps.values() if not (whole and lamp.placed.dims)]
+            _light_insides(lighting, others)
+        if whole:
+            return Divided(scene, Proxies(emitters, traced=True), None, owners)
         holds = any(lamp.placed.holds for lamp in lamps.values())
         return Divided(self._surfaces, Proxies(emitters), self._room if holds else None, owners)
 
 
 def _light_insides(lamps: list[DeferredEmitter], room: list[Any]) -> None:
     """Let lamps light what is in their boxes: shapes of the room, and those of other lamps."""
-    boxes = np.stack([lamp.placed.scene_from_box for lamp in lamps])
+    boxes = np.array([lamp.placed.scene_from_box for lamp in lamps]).reshape(-1, 4, 4)
     holds = holds_objects(room, boxes)
     for pair in overlapping(boxes):
         if any(lamps[i].placed.shows_model for i in pair):
