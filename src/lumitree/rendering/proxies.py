@@ -210,8 +210,8 @@ class DividedScene:
                 self._surfaces = _scene_of(surfaces)
                 self._room = _scene_of(others) if owners.exist else None
             self._shapes, self._geometry = surfaces, geometry
-            # Shadow rays that cross a traced proxy are dimmed by its field, even on the way to its own
-            # light.
+            # Shadow rays that cross a traced proxy are dimmed by its field, even on the way to the
+            # lamp's own light.
             lighting = [lamp for lamp in lamps.values() if not (whole and lamp.placed.dims)]
             _light_insides(lighting, others)
         if whole:

@@ -323,12 +323,15 @@ def _warn_unlit(
         exitant = asset.exitant if isinstance(asset, Asset) else None
         if asset is None:
             continue
-        if exitant is None or sampling == "uniform" or proxy == "sphere":
-            told = "is not lit: use its exitant light field, in its box and with its own sampling"
-            lacking.append((placed, told))
+        if exitant is None:
+            told = "is not lit: the asset has no exitant light field; bake it with --parts exitant"
+        elif sampling == "uniform" or proxy == "sphere":
+            told = 'is not lit; use the proxy "box" and the sampling "emission"'
         elif exitant.lacks_inside:
-            told = "gets only the light that leaves the box: bake it again with this version"
-            lacking.append((placed, told))
+            told = "gets only light that leaves the box: bake the lamp again with this version"
+        else:
+            continue
+        lacking.append((placed, told))
     if not lacking:
         return
     boxes = np.stack([placed.scene_from_box for placed, _ in lacking])
