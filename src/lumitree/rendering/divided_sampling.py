@@ -24,7 +24,7 @@ from lumitree.rendering.emitter_sampling import (
     Target,
 )
 from lumitree.rendering.exitant_light import exitant_light
-from lumitree.rendering.inside_light import InsideLight
+from lumitree.rendering.inside_light import InsideLight, inside_light
 from lumitree.rendering.light_leaves import light_leaves
 from lumitree.rendering.proxy import Proxy, cone_pdf
 from lumitree.rendering.samples import scrambled
@@ -153,12 +153,7 @@ class CellSampler(DividedSampler):
 
     def light_inside(self) -> None:
         """Make what receivers inside the box need."""
-        if self._inside is None:
-            exitant, frame = self._asset.exitant, self._asset.frame
-            assert exitant is not None
-            self._inside = InsideLight(
-                exitant, frame.half_extents, self._light, self._asset.gain, blocked=self._blocked
-            )
+        self._inside = inside_light(self._asset, blocked=self._blocked)
 
     def sample_target(self, x: Any, sample: Any, active: Any, inside: Any) -> tuple[Any, Target]:
         """As `DirectionSampler.sample_target`."""

@@ -100,6 +100,8 @@ class ExitantLight:
         half_extents: NDArray[np.float64],
         gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> None:
+        # What receivers inside the box get, by whether the lamp's surfaces block (`inside_light`).
+        self.inside: dict[bool, Any] = {}
         count = len(field.cells)
         self._count, self._resolution = count, field.resolution
         self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))

@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.asset import Asset
 from lumitree.asset.exitant import ExitantField, unpack
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_of, solid_angles
@@ -29,6 +30,7 @@ from lumitree.rendering.emitter_sampling import RayEnds
 from lumitree.rendering.exitant_light import (
     ExitantLight,
     cell_border,
+    exitant_light,
     left_part,
     unpacked,
 )
@@ -41,6 +43,21 @@ _MAX_ENTRIES = 1 << 23
 # Curves are looked up at this many distances, more densely where they are short.
 _STEPS = 64
 _NONE = 0xFFFFFFFF
+
+
+def inside_light(asset: Asset, *, blocked: bool) -> "InsideLight":
+    """What an asset sends to receivers inside its box, shared by all instances of a lamp.
+
+    With `blocked`, the lamp's own surfaces are in the scene.
+    """
+    assert asset.exitant is not None
+    outside = exitant_light(asset)
+    if blocked not in outside.inside:
+        half_extents = asset.frame.half_extents
+        outside.inside[blocked] = InsideLight(
+            asset.exitant, half_extents, outside, asset.gain, blocked=blocked
+        )
+    return outside.inside[blocked]
 
 
 class InsideReceivers:
