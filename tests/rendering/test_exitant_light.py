@@ -139,6 +139,7 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
     import drjit as dr
 
     from lumitree.core.octahedral import bin_of
+    from lumitree.rendering.emitter_sampling import RayEnds
     from lumitree.rendering.proxy import BoxProxy, cone_pdf, sample_cone
 
     count, coarse = 1 << 20, 4
@@ -164,7 +165,8 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
         near, _, enters = BoxProxy(HALF).enter(origin, plain)
         inverse = dr.rcp(density(plain))
         entry, seen = origin + near * plain, mi.Bool(False)
-        rest = light.received(origin, entry, plain, near, inverse, seen, None, enters)
+        ends = RayEnds(mi.Float(dr.inf), mi.Float(dr.inf))
+        rest = light.received(origin, entry, plain, near, inverse, seen, ends, enters)
         # Only the balance heuristic with a positive b bounds the weights of near points.
         volume = np.array(light._volume)
         brightest = unpack(some_light().intensity).max() * some_light().scale

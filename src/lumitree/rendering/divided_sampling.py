@@ -216,7 +216,7 @@ class CellSampler(DividedSampler):
         chance: Any,
         active: Any,
         inside: Any,
-        ends: RayEnds | None,
+        ends: RayEnds,
     ) -> tuple[Any, Any, Any]:
         """As `DirectionSampler.eval_hit`."""
         gets = active & ~((chance > 0) & self._left_out(x, pdf))
@@ -232,9 +232,8 @@ class CellSampler(DividedSampler):
             x, entry, direction, distance, inverse, blocked, ends, gets & ~inside
         )
         if self._inside is not None:
-            assert ends is not None
             radiance += self._inside.received(x, entry, direction, inverse, ends, gets & inside)
-        span = None if ends is None else (mi.Float(0), ends.other)
+        span = mi.Float(0), ends.other
         radiance, through = self._divide(radiance, entry, direction, active, sees, span)
         return radiance, through, mi.Float(0)
 

@@ -135,7 +135,7 @@ class DirectionSampler(Protocol):
         chance: Any,
         active: Any,
         inside: Any,
-        ends: RayEnds | None,
+        ends: RayEnds,
     ) -> tuple[Any, Any, Any]:
         """Radiance, transmittance and density of a ray that has hit the proxy.
 
@@ -144,7 +144,7 @@ class DirectionSampler(Protocol):
             pdf, chance: as for `eval_target`; a chance of 0 if next-event estimation could not have
                 found the direction.
             inside: as for `sample_target`.
-            ends: where the ray ends in the box; None if nothing is in the box.
+            ends: where the ray ends in the box.
         """
         return self.eval(x, entry, direction, distance, active, sees=sees)
 

@@ -255,7 +255,7 @@ class ExitantLight:
         distance: Any,
         inverse: Any,
         blocked: Any,
-        ends: RayEnds | None,
+        ends: RayEnds,
         active: Any = True,
     ) -> Any:
         """Part of the radiance from a direction that `contribution` leaves (mi.Color3f).
@@ -267,14 +267,13 @@ class ExitantLight:
             x, entry, direction, distance, active: as for `eval`.
             inverse: mi.Float, 1 / b; 0 for the whole radiance.
             blocked: as for `contribution`.
-            ends: where the ray ends; None if nothing is in the box.
+            ends: where the ray ends.
         """
         row = self._around.index(x)
         shared = mi.Bool(active) & (inverse > 0)
 
         def visit(state, cell, start, length, active):
-            if ends is not None:
-                active = ends.reached(start, blocked, active)
+            active = ends.reached(start, blocked, active)
             near = start + distance
             inverse_volume = dr.rcp(dr.gather(mi.Float, self._volume, cell, active))
             chance = self._table.probability(row, cell, active & shared)
@@ -282,8 +281,7 @@ class ExitantLight:
             light = self._light(cell, direction, blocked, active) * (left * inverse_volume)
             return (state[0] + dr.select(active, light, 0),), active
 
-        span = None if ends is None else (mi.Float(0), ends.other)
-        state = (mi.Color3f(0),)
+        state, span = (mi.Color3f(0),), (mi.Float(0), ends.other)
         return self._octree.traverse(entry, direction, active, visit, state, span)[0]
 
     def _light(self, cell, direction, blocked, active):
