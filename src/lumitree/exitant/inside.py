@@ -22,10 +22,10 @@ from lumitree.octree.build import morton
 # than the last, twice the diagonal of half the cube.
 DISTANCES = np.hstack(
     [
-        np.arange(0, 0.6, 0.04),
-        np.arange(0.6, 1.2, 0.06),
-        np.arange(1.2, 2, 0.1),
-        (2, 2.2, 2.4, 2.7, 3.1, 3.5),
+        np.arange(0, 0.6, 0.05),
+        np.arange(0.6, 1.2, 0.1),
+        np.arange(1.2, 2, 0.2),
+        (2, 2.4, 2.9, 3.5),
     ]
 ).astype(np.float32)
 
