@@ -218,3 +218,22 @@ def test_a_scene_without_lamps_or_with_instances_is_not_divided(mi, lamps):
     starts = mi.Bool(True)
     _, lamp = proxies.first(ray, mi.Float(20), mi.Bool(True), starts)
     assert list(np.array(lamp) == NONE) == [True, False]
+
+
+def test_lamps_of_another_scene_with_the_same_surfaces_light_what_is_in_their_boxes(mi, tmp_path):
+    """As if a scene is loaded again with a lamp elsewhere, and the integrator is kept."""
+    from exitant_fields import random_exitant
+    from lumitree.asset.asset import exitant_asset
+    from lumitree.core.frames import LocalFrame
+    from lumitree.rendering.proxies import DividedScene
+
+    frame = LocalFrame(np.array([1.0, 0.7, 0.5]), np.eye(4))
+    asset = exitant_asset(random_exitant(1), frame, "lamp")
+    surfaces = {f"room{i}": shape for i, shape in enumerate(room(mi).shapes())}
+    divided = DividedScene()
+    for x, holds in ((20.0, False), (0.2, True)):
+        place = similarity(rotation([0, 1, 1], 0), 1.0, [x, 0, 0.9])
+        scene = mi.load_dict({"type": "scene", "lamp": lumitree.shape(asset, place), **surfaces})
+        divided.of(scene)
+        found = [e.placed.holds for e in scene.emitters() if hasattr(e, "placed")]
+        assert found == [holds]

@@ -6,6 +6,7 @@ times. So `DividedScene` divides a scene into its surfaces, which are traced, an
 are few and need no acceleration structure.
 """
 
+import weakref
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from lumitree.core.device import on_device
 from lumitree.rendering.deferred_emitter import DeferredEmitter
+from lumitree.rendering.placed import Placed
 from lumitree.rendering.placement_checks import holds_objects, overlapping
 from lumitree.rendering.plugin_objects import make_object, shape_number
 from lumitree.rendering.proxy import SphereProxy, safe_inverse, slab
@@ -185,6 +187,8 @@ class DividedScene:
         self._geometry: list[list[Any]] = []
         self._surfaces: Any = None
         self._room: Any = None
+        # Lamps that were asked to light what is in their boxes.
+        self._asked: weakref.WeakSet[Placed] = weakref.WeakSet()
 
     def of(self, scene: Any) -> Divided:
         """What rays of a scene (mi.Scene) are traced against, and the proxies that it leaves out.
@@ -204,9 +208,10 @@ class DividedScene:
         whole = on_gpu or any(map(is_instance, surfaces))
         geometry = [_geometry(shape) for shape in surfaces]
         same = surfaces == self._shapes and all(map(_same, geometry, self._geometry))
-        if not same:
+        # Another scene may have the same surfaces and other lamps.
+        if not (same and all(lamp.placed in self._asked for lamp in lamps.values())):
             others = [shape for shape in surfaces if shape_number(shape) not in owners.owner]
-            if not whole:
+            if not same and not whole:
                 self._surfaces = _scene_of(surfaces)
                 self._room = _scene_of(others) if owners.exist else None
             self._shapes, self._geometry = surfaces, geometry
@@ -214,6 +219,7 @@ class DividedScene:
             # lamp's own light.
             lighting = [lamp for lamp in lamps.values() if not (whole and lamp.placed.dims)]
             _light_insides(lighting, others)
+            self._asked = weakref.WeakSet(lamp.placed for lamp in lamps.values())
         if whole:
             return Divided(scene, Proxies(emitters, traced=True), None, owners)
         holds = any(lamp.placed.holds for lamp in lamps.values())
