@@ -122,3 +122,15 @@ def test_light_inside_of_another_grid_is_refused():
         dataclasses.replace(
             random_exitant(0, depth=1), inside=random_inside(0, random_exitant(0, depth=3))
         )
+
+
+def test_values_of_bins_that_do_not_fill_their_bytes():
+    """Four bins a cell, as beside an exitant light field of 4 bins a side."""
+    from lumitree.asset.lit_bins import dense
+
+    stored = np.array([[True, False, True, True], [False, False, True, False]])
+    values = np.array([[1, 2], [3, 4], [5, 6], [7, 8]])
+    found = dense(np.packbits(stored, axis=1), 4, values)
+    assert found.shape == (2, 4, 2)
+    assert np.array_equal(found[stored], values)
+    assert not found[~stored].any()

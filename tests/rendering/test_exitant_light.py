@@ -168,7 +168,7 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
         ends = RayEnds(mi.Float(dr.inf), mi.Float(dr.inf))
         rest = light.received(origin, entry, plain, near, inverse, seen, ends, enters)
         # Only the balance heuristic with a positive b bounds the weights of near points.
-        volume = np.array(light._volume)
+        volume = np.array(light.cells.volume)
         brightest = unpack(some_light().intensity).max() * some_light().scale
         least = np.array(density(direction)).min()
         assert np.array(weight).max() <= brightest / (volume.min() * least) * 1.001

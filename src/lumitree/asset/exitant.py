@@ -10,18 +10,17 @@ Symbols
 import dataclasses
 import functools
 import math
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.checks import expect, expect_arrays
 from lumitree.asset.light_inside import LightInside
+from lumitree.asset.lit_bins import Number, dense
 from lumitree.core.seeds import MAX_SEED
 from lumitree.errors import LumitreeError, shown
 from lumitree.octree.build import morton
 
-Number = TypeVar("Number", bound=np.generic)
 _WHAT = "exitant light field"
 _expect = functools.partial(expect, _WHAT)
 # A cell is named by 10 bits a coordinate, and a device array of all bins holds at most 2³¹.
@@ -171,9 +170,7 @@ class ExitantField:
 
     def dense(self, values: NDArray[Number]) -> NDArray[Number]:
         """Values [B] of the bins that emit, by cell and bin [C, R²]; 0 in other bins."""
-        bins = np.zeros((len(self.cells), self.resolution**2), values.dtype)
-        bins[np.unpackbits(self.lit, axis=1).view(bool)] = values
-        return bins
+        return dense(self.lit, self.resolution**2, values)
 
 
 def make_exitant_field(

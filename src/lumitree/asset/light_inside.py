@@ -19,7 +19,6 @@ which has the same mean, and the shadows are those of the surfaces.
 
 import dataclasses
 import functools
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,6 @@ from numpy.typing import NDArray
 from lumitree.asset.checks import expect, expect_arrays
 from lumitree.octree.build import morton
 
-Number = TypeVar("Number", bound=np.generic)
 _expect = functools.partial(expect, "light inside the box")
 # An entry names a curve by 8 bits.
 MAX_CURVES, MAX_DISTANCES = 256, 64
@@ -157,12 +155,6 @@ class LightInside:
             _expect(
                 not (self.lit & ((1 << padding) - 1)).any(), "a bin beyond the last has an entry"
             )
-
-    def dense(self, values: NDArray[Number]) -> NDArray[Number]:
-        """Values [E] of the entries, by cell and bin [C, Q²]; 0 in other bins."""
-        bins = np.zeros((len(self.cells), 8 * self.lit.shape[1]), values.dtype)
-        bins[np.unpackbits(self.lit, axis=1).view(bool)] = values
-        return bins
 
     @property
     def num_bytes(self) -> int:

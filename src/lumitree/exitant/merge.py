@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.asset.exitant import ExitantField, TracedPaths, make_exitant_field, unpack
 from lumitree.asset.light_inside import LightInside
+from lumitree.asset.lit_bins import dense
 from lumitree.core.octahedral import solid_angles
 from lumitree.errors import LumitreeError
 from lumitree.exitant.inside import DISTANCES, by_coarse_bin, make_entries
@@ -115,21 +116,17 @@ def _expanded(field: ExitantField) -> _Expanded:
             "again"
         )
     bins = (field.resolution // 2) ** 2
-    lit = np.unpackbits(inside.lit, axis=1, count=bins).view(bool)
-    flux = np.zeros((*lit.shape, 3))
-    coarse_solid_angles = solid_angles(field.resolution // 2)
-    flux[lit] = inside.scale * unpack(inside.intensity)
-    flux *= coarse_solid_angles[:, None]
-    beyond, free = np.zeros((2, *lit.shape, len(DISTANCES)), np.float32)
-    beyond[lit] = luminance(flux[lit])[:, None] * inside.reach_curves[inside.reach]
+    flux = dense(inside.lit, bins, inside.scale * unpack(inside.intensity))
+    flux *= solid_angles(field.resolution // 2)[:, None]
+    reach = dense(inside.lit, bins, inside.reach_curves[inside.reach])
+    beyond = luminance(flux).astype(np.float32)[..., None] * reach
     exits = field.dense(luminance(field.scale * unpack(field.intensity)))
     leaving = by_coarse_bin(exits * solid_angles(field.resolution)).sum(axis=2)
     rows = np.searchsorted(morton(inside.cells), morton(field.cells))
     everything = beyond.copy()
     everything[rows] += leaving[..., None].astype(np.float32)
-    factor = np.zeros_like(free)
-    factor[lit] = inside.visibility_curves[inside.visibility]
-    np.divide(everything, factor, out=free, where=factor > 0)
+    factor = dense(inside.lit, bins, inside.visibility_curves[inside.visibility])
+    free = np.divide(everything, factor, out=np.zeros_like(factor), where=factor > 0)
     return _Expanded(inside.cells, flux, beyond, free)
 
 

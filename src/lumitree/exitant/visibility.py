@@ -16,6 +16,7 @@ from lumitree.core.octahedral import direction_in_bin, solid_angles
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.exitant.inside import DISTANCES, Entries, by_coarse_bin
 from lumitree.luminaire.luminaire import Luminaire
+from lumitree.octree.leaves import grid_boxes_inside
 
 # Rays of each fine bin for two independent estimates, and fine bins at once, which bounds the
 # memory.
@@ -46,10 +47,7 @@ def unoccluded(
     bins, entry, cell = bins[emits], entry[emits], cell[emits]
     solid_angle = fine_solid_angles[bins].astype(np.float32)
     leaving = leaving[emits] * solid_angle
-    side = 2 / (1 << entries.depth)
-    extents = luminaire.frame.half_extents
-    low = np.maximum(entries.cells * side - 1, -extents)
-    high = np.maximum(np.minimum(entries.cells * side - 1 + side, extents), low + 1e-6)
+    low, high = grid_boxes_inside(luminaire.frame.half_extents, entries.cells, entries.depth)
 
     shape = len(_RAYS), len(entries.bins), len(DISTANCES)
     # Flux of I, and solid angle, of rays that are free as far as a distance and no farther.

@@ -41,3 +41,14 @@ def boxes_inside(
     side = 2.0 / (1 << levels)[:, None]
     lower, upper = cells * side - 1, (cells + 1) * side - 1
     return np.maximum(lower, -half_extents), np.minimum(upper, half_extents)
+
+
+def grid_boxes_inside(
+    half_extents: NDArray[np.float64], cells: NDArray[np.integer], depth: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`boxes_inside` of cells [M, 3] of a grid with 2**depth a side, none of them flat.
+
+    Cells on the border may have a side of 0, which float32 need not divide by; theirs is 1e-6.
+    """
+    lower, upper = boxes_inside(half_extents, cells.astype(np.int64), np.full(len(cells), depth))
+    return lower, np.maximum(upper, lower + 1e-6)

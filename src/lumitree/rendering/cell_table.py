@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.device import parameter
 from lumitree.rendering.alias_table import AliasTable
+from lumitree.rendering.light_cells import LightCells
 
 # Part of the samples of a cell that is by flux alone.
 _FLUX_FRACTION = 0.1
@@ -39,7 +40,7 @@ class Receivers(Protocol):
 
 def cell_table(
     receivers: Receivers,
-    corners: Any,
+    cells: LightCells,
     intensity: Intensity,
     scale: Any,
     flux: NDArray[np.float64],
@@ -49,14 +50,14 @@ def cell_table(
 
     Args:
         receivers: cells of receivers.
-        corners: mi.Float [C × 2 × 3], lower and upper corner of each cell that emits.
+        cells: that emit.
         intensity: of these cells.
         scale: mi.Float, the largest intensity.
         flux: [C] of the cells.
         softening: distance that is added to that from a cell to a receiver, in square: for
             receivers among the cells. Others, at all distances, count alike with 0.
     """
-    maker = _Maker(receivers, corners, intensity, scale, flux, softening)
+    maker = _Maker(receivers, cells, intensity, scale, flux, softening)
     return AliasTable(maker.rows(), receivers.count, len(flux))
 
 
@@ -64,17 +65,17 @@ class _Maker:
     def __init__(
         self,
         receivers: Receivers,
-        corners: Any,
+        cells: LightCells,
         intensity: Intensity,
         scale: Any,
         flux: NDArray[np.float64],
         softening: float,
     ) -> None:
-        self._receivers, self._corners, self._intensity = receivers, corners, intensity
+        self._receivers, self._cells, self._intensity = receivers, cells, intensity
         self._scale, self._shares = scale, flux / flux.sum()
         self._soft, self._softening = softening > 0, parameter(mi.Float, softening**2)
         # Number of cells, as a number on the device.
-        self._count, self._cells = len(flux), parameter(mi.UInt32, len(flux))
+        self._count, self._opaque_count = len(flux), parameter(mi.UInt32, len(flux))
 
     def rows(self) -> Iterator[NDArray[np.float64]]:
         """Share [.., C] of samples that each cell is to get, for some cells of receivers each."""
@@ -108,9 +109,9 @@ class _Maker:
             mi.Float, for all cells in each row.
         """
         index = dr.arange(mi.UInt32, _ROWS_AT_ONCE * self._count)
-        row, cell = index // self._cells, index % self._cells
-        lower = dr.gather(mi.Point3f, self._corners, 2 * cell)
-        upper = dr.gather(mi.Point3f, self._corners, 2 * cell + 1)
+        row, cell = index // self._opaque_count, index % self._opaque_count
+        lower = dr.gather(mi.Point3f, self._cells.corners, 2 * cell)
+        upper = dr.gather(mi.Point3f, self._cells.corners, 2 * cell + 1)
         rng = mi.PCG32(dr.width(index), initstate=dr.opaque(mi.UInt64, seed))
         done, total = mi.UInt32(0), mi.Float(0)
         # In a loop, since the table is made of some ten million terms, which need not be stored.

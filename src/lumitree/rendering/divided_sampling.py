@@ -177,10 +177,12 @@ class CellSampler(DividedSampler):
         border = mi.Float(0)
         if self._blocked:
             near = active & (place == NEAR)
-            border = dr.select(near, self._light.border(x, direction, cell, near), border)
+            border = dr.select(near, self._light.cells.border(x, direction, cell, near), border)
         if self._inside is not None and self._inside.blocked:
             inside = active & (place == INSIDE)
-            border = dr.select(inside, self._inside.border(x, direction, cell, inside), border)
+            border = dr.select(
+                inside, self._inside.cells.border(x, direction, cell, inside), border
+            )
         return border
 
     def eval_target(

@@ -50,15 +50,15 @@ from lumitree.asset.exitant import (
     ExitantField,
     unpack,
 )
+from lumitree.asset.lit_bins import dense
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
 from lumitree.model.photometry import luminance
-from lumitree.octree.build import build_children, morton
-from lumitree.octree.leaves import boxes_inside
-from lumitree.octree.traversal import Octree
+from lumitree.octree.build import morton
 from lumitree.rendering.cell_table import cell_table
 from lumitree.rendering.emitter_sampling import UNIFORM_FRACTION, RayEnds
-from lumitree.rendering.proxy import cone_pdf, safe_inverse, sample_cone, slab
+from lumitree.rendering.light_cells import LightCells
+from lumitree.rendering.proxy import cone_pdf, sample_cone
 from lumitree.rendering.receiver_cells import ReceiverCells
 from lumitree.rendering.samples import divide_sample, sample_row, scrambled
 
@@ -105,20 +105,11 @@ class ExitantLight:
         count = len(field.cells)
         self._count, self._resolution = count, field.resolution
         self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
-        # Number of cells, as a number on the device.
-        self._cells = parameter(mi.UInt32, count)
         resolution = _RESOLUTION
         while resolution > 2 and resolution**2 * _NUM_SHELLS * count > _MAX_ENTRIES:
             resolution //= 2
         self._around = ReceiverCells(half_extents, resolution, _NUM_SHELLS, _SHELL_WIDTH)
-        cells, levels = field.cells.astype(np.int64), np.full(count, field.depth)
-        self._octree = Octree(build_children(cells, levels), field.depth, half_extents)
-        lower, upper = boxes_inside(half_extents, cells, levels)
-        # Cells on the border may have a side of 0, which float32 need not divide by.
-        upper = np.maximum(upper, lower + 1e-6)
-        volume = (upper - lower).prod(axis=1)
-        self._corners = on_device(mi.Float, np.stack([lower, upper], axis=1))
-        self._volume = on_device(mi.Float, volume)
+        self.cells = LightCells(half_extents, field.cells, field.depth)
         self._half = parameter(mi.Vector3f, *half_extents.tolist())
         self._packed = on_device(mi.UInt32, field.dense(field.intensity))
         self.scale = dr.opaque(mi.Float, field.scale * max(gain))
@@ -128,14 +119,15 @@ class ExitantLight:
         cumulated = np.cumsum(flux, axis=1)
         self._bin_chances = on_device(mi.Float, cumulated / cumulated[:, -1:])
         self._cell_chances = on_device(mi.Float, np.cumsum(by_cell / by_cell.sum()))
-        self._table = cell_table(self._around, self._corners, self._towards, self.scale, by_cell)
+        self._table = cell_table(self._around, self.cells, self._towards, self.scale, by_cell)
         # J and κ of all bins, for receivers outside the box.
         self._factors = None
         if (inside := field.inside) is not None:
             rows = np.searchsorted(morton(inside.cells), morton(field.cells))
             far = inside.visibility_curves[:, -1][inside.visibility]
-            self._factors = on_device(mi.Float, inside.dense(far)[rows])
-            self._ending = on_device(mi.UInt32, inside.dense(inside.intensity)[rows])
+            lit, bins = inside.lit, (field.resolution // 2) ** 2
+            self._factors = on_device(mi.Float, dense(lit, bins, far)[rows])
+            self._ending = on_device(mi.UInt32, dense(lit, bins, inside.intensity)[rows])
             self._ending_scale = parameter(mi.Color3f, *(inside.scale * each for each in gain))
 
     def blocked_part(self, x: Any) -> Any:
@@ -148,17 +140,6 @@ class ExitantLight:
         beyond = dr.norm(dr.maximum(dr.abs(mi.Vector3f(x)) - self._half, 0))
         return dr.maximum(1 - beyond / _NEAR, 0)
 
-    def border(self, x: Any, direction: Any, cell: Any, active: Any = True) -> Any:
-        """Distance (mi.Float) at which a ray from a receiver that meets a cell enters it.
-
-        Args:
-            x: mi.Point3f, local frame.
-            direction: mi.Vector3f, unit.
-            cell: mi.UInt32.
-            active: mi.Bool mask.
-        """
-        return cell_border(self._corners, x, direction, cell, active)
-
     def sample(self, x: Any, sample: Any, active: Any = True) -> Any:
         """Unit direction (mi.Vector3f) from a receiver.
 
@@ -170,7 +151,7 @@ class ExitantLight:
         uniform, rest = divide_sample(sample.x, UNIFORM_FRACTION)
         sample = mi.Point2f(rest, sample.y)
         cell, _ = self._table.sample(self._around.index(x), sample.x, active)
-        point = self._point(cell, scrambled(sample), active)
+        point = self.cells.point(cell, scrambled(sample), active)
         return dr.select(
             uniform, sample_cone(x, self._radius, sample), dr.normalize(mi.Vector3f(point - x))
         )
@@ -197,7 +178,7 @@ class ExitantLight:
             radiance, density = state
             near = start + distance
             far = near + length
-            per_volume = length * dr.rcp(dr.gather(mi.Float, self._volume, cell, active))
+            per_volume = length * dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
             third = self._table.probability(row, cell, active) * per_volume / 3
             part = third * (near * near + near * far + far * far)
             light = self.intensity(cell, bins, active) * per_volume
@@ -207,7 +188,7 @@ class ExitantLight:
             ), active
 
         state = (mi.Color3f(0), mi.Float(0))
-        radiance, density = self._octree.traverse(entry, direction, active, visit, state)
+        radiance, density = self.cells.octree.traverse(entry, direction, active, visit, state)
         density = dr.lerp(density, cone_pdf(x, self._radius), UNIFORM_FRACTION)
         return radiance, dr.select(active, density, 0)
 
@@ -220,7 +201,7 @@ class ExitantLight:
             active: mi.Bool mask.
         """
         cell, chance = self._table.sample(self._around.index(x), sample.x, active)
-        return self._point(cell, scrambled(sample), active), cell, chance
+        return self.cells.point(cell, scrambled(sample), active), cell, chance
 
     def contribution(
         self,
@@ -242,7 +223,7 @@ class ExitantLight:
             blocked: mi.Bool, whether the lamp's own surfaces block: then it is (I + J) κ.
             active: mi.Bool mask.
         """
-        volume = dr.gather(mi.Float, self._volume, cell, active)
+        volume = dr.gather(mi.Float, self.cells.volume, cell, active)
         density = chance * dr.square(distance) + other * volume
         light = self._light(cell, direction, blocked, active)
         return dr.select(active, light / density, 0)
@@ -275,14 +256,14 @@ class ExitantLight:
         def visit(state, cell, start, length, active):
             active = ends.reached(start, blocked, active)
             near = start + distance
-            inverse_volume = dr.rcp(dr.gather(mi.Float, self._volume, cell, active))
+            inverse_volume = dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
             chance = self._table.probability(row, cell, active & shared)
             left = left_part(chance, inverse_volume, inverse, near, length)
             light = self._light(cell, direction, blocked, active) * (left * inverse_volume)
             return (state[0] + dr.select(active, light, 0),), active
 
         state, span = (mi.Color3f(0),), (mi.Float(0), ends.other)
-        return self._octree.traverse(entry, direction, active, visit, state, span)[0]
+        return self.cells.octree.traverse(entry, direction, active, visit, state, span)[0]
 
     def _light(self, cell, direction, blocked, active):
         """I of a cell towards where a ray comes from; where its surfaces block, (I + J) κ."""
@@ -314,7 +295,7 @@ class ExitantLight:
         cell = sample_row(self._cell_chances, mi.UInt32(0), self._count, choice, active)
         index = sample_row(self._bin_chances, cell * bins, bins, sample1.x, active)
         within = scrambled(sample2)
-        point = self._point(cell, within, active)
+        point = self.cells.point(cell, within, active)
         # Other bits of the same samples, which the point does not depend on.
         jitter = scrambled(mi.Point2f(sample2.y, sample1.y))
         direction, density = direction_in_bin(
@@ -330,12 +311,6 @@ class ExitantLight:
         upper = dr.gather(mi.Float, cumulated, first + index, active)
         inner = active & (index > 0)
         return upper - dr.gather(mi.Float, cumulated, first + index - 1, inner)
-
-    def _point(self, cell, within, active):
-        """Point (mi.Point3f) of a cell for numbers in [0, 1)³."""
-        lower = dr.gather(mi.Point3f, self._corners, 2 * cell, active)
-        upper = dr.gather(mi.Point3f, self._corners, 2 * cell + 1, active)
-        return dr.lerp(lower, upper, within)
 
     def _towards(self, cell, offset, _distance):
         """Radiant intensity (mi.Color3f) of a cell in the direction of a mi.Vector3f."""
@@ -360,14 +335,6 @@ def left_part(chance: Any, inverse_volume: Any, inverse: Any, near: Any, length:
     left = length * dr.rcp(dr.fma(k * k, near * (near + length), 1))
     z = k * left
     return left * dr.select(z > 1e-3, dr.atan(z) / z, 1)
-
-
-def cell_border(corners: Any, x: Any, direction: Any, cell: Any, active: Any) -> Any:
-    """`ExitantLight.border` for cells with these corners."""
-    lower = dr.gather(mi.Vector3f, corners, 2 * cell, active)
-    upper = dr.gather(mi.Vector3f, corners, 2 * cell + 1, active)
-    near, _ = slab((lower + upper) / 2 - x, (upper - lower) / 2, safe_inverse(direction))
-    return dr.maximum(dr.max(near), 0)
 
 
 def unpacked(packed: Any) -> Any:

@@ -19,21 +19,20 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.exitant import ExitantField, unpack
+from lumitree.asset.lit_bins import dense
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_of, solid_angles
 from lumitree.model.photometry import luminance
-from lumitree.octree.build import build_children, morton
-from lumitree.octree.leaves import boxes_inside
-from lumitree.octree.traversal import Octree
+from lumitree.octree.build import morton
 from lumitree.rendering.cell_table import cell_table
 from lumitree.rendering.emitter_sampling import RayEnds
 from lumitree.rendering.exitant_light import (
     ExitantLight,
-    cell_border,
     exitant_light,
     left_part,
     unpacked,
 )
+from lumitree.rendering.light_cells import LightCells
 from lumitree.rendering.samples import scrambled
 
 # Cells of receivers a side.
@@ -117,16 +116,9 @@ class InsideLight:
         # Without factors, it is not known what the surfaces leave.
         self.blocked = blocked and inside is not None
         found = field.cells if inside is None else inside.cells
-        cells, count = found.astype(np.int64), len(found)
+        count = len(found)
         self._resolution, self._coarse = field.resolution, field.resolution // 2
-        self._octree = Octree(
-            build_children(cells, np.full(count, field.depth)), field.depth, half_extents
-        )
-        lower, upper = boxes_inside(half_extents, cells, np.full(count, field.depth))
-        # Cells on the border may have a side of 0, which float32 need not divide by.
-        upper = np.maximum(upper, lower + 1e-6)
-        self._corners = on_device(mi.Float, np.stack([lower, upper], axis=1))
-        self._volume = on_device(mi.Float, (upper - lower).prod(axis=1))
+        self.cells = LightCells(half_extents, found, field.depth)
         rows = np.full(count, _NONE, np.uint32)
         rows[np.searchsorted(morton(found), morton(field.cells))] = np.arange(len(field.cells))
         self._rows = on_device(mi.UInt32, rows)
@@ -135,22 +127,23 @@ class InsideLight:
         flux[rows != _NONE] = field.scale * outgoing.sum(axis=1)
         self._has_curves = inside is not None
         if inside is not None:
-            self._packed = on_device(mi.UInt32, inside.dense(inside.intensity))
+            bins = self._coarse**2
+            self._packed = on_device(mi.UInt32, dense(inside.lit, bins, inside.intensity))
             codes = inside.reach.astype(np.uint32) | inside.visibility.astype(np.uint32) << 8
-            self._codes = on_device(mi.UInt32, inside.dense(codes))
+            self._codes = on_device(mi.UInt32, dense(inside.lit, bins, codes))
             self._gain = parameter(mi.Color3f, *(inside.scale * factor for factor in gain))
             # By the square root of distance.
             self._steps = parameter(mi.Float, (_STEPS - 1) / math.sqrt(inside.distances[-1]))
             at = inside.distances[-1] * np.linspace(0, 1, _STEPS) ** 2
             self._reach = _resampled(inside.reach_curves, inside.distances, at)
             self._visibility = _resampled(inside.visibility_curves, inside.distances, at)
-            ending = inside.dense(luminance(unpack(inside.intensity))) * solid_angles(self._coarse)
-            flux += inside.scale * ending.sum(axis=1)
+            ending = dense(inside.lit, bins, luminance(unpack(inside.intensity)))
+            flux += inside.scale * (ending * solid_angles(self._coarse)).sum(axis=1)
         many = _RESOLUTION**3 * count > _MAX_ENTRIES
         self._receivers = InsideReceivers(half_extents, _RESOLUTION // 2 if many else _RESOLUTION)
         self._table = cell_table(
             self._receivers,
-            self._corners,
+            self.cells,
             self._towards,
             outside.scale,
             # A cell may have no light but what ends nearer than the first distance.
@@ -161,21 +154,15 @@ class InsideLight:
     def sample_point(self, x: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
         """As `ExitantLight.sample_point`."""
         cell, chance = self._table.sample(self._receivers.index(x), sample.x, active)
-        lower = dr.gather(mi.Point3f, self._corners, 2 * cell, active)
-        upper = dr.gather(mi.Point3f, self._corners, 2 * cell + 1, active)
-        return dr.lerp(lower, upper, scrambled(sample)), cell, chance
-
-    def border(self, x: Any, direction: Any, cell: Any, active: Any = True) -> Any:
-        """As `ExitantLight.border`; 0 in the cell."""
-        return cell_border(self._corners, x, direction, cell, active)
+        return self.cells.point(cell, scrambled(sample), active), cell, chance
 
     def contribution(
         self, direction: Any, distance: Any, cell: Any, chance: Any, other: Any, active: Any
     ) -> Any:
         """As `ExitantLight.contribution`."""
-        volume = dr.gather(mi.Float, self._volume, cell, active)
+        volume = dr.gather(mi.Float, self.cells.volume, cell, active)
         density = chance * dr.square(distance) + other * volume
-        light = self._light(cell, -direction, distance, active)
+        light = self._light(cell, -direction, distance, active, blocked=self.blocked)
         return dr.select(active & (density > 0), light / density, 0)
 
     def received(
@@ -192,19 +179,20 @@ class InsideLight:
         def visit(state, cell, start, length, active):
             active = ends.reached(start, mi.Bool(self.blocked), active)
             near = start + distance
-            inverse_volume = dr.rcp(dr.gather(mi.Float, self._volume, cell, active))
+            inverse_volume = dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
             chance = self._table.probability(row, cell, active & shared)
             left = left_part(chance, inverse_volume, inverse, near, length)
-            light = self._light(cell, -direction, near + length / 2, active)
+            middle = near + length / 2
+            light = self._light(cell, -direction, middle, active, blocked=self.blocked)
             return (state[0] + dr.select(active, light * (left * inverse_volume), 0),), active
 
         state, span = (mi.Color3f(0),), (mi.Float(0), ends.other)
-        return self._octree.traverse(entry, direction, active, visit, state, span)[0]
+        return self.cells.octree.traverse(entry, direction, active, visit, state, span)[0]
 
     def _towards(self, cell, offset, distance):
         return self._light(cell, offset, distance, mi.Bool(True), blocked=False)
 
-    def _light(self, cell, direction, distance, active, blocked=None):
+    def _light(self, cell, direction, distance, active, *, blocked):
         """Radiant intensity (mi.Color3f) of a cell in a direction (mi.Vector3f), at a distance."""
         row = dr.gather(mi.UInt32, self._rows, cell, active)
         index = bin_of(direction, self._resolution)
@@ -216,7 +204,7 @@ class InsideLight:
         ending = self._gain * unpacked(dr.gather(mi.UInt32, self._packed, entry, active))
         code = dr.gather(mi.UInt32, self._codes, entry, active)
         at = dr.minimum(dr.sqrt(distance) * self._steps, _STEPS - 1.001)
-        if self.blocked if blocked is None else blocked:
+        if blocked:
             return (light + ending) * self._curve(self._visibility, code >> 8, at, active)
         return light + ending * self._curve(self._reach, code & 255, at, active)
 

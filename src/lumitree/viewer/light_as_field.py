@@ -21,7 +21,7 @@ from lumitree.asset.exitant import ExitantField, unpack
 from lumitree.core.harmonics import MAX_L, Y_00, basis_array
 from lumitree.core.octahedral import middle_directions, solid_angles
 from lumitree.octree.build import build_children
-from lumitree.octree.leaves import boxes_inside
+from lumitree.octree.leaves import grid_boxes_inside
 
 # Density of all leaves, per local unit. The longest ray, of 2 √3, loses 5 % of what is behind it.
 DENSITY = 2.0**-6
@@ -49,9 +49,8 @@ def light_as_field(asset: Asset) -> Asset:
     light = asset.exitant
     assert light is not None
     cells, levels = light.cells.astype(np.int64), np.full(len(light.cells), light.depth)
-    lower, upper = boxes_inside(asset.frame.half_extents, cells, levels)
-    # As `rendering.exitant_light`: cells on the border may have a side of 0.
-    volume = (np.maximum(upper, lower + 1e-6) - lower).prod(axis=1)
+    lower, upper = grid_boxes_inside(asset.frame.half_extents, cells, light.depth)
+    volume = (upper - lower).prod(axis=1)
     emission = _by_bin(light) / (volume * DENSITY)[:, None, None]
     max_radiance = _HEADROOM * float(emission.max())
     directions, solid_angle = middle_directions(_RESOLUTION), solid_angles(_RESOLUTION)
