@@ -10,6 +10,18 @@ from lumitree.model.photometry import luminance
 from lumitree.transport.ending_segments import EndingSegments, grid_cell
 
 
+def cell_codes(cells: NDArray[np.integer], depth: int) -> NDArray[np.int64]:
+    """Codes [C] of the cells [C, 3] of a grid with 2**depth a side."""
+    side = 1 << depth
+    return cells.astype(np.int64) @ [1, side, side**2]
+
+
+def coded_cells(codes: NDArray[np.int64], depth: int) -> NDArray[np.int64]:
+    """Cells [C, 3] of `cell_codes`."""
+    side = 1 << depth
+    return np.stack([codes % side, codes // side % side, codes // side**2], axis=1)
+
+
 class OccupiedCells:
     """Cells of a grid over [-1, 1]³ in the order in which light was first found in them.
 
@@ -18,9 +30,9 @@ class OccupiedCells:
     """
 
     def __init__(self, depth: int) -> None:
-        self._side = 1 << depth
+        self._depth = depth
         # Row of each cell of the grid, or -1.
-        self._rows = np.full(self._side**3, -1)
+        self._rows = np.full(1 << 3 * depth, -1)
         self._codes = np.zeros(0, np.int64)
 
     def __len__(self) -> int:
@@ -29,12 +41,11 @@ class OccupiedCells:
     @property
     def coordinates(self) -> NDArray[np.int64]:
         """[C, 3] coordinates of each."""
-        side, codes = self._side, self._codes
-        return np.stack([codes % side, codes // side % side, codes // side**2], axis=1)
+        return coded_cells(self._codes, self._depth)
 
     def rows(self, positions: Any) -> NDArray[np.int64]:
         """Rows [N] of the cells of positions (mi.Point3f); new cells get new rows."""
-        side = self._side
+        side = 1 << self._depth
         cell = grid_cell(positions, side)
         code = np.array((cell.z * side + cell.y) * side + cell.x).astype(np.int64)
         new = np.unique(code[self._rows[code] < 0])
@@ -60,7 +71,7 @@ class _Rows:
         return self.values
 
 
-class Histogram:
+class _Light:
     """Flux by cell and bin of direction."""
 
     def __init__(self, depth: int, resolution: int) -> None:
@@ -77,47 +88,47 @@ class Histogram:
         """[C, R², 3] flux of the bins of each cell."""
         return self._flux.values
 
+    def _places(
+        self, origin: Any, direction: Any
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+        """The flux of all bins, [C R², 3]; and of rays, their place in it and their bin, [N]."""
+        rows = self._occupied.rows(origin)
+        bins = np.array(bin_of(direction, self._resolution)).astype(np.int64)
+        flat = self._flux.grown(len(self._occupied)).reshape(-1, 3)
+        return flat, rows * self._resolution**2 + bins, bins
+
+
+class Histogram(_Light):
+    """Flux of rays that leave the box."""
+
     def add(self, origin: Any, direction: Any, flux: NDArray[np.float64]) -> NDArray[np.int64]:
         """Add rays (mi.Point3f, mi.Vector3f, [3, N]) that start inside the grid.
 
         Returns:
             [N] bins of their directions.
         """
-        rows = self._occupied.rows(origin)
-        bins = np.array(bin_of(direction, self._resolution)).astype(np.int64)
-        flat = self._flux.grown(len(self._occupied)).reshape(-1, 3)
-        index = rows * self._resolution**2 + bins
+        flat, index, bins = self._places(origin, direction)
         for channel in range(3):
             flat[:, channel] += np.bincount(index, flux[channel], len(flat))
         return bins
 
 
-class EndingHistogram:
+class EndingHistogram(_Light):
     """Flux of segments that end on the luminaire, by cell, bin of direction and reach.
 
     `seed` is that of the places in its cell from which the reach of a segment counts.
 
-    A cell takes 100 Q² bytes with 20 distances: as much as of the exitant light of 2 Q bins a side.
+    A cell takes 4 (K + 5) Q² bytes: with 26 distances, 1.3 times as many as of the exitant light of
+    2 Q bins a side.
     """
 
     def __init__(
         self, depth: int, resolution: int, distances: NDArray[np.float32], seed: int
     ) -> None:
-        self._occupied, self._resolution = OccupiedCells(depth), resolution
+        super().__init__(depth, resolution)
         self._depth, self._distances = depth, distances
         self._random = np.random.default_rng(seed)
-        self._flux = _Rows((resolution**2, 3), np.float64)
         self._by_reach = _Rows((resolution**2, len(distances) - 1), np.float32)
-
-    @property
-    def cells(self) -> NDArray[np.int64]:
-        """[C, 3] cells that have light."""
-        return self._occupied.coordinates
-
-    @property
-    def flux(self) -> NDArray[np.float64]:
-        """[C, Q², 3] flux of the bins of each cell."""
-        return self._flux.values
 
     @property
     def by_reach(self) -> NDArray[np.float32]:
@@ -126,10 +137,7 @@ class EndingHistogram:
 
     def add(self, segments: EndingSegments, flux: NDArray[np.float64]) -> None:
         """Add segments with a flux [3, N]."""
-        rows = self._occupied.rows(segments.origin)
-        bins = np.array(bin_of(segments.direction, self._resolution)).astype(np.int64)
-        flat = self._flux.grown(len(self._occupied)).reshape(-1, 3)
-        index = rows * self._resolution**2 + bins
+        flat, index, _ = self._places(segments.origin, segments.direction)
         for channel in range(3):
             np.add.at(flat[:, channel], index, flux[channel])
         by_reach = self._by_reach.grown(len(self._occupied))

@@ -15,6 +15,7 @@ from lumitree.asset.light_inside import LightInside
 from lumitree.asset.lit_bins import dense
 from lumitree.core.octahedral import solid_angles
 from lumitree.errors import LumitreeError
+from lumitree.exitant.histograms import cell_codes, coded_cells
 from lumitree.exitant.inside import DISTANCES, by_coarse_bin, make_entries
 from lumitree.model.photometry import luminance
 from lumitree.octree.build import morton
@@ -37,8 +38,8 @@ def merge_exitant(fields: Sequence[ExitantField], names: Sequence[str]) -> Exita
     """
     records = _check(fields, names)
     counts = np.array([record.count for record in records], np.float64)
-    side, resolution = 1 << fields[0].depth, fields[0].resolution
-    codes = [field.cells.astype(np.int64) @ [1, side, side**2] for field in fields]
+    depth, resolution = fields[0].depth, fields[0].resolution
+    codes = [cell_codes(field.cells, depth) for field in fields]
     occupied = np.unique(np.concatenate(codes))
     intensity = np.zeros((len(occupied), resolution**2, 3))
     by_direction = []
@@ -47,14 +48,14 @@ def merge_exitant(fields: Sequence[ExitantField], names: Sequence[str]) -> Exita
         dense = np.stack([field.dense(channel) for channel in colours.T], axis=-1)
         intensity[np.searchsorted(occupied, code)] += weight * dense
         by_direction.append(luminance(dense.sum(axis=0)))
-    cells = np.stack([occupied % side, occupied // side % side, occupied // side**2], axis=1)
+    cells = coded_cells(occupied, depth)
     traced = TracedPaths(
         count=sum(record.count for record in records),
         seeds=tuple(sorted(seed for record in records for seed in record.seeds)),
         luminaire=records[0].luminaire,
         noise=relative_noise(by_direction, counts),
     )
-    merged = make_exitant_field(cells, intensity, fields[0].depth, traced)
+    merged = make_exitant_field(cells, intensity, depth, traced)
     inside = [field.inside for field in fields if field.inside is not None]
     if len(inside) < len(fields):
         return merged
@@ -68,9 +69,9 @@ def _merged_inside(
 
     J s is averaged. From the curves of κ follow the means of (I + J) V, which are averaged too.
     """
-    side, coarse = 1 << merged.depth, merged.resolution // 2
+    depth, coarse = merged.depth, merged.resolution // 2
     parts = [_expanded(field) for field in fields]
-    codes = [part.cells.astype(np.int64) @ [1, side, side**2] for part in parts]
+    codes = [cell_codes(part.cells, depth) for part in parts]
     occupied = np.unique(np.concatenate(codes))
     bins, points = coarse**2, len(DISTANCES)
     flux = np.zeros((len(occupied), bins, 3))
@@ -80,12 +81,12 @@ def _merged_inside(
         flux[rows] += weight * part.flux
         beyond[rows] += np.float32(weight) * part.beyond
         free[rows] += np.float32(weight) * part.free
-    cells = np.stack([occupied % side, occupied // side % side, occupied // side**2], axis=1)
+    cells = coded_cells(occupied, depth)
     entries = make_entries(merged, cells, flux, -np.diff(beyond, axis=2))
     assert merged.traced is not None
     seed = merged.traced.seeds[0]
     reach, curves = entries.reach(seed)
-    codes_of_entries = entries.cells[entries.rows] @ [1, side, side**2]
+    codes_of_entries = cell_codes(entries.cells[entries.rows], depth)
     unoccluded = free[np.searchsorted(occupied, codes_of_entries), entries.bins]
     return entries.encoded(reach, curves, unoccluded, seed)
 

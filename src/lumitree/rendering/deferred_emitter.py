@@ -21,8 +21,8 @@ class DeferredEmitter(Protocol):
 
     placed: Placed
 
-    def light_inside(self) -> bool:
-        """Light what is in the box from now on. Returns whether that is possible."""
+    def light_inside(self) -> None:
+        """Light what is in the box from now on, if it can (`placed.holds`)."""
         ...
 
     def sample_target(self, it: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:

@@ -47,7 +47,6 @@ def emitter_class() -> type:
             if self.sampler.weighs and isinstance(placed.proxy, BoxProxy):
                 self.sampler.light_inside()
                 placed.holds = True
-            return placed.holds
 
         def traverse(self, callback):
             super().traverse(callback)

@@ -97,7 +97,7 @@ def integrator_class() -> type:
 def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
     """Radiance along camera rays, whether they met something (for the film's alpha), and layers."""
     max_depth = mi.UInt32(settings.max_depth % (1 << 32))  # no limit: the largest number
-    surfaces, proxies, room, owners = divided
+    surfaces, proxies, _, owners = divided
     sees_null = has_null_surfaces(surfaces)
     sees_media = bool(crossed)
     sees_scattering = any(absorption(each) is None for each in crossed)
@@ -164,12 +164,7 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
             entered &= lamp != NONE
             ahead = owners.of(pi.shape, entered & pi.is_valid() & ~collides)
             while entered:
-                mine = ahead == lamp
-                ends = dr.select(mine, pi.t, dr.inf), dr.select(mine, dr.inf, end)
-                if dr.hint(room is not None, mode="scalar"):
-                    # What else is in the box may be behind the lamp's own surface.
-                    other = room.ray_intersect_preliminary(ray, False, entered & mine)
-                    ends = ends[0], dr.select(mine, other.t, ends[1])
+                ends = divided.ends(ray, end, lamp, ahead, entered)
                 emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), lamp, entered)
                 chance = dr.select(delta, 0, emitter.sampling_weight() * dr.rcp(sampling_weight))
                 emitted, through, emitter_pdf = dr.dispatch(

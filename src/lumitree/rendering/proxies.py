@@ -140,6 +140,23 @@ class Divided(NamedTuple):
     room: Any
     owners: "Owners"
 
+    def ends(self, ray: Any, distance: Any, lamp: Any, ahead: Any, active: Any) -> tuple[Any, Any]:
+        """Where a ray ends for a lamp whose proxy it enters, as `DeferredEmitter.eval_entered`.
+
+        Args:
+            ray: mi.Ray3f.
+            distance: mi.Float, where it ends for the integrator.
+            lamp: mi.UInt32, index of the emitter.
+            ahead: mi.UInt32, lamp that the surface at `distance` belongs to (`Owners.of`).
+            active: mi.Bool mask.
+        """
+        mine = ahead == lamp
+        other = mi.Float(dr.inf)
+        if self.room is not None:
+            # What else is in the box may be behind the lamp's own surface.
+            other = self.room.ray_intersect_preliminary(ray, False, active & mine).t
+        return dr.select(mine, distance, dr.inf), dr.select(mine, other, distance)
+
 
 class Owners:
     """The lamps that shapes of a scene belong to.

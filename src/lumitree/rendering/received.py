@@ -57,7 +57,7 @@ def received_irradiance(
 @dr.syntax
 def _receive(scene, divided, point, normal, sampler):
     """Estimates (mi.Color3f) of the irradiance at points."""
-    surfaces, proxies, room, owners = divided
+    surfaces, proxies, _, owners = divided
     sees_null, extent = has_null_surfaces(surfaces), scene_extent(scene)
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(point))
     si.p, si.n = point, dr.normalize(on_device(mi.Vector3f, normal))
@@ -95,11 +95,7 @@ def _receive(scene, divided, point, normal, sampler):
     entered = active & (lamp != NONE)
     ahead = owners.of(pi.shape, entered & pi.is_valid())
     while entered:
-        mine = ahead == lamp
-        ends = dr.select(mine, pi.t, dr.inf), dr.select(mine, dr.inf, pi.t)
-        if dr.hint(room is not None, mode="scalar"):
-            other = room.ray_intersect_preliminary(ray, False, entered & mine)
-            ends = ends[0], dr.select(mine, other.t, ends[1])
+        ends = divided.ends(ray, pi.t, lamp, ahead, entered)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), lamp, entered)
         chance = emitter.sampling_weight() * dr.rcp(sampling_weight)
         pdf = local.z * (1 / math.pi)
