@@ -19,6 +19,7 @@ from benchmarks.paper_tables.cells import Cell, Store
 from benchmarks.paper_tables.page import all_cells, write_page
 from benchmarks.paper_tables.running import Setting, run_cells
 from benchmarks.paper_tables.scales import SCALE_NAMES, SCALES, ScaleName
+from lumitree.core.extras import check_network
 from lumitree.errors import LumitreeError
 
 PAGE = Path(__file__).parents[1] / "docs" / "paper.md"
@@ -93,6 +94,8 @@ def run(options: argparse.Namespace) -> None:
     def show() -> None:
         write_page(page, stores, setting.results)
 
+    if not options.page_only:
+        check_network()
     try:
         if not options.page_only:
             run_cells(cells, setting, after=show)

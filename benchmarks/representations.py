@@ -28,6 +28,7 @@ from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.common.timing import Job, interleaved, kernel
 from lumitree.builtin.registry import BUILTIN
+from lumitree.core.extras import check_network
 
 REFERENCE_PATHS = 1 << 22
 BASELINE, FIELD = "exitant 32³ x 32²", "field, direct bake"
@@ -340,6 +341,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
+    check_network()
     results = Results(
         options,
         paths=options.paths,

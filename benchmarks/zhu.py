@@ -34,6 +34,7 @@ from benchmarks.common.options import add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.common.timing import Job, interleaved, kernel
+from lumitree.core.extras import check_network
 
 COLUMNS = {
     "psnr_linear": 2,
@@ -242,6 +243,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
+    check_network()
     results = Results(
         options,
         views=f"{options.views} of {options.resolution}², {options.spp} samples a pixel",

@@ -28,10 +28,18 @@ def setting(command: str, **details: object) -> dict[str, object]:
         "lumitree": lumitree.__version__,
         "mitsuba": mi.__version__,
         "drjit": importlib.metadata.version("drjit"),
-        "jax": importlib.metadata.version("jax"),
+        "jax": _version("jax"),
         "python": platform.python_version(),
         **details,
     }
+
+
+def _version(package: str) -> str:
+    """Of an optional package."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
 
 
 def command_line(argv: Sequence[str]) -> str:

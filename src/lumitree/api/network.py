@@ -21,6 +21,7 @@ from lumitree.core.arguments import (
 )
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
+from lumitree.core.extras import check_network
 from lumitree.core.files import WriteError, check_writable
 from lumitree.core.interrupt import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
@@ -112,7 +113,8 @@ def bake_network(
 
     Raises:
         LumitreeError: an argument is out of range; the luminaire cannot be read; the work folder
-            holds the state of another bake; or a file cannot be written.
+            holds the state of another bake; a file cannot be written; or the extra `network` of
+            lumitree is not installed.
         Interrupted: SIGINT, SIGTERM or SIGHUP was received before the asset was complete. The work
             folder is kept.
     """
@@ -130,6 +132,7 @@ def bake_network(
         )
     paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS[settings.quality])
     check_seed(seed)
+    check_network()
     load_mitsuba(variant)
     from lumitree.luminaire.luminaire import load_luminaire
 
@@ -265,11 +268,13 @@ def train(
 
     Raises:
         LumitreeError: an argument is out of range; the dataset cannot be read; `output` holds
-            another run; or there is nothing to resume.
+            another run; there is nothing to resume; or the extra `network` of lumitree is not
+            installed.
     """
     check_choice("preset", preset, PRESETS)
     config = dataclasses.replace(PRESETS[preset], seed=seed)
     check_writable(Path(output) / MANIFEST)
+    check_network()
     from lumitree.nerf.train import train as train_network
 
     watch = Stopwatch()
@@ -325,7 +330,8 @@ def extract(
 
     Raises:
         LumitreeError: an argument is out of range; the run cannot be read; the field is empty; the
-            luminaire cannot be read, or its bounding box is not that of the views.
+            luminaire cannot be read, or its bounding box is not that of the views; or the extra
+            `network` of lumitree is not installed.
     """
     if output is not None:
         check_asset_output(output)
@@ -333,6 +339,7 @@ def extract(
     check_range("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
     paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS["standard"])
     check_seed(seed)
+    check_network()
     if luminaire is None:
         with reporting(progress):
             return _extract(run, output, tree_depth, samples_per_leaf)

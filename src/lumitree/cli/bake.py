@@ -30,7 +30,8 @@ def add(commands: Any) -> None:
         "--method",
         choices=("direct", "nerf"),
         default="direct",
-        help="direct: from traced rays, in minutes; nerf: by a network, as in the paper",
+        help="direct: from traced rays, in minutes; nerf: by a network, as in the paper; "
+        "needs the extra 'network'",
     )
     parser.add_argument(
         "--quality",
