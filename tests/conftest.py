@@ -3,10 +3,50 @@
 import gc
 import math
 import signal
+from pathlib import Path
 
 import pytest
 
 from lumitree.core import progress
+from lumitree.core.extras import check_network
+from lumitree.errors import LumitreeError
+
+TESTS = Path(__file__).parent
+# Modules that import JAX.
+JAX_TESTS = (
+    "nerf/*",
+    "benchmarks/test_descent.py",
+    "benchmarks/test_light_flow.py",
+    "benchmarks/test_zhu.py",
+)
+
+
+def skip_without_network():
+    """Skip what is collected or run if the extra `network` is not installed."""
+    try:
+        check_network()
+    except LumitreeError as error:
+        pytest.skip(str(error), allow_module_level=True)
+
+
+class JaxModule(pytest.Module):
+    """A module of tests that cannot be imported without JAX."""
+
+    def collect(self):
+        skip_without_network()
+        return super().collect()
+
+
+def pytest_pycollect_makemodule(module_path, parent):
+    if any(module_path.match(str(TESTS / pattern)) for pattern in JAX_TESTS):
+        return JaxModule.from_parent(parent, path=module_path)
+    return None
+
+
+@pytest.fixture
+def network_packages():
+    """For single tests that need the extra `network`."""
+    skip_without_network()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -23,7 +23,6 @@ from lumitree.core.images import read_exr
 from lumitree.core.work_folder import WorkFolder
 from lumitree.direct.config import QUALITIES
 from lumitree.nerf.config import PRESETS
-from lumitree.nerf.run import HISTORY
 from lumitree.rendering.opened import open_field
 from lumitree.rendering.reference import integrate_ray
 
@@ -42,7 +41,7 @@ def tiny(mi, monkeypatch):
 
 
 @pytest.fixture
-def tiny_network(monkeypatch):
+def tiny_network(network_packages, monkeypatch):
     """A network's bake of seconds: few views, a small network, few light paths."""
     tiny_bakes.set_qualities(monkeypatch.setitem)
     preset = tiny_bakes.network_preset()
@@ -211,7 +210,7 @@ def test_an_interrupted_network_bake_continues(mi, tiny_network, tmp_path, monke
             lumitree.bake_network("lamp.xml", "lamp.lumitree")
     assert not (tmp_path / "lamp.lumitree").exists()
     views = tmp_path / "lamp.work" / "dataset" / "view_000001.exr"
-    history = tmp_path / "lamp.work" / "run" / HISTORY
+    history = tmp_path / "lamp.work" / "run" / "history.json"
     before = views.stat().st_mtime_ns, history.read_bytes()
     with monkeypatch.context() as patch:
         patch.setattr(WorkFolder, "remove", lambda *_: None)

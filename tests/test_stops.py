@@ -217,6 +217,7 @@ def test_a_signal_after_a_bake_is_complete_changes_nothing(tiny, monkeypatch, ca
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("network_packages")
 @pytest.mark.parametrize("seed", range(50))
 def test_stops_at_random_moments(seed):
     choice = random.Random(seed)
@@ -374,6 +375,7 @@ def test_results_that_cannot_be_printed_are_an_error(monkeypatch, capfd):
     assert capfd.readouterr().err == f"lumitree: error: {expected}\n"
 
 
+@pytest.mark.usefixtures("network_packages")
 def test_a_run_without_a_checkpoint_is_removed_from_a_full_disk(tmp_path):
     from lumitree.nerf import run
 
@@ -411,7 +413,11 @@ def test_a_run_without_a_checkpoint_is_removed_from_a_full_disk(tmp_path):
 @pytest.mark.parametrize("name", ["precious.txt", "run/precious.txt"])
 @pytest.mark.parametrize("option", [[], ["--work", "proj"]])
 @pytest.mark.parametrize("method", ["direct", "nerf"])
-def test_a_folder_of_others_is_neither_used_nor_removed(tiny, capsys, name, option, method):
+def test_a_folder_of_others_is_neither_used_nor_removed(
+    tiny, request, capsys, name, option, method
+):
+    if method == "nerf":
+        request.getfixturevalue("network_packages")
     path = Path("proj" if option else "out/lamp.work") / name
     path.parent.mkdir(parents=True)
     path.write_text("mine")
@@ -435,6 +441,7 @@ def test_pictures_are_baked_too(tiny, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("network_packages")
 def test_training_that_was_killed_before_its_first_checkpoint_starts_again(monkeypatch, capsys):
     train = dataclasses.replace(tiny_bakes.network_preset().train, num_steps=20)
     monkeypatch.setitem(PRESETS, "preview", train)
@@ -453,6 +460,7 @@ def test_training_that_was_killed_before_its_first_checkpoint_starts_again(monke
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("network_packages")
 def test_training_goes_on_where_a_checkpoint_cannot_be_written(monkeypatch, capsys):
     from lumitree.nerf import train as training
 

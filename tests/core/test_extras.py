@@ -1,0 +1,122 @@
+"""lumitree without the packages of the network, which are hidden here."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import lumitree
+from lumitree.core import extras
+
+TESTS = Path(__file__).parents[1]
+LAMP = (
+    '<scene version="3.0.0"><shape type="sphere"><emitter type="area">'
+    '<rgb name="radiance" value="3,2,1"/></emitter></shape></scene>'
+)
+ROOM = """<scene version="3.0.0"><sensor type="perspective"><film type="hdrfilm">
+<integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
+<integrator type="path"/><shape type="sphere"/></scene>"""
+LINE = (
+    "the network needs packages that are not installed (jax, flax, optax, orbax-checkpoint); "
+    "install them with `pip install 'lumitree[network]'`"
+)
+HIDE = """
+import sys
+
+class Hider:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("jax", "jaxlib", "flax", "optax", "orbax"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Hider())
+"""
+# Scripts that Blender runs import its own module.
+IMPORT_ALL = """
+import importlib, pkgutil
+import lumitree, lumitree.cli
+from lumitree.core.backend import load_mitsuba
+
+load_mitsuba("llvm_ad_rgb")
+for module in pkgutil.walk_packages(lumitree.__path__, "lumitree."):
+    name = module.name
+    if not name.startswith("lumitree.nerf.") and not name.endswith(("__main__", "_script")):
+        importlib.import_module(name)
+import lumitree.nerf.config
+for name in lumitree.__all__:
+    getattr(lumitree, name)
+print(sorted({"jax", "jaxlib", "flax", "optax", "orbax"} & set(sys.modules)))
+"""
+
+
+def run(code, *arguments, folder=None):
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True)
+
+
+def command(folder, *arguments):
+    """A command of `tiny_bakes`, without the packages."""
+    script = f"sys.path.insert(0, {str(TESTS)!r})\nimport runpy\n"
+    script += "runpy.run_module('tiny_bakes', run_name='__main__')"
+    return run(HIDE + script, *arguments, folder=folder)
+
+
+@pytest.mark.parametrize("before", ["import sys", HIDE], ids=["installed", "hidden"])
+def test_nothing_but_the_network_imports_jax(before):
+    result = run(before + IMPORT_ALL)
+    assert (result.stdout.strip(), result.returncode) == ("[]", 0), result.stderr
+
+
+def test_lamps_are_baked_and_rendered_without_the_network(tmp_path):
+    (tmp_path / "lamp.xml").write_text(LAMP)
+    (tmp_path / "room.xml").write_text(ROOM)
+    for line in (
+        ["bake", "--help"],
+        ["bake", "lamp.xml", "-o", "a.lumitree"],
+        ["info", "a.lumitree"],
+        ["capture", "lamp.xml", "-o", "views", "--views", "1", "--resolution", "8", "--spp", "1"],
+        ["render", "room.xml", "-o", "a.png", "--place", "a.lumitree", "--at", "0,3,0", "--size",
+         "1", "--spp", "1"],
+    ):  # fmt: skip
+        result = command(tmp_path, *line)
+        assert result.returncode == 0, result.stderr
+    assert (tmp_path / "a.png").exists()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        ["bake", "lamp.xml", "-o", "a.lumitree", "--method", "nerf"],
+        ["train", "views", "-o", "run"],
+        ["extract", "run", "-o", "a.lumitree"],
+        ["extract", "run", "-o", "a.lumitree", "--luminaire", "lamp.xml"],
+    ],
+    ids=" ".join,
+)
+def test_commands_of_the_network_say_what_to_install(tmp_path, line):
+    """Before they read or write a file."""
+    result = command(tmp_path, *line)
+    assert result.returncode == 2
+    assert result.stderr == f"lumitree: error: {LINE}\n"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["paper", "representations", "zhu"])
+def test_benchmarks_of_the_network_say_what_to_install(name, mi, tmp_path, monkeypatch, capsys):
+    from benchmarks.__main__ import main
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "jax", None)
+    assert main([name]) == 2
+    (error,) = capsys.readouterr().err.splitlines()
+    assert "pip install 'lumitree[network]'" in error
+    assert not list(tmp_path.iterdir())
+
+
+def test_only_what_is_missing_is_named(monkeypatch):
+    modules = {"json": "a", "no_such_module": "b", "no_such.module": "c", "json.decoder": "d"}
+    monkeypatch.setattr(extras, "NETWORK", modules)
+    with pytest.raises(lumitree.LumitreeError, match=r"not installed \(b, c\); install"):
+        extras.check_network()
+    monkeypatch.setattr(extras, "NETWORK", {"json": "a"})
+    extras.check_network()
