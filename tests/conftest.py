@@ -12,11 +12,12 @@ from lumitree.core.extras import check_network
 from lumitree.errors import LumitreeError
 
 TESTS = Path(__file__).parent
-# Modules that import JAX.
+# Modules of which most tests import JAX.
 JAX_TESTS = (
     "nerf/*",
     "benchmarks/test_descent.py",
     "benchmarks/test_light_flow.py",
+    "benchmarks/test_paper.py",
     "benchmarks/test_zhu.py",
 )
 

@@ -86,9 +86,7 @@ def fails(capsys, *arguments):
         (["capture", "lamp.xml", "-o", "d", "--views", "0"], "views is 0"),
         (["capture", "lamp.xml", "-o", "d", "--split", "both"], "invalid choice: 'both'"),
         (["capture", "lamp.xml", "-o", "d", "--variant", "scalar_rgb"], "choose llvm_ad_rgb"),
-        (["train", "no", "-o", "run"], "holds no manifest.json"),
         (["train", "no", "-o", "run", "--preset", "best"], "invalid choice: 'best'"),
-        (["extract", "no", "-o", "a.lumitree"], "no holds no run.json"),
         (["extract", "no", "-o", "a.bin"], "does not end in .lumitree"),
         (["bake", "no.xml", "-o", "a.lumitree"], "neither a file nor built in"),
         (["bake", "lamp.xml", "-o", "a"], "does not end in .lumitree"),
@@ -191,6 +189,19 @@ def test_bad_input(capsys, arguments, message):
     assert created == set()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["train", "no", "-o", "run"], "holds no manifest.json"),
+        (["extract", "no", "-o", "a.lumitree"], "no holds no run.json"),
+    ],
+)
+def test_bad_input_of_the_network(network_packages, capsys, arguments, message):
+    error, created = fails(capsys, *arguments)
+    assert message in error
+    assert created == set()
+
+
 def test_what_a_command_cannot_do_is_refused_before_it_works(capsys, monkeypatch):
     """Nothing is loaded, traced or imported for seconds before the refusal."""
 
@@ -252,7 +263,7 @@ def test_unreadable_files(capsys, monkeypatch, name):
     assert created == set()
 
 
-def test_damaged_dataset(capsys, folder):
+def test_damaged_dataset(network_packages, capsys, folder):
     assert main(["capture", "lamp.xml", "-o", "d", "--views", "2", "--resolution", "16",
                  "--spp", "4"]) == 0  # fmt: skip
     capsys.readouterr()

@@ -134,7 +134,6 @@ def test_no_cell_begins_after_the_time(setting, capsys):
     assert "the time is spent" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("network_packages")
 def test_training_stops_at_the_deadline_and_goes_on(tmp_path, monkeypatch):
     """Training is called with steps that fit, and what is done counts in the next call."""
     from lumitree.nerf import train as training
@@ -227,7 +226,6 @@ def test_an_explicit_lamp_that_does_not_converge_gives_lower_bounds():
     assert 20 < bound < 70
 
 
-@pytest.mark.usefixtures("network_packages")
 @pytest.mark.parametrize("scale", SCALES)
 def test_arithmetic_of_a_step_is_that_of_its_weights(scale):
     import jax

@@ -24,7 +24,7 @@ ROOM = (
 
 
 @pytest.mark.slow
-def test_the_whole_suite_in_minutes(tmp_path, monkeypatch):
+def test_the_whole_suite_in_minutes(network_packages, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     # Cells are processes of their own, and many compile the same programs.
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "jax"))
