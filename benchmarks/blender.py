@@ -2,7 +2,7 @@
 
     python -m benchmarks blender [--blender PROGRAM] [--assets FOLDER] [LUMINAIRE ...]
 
-Writes `blender.md` and `blender.json`. First the error of the irradiance (decision 14) of clusters
+Writes `blender.md` and `blender.json`. First the error of the irradiance of clusters
 of point lights, against light paths of the luminaire, by number of lights, without Blender. Then a
 diffuse room that the lamp alone illuminates: rendered by Cycles with the exported lamp, by Cycles
 with the same lamp as explicit geometry in about the same CPU time, and by Mitsuba with the asset.

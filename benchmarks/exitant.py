@@ -4,7 +4,7 @@
 
 Writes `exitant.md`, `exitant.json` and `exitant.png`. For each luminaire and each grid: seconds of
 the bake, bytes, and the error of the irradiance on the six faces of a cube around the lamp and on a
-plane that touches its box (decision 14), against independent light paths. The baseline is the grid
+plane that touches its box, against independent light paths. The baseline is the grid
 of two cells a side, whose RMS error is the unit of the last column.
 """
 

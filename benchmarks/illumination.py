@@ -5,9 +5,9 @@
 Each luminaire hangs in the demonstration's room, in turn as an emissive sphere of the same flux
 (the baseline), as explicit geometry, as an asset with an exitant light field alone, and as one with
 a model. Writes `illumination.md` and `illumination.json`: the bake (seconds, bytes, irradiance
-error, decision 14); CPU time of a sample over the sphere's and over the explicit lamp's; variance
-of the pixels that show diffuse surfaces, relative to their squared mean and without the 0.1 % of
-largest, over the sphere's; and the product of time and variance.
+error); CPU time of a sample over the sphere's and over the explicit lamp's; variance of the pixels
+that show diffuse surfaces, relative to their squared mean and without the 0.1 % of largest, over
+the sphere's; and the product of time and variance.
 
 Without a name, all built-in luminaires; `--data` adds those of a folder.
 """

@@ -4,7 +4,7 @@
 
 All are fitted to the same light paths, but for lumitree's field, whose direct bake traces rays of
 its own. For each: seconds of the fit, bytes, the RMS error of the irradiance on the faces of a cube
-around the lamp and on a plane that touches its box (decision 14) against other light paths; the
+around the lamp and on a plane that touches its box against other light paths; the
 gain over black of images from outside, against captured views; nanoseconds of a query of radiance
 along a line, and of a direction sampled towards the lamp with what arrives from there; and the
 variance of the irradiance that one such sample estimates, over the square of its mean. The

@@ -67,8 +67,8 @@ class Method:
         self.converges = lamp.field is None or shows_model(lamp.field.asset, "model")
         mi = load_mitsuba()
         # Not `path` or `volpath`, which start rays so far from surfaces that thin glass emits too
-        # much (decision 21), and find no light through thin glass and alpha masks by next-event
-        # estimation.
+        # much (docs/decisions/media.md), and find no light through thin glass and alpha masks by
+        # next-event estimation.
         self.kind = "lumitree_path" if baked else options.explicit
         key = {
             "room": digest(Path(pair.room), *SceneFile(pair.room).references()),

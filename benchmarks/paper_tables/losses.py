@@ -27,12 +27,12 @@ VARIANTS: dict[str, tuple[str, dict[str, Any], tuple[float, float, float] | None
     "opacity": ("MSE + regularizer + opacity loss", {}, (26.8784, 0.8829, 0.0358)),
     "mse-opacity": ("MSE + opacity loss", {"colour_loss": "mse"}, None),
     "geometric": (
-        "as the paper, with its mask (D7: `geometric`)",
+        "as the paper, with its mask (`geometric`)",
         {"opacity_kind": "geometric"},
         None,
     ),
-    "through": ("gradient through the denominator (D6)", {"stop_gradient": False}, None),
-    "units": ("error in radiance units (D6)", {"colour_loss": "hdr_radiance"}, None),
+    "through": ("gradient through the denominator", {"stop_gradient": False}, None),
+    "units": ("error in radiance units", {"colour_loss": "hdr_radiance"}, None),
 }
 
 

@@ -152,7 +152,8 @@ def _all_metrics(found: Found) -> str:
                 metrics = values[method]
                 numbers = [found.number(metrics.get(name), 4) for name in METRICS]
                 rows.append([lamp, title, *numbers])
-    return f"All metrics of decision 9:\n\n{found.table(['lamp', 'method', *METRICS], rows, 2)}"
+    table = found.table(["lamp", "method", *METRICS], rows, 2)
+    return f"All [image metrics](decisions/metrics.md#image-metrics):\n\n{table}"
 
 
 def _images(found: Found) -> str:

@@ -13,7 +13,7 @@ from benchmarks.paper_tables.work import Work
 from lumitree.asset.file import load
 from lumitree.nerf.config import TrainConfig
 
-# Title and changes of the settings; the literal reading of Eq. 3 is decision D2.
+# Title and changes of the settings; docs/decisions/field.md has the literal reading of Eq. 3.
 LAWS: dict[str, tuple[str, dict[str, Any]]] = {
     "exponential": ("exponential", {"law": "exponential"}),
     "linear": ("linear", {"law": "linear"}),

@@ -93,7 +93,7 @@ def test_psnr_of_a_known_error():
 
 
 def test_the_terms_of_the_loss_that_the_settings_choose():
-    """The three rows of the paper's Table 2, and D6's radiance units."""
+    """The three rows of the paper's Table 2, and radiance units in numerator and denominator."""
     rng = np.random.default_rng(8)
     shapes = (NUM_RAYS, NUM_INTERVALS), (NUM_RAYS, NUM_INTERVALS, 3), (NUM_RAYS, NUM_INTERVALS)
     coarse, fine = (

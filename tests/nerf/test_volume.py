@@ -31,7 +31,7 @@ def test_weights_are_positive_and_sum_to_opacity(law, density, widths):
     result = composite(density, phi, widths, law)
     assert np.all(np.asarray(result.weights) >= 0)
     np.testing.assert_allclose(result.weights.sum(axis=-1), result.opacity, atol=2e-6)
-    # A unit emission shows the opacity itself: nothing is lost and nothing doubled (D2).
+    # A unit emission shows the opacity itself: nothing is lost and nothing doubled.
     np.testing.assert_allclose(result.radiance, result.opacity[:, None].repeat(3, 1), atol=2e-6)
 
 

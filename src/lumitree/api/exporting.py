@@ -19,7 +19,7 @@ from lumitree.errors import LumitreeError, explained, shown
 from lumitree.rendering.opened import open_asset
 
 _ENDINGS = (".py", ".blend", ".vdb")
-# By measurement, see decision 69.
+# By measurement, see docs/decisions/blender.md.
 DEFAULT_LIGHTS, MAX_LIGHTS = 16, 1024
 
 

@@ -1,4 +1,4 @@
-"""The irradiance error that every bake states (decision D14)."""
+"""The irradiance error that every bake states."""
 
 from typing import TYPE_CHECKING
 

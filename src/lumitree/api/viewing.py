@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 # Numbers of light paths of a preview, for the flux and for the flux by number of bounces.
 FLUX_PATHS, BOUNCE_PATHS = 1 << 22, 1 << 20
 # Light paths, and rays of the asset, of an evaluation's irradiance: 4 to 9 s each on 2 CPU cores,
-# for a standard error of about 0.5 % of the mean of a face (decision D14).
+# for a standard error of about 0.5 % of the mean of a face.
 IRRADIANCE_PATHS = 1 << 20
 
 

@@ -4,7 +4,7 @@
     DATASET/view_000001.exr     channels R, G, B (radiance), geometric, straight_through (opacity)
 
 Poses follow NeRF's convention (camera x right, y up, looking along -z) in the luminaire's local
-frame (D8). Cameras are orthographic; their images are square and have the same width.
+frame. Cameras are orthographic; their images are square and have the same width.
 """
 
 import dataclasses
@@ -120,7 +120,7 @@ class View:
     straight_through: NDArray[np.float32]
 
     def opacity(self, kind: OpacityKind) -> NDArray[np.float32]:
-        """The opacity of the chosen kind (D7)."""
+        """The opacity of the chosen kind."""
         return self.geometric if kind == "geometric" else self.straight_through
 
 
@@ -191,7 +191,7 @@ class Dataset:
             yield self._read(frame)
 
     def max_radiance(self, views: Iterable[View]) -> float:
-        """L_max of views of this dataset (D9).
+        """L_max of views of this dataset.
 
         Raises:
             LumitreeError: the views are black.

@@ -1,4 +1,4 @@
-"""Frames, directions and similarity transforms (decisions D4, D8 and D11).
+"""Frames, directions and similarity transforms.
 
 Symbols
     world       the frame of the luminaire's file
@@ -33,7 +33,7 @@ FRAME_KEYS = ("half_extents", "world_from_proxy")
 def towards_viewer(direction: Vector) -> Vector:
     """Direction at which spherical harmonics are evaluated, for a ray travelling along `direction`.
 
-    All code that evaluates spherical harmonics calls this function (D4).
+    All code that evaluates spherical harmonics calls this function.
     """
     return -direction  # type: ignore[operator]
 
@@ -63,7 +63,7 @@ def similarity(
 
 
 def similarity_scale(matrix: ArrayLike, what: str = "transform") -> float:
-    """Uniform scale of a similarity transform [4, 4]; everything else is refused (D11).
+    """Uniform scale of a similarity transform [4, 4]; everything else is refused.
 
     Raises:
         LumitreeError: the matrix is not finite, mirrors, shears or scales non-uniformly.
@@ -124,7 +124,7 @@ def check_placement(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LocalFrame:
-    """Local frame of a luminaire: a frame centred on its bounding box, scaled to the box (D8).
+    """Local frame of a luminaire: a frame centred on its bounding box, scaled to the box.
 
     The unit of length is half the longest side of the box. "World" is the frame of the luminaire's
     file. The arrays are copied, and cannot be written to.

@@ -106,7 +106,7 @@ def auto_exposure(radiance: NDArray[np.floating]) -> float:
 
 
 def max_radiance(images: Iterable[NDArray[np.floating]]) -> float:
-    """L_max: the 99.99th percentile over the pixels of all images [..., 3], largest channel (D9).
+    """L_max: the 99.99th percentile over the pixels of all images [..., 3], largest channel.
 
     A few outliers ("fireflies") among a million pixels do not raise it.
     """

@@ -1,11 +1,11 @@
-"""The two transmittance laws and the emission weights they give (decisions D1 to D3).
+"""The two transmittance laws and the emission weights they give.
 
 Symbols
     tau        optical depth, the integral of density along a ray
     T          transmittance, 1 at the start of a ray; opacity is 1 - T
     weight     decrease of T over an interval, w_i = T_i - T_{i+1}; for both laws the weights of
                a ray sum to its opacity
-    literal    weight of Eq. 3 as it is printed, the integral of T over tau (decision D2)
+    literal    weight of Eq. 3 as it is printed, the integral of T over tau
 """
 
 from typing import Any, Literal, get_args
@@ -16,7 +16,7 @@ LAWS: tuple[Law, ...] = get_args(Law)
 EmissionWeights = Literal["decrease", "literal"]
 EMISSION_WEIGHTS: tuple[EmissionWeights, ...] = get_args(EmissionWeights)
 
-# The exponential law never reaches 0. Below this transmittance a ray counts as blocked (D8).
+# The exponential law never reaches 0. Below this transmittance a ray counts as blocked.
 BLOCKED = 1e-3
 
 
@@ -36,7 +36,7 @@ def transmittance(tau: Any, law: Law, xp: Any) -> Any:
 
 
 def emission_weights(before: Any, after: Any, law: Law, kind: EmissionWeights) -> Any:
-    """Weights of the emission in intervals of constant density (Eq. 3, D2).
+    """Weights of the emission in intervals of constant density (Eq. 3).
 
     Args:
         before, after: T at both ends of each interval, any shape.

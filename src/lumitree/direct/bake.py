@@ -211,7 +211,7 @@ def _continued_seed(asset: Asset, seed: int) -> int:
 
 
 def _visible_radiance(source: TracedRays, config: DirectConfig) -> float:
-    """99.99th percentile of the radiance of pixels as wide as the smallest leaves (D9).
+    """99.99th percentile of the radiance of pixels as wide as the smallest leaves.
 
     Raises:
         LumitreeError: it is 0.

@@ -5,7 +5,7 @@ single leaves have too few rays to correct. Here the logits of the leaves of a c
 together by a sum of x_k Y_k: Fisher scoring on the Poisson deviance of the light. It goes from
 coarse cells to fine ones, each corrects what the coarser ones leave, and x is shrunk towards 0 by a
 prior, so that cells with few paths follow the coarser ones. The strength of the prior follows from
-the difference between two independent halves of the rays (decision 29).
+the difference between two independent halves of the rays (docs/decisions/calibration.md).
 
 Symbols
     g           w Phi (1 - Phi), derivative of a leaf's radiance in a ray by its logit
@@ -94,7 +94,7 @@ def _solve(
     for level in range(config.coarsest_level, config.finest_level + 1):
         inside, region = above[level], above[level - config.region_levels]
         # The variance over the mean is what one of many equal paths brings. The mean is of the
-        # light of the luminaire: a field that is too dark shows less (decision 29).
+        # light of the luminaire: a field that is too dark shows less.
         region_of = np.zeros(inside.max(initial=-1) + 1, np.int64)
         region_of[inside] = region
         noise = _sum(_sum(difference, inside) ** 2, region_of)

@@ -1,7 +1,8 @@
 """Settings of the direct bake: every number that was chosen by experience or by measurement.
 
-Each part of the bake takes its own group. "Decision n" is the record n of docs/decisions, which
-has the evidence; a setting without one was chosen during development and not compared in a record.
+Each part of the bake takes its own group. The evidence is in docs/decisions: octree-fit.md,
+calibration.md, and field.md for the headroom. A setting that is not there was chosen during
+development and not compared.
 The settings are part of the saved state of a bake: a state is only continued with equal ones.
 """
 
@@ -41,8 +42,8 @@ class MaxRadianceConfig(_Settings):
     Attributes:
         rays: rays traced, in tiles that are as wide as a pixel.
         paths: camera paths a ray.
-        headroom: L_max over the 99.99th percentile of the radiance of pixels (decision 41). A thin
-            filament outshines its pixel, in a leaf that hides only part of it.
+        headroom: L_max over the 99.99th percentile of the radiance of pixels. A thin filament
+            outshines its pixel, in a leaf that hides only part of it.
     """
 
     rays: int = 1 << 21
@@ -68,8 +69,8 @@ class EstimateConfig(_Settings):
         min_emission, max_emission: range, in units of L_max, that the fitted radiance is clipped to
             before it is converted to logits.
         prior_paths: pseudo-count of paths that agree with the fit of the leaf's parent, or with
-            black where it has none (decision 27).
-        prior_band_paths: added to `prior_paths`, times l², for band l (decision 27).
+            black where it has none.
+        prior_band_paths: added to `prior_paths`, times l², for band l.
         opaque_from: opacity above which a leaf is made opaque.
     """
 
@@ -95,9 +96,9 @@ class ViewsConfig(_Settings):
         held_out_stride: one view in this many is held out for the score.
         hull_level: level of the leaves of the hull, unless the smallest leaves are larger.
         hull_optical_depth: initial optical depth across a leaf of the hull.
-        hull_emission: initial emission, in units of L_max (decision 42 compares others).
+        hull_emission: initial emission, in units of L_max.
         coefficient_rate_factor: factor on `RefineConfig.coefficient_rate`, since the hull is
-            farther from the result than a first estimate is (decision 42).
+            farther from the result than a first estimate is.
     """
 
     held_out_stride: int = 8
@@ -112,14 +113,13 @@ class CalibrationConfig(_Settings):
     """Calibration of the field's emission against the light of the luminaire (`calibration`).
 
     Attributes:
-        rounds: rounds; round n counts for 1 / (n - 1) from the third on (decision 29).
+        rounds: rounds; round n counts for 1 / (n - 1) from the third on.
         rays: rays drawn for each half of a round.
         light_paths_per_ray: light paths traced for each ray.
         coarsest_level, finest_level: levels of the cells whose leaves are scaled together; coarser
-            cells first (decision 29).
-        max_band: highest band of the shift of a cell's logits (decision 29).
-        prior_paths: pseudo-count of paths of the region that agree with the field (decisions 27 and
-            29).
+            cells first.
+        max_band: highest band of the shift of a cell's logits.
+        prior_paths: pseudo-count of paths of the region that agree with the field.
         region_levels: levels from a cell up to the region in which the light that one path brings
             is measured; a single cell has too few paths for that.
         min_factor: smallest mean factor on the emission of a cell in one round.
@@ -150,7 +150,7 @@ class CalibrationConfig(_Settings):
 class FluxConfig(_Settings):
     """The flux correction factor (`flux_correction`).
 
-    Its noise is that of the rays, so that light paths may be few (decision 38).
+    Its noise is that of the rays, so that light paths may be few.
 
     Attributes:
         draws: draws; together they estimate the factor to ±0.5 %, one alone to ±1.5 %.
@@ -181,21 +181,20 @@ class RefineConfig(_Settings):
     """Gradient descent on the leaves (`refine`).
 
     Attributes:
-        rays: rays drawn for a step (decision 30); those that cross no leaf cost little.
+        rays: rays drawn for a step; those that cross no leaf cost little.
         light_paths_per_ray: light paths traced for each ray.
         opacity_rays_per_ray: further rays whose transmittance alone is used; one costs a third of a
-            ray (decision 23).
-        epsilon: of the loss, in units of L_max. 0.002 of the 99.99th percentile of radiance
-            (decision 41).
-        opacity_weight: of the squared error of the transmittance in the loss (decision 26).
-        density_rate: initial step of Adam for log density (decision 31).
-        coefficient_rate: initial step of Adam for coefficients (decisions 30 and 31).
+            ray.
+        epsilon: of the loss, in units of L_max. 0.002 of the 99.99th percentile of radiance.
+        opacity_weight: of the squared error of the transmittance in the loss.
+        density_rate: initial step of Adam for log density.
+        coefficient_rate: initial step of Adam for coefficients.
         final_rate: final step over initial step; steps fall exponentially with the budget spent,
             and `smoothing` with them.
         mean_decay, square_decay: Adam's decay of the mean of gradients, and of their squares.
         smoothing: part of the way by which coefficients are first regularised towards the mean of
-            the neighbouring leaves' (decision 30).
-        smoothing_interval: steps from one regularisation to the next (decision 30).
+            the neighbouring leaves'.
+        smoothing_interval: steps from one regularisation to the next.
     """
 
     rays: int = 1 << 15
@@ -280,7 +279,7 @@ class DirectConfig:
         rays: budget of rays of the descent, 1 to 2**50; None for no limit.
         seed: root seed of all random numbers, 0 to 2**31 - 1.
         ray_spacing_level: neighbouring rays of a tile are as far apart as leaves of this level, or
-            of `tree_depth` if that is less (decision 36). Closer rays show a leaf from too few
+            of `tree_depth` if that is less. Closer rays show a leaf from too few
             directions; rays farther apart are slower to trace.
         max_radiance, estimate, views, calibration, flux, held_out, refine, split, schedule:
             settings of the parts of the bake.

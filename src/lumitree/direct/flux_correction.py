@@ -1,4 +1,4 @@
-"""The flux correction factor: total flux of the luminaire over that of the field (decision 38)."""
+"""The flux correction factor: total flux of the luminaire over that of the field."""
 
 from typing import Any
 

@@ -28,7 +28,7 @@ class Score:
 
     @property
     def rank(self) -> float:
-        """A bake keeps the field with the largest sum of both PSNR (decision 43)."""
+        """A bake keeps the field with the largest sum of both PSNR."""
         return self.psnr + self.opacity_psnr
 
     def __str__(self) -> str:

@@ -29,7 +29,7 @@ class Rays:
         origin, direction: mi.Point3f and mi.Vector3f, local frame, direction of travel.
         share: mi.Float, the part of all wanted rays that this one stands for; 0 for a light path.
         light: mi.Color3f, radiance times share; for a light path its flux over the measure.
-        transmittance: mi.Float, straight-through throughput (D7); 0 for a light path.
+        transmittance: mi.Float, straight-through throughput; 0 for a light path.
     """
 
     origin: Any
@@ -46,7 +46,7 @@ class RayPairs:
     Attributes:
         origin, direction: as in `Rays`.
         first, second: mi.Color3f.
-        transmittance: mi.Float, straight-through throughput (D7).
+        transmittance: mi.Float, straight-through throughput.
     """
 
     origin: Any

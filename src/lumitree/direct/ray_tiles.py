@@ -1,4 +1,4 @@
-"""Random rays through a box, in tiles of parallel neighbours that are spread evenly (decision 37).
+"""Random rays through a box, in tiles of parallel neighbours that are spread evenly.
 
 Neighbouring rays traverse the same part of an octree, which a vector unit does together.
 """
@@ -28,7 +28,7 @@ class RayTiles:
     def __init__(self, half_extents: NDArray[np.float64], spacing: float) -> None:
         self._spacing = spacing
         # The middles of tiles pass through a box that is larger by half a tile's diagonal. Drawn
-        # through the proxy itself, its rim would get fewer rays than its centre (decision 36).
+        # through the proxy itself, its rim would get fewer rays than its centre.
         self._half = half_extents + TILE_SIDE / math.sqrt(2) * spacing
         # No ray's origin is farther from the centre of the box than this.
         self.reach = 1.01 * float(np.linalg.norm(self._half)) + TILE_SIDE * spacing

@@ -10,7 +10,7 @@ Symbols
     loss        mean of D(L + epsilon, l + epsilon) + opacity_weight (T - t)², where
                 D(x, y) = x - y log x is the Poisson deviance without the terms that do not depend
                 on x: at its minimum x and y agree in sum, so that the field has the flux of the
-                luminaire. Relative squared errors (Eq. 8) agree in another sum (decision 23)
+                luminaire. Relative squared errors (Eq. 8) agree in another sum.
 """
 
 import math

@@ -52,7 +52,7 @@ class StoredRays:
         return Subject(of.luminaire, of.fingerprint, of.local_frame)
 
     def max_radiance(self) -> float:
-        """L_max (D9)."""
+        """L_max."""
         return self._max_radiance
 
     def draw(

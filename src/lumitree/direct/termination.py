@@ -2,7 +2,7 @@
 
 The termination point of a ray is where its light is reflected, scattered or absorbed: at a surface
 or in a medium, or the orthogonal projection of that place onto the ray. Behind thick glass, which
-deflects paths, it is at the first surface with probability ½ (decision 24).
+deflects paths, it is at the first surface with probability ½.
 """
 
 import dataclasses

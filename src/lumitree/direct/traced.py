@@ -134,7 +134,7 @@ class TracedRays:
         return radiance, self._follow_smooth(origin, direction, stream)[0]
 
     def max_radiance(self, pixel: float, config: MaxRadianceConfig) -> float:
-        """99.99th percentile of radiance over the pixels of views all around (D9).
+        """99.99th percentile of radiance over the pixels of views all around.
 
         The rays of a tile average to a pixel; views also hold pixels beside the box, which rays do
         not visit.

@@ -69,7 +69,7 @@ def compare_views(predict: Predict, dataset: Dataset) -> Evaluation:
     """Compare images with every view of `dataset`.
 
     The opacity that is compared is `straight_through`: the renderer multiplies the light behind
-    the luminaire by 1 minus this opacity (D7).
+    the luminaire by 1 minus this opacity.
 
     Args:
         predict: returns radiance [H, W, 3] and opacity [H, W] of a view.
@@ -156,7 +156,7 @@ class IrradianceEvaluation:
 def evaluate_irradiance(
     asset: Asset, reference: Luminaire | Asset, num_paths: int
 ) -> IrradianceEvaluation:
-    """Compare the irradiance around an asset with that around its luminaire (decision D14).
+    """Compare the irradiance around an asset with that around its luminaire.
 
     Args:
         reference: the luminaire, or another asset. It must have a bounding box of the asset's

@@ -1,4 +1,4 @@
-"""Irradiance around a luminaire, by light that leaves it: what a room receives (decision D14).
+"""Irradiance around a luminaire, by light that leaves it: what a room receives.
 
 A cube three times the size of the luminaire's bounding box stands around it, in its local frame. A
 seventh square touches the lower side of the bounding box, as a table below a lamp might. Each

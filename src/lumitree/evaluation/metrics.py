@@ -1,4 +1,4 @@
-"""Error metrics of a baked luminaire on held-out views (decision D9).
+"""Error metrics of a baked luminaire on held-out views.
 
 Symbols
     b, r       baked and reference radiance, in the asset's radiance unit
@@ -65,7 +65,7 @@ def view_metrics(
     reference_opacity: ArrayLike,
     max_radiance: float,
 ) -> dict[str, float]:
-    """All metrics of one view, by the names of `VIEW_METRICS` (D9).
+    """All metrics of one view, by the names of `VIEW_METRICS`.
 
     Args:
         baked: [H, W, 3] radiance of the asset; at least 11 pixels per side.

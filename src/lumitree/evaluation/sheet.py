@@ -1,4 +1,4 @@
-"""Contact sheet of baked views and their references, for visual comparison (decision D9)."""
+"""Contact sheet of baked views and their references, for visual comparison."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence

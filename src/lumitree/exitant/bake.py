@@ -1,4 +1,4 @@
-"""A histogram of light paths by the cell of their last vertex and by direction (decision 62).
+"""A histogram of light paths by the cell of their last vertex and by direction.
 
 Light that ends on the luminaire is counted too, by its reach (`inside`).
 """

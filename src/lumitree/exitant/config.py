@@ -16,8 +16,7 @@ class ExitantConfig:
 
     Attributes:
         paths: light paths, rounded up to whole batches; 2²² take 5 to 20 s on 2 CPU cores. More
-            sharpen little: the error of irradiance is then mostly that of the resolution
-            (decision 62).
+            sharpen little: the error of irradiance is then mostly that of the resolution.
         depth: the grid has 2**depth cells a side. Cells blur the light of what is near: with 16
             cells a side a plane that touches the box has an error of 1 to 6 %, with 32 of 1 %.
         resolution: bins of direction a side, a power of two. They blur the light of what is far.

@@ -10,7 +10,7 @@ from lumitree.core.harmonics import MAX_L
 from lumitree.core.transmittance import EMISSION_WEIGHTS, LAWS, EmissionWeights, Law
 from lumitree.errors import LumitreeError
 
-# Error of a colour (Eq. 8 and D6): that of radiance / L_max over the predicted radiance; the same
+# Error of a colour (Eq. 8): that of radiance / L_max over the predicted radiance; the same
 # with the error in radiance units; and the plain squared error of radiance / L_max, NeRF's.
 ColourLoss = Literal["hdr", "hdr_radiance", "mse"]
 COLOUR_LOSSES: tuple[ColourLoss, ...] = get_args(ColourLoss)
@@ -36,13 +36,13 @@ class TrainConfig:
         num_steps: steps of the whole run.
         learning_rate_start: Adam's step size at the first step.
         learning_rate_end: step size at the last step; it decays exponentially in between.
-        law: transmittance law (D3).
-        opacity_kind: which captured opacity supervises the field (D7).
+        law: transmittance law.
+        opacity_kind: which captured opacity supervises the field.
         skip_empty: sample only inside the visual hull of the masks.
-        stop_gradient: no gradient through the denominator of the HDR loss (D6).
+        stop_gradient: no gradient through the denominator of the HDR loss.
         colour_loss: error of a colour, see `ColourLoss`. Others than "hdr" are for comparison.
         supervise_opacity: whether the loss has the term of the opacity (Eq. 9).
-        emission_weights: weights of the emission along a ray (D2); "literal" is for comparison, and
+        emission_weights: weights of the emission along a ray; "literal" is for comparison, and
             no asset can hold such a field.
         seed: seed of the initial weights, the batches and the jitter.
 
@@ -107,7 +107,7 @@ PRESETS: dict[str, TrainConfig] = {
     "paper": TrainConfig(),
     # A rough field in about two minutes on two CPU cores. There, many small batches give a better
     # result than few large ones: after 60 s, 24.1 dB with 256 rays and 23.2 dB with 1024. After so
-    # few steps the exponential law is 1 to 2 dB better than the paper's (decision 3).
+    # few steps the exponential law is 1 to 2 dB better than the paper's.
     "preview": TrainConfig(
         law="exponential",
         num_layers=4,

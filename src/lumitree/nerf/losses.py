@@ -17,7 +17,7 @@ def hdr_loss(
 
     As in the paper, the error is that of radiance / L_max, and the denominator is in radiance
     units. If the error were in radiance units too, this term would be L_max² times larger, and the
-    opacity loss would have no effect; see docs/decisions/0006-hdr-loss.md.
+    opacity loss would have no effect; see docs/decisions/network.md.
 
     Args:
         predicted: [R, 3] radiance, >= 0.

@@ -1,11 +1,11 @@
-"""NeRF-SH: the network from position to density and spherical-harmonics emission (D5).
+"""NeRF-SH: the network from position to density and spherical-harmonics emission.
 
 Symbols
     N            positions
     K            (l_max + 1)² coefficients of a colour channel
     density      sigma, per local unit length, >= 0
     emission     Phi, radiance per unit of opacity, in (0, max_radiance)
-    position     local frame (D8), each coordinate in [-1, 1]
+    position     local frame, each coordinate in [-1, 1]
 """
 
 import math
@@ -108,7 +108,7 @@ def emission(coefficients: jax.Array, directions: jax.Array, max_radiance: float
 
     Args:
         coefficients: [R, N, 3, K] of N positions on each of R rays.
-        directions: [R, 3] unit directions of travel (D4).
+        directions: [R, 3] unit directions of travel.
         max_radiance: L_max, > 0.
 
     Returns:

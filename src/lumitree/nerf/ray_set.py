@@ -107,7 +107,7 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
 
     Args:
         dataset: training views.
-        kind: which captured opacity supervises the field (D7).
+        kind: which captured opacity supervises the field.
         skip_empty: use the visual hull; otherwise the whole box counts as occupied.
 
     Raises:

@@ -35,7 +35,7 @@ class TrainedField:
         luminaire: name of the luminaire.
         num_steps: number of training steps.
         occupancy: cells that may be occupied; density is 0 outside of them.
-        emission_weights: weights of the emission along a ray that it was trained with (D2).
+        emission_weights: weights of the emission along a ray that it was trained with.
     """
 
     law: Law

@@ -5,7 +5,7 @@ Symbols
     s            occupied length of the ray up to t, in [0, S]; S is the occupied length in all
     edges        [R, N + 1] increasing values of s; interval i lies between edges i and i + 1
     widths       [R, N] lengths of the intervals; they partition [0, S]
-    tau          optical depth; T transmittance; weight w_i = T_i - T_{i+1} (D2)
+    tau          optical depth; T transmittance; weight w_i = T_i - T_{i+1}
 """
 
 from typing import NamedTuple
@@ -125,7 +125,7 @@ def composite(
     law: Law,
     kind: EmissionWeights = "decrease",
 ) -> Composite:
-    """Radiance and opacity of intervals with constant density and emission (Eq. 3 to 5, D2).
+    """Radiance and opacity of intervals with constant density and emission (Eq. 3 to 5).
 
     Args:
         density: [R, N], >= 0, per local unit.

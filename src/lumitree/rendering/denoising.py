@@ -1,7 +1,7 @@
 """Noise taken out of images by Intel Open Image Denoise.
 
 Only illumination is filtered. Emitters that are seen directly, or by mirrors and glass, have little
-noise, and the filter would blur filaments and highlights (decision 68).
+noise, and the filter would blur filaments and highlights.
 """
 
 import dataclasses

@@ -1,6 +1,6 @@
 """Emission of a lamp that is divided: receivers get the exitant light field, images show the field.
 
-Decision 62 states which paths get which.
+docs/decisions/light-field.md states which paths get which.
 """
 
 from typing import Any

@@ -14,7 +14,7 @@ first three take the same properties:
 
 `lumitree_proxy` is the proxy shape with the emitter and the BSDF attached: what a scene XML names.
 With the appearance "model" it is several shapes: the proxy and those of the luminaire.
-L_o = gain · L_e + T · L_i (Eq. 2 with D1): the emitter returns gain · L_e, the BSDF T. The gain is
+L_o = gain · L_e + T · L_i (Eq. 2): the emitter returns gain · L_e, the BSDF T. The gain is
 a differentiable parameter of `mitsuba.traverse`, `<name of the shape>.emitter.gain`.
 """
 

@@ -244,7 +244,7 @@ def termination_point(box: Any, direction: Any, first: Any, last: Any, at_first:
         first: mi.Point3f on the ray, on the first surface.
         last: mi.Point3f, end of the path.
         at_first: mi.Bool, return `first` in any case. With probability ½ where the path is
-            deflected, so that glass hides what is behind it (decision 24).
+            deflected, so that glass hides what is behind it.
     """
     along = dr.dot(last - first, direction)
     projection = first + along * direction

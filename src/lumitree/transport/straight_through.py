@@ -1,4 +1,4 @@
-"""What is found by following transmissions alone: straight-through opacity (D7), emitters seen."""
+"""What is found by following transmissions alone: straight-through opacity, emitters seen."""
 
 from typing import Any
 

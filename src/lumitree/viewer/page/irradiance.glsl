@@ -1,4 +1,4 @@
-// Illuminance of the walls, sum over cells of I(direction) cos / distance^2 (see Decision 67).
+// Illuminance of the walls, sum over cells of I(direction) cos / distance^2.
 uniform sampler2D cells;       // per cell: lower corner and largest intensity; upper corner
 uniform sampler2D intensity;   // relative intensities, cell by cell, R^2 bins
 uniform int num_cells, bins, samples, patches;
