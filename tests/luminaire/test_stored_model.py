@@ -99,9 +99,11 @@ def seen(mi, loaded):
 def placed_shapes(mi, model, scale=1.0):
     """The shapes of a model in a scene, where it is `scale` times as large."""
     from lumitree.rendering.model_shapes import model_shapes
+    from lumitree.rendering.own_lights import OwnLights
 
     lamp = SimpleNamespace(
-        gain=mi.Color3f(1), placed=SimpleNamespace(asset=SimpleNamespace(gain=NO_GAIN))
+        gain=mi.Color3f(1),
+        placed=SimpleNamespace(asset=SimpleNamespace(gain=NO_GAIN), own_lights=OwnLights()),
     )
     return model_shapes(model, np.diag([scale, scale, scale, 1]), lamp)
 
