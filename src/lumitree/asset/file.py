@@ -31,10 +31,10 @@ from lumitree.errors import LumitreeError, shown
 FORMAT = "lumitree"
 # Files without an exitant light field have the first version, those without a model at most the
 # second, those with neither a gain nor images of a model at most the third, those whose model has
-# no media at most the fourth, those whose model has no origin at most the fifth, those without light
-# inside the box at most the sixth, and those whose media do not scatter at most the seventh, which
-# older readers know. Images are compressed from the fourth, exitant light fields with light inside
-# the box from the seventh.
+# no media at most the fourth, those whose model has no origin at most the fifth, those without
+# light inside the box at most the sixth, and those without media that scatter at most the seventh,
+# which older readers know. Images are compressed from the fourth, exitant light fields with light
+# inside the box from the seventh.
 VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL, VERSION_WITH_GAIN = 1, 2, 3, 4
 VERSION_WITH_MEDIA, VERSION_WITH_ORIGIN, VERSION_WITH_INSIDE = 5, 6, 7
 VERSION_WITH_SCATTERING = 8

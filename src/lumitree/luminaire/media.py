@@ -53,13 +53,11 @@ def absorption(medium: Any) -> list[float] | None:
 
 
 def stored_medium(medium: Any) -> Any:
-    """What the model of an asset stores of a mi.Medium (`asset.model_media`).
+    """What the model of an asset stores of a homogeneous mi.Medium (`asset.model_media`).
 
     Raises:
-        LumitreeError: it is not homogeneous, or scatters by a phase function that is not stored.
+        LumitreeError: it scatters by a phase function that is not stored.
     """
-    if not medium.is_homogeneous():
-        raise LumitreeError("a heterogeneous medium is not stored; expected a homogeneous one")
     found = [np.ravel(np.array(each, np.float64)) for each in _coefficients(medium)]
     scattering, extinction = found[0], found[2]
     anisotropy = _anisotropy(medium.phase_function()) if scattering.any() else 0.0

@@ -173,7 +173,7 @@ class Owners:
         owner_of_medium = {
             number: index for index, lamp in lamps.items() for number in lamp.placed.own_media
         }
-        cloudy = {index: 1 for index in owner_of_medium.values()}
+        cloudy = dict.fromkeys(owner_of_medium.values(), 1)
         # Whether there are shapes, and media that scatter.
         self.exist, self.scatter = bool(self.owner), bool(owner_of_medium)
         self._lamps, self._lamps_of_media = _Numbers(self.owner), _Numbers(owner_of_medium)
