@@ -160,7 +160,10 @@ class Work:
 
 
 def _parts(lamp: str) -> list[Any]:
-    """All parts; without the model for lamps with media that scatter light, which none holds."""
+    """All parts; without the model for lamps with media that scatter light.
+
+    No model could hold these when the cells were measured.
+    """
     from lumitree.luminaire.luminaire import load_luminaire
 
     return ["exitant", "field", *([] if load_luminaire(lamp).scatters else ["model"])]

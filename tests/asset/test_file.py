@@ -353,7 +353,11 @@ def test_broken_tensors_are_refused(original, tmp_path, change, message):
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("version", 8, "version 8, this lumitree reads 1 and 2 and 3 and 4 and 5 and 6 and 7"),
+        (
+            "version",
+            9,
+            "version 9, this lumitree reads 1 and 2 and 3 and 4 and 5 and 6 and 7 and 8",
+        ),
         ("version", 2, 'lacks "exitant"'),
         ("version", 0, "version 0, this"),
         ("version", 1.0, "version 1.0, this"),

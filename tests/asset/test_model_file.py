@@ -10,7 +10,7 @@ import pytest
 import safetensors.numpy
 
 from damage import refused
-from exitant_fields import random_exitant
+from exitant_fields import random_exitant, with_inside
 from fields import random_asset
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.file import _digest, load, save
@@ -153,6 +153,30 @@ def test_media_have_version_5(tmp_path):
         load(earlier)
 
 
+MILK = {"absorption": [0.0, 1, 2], "scattering": [4.0, 0, 1e3], "anisotropy": -0.25}
+
+
+@pytest.mark.parametrize("inside", [False, True])
+def test_media_that_scatter_have_version_8(tmp_path, inside):
+    """With light inside the box and without it."""
+    shapes = [dict(shape) for shape in small_model().shapes]
+    shapes[1]["exterior"], shapes[2]["interior"] = [0.0, 1, 2], MILK
+    asset = with_model(small_model(shapes=tuple(shapes)))
+    if inside:
+        asset = replace(asset, exitant=with_inside(0, asset.exitant))
+    path = tmp_path / "milk.lumitree"
+    save(asset, path)
+    assert asset.model.has_media
+    assert asset.model.has_scattering
+    assert version(path) == 8
+    equal(load(path).model, asset.model)
+    assert (load(path).exitant.inside is not None) == inside
+    earlier = tmp_path / "earlier.lumitree"
+    rewrite(path, earlier, lambda t: None, lambda t: t.replace('"version":8', '"version":7'))
+    with pytest.raises(LumitreeError, match='lacks "bins"' if not inside else "media that scatter"):
+        load(earlier)
+
+
 def test_smooth_images_are_compressed():
     y, x = np.mgrid[:64, :64]
     image = np.stack([2 * x + y, 255 - x, y], axis=-1).astype(np.uint8)
@@ -252,7 +276,27 @@ BROKEN = {
         lambda d: d["shapes"][2].update(interior=[1, -1, 0]),
         r"interior of a sphere is \[1.0, -1.0, 0.0\], expected 0 to 1e",
     ),
-    "a medium": (lambda d: d["shapes"][0].update(exterior={"albedo": 1}), "expected 3 numbers"),
+    "a medium": (lambda d: d["shapes"][0].update(exterior={"albedo": 1}), 'lacks "absorption"'),
+    "scattering": (
+        lambda d: d["shapes"][2].update(interior=MILK | {"scattering": [0, 0, 1e16]}),
+        "scattering of the interior of a sphere is",
+    ),
+    "a number of scattering": (
+        lambda d: d["shapes"][2].update(interior=MILK | {"scattering": [0, None, 1]}),
+        "expected 3 numbers",
+    ),
+    "no scattering": (
+        lambda d: d["shapes"][2].update(interior=MILK | {"scattering": [0, 0, 0]}),
+        "the interior of a sphere scatters nothing; expected its absorption alone",
+    ),
+    "an anisotropy": (
+        lambda d: d["shapes"][2].update(interior=MILK | {"anisotropy": 1}),
+        r"anisotropy of the interior of a sphere is 1, expected -0.999 to 0.999",
+    ),
+    "media of a later version": (
+        lambda d: d["shapes"][2].update(interior=MILK),
+        "version 4 has no media",
+    ),
     "a squeezed sphere": (
         lambda d: d["shapes"][2].update(to_world=np.diag([0.1, 0.2, 0.2, 1]).tolist()),
         "scaled non-uniformly",

@@ -224,6 +224,8 @@ def test_media_are_where_they_are_promised(models):
 def test_tiny_capture(mi, name, tmp_path):
     lamp = load_luminaire(name)
     assert lamp.has_media == (name in ("cluster", "star"))
+    model = stored_model(lamp)
+    assert (model.has_media, model.has_scattering) == (lamp.has_media, lamp.scatters)
     dataset = capture(lamp, tmp_path, num_views=2, resolution=16, samples_per_pixel=32)
     views = list(dataset.views())
     assert max(view.radiance.max() for view in views) > 0

@@ -106,6 +106,17 @@ def test_all_plugins_that_an_asset_may_have_become_nodes():
     assert normals == ["ShaderNodeNormalMap", "ShaderNodeBump"]
 
 
+def test_media_that_scatter_absorb():
+    from lumitree.exporting.surfaces import absorption_inside
+
+    milk = {"absorption": [0.25, 1.0, 0.5], "scattering": [8.0, 8, 8], "anisotropy": 0.0}
+    shapes = [dict(shape) for shape in small_model().shapes]
+    shapes[0]["interior"], shapes[1]["interior"] = milk, [2.0, 0, 0]
+    assert list(map(absorption_inside, shapes)) == [[0.25, 1, 0.5], [2, 0, 0], None]
+    _, lost = trees(small_model(shapes=tuple(shapes)))
+    assert any("media absorb light and do not scatter it" in line for line in lost)
+
+
 def test_metals_reflect_at_normal_incidence_as_in_mitsuba(mi):
     (tree,), _ = trees(
         small_model(

@@ -12,7 +12,7 @@ from lumitree.asset.file import load, save
 from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
 from lumitree.luminaire.luminaire import load_luminaire
-from lumitree.luminaire.media import absorption
+from lumitree.luminaire.media import absorption, stored_medium
 from lumitree.luminaire.stored_model import stored_model
 from model_assets import with_model
 
@@ -99,9 +99,11 @@ def seen(mi, loaded):
 def placed_shapes(mi, model, scale=1.0):
     """The shapes of a model in a scene, where it is `scale` times as large."""
     from lumitree.rendering.model_shapes import model_shapes
+    from lumitree.rendering.own_lights import OwnLights
 
     lamp = SimpleNamespace(
-        gain=mi.Color3f(1), placed=SimpleNamespace(asset=SimpleNamespace(gain=NO_GAIN))
+        gain=mi.Color3f(1),
+        placed=SimpleNamespace(asset=SimpleNamespace(gain=NO_GAIN), own_lights=OwnLights()),
     )
     return model_shapes(model, np.diag([scale, scale, scale, 1]), lamp)
 
@@ -175,10 +177,46 @@ def test_media_that_absorb_are_stored(mi, luminaire, tmp_path):
     assert absorption(shapes[3].exterior_medium()) == pytest.approx([0.1, 0.2, 0.05], rel=1e-6)
 
 
+END = "</medium>"
+FORWARDS = f'<phase type="hg"><float name="g" value="0.6"/></phase>{END}'
+RAYLEIGH = f'<phase type="rayleigh"/>{END}'
+NARROW = FORWARDS.replace("0.6", "0.9999")
+
+
+def test_media_that_scatter_are_stored(mi, luminaire, tmp_path):
+    """As those that absorb; their phase function does not depend on the size."""
+    isotropic = MEDIUM.format("interior", 4, 0.25)
+    forwards = isotropic.replace(END, FORWARDS)
+    lamp = luminaire(
+        cube("a", 0.1, (1, 0, 0), GLASS + isotropic),
+        sphere("b", 0.1, (2, 0, 0), GLASS + forwards),
+        sphere("c", 0.1, (3, 0, 0), GLASS + forwards, flip=True),
+    )
+    save(with_model(stored_model(lamp), lamp.frame), tmp_path / "lamp.lumitree")
+    model = load(tmp_path / "lamp.lumitree").model
+    even, narrow, again = (shape["interior"] for shape in model.shapes if "interior" in shape)
+    assert even["absorption"] == pytest.approx([1.5, 3, 0.75], rel=1e-6)
+    assert even["scattering"] == pytest.approx([0.5, 1, 0.25], rel=1e-6)
+    assert (even["anisotropy"], narrow["anisotropy"]) == (0, pytest.approx(0.6))
+    assert again == narrow
+    shapes = placed_shapes(mi, model, 0.5)
+    first, *others = (s.interior_medium() for s in shapes if s.interior_medium() is not None)
+    assert others[0] is others[1]
+    for medium, g in ((first, 0), (others[0], 0.6)):
+        stored = stored_medium(medium)
+        assert stored["absorption"] == pytest.approx([3, 6, 1.5], rel=1e-6)
+        assert stored["scattering"] == pytest.approx([1, 2, 0.5], rel=1e-6)
+        assert stored["anisotropy"] == pytest.approx(g)
+
+
 REFUSED = {
-    "media": (
-        cube("a", 0.2, (2, 0, 0), GLASS + MEDIUM.format("interior", 1, 0.5)),
-        "media that scatter light",
+    "a phase function": (
+        cube("a", 0.2, (2, 0, 0), GLASS + MEDIUM.format("interior", 1, 0.5).replace(END, RAYLEIGH)),
+        "shape 'a': a medium with a RayleighPhaseFunction is not stored; expected isotropic or hg",
+    ),
+    "a phase function that is too narrow": (
+        cube("a", 0.2, (2, 0, 0), GLASS + MEDIUM.format("interior", 1, 0.5).replace(END, NARROW)),
+        "shape 'a': a medium has g of 0.9999, which is not stored; expected -0.999 to 0.999",
     ),
     "a BSDF": (cube("a", 0.2, (2, 0, 0), '<bsdf type="hair"/>'), "shape 'a': .*hair"),
     "plastic in glass": (

@@ -95,8 +95,8 @@ def bake(
             images under `lumitree_path` show in place of the field; beside one of the other two.
             A part that is asked for and cannot be made is an error. Default: all that can be made:
             of a dataset "field", of a photometric file "exitant", and of a luminaire all three. One
-            that cannot be stored, because it has media that scatter light or what is not listed in
-            docs/format.md, gets no model, with a warning.
+            that cannot be stored, because it has what is not listed in docs/format.md, gets no
+            model, with a warning.
         irradiance_paths: number of light paths, and of rays of the asset, by which the irradiance
             around the asset is compared with that around the luminaire at the end, as in
             `evaluate`; up to 67,108,864. 0: it is not compared. Default: by `quality`, 2¹⁸ to 2²⁰,

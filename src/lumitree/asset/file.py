@@ -31,11 +31,13 @@ from lumitree.errors import LumitreeError, shown
 FORMAT = "lumitree"
 # Files without an exitant light field have the first version, those without a model at most the
 # second, those with neither a gain nor images of a model at most the third, those whose model has
-# no media at most the fourth, those whose model has no origin at most the fifth, and those without
-# light inside the box at most the sixth, which older readers know. Images are compressed from the
-# fourth, exitant light fields from the seventh.
+# no media at most the fourth, those whose model has no origin at most the fifth, those without
+# light inside the box at most the sixth, and those without media that scatter at most the seventh,
+# which older readers know. Images are compressed from the fourth, exitant light fields with light
+# inside the box from the seventh.
 VERSION, VERSION_WITH_EXITANT, VERSION_WITH_MODEL, VERSION_WITH_GAIN = 1, 2, 3, 4
 VERSION_WITH_MEDIA, VERSION_WITH_ORIGIN, VERSION_WITH_INSIDE = 5, 6, 7
+VERSION_WITH_SCATTERING = 8
 ACTIVATION = "sigmoid"
 _MAX_HEADER_BYTES = 1 << 20
 # Three million leaves, the most that a bake makes, take at most 0.6 GB.
@@ -110,6 +112,8 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
 def _version_of(asset: Asset) -> int:
     """The version that the gain, the light inside the box and the model of an asset need."""
     model, exitant = asset.model, asset.exitant
+    if model is not None and model.has_scattering:
+        return VERSION_WITH_SCATTERING
     if exitant is not None and exitant.inside is not None:
         return VERSION_WITH_INSIDE
     if model is not None and model.origin != NO_ORIGIN:
@@ -160,8 +164,11 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
         VERSION_WITH_MEDIA,
         VERSION_WITH_ORIGIN,
         VERSION_WITH_INSIDE,
+        VERSION_WITH_SCATTERING,
     )
-    has_inside = version >= VERSION_WITH_INSIDE
+    # A file of the eighth version may have light inside the box.
+    may_have_inside = version > VERSION_WITH_INSIDE and "exitant.light" in tensors
+    has_inside = version == VERSION_WITH_INSIDE or may_have_inside
     # A file of the third version or a later one may have an exitant light field.
     optional = version >= VERSION_WITH_MODEL and description.has("exitant")
     has_exitant = version == VERSION_WITH_EXITANT or has_inside or optional
@@ -178,6 +185,8 @@ def _build(value: Any, tensors: dict[str, NDArray[Any]]) -> Asset:
     model = build_model(tensors, compressed=has_gain) if has_model else None
     if model is not None and model.has_media and version < VERSION_WITH_MEDIA:
         raise LumitreeError(f"version {version} has no media")
+    if model is not None and model.has_scattering and version < VERSION_WITH_SCATTERING:
+        raise LumitreeError(f"version {version} has no media that scatter light")
     if model is not None and model.origin != NO_ORIGIN and version < VERSION_WITH_ORIGIN:
         raise LumitreeError(f"version {version} has no origin of a model")
     red, green, blue = description.array("gain", 3).tolist() if has_gain else NO_GAIN

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.checks import expect, expect_arrays, naming, require
 from lumitree.asset.materials import check_material, check_radiance
+from lumitree.asset.model_media import MEDIA_SIDES, check_medium, scattering_sides
 from lumitree.asset.textures import (
     VERTEX_RANGE,
     ImageFacts,
@@ -43,10 +44,6 @@ _OUTSIDE = 1e-4
 _ANALYTIC = ("sphere", "disk", "cylinder", "rectangle")
 _MESH_KEYS = ("vertices", "faces", "normals", "texcoords", "colours")
 _SHAPE_KEYS = ("type", "material", "flipped", "radiance")
-# Of a surface: where its normal points away from, and where to.
-MEDIA_SIDES = ("interior", "exterior")
-# Per unit of length.
-_MAX_ABSORPTION = 1e15
 NO_ORIGIN = (0.0, 0.0, 0.0)
 
 
@@ -65,9 +62,8 @@ class AssetModel:
             an index; `flipped`, whether normals point to the other side; and `radiance`, None or
             a colour or a texture, W/(m² sr). A "mesh" has the counts `vertices` and `faces`, and
             `normals`, `texcoords` and `colours`, whether it has these. A "sphere", "disk",
-            "cylinder" or "rectangle" has `to_world` [4][4]. A shape between media that absorb
-            light has `interior` or `exterior`, the absorption [3] behind or before it, per unit of
-            length.
+            "cylinder" or "rectangle" has `to_world` [4][4]. A shape between media has `interior` or
+            `exterior`, the medium behind or before it, see `asset.model_media`.
         materials: JSON objects, see `asset.materials`.
         origin: [3] origin of the coordinates of vertices and of `to_world`, in the frame of the
             luminaire's file; see `Luminaire.origin`.
@@ -138,8 +134,13 @@ class AssetModel:
 
     @property
     def has_media(self) -> bool:
-        """Whether some shapes have media that absorb light."""
+        """Whether some shapes have media."""
         return any(side in shape for shape in self.shapes for side in MEDIA_SIDES)
+
+    @property
+    def has_scattering(self) -> bool:
+        """Whether some of its media scatter light."""
+        return any(map(scattering_sides, self.shapes))
 
     def meshes(self) -> "list[dict[str, NDArray[Any]] | None]":
         """Arrays of each shape by name, or None if it is not a mesh; the inverse of `join`."""
@@ -233,11 +234,7 @@ def _check_shape(shape: Json, num_materials: int, images: Sequence[ImageFacts]) 
     sides = [side for side in MEDIA_SIDES if record.has(side)]
     record.expect_keys(*_SHAPE_KEYS, *(_MESH_KEYS if kind == "mesh" else ("to_world",)), *sides)
     for side in sides:
-        absorption = record.array(side, 3)
-        require(
-            (absorption >= 0).all() and (absorption <= _MAX_ABSORPTION).all(),
-            f"{side} of a {kind} is {absorption.tolist()}, expected 0 to {_MAX_ABSORPTION:g}",
-        )
+        check_medium(record, side, kind)
     index = record.integer("material")
     if not 0 <= index < num_materials:
         raise LumitreeError(f"it has the material {index} of {num_materials}")

@@ -152,6 +152,10 @@ class Record:
         """Whether a member is null."""
         return self._members.get(key) is None
 
+    def is_object(self, key: str) -> bool:
+        """Whether a member is an object."""
+        return isinstance(self._members.get(key), dict)
+
     def expect_keys(self, *keys: str) -> None:
         """Refuse an object that lacks one of these keys, or has another one."""
         for verb, names in (

@@ -14,7 +14,7 @@ from lumitree.asset.asset import Asset
 from lumitree.errors import LumitreeError, shown
 from lumitree.exporting.lights import PointLights, cluster_lights, direction_tables
 from lumitree.exporting.meshes import blender_meshes
-from lumitree.exporting.surfaces import Surfaces
+from lumitree.exporting.surfaces import Surfaces, absorption_inside
 
 Up = Literal["y", "z"]
 # From a frame with this axis up to Blender's, with z up.
@@ -65,7 +65,7 @@ def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
     else:
         surfaces = Surfaces(asset.model, asset.gain)
         description["surfaces"] = [surfaces.tree(shape) for shape in asset.model.shapes]
-        description["absorption"] = [shape.get("interior") for shape in asset.model.shapes]
+        description["absorption"] = [absorption_inside(shape) for shape in asset.model.shapes]
         lost += sorted(surfaces.lost)
         for index, mesh in enumerate(blender_meshes(asset.model, Z_UP[up])):
             arrays |= {f"{index}.{name}": values for name, values in mesh.items()}

@@ -16,6 +16,7 @@ import numpy as np
 
 from lumitree.asset.asset import NO_GAIN
 from lumitree.asset.model import AssetModel
+from lumitree.asset.model_media import model_medium, scattering_sides
 from lumitree.asset.textures import Json
 from lumitree.exporting.nodes import (
     SCALED_GAIN,
@@ -35,6 +36,11 @@ _LOST = {
     "principledthin": "thin sheets are a mixture of diffuse, translucent and transparent",
     "roughdielectric": "emitters behind rough glass are not seen; point lights illuminate it",
 }
+
+
+def absorption_inside(shape: Json) -> list[float] | None:
+    """Absorption [3] of the medium inside of a shape, per unit of its file; None for no medium."""
+    return model_medium(shape["interior"]).absorption.tolist() if "interior" in shape else None
 
 
 class Surfaces:
@@ -59,6 +65,8 @@ class Surfaces:
         """
         if "exterior" in shape:
             self.lost.add("media outside of a shape are left out")
+        if scattering_sides(shape):
+            self.lost.add("media absorb light and do not scatter it: opal glass is clear")
         surface = self._surface(self._model.materials[shape["material"]], None)
         if shape["radiance"] is None:
             return surface

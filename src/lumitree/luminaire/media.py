@@ -1,10 +1,13 @@
 """Participating media of a scene."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
+from lumitree.asset.model_media import MAX_ANISOTROPY, ModelMedium, described_medium
 from lumitree.core.backend import load_mitsuba
+from lumitree.errors import LumitreeError
 
 # Smallest extinction of a channel of a medium, relative to its largest one.
 _CLEAR = 1e-5
@@ -14,7 +17,13 @@ _EXTINCTION = "sigma_t.value.value"
 def media(scene: Any) -> list[Any]:
     """Every mi.Medium inside or around a shape of a mi.Scene, or around a camera of it."""
     found = [sensor.get_medium() for sensor in scene.sensors()]
-    for shape in scene.shapes():
+    return [medium for medium in found if medium is not None] + media_of(scene.shapes())
+
+
+def media_of(shapes: Iterable[Any]) -> list[Any]:
+    """Every mi.Medium inside or around one of some shapes."""
+    found = []
+    for shape in shapes:
         if shape.is_medium_transition():
             found += [shape.interior_medium(), shape.exterior_medium()]
     return [medium for medium in found if medium is not None]
@@ -22,7 +31,12 @@ def media(scene: Any) -> list[Any]:
 
 def any_scatters(scene: Any) -> bool:
     """Whether some medium of a mi.Scene does more than to absorb light evenly."""
-    return any(absorption(medium) is None for medium in media(scene))
+    return any(map(scatters, media(scene)))
+
+
+def scatters(medium: Any) -> bool:
+    """Whether a mi.Medium does more than to absorb light evenly."""
+    return absorption(medium) is None
 
 
 def any_heterogeneous(scene: Any) -> bool:
@@ -36,6 +50,35 @@ def absorption(medium: Any) -> list[float] | None:
         return None
     scattering, _, extinction = _coefficients(medium)
     return None if np.ravel(scattering).any() else np.ravel(extinction).tolist()
+
+
+def stored_medium(medium: Any) -> Any:
+    """What the model of an asset stores of a homogeneous mi.Medium (`asset.model_media`).
+
+    Raises:
+        LumitreeError: it scatters by a phase function that is not stored.
+    """
+    found = [np.ravel(np.array(each, np.float64)) for each in _coefficients(medium)]
+    scattering, extinction = found[0], found[2]
+    anisotropy = _anisotropy(medium.phase_function()) if scattering.any() else 0.0
+    absorption = np.maximum(extinction - scattering, 0)
+    return described_medium(ModelMedium(absorption, scattering, anisotropy))
+
+
+def _anisotropy(phase: Any) -> float:
+    """Mean cosine of the scattering angle of a mi.PhaseFunction."""
+    kind = phase.class_name()
+    if kind == "IsotropicPhaseFunction":
+        return 0.0
+    if kind != "HGPhaseFunction":
+        raise LumitreeError(f"a medium with a {kind} is not stored; expected isotropic or hg")
+    value = float(np.ravel(load_mitsuba().traverse(phase)["g"])[0])
+    if abs(value) > MAX_ANISOTROPY:
+        raise LumitreeError(
+            f"a medium has g of {value:g}, which is not stored; expected -{MAX_ANISOTROPY:g} to "
+            f"{MAX_ANISOTROPY:g}"
+        )
+    return value
 
 
 def is_coloured(medium: Any) -> bool:

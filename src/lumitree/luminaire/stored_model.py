@@ -15,7 +15,7 @@ from lumitree.asset.textures import VERTEX_COLOUR, ImageFacts, Json
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError, shown
 from lumitree.luminaire.luminaire import Luminaire, luminaire_source, open_scene_file
-from lumitree.luminaire.media import absorption
+from lumitree.luminaire.media import stored_medium
 from lumitree.luminaire.scene_file import SceneFile
 
 _ANALYTIC = ("sphere", "disk", "cylinder", "rectangle")
@@ -35,12 +35,10 @@ def stored_model(luminaire: Luminaire) -> AssetModel:
     Meshes of one material and radiance are joined, which renders faster.
 
     Raises:
-        LumitreeError: the luminaire cannot be stored: it has media that scatter light, instances, a
-            shape, BSDF, texture or emitter that is not in the lists of `asset.materials`, or it
-            was made from a mi.Scene. The message is the reason.
+        LumitreeError: the luminaire cannot be stored: it has instances, a shape, BSDF, texture,
+            emitter or medium that is not in the lists of `asset.materials` and `asset.model_media`,
+            or it was made from a mi.Scene. The message is the reason.
     """
-    if luminaire.scatters:
-        raise LumitreeError(f"{luminaire.name} has media that scatter light, which are not stored")
     file = open_scene_file(luminaire_source(luminaire), luminaire.origin)
     return _Reader(file).read(luminaire.origin)
 
@@ -69,7 +67,8 @@ class _Reader:
         meshes: dict[str, list[tuple[Json, dict[str, NDArray[Any]]]]] = defaultdict(list)
         others = []
         for name, shape, description in zip(names, shapes, described, strict=True):
-            description |= _media(shape)
+            with _of_shape(name):
+                description |= _media(shape)
             # A rectangle is a mesh to Mitsuba, but has no arrays.
             mesh = _arrays(shape) if shape.is_mesh() else {}
             with _of_shape(name):
@@ -196,9 +195,9 @@ def _plain(name: str, value: Any) -> Any:
 
 
 def _media(shape: Any) -> Json:
-    """Absorption inside and outside of a shape, by the names of `AssetModel`."""
+    """Media inside and outside of a shape, by the names of `AssetModel`."""
     found = {"interior": shape.interior_medium(), "exterior": shape.exterior_medium()}
-    return {side: absorption(medium) for side, medium in found.items() if medium is not None}
+    return {side: stored_medium(medium) for side, medium in found.items() if medium is not None}
 
 
 def _arrays(shape: Any) -> dict[str, NDArray[Any]]:

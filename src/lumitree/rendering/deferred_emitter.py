@@ -92,6 +92,10 @@ class DeferredEmitter(Protocol):
         """
         ...
 
+    def sample_own(self, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+        """A shape of the lamp's model that emits, as `OwnLights.sample`."""
+        ...
+
     def transmittance(self, ray: Any, distance: Any, active: Any) -> Any:
         """Transmittance (mi.Float) for a shadow ray that enters the proxy.
 

@@ -94,6 +94,9 @@ def emitter_class() -> type:
                 through = mi.Float(1)
             return self.gain * radiance & active, dr.select(active, through, 1), density
 
+        def sample_own(self, sample, active):
+            return self.placed.own_lights.sample(sample, active)
+
         def transmittance(self, ray, distance, active):
             if not self.placed.dims:
                 return mi.Float(1)

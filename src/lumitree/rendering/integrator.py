@@ -17,7 +17,8 @@ ray crosses a proxy as any null surface.
 
 Where images show the model of a lamp, its shapes are in the scene, and each path gets its light
 once. As long as all vertices since the camera are specular or on surfaces of this lamp, the path
-gets what the lamp's shapes emit (`own`). Vertices elsewhere, inside its box too, get its exitant
+gets what the lamp's shapes emit (`own`). A scattering in a medium of the lamp's model counts as a
+vertex on the lamp. Vertices elsewhere, inside its box too, get its exitant
 light field, which contains all light that its surfaces scatter: so these surfaces get none of it
 again. After the first vertex that is not specular, the lamp's glass bends no ray (`model_plugins`),
 and a crossing of it is a null interaction.
@@ -114,7 +115,8 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
     channel, ρ = mi.UInt32(0), mi.Color3f(1)
     if dr.hint(sees_scattering, mode="scalar"):
         channel = medium_paths.draw_channel(sampler)
-    depth, crossings = mi.UInt32(0), mi.UInt32(0)
+    # `freed` counts bounces that do not count towards the largest depth.
+    depth, freed, crossings = mi.UInt32(0), mi.UInt32(0), mi.UInt32(0)
     valid = mi.Bool(sees_environment)
     # The last interaction that was not null, the density of the direction sampled there, and
     # whether next-event estimation could not have found that direction.
@@ -211,6 +213,8 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
         owner, shown = mi.UInt32(NONE), mi.Bool(specular)
         if dr.hint(shows_models, mode="scalar"):
             owner = owners.of(si.shape, met & si.is_valid())
+            if dr.hint(owners.scatter, mode="scalar"):
+                owner = dr.select(collides, owners.of_medium(medium, collides), owner)
             shown |= (owner == own) & (owner != NONE)
         chance = dr.select(delta, 0, share)
         emitted, through, emitter_pdf, proxy, of_lamp = dr.dispatch(
@@ -224,7 +228,7 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
 
         # A proxy is left the way it was entered; every other surface is sampled.
         proxy &= met & si.is_valid()
-        scatters = active & ~proxy & (si.is_valid() | collides) & (depth + 1 < max_depth)
+        scatters = active & ~proxy & (si.is_valid() | collides) & (depth - freed + 1 < max_depth)
         if dr.hint(sees_scattering, mode="scalar"):
             si[collides] = medium_paths.scattering_point(ray, flight)
         # By a surface, or by the medium before it.
@@ -245,7 +249,7 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
         sample = sampler.next_2d()
         index, emitter_weight, sample.x = scene.sample_emitter(sample.x, estimates)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index, estimates)
-        estimates &= (index != owner) | collides
+        estimates &= index != owner
         ds, weight, target, beyond = dr.dispatch(emitter, sample_target, si, sample, estimates)
         estimates &= ds.pdf != 0
         wo = si.to_local(ds.d)
@@ -275,15 +279,20 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
         radiance[estimates] += direct
         layers.add_light(record, emitter, direct, mi.Bool(False), estimates)
 
-        # The same from a surface of a lamp, for the lamp's own light.
+        # The same from a surface or a medium of a lamp, for the lamp's own light.
         if dr.hint(shows_models, mode="scalar"):
-            shows = reflects & shown & of_lamp & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            shows = reflects & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            shows = (shows | collides) & shown & (owner != NONE)
             sample = sampler.next_2d()
-            shape, chance, sample.x = dr.dispatch(si.emitter(scene), _sample_own, sample.x, shows)
+            own_lamp = dr.gather(mi.EmitterPtr, scene.emitters_dr(), owner, shows)
+            shape, chance, sample.x = dr.dispatch(own_lamp, _sample_own, sample.x, shows)
             ds = shape.sample_direction(si, sample, shows)
             ds.pdf *= chance
             found = shows & (ds.pdf > 0)
-            value, value_pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), found)
+            value, value_pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), found & reflects)
+            if dr.hint(owners.scatter, mode="scalar"):
+                phase = medium_paths.eval_phase(medium, ray, ds.d, found & collides)
+                value[collides], value_pdf[collides] = phase
             found &= ~(opaque & on_opposite_sides(si, ray.d, ds.d))
             direct = β * value * visible(*way, si, ds, mi.Float(0), mi.UInt32(NONE), medium, found)
             found &= dr.max(direct) > 0
@@ -311,11 +320,15 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
         skipped[bounces] = 0
         skipped[proxy] = ALL
         if dr.hint(shows_models, mode="scalar"):
-            own[bounces] = dr.select(shown & reflects, owner, NONE)
+            own[bounces] = dr.select(shown, owner, NONE)
             skipped[bounces | null] |= bit_of(owner)
         delta[bounces] = reflects & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
         specular &= ~bounces | delta
         depth[bounces] += 1
+        if dr.hint(owners.scatter, mode="scalar"):
+            # Light that scatters in a lamp is shown whatever the largest depth: as the light that
+            # the lamp sends elsewhere.
+            freed[bounces & shown & owners.scatters(owner, bounces) & (freed < MAX_CROSSINGS)] += 1
         valid |= bounces | (proxy & seen & (dr.max(emitted) > 0))
         # A null ray keeps its direction to the last bit.
         direction = dr.select(null, ray.d, si.to_world(bs.wo))
@@ -395,8 +408,8 @@ def _own(evaluated: tuple[Any, Any], own: Any) -> tuple[Any, Any, Any]:
 
 
 def _sample_own(emitter: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
-    """From a surface of a lamp: a shape of the lamp that emits, its chance, and a new sample."""
-    if isinstance(emitter, ModelEmitter):
+    """A shape of a lamp that emits, its chance, and a new sample."""
+    if isinstance(emitter, DeferredEmitter):
         return emitter.sample_own(sample, active)
     return dr.zeros(mi.ShapePtr), mi.Float(0), mi.Float(0)
 

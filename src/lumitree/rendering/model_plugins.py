@@ -43,10 +43,6 @@ class ModelEmitter(Protocol):
         """
         ...
 
-    def sample_own(self, sample: Any, active: Any) -> tuple[Any, Any, Any]:
-        """A shape of the same lamp that emits, as `OwnLights.sample`."""
-        ...
-
     def radiance_at(self, ds: Any, active: Any) -> Any:
         """Radiance (mi.Color3f) of a point that was sampled on the shape, towards the vertex."""
         ...
@@ -78,9 +74,6 @@ def model_emitter_class() -> type:
                 return mi.Color3f(0), mi.Float(0)
             pdf = self.get_shape().pdf_direction(it, ds, active) * self._lights.chance(self._index)
             return self._eval(si, active), pdf
-
-        def sample_own(self, sample, active):
-            return self._lights.sample(sample, active)
 
         def radiance_at(self, ds, active):
             if self._radiance is None:

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.materials import is_specular
-from lumitree.asset.model import MEDIA_SIDES, AssetModel
+from lumitree.asset.model import AssetModel
+from lumitree.asset.model_media import MEDIA_SIDES, model_medium, scattering_sides
 from lumitree.asset.textures import VERTEX_COLOUR, Json
 from lumitree.core.device import on_device
 from lumitree.core.frames import similarity_scale
 from lumitree.rendering.model_materials import Materials
 from lumitree.rendering.model_plugins import model_emitter_class, model_glass_class
-from lumitree.rendering.own_lights import OwnLights
 from lumitree.rendering.plugin_objects import make_object, make_properties
 
 _SURFACES: "weakref.WeakKeyDictionary[AssetModel, dict[str, _Surfaces]]" = (
@@ -28,7 +28,8 @@ def model_shapes(model: AssetModel, scene_from_world: NDArray[np.float64], lamp:
     Args:
         model: what to place.
         scene_from_world: [4, 4] similarity, from the frame of the luminaire's file to the scene.
-        lamp: emitter `lumitree` of the proxy, whose gain applies to the shapes too.
+        lamp: emitter `lumitree` of the proxy, whose gain applies to the shapes too, and whose
+            `own_lights` are made.
     """
     builder = _Builder(model, scene_from_world, lamp)
     shapes = [
@@ -43,7 +44,9 @@ class _Builder:
         self._model, self._lamp = model, lamp
         # From the coordinates of the model, in double precision: they may be far from the file's.
         self._matrix = scene_from_world @ model.file_from_model
-        self._lights, self._emitting = OwnLights(), []
+        self._lights, self._emitting = lamp.placed.own_lights, []
+        # By their descriptions: all shapes of one medium share an object.
+        self._media: dict[str, Any] = {}
         self._scale = similarity_scale(scene_from_world, "to_world")
         self._emitter = model_emitter_class()
         self._surfaces = _surfaces(model)
@@ -52,7 +55,7 @@ class _Builder:
         """The mi.Shape of a shape of the model, with its BSDF and its emitter."""
         material = self._model.materials[shape["material"]]
         radiance = shape["radiance"]
-        bsdf = self._surfaces.bsdfs[shape["material"]]
+        bsdf = self._surfaces.bsdf(shape)
         values = {"flip_normals": shape["flipped"], "bsdf": bsdf}
         # A surface that shows other things needs no emitter: it neither emits nor scatters.
         emitted = None if radiance is None else self._surfaces.emitted(radiance)
@@ -109,17 +112,25 @@ class _Builder:
         parameters.update()
         return shape
 
-    def _medium(self, absorption: list[float]) -> Any:
-        """A medium that absorbs light, per unit of the file's length."""
-        densest = max(*absorption, 1e-30)
-        return make_object(
-            "homogeneous",
-            {
-                "sigma_t": mi.ScalarColor3d(np.array(absorption) / densest),
-                "albedo": 0.0,
-                "scale": densest / self._scale,
-            },
-        )
+    def _medium(self, described: Any) -> Any:
+        """The mi.Medium of a side of a shape, whose coefficients are per unit of the file."""
+        key = repr(described)
+        if key not in self._media:
+            absorption, scattering, anisotropy = model_medium(described)
+            extinction = absorption + scattering
+            densest = max(*extinction, 1e-30)
+            albedo = scattering / np.maximum(extinction, 1e-30)
+            phase = make_object("hg", {"g": anisotropy})
+            self._media[key] = make_object(
+                "homogeneous",
+                {
+                    "sigma_t": mi.ScalarColor3d(extinction / densest),
+                    "albedo": mi.ScalarColor3d(albedo),
+                    "scale": densest / self._scale,
+                    "phase": phase if anisotropy else make_object("isotropic", {}),
+                },
+            )
+        return self._media[key]
 
 
 def _surfaces(model: AssetModel) -> "_Surfaces":
@@ -136,12 +147,22 @@ class _Surfaces:
 
     def __init__(self, model: AssetModel) -> None:
         self._materials, self._glass = Materials(model.images), model_glass_class()
-        self.bsdfs = [self._top(material) for material in model.materials]
+        self._kinds = [material["type"] for material in model.materials]
+        self._bsdfs = [self._materials.bsdf(material) for material in model.materials]
+        self._crossed = list(map(self._top, self._kinds, self._bsdfs))
+
+    def bsdf(self, shape: Json) -> Any:
+        """The mi.BSDF of a shape of the model.
+
+        Glass around a medium that scatters is not crossed straight: light that scatters in it
+        leaves it by refraction, or is reflected back totally.
+        """
+        straight = not scattering_sides(shape)
+        return (self._crossed if straight else self._bsdfs)[shape["material"]]
 
     def emitted(self, radiance: Any) -> Any:
         """Radiance as a mi.Texture."""
         return self._materials.radiance(radiance)
 
-    def _top(self, material: Json) -> Any:
-        bsdf = self._materials.bsdf(material)
-        return self._glass(bsdf) if material["type"] == "dielectric" else bsdf
+    def _top(self, kind: str, bsdf: Any) -> Any:
+        return self._glass(bsdf) if kind == "dielectric" else bsdf

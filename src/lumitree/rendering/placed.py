@@ -12,6 +12,7 @@ from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError
 from lumitree.octree.field import Field, FieldData
 from lumitree.rendering.opened import open_asset, open_field
+from lumitree.rendering.own_lights import OwnLights
 from lumitree.rendering.proxy import make_proxy
 
 Appearance = Literal["field", "model"]
@@ -57,8 +58,11 @@ class Placed:
         self.shows_model = shows_model(asset, options.get("appearance", "field"))
         # Whether something else of the scene is in the box, and gets light there.
         self.holds = False
-        # Numbers of the model's shapes (`plugin_objects.shape_number`).
+        # Of the model: what emits, and numbers of the shapes and of the media that scatter
+        # (`plugin_objects.shape_number` and `medium_number`).
+        self.own_lights = OwnLights()
         self.own_shapes: list[int] = []
+        self.own_media: list[int] = []
         scene_from_local = options.get("to_world", np.eye(4)) @ asset.frame.world_from_local
         scale = similarity_scale(scene_from_local, "to_world")
         self._scale, self._origin = scale, scene_from_local[:3, 3]

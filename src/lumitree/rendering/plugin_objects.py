@@ -30,6 +30,11 @@ def shape_number(shape: Any) -> int:
     return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
 
 
+def medium_number(medium: Any) -> int:
+    """The number that stands for a mi.Medium in arrays of mi.MediumPtr."""
+    return int(dr.reinterpret_array(mi.UInt32, mi.MediumPtr(medium))[0])
+
+
 def load_ordered(description: Mapping[str, Any]) -> Any:
     """`mitsuba.load_dict`, with shapes and emitters in the order of the dictionary, in one thread.
 

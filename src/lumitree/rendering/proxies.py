@@ -159,7 +159,7 @@ class Divided(NamedTuple):
 
 
 class Owners:
-    """The lamps that shapes of a scene belong to.
+    """The lamps that shapes of a scene, and media that scatter, belong to.
 
     Args:
         lamps: emitters by their index in the scene.
@@ -170,21 +170,49 @@ class Owners:
         self.owner = {
             number: index for index, lamp in lamps.items() for number in lamp.placed.own_shapes
         }
-        self.exist = bool(self.owner)
-        if not self.exist:
-            return
-        lamps_of = np.full(max(self.owner) + 1, NONE, np.uint32)
-        lamps_of[list(self.owner)] = list(self.owner.values())
-        self._count = dr.opaque(mi.UInt32, len(lamps_of))
-        self._lamps = on_device(mi.UInt32, lamps_of)
+        owner_of_medium = {
+            number: index for index, lamp in lamps.items() for number in lamp.placed.own_media
+        }
+        cloudy = dict.fromkeys(owner_of_medium.values(), 1)
+        # Whether there are shapes, and media that scatter.
+        self.exist, self.scatter = bool(self.owner), bool(owner_of_medium)
+        self._lamps, self._lamps_of_media = _Numbers(self.owner), _Numbers(owner_of_medium)
+        self._cloudy = _Numbers(cloudy)
 
     def of(self, shape: Any, active: Any) -> Any:
         """Index (mi.UInt32) of the emitter whose lamp a mi.ShapePtr belongs to, or `NONE`."""
-        if not self.exist:
+        return self._lamps.look_up(dr.reinterpret_array(mi.UInt32, shape), active)
+
+    def of_medium(self, medium: Any, active: Any) -> Any:
+        """As `of`, for a mi.MediumPtr; `NONE` for a medium that only absorbs."""
+        return self._lamps_of_media.look_up(dr.reinterpret_array(mi.UInt32, medium), active)
+
+    def scatters(self, lamp: Any, active: Any) -> Any:
+        """Whether (mi.Bool) media of the lamp with an index (mi.UInt32) scatter."""
+        return self._cloudy.look_up(lamp, active) != NONE
+
+
+class _Numbers:
+    """Numbers by other numbers, on the device.
+
+    Args:
+        values: may be empty.
+    """
+
+    def __init__(self, values: Mapping[int, int]) -> None:
+        self._any = bool(values)
+        if self._any:
+            table = np.full(max(values) + 1, NONE, np.uint32)
+            table[list(values)] = list(values.values())
+            self._count = dr.opaque(mi.UInt32, len(table))
+            self._table = on_device(mi.UInt32, table)
+
+    def look_up(self, number: Any, active: Any) -> Any:
+        """The value (mi.UInt32) of a number, or `NONE`."""
+        if not self._any:
             return mi.UInt32(NONE)
-        number = dr.reinterpret_array(mi.UInt32, shape)
         known = active & (number < self._count)
-        return dr.select(known, dr.gather(mi.UInt32, self._lamps, number, known), NONE)
+        return dr.select(known, dr.gather(mi.UInt32, self._table, number, known), NONE)
 
 
 def bit_of(lamp: Any) -> Any:

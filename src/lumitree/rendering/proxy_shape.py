@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_choice, check_gain
 from lumitree.core.frames import similarity_scale
+from lumitree.luminaire.media import media_of, scatters
 from lumitree.octree.field import Field
 from lumitree.rendering.emitter_sampling import SAMPLING_KINDS, Sampling
 from lumitree.rendering.model_shapes import model_shapes
@@ -19,6 +20,7 @@ from lumitree.rendering.plugin_objects import (
     load_ordered,
     make_object,
     make_properties,
+    medium_number,
     shape_number,
 )
 from lumitree.rendering.proxy import PROXY_KINDS, ProxyKind, make_proxy
@@ -95,7 +97,9 @@ def make_shapes(name: str, **options: Any) -> Any:
     # The plugin `merge` expands into the shapes that it is given.
     assert placed.asset.model is not None
     shapes = model_shapes(placed.asset.model, matrix, proxy.emitter())
-    proxy.emitter().placed.own_shapes += map(shape_number, shapes)
+    own = proxy.emitter().placed
+    own.own_shapes += map(shape_number, shapes)
+    own.own_media += {medium_number(each) for each in media_of(shapes) if scatters(each)}
     together = {f"model_{index}": shape for index, shape in enumerate(shapes)}
     proxy.set_id(name)
     for key, shape in together.items():
