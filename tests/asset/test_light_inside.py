@@ -1,4 +1,4 @@
-"""Light inside the box in memory: what is refused."""
+"""Light inside the box in memory: what is refused, and the bins of what ends."""
 
 import dataclasses
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from exitant_fields import random_exitant, random_inside
+from lumitree.asset.light_inside import parts_of_ending
 from lumitree.errors import LumitreeError
 
 FIELD = random_exitant(0)
@@ -134,3 +135,24 @@ def test_values_of_bins_that_do_not_fill_their_bytes():
     assert found.shape == (2, 4, 2)
     assert np.array_equal(found[stored], values)
     assert not found[~stored].any()
+
+
+def test_light_that_ends_is_where_little_leaves():
+    """The level of I + J, against bisection: no bin with J is above it, none without is below."""
+    random = np.random.default_rng(0)
+    leaving = random.exponential(1, (500, 4)) * (random.random((500, 4)) < 0.6)
+    ending = random.exponential(1, 500) * (random.random(500) < 0.9)
+    solid_angle = random.uniform(0.5, 1, (500, 4))
+    parts = parts_of_ending(leaving, ending, solid_angle)
+    low, high = np.zeros(500), np.full(500, 1e3)
+    for _ in range(60):
+        level = (low + high) / 2
+        filled = (np.maximum(level[:, None] - leaving, 0) * solid_angle).sum(axis=1)
+        above = filled > ending * solid_angle.sum(axis=1)
+        low, high = np.where(above, low, level), np.where(above, level, high)
+    expected = np.maximum(low[:, None] - leaving, 0)
+    some = ending > 0
+    assert (parts * ending[:, None])[some] == pytest.approx(expected[some], abs=1e-9)
+    assert (parts[~some] == 1).all()
+    mean = (parts * solid_angle).sum(axis=1) / solid_angle.sum(axis=1)
+    assert mean == pytest.approx(1)

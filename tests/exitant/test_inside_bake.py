@@ -8,13 +8,15 @@ import pytest
 from exitant_fields import assert_equal_fields
 from lamps import AREA, cube, lamp_of, sphere
 from lumitree.asset.exitant import unpack
-from lumitree.asset.light_inside import MAX_FACTOR
+from lumitree.asset.light_inside import MAX_FACTOR, parts_of_ending
+from lumitree.asset.lit_bins import by_coarse_bin
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import bin_of, solid_angles
 from lumitree.exitant.bake import bake_exitant
 from lumitree.exitant.config import ExitantConfig
 from lumitree.exitant.merge import merge_exitant
 from lumitree.exitant.visibility import _free_length
+from lumitree.model.photometry import luminance
 from lumitree.transport.ending_segments import EndingConfig
 from lumitree.transport.light_paths import trace_light
 
@@ -108,9 +110,15 @@ def irradiance(mi, lamp, field, point, normal, *, surfaces, samples=256):
         values[lit] = curves[curve, k] + np.clip(part[lit], 0, 1) * (
             curves[curve, k + 1] - curves[curve, k]
         )
-    ending = inside.scale * unpack(inside.intensity)
+    ending = np.zeros((len(codes), coarse, 3))
+    ending[entries(inside, resolution)] = inside.scale * unpack(inside.intensity)
+    members = by_coarse_bin(np.arange(bins)[None])[0]
+    parts = np.zeros((len(codes), bins))
+    parts[:, members] = parts_of_ending(
+        luminance(exits)[:, members], luminance(ending), solid_angles(resolution)[members]
+    )
     light = exits[cell, fine]
-    light[lit] += ending[entry[lit]] * s[lit, None]
+    light += parts[cell, fine, None] * ending[cell, wide] * s[:, None]
     if surfaces:
         border = np.maximum((low[cell] - start) / way, (high[cell] - start) / way).min(axis=1)
         free = distance - np.minimum(border, distance) - 1e-4

@@ -10,7 +10,8 @@ import tiny_bakes
 from lamps import GLASS, cube, lamp_of, sphere
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.exitant import make_exitant_field, pack
-from lumitree.asset.light_inside import LightInside
+from lumitree.asset.light_inside import LightInside, parts_of_ending
+from lumitree.asset.lit_bins import by_coarse_bin
 from lumitree.core.frames import rotation, similarity
 from lumitree.exitant.bake import bake_exitant
 from lumitree.luminaire.luminaire import place_shapes
@@ -128,7 +129,7 @@ def test_points_and_rays_share_the_light(mi):
     """By direction and distance, both parts add up to the sum over cells along each ray."""
     import drjit as dr
 
-    from lumitree.core.octahedral import bin_of
+    from lumitree.core.octahedral import bin_of, solid_angles
     from lumitree.rendering.emitter_sampling import RayEnds
     from lumitree.rendering.exitant_light import ExitantLight
     from lumitree.rendering.inside_light import InsideLight
@@ -138,7 +139,9 @@ def test_points_and_rays_share_the_light(mi):
     cells = cells[(np.abs((cells + 0.5) / 4 - 1) < HALF).all(axis=1)]
     cells = cells[random.choice(len(cells), 24, replace=False)]
     cells = cells[np.argsort(morton(cells))]
-    intensity = random.exponential(1, (16, 64, 3)) * (random.random((16, 64, 1)) < 0.4)
+    intensity = np.repeat(random.exponential(1, (16, 64, 1)), 3, axis=2) * (
+        random.random((16, 64, 1)) < 0.4
+    )
     field = make_exitant_field(cells[:16], intensity, 3)
     ending = random.random((24, 16)) * 0.8 + 0.1
     inside = LightInside(
@@ -183,18 +186,21 @@ def test_points_and_rays_share_the_light(mi):
     upper = np.minimum(cells / 4 - 0.75, HALF)
     rays = np.array(plain).T[:64]
     fine = np.array(bin_of(-mi.Vector3f(*(mi.Float(c) for c in rays.T)), 8))
-    middle = np.array(bin_of(-mi.Vector3f(*(mi.Float(c) for c in rays.T)), 4))
     leaving = np.zeros((24, 64))
     from lumitree.asset.exitant import unpack
 
     rows = np.searchsorted(morton(cells), morton(field.cells))
     leaving[rows] = field.scale * field.dense(unpack(field.intensity)[:, 1])
+    members = by_coarse_bin(np.arange(64)[None])[0]
+    of_entries = inside.scale * unpack(inside.intensity)[:, 1].reshape(24, 16)
+    parts = parts_of_ending(by_coarse_bin(leaving), of_entries, solid_angles(8)[members])
+    sent = leaving.copy()
+    sent[:, members] += parts * of_entries[..., None]
     for i, ray in enumerate(rays):
         with np.errstate(divide="ignore"):
             planes = np.sort([(lower - np.array(x).T) / ray, (upper - np.array(x).T) / ray], axis=0)
         length = planes[1].min(axis=1) - np.maximum(planes[0].max(axis=1), 0)
-        each = leaving[:, fine[i]] + inside.scale * ending[:, middle[i]]
-        expected = (each * np.maximum(length, 0) / (upper - lower).prod(axis=1)).sum()
+        expected = (sent[:, fine[i]] * np.maximum(length, 0) / (upper - lower).prod(axis=1)).sum()
         assert np.array(whole)[1, i] == pytest.approx(expected, rel=0.01, abs=1e-4)
 
 

@@ -161,3 +161,31 @@ class LightInside:
         """Bytes of all arrays."""
         fields = (getattr(self, field.name) for field in dataclasses.fields(self))
         return sum(value.nbytes for value in fields if isinstance(value, np.ndarray))
+
+
+def parts_of_ending(
+    leaving: NDArray[np.floating], ending: NDArray[np.floating], solid_angle: NDArray[np.floating]
+) -> NDArray[np.floating]:
+    """J in four bins over its mean in them, so that I + J is as even as it can be.
+
+    What a cell emits changes little within a few degrees, while surfaces cut light off sharply: it
+    ends in the directions in which it does not leave.
+
+    Args:
+        leaving: [.., 4] luminance of I in the four bins.
+        ending: [..] luminance of the mean of J, weighted by solid angle.
+        solid_angle: [.., 4] of the bins.
+
+    Returns:
+        [.., 4] factors of J; their mean, weighted by solid angle, is 1.
+    """
+    order = np.argsort(leaving, axis=-1)
+    i = np.take_along_axis(leaving, order, axis=-1)
+    part = np.take_along_axis(np.broadcast_to(solid_angle, i.shape), order, axis=-1)
+    part = part / part.sum(axis=-1, keepdims=True)
+    # Filled up from the darkest bin on: the level if only the first k bins are below it.
+    level = ((ending[..., None] + (part * i).cumsum(axis=-1)) / part.cumsum(axis=-1)).min(axis=-1)
+    missing = np.maximum(level[..., None] - leaving, 0)
+    # Over its own mean and not over J, as it is rounded.
+    mean = (missing * solid_angle).sum(axis=-1) / solid_angle.sum(axis=-1)
+    return np.where(mean[..., None] > 0, missing / np.where(mean > 0, mean, 1)[..., None], 1)

@@ -42,8 +42,10 @@ class Purpose(enum.IntEnum):
     ASSET_FLUX = 19  # flux of an asset without an exitant light field
     EXPORT = 20  # clusters of an exitant light field
     LINES = 21  # total flux from camera paths; step: batch
-    ENDING = 22  # light that ends on a luminaire; draw 0: which segments, step: batch; 1: curves
-    VISIBILITY = 23  # its surfaces inside its box; draw 0: rays, step: bins at once; 1: curves
+    # Light that ends on a luminaire; draw 0: which segments, 2: places in cells, step: batch; draw
+    # 1: curves.
+    ENDING = 22
+    VISIBILITY = 23  # its surfaces in its box; draw 0: rays, step: rays at once; draw 1: curves
     RECEIVED = 24  # irradiance at points of a scene; step: samples at once
 
 

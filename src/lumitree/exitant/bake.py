@@ -44,8 +44,7 @@ def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> E
     if (field := saved.load()) is not None:
         return field
     histogram = Histogram(config.depth, config.resolution)
-    places = SeedStream(Purpose.ENDING, 0, 2).seed(config.seed)
-    ending = EndingHistogram(config.depth, config.resolution // 2, DISTANCES, places)
+    ending = EndingHistogram(config.depth, config.resolution // 2, DISTANCES)
     batches = -(-config.paths // config.batch)
     by_direction = []
     with progress(f"light of {luminaire.name}", batches) as advance:
@@ -63,7 +62,8 @@ def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> E
             assert paths.ending is not None
             ends = np.array(paths.ending.flux, np.float64).reshape(3, -1)
             check_finite(luminaire, ends)
-            ending.add(paths.ending, ends / batches)
+            places = SeedStream(Purpose.ENDING, step, 2).seed(config.seed)
+            ending.add(paths.ending, ends / batches, places)
             # Paths have the direction of the camera ray that meets them.
             bins = histogram.add(paths.origin, -paths.direction, flux / batches)
             by_direction.append(np.bincount(bins, luminance(flux.T), config.resolution**2))

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
@@ -116,18 +118,13 @@ class Histogram(_Light):
 class EndingHistogram(_Light):
     """Flux of segments that end on the luminaire, by cell, bin of direction and reach.
 
-    `seed` is that of the places in its cell from which the reach of a segment counts.
-
     A cell takes 4 (K + 5) Q² bytes: with 26 distances, 1.3 times as many as of the exitant light of
     2 Q bins a side.
     """
 
-    def __init__(
-        self, depth: int, resolution: int, distances: NDArray[np.float32], seed: int
-    ) -> None:
+    def __init__(self, depth: int, resolution: int, distances: NDArray[np.float32]) -> None:
         super().__init__(depth, resolution)
-        self._depth, self._distances = depth, distances
-        self._random = np.random.default_rng(seed)
+        self._side, self._distances = 2 / (1 << depth), distances
         self._by_reach = _Rows((resolution**2, len(distances) - 1), np.float32)
 
     @property
@@ -135,19 +132,28 @@ class EndingHistogram(_Light):
         """[C, Q², K - 1] luminance of the segments that end between two distances."""
         return self._by_reach.values
 
-    def add(self, segments: EndingSegments, flux: NDArray[np.float64]) -> None:
-        """Add segments with a flux [3, N]."""
+    def add(self, segments: EndingSegments, flux: NDArray[np.float64], seed: int) -> None:
+        """Add segments with a flux [3, N]; `seed` is of where in its cell each reach begins."""
         flat, index, _ = self._places(segments.origin, segments.direction)
         for channel in range(3):
             np.add.at(flat[:, channel], index, flux[channel])
         by_reach = self._by_reach.grown(len(self._occupied))
-        last = by_reach.shape[2] - 1
+        steps = by_reach.shape[2]
         # Light starts anywhere in its cell, and so its reach is from there on.
-        side = 2 / (1 << self._depth)
-        origin, direction = (np.array(each).T for each in (segments.origin, segments.direction))
-        within = (origin + 1) / side
-        moved = (within - np.floor(within) - self._random.random(within.shape)) * side
-        reach = np.array(segments.reach) + (moved * direction).sum(axis=1)
-        reach = np.searchsorted(self._distances[1:], reach, side="right")
-        reach = index * (last + 1) + np.minimum(reach, last)
+        random = mi.PCG32(flux.shape[1], initstate=dr.opaque(mi.UInt64, seed))
+        start = mi.Vector3f(random.next_float32(), random.next_float32(), random.next_float32())
+        within = (mi.Vector3f(segments.origin) + 1) / self._side
+        moved = (within - dr.floor(within) - start) * self._side
+        reach = np.array(
+            distances_passed(segments.reach + dr.dot(moved, segments.direction), self._distances)
+        )
+        reach = index * steps + np.minimum(reach, steps - 1)
         np.add.at(by_reach.reshape(-1), reach, luminance(flux.T).astype(np.float32))
+
+
+def distances_passed(length: Any, distances: NDArray[np.float32]) -> Any:
+    """How many of some distances after the first are at most a length (mi.Float): mi.UInt32."""
+    passed = mi.UInt32(0)
+    for each in distances[1:].tolist():
+        passed += dr.select(length >= each, mi.UInt32(1), mi.UInt32(0))
+    return passed

@@ -5,13 +5,13 @@ Symbols
 """
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.exitant import ExitantField, pack_lit, unpack
 from lumitree.asset.light_inside import MAX_CURVES, MAX_FACTOR, LightInside
+from lumitree.asset.lit_bins import by_coarse_bin
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.exitant.codebook import codebook
@@ -175,16 +175,9 @@ def make_entries(
 
 
 def _held(values: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Values [E, K], where not valid those of the last distance at which they are."""
-    last = np.maximum(valid.sum(axis=1, keepdims=True) - 1, 0)
-    return np.take_along_axis(values, np.minimum(np.arange(values.shape[1]), last), axis=1)
-
-
-def by_coarse_bin(values: NDArray[Any]) -> NDArray[Any]:
-    """Values [C, R²] of fine bins as [C, Q², 4]."""
-    coarse = round(values.shape[1] ** 0.5) // 2
-    blocks = values.reshape(len(values), coarse, 2, coarse, 2)
-    return blocks.transpose(0, 1, 3, 2, 4).reshape(len(values), coarse**2, 4)
+    """Values [E, K] as far as they are valid, and then the last of these."""
+    last = np.maximum(np.count_nonzero(valid, axis=1) - 1, 0)
+    return np.where(valid, values, values[np.arange(len(values)), last, None])
 
 
 def _rows_of(codes: NDArray[np.integer], wanted: NDArray[np.integer]) -> NDArray[np.int64]:

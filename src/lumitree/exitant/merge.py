@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.asset.exitant import ExitantField, TracedPaths, make_exitant_field, unpack
 from lumitree.asset.light_inside import LightInside
-from lumitree.asset.lit_bins import dense
+from lumitree.asset.lit_bins import by_coarse_bin, dense
 from lumitree.core.octahedral import solid_angles
 from lumitree.errors import LumitreeError
 from lumitree.exitant.histograms import cell_codes, coded_cells
-from lumitree.exitant.inside import DISTANCES, by_coarse_bin, make_entries
+from lumitree.exitant.inside import DISTANCES, make_entries
 from lumitree.model.photometry import luminance
 from lumitree.octree.build import morton
 

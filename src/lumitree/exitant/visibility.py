@@ -6,22 +6,28 @@ Symbols
     fine bin                    one of R² bins; four make one of the Q²
 """
 
+import dataclasses
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.light_inside import parts_of_ending
+from lumitree.asset.lit_bins import by_coarse_bin
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import direction_in_bin, solid_angles
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.exitant.inside import DISTANCES, Entries, by_coarse_bin
+from lumitree.exitant.histograms import distances_passed
+from lumitree.exitant.inside import DISTANCES, Entries
 from lumitree.luminaire.luminaire import Luminaire
 from lumitree.octree.leaves import grid_boxes_inside
 
-# Rays of each fine bin for two independent estimates, and fine bins at once, which bounds the
-# memory.
-_RAYS = 3, 3
-_CHUNK = 1 << 17
+# Rays of each fine bin at least, and those that all share by their flux.
+_LEAST, _SHARED = 2, 1 << 21
+# Rays at once, which bounds the memory.
+_CHUNK = 3 << 18
 # A ray starts this far beyond its cell, local units, and beyond each null surface that it crosses.
 _OFFSET = 1e-4
 _MAX_CROSSINGS = 64
@@ -37,76 +43,103 @@ def unoccluded(
         entries: bins with light.
         seed: root seed.
     """
-    fine_solid_angles = solid_angles(entries.resolution)
-    # Fine bins that emit, by entry. Light that ends does so in all four.
-    members = by_coarse_bin(np.arange(entries.resolution**2).reshape(1, -1))[0]
-    bins, entry = members[entries.bins].ravel(), np.repeat(np.arange(len(entries.bins)), 4)
-    cell = entries.rows[entry]
-    leaving = entries.exits[cell, bins]
-    emits = (leaving > 0) | (entries.beyond[entry, 0] > 0)
-    bins, entry, cell = bins[emits], entry[emits], cell[emits]
-    solid_angle = fine_solid_angles[bins].astype(np.float32)
-    leaving = leaving[emits] * solid_angle
-    low, high = grid_boxes_inside(luminaire.frame.half_extents, entries.cells, entries.depth)
-
-    shape = len(_RAYS), len(entries.bins), len(DISTANCES)
-    # Flux of I, and solid angle, of rays that are free as far as a distance and no farther.
-    exit_hits, end_hits = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    for step, start in enumerate(range(0, len(bins), _CHUNK)):
-        part = slice(start, start + _CHUNK)
-        rays = SeedStream(Purpose.VISIBILITY, step).seed(seed)
-        found = _first_hits(
-            luminaire, low[cell[part]], high[cell[part]], bins[part], entries.resolution, rays
-        )
-        first, last = entry[part][0], entry[part][-1]
-        rows = last + 1 - first
-        index = (entry[part] - first)[:, None] * shape[2] + found
-        estimates = np.split(index, np.cumsum(_RAYS)[:-1], axis=1)
-        for hits, weight in ((exit_hits, leaving), (end_hits, solid_angle)):
-            for estimate, each in zip(hits, estimates, strict=True):
-                weights = np.repeat(weight[part] / each.shape[1], each.shape[1])
-                sums = np.bincount(each.ravel(), weights, rows * shape[2])
-                estimate[first : last + 1] += sums.reshape(rows, -1)
-    solid_angle = solid_angles(entries.resolution // 2)[entries.bins].astype(np.float32)
-    ending = (entries.beyond[:, :1] / solid_angle[:, None]).astype(np.float32)
-    first, second = (
-        (_beyond(exits) + ending * _beyond(ends)).astype(np.float32, copy=False)
-        for exits, ends in zip(exit_hits, end_hits, strict=True)
-    )
+    fine = _fine_bins(luminaire, entries)
+    first, second = (_beyond(_ends(luminaire, entries, fine, (seed, part))) for part in (0, 1))
     return first, second
 
 
-def _beyond(hits: NDArray[np.float32]) -> NDArray[np.float32]:
+@dataclasses.dataclass(frozen=True)
+class _FineBins:
+    """Fine bins [M] that emit, in the order of their entries.
+
+    Attributes:
+        entry: of each.
+        flux: luminous flux of I + J.
+        bin: mi.UInt32, its index.
+        corners: two mi.Point3f, of its cell, local units.
+    """
+
+    entry: NDArray[np.integer]
+    flux: NDArray[np.floating]
+    bin: Any
+    corners: tuple[Any, Any]
+
+
+def _fine_bins(luminaire: Luminaire, entries: Entries) -> _FineBins:
+    solid_angle = solid_angles(entries.resolution)
+    members = by_coarse_bin(np.arange(entries.resolution**2)[None])[0][entries.bins]
+    leaving = entries.exits[entries.rows[:, None], members]
+    coarse = solid_angles(entries.resolution // 2)[entries.bins]
+    ending = entries.beyond[:, 0] / coarse
+    parts = parts_of_ending(leaving, ending, solid_angle[members])
+    flux = ((leaving + parts * ending[:, None]) * solid_angle[members]).ravel()
+    bins, entry = members.ravel(), np.repeat(np.arange(len(entries.bins)), 4)
+    emits = flux > 0
+    bins, entry, flux = bins[emits], entry[emits], flux[emits]
+    low, high = grid_boxes_inside(luminaire.frame.half_extents, entries.cells, entries.depth)
+    cell = entries.rows[entry]
+    corners = on_device(mi.Point3f, low[cell]), on_device(mi.Point3f, high[cell])
+    return _FineBins(entry, flux, on_device(mi.UInt32, bins), corners)
+
+
+def _ends(
+    luminaire: Luminaire, entries: Entries, fine: _FineBins, seed: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Luminous flux [E, K] of (I + J) V that gets as far as a distance and no farther.
+
+    A curve is a ratio, so that noise makes it too large. It must be low in bright bins, which may
+    have a curve of their own.
+
+    Args:
+        luminaire, entries: as in `unoccluded`.
+        fine: their bins.
+        seed: root seed and part of the stream.
+    """
+    root, part = seed
+    rays = _LEAST + (fine.flux / max(fine.flux.sum(), 1e-30) * _SHARED).astype(np.int64)
+    every, weight = np.repeat(np.arange(len(rays)), rays), fine.flux / rays
+    ends = np.zeros((len(entries.bins), len(DISTANCES)), np.float32)
+    for step, start in enumerate(range(0, len(every), _CHUNK)):
+        of = every[start : start + _CHUNK]
+        stream = SeedStream(Purpose.VISIBILITY, step).seed(root, part)
+        found = _first_hits(luminaire, fine, of, entries.resolution, stream)
+        first, last = fine.entry[of[0]], fine.entry[of[-1]]
+        rows = last + 1 - first
+        index = (fine.entry[of] - first) * len(DISTANCES) + found
+        sums = np.bincount(index, weight[of], rows * len(DISTANCES))
+        ends[first : last + 1] += sums.reshape(rows, -1)
+    return ends
+
+
+def _beyond(ends: NDArray[np.float32]) -> NDArray[np.float32]:
     """Sums [E, K] of what ends at a distance or farther."""
-    return hits[:, ::-1].cumsum(axis=1, dtype=np.float32)[:, ::-1]
+    return ends[:, ::-1].cumsum(axis=1, dtype=np.float32)[:, ::-1]
 
 
 def _first_hits(
-    luminaire: Luminaire,
-    low: NDArray[np.floating],
-    high: NDArray[np.floating],
-    bins: NDArray[np.integer],
-    resolution: int,
-    seed: int,
+    luminaire: Luminaire, fine: _FineBins, of: NDArray[np.integer], resolution: int, seed: int
 ) -> NDArray[np.uint32]:
-    """The last distance before what rays of M fine bins hit.
+    """The last distance before what rays of fine bins hit.
 
-    They start anywhere in boxes from `low` to `high` [M, 3], which they leave without a hit.
+    They start anywhere in their cells, which they leave without a hit.
+
+    Args:
+        luminaire, resolution: as in `unoccluded`.
+        fine: bins.
+        of: [N] bin of each ray.
+        seed: of the rays.
 
     Returns:
-        [M, rays of each] index in `DISTANCES`.
+        [N] index in `DISTANCES`.
     """
-    count = sum(_RAYS)
-    lower, upper = on_device(mi.Point3f, low), on_device(mi.Point3f, high)
-    index = dr.arange(mi.UInt32, len(bins) * count)
-    random = mi.PCG32(len(bins) * count, initstate=dr.opaque(mi.UInt64, seed))
-    fine = index // count
+    random = mi.PCG32(len(of), initstate=dr.opaque(mi.UInt64, seed))
+    index = on_device(mi.UInt32, of)
     direction, _ = direction_in_bin(
-        dr.gather(mi.UInt32, on_device(mi.UInt32, bins), fine),
+        dr.gather(mi.UInt32, fine.bin, index),
         mi.Point2f(random.next_float32(), random.next_float32()),
         resolution,
     )
-    lower, upper = dr.gather(mi.Point3f, lower, fine), dr.gather(mi.Point3f, upper, fine)
+    lower, upper = (dr.gather(mi.Point3f, each, index) for each in fine.corners)
     sample = mi.Point3f(random.next_float32(), random.next_float32(), random.next_float32())
     origin = dr.lerp(lower, upper, sample)
     leaves = dr.min(dr.maximum((lower - origin) / direction, (upper - origin) / direction))
@@ -119,10 +152,7 @@ def _first_hits(
         to_scene @ mi.Vector3f(direction) / scale,
     )
     distance = leaves + _free_length(luminaire.scene, ray, random, scale) / scale
-    passed = mi.UInt32(0)
-    for each in DISTANCES[1:].tolist():
-        passed += dr.select(distance >= each, mi.UInt32(1), mi.UInt32(0))
-    return np.array(passed).reshape(-1, count)
+    return np.array(distances_passed(distance, DISTANCES))
 
 
 @dr.syntax

@@ -48,9 +48,11 @@ from lumitree.asset.exitant import (
     MANTISSA,
     MANTISSA_SHIFTS,
     ExitantField,
+    pack_lit,
     unpack,
 )
-from lumitree.asset.lit_bins import dense
+from lumitree.asset.light_inside import parts_of_ending
+from lumitree.asset.lit_bins import by_coarse_bin, by_fine_bin, dense
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
 from lumitree.model.photometry import luminance
@@ -66,6 +68,8 @@ from lumitree.rendering.samples import divide_sample, sample_row, scrambled
 _RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 16, 4, 0.3
 # Entries of the table, of 8 bytes: lamps with more cells have fewer rows.
 _MAX_ENTRIES = 1 << 24
+# Cells whose bins are computed at once, which bounds the memory.
+_CELLS_AT_ONCE = 1 << 10
 # Distance from the box, local units, up to which shadows of the lamp's own surfaces are sharp.
 _NEAR = 0.5
 
@@ -127,8 +131,9 @@ class ExitantLight:
             far = inside.visibility_curves[:, -1][inside.visibility]
             lit, bins = inside.lit, (field.resolution // 2) ** 2
             self._factors = on_device(mi.Float, dense(lit, bins, far)[rows])
-            self._ending = on_device(mi.UInt32, dense(lit, bins, inside.intensity)[rows])
-            self._ending_scale = parameter(mi.Color3f, *(inside.scale * each for each in gain))
+            packed, scale = ending_by_bin(field)
+            self._ending = on_device(mi.UInt32, packed[rows])
+            self._ending_scale = parameter(mi.Color3f, *(scale * each for each in gain))
 
     def blocked_part(self, x: Any) -> Any:
         """Part of the samples for receivers (mi.Point3f) that the lamp's own surfaces block.
@@ -267,13 +272,15 @@ class ExitantLight:
 
     def _light(self, cell, direction, blocked, active):
         """I of a cell towards where a ray comes from; where its surfaces block, (I + J) κ."""
-        light = self.intensity(cell, bin_of(-direction, self._resolution), active)
+        bins = bin_of(-direction, self._resolution)
+        light = self.intensity(cell, bins, active)
         if self._factors is None:
             return light
         blocked &= active
+        index = cell * self._resolution**2 + bins
+        ending = unpacked(dr.gather(mi.UInt32, self._ending, index, blocked))
         coarse = self._resolution // 2
         index = cell * coarse**2 + bin_of(-direction, coarse)
-        ending = unpacked(dr.gather(mi.UInt32, self._ending, index, blocked))
         factor = dr.gather(mi.Float, self._factors, index, blocked)
         return dr.select(blocked, (light + self._ending_scale * ending) * factor, light)
 
@@ -320,6 +327,29 @@ class ExitantLight:
         """Radiant intensity (mi.Color3f) of a bin (mi.UInt32) of a cell (mi.UInt32)."""
         packed = dr.gather(mi.UInt32, self._packed, cell * self._resolution**2 + index, active)
         return self._colour * (self.scale * unpacked(packed))
+
+
+def ending_by_bin(field: ExitantField) -> tuple[NDArray[np.uint32], float]:
+    """J of an exitant light field in the bins of I, as `parts_of_ending` divides it.
+
+    Returns:
+        RGB9_E5 numbers [C', R²] of the cells of `field.inside`, and their scale.
+    """
+    inside = field.inside
+    assert inside is not None
+    leaving = np.zeros((len(inside.cells), field.resolution**2), np.float32)
+    rows = np.searchsorted(morton(inside.cells), morton(field.cells))
+    leaving[rows] = field.dense(field.scale * luminance(unpack(field.intensity)))
+    packed = dense(inside.lit, (field.resolution // 2) ** 2, inside.intensity)
+    solid_angle = by_coarse_bin(solid_angles(field.resolution)[None])
+    # A part is at most about 4 times the mean.
+    scale, ending = 8 * inside.scale, np.zeros_like(leaving, np.uint32)
+    for start in range(0, len(leaving), _CELLS_AT_ONCE):
+        at = slice(start, start + _CELLS_AT_ONCE)
+        mean = inside.scale * unpack(packed[at])
+        parts = parts_of_ending(by_coarse_bin(leaving[at]), luminance(mean), solid_angle)
+        ending[at] = by_fine_bin(pack_lit(parts[..., None] * mean[:, :, None], scale))
+    return ending, scale
 
 
 def left_part(chance: Any, inverse_volume: Any, inverse: Any, near: Any, length: Any) -> Any:

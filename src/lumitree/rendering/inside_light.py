@@ -28,6 +28,7 @@ from lumitree.rendering.cell_table import cell_table
 from lumitree.rendering.emitter_sampling import RayEnds
 from lumitree.rendering.exitant_light import (
     ExitantLight,
+    ending_by_bin,
     exitant_light,
     left_part,
     unpacked,
@@ -128,10 +129,11 @@ class InsideLight:
         self._has_curves = inside is not None
         if inside is not None:
             bins = self._coarse**2
-            self._packed = on_device(mi.UInt32, dense(inside.lit, bins, inside.intensity))
+            packed, scale = ending_by_bin(field)
+            self._packed = on_device(mi.UInt32, packed)
             codes = inside.reach.astype(np.uint32) | inside.visibility.astype(np.uint32) << 8
             self._codes = on_device(mi.UInt32, dense(inside.lit, bins, codes))
-            self._gain = parameter(mi.Color3f, *(inside.scale * factor for factor in gain))
+            self._gain = parameter(mi.Color3f, *(scale * factor for factor in gain))
             # By the square root of distance.
             self._steps = parameter(mi.Float, (_STEPS - 1) / math.sqrt(inside.distances[-1]))
             at = inside.distances[-1] * np.linspace(0, 1, _STEPS) ** 2
@@ -200,8 +202,9 @@ class InsideLight:
         light = dr.select(leaves, self._outside.intensity(row, index, leaves), 0)
         if not self._has_curves:
             return light
+        packed = dr.gather(mi.UInt32, self._packed, cell * self._resolution**2 + index, active)
+        ending = self._gain * unpacked(packed)
         entry = cell * self._coarse**2 + bin_of(direction, self._coarse)
-        ending = self._gain * unpacked(dr.gather(mi.UInt32, self._packed, entry, active))
         code = dr.gather(mi.UInt32, self._codes, entry, active)
         at = dr.minimum(dr.sqrt(distance) * self._steps, _STEPS - 1.001)
         if blocked:
