@@ -29,7 +29,7 @@ from benchmarks.common.tables import Table
 from benchmarks.common.timing import Job, interleaved
 from benchmarks.equal_error.error_against_time import display_rmse, ratio_of_means
 from benchmarks.equal_error.pairs import shows_lamp
-from lumitree.luminaire.source import LuminaireSource
+from lumitree.lamp.source import LuminaireSource
 
 BASELINE = "field"
 # Batches of the long runs, at least; of the reference, at most.
@@ -120,7 +120,7 @@ def image(scene: Any, samples: int, path_depth: int, seed: int) -> Any:
     """An independent image [H, W, 3]."""
     import mitsuba as mi
 
-    from lumitree.rendering.passes import Budget, render_passes
+    from lumitree.render.passes import Budget, render_passes
 
     integrator = mi.load_dict({"type": "lumitree_path", "max_depth": path_depth})
     return render_passes(scene, integrator, Budget(samples), seed=seed).radiance
@@ -128,7 +128,7 @@ def image(scene: Any, samples: int, path_depth: int, seed: int) -> Any:
 
 def errors(images: Any, reference: Any) -> dict[str, float]:
     """Means over images [R, H, W, 3]."""
-    from lumitree.evaluation.metrics import hdr_flip, mulaw, psnr
+    from lumitree.measure.metrics import hdr_flip, mulaw, psnr
 
     peak = float(np.percentile(reference, 99.99))
     goal = np.clip(reference / peak, 0, 1)

@@ -47,14 +47,14 @@ METHODS = ("exported", "explicit", "mitsuba")
 def irradiance_rows(name: str, asset: Any, seed: int) -> list[dict]:
     """Irradiance error of the field itself and of clusters of it."""
     from benchmarks.cycles.table_rays import light_rays
-    from lumitree.evaluation.irradiance import (
+    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.measure.irradiance import (
         asset_irradiance,
         irradiance_error,
         luminaire_irradiance,
         rays_irradiance,
     )
-    from lumitree.exporting.lights import cluster_lights
-    from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.output.blender.lights import cluster_lights
 
     half = asset.frame.half_extents
     reference = luminaire_irradiance(load_luminaire(name), REFERENCE_PATHS, seed=seed)
@@ -109,9 +109,9 @@ def render_room(asset: Any, program: str, options: argparse.Namespace) -> dict[s
 def _render_mitsuba(asset: Any, width: int, height: int, samples: int, seeds: list[int]) -> Images:
     import mitsuba as mi
 
-    from lumitree.rendering.passes import Budget, render_passes
-    from lumitree.rendering.placement import Placement
-    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
+    from lumitree.render.passes import Budget, render_passes
+    from lumitree.render.placement import Placement
+    from lumitree.render.scene import PlacedLuminaire, place_luminaires
 
     lamp = PlacedLuminaire(Placement(asset, at=LAMP_CENTRE))
     scene = place_luminaires(mitsuba_room(width, height), [lamp], appearance="model")
@@ -216,7 +216,7 @@ def write_image(path: Path, rendered: dict[str, Images]) -> None:
     from PIL import Image
 
     from lumitree.core.files import atomic_path
-    from lumitree.evaluation.strip import write_strip
+    from lumitree.output.strip import write_strip
 
     exposure = 0.5 / float(np.median(rendered["mitsuba"].images[0]))
     panels = []
@@ -253,7 +253,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     import lumitree
-    from lumitree.exporting.blender import find_blender
+    from lumitree.output.blender.blender import find_blender
 
     if options.images < 2:
         raise LumitreeError(f"--images is {options.images}; noise needs 2 images at least")

@@ -19,8 +19,8 @@ import lumitree
 from benchmarks.common.options import add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
-from lumitree.api.baking import Quality
 from lumitree.core.dataset import Dataset
+from lumitree.fit.bake import Quality
 
 COLUMNS = {
     "psnr_linear": 2,

@@ -21,8 +21,8 @@ from matplotlib.figure import Figure
 from benchmarks.common.options import add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
-from lumitree.builtin.registry import BUILTIN
 from lumitree.core.files import atomic_path
+from lumitree.lamp.builtin.registry import BUILTIN
 
 # Depth of the grid, and bins of direction a side; the first is the baseline.
 GRIDS = ((1, 64), (3, 32), (3, 64), (4, 32), (4, 64), (5, 32), (5, 64))
@@ -32,14 +32,14 @@ REFERENCE_PATHS = 1 << 22
 def measure(name: str, options: argparse.Namespace) -> list[dict]:
     """A row for each grid."""
     from lumitree.asset.asset import exitant_asset
-    from lumitree.evaluation.irradiance import (
+    from lumitree.fit.light_field.bake import bake_exitant
+    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.measure.irradiance import (
         asset_irradiance,
         irradiance_error,
         luminaire_irradiance,
     )
-    from lumitree.exitant.bake import bake_exitant
-    from lumitree.exitant.config import ExitantConfig
-    from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.trace.light_field_config import ExitantConfig
 
     luminaire = load_luminaire(name)
     reference = luminaire_irradiance(luminaire, REFERENCE_PATHS, seed=options.seed + 1)

@@ -29,7 +29,7 @@ from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.common.timing import Job, interleaved, ratios
 from benchmarks.equal_error.error_against_time import trimmed_mean
-from lumitree.luminaire.source import LuminaireSource
+from lumitree.lamp.source import LuminaireSource
 
 PATH_DEPTH = 8
 BASELINE = "sphere"
@@ -88,7 +88,7 @@ def render(
     """CPU seconds of a pass, and relative variance of a sample in the pixels of the mask."""
     import mitsuba as mi
 
-    from lumitree.rendering.passes import Budget, render_passes
+    from lumitree.render.passes import Budget, render_passes
 
     passes: dict[str, list[Any]] = {name: [] for name in scenes}
 

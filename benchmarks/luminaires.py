@@ -21,7 +21,7 @@ from benchmarks.common.options import add_pixels, add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.common.timing import Job, interleaved, ratios
-from lumitree.luminaire.source import LuminaireSource
+from lumitree.lamp.source import LuminaireSource
 
 PATHS = 1 << 20  # of the flux, and of what short paths miss
 BASELINE = "plain cube"
@@ -41,9 +41,9 @@ def measure(
         baseline: capture of the plain cube.
     """
     from lumitree.core.images import max_radiance
-    from lumitree.evaluation.preview import take_preview
-    from lumitree.luminaire.luminaire import load_luminaire
-    from lumitree.transport.flux import estimate_flux, missed_by_depth
+    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.output.preview_sheet import take_preview
+    from lumitree.trace.flux import estimate_flux, missed_by_depth
 
     luminaire = load_luminaire(source)
     flux = estimate_flux(luminaire, PATHS, seed=options.seed)
@@ -68,7 +68,7 @@ def capture(luminaire: Any, options: argparse.Namespace) -> Job:
     """Job: a view of a capture, with its radiance and both opacities."""
     from lumitree.core.directions import view_pose
     from lumitree.core.seeds import Purpose, SeedStream
-    from lumitree.views.camera import Camera
+    from lumitree.trace.cameras import Camera
 
     camera = Camera(luminaire, options.resolution, options.spp)
 
@@ -81,7 +81,7 @@ def capture(luminaire: Any, options: argparse.Namespace) -> Job:
 
 def plain_cube(options: argparse.Namespace) -> Job:
     """The same of a cube that emits the same radiance everywhere."""
-    from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "plain_cube.xml"

@@ -38,7 +38,7 @@ from benchmarks.common.tables import Table
 from benchmarks.inside_box.figures import PatchErrors, masks, over_planes, patch_errors, shadow
 from benchmarks.inside_box.patches import Floats, Rectangle, surroundings
 from lumitree.errors import LumitreeError
-from lumitree.luminaire.source import LuminaireSource
+from lumitree.lamp.source import LuminaireSource
 
 LAMPS = ("bulbs", "neoclassical", "arc")
 DATA_LAMPS = ("little_lamp", "megeon_chandelier/luminaire.xml", "stained_glass_lamp")
@@ -181,11 +181,11 @@ def _paths_seconds(source: LuminaireSource, seed: int) -> float:
     """Seconds of the light paths of a bake and their histogram, without the light inside."""
     import mitsuba as mi
 
-    from lumitree.exitant.config import ExitantConfig
-    from lumitree.exitant.histograms import Histogram
-    from lumitree.luminaire.luminaire import load_luminaire
-    from lumitree.transport.light_paths import trace_light
-    from lumitree.transport.tracing import PATH_DEPTH
+    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.trace.histograms import Histogram
+    from lumitree.trace.light_field_config import ExitantConfig
+    from lumitree.trace.light_paths import trace_light
+    from lumitree.trace.tracing import PATH_DEPTH
 
     luminaire, config = load_luminaire(source), ExitantConfig()
     start = time.perf_counter()
@@ -204,7 +204,7 @@ def reference_planes(
 ) -> tuple[list[Plane], Plane]:
     """The planes of a luminaire, and the fine one below it."""
     from benchmarks.inside_box.crossings import crossing_irradiance
-    from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     luminaire = load_luminaire(source)
     rectangles = [*PLANES, FINE]

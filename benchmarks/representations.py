@@ -27,8 +27,8 @@ from benchmarks.common.options import add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.common.timing import Job, interleaved, kernel
-from lumitree.builtin.registry import BUILTIN
 from lumitree.core.extras import check_network
+from lumitree.lamp.builtin.registry import BUILTIN
 
 REFERENCE_PATHS = 1 << 22
 BASELINE, FIELD = "exitant 32³ x 32²", "field, direct bake"
@@ -102,7 +102,7 @@ def measure(name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
     """A row for each representation of a luminaire."""
     import lumitree
     from lumitree.core.dataset import Dataset
-    from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     luminaire = load_luminaire(name)
     with tempfile.TemporaryDirectory() as folder:
@@ -122,7 +122,7 @@ def _rows(
     name: str, luminaire: Any, views: Any, options: argparse.Namespace
 ) -> list[dict[str, Any]]:
     from benchmarks.baselines.traced_rays import trace_rays
-    from lumitree.evaluation.irradiance import (
+    from lumitree.measure.irradiance import (
         irradiance_error,
         luminaire_irradiance,
         rays_irradiance,
@@ -182,8 +182,8 @@ def _see(made: Any, views: Any, seed: int) -> tuple[dict[str, float], Job] | Non
     import drjit as dr
     import mitsuba as mi
 
-    from lumitree.evaluation.baked import image_of
-    from lumitree.evaluation.evaluate import compare_views
+    from lumitree.measure.view_errors import compare_views
+    from lumitree.render.asset_views import image_of
 
     manifest = views.manifest
     corner = float(np.linalg.norm(manifest.local_frame.half_extents))
@@ -219,7 +219,7 @@ def _receive(made: Any, seed: int) -> tuple[dict[str, float], Job] | None:
     import drjit as dr
     import mitsuba as mi
 
-    from lumitree.model.photometry import luminance
+    from lumitree.core.photometry import luminance
 
     def received(place: tuple[float, ...]) -> Any:
         sampler = mi.load_dict({"type": "independent"})

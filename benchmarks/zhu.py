@@ -61,7 +61,7 @@ def measure(
     """A row for each method, and what the views are; writes a contact sheet."""
     import lumitree
     from lumitree.core.dataset import Dataset
-    from lumitree.evaluation.evaluate import compare_views, evaluate_views
+    from lumitree.measure.view_errors import compare_views, evaluate_views
 
     rows, jobs, evaluations = [], {}, {}
     with tempfile.TemporaryDirectory() as made:
@@ -149,7 +149,7 @@ def _look_job(asset: Any, pixels: tuple[NDArray[np.float32], NDArray[np.float32]
 
     from lumitree.core.device import on_device
     from lumitree.octree.field import shared_field
-    from lumitree.rendering.divided_sampling import look
+    from lumitree.render.sampling.divided_sampling import look
 
     field = shared_field(asset)
     origins, directions = on_device(mi.Point3f, pixels[0]), on_device(mi.Vector3f, pixels[1])
@@ -182,7 +182,7 @@ def variances(luminaire: Any, seed: int) -> dict[str, float]:
 def draw(name: str, evaluations: dict[str, Any], path: Path) -> None:
     """Contact sheet of the first test view: radiance and opacity, reference and methods."""
     from lumitree.core.images import auto_exposure, tonemap
-    from lumitree.evaluation.tiles import Layout, TileSheet, grey
+    from lumitree.output.tiles import Layout, TileSheet, grey
 
     first = next(iter(evaluations.values())).rows[0]
     exposure = auto_exposure(first.reference)

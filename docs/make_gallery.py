@@ -11,9 +11,9 @@ from pathlib import Path
 from PIL import Image
 
 import lumitree
-from lumitree.builtin.registry import BUILTIN
 from lumitree.core.files import write_bytes
-from lumitree.exitant.config import EXITANT_QUALITIES, ExitantConfig
+from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.trace.light_field_config import EXITANT_QUALITIES, ExitantConfig
 
 DOCS = Path(__file__).parent
 BAKES = DOCS / "generated" / "lamps"

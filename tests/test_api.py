@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 
 import lumitree
-import tiny_bakes
-from exitant_fields import assert_equal_fields
-from fields import random_asset
 from lumitree import demo
-from lumitree.api import network
 from lumitree.cli import main
 from lumitree.cli.output import print_metrics
 from lumitree.core.frames import rotation, similarity
 from lumitree.core.images import read_exr
 from lumitree.core.work_folder import WorkFolder
-from lumitree.direct.config import QUALITIES
-from lumitree.nerf.config import PRESETS
-from lumitree.rendering.opened import open_field
-from lumitree.rendering.reference import integrate_ray
+from lumitree.fit.network import bake as network
+from lumitree.fit.network.config import PRESETS
+from lumitree.fit.octree.config import QUALITIES
+from lumitree.render.asset_cache import open_field
+from lumitree.render.reference import integrate_ray
+from support import tiny_bakes
+from support.exitant_fields import assert_equal_fields
+from support.fields import random_asset
 
 LAMP = """<scene version="3.0.0">
 <shape type="sphere"><float name="radius" value="0.5"/>
@@ -170,7 +170,7 @@ def test_a_network_needs_the_part_field(mi, tmp_path, monkeypatch):
 
 def test_an_interrupted_bake_keeps_its_best_and_continues(mi, tiny, tmp_path, monkeypatch):
     from lumitree.asset.file import load
-    from lumitree.direct.refine import Refiner
+    from lumitree.fit.octree.refine import Refiner
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lamp.xml").write_text(LAMP)
@@ -391,7 +391,7 @@ def test_every_argument_has_a_type_and_a_description(name):
 
 
 def test_results_are_json_without_numbers_that_it_does_not_have():
-    from lumitree.api.results import plain
+    from lumitree.core.results import plain
 
     values = {"a": float("nan"), "b": [1.0, np.inf], "c": np.array([[np.nan, 2.0]]), "d": np.nan}
     expected = {"a": None, "b": [1.0, None], "c": [[None, 2.0]], "d": None}

@@ -13,12 +13,13 @@ from pathlib import Path
 import pytest
 
 import lumitree
-from lamps import AREA, scene, sphere
-from lumitree.api import lamp_record, many
 from lumitree.cli import main
 from lumitree.core.files import exclusive
 from lumitree.core.work_folder import WorkFolder
-from tiny_bakes import set_qualities
+from lumitree.fit.catalogue import bake_many as many
+from lumitree.fit.catalogue import record as lamp_record
+from support.lamps import AREA, scene, sphere
+from support.tiny_bakes import set_qualities
 
 SETTINGS = {"parts": ("exitant",), "irradiance_paths": 1 << 14}
 ARGUMENTS = ("--parts", "exitant", "--irradiance-paths", "16384")
@@ -112,7 +113,7 @@ def test_an_unexpected_error_is_a_failure_too(monkeypatch):
 OTHER = """
 import sys
 import lumitree
-from tiny_bakes import set_qualities
+from support.tiny_bakes import set_qualities
 
 def wait(report):
     if report.task.startswith("light of") and report.within.done == 0:
@@ -139,7 +140,7 @@ def test_two_processes_share_a_folder(folder, baked, monkeypatch):
         pages.append((folder / "out/index.html").read_text())
         outputs.append(other.communicate("go\n" * 1000)[0])
 
-    monkeypatch.setattr("lumitree.api.many.time.sleep", finish_other)
+    monkeypatch.setattr("lumitree.fit.catalogue.bake_many.time.sleep", finish_other)
     try:
         assert other.stdout.readline() == "working\n"
         with pytest.warns(lumitree.LumitreeWarning, match="another process works on a; it is left"):
@@ -175,7 +176,7 @@ def test_a_lamp_that_is_baked_alone_is_left_until_then(folder, monkeypatch):
     (folder / "out").mkdir()
     with contextlib.ExitStack() as stack:
         stack.enter_context(WorkFolder("out/a.work"))
-        monkeypatch.setattr("lumitree.api.many.time.sleep", lambda _: stack.close())
+        monkeypatch.setattr("lumitree.fit.catalogue.bake_many.time.sleep", lambda _: stack.close())
         with pytest.warns(lumitree.LumitreeWarning, match="another process works on a"):
             result = lumitree.bake_many(["a.xml"], "out", **SETTINGS)
     assert states(result) == [("a", "baked")]
@@ -183,7 +184,7 @@ def test_a_lamp_that_is_baked_alone_is_left_until_then(folder, monkeypatch):
 
 def test_a_signal_while_a_list_waits_is_heeded(folder, monkeypatch):
     monkeypatch.setattr(
-        "lumitree.api.many.time.sleep", lambda _: signal.raise_signal(signal.SIGTERM)
+        "lumitree.fit.catalogue.bake_many.time.sleep", lambda _: signal.raise_signal(signal.SIGTERM)
     )
     with exclusive(folder / "out/index-files/a.lock") as free:
         assert free

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 import lumitree
-from fields import make_asset, random_asset
-from lumitree.api.results import Flux
 from lumitree.cli import main
+from lumitree.core.results import Flux
+from support.fields import make_asset, random_asset
 
 LAMP = (
     '<scene version="3.0.0"><shape type="sphere"><emitter type="area">'
@@ -208,9 +208,9 @@ def test_what_a_command_cannot_do_is_refused_before_it_works(capsys, monkeypatch
     def work(*_, **__):
         raise AssertionError("worked before it refused")
 
-    monkeypatch.setattr("lumitree.api.baking.load_mitsuba", work)
-    monkeypatch.setattr("lumitree.api.network.load_mitsuba", work)
-    monkeypatch.setattr("lumitree.api.viewing.load_mitsuba", work)
+    monkeypatch.setattr("lumitree.fit.bake.load_mitsuba", work)
+    monkeypatch.setattr("lumitree.fit.network.bake.load_mitsuba", work)
+    monkeypatch.setattr("lumitree.measure.evaluate.load_mitsuba", work)
     for arguments in (
         ["bake", "bulbs", "-o", "a.lumitree", "--method", "nerf", "--depth", "99"],
         ["bake", "bulbs", "-o", "a.lumitree", "--seed", "-1"],
@@ -347,8 +347,8 @@ def test_list_tells_the_figures_of_every_lamp(capsys):
 
 
 def test_preview(capsys, monkeypatch):
-    monkeypatch.setattr("lumitree.api.viewing.FLUX_PATHS", 1)
-    monkeypatch.setattr("lumitree.api.viewing.BOUNCE_PATHS", 1)
+    monkeypatch.setattr("lumitree.measure.evaluate.FLUX_PATHS", 1)
+    monkeypatch.setattr("lumitree.measure.evaluate.BOUNCE_PATHS", 1)
     assert main(["preview", "lamp.xml", "-o", "sheet.png", "--resolution", "16", "--spp", "4",
                  "--bounces", "--json", "report.json"]) == 0  # fmt: skip
     captured = capsys.readouterr()
@@ -381,7 +381,7 @@ def test_flux_is_told_to_the_second_digit_of_its_error(lumens, error, text):
 
 
 def test_faults_of_glass_are_warned_of(capsys, folder, monkeypatch):
-    monkeypatch.setattr("lumitree.api.viewing.FLUX_PATHS", 1)
+    monkeypatch.setattr("lumitree.measure.evaluate.FLUX_PATHS", 1)
     sheets = "".join(
         f'<shape type="rectangle" id="pane{i}"><transform name="to_world">'
         f'<translate z="{i + 2}"/></transform><bsdf type="dielectric"/></shape>'
@@ -505,7 +505,7 @@ def test_interrupted_capture_continues():
 
 
 def test_unexpected_errors_are_one_line(capsys, monkeypatch):
-    monkeypatch.setattr("lumitree.rendering.opened.load", lambda path: 1 / 0)
+    monkeypatch.setattr("lumitree.render.asset_cache.load", lambda path: 1 / 0)
     assert main(["info", "lamp.lumitree"]) == 1
     err = capsys.readouterr().err
     assert "unexpected ZeroDivisionError" in err

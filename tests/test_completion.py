@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from lumitree.builtin.registry import BUILTIN
 from lumitree.cli.completion import BUILTIN_NAMES
+from lumitree.lamp.builtin.registry import BUILTIN
 
 HEAVY = ("mitsuba", "drjit", "jax", "numpy", "matplotlib", "rich")
 # `os._exit` ends a completion; it is replaced before argcomplete binds it.

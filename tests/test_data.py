@@ -28,7 +28,7 @@ LUMINAIRES = {
 
 @pytest.mark.parametrize("name", LUMINAIRES)
 def test_luminaires_are_captured(mi, tmp_path, name):
-    from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     luminaire = load_luminaire(DATA / "luminaires" / name)
     width = 2 * luminaire.frame.half_extents[0] * luminaire.frame.world_from_local[0, 0]
@@ -53,7 +53,7 @@ def test_luminaires_are_captured(mi, tmp_path, name):
 
 def test_explicit_luminaire_looks_the_same_at_every_size(mi, tmp_path):
     """Placing scales the absorbing medium of the chandelier's drops with it."""
-    from lumitree.luminaire.luminaire import place_shapes
+    from lumitree.lamp.luminaire import place_shapes
 
     media = [
         shape.interior_medium()
@@ -83,7 +83,7 @@ MODELS = {
 
 
 def model_source(folder):
-    from lumitree.luminaire.source import LuminaireSource
+    from lumitree.lamp.source import LuminaireSource
 
     name, _ = MODELS[folder]
     overrides = Path(__file__).parents[1] / "examples" / "overrides" / f"{name}.toml"
@@ -94,8 +94,8 @@ def model_source(folder):
 @pytest.mark.parametrize("folder", MODELS)
 def test_obj_models_are_repaired_as_by_hand(mi, folder):
     """Concave polygons, repeated bulbs and pieces wound inwards all come out right."""
-    from lumitree.importers.topology import count_solids
-    from lumitree.luminaire.luminaire import read_model
+    from lumitree.lamp.importers.topology import count_solids
+    from lumitree.lamp.luminaire import read_model
 
     meshes = {part.name: part.mesh for part in read_model(model_source(folder)).parts}
     for name, expected in MODELS[folder][1].items():
@@ -103,8 +103,8 @@ def test_obj_models_are_repaired_as_by_hand(mi, folder):
 
 
 def test_obj_and_hand_made_scene_give_the_same_light(mi, tmp_path):
-    from lumitree.luminaire.luminaire import load_luminaire
-    from lumitree.views.capture import capture
+    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.trace.capture import capture
 
     hand_made = DATA / "luminaires" / "scopia_chandelier" / "luminaire.xml"
     means = []
@@ -140,11 +140,11 @@ FILES = {
 @pytest.mark.filterwarnings("ignore::lumitree.errors.LumitreeWarning")
 @pytest.mark.parametrize("file", FILES)
 def test_models_load_with_their_overrides_and_shine(mi, file):
-    from lumitree.importers.overrides import material_area
-    from lumitree.luminaire.luminaire import load_luminaire, read_model
-    from lumitree.luminaire.source import LuminaireSource
-    from lumitree.model.photometry import flux_from_radiance
-    from lumitree.transport.flux import estimate_flux
+    from lumitree.core.photometry import flux_from_radiance
+    from lumitree.lamp.importers.overrides import material_area
+    from lumitree.lamp.luminaire import load_luminaire, read_model
+    from lumitree.lamp.source import LuminaireSource
+    from lumitree.trace.flux import estimate_flux
 
     name, emitting, width = FILES[file]
     overrides = Path(__file__).parents[1] / "examples" / "overrides"

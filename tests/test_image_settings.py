@@ -7,12 +7,12 @@ import pytest
 from PIL import Image
 
 import lumitree
-import tiny_bakes
-from fields import random_asset
-from lamps import AREA, scene, sphere
-from lumitree.api import viewing
 from lumitree.core.images import read_comment, read_exr, write_exr
 from lumitree.errors import LumitreeError
+from lumitree.measure import evaluate as viewing
+from support import tiny_bakes
+from support.fields import random_asset
+from support.lamps import AREA, scene, sphere
 
 ROOM = """<scene version="3.0.0"><integrator type="path"/>
 <sensor type="perspective"><transform name="to_world">

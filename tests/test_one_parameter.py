@@ -10,7 +10,7 @@ import pytest
 
 import lumitree
 from lumitree.cli import bake
-from lumitree.direct.config import DirectConfig
+from lumitree.fit.octree.config import DirectConfig
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import lumitree
-from exitant_fields import random_exitant
-from fields import random_asset
-from lamps import AREA, scene, sphere
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.exitant import TracedPaths
 from lumitree.cli import main
 from lumitree.core.images import write_exr
-from tiny_bakes import set_qualities
+from support.exitant_fields import random_exitant
+from support.fields import random_asset
+from support.lamps import AREA, scene, sphere
+from support.tiny_bakes import set_qualities
 
 ROOM = (
     '<scene version="3.0.0"><integrator type="path"/><sensor type="perspective">'

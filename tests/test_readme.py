@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import lumitree
-from fields import random_asset
+from support.fields import random_asset
 
 README = Path(__file__).parent.parent / "README.md"
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from exitant_fields import random_exitant
-from fields import random_asset
-from lamps import AREA, cube, lamp_of
 from lumitree.asset.asset import Asset
-from model_assets import small_model, with_model
+from support.exitant_fields import random_exitant
+from support.fields import random_asset
+from support.lamps import AREA, cube, lamp_of
+from support.model_assets import small_model, with_model
 
 
 def test_assets_and_their_parts():

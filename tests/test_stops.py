@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 
 import lumitree
-import tiny_bakes
-from fields import random_asset
 from lumitree.cli import main
 from lumitree.core.files import atomic_path
 from lumitree.core.work_folder import MARKER
 from lumitree.errors import LumitreeError
-from lumitree.nerf.config import PRESETS
+from lumitree.fit.network.config import PRESETS
+from support import tiny_bakes
+from support.fields import random_asset
 
 LAMP = (
     '<scene version="3.0.0"><shape type="sphere"><emitter type="area">'
@@ -162,7 +162,7 @@ ROOM = (
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_while_mitsuba_makes_a_plugin_ends_the_command(monkeypatch, capfd, number):
     """Mitsuba turns it into RuntimeError."""
-    from lumitree.rendering import proxy_shape
+    from lumitree.render.plugins import shape as proxy_shape
 
     make = proxy_shape._proxy
 
@@ -200,7 +200,7 @@ def test_a_signal_while_results_are_printed_changes_nothing(monkeypatch, capfd, 
 
 def test_a_signal_after_a_bake_is_complete_changes_nothing(tiny, monkeypatch, capfd):
     """Its asset is written, and its irradiance is not to be compared."""
-    from lumitree.api import finishing
+    from lumitree.fit import finishing
 
     save = finishing.save_asset
 
@@ -233,7 +233,7 @@ def tiny(monkeypatch):
 @pytest.fixture
 def steps(monkeypatch):
     """The steps of the descent that are begun; `steps.before[n]` is called before step n."""
-    from lumitree.direct.refine import Refiner
+    from lumitree.fit.octree.refine import Refiner
 
     class Steps(list):
         before: ClassVar[dict[int, Callable[[], None]]] = {}
@@ -290,14 +290,14 @@ def test_a_bake_killed_in_its_first_step_continues_from_the_estimate(tiny, steps
     steps.before[1] = die
     assert main(list(BAKE)) == 1
     assert left() == UNFINISHED
-    monkeypatch.setattr("lumitree.direct.bake._first_field", die)
+    monkeypatch.setattr("lumitree.fit.octree.bake._first_field", die)
     assert main(list(BAKE)) == 0
     assert left() == ["out/lamp.lumitree"]
 
 
 def test_a_bake_killed_while_it_calibrates_continues_there(tiny, steps, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("lumitree.direct.bake.flux_correction_factor", die)
+        patch.setattr("lumitree.fit.octree.bake.flux_correction_factor", die)
         assert main(list(BAKE)) == 1
     done = list(steps)
     assert len(done) > 5
@@ -352,7 +352,7 @@ def test_a_full_disk_ends_a_list_of_bakes(tiny, monkeypatch, capsys):
 
 
 def test_state_that_stays_on_a_full_disk_is_said(tiny, monkeypatch, capsys):
-    from lumitree.api import finishing
+    from lumitree.fit import finishing
 
     def fail(*_):
         with atomic_path("out/lamp.lumitree"):
@@ -377,7 +377,7 @@ def test_results_that_cannot_be_printed_are_an_error(monkeypatch, capfd):
 
 @pytest.mark.usefixtures("network_packages")
 def test_a_run_without_a_checkpoint_is_removed_from_a_full_disk(tmp_path):
-    from lumitree.nerf import run
+    from lumitree.fit.network import run
 
     class Manager:
         def latest_step(self):
@@ -450,7 +450,7 @@ def test_training_that_was_killed_before_its_first_checkpoint_starts_again(monke
     command = ["train", "d", "-o", "run"]
     for again in (command, [*command, "--resume"]):
         with monkeypatch.context() as patch:
-            patch.setattr("lumitree.nerf.train._Loop.run", die)
+            patch.setattr("lumitree.fit.network.train._Loop.run", die)
             assert main(again) == 1
         assert Path("run/run.json").exists()
     assert main([*command, "--resume"]) == 0
@@ -462,7 +462,7 @@ def test_training_that_was_killed_before_its_first_checkpoint_starts_again(monke
 @pytest.mark.slow
 @pytest.mark.usefixtures("network_packages")
 def test_training_goes_on_where_a_checkpoint_cannot_be_written(monkeypatch, capsys):
-    from lumitree.nerf import train as training
+    from lumitree.fit.network import train as training
 
     train = dataclasses.replace(tiny_bakes.network_preset().train, num_steps=20)
     monkeypatch.setitem(PRESETS, "preview", train)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import lumitree
-from fields import uniform_asset
+from support.fields import uniform_asset
 
 # Prints what `register` does, and the variant that is set afterwards.
 REGISTER = """

@@ -14,7 +14,7 @@ from benchmarks.baselines.traced_rays import TracedRays
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.exporting.lights import cluster_points
+from lumitree.output.blender.lights import cluster_points
 
 # About as many bins as a Type C file of 1° has values (181 · 360).
 FAR_FIELD_RESOLUTION = 256
@@ -126,10 +126,10 @@ class BakedAsset:
     """
 
     def __init__(self, asset: Any, num_bytes: int) -> None:
-        from lumitree.evaluation.irradiance import asset_rays
+        from lumitree.measure.irradiance import asset_rays
         from lumitree.octree.field import shared_field
-        from lumitree.rendering.divided_sampling import emitter_sampler
-        from lumitree.rendering.proxy import BoxProxy
+        from lumitree.render.sampling.divided_sampling import emitter_sampler
+        from lumitree.render.sampling.proxy import BoxProxy
 
         self._proxy = BoxProxy(asset.frame.half_extents)
         self._sampler = emitter_sampler(asset, shared_field(asset), self._proxy)

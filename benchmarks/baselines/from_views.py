@@ -59,7 +59,7 @@ def zhu(views: Path, seconds: float | None, seed: int) -> Any:
     from benchmarks.baselines.zhu import train_zhu
     from benchmarks.baselines.zhu_networks import ZhuConfig
     from lumitree.core.dataset import Dataset
-    from lumitree.nerf.ray_set import load_rays
+    from lumitree.fit.network.ray_set import load_rays
 
     dataset = Dataset.open(views)
     rays, _ = load_rays(dataset, "straight_through", skip_empty=False)
@@ -70,8 +70,8 @@ def zhu(views: Path, seconds: float | None, seed: int) -> Any:
 def network(views: Path, folder: Path, seconds: float, seed: int) -> Path:
     """The paper's network, trained on the views, as an asset."""
     import lumitree
-    from lumitree.nerf.config import PRESETS
-    from lumitree.nerf.train import train
+    from lumitree.fit.network.config import PRESETS
+    from lumitree.fit.network.train import train
 
     config = dataclasses.replace(PRESETS["preview"], seed=seed)
     steps = max(1, round(seconds * _steps_per_second(views, config)))
@@ -92,8 +92,8 @@ def _steps_per_second(views: Path, config: Any) -> float:
     import jax
 
     from lumitree.core.dataset import Dataset
-    from lumitree.nerf.ray_set import load_rays
-    from lumitree.nerf.step import initial_state, make_step, state_sharding
+    from lumitree.fit.network.ray_set import load_rays
+    from lumitree.fit.network.step import initial_state, make_step, state_sharding
 
     rays, occupancy = load_rays(Dataset.open(views), config.opacity_kind, config.skip_empty)
     graph, state = initial_state(config, rays.typical_part)

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from flax import nnx
 
-from lumitree.nerf.network import fourier_features
+from lumitree.fit.network.network import fourier_features
 
 # No bin of a spline is smaller than this part of a mean one, nor its slope than this.
 _SMALLEST, _FLATTEST = 1e-3, 1e-3

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.luminaire.luminaire import Luminaire
+from lumitree.lamp.luminaire import Luminaire
 
 BATCH = 1 << 20
 # `Purpose.EXITANT` has steps 0 to some hundreds for its own bake.
@@ -34,8 +34,8 @@ def trace_rays(luminaire: Luminaire, count: int, seed: int) -> TracedRays:
     """Light paths of a luminaire, `count` rounded up to a multiple of `BATCH`."""
     import mitsuba as mi
 
-    from lumitree.transport.light_paths import trace_light
-    from lumitree.transport.tracing import PATH_DEPTH
+    from lumitree.trace.light_paths import trace_light
+    from lumitree.trace.tracing import PATH_DEPTH
 
     batches = -(-count // BATCH)
     parts: list[tuple[NDArray[np.float32], ...]] = []

@@ -32,9 +32,9 @@ from benchmarks.baselines.zhu_networks import (
     encode,
 )
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.nerf.losses import psnr
-from lumitree.nerf.occupancy import box_interval
-from lumitree.nerf.ray_set import Batch, RaySet
+from lumitree.fit.network.losses import psnr
+from lumitree.fit.network.occupancy import box_interval
+from lumitree.fit.network.ray_set import Batch, RaySet
 
 # Part of the time that the sampling network takes, its receivers in a step, and directions of each.
 SAMPLING_SHARE = 0.2

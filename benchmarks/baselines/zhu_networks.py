@@ -33,7 +33,7 @@ import numpy as np
 from flax import nnx
 from numpy.typing import NDArray
 
-from lumitree.nerf.network import fourier_features
+from lumitree.fit.network.network import fourier_features
 
 Encoding = Literal["log", "linear"]
 # Radiance at which the logarithm of the encoding becomes linear: that of the paper's Eq. 8.

@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from lumitree.builtin.registry import BUILTIN
-from lumitree.luminaire.source import LuminaireSource
+from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.source import LuminaireSource
 
 OVERRIDES = Path(__file__).parents[2] / "examples" / "overrides"
 # File, overrides, and metres in a unit of what is loaded.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.exporting.blender import run_script
+from lumitree.output.blender.blender import run_script
 
 # Metres, y up. Walls by centre and two half edges, whose cross product points into the room.
 WALLS: dict[str, dict[str, Any]] = {
@@ -96,7 +96,7 @@ def mitsuba_room(width: int, height: int) -> Any:
     """The room (mi.Scene)."""
     import mitsuba as mi
 
-    from lumitree.rendering.plugin_objects import load_ordered
+    from lumitree.render.plugins.objects import load_ordered
 
     scene: dict[str, Any] = {"type": "scene"}
     for name, wall in WALLS.items():

@@ -1,4 +1,4 @@
-"""Rays of exported point lights, from their tables by direction, for `evaluation.irradiance`."""
+"""Rays of exported point lights, from their tables by direction, for `measure.irradiance`."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from lumitree.core.device import on_device
-from lumitree.exporting.lights import PointLights, direction_tables, table_angles
+from lumitree.output.blender.lights import PointLights, direction_tables, table_angles
 
 
 def light_rays(lights: PointLights) -> Callable[[Any, int], tuple[Any, Any, Any]]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from lumitree.core.images import srgb_from_linear
-from lumitree.model.photometry import LUMENS_PER_WATT, luminance
+from lumitree.core.photometry import LUMENS_PER_WATT, luminance
 
 Floats = NDArray[np.floating]
 Kind = Literal["measured", "extrapolated"]

@@ -14,7 +14,7 @@ from benchmarks.equal_error.pairs import Pair
 from lumitree.core.backend import load_mitsuba
 
 if TYPE_CHECKING:
-    from lumitree.rendering.emitter_sampling import Sampling
+    from lumitree.render.sampling.emitter_sampling import Sampling
 
 # What a picture of the baked lamp depends on, besides its asset and the room.
 _SOURCES = ("rendering", "octree", "asset", "core")
@@ -38,13 +38,13 @@ class Method:
     def __init__(
         self, pair: Pair, baked: bool, options: argparse.Namespace, way: Way | None = None
     ) -> None:
-        from lumitree.luminaire.luminaire import load_luminaire
-        from lumitree.luminaire.scene_file import SceneFile
+        from lumitree.lamp.luminaire import load_luminaire
+        from lumitree.lamp.scene_file import SceneFile
         from lumitree.octree.field import Thresholds
-        from lumitree.rendering.passes import Budget, render_passes
-        from lumitree.rendering.placed import shows_model
-        from lumitree.rendering.placement import Placement
-        from lumitree.rendering.scene import (
+        from lumitree.render.passes import Budget, render_passes
+        from lumitree.render.placement import Placement
+        from lumitree.render.plugins.placed import shows_model
+        from lumitree.render.scene import (
             PlacedLuminaire,
             load_scene,
             place_luminaires,

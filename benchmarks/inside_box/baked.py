@@ -8,11 +8,11 @@ import numpy as np
 from benchmarks.common.timing import MIN_ROUNDS, Job, interleaved
 from benchmarks.inside_box.patches import NORMALS, Floats, Rectangle
 from lumitree.asset.asset import Asset
-from lumitree.model.photometry import LUMA
-from lumitree.rendering.placed import Appearance
-from lumitree.rendering.placement import Placement
-from lumitree.rendering.received import received_irradiance
-from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
+from lumitree.core.photometry import LUMA
+from lumitree.measure.illuminance import received_irradiance
+from lumitree.render.placement import Placement
+from lumitree.render.plugins.placed import Appearance
+from lumitree.render.scene import PlacedLuminaire, place_luminaires
 
 # Receivers of an estimate, at least, and samples of each.
 _RECEIVERS, _SAMPLES = 1 << 12, 128

@@ -12,16 +12,16 @@ import mitsuba as mi
 import numpy as np
 
 from benchmarks.inside_box.patches import Floats, Rectangle
+from lumitree.core.photometry import LUMA
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
-from lumitree.luminaire.luminaire import Luminaire
-from lumitree.model.photometry import LUMA
-from lumitree.transport import light_paths
-from lumitree.transport.geometric_normals import is_opaque, on_opposite_sides
-from lumitree.transport.spawning import scene_extent, spawn
-from lumitree.transport.straight_through import is_transmitted
-from lumitree.transport.tracing import PATH_DEPTH, check_finite
+from lumitree.lamp.luminaire import Luminaire
+from lumitree.trace import light_paths
+from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
+from lumitree.trace.spawning import scene_extent, spawn
+from lumitree.trace.straight_through import is_transmitted
+from lumitree.trace.tracing import PATH_DEPTH, check_finite
 
 # Independent batches that an estimate is the mean of.
 BATCHES = 16

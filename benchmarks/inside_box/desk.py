@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.common.timing import MIN_ROUNDS, Job, interleaved
 from benchmarks.equal_error.batches import LongRun, digest
 from benchmarks.equal_error.error_against_time import display_rmse
-from lumitree.luminaire.source import LuminaireSource
+from lumitree.lamp.source import LuminaireSource
 
 # Independent images of each lamp.
 IMAGES = 3
@@ -56,8 +56,8 @@ def desk(
         `display_rmse`) against the reference, as the mean over independent images; and that of the
         reference by its own noise.
     """
-    from lumitree.evaluation.strip import write_strip
-    from lumitree.model.photometry import LUMENS_PER_WATT, luminance
+    from lumitree.core.photometry import LUMENS_PER_WATT, luminance
+    from lumitree.output.strip import write_strip
 
     lamps = {"explicit": source, "baked": asset}
     scenes = {name: _scene(scene, lamp) for name, lamp in lamps.items()}
@@ -159,8 +159,8 @@ def _shows_rough(scene: Any) -> Any:
 
 def _scene(path: Path, lamp: Any) -> tuple[Any, Any]:
     """Scene with a lamp in it, and its integrator."""
-    from lumitree.rendering.placement import Placement
-    from lumitree.rendering.scene import (
+    from lumitree.render.placement import Placement
+    from lumitree.render.scene import (
         appearance_for,
         load_scene,
         open_placements,
@@ -174,6 +174,6 @@ def _scene(path: Path, lamp: Any) -> tuple[Any, Any]:
 
 def _image(scene: Any, integrator: Any, samples: int, seed: int) -> Any:
     """An independent image [H, W, 3]."""
-    from lumitree.rendering.passes import Budget, render_passes
+    from lumitree.render.passes import Budget, render_passes
 
     return render_passes(scene, integrator, Budget(samples), seed=seed, name="desk").radiance

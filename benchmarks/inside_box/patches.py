@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.luminaire.luminaire import Luminaire
+from lumitree.lamp.luminaire import Luminaire
 
 Floats = NDArray[np.float64]
 

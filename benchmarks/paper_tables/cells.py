@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common.setting import setting
-from lumitree.api.measures import peak_memory_bytes
 from lumitree.core.files import write_json
+from lumitree.core.stopwatch import peak_memory_bytes
 
 if TYPE_CHECKING:
     from benchmarks.paper_tables.work import Work

@@ -17,7 +17,7 @@ from benchmarks.paper_tables.scoring import (
 )
 from benchmarks.paper_tables.work import Work
 from lumitree.asset.file import load
-from lumitree.evaluation.metrics import METRICS
+from lumitree.measure.metrics import METRICS
 
 # PSNR (dB) and SSIM of the paper's Table 1.
 PAPER = {

@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Literal, get_args
 
-from lumitree.nerf.config import PRESETS, TrainConfig
+from lumitree.fit.network.config import PRESETS, TrainConfig
 
 LAMPS = ("dallas", "portica", "cluster", "neoclassical", "star")
 ScaleName = Literal["paper", "cpu", "test"]

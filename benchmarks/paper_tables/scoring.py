@@ -13,8 +13,8 @@ from lumitree.core.dataset import Dataset, Frame
 from lumitree.core.directions import orthographic_rays
 
 if TYPE_CHECKING:
-    from lumitree.evaluation.evaluate import Evaluation
-    from lumitree.nerf.trained_field import TrainedField
+    from lumitree.fit.network.trained_field import TrainedField
+    from lumitree.measure.view_errors import Evaluation
 
 
 def test_views(work: Work, lamp: str) -> Dataset:
@@ -29,15 +29,15 @@ def large_views(work: Work, lamp: str) -> Dataset:
 
 def score_asset(asset: Built, dataset: Dataset) -> "Evaluation":
     """Of the field of an asset: the renderer's exact traversal."""
-    from lumitree.evaluation.evaluate import evaluate_views
+    from lumitree.measure.view_errors import evaluate_views
 
     return evaluate_views(load(asset.path), dataset)
 
 
 def score_network(run: Built, dataset: Dataset) -> "Evaluation":
     """Of the networks themselves, a ray through each pixel's centre, as they were trained."""
-    from lumitree.evaluation.evaluate import compare_views
-    from lumitree.nerf.trained_field import load_field
+    from lumitree.fit.network.trained_field import load_field
+    from lumitree.measure.view_errors import compare_views
 
     field = load_field(run.path)
     return compare_views(lambda frame: network_view(field, dataset, frame), dataset)
@@ -55,7 +55,7 @@ def network_view(
 
 def of_first_views(scored: "Evaluation", count: int) -> dict[str, float]:
     """Means over the first views alone, and the gains over black."""
-    from lumitree.evaluation.metrics import gain_over_black, mean_metrics
+    from lumitree.measure.metrics import gain_over_black, mean_metrics
 
     means = mean_metrics([view.metrics for view in scored.rows[:count]])
     return means | gain_over_black(means)

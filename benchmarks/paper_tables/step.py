@@ -10,7 +10,7 @@ from benchmarks.paper_tables.cells import Cell, Measured
 from benchmarks.paper_tables.found import Found
 from benchmarks.paper_tables.scales import SCALES, Scale
 from benchmarks.paper_tables.work import Work
-from lumitree.nerf.config import TrainConfig
+from lumitree.fit.network.config import TrainConfig
 
 CELL = "step"
 _ROUNDS = 7
@@ -62,9 +62,9 @@ def measure_step(config: TrainConfig) -> dict[str, Any]:
     import jax
     import numpy as np
 
-    from lumitree.nerf.occupancy import full_occupancy
-    from lumitree.nerf.ray_set import Batch
-    from lumitree.nerf.step import initial_state, make_step
+    from lumitree.fit.network.occupancy import full_occupancy
+    from lumitree.fit.network.ray_set import Batch
+    from lumitree.fit.network.step import initial_state, make_step
 
     rng = np.random.default_rng(0)
     count = config.rays_per_batch
@@ -103,7 +103,7 @@ def measure_step(config: TrainConfig) -> dict[str, Any]:
 
 
 def _num_chunks(config: TrainConfig) -> int:
-    from lumitree.nerf import step
+    from lumitree.fit.network import step
 
     return step._num_chunks(config, config.rays_per_batch)
 
@@ -124,7 +124,7 @@ def _networks(config: TrainConfig, chunks: int) -> Callable[[], Any]:
     import jax.numpy as jnp
     from flax import nnx
 
-    from lumitree.nerf.network import NerfSH
+    from lumitree.fit.network.network import NerfSH
 
     graph, weights = nnx.split(NerfSH(config, 0.1, nnx.Rngs(0)))
     positions = tuple(

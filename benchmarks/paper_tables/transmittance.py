@@ -11,7 +11,7 @@ from benchmarks.paper_tables.scales import Scale
 from benchmarks.paper_tables.scoring import costs, score_asset, score_network, test_views
 from benchmarks.paper_tables.work import Work
 from lumitree.asset.file import load
-from lumitree.nerf.config import TrainConfig
+from lumitree.fit.network.config import TrainConfig
 
 # Title and changes of the settings; docs/decisions/field.md has the literal reading of Eq. 3.
 LAWS: dict[str, tuple[str, dict[str, Any]]] = {

@@ -17,11 +17,11 @@ import lumitree
 from benchmarks.equal_error.batches import digest
 from benchmarks.paper_tables.cells import OutOfTimeError, plain
 from benchmarks.paper_tables.scales import Direct, Scale, Views
-from lumitree.api.measures import peak_memory_bytes
 from lumitree.core.dataset import Split
 from lumitree.core.files import write_json
 from lumitree.core.interrupt import Interrupted
-from lumitree.nerf.config import TrainConfig
+from lumitree.core.stopwatch import peak_memory_bytes
+from lumitree.fit.network.config import TrainConfig
 
 COSTS = "costs.json"
 # Steps of training that tell its speed, and the least that is worth starting.
@@ -97,7 +97,7 @@ class Work:
         return built
 
     def _train(self, dataset: Path, run: Path, config: TrainConfig) -> dict[str, Any]:
-        from lumitree.nerf.train import train
+        from lumitree.fit.network.train import train
 
         steps = _FIRST_STEPS
         while True:
@@ -164,7 +164,7 @@ def _parts(lamp: str) -> list[Any]:
 
     No model could hold these when the cells were measured.
     """
-    from lumitree.luminaire.luminaire import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     return ["exitant", "field", *([] if load_luminaire(lamp).scatters else ["model"])]
 

@@ -18,18 +18,11 @@ from lumitree.core.interrupt import Interrupted
 from lumitree.errors import LumitreeError, LumitreeWarning
 
 if TYPE_CHECKING:
-    from lumitree.api.baking import bake, refine
-    from lumitree.api.exporting import ExportResult, export
-    from lumitree.api.files import load
-    from lumitree.api.lamp_index import BakedLamp
-    from lumitree.api.luminaires import builtin_luminaires, load_luminaire
-    from lumitree.api.many import BakeManyResult, bake_many
-    from lumitree.api.merging import merge
-    from lumitree.api.network import bake_network, capture, extract, train
-    from lumitree.api.page import ViewResult, view
-    from lumitree.api.photometry import photometry
-    from lumitree.api.rendering import mix, render
-    from lumitree.api.results import (
+    from lumitree.asset.asset import Asset, AssetInfo
+    from lumitree.asset.file import save
+    from lumitree.core.frames import LocalFrame
+    from lumitree.core.progress import Progress, show_progress
+    from lumitree.core.results import (
         AssetPreviewResult,
         BakeResult,
         CaptureResult,
@@ -43,19 +36,26 @@ if TYPE_CHECKING:
         Result,
         TrainResult,
     )
-    from lumitree.api.viewing import evaluate, preview
-    from lumitree.asset.asset import Asset, AssetInfo
-    from lumitree.asset.file import save
-    from lumitree.core.frames import LocalFrame
-    from lumitree.core.progress import Progress, show_progress
-    from lumitree.goniophotometry.figures import Estimate, PhotometricFigures
-    from lumitree.goniophotometry.near_field import NearFieldLimit
-    from lumitree.luminaire.luminaire import Luminaire
-    from lumitree.luminaire.scene_shapes import SceneShape
-    from lumitree.luminaire.source import LuminaireSource
-    from lumitree.rendering.placement import Placement
-    from lumitree.rendering.placement_file import read_placements
-    from lumitree.rendering.plugins import register, shape
+    from lumitree.fit.bake import bake, refine
+    from lumitree.fit.catalogue.bake_many import BakeManyResult, bake_many
+    from lumitree.fit.catalogue.index import BakedLamp
+    from lumitree.fit.merge import merge
+    from lumitree.fit.network.bake import bake_network, capture, extract, train
+    from lumitree.lamp.loading import builtin_luminaires, load_luminaire
+    from lumitree.lamp.luminaire import Luminaire
+    from lumitree.lamp.scene_shapes import SceneShape
+    from lumitree.lamp.source import LuminaireSource
+    from lumitree.measure.evaluate import evaluate, preview
+    from lumitree.measure.photometry.figures import Estimate, PhotometricFigures
+    from lumitree.measure.photometry.near_field import NearFieldLimit
+    from lumitree.measure.photometry.photometry import photometry
+    from lumitree.output.export import ExportResult, export
+    from lumitree.output.viewer.view import ViewResult, view
+    from lumitree.render.files import load
+    from lumitree.render.placement import Placement
+    from lumitree.render.placement_file import read_placements
+    from lumitree.render.plugins.register import register, shape
+    from lumitree.render.render import mix, render
 
 __version__ = "0.1.0"
 
@@ -64,54 +64,54 @@ __version__ = "0.1.0"
 _HOMES = {
     "Asset": "asset.asset",
     "AssetInfo": "asset.asset",
-    "AssetPreviewResult": "api.results",
-    "BakeManyResult": "api.many",
-    "BakeResult": "api.results",
-    "BakedLamp": "api.lamp_index",
-    "CaptureResult": "api.results",
-    "Estimate": "goniophotometry.figures",
-    "EvaluateResult": "api.results",
-    "ExportResult": "api.exporting",
-    "Flux": "api.results",
+    "AssetPreviewResult": "core.results",
+    "BakeManyResult": "fit.catalogue.bake_many",
+    "BakeResult": "core.results",
+    "BakedLamp": "fit.catalogue.index",
+    "CaptureResult": "core.results",
+    "Estimate": "measure.photometry.figures",
+    "EvaluateResult": "core.results",
+    "ExportResult": "output.export",
+    "Flux": "core.results",
     "LocalFrame": "core.frames",
-    "Luminaire": "luminaire.luminaire",
-    "LuminaireSource": "luminaire.source",
-    "MissedFlux": "api.results",
-    "NearFieldLimit": "goniophotometry.near_field",
-    "PhotometricFigures": "goniophotometry.figures",
-    "PhotometryResult": "api.results",
-    "Placement": "rendering.placement",
-    "PreviewResult": "api.results",
+    "Luminaire": "lamp.luminaire",
+    "LuminaireSource": "lamp.source",
+    "MissedFlux": "core.results",
+    "NearFieldLimit": "measure.photometry.near_field",
+    "PhotometricFigures": "measure.photometry.figures",
+    "PhotometryResult": "core.results",
+    "Placement": "render.placement",
+    "PreviewResult": "core.results",
     "Progress": "core.progress",
-    "MixResult": "api.results",
-    "RenderResult": "api.results",
-    "Result": "api.results",
-    "SceneShape": "luminaire.scene_shapes",
-    "TrainResult": "api.results",
-    "ViewResult": "api.page",
-    "bake": "api.baking",
-    "bake_many": "api.many",
-    "bake_network": "api.network",
-    "builtin_luminaires": "api.luminaires",
-    "capture": "api.network",
-    "evaluate": "api.viewing",
-    "export": "api.exporting",
-    "extract": "api.network",
-    "load": "api.files",
-    "load_luminaire": "api.luminaires",
-    "merge": "api.merging",
-    "photometry": "api.photometry",
-    "preview": "api.viewing",
-    "read_placements": "rendering.placement_file",
-    "refine": "api.baking",
-    "register": "rendering.plugins",
-    "mix": "api.rendering",
-    "render": "api.rendering",
+    "MixResult": "core.results",
+    "RenderResult": "core.results",
+    "Result": "core.results",
+    "SceneShape": "lamp.scene_shapes",
+    "TrainResult": "core.results",
+    "ViewResult": "output.viewer.view",
+    "bake": "fit.bake",
+    "bake_many": "fit.catalogue.bake_many",
+    "bake_network": "fit.network.bake",
+    "builtin_luminaires": "lamp.loading",
+    "capture": "fit.network.bake",
+    "evaluate": "measure.evaluate",
+    "export": "output.export",
+    "extract": "fit.network.bake",
+    "load": "render.files",
+    "load_luminaire": "lamp.loading",
+    "merge": "fit.merge",
+    "photometry": "measure.photometry.photometry",
+    "preview": "measure.evaluate",
+    "read_placements": "render.placement_file",
+    "refine": "fit.bake",
+    "register": "render.plugins.register",
+    "mix": "render.render",
+    "render": "render.render",
     "save": "asset.file",
-    "shape": "rendering.plugins",
+    "shape": "render.plugins.register",
     "show_progress": "core.progress",
-    "train": "api.network",
-    "view": "api.page",
+    "train": "fit.network.bake",
+    "view": "output.viewer.view",
 }
 __all__ = [
     "Asset",

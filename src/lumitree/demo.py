@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.api.baking import bake
-from lumitree.api.image_settings import image_settings
-from lumitree.api.measures import Stopwatch, peak_memory_bytes
-from lumitree.api.viewing import IRRADIANCE_PATHS, evaluate
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import write_json
+from lumitree.core.image_settings import image_settings
 from lumitree.core.images import write_exr
 from lumitree.core.interrupt import Interrupted
+from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
+from lumitree.fit.bake import bake
+from lumitree.measure.evaluate import IRRADIANCE_PATHS, evaluate
 
 LUMINAIRE = "bulbs"
 BAKE_SECONDS = 150
@@ -62,11 +62,11 @@ def _render_room(output: Path, asset: str, watch: Stopwatch) -> dict[str, Any]:
         difference of two halves of the samples.
     """
     load_mitsuba()
-    from lumitree.evaluation.metrics import rel_mse
-    from lumitree.evaluation.strip import write_strip
-    from lumitree.rendering.demo_room import demo_room, lamp
-    from lumitree.rendering.passes import Budget, render_passes
-    from lumitree.rendering.scene import (
+    from lumitree.measure.metrics import rel_mse
+    from lumitree.output.strip import write_strip
+    from lumitree.render.demo_room import demo_room, lamp
+    from lumitree.render.passes import Budget, render_passes
+    from lumitree.render.scene import (
         PlacedLuminaire,
         appearance_for,
         default_integrator,

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exitant_fields import random_exitant
 from lumitree.asset.exitant import MAX_BINS, ExitantField, make_exitant_field, pack, unpack
 from lumitree.errors import LumitreeError
 from lumitree.octree.build import morton
+from support.exitant_fields import random_exitant
 
 # Half a step of a mantissa of 9 bits, relative to the largest channel. It is largest where rounding
 # carries: from 511.5 steps up the step is twice as large.

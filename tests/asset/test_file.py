@@ -12,14 +12,14 @@ import safetensors.numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import damage
-from exitant_fields import assert_equal_fields, random_exitant, with_inside
-from fields import make_asset, random_asset
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.exitant import TracedPaths, make_exitant_field
 from lumitree.asset.file import load, save
 from lumitree.errors import LumitreeError
-from model_assets import small_model, with_model
+from support import damage
+from support.exitant_fields import assert_equal_fields, random_exitant, with_inside
+from support.fields import make_asset, random_asset
+from support.model_assets import small_model, with_model
 
 
 @pytest.fixture(scope="module")

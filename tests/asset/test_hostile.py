@@ -7,8 +7,6 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from exitant_fields import assert_equal_fields, random_exitant
-from fields import random_asset
 from lumitree.asset.asset import (
     MAX_DENSITY,
     MAX_RADIANCE,
@@ -23,7 +21,9 @@ from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import MAX_LABEL
 from lumitree.core.transmittance import LAWS
 from lumitree.errors import LumitreeError
-from lumitree.rendering.reference import leaf_boxes
+from lumitree.render.reference import leaf_boxes
+from support.exitant_fields import assert_equal_fields, random_exitant
+from support.fields import random_asset
 
 ROUNDS = 100
 TRACED = TracedPaths(1 << 20, (0, 7), 64 * "a", 0.02)

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from exitant_fields import random_exitant, random_inside
 from lumitree.asset.light_inside import parts_of_ending
 from lumitree.errors import LumitreeError
+from support.exitant_fields import random_exitant, random_inside
 
 FIELD = random_exitant(0)
 INSIDE = random_inside(0, FIELD)

@@ -9,9 +9,6 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from damage import refused
-from exitant_fields import random_exitant, with_inside
-from fields import random_asset
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.file import _digest, load, save
 from lumitree.asset.materials import check_material
@@ -20,7 +17,10 @@ from lumitree.asset.model import AssetModel
 from lumitree.asset.model_bytes import model_tensors
 from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
-from model_assets import small_model, with_model
+from support.damage import refused
+from support.exitant_fields import random_exitant, with_inside
+from support.fields import random_asset
+from support.model_assets import small_model, with_model
 
 ROUNDS = 300
 WORDS = (

@@ -10,7 +10,7 @@ import pytest
 import lumitree
 from benchmarks.__main__ import main, names
 from benchmarks.common.setting import command_line
-from fields import random_asset
+from support.fields import random_asset
 
 ROOT = Path(__file__).parents[2]
 

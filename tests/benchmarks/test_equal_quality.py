@@ -12,8 +12,8 @@ from benchmarks.common.results import Results
 from benchmarks.equal_error.pairs import Pair, read_pairs
 from benchmarks.equal_error.readings import display_levels, display_rows
 from benchmarks.equal_quality import measure, write
-from fields import random_asset
-from lamps import AREA, cube, scene, sphere
+from support.fields import random_asset
+from support.lamps import AREA, cube, scene, sphere
 
 ROOM = (
     '<scene version="3.0.0"><sensor type="perspective"><float name="fov" value="60"/>'

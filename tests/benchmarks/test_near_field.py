@@ -5,17 +5,17 @@ import json
 import numpy as np
 import pytest
 
-import tiny_bakes
 from benchmarks.__main__ import main
 from benchmarks.inside_box.figures import masks, over_planes, patch_errors, shadow
 from benchmarks.inside_box.patches import NORMALS, Rectangle, surroundings
-from lamps import AREA, scene, sphere
 from lumitree.core.device import on_device
-from lumitree.exitant.config import EXITANT_QUALITIES, ExitantConfig
-from lumitree.luminaire.luminaire import load_luminaire
-from lumitree.luminaire.scene_writer import write_scene
-from lumitree.model.geometry import lathe
-from lumitree.model.model import Diffuse, Material, Metal, Model, Part
+from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.meshes import lathe
+from lumitree.lamp.parts import Diffuse, Material, Metal, Model, Part
+from lumitree.lamp.scene_writer import write_scene
+from lumitree.trace.light_field_config import EXITANT_QUALITIES, ExitantConfig
+from support import tiny_bakes
+from support.lamps import AREA, scene, sphere
 
 PATHS = 1 << 20
 # Points of each patch from which camera paths start.
@@ -52,7 +52,7 @@ def camera_irradiance(mi, luminaire, rectangle):
     """[2, P²] irradiance by camera paths, and its standard error."""
     import drjit as dr
 
-    from lumitree.rendering.plugins import register
+    from lumitree.render.plugins.register import register
 
     register()
     frame, count = luminaire.frame, rectangle.patches**2

@@ -19,7 +19,7 @@ from benchmarks.paper_tables.scales import SCALES
 from benchmarks.paper_tables.work import Work
 from lumitree.core.interrupt import Interrupted
 from lumitree.errors import LumitreeError
-from lumitree.nerf.config import PRESETS
+from lumitree.fit.network.config import PRESETS
 
 
 @pytest.fixture
@@ -136,7 +136,7 @@ def test_no_cell_begins_after_the_time(setting, capsys):
 
 def test_training_stops_at_the_deadline_and_goes_on(tmp_path, monkeypatch):
     """Training is called with steps that fit, and what is done counts in the next call."""
-    from lumitree.nerf import train as training
+    from lumitree.fit.network import train as training
 
     config = dataclasses.replace(SCALES["test"].network, num_steps=5000)
     done, asked = [0], []
@@ -231,7 +231,7 @@ def test_arithmetic_of_a_step_is_that_of_its_weights(scale):
     import jax
     from flax import nnx
 
-    from lumitree.nerf.network import NerfSH
+    from lumitree.fit.network.network import NerfSH
 
     config = SCALES[scale].network
     shapes = nnx.eval_shape(lambda: nnx.state(NerfSH(config, 0.1, nnx.Rngs(0))))
@@ -242,7 +242,7 @@ def test_arithmetic_of_a_step_is_that_of_its_weights(scale):
 
 def full_store(store, scale):
     """Records of all cells with invented values, and images of 8 x 8 pixels."""
-    from lumitree.evaluation.metrics import METRICS
+    from lumitree.measure.metrics import METRICS
 
     metrics = dict.fromkeys(METRICS, 12.3456)
     methods = {

@@ -21,7 +21,7 @@ from benchmarks.baselines.direction_cells import (
 from benchmarks.baselines.zhu import train_zhu
 from benchmarks.baselines.zhu_networks import RayNetworks, ZhuConfig, sphere_entry
 from lumitree.core.directions import orthographic_rays, view_pose
-from lumitree.nerf.ray_set import RaySet
+from lumitree.fit.network.ray_set import RaySet
 
 RADIUS, RINGS, SECTORS = 1.3, 5, 8
 COUNT, BINS = 100_000, 12

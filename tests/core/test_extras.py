@@ -40,9 +40,9 @@ from lumitree.core.backend import load_mitsuba
 load_mitsuba("llvm_ad_rgb")
 for module in pkgutil.walk_packages(lumitree.__path__, "lumitree."):
     name = module.name
-    if not name.startswith("lumitree.nerf.") and not name.endswith(("__main__", "_script")):
+    if not name.startswith("lumitree.fit.network.") and not name.endswith(("__main__", "_script")):
         importlib.import_module(name)
-import lumitree.nerf.config
+import lumitree.fit.network.config
 for name in lumitree.__all__:
     getattr(lumitree, name)
 print(sorted({"jax", "jaxlib", "flax", "optax", "orbax"} & set(sys.modules)))

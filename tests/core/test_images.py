@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from damage import damaged, refused
 from lumitree.core.images import (
     linear_from_srgb,
     read_comment,
@@ -12,6 +11,7 @@ from lumitree.core.images import (
     write_exr,
 )
 from lumitree.errors import LumitreeError
+from support.damage import damaged, refused
 
 ROUNDS = 150
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fields import make_asset, random_asset
 from lumitree.errors import LumitreeError
 from lumitree.octree.build import build_children, child_cells, morton
-from lumitree.rendering.reference import integrate_ray, leaf_boxes
+from lumitree.render.reference import integrate_ray, leaf_boxes
+from support.fields import make_asset, random_asset
 
 
 @given(st.lists(st.tuples(*[st.integers(0, 1023)] * 3), min_size=1, max_size=50))
@@ -65,7 +65,7 @@ def test_overlaps_are_refused():
 )
 def test_reference_against_closed_form(law, density, expected):
     """A cube of constant density and emission: T(2 sigma), and (1 - T) Phi."""
-    from fields import uniform_asset
+    from support.fields import uniform_asset
 
     asset = uniform_asset(density, [4.0, 2.0, 1.0], law=law)
     radiance, through = integrate_ray(asset, np.array([0.3, 0.2, -5]), np.array([0, 0, 1.0]))

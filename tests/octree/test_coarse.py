@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fields import make_asset, random_asset
 from lumitree.octree.build import child_cells
 from lumitree.octree.coarse import COARSE_DEPTH, coarsened
 from lumitree.octree.leaves import leaf_cells
+from support.fields import make_asset, random_asset
 
 SIDE = 2.0 / (1 << COARSE_DEPTH)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from fields import random_asset
 from lumitree.octree.wide_nodes import EMPTY, LEAF, wide_levels, wide_nodes
-from lumitree.rendering.reference import leaf_boxes
+from lumitree.render.reference import leaf_boxes
+from support.fields import random_asset
 
 
 @pytest.mark.parametrize("depth", range(1, 12))

@@ -98,7 +98,7 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
 
 def luminaire(args: argparse.Namespace, name: str) -> Any:
     """`LuminaireSource` of the luminaire `name` and the options of `add_reading`."""
-    from lumitree.luminaire.source import LuminaireSource
+    from lumitree.lamp.source import LuminaireSource
 
     return LuminaireSource(name, args.materials, tuple(args.keep), tuple(args.drop))
 

@@ -72,7 +72,7 @@ def print_metrics(report: dict[str, Any]) -> None:
 
 def print_lamps(lamps: Sequence[Any]) -> None:
     """Print one line per `BakedLamp`."""
-    from lumitree.evaluation.index_page import lumens_text
+    from lumitree.fit.catalogue.page import lumens_text
 
     for lamp in lamps:
         text = lamp.state if lamp.error is None else f"{lamp.state}: {lamp.error}"

@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> Any:
 
 
 def show(args: argparse.Namespace, result: Any) -> None:
-    from lumitree.goniophotometry.tables import figure_rows
+    from lumitree.measure.photometry.tables import figure_rows
 
     rows = figure_rows(result, result.size, result.step, result.rays, result.ugr)
     print_lines({"luminaire": result.luminaire, **dict(rows)})
@@ -100,7 +100,7 @@ def _print_near_field(result: Any) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from lumitree.goniophotometry.tables import NEAR_FIELD_HEADER, near_field_rows
+    from lumitree.measure.photometry.tables import NEAR_FIELD_HEADER, near_field_rows
 
     table = Table(title="far field, intensity / distance², within 5 %")
     for heading in NEAR_FIELD_HEADER:

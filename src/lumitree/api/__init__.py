@@ -1,1 +1,0 @@
-"""The functions of `lumitree`: typed arguments, frozen results."""

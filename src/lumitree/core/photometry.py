@@ -1,0 +1,159 @@
+"""Radiometry to photometry and back: luminance, luminous flux, colour temperature.
+
+lumitree's convention: a radiance (R, G, B) in W/(m² sr), linear sRGB primaries, has the luminance
+683 lm/W x (0.2126 R + 0.7152 G + 0.0722 B) cd/m². A Lambertian surface of area A emits a
+luminous flux of π A times its luminance.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.device import on_device
+from lumitree.errors import LumitreeError
+from lumitree.lamp.parts import RGB
+
+# Maximum luminous efficacy, lm/W.
+LUMENS_PER_WATT = 683.0
+# Luminance of the linear sRGB primaries (ITU-R BT.709).
+LUMA: RGB = (0.2126, 0.7152, 0.0722)
+MIN_TEMPERATURE, MAX_TEMPERATURE = 1000.0, 20000.0
+
+_SRGB_FROM_XYZ = np.array(
+    [
+        [3.2404542, -1.5371385, -0.4985314],
+        [-0.9692660, 1.8760108, 0.0415560],
+        [0.0556434, -0.2040259, 1.0572252],
+    ]
+)
+# The other way; the rows are x, y and z, so the second is `LUMA` of IEC 61966-2-1, rounded.
+_XYZ_FROM_SRGB = np.linalg.inv(_SRGB_FROM_XYZ)
+# Wavelengths, nm, over which spectra are summed, 1 nm each.
+_VISIBLE = np.arange(360.0, 831.0)
+# 2hc² for wavelengths in nm and radiance per nm, W/(m² sr).
+_PLANCK = 1.191043e20
+# Temperatures of the Planckian locus, K: neighbours differ by 0.5 %.
+_LOCUS_TEMPERATURES = np.geomspace(900.0, 1e5, 950)
+# Largest distance from the locus for which a correlated colour temperature is defined (CIE 15).
+MAX_DUV = 0.05
+
+
+def luminance(rgb: ArrayLike) -> NDArray[np.float64]:
+    """Photometric [...] of a radiometric quantity [..., 3] in R, G and B: W becomes lm."""
+    return LUMENS_PER_WATT * (np.asarray(rgb, np.float64) @ np.array(LUMA))
+
+
+def flux_from_radiance(radiance: Sequence[float], area: float) -> float:
+    """Luminous flux, lm, of a Lambertian surface.
+
+    Args:
+        radiance: R, G and B in W/(m² sr).
+        area: in m².
+    """
+    return math.pi * area * float(luminance(radiance))
+
+
+def radiance_from_flux(lumens: float, area: float, colour: Sequence[float]) -> RGB:
+    """Radiance, W/(m² sr), of a Lambertian surface of `area` m² that emits `lumens`.
+
+    Args:
+        colour: linear RGB; only its ratios matter.
+    """
+    factor = lumens / flux_from_radiance(colour, area)
+    return (factor * colour[0], factor * colour[1], factor * colour[2])
+
+
+def blackbody_colour(temperature: float) -> RGB:
+    """Linear sRGB colour, of luminance 1, of a black body; clipped at 0 outside the gamut.
+
+    Args:
+        temperature: in kelvin, from 1000 to 20000.
+    """
+    rgb = np.maximum(_SRGB_FROM_XYZ @ _blackbody_xyz(np.array([temperature]))[0], 0.0)
+    rgb /= rgb @ LUMA
+    return (float(rgb[0]), float(rgb[1]), float(rgb[2]))
+
+
+def blackbody_radiance(temperature: float, shortest: float = 360.0, longest: float = 830.0) -> RGB:
+    """Radiance, W/(m² sr), of a black body as linear sRGB, with its luminance.
+
+    The spectral radiance is integrated against the CIE 1931 colour matching functions. Channels
+    that are negative outside the gamut become 0; the others are then scaled to the luminance.
+
+    Args:
+        temperature: in kelvin, from 100 to 100000.
+        shortest, longest: wavelengths between which it emits, nm.
+
+    Raises:
+        LumitreeError: the temperature is out of range.
+    """
+    if not 100 <= temperature <= 1e5:
+        raise LumitreeError(f"a black body of {temperature:g} K; expected 100 to 100000 K")
+    wavelength = np.array([each for each in _VISIBLE if shortest <= each <= longest])
+    xyz = _PLANCK * _blackbody_xyz(np.array([temperature]), wavelength)[0]
+    rgb = np.maximum(_SRGB_FROM_XYZ @ xyz, 0.0)
+    rgb *= xyz[1] / max(rgb @ LUMA, np.finfo(float).tiny)
+    return (float(rgb[0]), float(rgb[1]), float(rgb[2]))
+
+
+def xyz_from_srgb(rgb: ArrayLike) -> NDArray[np.float64]:
+    """CIE 1931 XYZ [..., 3] of linear sRGB [..., 3]; white of luminance 1 has Y = 1."""
+    return np.asarray(rgb, np.float64) @ _XYZ_FROM_SRGB.T
+
+
+def srgb_from_xyz(xyz: ArrayLike) -> NDArray[np.float64]:
+    """Linear sRGB [..., 3] of CIE 1931 XYZ [..., 3]; inverse of `xyz_from_srgb`."""
+    return np.asarray(xyz, np.float64) @ _SRGB_FROM_XYZ.T
+
+
+def colour_temperature(rgb: ArrayLike) -> tuple[float, float]:
+    """Correlated colour temperature and Duv of a colour (CIE 15; ANSI C78.377).
+
+    The nearest point of the Planckian locus in the CIE 1960 (u, v) diagram.
+
+    Args:
+        rgb: [3] linear sRGB; only its ratios matter.
+
+    Returns:
+        Temperature, K: NaN if the colour is black, more than 0.05 from the locus, or its
+        temperature is not within 1000 to 90000 K. And Duv, the distance from the locus, positive
+        above it (greenish); NaN for black.
+    """
+    xyz = xyz_from_srgb(rgb)
+    if not (xyz.sum() > 0):
+        return math.nan, math.nan
+    locus, point = _uv(_blackbody_xyz(_LOCUS_TEMPERATURES)), _uv(xyz)
+    # Nearest points of the straight lines between neighbours.
+    edge = np.diff(locus, axis=0)
+    along = ((point - locus[:-1]) * edge).sum(axis=1) / (edge**2).sum(axis=1)
+    along = np.clip(along, 0, 1)
+    distance = np.linalg.norm(locus[:-1] + along[:, None] * edge - point, axis=1)
+    nearest = int(distance.argmin())
+    first, second = 1 / _LOCUS_TEMPERATURES[nearest : nearest + 2]
+    temperature = 1 / (first + along[nearest] * (second - first))
+    # The locus goes from red to blue, so what is above it is on the right of its edges.
+    offset = point - locus[nearest]
+    above = edge[nearest, 0] * offset[1] - edge[nearest, 1] * offset[0] < 0
+    duv = math.copysign(float(distance[nearest]), 1 if above else -1)
+    known = abs(duv) <= MAX_DUV and 1000 <= temperature <= 9e4
+    return (float(temperature) if known else math.nan), duv
+
+
+def _uv(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """CIE 1960 chromaticity [..., 2] of XYZ [..., 3]."""
+    x, y, z = np.moveaxis(xyz, -1, 0)
+    return np.stack([4 * x, 6 * y], axis=-1) / (x + 15 * y + 3 * z)[..., None]
+
+
+def _blackbody_xyz(
+    temperature: NDArray[np.float64], wavelength: NDArray[np.float64] = _VISIBLE
+) -> NDArray[np.float64]:
+    """CIE 1931 XYZ [N, 3], divided by `_PLANCK`, of black bodies [N], K, at wavelengths in nm."""
+    # Planck's law; 1.438777e7 nm K is hc/k.
+    spectrum = wavelength**-5 / np.expm1(1.438777e7 / (wavelength * temperature[:, None]))
+    mi = load_mitsuba()
+    matching = np.array(mi.cie1931_xyz(on_device(mi.Float, wavelength)), np.float64)
+    return spectrum @ matching.T

@@ -1,1 +1,0 @@
-"""Metrics and contact sheets of baked luminaires on held-out views."""

@@ -1,1 +1,0 @@
-"""The exitant light field: what a luminaire sends to receivers outside its box, by light paths."""

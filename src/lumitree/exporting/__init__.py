@@ -1,1 +1,0 @@
-"""Assets for other renderers: a lamp as Blender has it, point lights and meshes."""

@@ -1,0 +1,1 @@
+"""Many lamps, baked into one folder with an index page."""

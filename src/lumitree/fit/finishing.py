@@ -1,0 +1,79 @@
+"""The end of every bake: the asset is written, and the irradiance around it is measured."""
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from lumitree.asset.asset import Asset
+from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
+from lumitree.core.results import BakeResult
+from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.work_folder import WorkFolder
+from lumitree.measure.irradiance_check import measure_irradiance
+from lumitree.render.files import FilePath, save_asset
+
+if TYPE_CHECKING:
+    from lumitree.lamp.luminaire import Luminaire
+
+
+def finish_bake(
+    asset: Asset,
+    output: FilePath | None,
+    watch: Stopwatch,
+    luminaire: "Luminaire | None" = None,
+    irradiance_paths: int = 0,
+    stopped_by: int | None = None,
+    **figures: Any,
+) -> BakeResult:
+    """Write an asset, and compare the irradiance around it with that around its luminaire.
+
+    Args:
+        output: path of the file to write; None: no file is written.
+        watch: measures the stage "irradiance"; all its times become the result's.
+        luminaire: what was baked; None: the irradiance is not compared.
+        irradiance_paths: as for `measure_irradiance`.
+        stopped_by: number of the signal that interrupted the bake; the irradiance is not compared
+            then.
+        figures: other fields of the result.
+
+    Returns:
+        The result. `stopped_by` is set if a signal arrived here, too: the asset is written then,
+        but its irradiance is not known.
+    """
+    irradiance, complete = None, stopped_by is None
+    with deferred_interrupt() as interruption:
+        path = save_asset(asset, output)
+    stopped_by = interruption.number if stopped_by is None else stopped_by
+    compares = luminaire is not None and irradiance_paths > 0
+    if luminaire is not None and stopped_by is None:
+        try:
+            with interruptible():
+                irradiance = measure_irradiance(asset, luminaire, irradiance_paths, watch)
+        except (Exception, KeyboardInterrupt) as error:
+            if (interrupted := interruption_behind(error)) is None:
+                raise
+            stopped_by = interrupted.number
+    return BakeResult(
+        asset=asset,
+        path=path,
+        irradiance=irradiance,
+        stopped_by=stopped_by,
+        complete=complete,
+        finished=complete and (irradiance is not None or not compares),
+        **figures,
+        **watch.costs(),
+    )
+
+
+def remove_state(
+    folder: WorkFolder, work: FilePath | None, result: BakeResult, names: Iterable[str]
+) -> None:
+    """Remove the saved state of a bake, unless it is not finished or its folder is the user's.
+
+    Args:
+        folder: holds the state.
+        work: folder that the user chose, or None.
+        result: of the bake.
+        names: patterns of what to remove, as for `WorkFolder.remove`.
+    """
+    if work is None and result.finished:
+        folder.remove(names)

@@ -1,0 +1,1 @@
+"""The light field of a lamp, from light paths."""

@@ -1,0 +1,90 @@
+"""A histogram of light paths by the cell of their last vertex and by direction.
+
+Light that ends on the luminaire is counted too, by its reach (`inside`).
+"""
+
+import dataclasses
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+from lumitree.asset.exitant import ExitantField, TracedPaths, make_exitant_field
+from lumitree.core.octahedral import solid_angles
+from lumitree.core.photometry import luminance
+from lumitree.core.progress import progress
+from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.errors import LumitreeError
+from lumitree.fit.light_field.inside import DISTANCES, make_entries
+from lumitree.fit.light_field.merge import relative_noise
+from lumitree.fit.light_field.saved_field import SavedExitantField
+from lumitree.fit.light_field.visibility import unoccluded
+from lumitree.lamp.luminaire import Luminaire
+from lumitree.trace.ending_segments import EndingConfig
+from lumitree.trace.histograms import EndingHistogram, Histogram
+from lumitree.trace.light_field_config import ExitantConfig
+from lumitree.trace.light_paths import trace_light
+from lumitree.trace.tracing import PATH_DEPTH, check_finite
+
+
+def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> ExitantField:
+    """Estimate the exitant light field of a luminaire, and its noise from the batches' spread.
+
+    With it the light that ends on the luminaire, for receivers inside its box.
+
+    Args:
+        luminaire: what is baked.
+        config: how. Equal settings give equal fields.
+        folder: where the field is kept; it is returned if an equal call left it there.
+
+    Raises:
+        LumitreeError: no light leaves the luminaire, or a path's flux is NaN or infinite.
+    """
+    saved = SavedExitantField(folder, luminaire, config)
+    if (field := saved.load()) is not None:
+        return field
+    histogram = Histogram(config.depth, config.resolution)
+    ending = EndingHistogram(config.depth, config.resolution // 2, DISTANCES)
+    batches = -(-config.paths // config.batch)
+    by_direction = []
+    with progress(f"light of {luminaire.name}", batches) as advance:
+        for step in range(batches):
+            sampler = mi.load_dict({"type": "independent"})
+            sampler.seed(SeedStream(Purpose.EXITANT, step).seed(config.seed), config.batch)
+            segments = EndingConfig(
+                config.depth, SeedStream(Purpose.ENDING, step).seed(config.seed)
+            )
+            paths = trace_light(
+                luminaire, sampler, config.batch, PATH_DEPTH, all_light=True, ending=segments
+            )
+            flux = np.array(paths.flux, np.float64).reshape(3, -1)
+            check_finite(luminaire, flux)
+            assert paths.ending is not None
+            ends = np.array(paths.ending.flux, np.float64).reshape(3, -1)
+            check_finite(luminaire, ends)
+            places = SeedStream(Purpose.ENDING, step, 2).seed(config.seed)
+            ending.add(paths.ending, ends / batches, places)
+            # Paths have the direction of the camera ray that meets them.
+            bins = histogram.add(paths.origin, -paths.direction, flux / batches)
+            by_direction.append(np.bincount(bins, luminance(flux.T), config.resolution**2))
+            advance(1)
+    if not histogram.flux.any():
+        raise LumitreeError(
+            f"no light leaves {luminaire.name}; look for emitters that are enclosed or black"
+        )
+    solid_angle = solid_angles(config.resolution)
+    traced = TracedPaths(
+        count=batches * config.batch,
+        seeds=(config.seed,),
+        luminaire=luminaire.fingerprint,
+        noise=relative_noise(np.array(by_direction) / solid_angle, np.ones(batches)),
+    )
+    intensity = histogram.flux / solid_angle[:, None]
+    field = make_exitant_field(histogram.cells, intensity, config.depth, traced)
+    entries = make_entries(field, ending.cells, ending.flux, ending.by_reach)
+    reach, curves = entries.reach(config.seed)
+    free, other = unoccluded(luminaire, entries, config.seed)
+    inside = entries.encoded(reach, curves, free, config.seed, independent=other)
+    field = dataclasses.replace(field, inside=inside)
+    saved.save(field)
+    return field

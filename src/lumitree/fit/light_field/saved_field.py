@@ -1,0 +1,60 @@
+"""The exitant light field of an unfinished bake, which the same bake does not trace again."""
+
+import hashlib
+import json
+import warnings
+from dataclasses import asdict
+from pathlib import Path
+
+from lumitree.asset.asset import exitant_asset
+from lumitree.asset.exitant import ExitantField
+from lumitree.asset.file import load, save
+from lumitree.core.files import WriteError
+from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.lamp.luminaire import Luminaire
+from lumitree.trace.light_field_config import ExitantConfig
+
+EXITANT_STATE = "exitant.lumitree"
+
+
+class SavedExitantField:
+    """The file in a folder that holds the exitant light field of one luminaire and one setting.
+
+    It is an asset. In place of the luminaire's name it has a digest of the luminaire and of the
+    setting.
+
+    Args:
+        folder: the folder of the file.
+        luminaire: what is baked.
+        config: how.
+    """
+
+    def __init__(self, folder: Path, luminaire: Luminaire, config: ExitantConfig) -> None:
+        record = json.dumps([luminaire.fingerprint, asdict(config)], sort_keys=True)
+        self._digest = hashlib.sha256(record.encode()).hexdigest()
+        self._path, self._frame = folder / EXITANT_STATE, luminaire.frame
+
+    def load(self) -> ExitantField | None:
+        """The field; None if there is none, or it is another luminaire's or damaged."""
+        if not self._path.exists():
+            return None
+        try:
+            asset = load(self._path)
+        except LumitreeError:
+            return None
+        field = asset.exitant
+        if field is None or field.inside is None or asset.luminaire != self._digest:
+            return None
+        return field
+
+    def save(self, field: ExitantField) -> None:
+        """Write the field; warns where it cannot be written, since the bake does not need it."""
+        try:
+            save(exitant_asset(field, self._frame, self._digest), self._path)
+        except WriteError as error:
+            warnings.warn(
+                f"cannot save the exitant light field in {self._path.parent}: {error.reason}; the "
+                "bake goes on, and would trace it again if it were stopped",
+                LumitreeWarning,
+                stacklevel=2,
+            )

@@ -1,0 +1,415 @@
+"""The bake by the paper's network: `bake_network`, and its steps `capture`, `train`, `extract`."""
+
+import dataclasses
+from collections.abc import Collection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from lumitree.asset.asset import Asset
+from lumitree.core.arguments import (
+    MAX_SAMPLES,
+    check_asset_output,
+    check_choice,
+    check_image_settings,
+    check_range,
+)
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
+from lumitree.core.extras import check_network
+from lumitree.core.files import WriteError, check_writable
+from lumitree.core.interrupt import Interrupted
+from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.results import BakeResult, CaptureResult, TrainResult
+from lumitree.core.seeds import check_seed
+from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
+from lumitree.core.work_folder import scratch_folder
+from lumitree.errors import LumitreeError, explained
+from lumitree.fit.finishing import finish_bake, remove_state
+from lumitree.fit.light_field.saved_field import EXITANT_STATE
+from lumitree.fit.network.config import PRESETS, TrainConfig
+from lumitree.lamp.loading import warn_of_faults
+from lumitree.measure.irradiance_check import IRRADIANCE_PATHS, check_irradiance_paths
+from lumitree.octree.build import check_tree_depth
+from lumitree.render.files import FilePath, open_work_folder
+from lumitree.trace.light_field_config import EXITANT_QUALITIES
+
+if TYPE_CHECKING:
+    from lumitree.asset.exitant import ExitantField
+    from lumitree.lamp.luminaire import Luminaire, LuminaireLike
+
+Preset = Literal["preview", "paper"]
+NetworkPart = Literal["exitant", "field"]
+NETWORK_PARTS: tuple[NetworkPart, ...] = get_args(NetworkPart)
+
+
+@dataclasses.dataclass(frozen=True)
+class NetworkBake:
+    """Settings of `bake_network`.
+
+    Attributes:
+        num_views: number of captured views.
+        resolution: pixels per side of a view.
+        samples_per_pixel: paths per pixel of a view.
+        tree_depth: level of the leaves.
+        train: settings of the network and of its training.
+        samples_per_leaf: positions at which the network is evaluated per leaf.
+        quality: of the exitant light field, and of the comparison of irradiance, see `bake`.
+    """
+
+    num_views: int
+    resolution: int
+    samples_per_pixel: int
+    tree_depth: int
+    train: TrainConfig
+    samples_per_leaf: int = 256
+    quality: str = "preview"
+
+
+NETWORK_BAKES: dict[str, NetworkBake] = {
+    "preview": NetworkBake(60, 192, 48, 7, PRESETS["preview"], samples_per_leaf=64),
+    # The paper does not state its samples per pixel.
+    "paper": NetworkBake(100, 800, 256, 10, PRESETS["paper"], quality="high"),
+}
+
+
+@explained
+def bake_network(
+    luminaire: "LuminaireLike",
+    output: FilePath,
+    *,
+    preset: Preset = "preview",
+    tree_depth: int | None = None,
+    parts: Collection[NetworkPart] = NETWORK_PARTS,
+    irradiance_paths: int | None = None,
+    seed: int = 0,
+    work: FilePath | None = None,
+    variant: str | None = None,
+    progress: ProgressCallback | None = show_progress,
+) -> BakeResult:
+    """Bake a luminaire with the method of the paper: `capture`, `train` and `extract` in one call.
+
+    The exitant light field is made first, from light paths, as `bake` makes it. If the call is
+    interrupted, the same call continues it.
+
+    Args:
+        luminaire: what to bake, in any form that `bake` takes except the folder of a dataset.
+        output: path of the `.lumitree` file to write.
+        preset: settings of views, network and octree: "preview" (minutes on 2 CPU cores) or
+            "paper" (days on a GPU).
+        tree_depth: level of the leaves, 1 to 10. Default: 7 for "preview", 10 for "paper".
+        parts: what the asset gets, see `bake`: "field", which the network is trained for, and
+            "exitant".
+        irradiance_paths: see `bake`. Default: 2¹⁸ for "preview", 2²⁰ for "paper".
+        seed: root seed of the training and of the exitant light field, 0 to 2³¹ - 1. Views do not
+            depend on it.
+        work: folder for the dataset and the run; see `bake`.
+        variant: Mitsuba variant; see `bake`.
+        progress: function that is called with a `Progress` after each step; see `bake`.
+
+    Returns:
+        The asset (`asset`), its file (`path`), and the error of the irradiance around it
+        (`irradiance`). `stopped_by` is the number of a signal that arrived once the asset was
+        complete, or None.
+
+    Raises:
+        LumitreeError: an argument is out of range; the luminaire cannot be read; the work folder
+            holds the state of another bake; a file cannot be written; or the extra `network` of
+            lumitree is not installed.
+        Interrupted: SIGINT, SIGTERM or SIGHUP was received before the asset was complete. The work
+            folder is kept.
+    """
+    check_asset_output(output)
+    check_choice("preset", preset, NETWORK_BAKES)
+    settings = NETWORK_BAKES[preset]
+    tree_depth = settings.tree_depth if tree_depth is None else tree_depth
+    check_tree_depth(tree_depth)
+    for part in parts:
+        check_choice("part", part, NETWORK_PARTS)
+    if "field" not in parts:
+        raise LumitreeError(
+            f"parts are {', '.join(parts) or 'none'}; expected field, which the network is trained "
+            "for: use bake for the others alone"
+        )
+    paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS[settings.quality])
+    check_seed(seed)
+    check_network()
+    load_mitsuba(variant)
+    from lumitree.lamp.luminaire import load_luminaire
+
+    watch, exitant = Stopwatch(), None
+    with open_work_folder(output, work) as folder:
+        with reporting(progress):
+            lamp = load_luminaire(luminaire)
+            if "exitant" in parts:
+                exitant = _bake_exitant(lamp, settings.quality, seed, folder.path, watch)
+        captured = capture(
+            lamp,
+            folder.path / "dataset",
+            num_views=settings.num_views,
+            resolution=settings.resolution,
+            samples_per_pixel=settings.samples_per_pixel,
+            variant=variant,
+            progress=progress,
+        )
+        from lumitree.fit.network.run import RUN_FILES
+
+        run = folder.path / "run"
+        trained = train(
+            captured.dataset, run, preset=preset, seed=seed, resume=run.exists(), progress=progress
+        )
+        if trained.stopped_by is not None:
+            raise Interrupted("the same command continues", trained.stopped_by)
+        with reporting(progress):
+            extracted = _extract(
+                run, output, tree_depth, settings.samples_per_leaf, exitant, lamp, paths
+            )
+        names = [f"dataset/{name}" for name in DATASET_FILES]
+        names += [*(f"run/{name}" for name in RUN_FILES), EXITANT_STATE]
+        remove_state(folder, work, extracted, names)
+    seconds = watch.seconds | captured.seconds | trained.seconds | extracted.seconds
+    return dataclasses.replace(extracted, seconds=seconds, peak_memory_bytes=peak_memory_bytes())
+
+
+@explained
+def capture(
+    luminaire: "LuminaireLike",
+    output: FilePath,
+    *,
+    num_views: int = 100,
+    resolution: int = 256,
+    samples_per_pixel: int = 128,
+    split: Split = "train",
+    variant: str | None = None,
+    progress: ProgressCallback | None = show_progress,
+) -> CaptureResult:
+    """Render views of a luminaire into a dataset: radiance and two kinds of opacity, as OpenEXR.
+
+    The views are orthographic. Their directions are a Halton sequence on the sphere. Only views
+    that are missing in the folder are rendered, so the same call continues an interrupted capture.
+
+    Args:
+        luminaire: what to render, in any form that `bake` takes except the folder of a dataset.
+        output: folder of the dataset: new, empty, or that of the same capture.
+        num_views: number of views, 1 to 100,000.
+        resolution: pixels per side of a view, 1 to 16,384.
+        samples_per_pixel: paths per pixel, 1 to 1,048,576.
+        split: "train" or "test". The two have no direction in common.
+        variant: Mitsuba variant; see `bake`.
+        progress: function that is called with a `Progress` after each view; see `bake`.
+
+    Returns:
+        The folder (`dataset`), the name of the luminaire, and the number of views.
+
+    Raises:
+        LumitreeError: an argument is out of range; the luminaire cannot be read; or the folder
+            holds another capture.
+        Interrupted: SIGINT, SIGTERM or SIGHUP was received. Finished views are kept.
+    """
+    check_range("views", num_views, 1, MAX_VIEWS)
+    check_image_settings(resolution=resolution, spp=samples_per_pixel)
+    check_choice("split", split, get_args(Split))
+    check_writable(Path(output) / MANIFEST)
+    load_mitsuba(variant)
+    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.trace.capture import capture as capture_views
+
+    watch = Stopwatch()
+    with reporting(progress), watch.stage("capture"):
+        lamp = load_luminaire(luminaire)
+        warn_of_faults(lamp)
+        try:
+            dataset = capture_views(
+                lamp,
+                output,
+                num_views=num_views,
+                resolution=resolution,
+                samples_per_pixel=samples_per_pixel,
+                split=split,
+            )
+        except WriteError as error:
+            if not (Path(output) / MANIFEST).exists():
+                raise
+            raise LumitreeError(f"{error}; the same command continues the capture") from error
+    return CaptureResult(
+        dataset=Path(output),
+        luminaire=dataset.manifest.luminaire,
+        views=len(dataset.manifest.frames),
+        **watch.costs(),
+    )
+
+
+@explained
+def train(
+    dataset: FilePath,
+    output: FilePath,
+    *,
+    preset: Preset = "preview",
+    seed: int = 0,
+    resume: bool = False,
+    progress: ProgressCallback | None = show_progress,
+) -> TrainResult:
+    """Train the network of the paper (NeRF-SH) on a dataset.
+
+    Args:
+        dataset: folder of the dataset, made by `capture`.
+        output: folder of the run, for checkpoints and the history of the loss.
+        preset: settings of the network: "preview" (minutes on 2 CPU cores) or "paper" (days on a
+            GPU).
+        seed: seed of the initial weights, the batches and the jitter, 0 to 2³¹ - 1. With `resume`
+            it must be that of the run.
+        resume: continue from the newest checkpoint in `output`. The result equals, bit for bit,
+            that of a run without interruption.
+        progress: function that is called with a `Progress` after each step; see `bake`.
+
+    Returns:
+        The folder (`run`), the number of steps, the PSNR on held-out rays in dB (`psnr`), and that
+        of an all-black prediction (`psnr_black`). `stopped_by` is the number of the signal that
+        interrupted the training, or None.
+
+    Raises:
+        LumitreeError: an argument is out of range; the dataset cannot be read; `output` holds
+            another run; there is nothing to resume; or the extra `network` of lumitree is not
+            installed.
+    """
+    check_choice("preset", preset, PRESETS)
+    config = dataclasses.replace(PRESETS[preset], seed=seed)
+    check_writable(Path(output) / MANIFEST)
+    check_network()
+    from lumitree.fit.network.train import train as train_network
+
+    watch = Stopwatch()
+    with reporting(progress), watch.stage("train"):
+        result = train_network(dataset, output, config, resume=resume)
+    return TrainResult(
+        run=Path(output),
+        steps=result.steps,
+        psnr=result.psnr,
+        psnr_black=result.psnr_black,
+        rays_per_second=result.rays_per_second,
+        stopped_by=result.stopped_by,
+        finished=result.steps == config.num_steps,
+        **watch.costs(),
+    )
+
+
+@explained
+def extract(
+    run: FilePath,
+    output: FilePath | None = None,
+    *,
+    tree_depth: int = 8,
+    samples_per_leaf: int = 256,
+    luminaire: "LuminaireLike | None" = None,
+    irradiance_paths: int | None = None,
+    seed: int = 0,
+    variant: str | None = None,
+    progress: ProgressCallback | None = show_progress,
+) -> BakeResult:
+    """Convert a trained network into an asset.
+
+    Each leaf of the octree stores the mean of the network's output at positions inside it. The
+    exitant light field needs the luminaire, which the run does not contain.
+
+    Args:
+        run: folder of the run, made by `train`.
+        output: path of the `.lumitree` file to write. Default: no file is written.
+        tree_depth: level of the leaves, 1 to 10. Their side is the longest side of the bounding box
+            divided by 2^tree_depth.
+        samples_per_leaf: positions per leaf, 1 to 1,048,576.
+        luminaire: the luminaire that the views are of, in any form that `bake` takes except the
+            folder of a dataset. If it is given, the asset gets the exitant light field too, and
+            the irradiance around it is compared with that around the luminaire.
+        irradiance_paths: see `bake`. Default: 2¹⁹.
+        seed: root seed of the exitant light field, 0 to 2³¹ - 1.
+        variant: Mitsuba variant; see `bake`.
+        progress: function that is called with a `Progress` after each step; see `bake`.
+
+    Returns:
+        The asset (`asset`), its file (`path`), and with a luminaire the error of the irradiance
+        around it (`irradiance`).
+
+    Raises:
+        LumitreeError: an argument is out of range; the run cannot be read; the field is empty; the
+            luminaire cannot be read, or its bounding box is not that of the views; or the extra
+            `network` of lumitree is not installed.
+    """
+    if output is not None:
+        check_asset_output(output)
+    check_tree_depth(tree_depth)
+    check_range("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
+    paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS["standard"])
+    check_seed(seed)
+    check_network()
+    if luminaire is None:
+        with reporting(progress):
+            return _extract(run, output, tree_depth, samples_per_leaf)
+    load_mitsuba(variant)
+    from lumitree.fit.network.trained_field import load_field
+    from lumitree.lamp.luminaire import load_luminaire
+
+    watch = Stopwatch()
+    with reporting(progress), scratch_folder() as folder:
+        lamp = load_luminaire(luminaire)
+        if (frame := load_field(run).frame) != lamp.frame:
+            raise LumitreeError(
+                f"{lamp.name} has a bounding box of {_sides(lamp.frame.size)} and the views of "
+                f"{run} one of {_sides(frame.size)}, or another place; give the luminaire that was "
+                "captured"
+            )
+        exitant = _bake_exitant(lamp, "standard", seed, folder, watch)
+        result = _extract(run, output, tree_depth, samples_per_leaf, exitant, lamp, paths)
+    return dataclasses.replace(result, seconds=watch.seconds | result.seconds)
+
+
+def _sides(size: Any) -> str:
+    return " x ".join(f"{side:.4g}" for side in size)
+
+
+def _bake_exitant(
+    lamp: "Luminaire", quality: str, seed: int, folder: Path, watch: Stopwatch
+) -> "ExitantField":
+    """The exitant light field of a quality of `bake`; see `fit.light_field.bake`."""
+    from lumitree.fit.light_field.bake import bake_exitant
+
+    with watch.stage("exitant"):
+        config = dataclasses.replace(EXITANT_QUALITIES[quality], seed=seed)
+        return bake_exitant(lamp, config, folder)
+
+
+def _extract(
+    run: FilePath,
+    output: FilePath | None,
+    tree_depth: int,
+    samples_per_leaf: int,
+    exitant: "ExitantField | None" = None,
+    lamp: "Luminaire | None" = None,
+    irradiance_paths: int = 0,
+) -> BakeResult:
+    """As `extract`, with an exitant light field; compares the irradiance with that of a lamp."""
+    from lumitree.fit.network.trained_field import load_field
+    from lumitree.octree.extract import extract as extract_octree
+
+    watch = Stopwatch()
+    with watch.stage("extract"):
+        field = load_field(run)
+        if field.emission_weights != "decrease":
+            raise LumitreeError(
+                f"{run} was trained with {field.emission_weights} emission weights, which no asset "
+                "has; expected decrease"
+            )
+        children, density, coefficients = extract_octree(
+            field.query, field.frame.half_extents, tree_depth, samples_per_leaf=samples_per_leaf
+        )
+        asset = Asset(
+            children=children,
+            density=density,
+            coefficients=coefficients,
+            tree_depth=tree_depth,
+            l_max=field.l_max,
+            law=field.law,
+            max_radiance=field.max_radiance,
+            frame=field.frame,
+            luminaire=field.luminaire,
+            exitant=exitant,
+        )
+    return finish_bake(asset, output, watch, lamp, irradiance_paths)

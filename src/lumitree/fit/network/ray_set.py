@@ -1,0 +1,185 @@
+"""The training set: every captured ray that crosses an occupied cell.
+
+Symbols
+    V            views
+    N            rays kept
+    radiance     captured HDR radiance, clipped at max_radiance
+    held out     rays at multiples of a stride, which are not used for training
+
+Memory: 22 bytes per ray (view 2, pixel 4, radiance 12, opacity 4). A hundred views of 800² pixels
+have 64 million rays, of which about half cross the box: 0.7 to 1.4 GB.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.dataset import Dataset, OpacityKind
+from lumitree.core.directions import orthographic_rays
+from lumitree.errors import LumitreeError
+from lumitree.fit.network.occupancy import Occupancy, dilated_hull, full_occupancy, occupied_bins
+
+NUM_HELD_OUT = 4096
+
+
+class Batch(NamedTuple):
+    """R rays: origins and unit directions of travel [R, 3], radiance [R, 3], opacity [R]."""
+
+    origins: jax.Array
+    directions: jax.Array
+    radiance: jax.Array
+    opacity: jax.Array
+
+
+@dataclasses.dataclass(frozen=True)
+class RaySet:
+    """All rays of a dataset that cross an occupied part of the bounding box.
+
+    Attributes:
+        corners: [V, 3] origins of the rays of each view's first pixel, local frame.
+        column_steps, row_steps: [V, 3] offset to the origin of the next pixel in the row, and in
+            the column.
+        directions: [V, 3] directions of travel of each view.
+        resolution: pixels per side of a view.
+        view: [N] uint16 index of each ray's view.
+        pixel: [N] uint32 index of each ray's pixel, row by row.
+        radiance: [N, 3] clipped at `max_radiance`.
+        opacity: [N] in [0, 1].
+        max_radiance: L_max, > 0.
+    """
+
+    corners: NDArray[np.float32]
+    column_steps: NDArray[np.float32]
+    row_steps: NDArray[np.float32]
+    directions: NDArray[np.float32]
+    resolution: int
+    view: NDArray[np.uint16]
+    pixel: NDArray[np.uint32]
+    radiance: NDArray[np.float32]
+    opacity: NDArray[np.float32]
+    max_radiance: float
+
+    def batch(self, index: NDArray[np.integer]) -> Batch:
+        """The rays at `index` [R]."""
+        view = self.view[index]
+        row, column = np.divmod(self.pixel[index].astype(np.int64), self.resolution)
+        origins = (
+            self.corners[view]
+            + column[:, None].astype(np.float32) * self.column_steps[view]
+            + row[:, None].astype(np.float32) * self.row_steps[view]
+        )
+        rays = (origins, self.directions[view], self.radiance[index], self.opacity[index])
+        return Batch(*map(jnp.asarray, rays))
+
+    def draw(self, seed: int, step: int, count: int) -> Batch:
+        """The random batch of a step; it depends on the arguments only, so that runs can resume."""
+        stride = self._held_out_stride
+        # Indices of the rays that are not held out, in order.
+        num_trained = len(self.view) - -(-len(self.view) // stride)
+        drawn = np.random.default_rng((seed, step)).integers(0, num_trained, count)
+        return self.batch(drawn + 1 + drawn // (stride - 1))
+
+    @property
+    def typical_part(self) -> float:
+        """Geometric mean of the lit rays' channels over `max_radiance`, clipped to [1e-4, 0.5]."""
+        sample = self.radiance[:: max(1, len(self.radiance) // 1_000_000)]
+        lit = sample[sample > 0] / self.max_radiance
+        mean = float(np.exp(np.log(lit).mean())) if lit.size else 1e-4
+        return min(max(mean, 1e-4), 0.5)
+
+    def held_out(self) -> Batch:
+        """At most NUM_HELD_OUT rays that `draw` never returns; at most half of the rays."""
+        return self.batch(np.arange(0, len(self.view), self._held_out_stride)[:NUM_HELD_OUT])
+
+    @property
+    def _held_out_stride(self) -> int:
+        return max(2, len(self.view) // NUM_HELD_OUT)
+
+
+def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[RaySet, Occupancy]:
+    """Read all views and keep the rays that cross an occupied part of the box.
+
+    All other rays have radiance 0 and opacity 0, in the captured views and in the field.
+
+    Args:
+        dataset: training views.
+        kind: which captured opacity supervises the field.
+        skip_empty: use the visual hull; otherwise the whole box counts as occupied.
+
+    Raises:
+        LumitreeError: views are missing or damaged, or all of them are black.
+    """
+    manifest = dataset.manifest
+    if len(manifest.frames) > np.iinfo(np.uint16).max:
+        raise LumitreeError(f"{len(manifest.frames)} views are too many; capture at most 65535")
+    views = list(dataset.views())
+    highest = dataset.max_radiance(views)
+    if skip_empty:
+        masks = ((view.frame.pose, view.geometric > 0) for view in views)
+        occupancy = dilated_hull(masks, manifest.half_width, manifest.local_frame.half_extents)
+    else:
+        occupancy = full_occupancy(manifest.local_frame.half_extents)
+    geometry, kept = [], []
+    for view in views:
+        origins, direction = orthographic_rays(
+            view.frame.pose, manifest.half_width, manifest.resolution
+        )
+        geometry.append(_view_geometry(origins, direction))
+        kept.append(np.flatnonzero(_crossing(occupancy, origins, direction)))
+    if not any(len(pixels) for pixels in kept):
+        raise LumitreeError(f"no ray of {dataset.folder} crosses the luminaire; capture it again")
+    corners, column_steps, row_steps, directions = (
+        np.stack(x) for x in zip(*geometry, strict=True)
+    )
+    rays = RaySet(
+        corners,
+        column_steps,
+        row_steps,
+        directions,
+        manifest.resolution,
+        view=np.repeat(np.arange(len(views), dtype=np.uint16), [len(p) for p in kept]),
+        pixel=np.concatenate(kept).astype(np.uint32),
+        radiance=_gather([view.radiance.reshape(-1, 3) for view in views], kept, highest),
+        opacity=_gather([view.opacity(kind).ravel() for view in views], kept, 1.0),
+        max_radiance=highest,
+    )
+    return rays, occupancy
+
+
+def _view_geometry(
+    origins: NDArray[np.float32], direction: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], ...]:
+    """Corner, step to the next column, step to the next row and direction of one view."""
+    steps = max(origins.shape[0] - 1, 1)
+    column_step = (origins[0, -1] - origins[0, 0]) / steps
+    row_step = (origins[-1, 0] - origins[0, 0]) / steps
+    return origins[0, 0], column_step, row_step, direction
+
+
+def _crossing(
+    occupancy: Occupancy, origins: NDArray[np.float32], direction: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Whether each ray of a view [H, H, 3] crosses an occupied part of the box, [H · H]."""
+    # Row by row, because the bins of a whole view take gigabytes.
+    return np.asarray(_crossing_rows(occupancy, jnp.asarray(origins), jnp.asarray(direction)))
+
+
+@jax.jit
+def _crossing_rows(occupancy: Occupancy, origins: jax.Array, direction: jax.Array) -> jax.Array:
+    def row(row_origins: jax.Array) -> jax.Array:
+        directions = jnp.broadcast_to(direction, row_origins.shape)
+        return jnp.any(occupied_bins(occupancy, row_origins, directions)[0], axis=-1)
+
+    return jax.lax.map(row, origins).ravel()
+
+
+def _gather(
+    values: list[NDArray[np.float32]], kept: list[NDArray[np.intp]], limit: float
+) -> NDArray[np.float32]:
+    """Rows with the indices `kept` of all views, clipped to [0, limit]."""
+    rows = [value[pixels] for value, pixels in zip(values, kept, strict=True)]
+    return np.clip(np.concatenate(rows), 0, limit)

@@ -1,0 +1,179 @@
+"""The folder of a training run.
+
+RUN/run.json        see `RunRecord`
+RUN/occupancy.npz   occupancy grid, see `occupancy.Occupancy`
+RUN/history.json    list of {step, seconds, loss, psnr}
+RUN/checkpoints/    Orbax checkpoints; the last two are kept
+"""
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import jax
+import orbax.checkpoint as ocp
+
+from lumitree.core.files import WriteError, check_room, write_json
+from lumitree.core.frames import LocalFrame, file_keys, file_members
+from lumitree.core.reading import Record, label, parse_json, read_bytes
+from lumitree.core.work_folder import remove_written
+from lumitree.errors import LumitreeError
+from lumitree.fit.network.config import TrainConfig
+
+RECORD = "run.json"
+OCCUPANCY = "occupancy.npz"
+HISTORY = "history.json"
+CHECKPOINTS = "checkpoints"
+# Patterns of what is in a run's folder. A checkpoint is a folder named after its step.
+RUN_FILES = (RECORD, OCCUPANCY, HISTORY, f"{CHECKPOINTS}/[0-9]*")
+VERSION = 1
+# Of a checkpoint, beside its arrays; about.
+_METADATA_BYTES = 1 << 18
+_MAX_RECORD_BYTES, _MAX_PATH = 1 << 20, 1 << 14
+
+
+@dataclasses.dataclass(frozen=True)
+class RunRecord:
+    """What extraction needs in addition to the weights, so that the dataset is not needed.
+
+    Attributes:
+        config: settings of the run; its law and l_max are those of the field.
+        dataset: folder of the training views.
+        fingerprint: fingerprint of the luminaire that the dataset shows.
+        luminaire: name of the luminaire.
+        max_radiance: L_max, > 0.
+        frame: the luminaire's local frame.
+    """
+
+    config: TrainConfig
+    dataset: str
+    fingerprint: str
+    luminaire: str
+    max_radiance: float
+    frame: LocalFrame
+    version: int = VERSION
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "luminaire", label(self.luminaire))
+        if not 0 < self.max_radiance < float("inf"):
+            raise LumitreeError(f"max_radiance is {self.max_radiance}; expected a positive number")
+
+    def save(self, folder: Path) -> None:
+        """Write run.json, atomically."""
+        write_json(folder / RECORD, file_members(self))
+
+    @staticmethod
+    def load(folder: Path) -> "RunRecord":
+        """Read run.json.
+
+        Raises:
+            LumitreeError: the file is missing or damaged.
+        """
+        path = folder / RECORD
+        if not path.exists():
+            raise LumitreeError(
+                f"{folder} holds no {RECORD}; expected a run made by 'lumitree train'"
+            )
+        text = read_bytes(path, "a run made by 'lumitree train'", _MAX_RECORD_BYTES)
+        try:
+            return _parse(Record(parse_json(text), "the run"))
+        except LumitreeError as error:
+            raise LumitreeError(f"{path} is damaged ({error}); train again") from None
+
+
+def _parse(data: Record) -> RunRecord:
+    data.expect_version(VERSION)
+    data.expect_keys(*file_keys(RunRecord, "frame"))
+    try:
+        config = TrainConfig(**data.members("config"))
+    except TypeError as error:
+        raise LumitreeError(f"config: {error}") from None
+    return RunRecord(
+        config=config,
+        dataset=data.text("dataset", _MAX_PATH),
+        fingerprint=data.label("fingerprint"),
+        luminaire=data.label("luminaire"),
+        max_radiance=data.number("max_radiance"),
+        frame=LocalFrame.of_record(data),
+    )
+
+
+@contextmanager
+def open_checkpoints(folder: Path) -> Iterator[ocp.CheckpointManager]:
+    """The checkpoints of a run; their folder is made if it is missing."""
+    # Synchronous: a state is small, and must be on the disk before it is reported as saved.
+    options = ocp.CheckpointManagerOptions(max_to_keep=2, enable_async_checkpointing=False)
+    with ocp.CheckpointManager((folder / CHECKPOINTS).resolve(), options=options) as manager:
+        yield manager
+
+
+def has_checkpoint(folder: Path) -> bool:
+    """Whether a run can be resumed."""
+    saved = folder / CHECKPOINTS
+    return saved.is_dir() and any(entry.name.isdigit() for entry in saved.iterdir())
+
+
+def save_checkpoint(folder: Path, manager: ocp.CheckpointManager, step: int, state: Any) -> None:
+    """Write the state after `step` steps, atomically, unless it was already written.
+
+    Raises:
+        WriteError: the disk is full or not writable.
+    """
+    if manager.latest_step() == step:
+        return
+    try:
+        # Orbax prints pages of tracebacks when the disk is full.
+        check_room(folder, _METADATA_BYTES + sum(leaf.nbytes for leaf in jax.tree.leaves(state)))
+        manager.save(step, args=ocp.args.StandardSave(state))
+    except (OSError, ValueError, WriteError) as error:
+        with contextlib.suppress(OSError):
+            remove_written(folder / CHECKPOINTS, ["*.orbax-checkpoint-tmp"])
+        remedy = "choose another output"
+        if has_checkpoint(folder):
+            remedy = "make the folder writable, and continue with --resume"
+        if isinstance(error, WriteError):
+            error = OSError(None, error.reason)
+        raise WriteError(folder, error, f"a checkpoint to {folder}", remedy) from error
+
+
+def remove_unfinished(folder: Path, made: bool) -> None:
+    """Remove the files of a run that has no checkpoint; and its folder, if lumitree `made` it."""
+    if has_checkpoint(folder):
+        return
+    with contextlib.suppress(OSError):
+        remove_written(folder, RUN_FILES)
+        if made:
+            folder.rmdir()
+
+
+def restore_checkpoint(folder: Path, template: Any) -> Any:
+    """The newest state of a run.
+
+    Args:
+        folder: folder of the run.
+        template: tree of arrays whose shapes and types the state must have.
+
+    Raises:
+        LumitreeError: there is no checkpoint, or the newest is damaged or does not match.
+    """
+    if not (folder / CHECKPOINTS).is_dir():
+        raise LumitreeError(f"{folder} holds no checkpoint: nothing to resume or to extract")
+    device = jax.sharding.SingleDeviceSharding(jax.devices()[0])
+    placed = jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=device), template
+    )
+    with open_checkpoints(folder) as manager:
+        step = manager.latest_step()
+        if step is None:
+            raise LumitreeError(f"{folder} holds no checkpoint: nothing to resume or to extract")
+        try:
+            return manager.restore(step, args=ocp.args.StandardRestore(placed))
+        # Orbax and TensorStore raise many types of exceptions for damaged files.
+        except Exception as error:
+            raise LumitreeError(
+                f"checkpoint {step} of {folder} is damaged ({type(error).__name__}); "
+                f"remove {manager.directory / str(step)} to fall back to the one before it"
+            ) from error

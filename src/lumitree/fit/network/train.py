@@ -1,0 +1,254 @@
+"""Training by Adam on random batches of rays; a resumed run gives the same bits."""
+
+import dataclasses
+import json
+import os
+import time
+import warnings
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import orbax.checkpoint as ocp
+from flax import nnx
+
+from lumitree.core.dataset import Dataset
+from lumitree.core.files import WriteError, is_empty, write_json
+from lumitree.core.interrupt import deferred_interrupt
+from lumitree.core.progress import progress
+from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.fit.network.config import TrainConfig
+from lumitree.fit.network.losses import psnr
+from lumitree.fit.network.occupancy import Occupancy, save_occupancy
+from lumitree.fit.network.ray_set import Batch, RaySet, load_rays
+from lumitree.fit.network.run import (
+    HISTORY,
+    OCCUPANCY,
+    RECORD,
+    RunRecord,
+    has_checkpoint,
+    open_checkpoints,
+    remove_unfinished,
+    restore_checkpoint,
+    save_checkpoint,
+)
+from lumitree.fit.network.step import (
+    TrainState,
+    initial_state,
+    make_evaluation,
+    make_step,
+    state_sharding,
+)
+
+_CHECKPOINT_SECONDS = 60.0
+_REPORT_SECONDS = 5.0
+# Losses are read back in groups, so that a GPU does not wait for the host.
+_STEPS_PER_CHECK = 10
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainResult:
+    """Result of a call of `train`.
+
+    Attributes:
+        steps: steps done by this call and earlier ones.
+        seconds: time of these steps, without the time to read the dataset.
+        psnr: PSNR of the held-out rays, dB (`losses.psnr`).
+        psnr_black: PSNR of an all-black prediction of the same rays, dB.
+        rays_per_second: training speed of this call.
+        stopped_by: number of the signal that ended the call early; None if none did.
+    """
+
+    steps: int
+    seconds: float
+    psnr: float
+    psnr_black: float
+    rays_per_second: float
+    stopped_by: int | None
+
+
+def train(
+    dataset_path: str | os.PathLike[str],
+    run_path: str | os.PathLike[str],
+    config: TrainConfig,
+    resume: bool = False,
+    stop_after: int | None = None,
+) -> TrainResult:
+    """Train a NeRF-SH on a dataset (Sec. 4.4), or continue a run.
+
+    Args:
+        dataset_path: folder made by `lumitree capture`.
+        run_path: folder of the run. It must be missing, empty, or that of a run without a
+            checkpoint, which is then started again. With `resume` it may be that of any run.
+        config: settings; with `resume` they must be those of the run.
+        resume: continue from the newest checkpoint, if there is one. The result is that of an
+            uninterrupted run.
+        stop_after: stop and save after this number of steps.
+
+    Raises:
+        LumitreeError: the dataset or the folder cannot be used, the settings are not those of the
+            run, there is nothing to resume, or the loss is not finite.
+    """
+    dataset, folder = Dataset.open(dataset_path), Path(run_path)
+    made = not folder.exists()
+    _check_folder(folder, config, resume)
+    resume = resume and has_checkpoint(folder)
+    rays, occupancy = load_rays(dataset, config.opacity_kind, config.skip_empty)
+    manifest = dataset.manifest
+    record = RunRecord(
+        config,
+        str(dataset.folder.resolve()),
+        manifest.fingerprint,
+        manifest.luminaire,
+        rays.max_radiance,
+        manifest.local_frame,
+    )
+    graph, state = initial_state(config, rays.typical_part)
+    history: list[dict[str, float]] = []
+    if resume:
+        _check_same_data(RunRecord.load(folder), record)
+        state = restore_checkpoint(folder, state)
+        history = _load_history(folder, int(state.step))
+    last = config.num_steps
+    if stop_after is not None:
+        last = min(last, int(state.step) + stop_after)
+    try:
+        if not resume:
+            record.save(folder)
+            save_occupancy(folder / OCCUPANCY, occupancy)
+        with open_checkpoints(folder) as checkpoints:
+            loop = _Loop(folder, rays, occupancy, config, graph, checkpoints, history)
+            return loop.run(state, last)
+    except WriteError:
+        remove_unfinished(folder, made)
+        raise
+
+
+class _Loop:
+    """The steps of one call, with reports, checkpoints and history at their intervals."""
+
+    def __init__(
+        self,
+        folder: Path,
+        rays: RaySet,
+        occupancy: Occupancy,
+        config: TrainConfig,
+        graph: nnx.GraphDef,
+        checkpoints: ocp.CheckpointManager,
+        history: list[dict[str, float]],
+    ) -> None:
+        self.folder, self.rays, self.config = folder, rays, config
+        self.checkpoints, self.history = checkpoints, history
+        self.held_out = rays.held_out()
+        self.occupancy = jax.device_put(occupancy, state_sharding(config))
+        self.step = make_step(config, graph, rays.max_radiance)
+        self.evaluate = make_evaluation(config, graph, rays.max_radiance)
+        self.earlier = history[-1]["seconds"] if history else 0.0
+        self.seconds = self.earlier
+        self.pending: list[tuple[jax.Array, jax.Array]] = []
+
+    def run(self, state: TrainState, last: int) -> TrainResult:
+        """Train up to step `last` and save the state, unless the loss is not finite."""
+        first = done = int(state.step)
+        state = jax.device_put(state, state_sharding(self.config))
+        start = reported = saved = time.monotonic()
+        with (
+            deferred_interrupt() as interrupted,
+            progress("train", self.config.num_steps, done) as advance,
+        ):
+            note = ""
+            while done < last and not interrupted:
+                state, loss, norm = self.step(state, self._draw(done), self.occupancy)
+                self.pending.append((loss, norm))
+                done += 1
+                if len(self.pending) >= _STEPS_PER_CHECK or done == last:
+                    shown = self._check(done)
+                    now = time.monotonic()
+                    self.seconds = self.earlier + now - start
+                    if now - reported >= _REPORT_SECONDS or done == last:
+                        reported = now
+                        speed = (done - first) * self.config.rays_per_batch / (now - start)
+                        note = self._report(done, shown, state, speed)
+                    if now - saved >= _CHECKPOINT_SECONDS:
+                        saved = now
+                        self._save_or_warn(done, state)
+                advance(1, note)
+            self._check(done)
+            self._save(done, state)
+        rate = (done - first) * self.config.rays_per_batch / max(self.seconds - self.earlier, 1e-9)
+        black = psnr(jnp.zeros(3), self.held_out.radiance, self.rays.max_radiance)
+        quality = float(self.evaluate(state.params, self.held_out, self.occupancy))
+        return TrainResult(done, self.seconds, quality, float(black), rate, interrupted.number)
+
+    def _draw(self, step: int) -> Batch:
+        return self.rays.draw(self.config.seed, step, self.config.rays_per_batch)
+
+    def _check(self, done: int) -> float:
+        """The last loss; refuses losses since the last check that are not finite."""
+        values = np.array(jax.device_get(self.pending), np.float64).reshape(-1, 2)
+        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if bad.size:
+            step = done - len(values) + int(bad[0]) + 1
+            raise LumitreeError(
+                f"the loss is not finite at step {step}; the last checkpoint of {self.folder} is "
+                "good: lower learning_rate_start and train again"
+            )
+        self.pending.clear()
+        return float(values[-1, 0]) if len(values) else float("nan")
+
+    def _report(self, done: int, loss: float, state: TrainState, rate: float) -> str:
+        quality = float(self.evaluate(state.params, self.held_out, self.occupancy))
+        seconds = round(self.seconds, 3)
+        self.history.append({"step": done, "seconds": seconds, "loss": loss, "psnr": quality})
+        return f"loss {loss:.3g}, PSNR {quality:.2f} dB, {rate / 1000:.1f} k rays/s"
+
+    def _save_or_warn(self, done: int, state: TrainState) -> None:
+        """Save a checkpoint; training continues if that fails."""
+        try:
+            self._save(done, state)
+        except LumitreeError as error:
+            warnings.warn(f"{error}; the training continues", LumitreeWarning, stacklevel=2)
+
+    def _save(self, done: int, state: TrainState) -> None:
+        save_checkpoint(self.folder, self.checkpoints, done, state)
+        write_json(self.folder / HISTORY, self.history)
+
+
+def _check_folder(folder: Path, config: TrainConfig, resume: bool) -> None:
+    """Refuse, before any work, a folder that cannot be used."""
+    if not folder.exists() and resume:
+        raise LumitreeError(f"{folder} does not exist: nothing to resume")
+    if folder.exists() and not folder.is_dir():
+        raise LumitreeError(f"{folder} is not a folder; choose another output with -o")
+    if not folder.exists() or is_empty(folder):
+        return
+    if not resume and (has_checkpoint(folder) or not (folder / RECORD).is_file()):
+        raise LumitreeError(
+            f"{folder} is not empty; continue it with --resume or choose another output with -o"
+        )
+    if not resume:
+        return
+    found, wanted = dataclasses.asdict(RunRecord.load(folder).config), dataclasses.asdict(config)
+    changed = [f"{key} {found[key]} -> {wanted[key]}" for key in found if found[key] != wanted[key]]
+    if changed:
+        raise LumitreeError(
+            f"{folder} was trained with other settings ({', '.join(changed)}); use the same ones "
+            "to resume, or choose another output with -o"
+        )
+
+
+def _check_same_data(found: RunRecord, wanted: RunRecord) -> None:
+    if (found.fingerprint, found.max_radiance) != (wanted.fingerprint, wanted.max_radiance):
+        raise LumitreeError(
+            f"{wanted.dataset} is not the dataset that the run was trained on ({found.dataset})"
+        )
+
+
+def _load_history(folder: Path, step: int) -> list[dict[str, float]]:
+    """Entries up to step `step`, the one of the checkpoint; later steps are repeated."""
+    try:
+        entries = json.loads((folder / HISTORY).read_text(encoding="utf-8"))
+        return [entry for entry in entries if entry["step"] <= step]
+    except (OSError, ValueError, TypeError, KeyError):
+        return []

@@ -1,0 +1,1 @@
+"""The octree of a lamp, from traced rays: estimation and refinement."""

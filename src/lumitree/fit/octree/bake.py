@@ -1,0 +1,273 @@
+"""The direct bake: a first field, gradient descent within a budget, and a closing calibration.
+
+`bake`, `bake_stored` and `refine` differ in where the rays come from and in the field that they
+start from; `_run` is the rest.
+"""
+
+import dataclasses
+import math
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.core.dataset import Dataset
+from lumitree.core.harmonics import Y_00, num_coefficients
+from lumitree.core.interrupt import deferred_interrupt
+from lumitree.core.progress import progress
+from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream
+from lumitree.errors import LumitreeError
+from lumitree.fit.octree.calibration import calibrate
+from lumitree.fit.octree.config import DirectConfig
+from lumitree.fit.octree.descent import Budget, Descent
+from lumitree.fit.octree.estimate import estimate
+from lumitree.fit.octree.flux_correction import flux_correction_factor
+from lumitree.fit.octree.growth import grow
+from lumitree.fit.octree.heldout import HeldOut, Score
+from lumitree.fit.octree.leaf_field import LeafField
+from lumitree.fit.octree.ray_source import RaySource, Subject
+from lumitree.fit.octree.refine import Refiner
+from lumitree.fit.octree.saved_state import StateFile
+from lumitree.fit.octree.stored import StoredRays
+from lumitree.fit.octree.traced import TracedRays
+from lumitree.lamp.luminaire import Luminaire
+from lumitree.octree.build import build_children
+from lumitree.octree.leaves import leaf_cells
+
+# Makes the first field of a bake, and its L_max.
+Start = Callable[[], tuple[LeafField, float]]
+
+
+@dataclasses.dataclass(frozen=True)
+class DirectResult:
+    """What a bake returns.
+
+    Attributes:
+        asset: the best field, after the closing calibration.
+        score: of the asset on the held-out rays.
+        rays: rays of the descent, with those of the runs that this one continued.
+        seconds: the same for time.
+        stopped_by: number of the signal that ended the bake early; None if none did.
+    """
+
+    asset: Asset
+    score: Score
+    rays: int
+    seconds: float
+    stopped_by: int | None
+
+
+def bake(luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResult:
+    """Bake a luminaire; continues an interrupted bake whose state is in `folder`.
+
+    Args:
+        luminaire: what is baked.
+        config: how.
+        folder: where the state is kept while it runs.
+
+    Raises:
+        LumitreeError: no light leaves the luminaire, or `folder` holds the state of another bake.
+    """
+    source = _traced_rays(luminaire, config)
+
+    def start() -> tuple[LeafField, float]:
+        max_radiance = config.max_radiance.headroom * _visible_radiance(source, config)
+        return _first_field(source, config, max_radiance), max_radiance
+
+    return _run(source, config, folder, "bake", start)
+
+
+def bake_stored(dataset: Dataset, config: DirectConfig, folder: Path) -> DirectResult:
+    """Bake the views of a dataset; otherwise as `bake`.
+
+    Raises:
+        LumitreeError: the views are black, too few or have nothing in common, or `folder` holds the
+            state of another bake.
+    """
+    source = StoredRays(dataset, config.views.held_out_stride, config.seed)
+    rate = config.views.coefficient_rate_factor * config.refine.coefficient_rate
+    descent = dataclasses.replace(config.refine, coefficient_rate=rate)
+    config = dataclasses.replace(config, refine=descent)
+
+    def start() -> tuple[LeafField, float]:
+        field = _hull_field(source, config)
+        if not field.num_leaves:
+            raise LumitreeError(f"no part of the box is lit in every view of {dataset.folder}")
+        return field, config.max_radiance.headroom * source.max_radiance()
+
+    return _run(source, config, folder, "bake", start)
+
+
+def refine(asset: Asset, luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResult:
+    """Continue from an asset, however it was made, with rays of its luminaire.
+
+    Args:
+        asset: where to start; its law and l_max stay, its leaves may be split.
+        luminaire: the luminaire that it was baked from.
+        config: how; its depth, l_max and law are replaced by the asset's. The rays depend on its
+            seed and on the asset, so that they are not those that the asset was made with.
+        folder: where the state is kept while it runs.
+
+    Raises:
+        LumitreeError: the bounding boxes of asset and luminaire differ, or `folder` holds the state
+            of another bake.
+    """
+    own, other = asset.frame, luminaire.frame
+    if not (
+        np.allclose(own.half_extents, other.half_extents, atol=1e-3)
+        and np.allclose(own.world_from_local, other.world_from_local, rtol=1e-3, atol=1e-3)
+    ):
+        raise LumitreeError(
+            f"the asset ({asset.luminaire}) and {luminaire.name} have different bounding boxes; "
+            "refine an asset with its own luminaire"
+        )
+    config = config.with_options(
+        tree_depth=asset.tree_depth,
+        l_max=asset.l_max,
+        law=asset.law,
+        seed=_continued_seed(asset, config.seed),
+    )
+    source = _traced_rays(luminaire, config)
+
+    def start() -> tuple[LeafField, float]:
+        # Refuses a luminaire without light.
+        _visible_radiance(source, config)
+        leaves = leaf_cells(asset.children, asset.num_leaves)
+        field = _field(config, source, *leaves, asset.density, asset.coefficients)
+        return field, asset.max_radiance
+
+    return _run(source, config, folder, "refine", start)
+
+
+def _run(
+    source: RaySource, config: DirectConfig, folder: Path, verb: str, start: Start
+) -> DirectResult:
+    """Start, or continue from the state in `folder`; spend the budget and make the asset."""
+    name = source.subject.name
+    state_file = StateFile(folder, source.subject, config)
+    saved = state_file.load()
+    if saved is None:
+        budget = Budget(config, 0.0, 0)
+        field, max_radiance = start()
+    else:
+        budget = Budget(config, saved.seconds, saved.rays)
+        field, max_radiance = _empty_field(config, source), saved.max_radiance
+    refiner = Refiner(field, source, max_radiance, config.refine, config.split)
+    best = None if saved is None else saved.restore(refiner)
+    held_out = HeldOut.trace(source, max_radiance, config.held_out)
+    descent = Descent(refiner, source, max_radiance, held_out, budget, config, state_file)
+    if best is not None:
+        descent.keep_better(best)
+    with deferred_interrupt() as interruption:
+        # At once, so that the first estimate, which takes tens of seconds, need not be repeated.
+        descent.save()
+        descent.run(f"{verb} {name}", interruption)
+        # The calibration that follows can be repeated from here, without the descent.
+        descent.save()
+        with progress(f"calibrate {name}", 2) as advance:
+            # The descent leaves small bright parts a few percent too bright. What the calibration
+            # cannot reach, as where the sigmoid saturates, the flux correction factor makes up for.
+            stream = SeedStream(Purpose.CLOSING_CALIBRATION, refiner.step)
+            calibrate(descent.best, source, max_radiance, config.calibration, stream, interruption)
+            advance(1)
+            factor = flux_correction_factor(
+                descent.best, source, max_radiance, config.flux, refiner.step, interruption
+            )
+            advance(1)
+        score = held_out.rescaled(factor).score(descent.best)
+    asset = make_asset(descent.best, source.subject, factor * max_radiance)
+    return DirectResult(asset, score, budget.rays, budget.seconds, interruption.number)
+
+
+def make_asset(field: LeafField, subject: Subject, max_radiance: float) -> Asset:
+    """The asset of a field."""
+    limit = float(np.finfo(np.float16).max)
+    return Asset(
+        children=build_children(field.cells, field.levels),
+        density=np.exp(np.array(field.log_density)).astype(np.float32),
+        coefficients=field.coefficient_array().clip(-limit, limit).astype(np.float16),
+        tree_depth=field.tree_depth,
+        l_max=field.l_max,
+        law=field.law,
+        max_radiance=max_radiance,
+        frame=subject.frame,
+        luminaire=subject.name,
+    )
+
+
+def _traced_rays(luminaire: Luminaire, config: DirectConfig) -> TracedRays:
+    level = min(config.tree_depth, config.ray_spacing_level)
+    return TracedRays(luminaire, spacing=2 / (1 << level), seed=config.seed)
+
+
+def _continued_seed(asset: Asset, seed: int) -> int:
+    """Root seed for refining an asset: not the one of the rays that it was made with."""
+    checksum = zlib.crc32(asset.coefficients.tobytes(), zlib.crc32(asset.density.tobytes()))
+    return SeedStream(Purpose.CONTINUATION, checksum).seed(seed) & MAX_SEED
+
+
+def _visible_radiance(source: TracedRays, config: DirectConfig) -> float:
+    """99.99th percentile of the radiance of pixels as wide as the smallest leaves.
+
+    Raises:
+        LumitreeError: it is 0.
+    """
+    max_radiance = source.max_radiance(2 / (1 << config.tree_depth), config.max_radiance)
+    if not max_radiance > 0:
+        raise LumitreeError(
+            f"{source.subject.name} sends no light out of its bounding box; a luminaire needs an "
+            "emitter that can be seen from outside"
+        )
+    return max_radiance
+
+
+def _first_field(source: TracedRays, config: DirectConfig, max_radiance: float) -> LeafField:
+    """The calibrated first estimate."""
+    level = min(config.tree_depth, config.estimate.max_level)
+    cells = grow(source, level, config.estimate)
+    first = estimate(source, cells, level, config.l_max, config.law, max_radiance, config.estimate)
+    levels = np.full(len(first.cells), level)
+    field = _field(config, source, first.cells, levels, first.density, first.coefficients)
+    calibrate(field, source, max_radiance, config.calibration, SeedStream(Purpose.CALIBRATION))
+    return field
+
+
+def _hull_field(source: StoredRays, config: DirectConfig) -> LeafField:
+    """The visual hull of stored views, with equal leaves."""
+    views = config.views
+    level = min(config.tree_depth, views.hull_level)
+    cells = source.hull(level)
+    coefficients = np.zeros((len(cells), 3, num_coefficients(config.l_max)))
+    coefficients[:, :, 0] = math.log(views.hull_emission / (1 - views.hull_emission)) / Y_00
+    density = np.full(len(cells), views.hull_optical_depth * (1 << level) / 2)
+    return _field(config, source, cells, np.full(len(cells), level), density, coefficients)
+
+
+def _empty_field(config: DirectConfig, source: RaySource) -> LeafField:
+    """A field without leaves."""
+    none = np.zeros((0, 3), np.int64)
+    return _field(config, source, none, none[:, 0], none[:, 0], np.zeros(0))
+
+
+def _field(
+    config: DirectConfig,
+    source: RaySource,
+    cells: NDArray[np.int64],
+    levels: NDArray[np.int64],
+    density: NDArray[Any],
+    coefficients: NDArray[Any],
+) -> LeafField:
+    return LeafField(
+        cells,
+        levels,
+        np.log(np.maximum(density, 1e-3)),
+        coefficients,
+        tree_depth=config.tree_depth,
+        l_max=config.l_max,
+        law=config.law,
+        half_extents=source.subject.frame.half_extents,
+    )

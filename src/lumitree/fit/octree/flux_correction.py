@@ -1,0 +1,44 @@
+"""The flux correction factor: total flux of the luminaire over that of the field."""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from lumitree.core.interrupt import Interruption
+from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.fit.octree.config import FluxConfig
+from lumitree.fit.octree.leaf_field import LeafField
+from lumitree.fit.octree.ray_source import RaySource
+
+
+def flux_correction_factor(
+    field: LeafField,
+    source: RaySource,
+    max_radiance: float,
+    config: FluxConfig,
+    step: int,
+    interruption: Interruption | None = None,
+) -> float:
+    """The factor on L_max that gives the field the total flux of the source; 1 where either is 0.
+
+    Args:
+        max_radiance: L_max of the field.
+        config: how many rays; with fewer draws the factor is less precise.
+        step: steps of descent that made the field.
+        interruption: no second draw is made once it is set.
+    """
+    traced, shown = 0.0, 0.0
+    for draw in range(config.draws):
+        if interruption and draw:
+            break
+        stream = SeedStream(Purpose.FLUX_CORRECTION, step, draw)
+        rays = source.draw(config.rays, stream, _all_rays, config.light_paths_per_ray)
+        radiance, _, _ = field.integrate(rays.origin, rays.direction)
+        traced += float(dr.sum(rays.light, axis=None)[0]) / max_radiance
+        shown += float(dr.sum(rays.share * radiance, axis=None)[0])
+    return traced / shown if traced > 0 and shown > 0 else 1.0
+
+
+def _all_rays(origin: Any, direction: Any) -> Any:
+    return dr.full(mi.Bool, True, dr.width(origin))

@@ -1,0 +1,1 @@
+"""Photometric files and ray files, read and written."""

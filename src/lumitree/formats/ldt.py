@@ -1,0 +1,253 @@
+"""EULUMDAT files (`.ldt`): written by the library eulumdat-py, and read here.
+
+A file has one field a line, in a fixed order; a field may be blank. After ten direct ratios follow
+the C planes, the γ angles, and for each plane that the symmetry does not make superfluous the
+intensities at all γ.
+"""
+
+import datetime
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.files import atomic_path
+from lumitree.errors import LumitreeError, shown
+from lumitree.formats.opening import Opening
+from lumitree.formats.photometric_text import (
+    MAX_ANGLES,
+    MAX_SETS,
+    integer,
+    number,
+    one_line,
+    read_text,
+    warn_of_file,
+)
+from lumitree.formats.symmetry import completed, without_noise
+from lumitree.formats.type_c import IntensityDistribution
+
+KIND = "EULUMDAT file"
+_MAKER = "lumitree"
+# Fields that are read, by their line, counted from 1.
+_SYMMETRY, _PLANES, _ANGLES, _NAME = 3, 4, 6, 9
+_LENGTH, _WIDTH, _HEIGHTS = 16, 17, (18, 19, 20, 21)
+_FACTOR, _TILT, _SETS = 24, 25, 26
+_LINES_OF_SET, _NUM_RATIOS = 6, 10
+_FIELDS = {
+    _SYMMETRY: "symmetry",
+    _PLANES: "number of C planes",
+    _ANGLES: "number of gamma angles",
+    _LENGTH: "length of the luminous area",
+    _WIDTH: "width of the luminous area",
+    _HEIGHTS[0]: "height of the luminous area at C = 0",
+    _HEIGHTS[1]: "height of the luminous area at C = 90",
+    _HEIGHTS[2]: "height of the luminous area at C = 180",
+    _HEIGHTS[3]: "height of the luminous area at C = 270",
+    _FACTOR: "conversion factor of the intensities",
+    _TILT: "tilt of the luminaire during measurement",
+    _SETS: "number of sets of lamps",
+    _SETS + 1: "number of lamps",
+    _SETS + 3: "luminous flux of the lamps",
+}
+# Each kind of symmetry: of how many equal parts of the circle planes are stored, and the first.
+_STORED = {0: (1, 0.0), 1: (0, 0.0), 2: (2, 0.0), 3: (2, 0.75), 4: (4, 0.0)}
+
+
+def write_ldt(path: str | os.PathLike[str], distribution: IntensityDistribution) -> None:
+    """Write an EULUMDAT file; see `ldt_of`.
+
+    Raises:
+        LumitreeError: the file cannot be written.
+    """
+    from pyldt import LdtWriter
+
+    file = ldt_of(distribution, Path(path).name)
+    with atomic_path(path) as temporary:
+        LdtWriter.write(file, temporary, overwrite=True)
+
+
+def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
+    """EULUMDAT data (`pyldt.Ldt`), without symmetry.
+
+    The flux of the lamps is that of the bare emitters. If it is not known, it is that of the
+    luminaire, and the number of lamps is -1 (absolute photometry). Direct ratios are 0. A round
+    luminous area has its diameter as length and no width; other shapes become boxes.
+    """
+    from pyldt import Ldt, LdtHeader
+
+    lumens, emitted = distribution.lumens, distribution.emitted_lumens
+    lamp_lumens = (emitted or lumens) or 1.0
+    # As written: the intensities are relative to it.
+    lamp_lumens = float(f"{lamp_lumens:.6f}") or lamp_lumens
+    c, gamma = distribution.c, distribution.gamma
+    below = np.where(gamma <= 90, distribution.intensity, 0)
+    angles = IntensityDistribution("", c, gamma, below).lumens
+    opening = distribution.opening
+    width, height, length = (1000 * side for side in opening.sides)
+    width = 0.0 if opening.is_round else width
+    header = LdtHeader(
+        company=_MAKER,
+        ityp=3,
+        isym=0,
+        mc=len(c),
+        dc=_step(c),
+        ng=len(gamma),
+        dg=_step(gamma),
+        report_number="simulated",
+        luminaire_name=one_line(distribution.name),
+        luminaire_number=one_line(distribution.name),
+        file_name=one_line(file_name),
+        date_user=datetime.date.today().isoformat(),
+        length=length,
+        width=width,
+        height=height,
+        length_lum_area=length,
+        width_lum_area=width,
+        h_lum_c0=height,
+        h_lum_c90=height,
+        h_lum_c180=height,
+        h_lum_c270=height,
+        dff=100 * angles / lumens if lumens else 0.0,
+        lorl=100.0 if emitted is None else 100 * lumens / lamp_lumens,
+        n_sets=1,
+        num_lamps=[-1 if emitted is None else 1],
+        lamp_types=["simulated"],
+        lamp_flux=[lamp_lumens],
+        lamp_cct=[""],
+        lamp_cri=[""],
+        lamp_watt=[0.0],
+        direct_ratios=[0.0] * _NUM_RATIOS,
+        c_angles=c.tolist(),
+        g_angles=gamma.tolist(),
+    )
+    return Ldt(header, (distribution.intensity * (1000 / lamp_lumens)).tolist())
+
+
+def read_ldt(path: str | os.PathLike[str]) -> IntensityDistribution:
+    """Read an EULUMDAT file; the first set of lamps is taken.
+
+    Blank fields are 0, a blank conversion factor is 1. Warns of small negative intensities, which
+    are taken as 0, and of a luminaire that was tilted.
+
+    Raises:
+        LumitreeError: the file is missing or damaged.
+    """
+    return read_text(path, KIND, lambda text: _Reader(path, text).read())
+
+
+class _Reader:
+    def __init__(self, path: str | os.PathLike[str], text: str) -> None:
+        self._path = Path(path)
+        self._lines = [line.strip() for line in text.split("\n")]
+
+    def read(self) -> IntensityDistribution:
+        if len(self._lines) < _SETS + _LINES_OF_SET + _NUM_RATIOS:
+            raise LumitreeError(f"it has {len(self._lines)} lines")
+        flux = self._field(_SETS + 3)
+        if not flux > 0:
+            raise LumitreeError(
+                f"line {_SETS + 3}, {_FIELDS[_SETS + 3]}, is "
+                f"{shown(self._lines[_SETS + 2], 40)!r}; expected a number above 0, to which the "
+                "intensities are relative"
+            )
+        if (tilt := self._field(_TILT)) != 0:
+            warn_of_file(
+                self._path,
+                f"the luminaire was tilted by {tilt:g} degrees when it was measured; the "
+                "intensities are taken as they are",
+            )
+        c, gamma, values = self._intensities()
+        intensity, least = without_noise(values * flux / 1000 * (self._field(_FACTOR) or 1.0))
+        if least < 0:
+            warn_of_file(
+                self._path, f"small negative intensities (down to {least:g} cd) count as 0"
+            )
+        c, gamma, intensity = completed(c, gamma, intensity)
+        return IntensityDistribution(
+            name=shown(self._lines[_NAME - 1] or self._path.stem),
+            c=c,
+            gamma=gamma,
+            intensity=intensity,
+            opening=self._opening(),
+            emitted_lumens=flux if self._field(_SETS + 1) > 0 else None,
+        )
+
+    def _opening(self) -> Opening:
+        """A width of 0 is that of a round area, whose diameter is the length."""
+        length, width = (abs(self._field(line)) / 1000 for line in (_LENGTH, _WIDTH))
+        height = max(abs(self._field(line)) for line in _HEIGHTS) / 1000
+        if width == 0:
+            return Opening((length, height, length), "cylinder")
+        return Opening((width, height, length))
+
+    def _field(self, line: int) -> float:
+        text = self._lines[line - 1]
+        return number(text, f"line {line}, {_FIELDS[line]},") if text else 0.0
+
+    def _count(self, line: int, low: int, high: int) -> int:
+        what = f"in line {line}, as {_FIELDS[line]}"
+        return integer(self._field(line), what, low, high)
+
+    def _intensities(self) -> tuple[NDArray[np.float64], ...]:
+        """C planes and γ angles of the file, and intensities [C, G] per 1000 lm of lamps."""
+        symmetry = self._count(_SYMMETRY, 0, 4)
+        planes = self._count(_PLANES, 1, MAX_ANGLES)
+        angles = self._count(_ANGLES, 2, MAX_ANGLES)
+        sets = self._count(_SETS, 1, MAX_SETS)
+        parts, first = _STORED[symmetry]
+        if parts > 1 and planes % (4 if symmetry > 2 else parts):
+            raise LumitreeError(
+                f"it has {planes} C planes, which its symmetry, {symmetry}, does not divide"
+            )
+        stored = planes if symmetry == 0 else planes // parts + 1 if parts else 1
+        numbers, end = self._numbers(_SETS + _LINES_OF_SET * sets)
+        # Some files name only the planes that they store, others store all planes nevertheless.
+        expected = [
+            (named + angles + held * angles, named, held)
+            for named, held in ((planes, stored), (stored, stored), (planes, planes))
+        ]
+        fitting = [each for each in expected if each[0] == len(numbers)]
+        fitting += [each for each in expected[:1] if each[0] < len(numbers)]
+        if not fitting:
+            raise LumitreeError(
+                f"it has {len(numbers)} numbers after the direct ratios{end}; expected "
+                f"{expected[0][0]} for {planes} planes, {angles} angles and {stored} x {angles} "
+                "intensities"
+            )
+        total, named, held = fitting[0]
+        c, gamma, values = np.split(numbers[:total], [named, named + angles])
+        if named > held:
+            start = int(first * planes)
+            c = np.take(c, np.arange(start, start + held), mode="wrap")
+        if (np.diff(c) < 0).any():
+            # From C = 270 over 0 to 90.
+            c = np.where(c >= 270, c - 360, c)
+        return c, gamma, values.reshape(held, angles)
+
+    def _numbers(self, start: int) -> tuple[NDArray[np.float64], str]:
+        """Numbers after the direct ratios, which are on ten lines or on fewer, and what ends them.
+
+        Args:
+            start: lines before the direct ratios.
+        """
+        ratios = self._lines[start : start + _NUM_RATIOS]
+        by_line = all(len(line.split()) <= 1 for line in ratios)
+        first = start + _NUM_RATIOS if by_line else start
+        words = [(word, line) for line, text in enumerate(self._lines[first:], first + 1)
+                 for word in text.split()][0 if by_line else _NUM_RATIOS :]  # fmt: skip
+        values, end = [], "; the file is cut off"
+        for word, line in words:
+            try:
+                values.append(number(word, f"line {line}"))
+            except LumitreeError as error:
+                end = f", since {error}"
+                break
+        return np.array(values), end
+
+
+def _step(angles: NDArray[Any]) -> float:
+    """Step of equidistant angles; 0 for others, as EULUMDAT has it."""
+    steps = np.diff(angles)
+    return float(steps[0]) if len(steps) and np.ptp(steps) < 1e-6 else 0.0

@@ -1,1 +1,0 @@
-"""Luminous intensity by direction: measurement, photometric files, ray files, reports."""

@@ -1,0 +1,57 @@
+"""Black bodies as RGB: Mitsuba evaluates its plugin `blackbody` in spectral variants alone."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.photometry import blackbody_radiance
+from lumitree.errors import LumitreeError, shown, shown_names
+
+# With their defaults: K, and the range of wavelengths, nm.
+_PARAMETERS = {"temperature": None, "wavelength_min": 360.0, "wavelength_max": 830.0}
+
+
+def replace_blackbodies(file: Any) -> list[str]:
+    """Replace the black bodies of a scene file's emitters by their radiance, W/(m² sr).
+
+    Args:
+        file: `SceneFile`, whose nodes are changed.
+
+    Returns:
+        One line for each temperature, which says what radiance was taken.
+
+    Raises:
+        LumitreeError: a black body has no temperature, or one out of range.
+    """
+    taken: dict[str, list[str]] = {}
+    owners = [*file.nodes("Shape"), *file.nodes("Emitter")]
+    for owner in owners:
+        name = owner.props.id() or owner.props.plugin_name()
+        for emitter in (owner, *file.children(owner.props).values()):
+            if emitter.type == load_mitsuba().ObjectType.Emitter:
+                for line in _replaced(file, emitter.props):
+                    taken.setdefault(line, []).append(name)
+    return [f"{shown_names(dict.fromkeys(names))}: {line}" for line, names in taken.items()]
+
+
+def _replaced(file: Any, emitter: Any) -> Iterator[str]:
+    for name, node in file.children(emitter).items():
+        if node.props.plugin_name() == "blackbody":
+            temperature, radiance = _radiance(node.props)
+            del emitter[name]
+            emitter[name] = load_mitsuba().ScalarColor3d(radiance)
+            colour = ", ".join(f"{channel:.4g}" for channel in radiance)
+            yield (
+                f"a blackbody of {temperature:g} K is taken as the RGB {colour} W/(m² sr), which "
+                "has its luminance; images of Mitsuba's spectral variants are 106.9 times darker"
+            )
+
+
+def _radiance(props: Any) -> tuple[float, tuple[float, float, float]]:
+    values = []
+    for name, default in _PARAMETERS.items():
+        value = props.get(name, default)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise LumitreeError(f"{name} of a blackbody is {shown(value, 60)}; expected a number")
+        values.append(float(value))
+    return values[0], blackbody_radiance(*values)

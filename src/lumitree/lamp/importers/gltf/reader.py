@@ -1,0 +1,215 @@
+"""Reading a lamp from a glTF 2.0 file.
+
+Lengths are metres and y is up, as in every glTF file. Emissive factors times strengths are
+luminances in cd/m², and intensities of lights are in cd; both are divided by 683 lm/W.
+"""
+
+import dataclasses
+import os
+import warnings
+from collections.abc import Iterator
+
+import numpy as np
+
+from lumitree.errors import LumitreeError, LumitreeWarning, shown_names
+from lumitree.lamp.importers.gltf.accessors import Accessors
+from lumitree.lamp.importers.gltf.container import Document
+from lumitree.lamp.importers.gltf.instances import instances
+from lumitree.lamp.importers.gltf.item import Item
+from lumitree.lamp.importers.gltf.lights import light_parts
+from lumitree.lamp.importers.gltf.materials import Materials, Use, safe_name
+from lumitree.lamp.importers.gltf.nodes import Node, scene_nodes
+from lumitree.lamp.importers.gltf.notes import Notes
+from lumitree.lamp.importers.gltf.primitives import MAX_TRIANGLES, baked, read_triangles
+from lumitree.lamp.importers.gltf.variants import Variants
+from lumitree.lamp.importers.mesh_faces import selected
+from lumitree.lamp.importers.mesh_normals import turned_with_normals
+from lumitree.lamp.importers.topology import Pieces, faces_to_turn, is_solid, weld
+from lumitree.lamp.meshes import Floats, Mesh
+from lumitree.lamp.names import Names
+from lumitree.lamp.parts import Material, Model, Part, check_shapes
+
+
+def read_gltf(path: str | os.PathLike[str], *, variant: str | None = None) -> Model:
+    """A lamp from a `.gltf` or `.glb` file.
+
+    What Mitsuba cannot represent is approximated, with one LumitreeWarning for each material and
+    one for the file. Nothing outside the file's folder is read.
+
+    Args:
+        path: of the file.
+        variant: name of a material variant (KHR_materials_variants); None for the materials that
+            the file gives by default.
+
+    Raises:
+        LumitreeError: missing, damaged or hostile file; required extension that is not known;
+            unknown variant; no triangles.
+    """
+    document = Document(path)
+    notes = Notes(document.name)
+    model = _Reader(document, notes, variant).read()
+    for line in notes.lines():
+        warnings.warn(line, LumitreeWarning, stacklevel=2)
+    return model
+
+
+class _Reader:
+    def __init__(self, document: Document, notes: Notes, variant: str | None) -> None:
+        self._document, self._notes = document, notes
+        self._variants = Variants(document, variant)
+        lights = document.root.extension("KHR_lights_punctual")
+        self._lights = [] if lights is None else lights.items("lights")
+        self._accessors = Accessors(document)
+        self._part_names, self._material_names = Names("_"), Names("_")
+        self._materials = Materials(document, notes, self._material_names)
+        self._parts: list[Part] = []
+        self._light_materials: list[Material] = []
+        self._triangles = self._shapes = self._instances = 0
+
+    def read(self) -> Model:
+        if unknown := self._document.unknown_extensions:
+            self._notes.file(f"extension {shown_names(unknown)}")
+        if self._document.root.items("animations"):
+            self._notes.file("animations (nodes stay where they are)")
+        if len(self._document.root.items("scenes")) > 1:
+            self._notes.file("scenes other than the default")
+        meshes: dict[int, list[Node]] = {}
+        for node in scene_nodes(self._document):
+            if "skin" in node.item:
+                self._notes.file("skins (meshes stay in their rest pose)")
+            if (mesh := node.item.index("mesh")) is not None:
+                placed = instances(node, self._accessors, self._notes, self._instances)
+                self._instances += len(placed)
+                meshes.setdefault(mesh, []).extend(placed)
+            elif node.item.extension("EXT_mesh_gpu_instancing") is not None:
+                self._notes.file("instances of nodes without a mesh")
+            if (light := node.item.extension("KHR_lights_punctual")) is not None:
+                self._light(node, light.integer("light"))
+        for index, nodes in meshes.items():
+            self._mesh(index, nodes)
+        if not self._parts:
+            raise LumitreeError(f"{self._document.name} holds no triangles in its scene")
+        return Model(tuple(self._parts), (*self._materials.all, *self._light_materials))
+
+    def _light(self, node: Node, index: int) -> None:
+        if index >= len(self._lights):
+            raise node.item.error(f"names light {index}, but there are {len(self._lights)}")
+        self._shapes += 1
+        check_shapes(self._shapes, node.item.where)
+        light = self._lights[index]
+        name = self._part_names.unique(safe_name("light_" + light.string("name", str(index))))
+        for part, material in light_parts(light, node.world, name, self._notes):
+            title = self._material_names.unique(material.name)
+            self._light_materials.append(dataclasses.replace(material, name=title))
+            own = name if part.name == name else self._part_names.unique(part.name)
+            self._parts.append(dataclasses.replace(part, name=own, material=title))
+
+    def _mesh(self, index: int, nodes: list[Node]) -> None:
+        item = self._document.entry("meshes", index)
+        if any(primitive.data.get("targets") for primitive in item.items("primitives")):
+            self._notes.file("morph targets (meshes keep their base shape)")
+        worlds = []
+        for node in nodes:
+            if _flattened(node.world):
+                self._notes.file("meshes that are scaled to nothing")
+            else:
+                worlds.append(node.world)
+        name = nodes[0].item.string("name", item.string("name", f"mesh_{index}"))
+        for primitive in item.items("primitives") if worlds else []:
+            self._primitive(primitive, name, worlds)
+
+    def _primitive(self, primitive: Item, name: str, worlds: list[Floats]) -> None:
+        material = self._variants.material(primitive)
+        layers = self._materials.layers(material)
+        mesh = read_triangles(self._accessors, primitive, layers.uv_set)
+        if mesh is None:
+            self._notes.file("points, lines and empty meshes")
+            return
+        self._shapes += len(worlds)
+        check_shapes(self._shapes, primitive.where)
+        self._triangles += len(mesh.faces) * len(worlds)
+        if self._triangles > MAX_TRIANGLES:
+            raise primitive.error(
+                f"brings the model to {self._triangles} triangles; at most {MAX_TRIANGLES} are read"
+            )
+        closed = self._materials.depends_on_closure(material) and is_solid(mesh)
+        if closed and self._materials.solid(material):
+            mesh = oriented_outwards(mesh, primitive.where)
+        if layers.textured and mesh.uv is None:
+            layers.note("textures on a mesh without texture coordinates (one point is used)")
+            mesh = Mesh(
+                mesh.vertices,
+                mesh.normals,
+                mesh.faces,
+                np.zeros((len(mesh.vertices), 2)),
+                mesh.colours,
+            )
+        for placed, places, scale in _placed(mesh, worlds):
+            used = scale if self._materials.solid(material) else 1.0
+            for piece, mirrored in _by_handedness(placed, self._materials.bumpy(material)):
+                use = Use(closed, mirrored, mesh.colours is not None, used)
+                self._add(name, piece, places, material, use)
+
+    def _add(
+        self, name: str, mesh: Mesh, places: tuple[Floats, ...], index: int | None, use: Use
+    ) -> None:
+        material, factor = self._materials.read(index, use)
+        colours = None
+        if mesh.colours is not None and factor is not None:
+            colours = mesh.colours * factor
+        mesh = Mesh(mesh.vertices, mesh.normals, mesh.faces, mesh.uv, colours)
+        self._parts.append(
+            Part(self._part_names.unique(safe_name(name)), mesh, material.name, places)
+        )
+
+
+def oriented_outwards(mesh: Mesh, where: str) -> Mesh:
+    """A solid mesh with its faces and its normals oriented outwards.
+
+    Args:
+        where: what the mesh belongs to, for a warning.
+    """
+    places = weld(mesh.vertices)
+    _, representative = np.unique(places, return_index=True)
+    faces = places[mesh.faces]
+    turn = faces_to_turn(mesh.vertices[representative], faces, Pieces(faces), where)
+    return turned_with_normals(mesh, turn)
+
+
+def _flattened(world: Floats) -> bool:
+    linear = world[:3, :3]
+    return bool(abs(np.linalg.det(linear)) <= 1e-12 * np.linalg.norm(linear) ** 3)
+
+
+def _placed(mesh: Mesh, worlds: list[Floats]) -> Iterator[tuple[Mesh, tuple[Floats, ...], float]]:
+    """The mesh with its places and its scale; a copy of it where a place is no similarity."""
+    shared: dict[float, list[Floats]] = {}
+    for world in worlds:
+        linear = world[:3, :3]
+        determinant = float(np.linalg.det(linear))
+        scale = abs(determinant) ** (1 / 3)
+        if determinant > 0 and np.allclose(
+            linear.T @ linear, scale**2 * np.eye(3), rtol=0, atol=1e-6 * scale**2
+        ):
+            shared.setdefault(float(f"{scale:.3g}"), []).append(world)
+        else:
+            yield baked(mesh, world), (np.eye(4),), scale
+    for scale, places in shared.items():
+        yield mesh, tuple(places), scale
+
+
+def _by_handedness(mesh: Mesh, bumpy: bool) -> Iterator[tuple[Mesh, bool]]:
+    """The faces whose texture coordinates are mirrored apart from the others.
+
+    Only where there is a normal map: its second axis is turned round on mirrored faces.
+    """
+    if not bumpy or mesh.uv is None:
+        yield mesh, False
+        return
+    a, b, c = (mesh.uv[mesh.faces[:, i]] for i in range(3))
+    first, second = b - a, c - a
+    # v points down, so counter-clockwise faces run clockwise in (u, v).
+    mirrored = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] > 0
+    for side in (False, True):
+        if (mirrored == side).any():
+            yield selected(mesh, mirrored == side), side

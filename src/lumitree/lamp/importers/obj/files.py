@@ -1,0 +1,71 @@
+"""The files that an OBJ model names: one that is missing is left out, with a warning."""
+
+import warnings
+from collections.abc import Callable, Hashable
+from pathlib import Path
+
+from numpy.typing import NDArray
+
+from lumitree.core.reading import read_bytes
+from lumitree.errors import LumitreeWarning, shown
+from lumitree.lamp.importers.images import DecodedImage, Images
+from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES, ModelFolder
+
+_FORMATS = ("PNG", "JPEG", "TGA", "BMP", "TIFF", "WEBP")
+# Bytes of a pixel of the largest array that is made of an image.
+_PIXEL_BYTES = 12
+
+
+class ObjFolder:
+    """The folder of an OBJ file, and the images of its materials."""
+
+    def __init__(self, model: Path) -> None:
+        self._model = model
+        self._folder = ModelFolder(model)
+        self._images = Images()
+
+    def find(self, name: str, purpose: str) -> Path | None:
+        """Path of a file that the model names; None, after a warning, where there is none.
+
+        Args:
+            purpose: what names it, for messages.
+
+        Raises:
+            LumitreeError: the name leads out of the folder.
+        """
+        path = self._folder.find(name, f"{self._model}: {purpose}")
+        if path is None:
+            warnings.warn(
+                f"{self._model}: {purpose} names {shown(name)!r}, which is not there; it is "
+                "ignored",
+                LumitreeWarning,
+                stacklevel=3,
+            )
+        return path
+
+    def image(self, name: str, purpose: str) -> DecodedImage | None:
+        """An image that the model names; None, after a warning, where there is none.
+
+        Raises:
+            LumitreeError: the name leads out of the folder, or the image is damaged or too large.
+        """
+        path = self.find(name, purpose)
+        if path is None:
+            return None
+
+        def read() -> bytes:
+            return read_bytes(path, "an image", MAX_MODEL_BYTES)
+
+        return self._images.decoded(name, read, shown(path, 300), _FORMATS)
+
+    def made(
+        self,
+        name: str,
+        role: Hashable,
+        image: DecodedImage,
+        make: Callable[[DecodedImage], NDArray],
+    ) -> NDArray:
+        """What `make` makes of the image called `name`, once for each role."""
+        height, width = image.pixels.shape[:2]
+        size = _PIXEL_BYTES * height * width
+        return self._images.made((name, role), size, shown(name), lambda: make(image))

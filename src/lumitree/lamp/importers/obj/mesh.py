@@ -1,0 +1,220 @@
+"""From the polygons of one material to a mesh that light can be traced through."""
+
+import dataclasses
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.errors import shown
+from lumitree.lamp.importers.mesh_faces import with_backs
+from lumitree.lamp.importers.mesh_normals import CREASE, crease_normals, face_normals, unit
+from lumitree.lamp.importers.obj.parse import ObjFile
+from lumitree.lamp.importers.polygons import newell, triangulate
+from lumitree.lamp.importers.topology import Indices, Pieces, faces_to_turn, weld
+from lumitree.lamp.meshes import Floats, Mesh
+from lumitree.lamp.parts import check_shapes
+
+# Of the bounding box's diagonal: faces whose corners are all nearer than this are one face. A
+# copy of a face may have been rounded differently when it was written.
+_REPEATED = 1e-5
+# Sharpest angle, degrees, across which shading is smooth in a file that does not ask for it: faces
+# of one plane share their vertices.
+_FLAT = 0.1
+
+
+@dataclasses.dataclass(frozen=True)
+class _Triangles:
+    """Some of the file's triangles.
+
+    Attributes:
+        corners: [F, 3, 3] position, texture coordinate and normal.
+        groups: [F] smoothing groups.
+        doubled: [F] whether the file has them in both windings.
+    """
+
+    corners: Indices
+    groups: Indices
+    doubled: NDArray[np.bool_]
+
+
+def build_meshes(file: ObjFile, emitting: Collection[str]) -> dict[int, Mesh]:
+    """Mesh of every material, by its number; materials whose faces have no area are left out.
+
+    Faces that are repeated are kept once, whichever way the copies are wound; but of an emitting
+    material once in each winding, so that both sides emit. Closed pieces face outwards. Missing
+    normals are computed, smooth only where the file names smoothing groups, as the format says. v
+    is 0 at an image's first row.
+
+    Args:
+        emitting: names of materials that emit.
+    """
+    places, rough_places = weld(file.positions), weld(file.positions, _REPEATED)
+    # One vertex stands for all those in its place.
+    _, representative = np.unique(places, return_index=True)
+    positions = file.positions[representative]
+    starts = np.cumsum(file.sizes) - file.sizes
+    order = np.argsort(file.material, kind="stable")
+    used, begins = np.unique(file.material[order], return_index=True)
+    check_shapes(len(used), shown(file.path, 300))
+    meshes = {}
+    behind = _REPEATED * float(np.linalg.norm(np.ptp(positions, axis=0)))
+    for number, chosen in zip(used.tolist(), np.split(order, begins[1:]), strict=True):
+        triangles, name = _cut(file, places, rough_places, chosen, starts), file.materials[number]
+        if not len(triangles.corners):
+            continue
+        mesh = _mesh(file, places, positions, triangles, name)
+        if name in emitting and triangles.doubled.any():
+            mesh = with_backs(mesh, triangles.doubled, behind)
+        meshes[number] = mesh
+    return meshes
+
+
+def _cut(
+    file: ObjFile, places: Indices, rough_places: Indices, chosen: Indices, starts: Indices
+) -> _Triangles:
+    """The chosen polygons as triangles, in the file's order of sizes; repeated ones once."""
+    corners: list[Indices] = [np.zeros((0, 3, 3), np.int64)]
+    groups: list[Indices] = [np.zeros(0, np.int64)]
+    doubled: list[NDArray[np.bool_]] = [np.zeros(0, np.bool_)]
+    for size in np.unique(file.sizes[chosen]):
+        polygons = chosen[file.sizes[chosen] == size]
+        own = file.corners[starts[polygons][:, None] + np.arange(size)]
+        first = _first_of_each(np.sort(rough_places[own[..., 0]], axis=1))
+        normals = newell(file.positions[own[..., 0]])
+        both = np.zeros(len(own), np.bool_)
+        both[first[(normals * normals[first]).sum(axis=1) < 0]] = True
+        first = np.unique(first)
+        own, polygons, both = own[first], polygons[first], both[first]
+        pick, polygon = triangulate(file.positions[own[..., 0]])
+        corners.append(own[polygon[:, None], pick])
+        groups.append(file.smoothing[polygons[polygon]])
+        doubled.append(both[polygon])
+    every = np.concatenate(corners)
+    ends = places[every[..., 0]]
+    proper = (ends != np.roll(ends, 1, axis=1)).all(axis=1)
+    return _Triangles(
+        every[proper], np.concatenate(groups)[proper], np.concatenate(doubled)[proper]
+    )
+
+
+def _first_of_each(sets: Indices) -> Indices:
+    """Index [P] of the first row [P, N] (sorted places) that is equal to each."""
+    order = np.lexsort(sets.T)
+    new = np.ones(len(sets), bool)
+    new[1:] = (np.diff(sets[order], axis=0) != 0).any(axis=1)
+    first = np.empty(len(sets), np.int64)
+    first[order] = order[new][np.cumsum(new) - 1]
+    # Faces too small for this comparison would all look alike.
+    small = (np.diff(sets, axis=1) == 0).any(axis=1)
+    return np.where(small, np.arange(len(sets)), first)
+
+
+def _mesh(
+    file: ObjFile, places: Indices, positions: Floats, triangles: _Triangles, name: str
+) -> Mesh:
+    """Mesh of one material; `positions` are those of the places.
+
+    Everything is numbered anew first: work on what other materials use would be quadratic.
+    """
+    corners = triangles.corners.copy()
+    used, faces = np.unique(places[corners[..., 0]], return_inverse=True)
+    positions, faces = positions[used], faces.reshape(-1, 3)
+    has_normal = corners[..., 2] >= 0
+    used, index = np.unique(corners[..., 2][has_normal], return_inverse=True)
+    given = file.normals[used]
+    corners[..., 2][has_normal] = index
+    flip = _turned(positions, faces, corners, given, name)
+    faces[flip], corners[flip] = faces[flip][:, ::-1], corners[flip][:, ::-1]
+    crease = CREASE if file.smooths else _FLAT
+    index, normals = _normals(positions, faces, corners, given, triangles.groups, crease)
+    uv = corners[..., 1].ravel()
+    has_uv = bool((uv >= 0).any())
+    keys = [corners[..., 0].ravel(), uv, index.ravel()]
+    used, vertex = _distinct(keys)
+    return Mesh(
+        vertices=file.positions[used[:, 0]],
+        normals=normals[used[:, 2]],
+        faces=vertex.reshape(-1, 3),
+        uv=_flipped(file.uv, used[:, 1]) if has_uv else None,
+        colours=_colours(file, used[:, 0]),
+    )
+
+
+def _turned(
+    positions: Floats, faces: Indices, corners: Indices, given: Floats, name: str
+) -> NDArray[np.bool_]:
+    """Faces [F] to turn: closed pieces are oriented outwards, open ones as their normals point."""
+    pieces = Pieces(faces)
+    flip = faces_to_turn(positions, faces, pieces, f"material {shown(name)!r}")
+    if len(given):
+        towards = (face_normals(positions, faces)[:, None] * _looked_up(given, corners)).sum((1, 2))
+        against = np.bincount(pieces.label, towards, minlength=len(pieces.closed)) < 0
+        flip |= (against & ~pieces.closed)[pieces.label]
+    return flip
+
+
+def _colours(file: ObjFile, vertices: Indices) -> Floats | None:
+    """Colours of some vertices; None if all are white, which changes nothing."""
+    if file.colours is None or (file.colours[vertices] == 1).all():
+        return None
+    return file.colours[vertices]
+
+
+def _normals(
+    positions: Floats,
+    faces: Indices,
+    corners: Indices,
+    given: Floats,
+    groups: Indices,
+    crease: float,
+) -> tuple[Indices, Floats]:
+    """Number [F, 3] of every corner's normal, and unit normals: given, computed, or the face's.
+
+    A normal that points to the back of its face would turn its glass inside out: if the normals
+    of a whole closed piece do, they are turned with it, and single ones give way.
+    """
+    flat = face_normals(positions, faces)
+    pieces = Pieces(faces)
+    towards = (_looked_up(given, corners) * flat[:, None]).sum(axis=-1)
+    total = np.bincount(pieces.label, towards.sum(axis=1), minlength=len(pieces.closed))
+    turned = (total < 0)[pieces.label][:, None]
+    usable = np.where(turned, -towards, towards) > 0
+    index = corners[..., 2] + turned * len(given)
+    normals = [unit(given), -unit(given)]
+    if not usable.all():
+        smooth_index, smooth = crease_normals(positions, faces, pieces, groups, crease)
+        agrees = (smooth[smooth_index] * flat[:, None]).sum(axis=-1) > 0
+        own_face = len(smooth) + np.arange(len(faces))[:, None]
+        computed = 2 * len(given) + np.where(agrees, smooth_index, own_face)
+        index = np.where(usable, index, computed)
+        normals += [smooth, unit(flat)]
+    return index, np.concatenate(normals)
+
+
+def _looked_up(given: Floats, corners: Indices) -> Floats:
+    """The file's unit normals at the corners [F, 3, 3]; zero where there is none."""
+    index = corners[..., 2]
+    if not len(given):
+        return np.zeros((*index.shape, 3))
+    length = np.linalg.norm(given, axis=1, keepdims=True)
+    normals = np.divide(given, length, out=np.zeros_like(given), where=length > 0)
+    return np.where(index[..., None] >= 0, normals[index], 0.0)
+
+
+def _flipped(uv: Floats, index: Indices) -> Floats:
+    """Texture coordinates [V, 2] with v counted from the first row; 0 where there are none."""
+    found = np.zeros((len(index), 2))
+    given = index >= 0
+    found[given] = uv[index[given]] * [1, -1] + [0, 1]
+    return found
+
+
+def _distinct(keys: list[Indices]) -> tuple[Indices, Indices]:
+    """Distinct rows [U, K] of the columns, and the row [N] of each entry."""
+    first, index = np.arange(len(keys[0])), np.zeros(len(keys[0]), np.int64)
+    for key in keys:
+        # Numbered anew after each column, so that the products stay small.
+        combined = index * (int(key.max()) + 2) + key + 1
+        _, first, index = np.unique(combined, return_index=True, return_inverse=True)
+    return np.stack([key[first] for key in keys], axis=1), index

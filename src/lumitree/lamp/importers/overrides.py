@@ -1,0 +1,284 @@
+"""Settings that replace or complete those of a model's file: materials, emission, unit, up axis."""
+
+import dataclasses
+import fnmatch
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from lumitree.core.photometry import radiance_from_flux
+from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
+from lumitree.lamp.importers.topology import count_solids
+from lumitree.lamp.meshes import Floats, area_normals
+from lumitree.lamp.parts import RGB, WHITE, Glass, Material, Model, Part, Surface
+
+# A pattern of digits alone; a name of this form is matched by "[#]3".
+_NUMBER = re.compile(r"#[0-9]{1,9}")
+
+
+@dataclasses.dataclass(frozen=True)
+class Emission:
+    """Emission of a material: `radiance`, or `lumens` of all its surfaces together.
+
+    Attributes:
+        radiance: W/(m² sr); None where `lumens` is given.
+        lumens: luminous flux.
+        colour: of the flux; linear RGB of which only the ratios matter.
+    """
+
+    radiance: RGB | None
+    lumens: float = 0.0
+    colour: RGB = WHITE
+
+
+@dataclasses.dataclass(frozen=True)
+class MaterialOverride:
+    """What replaces parts of a material; None keeps what the file says.
+
+    Attributes:
+        guess_thin: the surface is glass, and the file does not state whether it is thin.
+    """
+
+    surface: Surface | None = None
+    guess_thin: bool = False
+    emission: Emission | None = None
+    opacity: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Overrides:
+    """A file of overrides.
+
+    Attributes:
+        file: its name, for messages.
+        metres_per_unit: of the model.
+        up: the model's upward axis.
+        variant: glTF material variant.
+        materials: by name.
+    """
+
+    file: str = ""
+    metres_per_unit: float = 1.0
+    up: Literal["y", "z"] = "y"
+    variant: str | None = None
+    materials: Mapping[str, MaterialOverride] = dataclasses.field(default_factory=dict)
+
+
+def apply_overrides(model: Model, overrides: Overrides) -> Model:
+    """The model in metres, y up, with its materials changed.
+
+    Raises:
+        LumitreeError: the overrides name a material that the model lacks, or give a luminous flux
+            to one without any area.
+    """
+    known = dict.fromkeys(material.name for material in model.materials)
+    for name in overrides.materials:
+        if name not in known:
+            raise LumitreeError(
+                f"{overrides.file}: no material is called {shown(name)!r}; the model has "
+                f"{shown_names(known)}"
+            )
+    model = _in_metres(model, overrides)
+    materials = (
+        _overridden(model, material, overrides.materials[material.name], overrides.file)
+        if material.name in overrides.materials
+        else material
+        for material in model.materials
+    )
+    return dataclasses.replace(model, materials=tuple(materials))
+
+
+def select_parts(model: Model, keep: Sequence[str], drop: Sequence[str], file: str) -> Model:
+    """The parts whose own name or material's name matches a `keep` pattern and no `drop` pattern.
+
+    Args:
+        keep, drop: patterns with * and ?; no `keep` keeps everything.
+        file: name of the model's file, for messages.
+
+    Raises:
+        LumitreeError: a pattern matches nothing, or nothing is left.
+    """
+    names = [(part.name, part.material) for part in model.parts]
+    chosen = select_names(names, keep, drop, file, "part or material")
+    parts = tuple(part for part, kept in zip(model.parts, chosen, strict=True) if kept)
+    return dataclasses.replace(model, parts=parts)
+
+
+def select_names(
+    names: Sequence[Sequence[str]],
+    keep: Sequence[str],
+    drop: Sequence[str],
+    file: str,
+    kind: str,
+    listed: Sequence[str] | None = None,
+) -> list[bool]:
+    """Which of the things are kept, each known by one or more names.
+
+    Args:
+        file, kind: name of the file, and what the things are, for messages.
+        listed: descriptions of the things, for messages; those of a file whose things may also be
+            chosen by number, as "#3". None: by names alone.
+
+    Raises:
+        LumitreeError: a pattern matches nothing, or nothing is left.
+    """
+    numbered = listed is not None
+    matched = {
+        pattern: [_matches(pattern, own, at if numbered else None) for at, own in enumerate(names)]
+        for pattern in (*keep, *drop)
+    }
+    for pattern, hits in matched.items():
+        if not any(hits):
+            option = "--keep" if pattern in keep else "--drop"
+            raise LumitreeError(
+                f"{file}: {option} {shown(pattern)!r} matches no {kind}; there are "
+                f"{_known(names, listed, file)}"
+            )
+    kept = [
+        (not keep or any(matched[pattern][at] for pattern in keep))
+        and not any(matched[pattern][at] for pattern in drop)
+        for at in range(len(names))
+    ]
+    if not any(kept):
+        raise LumitreeError(f"{file}: --keep and --drop leave nothing; keep more or drop less")
+    return kept
+
+
+def _matches(pattern: str, names: Sequence[str], number: int | None) -> bool:
+    """Whether a pattern is the number of a thing, if it has one, or matches one of its names."""
+    if number is not None and _NUMBER.fullmatch(pattern):
+        return int(pattern[1:]) == number
+    return any(fnmatch.fnmatchcase(name, pattern) for name in names)
+
+
+def _known(names: Sequence[Sequence[str]], listed: Sequence[str] | None, file: str) -> str:
+    if listed is None:
+        return shown_names(dict.fromkeys(name for own in names for name in own if name))
+    how = f"; 'lumitree preview {file} --keep \"*\"' lists them with their numbers"
+    return shown_names(listed) + how
+
+
+def check_emits(model: Model, file: str, overrides_name: str) -> None:
+    """Refuse a model that does not emit.
+
+    Args:
+        file: name of the model's file.
+        overrides_name: name of the TOML file to write.
+    """
+    used = {part.material for part in model.parts}
+    if not any(item.radiance is not None for item in model.materials if item.name in used):
+        known = [item.name for item in model.materials if item.name in used]
+        example = shown(known[0]).replace("\\", "\\\\").replace('"', '\\"') if known else "bulb"
+        raise LumitreeError(
+            f"{file} has no emitter (materials: {shown_names(known)}); name one in "
+            f'{overrides_name}: material."{example}".emitter = '
+            "{ lumens = 800, temperature = 2700 }"
+        )
+
+
+def material_area(model: Model, material: str) -> float:
+    """Area of all surfaces with a material, every copy counted, in the model's unit squared."""
+    total = 0.0
+    for part in model.parts:
+        if part.material == material:
+            normals = area_normals(part.mesh.vertices, part.mesh.faces)
+            for place in part.places:
+                linear = place[:3, :3]
+                # Area vectors are transformed by the matrix of cofactors.
+                cofactors = np.linalg.det(linear) * np.linalg.inv(linear)
+                total += float(np.linalg.norm(normals @ cofactors, axis=1).sum()) / 2
+    return total
+
+
+def _in_metres(model: Model, overrides: Overrides) -> Model:
+    scale = overrides.metres_per_unit
+    if scale == 1 and overrides.up == "y":
+        return model
+    upright = np.eye(3) if overrides.up == "y" else np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * upright
+    return Model(
+        tuple(_moved(part, matrix) for part in model.parts),
+        tuple(_rescaled(material, scale) for material in model.materials),
+    )
+
+
+def _moved(part: Part, matrix: Floats) -> Part:
+    return dataclasses.replace(part, places=tuple(matrix @ place for place in part.places))
+
+
+def _rescaled(material: Material, scale: float) -> Material:
+    """The material in a model `scale` times as large: coefficients of media are per length."""
+    glass = material.surface
+    if not isinstance(glass, Glass) or glass.medium is None:
+        return material
+    medium = dataclasses.replace(
+        glass.medium,
+        absorption=_divided(glass.medium.absorption, scale),
+        scattering=_divided(glass.medium.scattering, scale),
+    )
+    return dataclasses.replace(material, surface=dataclasses.replace(glass, medium=medium))
+
+
+def _divided(colour: RGB, divisor: float) -> RGB:
+    return (colour[0] / divisor, colour[1] / divisor, colour[2] / divisor)
+
+
+def _overridden(model: Model, material: Material, change: MaterialOverride, file: str) -> Material:
+    if change.surface is not None:
+        # Opacity and normal map belong to the surface that is replaced.
+        material = Material(
+            material.name,
+            _settled(model, material.name, change),
+            material.radiance,
+            two_sided=not isinstance(change.surface, Glass),
+        )
+    if change.opacity is not None:
+        material = dataclasses.replace(material, opacity=change.opacity)
+    if change.emission is not None:
+        radiance = _radiance(model, material.name, change.emission, file)
+        material = dataclasses.replace(material, radiance=radiance)
+    return material
+
+
+def _settled(model: Model, material: str, change: MaterialOverride) -> Surface:
+    """The surface; glass is a thin sheet if `guess_thin` is set and the meshes are not closed."""
+    surface = change.surface
+    assert surface is not None
+    if not isinstance(surface, Glass) or surface.thin:
+        return surface
+    shares = [count_solids(part.mesh) for part in model.parts if part.material == material]
+    closed, pieces = (sum(column) for column in zip((0, 0), *shares, strict=True))
+    if closed == pieces:
+        return surface
+    if not change.guess_thin:
+        warnings.warn(
+            f"material {shown(material)!r} is solid glass, but only {closed} of its {pieces} "
+            "pieces are closed; light that enters the others never leaves the glass",
+            LumitreeWarning,
+            stacklevel=3,
+        )
+        return surface
+    if closed:
+        warnings.warn(
+            f"material {shown(material)!r}: {closed} of {pieces} pieces are closed, the others are "
+            "not; all are taken to be thin sheets; write thin = true or false",
+            LumitreeWarning,
+            stacklevel=3,
+        )
+    return dataclasses.replace(surface, thin=True)
+
+
+def _radiance(model: Model, material: str, emission: Emission, file: str) -> RGB | None:
+    if emission.radiance is not None:
+        return emission.radiance if max(emission.radiance) > 0 else None
+    if all(part.material != material for part in model.parts):
+        # All parts with the material were dropped, or none has it: no surface emits the flux.
+        return None
+    area = material_area(model, material)
+    if area <= 0:
+        raise LumitreeError(f"{file}: material {shown(material)!r} has no area to emit lumens from")
+    return radiance_from_flux(emission.lumens, area, emission.colour)

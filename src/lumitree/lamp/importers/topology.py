@@ -1,0 +1,205 @@
+"""Which parts of a mesh are closed, how they are oriented, and which lie inside others.
+
+The notions, which are the same for all file formats:
+
+* *place*: vertices whose positions are equal, to a tolerance, are in one place (`weld`). The
+  faces [F, 3] of this module are triples of places, so that vertices which a file repeats do not
+  open a surface.
+* *piece*: a set of faces that are connected by edges.
+* *consistent*: at every edge of the piece, as many faces run along it one way as the other, so
+  that neighbouring faces have the same orientation.
+* *closed*: every edge of the piece belongs to exactly two faces. Where solids touch along an edge
+  it belongs to four faces or more: such a piece is closed if it is consistent.
+* *solid*: closed, consistent, and with a volume. A sheet that is covered by a second one of
+  opposite orientation is closed, but not solid.
+* *oriented outwards*: a closed piece has a positive signed volume, so that the normals of its
+  faces point to the outside. One inside another piece is the wall of a cavity: its signed volume
+  is negative, and its normals point into the cavity. One inside two others has a positive volume
+  again, and so on.
+"""
+
+import warnings
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from lumitree.errors import LumitreeWarning
+from lumitree.lamp.meshes import Floats, Mesh, area_normals
+
+Indices = NDArray[np.int64]
+
+# Tolerance of `weld`, as a fraction of the bounding box's diagonal.
+_WELD = 5e-7
+# Closed pieces with a smaller volume, divided by area^1.5, are two sheets in one place; a sphere
+# has 0.09.
+_MIN_FULLNESS = 1e-6
+# Largest number of tests of a triangle against a point with which pieces inside others are sought.
+_MAX_NESTING_WORK = 2_000_000_000
+# Vertices of a piece that must all lie inside another piece.
+_NESTING_PROBES = 8
+
+
+def weld(positions: Floats, tolerance: float = _WELD) -> Indices:
+    """Index [V] of each vertex's place, from 0; equal for vertices [V, 3] in one place.
+
+    Args:
+        positions: [V, 3].
+        tolerance: fraction of the bounding box's diagonal, at least 5e-7. Vertices no farther
+            apart than this along each axis are in one place; so are those connected by others.
+    """
+    if not len(positions):
+        return np.zeros(0, np.int64)
+    reach = max(float(np.linalg.norm(np.ptp(positions, axis=0))) * tolerance, 1e-300)
+    scaled = (positions - positions.min(axis=0)) / reach
+    links = []
+    # Two values no more than 1 apart share a cell of width 2 in one of two grids shifted by 1.
+    for shift in np.ndindex(2, 2, 2):
+        cell = np.floor((scaled + shift) / 2).astype(np.int64)
+        key = (cell[:, 0] << 42) + (cell[:, 1] << 21) + cell[:, 2]
+        order = np.argsort(key, kind="stable")
+        same = np.diff(key[order]) == 0
+        links.append(np.stack([order[:-1][same], order[1:][same]], axis=1))
+    return connected(np.concatenate(links), len(positions))
+
+
+def connected(links: Indices, count: int) -> Indices:
+    """Index [count] of the connected component of each node; `links` [L, 2] join nodes."""
+    labels = trimesh.graph.connected_component_labels(links, node_count=count)
+    return np.asarray(labels).astype(np.int64)
+
+
+class Pieces:
+    """The pieces of a surface of at least one face.
+
+    Args:
+        faces: [F, 3] places.
+
+    Attributes:
+        label: [F] index of every face's piece.
+        closed: [P] whether the piece is closed.
+        consistent: [P] whether the piece is consistent.
+        pairs: [E, 2] half-edges of neighbouring faces; a half-edge is 3 x face + corner.
+    """
+
+    def __init__(self, faces: Indices) -> None:
+        ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        low, high = ends.min(axis=1), ends.max(axis=1)
+        key = low * (int(high.max()) + 1) + high
+        order = np.argsort(key, kind="stable")
+        same = np.diff(key[order]) == 0
+        self.pairs = np.stack([order[:-1][same], order[1:][same]], axis=1)
+        self.label = connected(self.pairs // 3, len(faces))
+        edge = np.empty(len(ends), np.int64)
+        edge[order] = np.cumsum(np.concatenate([[0], ~same]))
+        forward = np.where(ends[:, 0] < ends[:, 1], 1, -1)
+        faces_at = np.bincount(edge)[edge]
+        balanced = np.bincount(edge, forward)[edge] == 0
+        owner, count = np.repeat(self.label, 3), int(self.label.max()) + 1
+
+        def everywhere(condition: NDArray[np.bool_]) -> NDArray[np.bool_]:
+            return np.bincount(owner[~condition], minlength=count) == 0
+
+        self.consistent = everywhere(balanced)
+        self.closed = everywhere(faces_at == 2) | (everywhere(faces_at % 2 == 0) & self.consistent)
+
+
+def count_solids(mesh: Mesh) -> tuple[int, int]:
+    """Number of solid pieces of a mesh, and number of all its pieces."""
+    places = weld(mesh.vertices)
+    pieces = Pieces(places[mesh.faces])
+    area = np.linalg.norm(area_normals(mesh.vertices, mesh.faces), axis=1) / 2
+    area = np.bincount(pieces.label, area)
+    full = np.abs(_volumes(mesh.vertices, mesh.faces, pieces)) > _MIN_FULLNESS * area**1.5
+    return int((pieces.closed & pieces.consistent & full).sum()), len(pieces.closed)
+
+
+def is_solid(mesh: Mesh) -> bool:
+    """Whether all pieces of a mesh are solid."""
+    solids, pieces = count_solids(mesh)
+    return solids == pieces
+
+
+def faces_to_turn(
+    positions: Floats, faces: Indices, pieces: Pieces, where: str
+) -> NDArray[np.bool_]:
+    """Faces [F] to be turned round so that all closed pieces are oriented outwards.
+
+    Closed pieces are made consistent first. Faces of open pieces are not turned.
+
+    Args:
+        positions: [N, 3] of the places.
+        faces: [F, 3] places.
+        pieces: of the faces.
+        where: what the surface belongs to, for a warning.
+    """
+    wound = faces.copy()
+    for piece in np.flatnonzero(pieces.closed & ~pieces.consistent):
+        chosen = pieces.label == piece
+        mesh = trimesh.Trimesh(positions, faces[chosen], process=False)
+        trimesh.repair.fix_winding(mesh)
+        wound[chosen] = mesh.faces
+    volume = _volumes(positions, wound, pieces)
+    cavity = _nesting(positions, wound, pieces, where) % 2 == 1
+    wrong = pieces.closed & ((volume < 0) != cavity) & (volume != 0)
+    return (wound != faces).any(axis=1) ^ wrong[pieces.label]
+
+
+def _volumes(positions: Floats, faces: Indices, pieces: Pieces) -> Floats:
+    """Signed volume [P] of each piece; without meaning for open pieces."""
+    count = len(pieces.closed)
+    first = np.full(count, len(faces))
+    np.minimum.at(first, pieces.label, np.arange(len(faces)))
+    # Relative to a vertex of each piece: far from the origin the sum would lose precision.
+    corners = positions[faces] - positions[faces[first, 0]][pieces.label][:, None]
+    six = (corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])).sum(axis=1)
+    return np.bincount(pieces.label, six, minlength=count) / 6
+
+
+def _nesting(positions: Floats, faces: Indices, pieces: Pieces, where: str) -> Indices:
+    """Number [P] of closed pieces around each closed piece; 0, after a warning, if too many."""
+    depth = np.zeros(len(pieces.closed), np.int64)
+    closed = np.flatnonzero(pieces.closed)
+    if len(closed) < 2:
+        return depth
+    order = np.argsort(pieces.label, kind="stable")
+    groups = np.split(order, np.cumsum(np.bincount(pieces.label))[:-1])
+    boxes = [positions[faces[groups[piece]].ravel()] for piece in closed]
+    low = np.stack([box.min(axis=0) for box in boxes])
+    high = np.stack([box.max(axis=0) for box in boxes])
+    probes = np.stack(
+        [box[np.linspace(0, len(box) - 1, _NESTING_PROBES).astype(np.int64)] for box in boxes]
+    )
+    work = len(closed) ** 2
+    for outer, piece in enumerate(closed):
+        within = ((low > low[outer]) & (high < high[outer])).all(axis=1)
+        work += int(within.sum()) * len(groups[piece]) * _NESTING_PROBES
+        if work > _MAX_NESTING_WORK:
+            warnings.warn(
+                f"{where}: too many closed pieces to find those inside others; none is taken to be "
+                "the wall of a cavity",
+                LumitreeWarning,
+                stacklevel=2,
+            )
+            return np.zeros_like(depth)
+        triangles = positions[faces[groups[piece]]]
+        for inner in np.flatnonzero(within):
+            depth[closed[inner]] += _encloses(triangles, probes[inner])
+    return depth
+
+
+def _encloses(triangles: Floats, points: Floats) -> bool:
+    """Whether all points [P, 3] are inside a closed surface [F, 3, 3], by its solid angle.
+
+    Van Oosterom and Strackee, "The Solid Angle of a Plane Triangle", IEEE Trans. Biomed. Eng.
+    30(2), 1983.
+    """
+    for point in points:
+        a, b, c = np.moveaxis(triangles - point, 1, 0)
+        la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
+        above = (a * np.cross(b, c)).sum(axis=1)
+        below = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
+        turns = np.arctan2(above, below).sum() / (2 * np.pi)
+        if abs(turns) < 0.5:
+            return False
+    return True

@@ -1,0 +1,194 @@
+"""A lamp as parts and materials, independent of the file format that it was read from.
+
+Frame: right-handed, y up unless the file says otherwise; lengths in the lamp's own unit. Emitted
+radiance is in W/(m² sr) for each of R, G and B (linear sRGB primaries).
+"""
+
+import dataclasses
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.errors import LumitreeError
+from lumitree.lamp.meshes import Floats, Mesh
+
+# Loading a shape takes milliseconds, however few triangles it has.
+MAX_SHAPES = 5000
+
+RGB = tuple[float, float, float]
+WHITE: RGB = (1.0, 1.0, 1.0)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Texture:
+    """An image over a mesh's texture coordinates.
+
+    Attributes:
+        pixels: [H, W, C] with C = 1 or 3; uint8 in [0, 255] for [0, 1], or float32 for values
+            beyond 1. Row 0 is at v = 0.
+        encoded: whether the values are sRGB-encoded colours, rather than linear data.
+        wrap: what lies outside [0, 1].
+        nearest: no interpolation between pixels.
+        uv_transform: [3, 3] affine map from the mesh's (u, v, 1) to the image's.
+    """
+
+    pixels: NDArray[np.uint8] | NDArray[np.float32]
+    encoded: bool
+    wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
+    nearest: bool = False
+    uv_transform: Floats = dataclasses.field(default_factory=lambda: np.eye(3))
+
+
+@dataclasses.dataclass(frozen=True)
+class VertexColour:
+    """The linear colours stored with the mesh's vertices."""
+
+
+Colour = RGB | Texture | VertexColour
+Value = float | Texture
+
+
+@dataclasses.dataclass(frozen=True)
+class Medium:
+    """A homogeneous medium that fills a closed surface.
+
+    Attributes:
+        absorption, scattering: R, G and B, per unit length, at least 0.
+        anisotropy: mean cosine of the scattering angle (Henyey-Greenstein), in (-1, 1).
+    """
+
+    absorption: RGB
+    scattering: RGB = (0.0, 0.0, 0.0)
+    anisotropy: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Glass:
+    """A clear or frosted dielectric.
+
+    Attributes:
+        ior: index of refraction, above 1.
+        roughness: square root of the GGX alpha; 0 is smooth. A thin sheet is always smooth.
+        tint: factor of the transmitted light at each crossing of the surface.
+        thin: the mesh is a single sheet; otherwise it is a closed surface of a solid.
+        medium: what fills a solid; None for nothing.
+    """
+
+    ior: float = 1.5
+    roughness: float = 0.0
+    tint: Colour = WHITE
+    thin: bool = False
+    medium: Medium | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Metal:
+    """A conductor.
+
+    Attributes:
+        tint: factor of the reflected light.
+        roughness: square root of the GGX alpha; 0 is a mirror.
+        conductor: measured index of refraction by Mitsuba's name ("Au", "Cr", ...); "none"
+            reflects everything.
+    """
+
+    tint: Colour = WHITE
+    roughness: float = 0.0
+    conductor: str = "none"
+
+
+@dataclasses.dataclass(frozen=True)
+class Diffuse:
+    """A Lambertian reflector."""
+
+    reflectance: Colour = (0.5, 0.5, 0.5)
+
+
+@dataclasses.dataclass(frozen=True)
+class Principled:
+    """Burley's principled material, with Mitsuba's parameters; all in [0, 1] except `ior`.
+
+    Attributes:
+        roughness: square root of the GGX alpha.
+        transmission: share of the light that is refracted instead of diffusely reflected.
+        diffuse_transmission: share of the diffuse light that leaves on the other side, in [0, 2];
+            only of a thin sheet.
+        thin: the mesh is a single sheet. A thin sheet has no metallic and no clear coat.
+    """
+
+    base_color: Colour = (0.5, 0.5, 0.5)
+    metallic: Value = 0.0
+    roughness: Value = 0.5
+    anisotropy: Value = 0.0
+    ior: float = 1.5
+    specular_tint: float = 0.0
+    sheen: Value = 0.0
+    sheen_tint: float = 0.0
+    clearcoat: Value = 0.0
+    clearcoat_gloss: Value = 0.0
+    transmission: Value = 0.0
+    diffuse_transmission: float = 0.0
+    thin: bool = False
+
+
+Surface = Glass | Metal | Diffuse | Principled
+
+
+@dataclasses.dataclass(frozen=True)
+class Material:
+    """A surface with its emission, opacity and normal map.
+
+    Attributes:
+        name: unique in the lamp.
+        radiance: emitted by the front of the surface; None where it does not emit.
+        opacity: in [0, 1]; light crosses the rest of the surface unchanged.
+        normal_map: tangent-space normals, linear data.
+        two_sided: the back reflects as the front does. Without effect on glass and thin
+            sheets, which define both sides.
+    """
+
+    name: str
+    surface: Surface
+    radiance: Colour | None = None
+    opacity: Value = 1.0
+    normal_map: Texture | None = None
+    two_sided: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """A mesh with its material, in one or more places.
+
+    Attributes:
+        name: unique in the lamp; also the name of the mesh file.
+        mesh: in the part's own frame.
+        material: name of a material.
+        places: `world_from_part` [4, 4] of every copy.
+    """
+
+    name: str
+    mesh: Mesh
+    material: str
+    places: tuple[Floats, ...] = (np.eye(4),)
+
+
+def check_shapes(count: int, where: str) -> None:
+    """Refuse more than `MAX_SHAPES` shapes; each place of each part is a shape.
+
+    Args:
+        where: what brings the number to `count`, for the message.
+    """
+    if count > MAX_SHAPES:
+        raise LumitreeError(
+            f"{where} brings the model to {count} shapes; at most {MAX_SHAPES} are read: join "
+            "meshes of one material"
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Model:
+    """A lamp: its parts, and the materials they name."""
+
+    parts: tuple[Part, ...]
+    materials: tuple[Material, ...]

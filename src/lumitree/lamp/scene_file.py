@@ -1,0 +1,342 @@
+"""Reading of Mitsuba scene files."""
+
+import contextlib
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.file_kinds import SCENE, XML, what_it_is
+from lumitree.core.frames import similarity
+from lumitree.core.reading import read_bytes
+from lumitree.errors import LumitreeError, renderer_reason, shown
+from lumitree.lamp.blackbodies import replace_blackbodies
+from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
+from lumitree.lamp.importers.overrides import select_names
+from lumitree.lamp.media import keep_clear_channels
+from lumitree.lamp.scene_shapes import SceneShape, shape_of_node
+
+# Largest nesting depths; in a luminaire's file they are about 8 and 6.
+_MAX_ELEMENTS, _MAX_OBJECTS = 64, 16
+# What patterns are compared with, for messages.
+_CHOSEN_BY = "shape's id, BSDF's id or number"
+
+
+class SceneFile:
+    """A parsed Mitsuba 3 scene file whose objects have not been created yet."""
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        keep: Sequence[str] = (),
+        drop: Sequence[str] = (),
+    ) -> None:
+        """Parse `path`.
+
+        Args:
+            keep: patterns with * and ? of ids of shapes or of their BSDFs, or numbers of shapes
+                such as "#3". If there are any, all other shapes are left out of the scene, and all
+                objects that are not shapes.
+            drop: patterns or numbers of shapes that are left out.
+
+        Raises:
+            LumitreeError: the file is missing or is not a Mitsuba scene, or a pattern matches no
+                shape.
+        """
+        self.path = Path(path)
+        self._name = shown(path, 300)
+        self._check_text(read_bytes(self.path, "a Mitsuba scene", MAX_MODEL_BYTES))
+        mi = load_mitsuba()
+        # Compared for each property of each node.
+        self._types, self._reference = mi.ObjectType, mi.Properties.Type.ResolvedReference
+        self._config = mi.parser.ParserConfig(mi.variant())
+        # Shapes keep the ids of the file; unused parameters are not reported.
+        self._config.merge_meshes = self._config.merge_equivalent = False
+        self._config.unused_parameters = mi.LogLevel.Debug
+        with self._readable():
+            self._state = mi.parser.parse_file(self._config, str(self.path))
+            mi.parser.transform_all(self._config, self._state)
+        self._check_nesting()
+        # Shapes of the scene by their keys. A group is only visible through its instances.
+        self._shapes = {
+            key: shape_of_node(number, key, node, self)
+            for number, (key, node) in enumerate(self._root("Shape"))
+        }
+        if keep or drop:
+            self._select(keep, drop)
+        # Last, because equal BSDFs become one, with one id.
+        mi.parser.transform_merge_equivalent(self._config, self._state)
+        # What has been read in another way than Mitsuba would; one line each.
+        self.notes = replace_blackbodies(self)
+
+    def _check_text(self, data: bytes) -> None:
+        """Refuse XML that is not well-formed, or would overflow the stack of Mitsuba's parser."""
+        depth = 0
+
+        def opened(name: str, attributes: dict[str, str]) -> None:
+            nonlocal depth
+            depth += 1
+            if depth > _MAX_ELEMENTS:
+                raise LumitreeError(
+                    f"{self._name} holds elements nested more than {_MAX_ELEMENTS} deep; "
+                    "expected a Mitsuba 3 scene"
+                )
+
+        def closed(name: str) -> None:
+            nonlocal depth
+            depth -= 1
+
+        parser = expat.ParserCreate()
+        parser.StartElementHandler, parser.EndElementHandler = opened, closed
+        try:
+            parser.Parse(data, True)
+        except (expat.ExpatError, ValueError) as error:
+            if (what := what_it_is(self.path, data)) not in (None, SCENE, XML):
+                raise LumitreeError(
+                    f"{self._name} is {what}; expected a Mitsuba 3 scene (.xml)"
+                ) from None
+            raise LumitreeError(
+                f"{self._name} cannot be loaded: {shown(error)}; expected XML in UTF-8, or with "
+                "its encoding in the first line"
+            ) from None
+
+    def _check_nesting(self) -> None:
+        """Refuse objects nested so deeply that creating them takes exponential time.
+
+        A two-sided BSDF is built from two copies of the one that it holds.
+        """
+        depth = {0: 0}
+        waiting = [0]
+        while waiting:
+            index = waiting.pop()
+            for inner in self._references(self._state.nodes[index].props):
+                if depth[index] >= depth.get(inner, 0):
+                    depth[inner] = depth[index] + 1
+                    waiting.append(inner)
+            if depth[index] > _MAX_OBJECTS:
+                raise LumitreeError(
+                    f"{self._name} holds objects nested more than {_MAX_OBJECTS} deep; expected a "
+                    "luminaire's shapes, materials and emitters"
+                )
+
+    def _root(self, kind: str) -> list[tuple[str, Any]]:
+        """Keys and nodes of a type that the scene itself holds, in the order of the file."""
+        root = self._state.nodes[0].props
+        children = self.children(root).items()
+        found = [
+            (key, node)
+            for key, node in children
+            if self._is_a(node, kind) and not self._is_group(node)
+        ]
+        return sorted(found, key=lambda item: root[item[0]].index())
+
+    def _select(self, keep: Sequence[str], drop: Sequence[str]) -> None:
+        root = self._state.nodes[0].props
+        children = self.children(root)
+        shapes = list(self._shapes.values())
+        names = [(shape.name, *shape.materials) for shape in shapes]
+        chosen = select_names(names, keep, drop, self._name, _CHOSEN_BY, list(map(str, shapes)))
+        kept = {key for key, wanted in zip(self._shapes, chosen, strict=True) if wanted}
+        groups = {key for key, node in children.items() if self._is_group(node)}
+        if not keep:
+            kept |= children.keys() - groups - self._shapes.keys()
+        # A group is kept if an instance of it is.
+        visible = {index for key in kept for index in self._references(children[key].props)}
+        kept |= {key for key in groups if root[key].index() in visible}
+        for key in children.keys() - kept:
+            del root[key]
+        self._shapes = {key: shape for key, shape in self._shapes.items() if key in kept}
+
+    @property
+    def shapes(self) -> tuple[SceneShape, ...]:
+        """Shapes and instances that the scene holds, in the order of the file."""
+        return tuple(self._shapes.values())
+
+    def loose_lights(self) -> list[str]:
+        """Plugins of the emitters that no shape has."""
+        held = {index for node in self.nodes("Shape") for index in self._references(node.props)}
+        loose = (self._state.nodes[index] for index in sorted(self._reached({0}) - held))
+        return [node.props.plugin_name() for node in loose if self._is_a(node, "Emitter")]
+
+    def nodes(self, kind: str) -> list[Any]:
+        """Nodes of one type of Mitsuba object, such as "Shape" or "Emitter"."""
+        return [node for node in self._used() if self._is_a(node, kind)]
+
+    def children(self, props: Any) -> dict[str, Any]:
+        """Nodes that a node's properties refer to, by the names of the properties."""
+        names = [key for key in list(props.keys()) if self._is_reference(props, key)]
+        return {key: self._state.nodes[props[key].index()] for key in names}
+
+    def within(self, props: Any, *kinds: str) -> list[Any]:
+        """Nodes of some types that a node refers to, and all within these, each once."""
+        nodes = self._state.nodes
+        start = {
+            i for i in self._references(props) if any(self._is_a(nodes[i], kind) for kind in kinds)
+        }
+        return [nodes[index] for index in sorted(self._reached(start))]
+
+    def set_box_filter(self) -> None:
+        """Make the reconstruction filter of all sensors a box, so that pixels share no samples."""
+        mi = load_mitsuba()
+        box = mi.load_dict({"type": "box"})
+        for sensor in self.nodes("Sensor"):
+            films = [n for n in self.children(sensor.props).values() if self._is_a(n, "Film")]
+            if not films:
+                film = {"type": "hdrfilm", "rfilter": {"type": "box"}}
+                sensor.props["film"] = mi.load_dict(film)
+            for film in films:
+                for name, node in self.children(film.props).items():
+                    if self._is_a(node, "ReconstructionFilter"):
+                        del film.props[name]
+                film.props["rfilter"] = box
+
+    def move(self, matrix: NDArray[np.float64]) -> None:
+        """Move all shapes by a similarity transform [4, 4], in double precision."""
+        transform = load_mitsuba().ScalarTransform4d
+        for props in self._placed_shapes():
+            # The parser keeps transforms in double precision.
+            own = props.get("to_world", transform())
+            props["to_world"] = transform(matrix @ np.array(own.matrix))
+
+    def recentre(self, origin: NDArray[np.float64]) -> None:
+        """Move the origin of the scene's coordinates to [3] `origin`, in double precision.
+
+        The points by which spheres and cylinders are placed become a part of their transform.
+        Vertices of mesh files are read as float32, and stay what they are.
+        """
+        mi = load_mitsuba()
+        transform = mi.ScalarTransform4d
+        for props in self._placed_shapes():
+            first = next((name for name in ("center", "p0") if name in props), None)
+            if first is not None:
+                place = np.array(props[first], np.float64)
+                for name in {first, "p1"} & set(props.keys()):
+                    props[name] = mi.ScalarPoint3d(np.array(props[name], np.float64) - place)
+                own = np.array(props.get("to_world", transform()).matrix)
+                props["to_world"] = transform(own @ similarity(np.eye(3), 1.0, place))
+        self.move(similarity(np.eye(3), 1.0, -np.asarray(origin)))
+
+    def mesh_files(self) -> list[tuple[str, NDArray[np.float64]]]:
+        """Name of each shape that a file has, and [3] where its transform puts (0, 0, 0)."""
+        transform = load_mitsuba().ScalarTransform4d
+        return [
+            (
+                shown(props.id() or props["filename"], 100),
+                np.array(props.get("to_world", transform()).matrix)[:3, 3],
+            )
+            for props in self._placed_shapes()
+            if "filename" in props
+        ]
+
+    def analytic_box(self) -> NDArray[np.float64]:
+        """[2, 3] a box around the shapes that are no files, in double precision; NaN for none."""
+        transform = load_mitsuba().ScalarTransform4d
+        corners = [np.full((2, 3), np.nan)]
+        for props in self._placed_shapes():
+            if "filename" in props or props.plugin_name() in ("instance", "merge"):
+                continue
+            matrix = np.array(props.get("to_world", transform()).matrix)
+            place = np.array(next((props[n] for n in ("center", "p0") if n in props), np.zeros(3)))
+            length = np.linalg.norm(np.array(props["p1"]) - place) if "p1" in props else 0.0
+            reach = max(length, props.get("radius", 1.0)) * np.linalg.norm(matrix[:3, :3], axis=0)
+            centre = matrix[:3, :3] @ place + matrix[:3, 3]
+            corners.append(centre + np.outer([-1, 1], np.full(3, reach.max())))
+        box = np.array(corners)
+        return np.stack([np.fmin.reduce(box[:, 0]), np.fmax.reduce(box[:, 1])])
+
+    def _placed_shapes(self) -> list[Any]:
+        """Properties of the shapes whose transform is that of the scene.
+
+        Shapes of a group are placed by its instances.
+        """
+        shapes = [node.props for node in self.nodes("Shape")]
+        groups = [props for props in shapes if props.plugin_name() == "shapegroup"]
+        grouped = [node.props for group in groups for node in self.children(group).values()]
+        left_out = [*groups, *grouped]
+        return [props for props in shapes if not any(props is other for other in left_out)]
+
+    def resolve(self, name: str) -> Path:
+        """Path of a file that the scene refers to."""
+        with self._searching() as resolver:
+            return Path(str(resolver.resolve(name)))
+
+    def _used(self) -> list[Any]:
+        """Nodes that belong to the scene, directly or within others, in the order of the file."""
+        return [self._state.nodes[index] for index in sorted(self._reached({0}))]
+
+    def _reached(self, start: set[int]) -> set[int]:
+        """Indices of nodes and of all that they refer to, directly or within others."""
+        found, waiting = set(start), list(start)
+        while waiting:
+            inner = self._references(self._state.nodes[waiting.pop()].props)
+            waiting += inner - found
+            found |= inner
+        return found
+
+    def references(self) -> list[Path]:
+        """Paths of the files that the scene refers to."""
+        names = (
+            node.props["filename"] for node in self._used() if node.props.has_property("filename")
+        )
+        with self._searching() as resolver:
+            return sorted({Path(str(resolver.resolve(name))) for name in names})
+
+    def instantiate(self) -> Any:
+        """Create the scene.
+
+        Raises:
+            LumitreeError: a mesh, texture or plugin of the scene is missing or damaged.
+        """
+        mi = load_mitsuba()
+        # Creating the scene clears the nodes.
+        has_media = bool(self.nodes("Medium"))
+        # Lamps would be created within each other, by tasks that wait.
+        lamps = (node.props.plugin_name() == "lumitree_proxy" for node in self._used())
+        self._config.parallel = not any(lamps)
+        with self._searching(), self._readable():
+            scene = mi.parser.instantiate(self._config, self._state)
+        if not isinstance(scene, mi.Scene):
+            raise LumitreeError(f"{self._name} does not hold a <scene>; found {type(scene)}")
+        if has_media:
+            keep_clear_channels(scene)
+        return scene
+
+    @contextlib.contextmanager
+    def _searching(self) -> Iterator[Any]:
+        """Context in which relative names are resolved against the folder of the scene file."""
+        mi = load_mitsuba()
+        before = mi.file_resolver()
+        resolver = mi.FileResolver(before)
+        resolver.prepend(mi.filesystem.path(str(self.path.resolve().parent)))
+        mi.set_file_resolver(resolver)
+        try:
+            yield resolver
+        finally:
+            mi.set_file_resolver(before)
+
+    @contextlib.contextmanager
+    def _readable(self) -> Iterator[None]:
+        try:
+            yield
+        except (RuntimeError, UnicodeError) as error:
+            reason = renderer_reason(error) or " ".join(str(error).split())
+            raise LumitreeError(f"{self._name} cannot be loaded: {shown(reason, 400)}") from None
+
+    def _is_a(self, node: Any, kind: str) -> bool:
+        """Whether a node is of a type of Mitsuba object, such as "Film"."""
+        return node.type == getattr(self._types, kind)
+
+    def _is_group(self, node: Any) -> bool:
+        return self._is_a(node, "Shape") and node.props.plugin_name() == "shapegroup"
+
+    def _is_reference(self, props: Any, key: str) -> bool:
+        return props.type(key) == self._reference
+
+    def _references(self, props: Any) -> set[int]:
+        """Indices of the nodes that a node refers to."""
+        return {props[key].index() for key in list(props.keys()) if self._is_reference(props, key)}

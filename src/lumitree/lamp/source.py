@@ -1,0 +1,67 @@
+"""What a source of light is: an asset, a photometric file, a dataset or a luminaire."""
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import Literal
+
+from lumitree.asset.asset import Asset
+from lumitree.core.dataset import MANIFEST
+
+# Files that are assets once they are opened, see `render.asset_cache.open_asset`.
+ASSET_SUFFIX = ".lumitree"
+RAY_SUFFIXES = (".ray", ".tm25ray")
+PHOTOMETRIC_SUFFIXES = (".ies", ".ldt", *RAY_SUFFIXES)
+Kind = Literal["asset", "photometric", "dataset", "luminaire"]
+
+
+@dataclasses.dataclass(frozen=True)
+class LuminaireSource:
+    """A luminaire that has not been loaded yet.
+
+    Attributes:
+        name: built-in name, or path of a .xml, .obj, .gltf or .glb file.
+        materials: TOML file of overrides for a model. By default it is the file with the model's
+            name and the suffix .toml, if there is one.
+        keep: patterns with * and ? of what belongs to the luminaire: ids of shapes or of their
+            BSDFs, or numbers of shapes such as "#3", in a Mitsuba scene; or names of parts or
+            materials in a model; empty for everything.
+        drop: patterns of what does not belong to the luminaire.
+    """
+
+    name: str
+    materials: str | None = None
+    keep: tuple[str, ...] = ()
+    drop: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return self.name
+
+    @property
+    def options(self) -> list[str]:
+        """Names of the options for reading a luminaire that are given."""
+        return [name for name in ("materials", "keep", "drop") if getattr(self, name)]
+
+
+def as_source(source: str | os.PathLike[str] | LuminaireSource) -> LuminaireSource:
+    """`source` itself, or a `LuminaireSource` with this name and defaults."""
+    return source if isinstance(source, LuminaireSource) else LuminaireSource(os.fspath(source))
+
+
+def source_kind(source: object) -> Kind:
+    """What a source of light is. Of a path its suffix decides, in upper or lower case.
+
+    "asset": an `Asset` or a `.lumitree` file. "photometric": a photometric file or a ray file,
+    which is an asset once it is opened. "dataset": the folder of one. "luminaire": all else.
+    """
+    if isinstance(source, Asset):
+        return "asset"
+    name = source.name if isinstance(source, LuminaireSource) else source
+    if not isinstance(name, str | os.PathLike):
+        return "luminaire"
+    suffix = Path(name).suffix.lower()
+    if suffix == ASSET_SUFFIX:
+        return "asset"
+    if suffix in PHOTOMETRIC_SUFFIXES:
+        return "photometric"
+    return "dataset" if os.path.isfile(Path(name) / MANIFEST) else "luminaire"

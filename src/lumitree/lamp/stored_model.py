@@ -1,0 +1,258 @@
+"""A luminaire as the model of an asset: its meshes and images as arrays, its BSDFs by name."""
+
+from collections import defaultdict
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.checks import naming
+from lumitree.asset.materials import MAX_NESTING, check_material, check_radiance
+from lumitree.asset.model import ARRAYS, AssetModel, check_surface
+from lumitree.asset.textures import VERTEX_COLOUR, ImageFacts, Json
+from lumitree.core.backend import load_mitsuba
+from lumitree.errors import LumitreeError, shown
+from lumitree.lamp.luminaire import Luminaire, luminaire_source, open_scene_file
+from lumitree.lamp.media import stored_medium
+from lumitree.lamp.scene_file import SceneFile
+
+_ANALYTIC = ("sphere", "disk", "cylinder", "rectangle")
+_TRAVERSED = {
+    "vertices": "vertex_positions",
+    "normals": "vertex_normals",
+    "texcoords": "vertex_texcoords",
+    "colours": VERTEX_COLOUR,
+    "faces": "faces",
+}
+_BITMAP = ("filename", "raw", "filter_type", "wrap_mode", "to_uv")
+
+
+def stored_model(luminaire: Luminaire) -> AssetModel:
+    """The model of a luminaire, for its asset.
+
+    Meshes of one material and radiance are joined, which renders faster.
+
+    Raises:
+        LumitreeError: the luminaire cannot be stored: it has instances, a shape, BSDF, texture,
+            emitter or medium that is not in the lists of `asset.materials` and `asset.model_media`,
+            or it was made from a mi.Scene. The message is the reason.
+    """
+    file = open_scene_file(luminaire_source(luminaire), luminaire.origin)
+    return _Reader(file).read(luminaire.origin)
+
+
+class _Reader:
+    """Reads the nodes of a scene file, and their shapes once they are created."""
+
+    def __init__(self, file: SceneFile) -> None:
+        self._file = file
+        self._images: list[NDArray[Any]] = []
+        self._facts: list[ImageFacts] = []
+        self._image_of: dict[tuple[Path, bool], int] = {}
+        self._materials: list[Json] = []
+
+    def read(self, origin: NDArray[np.float64]) -> AssetModel:
+        nodes = self._file.nodes("Shape")
+        names = [shown(node.props.id() or node.props.plugin_name(), 60) for node in nodes]
+        described = []
+        for node, name in zip(nodes, names, strict=True):
+            with _of_shape(name):
+                described.append(self._describe(node.props))
+        # Creating the scene clears the nodes.
+        shapes = self._file.instantiate().shapes()
+        if len(shapes) != len(nodes):
+            raise LumitreeError("instances of shapes are not stored")
+        meshes: dict[str, list[tuple[Json, dict[str, NDArray[Any]]]]] = defaultdict(list)
+        others = []
+        for name, shape, description in zip(names, shapes, described, strict=True):
+            with _of_shape(name):
+                description |= _media(shape)
+            # A rectangle is a mesh to Mitsuba, but has no arrays.
+            mesh = _arrays(shape) if shape.is_mesh() else {}
+            with _of_shape(name):
+                material = self._materials[description["material"]]
+                check_surface(material, description["radiance"], mesh, self._facts)
+            if mesh:
+                key = repr((description, sorted(mesh)))
+                meshes[key].append((description, mesh))
+            else:
+                others.append(_analytic(name, shape, description))
+        return _joined(meshes, others, self._images, self._materials, origin)
+
+    def _describe(self, props: Any) -> Json:
+        """What a shape has besides its geometry."""
+        plugin = props.plugin_name()
+        radiance, material = None, None
+        for child in self._children(props).values():
+            if child.type == load_mitsuba().ObjectType.Emitter:
+                radiance = self._radiance(child.props)
+            elif child.type == load_mitsuba().ObjectType.BSDF:
+                material = self._material(child.props)
+            elif child.type != load_mitsuba().ObjectType.Medium:
+                raise LumitreeError(f"a {plugin} holds an object that is not stored")
+        if material is None:
+            # As Mitsuba has it: what emits reflects nothing.
+            material = {"type": "diffuse"} | ({} if radiance is None else {"reflectance": 0.0})
+        check_material(material, self._facts)
+        if material not in self._materials:
+            self._materials.append(material)
+        return {
+            "type": plugin,
+            "material": self._materials.index(material),
+            "radiance": radiance,
+            "flipped": bool(props.get("flip_normals", False)),
+        }
+
+    def _radiance(self, props: Any) -> Any:
+        if props.plugin_name() != "area":
+            raise LumitreeError(f"an emitter {props.plugin_name()!r} is not stored; expected area")
+        values = self._values(props)
+        if set(values) - {"radiance"}:
+            raise LumitreeError("an area emitter has parameters that are not stored")
+        radiance = values.get("radiance", [1.0, 1.0, 1.0])
+        check_radiance(radiance, self._facts)
+        return radiance
+
+    def _material(self, props: Any, nesting: int = 1) -> Json:
+        # Refused here already: materials may hold one that they share in very many ways.
+        if nesting > MAX_NESTING:
+            raise LumitreeError(f"materials are nested more than {MAX_NESTING} deep")
+        return {"type": props.plugin_name(), **self._values(props, nesting)}
+
+    def _values(self, props: Any, nesting: int = 1) -> Json:
+        """Parameters of a plugin, and the materials that it holds."""
+        mi = load_mitsuba()
+        values: Json = {}
+        children = self._children(props)
+        for name in list(props.keys()):
+            child = children.get(name)
+            if child is None:
+                values[name] = _plain(name, props[name])
+            elif child.type == mi.ObjectType.Texture:
+                # Mitsuba takes the texture of a bump map by any name.
+                key = "bumpmap" if props.plugin_name() == "bumpmap" else name
+                values[key] = self._texture(child.props)
+            elif child.type == mi.ObjectType.BSDF:
+                held = self._material(child.props, nesting + 1)
+                values.setdefault("nested", []).append(held)
+            else:
+                raise LumitreeError(f"{props.plugin_name()} holds an object that is not stored")
+        return values
+
+    def _children(self, props: Any) -> dict[str, Any]:
+        return self._file.children(props)
+
+    def _texture(self, props: Any) -> Json:
+        plugin = props.plugin_name()
+        attribute = plugin == "mesh_attribute"
+        if not attribute and (plugin != "bitmap" or not props.has_property("filename")):
+            raise LumitreeError(f"a texture {plugin!r} is not stored; expected bitmap")
+        known = ("name",) if attribute else _BITMAP
+        if unknown := sorted(set(props.keys()) - set(known)):
+            raise LumitreeError(f"a {plugin} has a parameter {unknown[0]!r} that is not stored")
+        if attribute:
+            return {"attribute": str(props.get("name", ""))}
+        raw = bool(props.get("raw", False))
+        to_uv = props.get("to_uv", load_mitsuba().ScalarTransform4f())
+        return {
+            "image": self._image(self._file.resolve(props["filename"])),
+            "raw": raw,
+            "filter_type": str(props.get("filter_type", "bilinear")),
+            "wrap_mode": str(props.get("wrap_mode", "repeat")),
+            "to_uv": np.array(to_uv.matrix, np.float64).tolist(),
+        }
+
+    def _image(self, path: Path) -> int:
+        """Index of the image of a file: 8 bits a channel as they are, others as linear numbers."""
+        mi = load_mitsuba()
+        encoded = path.suffix.lower() in (".png", ".jpg", ".jpeg", ".bmp", ".tga")
+        key = (path, encoded)
+        if key not in self._image_of:
+            bitmap = mi.Bitmap(str(path))
+            if bitmap.component_format() != mi.Struct.Type.UInt8:
+                bitmap = bitmap.convert(component_format=mi.Struct.Type.Float32, srgb_gamma=False)
+            pixels = np.array(bitmap)
+            self._image_of[key] = len(self._images)
+            self._images.append(pixels[..., None] if pixels.ndim == 2 else pixels)
+            self._facts.append(ImageFacts.of(self._images[-1]))
+        return self._image_of[key]
+
+
+def _of_shape(name: str) -> AbstractContextManager[None]:
+    return naming(lambda: f"shape {name!r}")
+
+
+def _plain(name: str, value: Any) -> Any:
+    """A number, text or colour as JSON has it."""
+    if isinstance(value, bool | int | float | str):
+        return value
+    numbers = np.ravel(np.array(value, np.float64))
+    if numbers.shape != (3,):
+        raise LumitreeError(f"a parameter {shown(name, 60)!r} of a BSDF is not stored")
+    return numbers.tolist()
+
+
+def _media(shape: Any) -> Json:
+    """Media inside and outside of a shape, by the names of `AssetModel`."""
+    found = {"interior": shape.interior_medium(), "exterior": shape.exterior_medium()}
+    return {side: stored_medium(medium) for side, medium in found.items() if medium is not None}
+
+
+def _arrays(shape: Any) -> dict[str, NDArray[Any]]:
+    """Arrays of a mesh that it has, by the names of `AssetModel`."""
+    parameters = load_mitsuba().traverse(shape)
+    found = {}
+    for name, (dtype, width) in ARRAYS.items():
+        values = np.array(parameters.get(_TRAVERSED[name], []), dtype)
+        if values.size:
+            found[name] = values.reshape(-1, width)
+    return found
+
+
+def _analytic(name: str, shape: Any, description: Json) -> Json:
+    if description["type"] not in _ANALYTIC:
+        raise LumitreeError(f"shape {name!r} is a {description['type']}, which is not stored")
+    matrix = np.array(load_mitsuba().traverse(shape)["to_world"].matrix, np.float64)
+    matrix = matrix.reshape(4, 4)
+    return {**description, "to_world": matrix.tolist()}
+
+
+def _joined(
+    meshes: "dict[str, list[tuple[Json, dict[str, NDArray[Any]]]]]",
+    others: list[Json],
+    images: list[NDArray[Any]],
+    materials: list[Json],
+    origin: NDArray[np.float64],
+) -> AssetModel:
+    shapes = []
+    arrays: dict[str, list[NDArray[Any]]] = {name: [] for name in ARRAYS}
+    for group in meshes.values():
+        description = group[0][0]
+        first = 0
+        for _, mesh in group:
+            for name, values in mesh.items():
+                offset = first if name == "faces" else 0
+                arrays[name].append(values + np.asarray(offset, values.dtype))
+            first += len(mesh["vertices"])
+        shapes.append(
+            {
+                **description,
+                "type": "mesh",
+                "vertices": first,
+                "faces": sum(len(mesh["faces"]) for _, mesh in group),
+                **{name: name in group[0][1] for name in ("normals", "texcoords", "colours")},
+            }
+        )
+    joined: dict[str, NDArray[Any]] = {
+        name: np.concatenate([np.zeros((0, width), dtype), *arrays[name]])
+        for name, (dtype, width) in ARRAYS.items()
+    }
+    return AssetModel(
+        **joined,
+        images=tuple(images),
+        shapes=(*shapes, *others),
+        materials=tuple(materials),
+        origin=(float(origin[0]), float(origin[1]), float(origin[2])),
+    )

@@ -1,1 +1,0 @@
-"""Luminaires as Mitsuba scenes: built-in lamps and scene files."""

@@ -1,0 +1,1 @@
+"""Figures of lamps and assets: errors, irradiance, photometry."""

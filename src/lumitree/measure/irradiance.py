@@ -1,0 +1,258 @@
+"""Irradiance around a luminaire, by light that leaves it: what a room receives.
+
+A cube three times the size of the luminaire's bounding box stands around it, in its local frame. A
+seventh square touches the lower side of the bounding box, as a table below a lamp might. Each
+square is divided into patches. Rays that leave the luminaire carry flux straight to the patches.
+Where the rays come from does not matter, so every representation of a luminaire from which emitted
+rays can be sampled is compared in the same way.
+
+Symbols
+    E       irradiance of a patch, R, G and B: flux of the rays that reach it over its area, in the
+            luminaire's units of radiance times sr
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.core.photometry import luminance
+from lumitree.core.progress import progress
+from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.lamp.luminaire import Luminaire
+from lumitree.octree.field import shared_field
+from lumitree.render.sampling.divided_sampling import emitter_sampler
+from lumitree.render.sampling.proxy import BoxProxy
+from lumitree.trace.light_paths import trace_light
+from lumitree.trace.tracing import PATH_DEPTH, check_finite
+
+FACES = ("-x", "+x", "-y", "+y", "-z", "+z", "touching")
+# The first faces are those of the cube.
+NUM_CUBE_FACES = 6
+# Half side of the cube, local units, and patches along a side of each square.
+CUBE_HALF_SIDE = 3.0
+PATCHES = 12
+# Independent batches that an estimate is the mean of; their spread is its noise.
+BATCHES = 16
+# The RMS difference of a face is defined if at least this part of the reference's mean square is
+# not noise.
+_MIN_SIGNAL = 0.1
+# Takes a mi.Sampler and a number of rays, and returns origins (mi.Point3f), directions of flight
+# (mi.Vector3f) and fluxes (mi.Color3f), local units.
+Rays = Callable[[Any, int], tuple[Any, Any, Any]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Irradiance:
+    """Estimates of E on the patches.
+
+    Attributes:
+        batches: [B, 7, P, P, 3] independent estimates of equal noise; faces as in `FACES`, patches
+            by the two other axes in increasing order.
+    """
+
+    batches: NDArray[np.float64]
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """[7, P, P, 3] estimate by all rays."""
+        return self.batches.mean(axis=0)
+
+    @property
+    def lux(self) -> NDArray[np.float64]:
+        """[7, P, P] illuminance of the patches in lx, for radiance in W/(m² sr)."""
+        return luminance(self.mean)
+
+
+@dataclasses.dataclass(frozen=True)
+class IrradianceError:
+    """How far one estimate of E is from another, by luminance; noise of both is accounted for.
+
+    Attributes:
+        ratio, ratio_error: [7] mean of each face over the reference's, and standard error. NaN for
+            a face that no light of the reference reaches.
+        rms, rms_error: [7] root mean square difference of the patches of each face over the
+            reference's root mean square; the expected contribution of noise is subtracted, and a
+            difference below the noise counts as 0. Standard error by the jackknife. NaN for a face
+            where nine tenths of the reference's mean square are noise.
+        total_ratio, total_ratio_error: flux through the six faces of the cube over the
+            reference's, and standard error.
+    """
+
+    ratio: NDArray[np.float64]
+    ratio_error: NDArray[np.float64]
+    rms: NDArray[np.float64]
+    rms_error: NDArray[np.float64]
+    total_ratio: float
+    total_ratio_error: float
+
+    @property
+    def mean_rms(self) -> float:
+        """Mean of `rms` over the faces of the cube where it is not NaN; NaN if there are none."""
+        known = self.rms[:NUM_CUBE_FACES][np.isfinite(self.rms[:NUM_CUBE_FACES])]
+        return float(known.mean()) if known.size else np.nan
+
+
+def luminaire_irradiance(
+    luminaire: Luminaire, num_paths: int, *, path_depth: int = PATH_DEPTH, seed: int = 0
+) -> Irradiance:
+    """Irradiance that a luminaire causes, by light paths.
+
+    Args:
+        num_paths: light paths, rounded up to a multiple of `BATCHES`.
+        path_depth: longest path, events.
+        seed: root seed.
+
+    Raises:
+        LumitreeError: a path's flux is NaN or infinite.
+    """
+
+    def rays(sampler: Any, count: int) -> tuple[Any, Any, Any]:
+        paths = trace_light(luminaire, sampler, count, path_depth, all_light=True)
+        return paths.origin, -paths.direction, paths.flux
+
+    result = rays_irradiance(rays, luminaire.frame.half_extents, num_paths, draw=0, seed=seed)
+    check_finite(luminaire, result.batches)
+    return result
+
+
+def asset_irradiance(asset: Asset, num_rays: int, *, seed: int = 0) -> Irradiance:
+    """Irradiance that a baked luminaire causes, by rays sampled from its emission.
+
+    Args:
+        num_rays: rays, rounded up to a multiple of `BATCHES`.
+        seed: root seed.
+    """
+    half_extents = asset.frame.half_extents
+    return rays_irradiance(asset_rays(asset), half_extents, num_rays, draw=1, seed=seed)
+
+
+def asset_rays(asset: Asset) -> Rays:
+    """Rays sampled from a baked luminaire's emission."""
+    emitter = emitter_sampler(asset, shared_field(asset), BoxProxy(asset.frame.half_extents))
+
+    def rays(sampler: Any, count: int) -> tuple[Any, Any, Any]:
+        origin, direction, flux = emitter.sample_ray(
+            sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
+        )
+        flux /= count
+        dr.eval(origin, direction, flux)
+        return origin, direction, flux
+
+    return rays
+
+
+def rays_irradiance(
+    rays: Rays,
+    half_extents: NDArray[np.float64],
+    num_rays: int,
+    *,
+    draw: int = 1,
+    seed: int = 0,
+) -> Irradiance:
+    """Irradiance by rays of any origin.
+
+    Args:
+        rays: origins are inside the bounding box.
+        half_extents: [3] of the luminaire's box.
+        num_rays: rounded up to a multiple of `BATCHES`.
+        draw: of `Purpose.IRRADIANCE`.
+        seed: root seed.
+    """
+    count = -(-num_rays // BATCHES)
+    batches = []
+    with progress("irradiance", BATCHES) as advance:
+        for step in range(BATCHES):
+            sampler = mi.load_dict({"type": "independent"})
+            sampler.seed(SeedStream(Purpose.IRRADIANCE, step, draw).seed(seed), count)
+            batches.append(_accumulate(*rays(sampler, count), half_extents))
+            advance(1)
+    return Irradiance(np.array(batches))
+
+
+def irradiance_error(estimate: Irradiance, reference: Irradiance) -> IrradianceError:
+    """Compare two estimates of the irradiance around a luminaire."""
+    first, second = luminance(estimate.batches), luminance(reference.batches)
+    values = _compare(first, second)
+    count = min(len(first), len(second))
+    left_out = np.array(
+        [_compare(np.delete(first, i, 0), np.delete(second, i, 0)) for i in range(count)]
+    )
+    error = np.sqrt((count - 1) / count * ((left_out - left_out.mean(0)) ** 2).sum(0))
+    ratio, rms = slice(0, len(FACES)), slice(len(FACES), 2 * len(FACES))
+    return IrradianceError(
+        values[ratio],
+        error[ratio],
+        values[rms],
+        error[rms],
+        total_ratio=float(values[-1]),
+        total_ratio_error=float(error[-1]),
+    )
+
+
+def _compare(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compare two [B, 7, P, P].
+
+    Returns:
+        [15] 7 ratios of means, 7 relative RMS differences without noise, and the ratio of the means
+        over the faces of the cube. See `IrradianceError` for what is NaN.
+    """
+    a, b = first.mean(0), second.mean(0)
+    noise_a, noise_b = first.var(0, ddof=1) / len(first), second.var(0, ddof=1) / len(second)
+    faces = (1, 2)
+    square = np.maximum(((a - b) ** 2 - noise_a - noise_b).sum(faces), 0)
+    norm = (b**2 - noise_b).sum(faces)
+    light_a, light_b = a.sum(faces), b.sum(faces)
+    cube = slice(NUM_CUBE_FACES)
+    return np.concatenate(
+        [
+            _divide(light_a, light_b, light_b > 0),
+            np.sqrt(_divide(square, norm, norm > _MIN_SIGNAL * (b**2).sum(faces))),
+            _divide(light_a[cube].sum(), light_b[cube].sum(), light_b[cube].any()),
+        ],
+        axis=None,
+    )
+
+
+def _divide(a: ArrayLike, b: ArrayLike, defined: ArrayLike) -> NDArray[np.float64]:
+    """a / b, and NaN where that is not defined."""
+    return np.divide(a, b, out=np.full(np.shape(a), np.nan), where=np.asarray(defined))
+
+
+def _accumulate(
+    origin: Any, direction: Any, flux: Any, half_extents: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """E [7, P, P, 3] by rays that start inside the bounding box."""
+    position, towards, carried = (
+        np.array(vector, np.float64).reshape(3, -1).T for vector in (origin, direction, flux)
+    )
+    side = 2 * CUBE_HALF_SIDE / PATCHES
+    total = np.zeros((len(FACES) * PATCHES**2, 3))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = (np.copysign(CUBE_HALF_SIDE, towards) - position) / towards
+        axis = np.nanargmin(np.where(towards == 0, np.inf, distance), axis=1)
+        rows = np.arange(len(axis))
+        face = 2 * axis + (towards[rows, axis] > 0)
+        _add(total, face, axis, position + distance[rows, axis, None] * towards, carried, side)
+        below = (-half_extents[1] - position[:, 1]) / towards[:, 1]
+    down = towards[:, 1] < 0
+    where = position[down] + np.maximum(below[down], 0)[:, None] * towards[down]
+    hits = (np.abs(where[:, [0, 2]]) < CUBE_HALF_SIDE).all(axis=1)
+    ones = np.ones(hits.sum(), np.int64)
+    _add(total, 6 * ones, ones, where[hits], carried[down][hits], side)
+    return total.reshape(len(FACES), PATCHES, PATCHES, 3) / side**2
+
+
+def _add(total, face, axis, where, flux, side):
+    """Add the flux of rays that reach points of faces perpendicular to an axis."""
+    patch = np.clip(((where + CUBE_HALF_SIDE) / side).astype(np.int64), 0, PATCHES - 1)
+    rows = np.arange(len(axis))
+    first, second = np.where(axis == 0, 1, 0), np.where(axis == 2, 1, 2)
+    index = (face * PATCHES + patch[rows, first]) * PATCHES + patch[rows, second]
+    for channel in range(3):
+        total[:, channel] += np.bincount(index, flux[:, channel], len(total))

@@ -1,0 +1,1 @@
+"""Luminous intensity by direction: measurement, figures, reports."""

@@ -1,0 +1,101 @@
+"""Computation of photometric figures and their errors from the batches of a measurement."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.photometry import colour_temperature, luminance
+from lumitree.formats.opening import Opening
+from lumitree.formats.type_c import IntensityDistribution
+from lumitree.measure.photometry.far_field import Measurement, jackknife
+from lumitree.measure.photometry.figures import (
+    BEAM,
+    FIELD,
+    PLANES,
+    Estimate,
+    PhotometricData,
+    PhotometricFigures,
+    plane_curve,
+    width_at,
+)
+from lumitree.measure.photometry.ugr import ugr_table
+
+Mask = NDArray[np.bool_]
+# Standard errors by which the largest intensity must exceed that of other nodes.
+_CERTAIN = 2
+
+
+def evaluated(measurement: Measurement) -> PhotometricData:
+    """Figures, intensities and near-field limits of a measurement."""
+    grid, emitted = measurement.grid, measurement.emitted
+
+    def lumens(used: Mask) -> float:
+        return float(luminance(measurement.watts[used].mean(axis=0)))
+
+    def colour(used: Mask) -> NDArray[np.float64]:
+        return np.array(colour_temperature(measurement.watts[used].mean(axis=0)))
+
+    emitted_lumens = ratio = None
+    if emitted is not None:
+
+        def bare(used: Mask) -> float:
+            return float(luminance(emitted[used].mean(axis=0)))
+
+        emitted_lumens = _estimate(bare)
+        ratio = _estimate(lambda used: lumens(used) / bare(used))
+    intensity, error = jackknife(lambda used: measurement.intensity[used].mean(axis=0))
+    # Where it is large with certainty: rare paths of large flux make single nodes uncertain.
+    certain = intensity - _CERTAIN * error
+    plane, row = np.unravel_index(certain.argmax(), certain.shape)
+    (kelvin, duv), (kelvin_error, duv_error) = (each.tolist() for each in jackknife(colour))
+    angles = {
+        part: {
+            name: _estimate(lambda used, c=c, part=part: _width(measurement, used, c, part))
+            for name, c in PLANES.items()
+        }
+        for part in (BEAM, FIELD)
+    }
+    figures = PhotometricFigures(
+        lumens=_estimate(lumens),
+        emitted_lumens=emitted_lumens,
+        light_output_ratio=ratio,
+        upward_share=_estimate(lambda used: measurement.upward[used].mean() / lumens(used)),
+        max_candela=Estimate(float(intensity[plane, row]), float(error[plane, row])),
+        max_c=float(grid.c[plane]),
+        max_gamma=float(grid.gamma[row]),
+        beam_angles=angles[BEAM],
+        field_angles=angles[FIELD],
+        colour_temperature=Estimate(kelvin, kelvin_error) if math.isfinite(kelvin_error) else None,
+        duv=Estimate(duv, duv_error) if math.isfinite(duv_error) else None,
+    )
+    size = measurement.size
+    distribution = IntensityDistribution(
+        name=measurement.name,
+        c=grid.c,
+        gamma=grid.gamma,
+        intensity=intensity,
+        opening=Opening((float(size[0]), float(size[1]), float(size[2]))),
+        emitted_lumens=None if emitted_lumens is None else emitted_lumens.value,
+    )
+    return PhotometricData(
+        figures=figures,
+        distribution=distribution,
+        intensity_error=error,
+        near_field=measurement.near_field.limits(),
+        step=grid.step,
+        size=size,
+        num_rays=measurement.num_rays,
+        ugr=ugr_table(distribution),
+    )
+
+
+def _estimate(figure: Callable[[Mask], float]) -> Estimate:
+    value, error = jackknife(figure)
+    return Estimate(float(value), float(error))
+
+
+def _width(measurement: Measurement, used: Mask, c: float, part: float) -> float:
+    intensity = measurement.intensity[used].mean(axis=0)
+    return width_at(plane_curve(measurement.grid, intensity, c), measurement.grid.step, part)

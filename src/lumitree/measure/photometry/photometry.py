@@ -1,0 +1,185 @@
+"""Photometry of luminaires and assets."""
+
+import dataclasses
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+from lumitree.asset.asset import Asset
+from lumitree.core.arguments import check_choice, check_range
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.files import check_writable
+from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.results import PhotometryResult
+from lumitree.core.seeds import check_seed
+from lumitree.core.stopwatch import Stopwatch
+from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
+from lumitree.lamp.importers.overrides_file import UNITS
+from lumitree.lamp.source import (
+    PHOTOMETRIC_SUFFIXES,
+    RAY_SUFFIXES,
+    source_kind,
+)
+from lumitree.render.files import FilePath, asset_of
+
+if TYPE_CHECKING:
+    from lumitree.lamp.luminaire import LuminaireLike
+    from lumitree.measure.photometry.figures import PhotometricData
+
+# Light paths of a measurement: 15 to 30 s on 2 CPU cores.
+PATHS = 1 << 22
+# With fewer the standard errors are not reliable.
+MIN_PATHS = 1 << 14
+# More would take days. A ray file has 36 bytes a ray.
+MAX_PATHS, MAX_FILE_RAYS = 1 << 32, 1 << 24
+# Samples whose rays a ray file gets.
+FILE_RAYS = 1 << 18
+OUTPUTS = (*PHOTOMETRIC_SUFFIXES, ".html", ".pdf")
+
+
+@explained
+def photometry(
+    source: "Asset | LuminaireLike",
+    output: FilePath | Sequence[FilePath] = (),
+    *,
+    step: float | None = None,
+    unit: float | str = "m",
+    up: Literal["y", "z"] = "y",
+    paths: int = PATHS,
+    file_rays: int = FILE_RAYS,
+    seed: int = 0,
+    variant: str | None = None,
+    progress: ProgressCallback | None = show_progress,
+) -> PhotometryResult:
+    """Measure the far field of a luminaire or an asset, and write photometric files.
+
+    The luminous intensity by direction, Type C, is estimated from light paths of a luminaire, or
+    from rays of an asset: of its exitant light field if it has one. All figures have standard
+    errors.
+
+    Args:
+        source: an asset, the path of a `.lumitree` file, of a photometric file or of a ray file; or
+            a luminaire in any form that `bake` takes except the folder of a dataset.
+        output: path of a file to write, or several. The suffix decides: `.ies` (IES LM-63-2019),
+            `.ldt` (EULUMDAT), `.ray` or `.tm25ray` (IES TM-25 ray file), `.html` or `.pdf`
+            (report). Default: none.
+        step: angular step of the intensities in C and gamma, degrees: 0.5 to 30, a divisor of 90.
+            Default: the finest of 1, 2.5, 5 and 10 at which the noise of the intensities is at
+            most 2 % RMS.
+        unit: unit of length of the source: "m", "cm", "mm", "in", "ft", or the metres in a unit,
+            1e-6 to 1e6. Models (`.obj`, `.gltf`, `.glb`) are in metres once they are loaded.
+            Photometric files state their unit, and none may be given.
+        up: upward axis of the source, "y" or "z". Models and photometric files have y up once they
+            are loaded.
+        paths: number of light paths, or of rays of an asset, 16,384 to 2³²; rounded up to a
+            multiple of 16.
+        file_rays: number of light paths whose rays a ray file gets, up to 16,777,216. Those that
+            end inside the luminaire are not in the file.
+        seed: root seed of all random numbers, 0 to 2³¹ - 1.
+        variant: Mitsuba variant; see `bake`.
+        progress: function that is called with a `Progress` after each step; see `bake`.
+
+    Returns:
+        The figures, the intensities (`intensity`), and plots as `png`.
+
+    Raises:
+        LumitreeError: an argument is out of range; the source cannot be read or emits no light; or
+            a file cannot be written.
+
+    Example:
+        >>> result = lumitree.photometry("bulbs", ["bulbs.ies", "bulbs.pdf"])
+        >>> print(result.lumens, "lm")
+    """
+    outputs = [output] if isinstance(output, str | os.PathLike) else list(output)
+    for path in outputs:
+        if Path(path).suffix.lower() not in OUTPUTS:
+            name = shown(repr(os.fspath(path)), 300)
+            raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
+        check_writable(path)
+    check_range("light paths", paths, MIN_PATHS, MAX_PATHS)
+    check_range("rays of a ray file", file_rays, 1, MAX_FILE_RAYS)
+    check_seed(seed)
+    check_choice("up", up, ("y", "z"))
+    metres = UNITS.get(unit, 0.0) if isinstance(unit, str) else unit
+    if not (isinstance(metres, int | float) and 1e-6 <= metres <= 1e6):
+        expected = f"{', '.join(UNITS)}, or 1e-6 to 1e6 metres"
+        raise LumitreeError(f"unit is {shown(repr(unit), 40)}; expected {expected}")
+    load_mitsuba(variant)
+    from lumitree.formats.type_c import Grid
+    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.measure.photometry.far_field import (
+        asset_source,
+        luminaire_source,
+        measure,
+        oriented,
+    )
+    from lumitree.measure.photometry.far_field_figures import evaluated
+    from lumitree.measure.photometry.report import plots_png
+
+    if step is not None:
+        Grid(step)
+    if source_kind(source) == "photometric" and (metres, up) != (1, "y"):
+        raise LumitreeError(
+            f"unit and up: not for a photometric file such as {shown(source, 300)}, which states "
+            "its unit; leave them out"
+        )
+    wanted = file_rays if any(_suffix(path) in RAY_SUFFIXES for path in outputs) else 0
+    watch = Stopwatch()
+    with reporting(progress), watch.stage("measure"):
+        if (asset := asset_of(source)) is not None:
+            measured = asset_source(asset)
+        else:
+            measured = luminaire_source(load_luminaire(cast(Any, source)))
+        if wanted and measured.frame.is_far:
+            place = ", ".join(f"{each:.10g}" for each in measured.frame.centre)
+            warnings.warn(
+                f"{measured.name} is at ({place}) in its file, where the float32 coordinates of a "
+                "ray file are too coarse; the rays are those of the lamp at the origin",
+                LumitreeWarning,
+                stacklevel=3,
+            )
+        measured = oriented(measured, metres, up)
+        measurement = measure(measured, paths, step=step, kept_rays=wanted, seed=seed)
+        data = evaluated(measurement)
+    with watch.stage("write"):
+        for path in outputs:
+            _writer(_suffix(path), data, measurement.rays)(path)
+    figures = data.figures
+    return PhotometryResult(
+        luminaire=measurement.name,
+        **{field.name: getattr(figures, field.name) for field in dataclasses.fields(figures)},
+        near_field=data.near_field,
+        ugr=data.ugr,
+        step=data.step,
+        size=tuple(data.size.tolist()),
+        rays=data.num_rays,
+        c_angles=data.distribution.c,
+        gamma_angles=data.distribution.gamma,
+        intensity=data.distribution.intensity,
+        intensity_error=data.intensity_error,
+        files=[Path(path) for path in outputs],
+        png=plots_png(data),
+        **watch.costs(),
+    )
+
+
+def _suffix(path: FilePath) -> str:
+    return Path(path).suffix.lower()
+
+
+def _writer(suffix: str, data: "PhotometricData", rays: Any) -> Callable[[FilePath], None]:
+    """Function that writes a file of the given kind."""
+    from lumitree.formats.ies import write_ies
+    from lumitree.formats.ldt import write_ldt
+    from lumitree.formats.tm25 import write_tm25
+    from lumitree.measure.photometry.report import write_html, write_pdf
+
+    distribution = data.distribution
+    return {
+        ".ies": lambda path: write_ies(path, distribution),
+        ".ldt": lambda path: write_ldt(path, distribution),
+        ".html": lambda path: write_html(path, data),
+        ".pdf": lambda path: write_pdf(path, data),
+    }.get(suffix, lambda path: write_tm25(path, rays, distribution.name))

@@ -1,0 +1,1 @@
+"""What is looked at elsewhere: sheets, the viewer, lamps for Blender."""

@@ -1,0 +1,1 @@
+"""Lamps for Blender: a script, point lights and meshes."""

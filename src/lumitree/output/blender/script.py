@@ -1,0 +1,108 @@
+"""The script that makes a lamp in Blender: a template with the lamp's data in it."""
+
+import base64
+import dataclasses
+import io
+import json
+from importlib import resources
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.errors import LumitreeError, shown
+from lumitree.output.blender.lights import PointLights, cluster_lights, direction_tables
+from lumitree.output.blender.meshes import blender_meshes
+from lumitree.output.blender.surfaces import Surfaces, absorption_inside
+
+Up = Literal["y", "z"]
+# From a frame with this axis up to Blender's, with z up.
+Z_UP = {"y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), "z": np.eye(3)}
+_LINE = 120
+# Longest name of a thing in Blender, less what the script appends; bytes of UTF-8.
+_NAME_CHARACTERS = 12
+
+
+@dataclasses.dataclass(frozen=True)
+class LampScript:
+    """A lamp for Blender.
+
+    Attributes:
+        text: of the script.
+        lights: number of point lights.
+        lost: one line for each property of the lamp that is not carried over.
+    """
+
+    text: str
+    lights: int
+    lost: list[str]
+
+
+def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
+    """The script of an asset.
+
+    Args:
+        lights: largest number of point lights.
+        up: the axis of the luminaire's file that points up.
+        seed: root seed.
+
+    Raises:
+        LumitreeError: the asset has no exitant light field.
+    """
+    if asset.exitant is None:
+        raise LumitreeError(
+            f"the asset of {asset.luminaire} has no exitant light field, from which the lights are "
+            "made; bake its luminaire with the part exitant, which a dataset does not give"
+        )
+    points = cluster_lights(asset.exitant, asset.frame.half_extents, lights, seed)
+    points = dataclasses.replace(points, intensity=points.intensity * asset.gain)
+    description, arrays = _light_data(asset, points, Z_UP[up])
+    lost = ["point lights illuminate the lamp's own surfaces without its shadows"]
+    if asset.model is None:
+        lost = ["the asset has no model: the lamp itself is not shown"]
+        description |= {"surfaces": [], "absorption": []}
+    else:
+        surfaces = Surfaces(asset.model, asset.gain)
+        description["surfaces"] = [surfaces.tree(shape) for shape in asset.model.shapes]
+        description["absorption"] = [absorption_inside(shape) for shape in asset.model.shapes]
+        lost += sorted(surfaces.lost)
+        for index, mesh in enumerate(blender_meshes(asset.model, Z_UP[up])):
+            arrays |= {f"{index}.{name}": values for name, values in mesh.items()}
+        arrays |= {f"image {i}": image for i, image in enumerate(asset.model.images)}
+    template = (resources.files("lumitree.output.blender") / "lamp_script.py").read_text("utf-8")
+    head, tail = template.split("@@DATA@@")
+    return LampScript(head + _block(description, arrays) + tail, len(points.position), lost)
+
+
+def _light_data(
+    asset: Asset, points: PointLights, z_up: NDArray[np.float64]
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Positions, powers and tables of the lights, in Blender's frame and units."""
+    frame = asset.frame
+    tables = direction_tables(points, frame.rotation.T @ z_up.T, 2 * points.resolution)
+    # A point light of P watts has the intensity P / 4π, times its texture. Cycles chooses lights by
+    # their watts, whatever the texture, so these are the flux: the mean of R, G and B.
+    flux = points.flux.mean(axis=1)
+    watts = flux * frame.scale**2
+    relative = tables * (4 * np.pi / flux)[:, None, None, None]
+    places = (points.position @ frame.rotation.T * frame.scale + frame.centre) @ z_up.T
+    description = {
+        "name": shown(asset.luminaire, _NAME_CHARACTERS),
+        "radius": float(frame.scale * np.linalg.norm(frame.half_extents)),
+        "lights": [
+            {"position": place, "watts": power}
+            for place, power in zip(places.tolist(), watts.tolist(), strict=True)
+        ],
+    }
+    return description, {"tables": relative.astype(np.float16)}
+
+
+def _block(description: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> str:
+    """An archive of NumPy in base64, in lines."""
+    text = json.dumps(description, separators=(",", ":"), allow_nan=False).encode()
+    content = io.BytesIO()
+    np.savez_compressed(content, description=np.frombuffer(text, np.uint8), **arrays)  # type: ignore[arg-type]
+    coded = base64.b64encode(content.getvalue()).decode("ascii")
+    lines = [coded[start : start + _LINE] for start in range(0, len(coded), _LINE)]
+    return "\n" + "\n".join(lines) + "\n"

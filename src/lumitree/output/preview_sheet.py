@@ -1,0 +1,155 @@
+"""Preview of a luminaire before it is baked, or of an asset: six views on a contact sheet."""
+
+import dataclasses
+import math
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.core.directions import pose_towards
+from lumitree.core.images import auto_exposure, tonemap
+from lumitree.core.progress import progress
+from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.lamp.luminaire import Luminaire
+from lumitree.output.tiles import DARK, Layout, TileSheet, grey
+from lumitree.render.asset_images import shown_images
+from lumitree.trace.cameras import Camera, ViewImages
+
+# Direction from the luminaire to the camera, and the direction that is upwards in the image, in the
+# frame of the luminaire's file, where y is up.
+VIEWS = {
+    "from the front, +z": ((0, 0, 1), (0, 1, 0)),
+    "from the right, +x": ((1, 0, 0), (0, 1, 0)),
+    "from the back, -z": ((0, 0, -1), (0, 1, 0)),
+    "from the left, -x": ((-1, 0, 0), (0, 1, 0)),
+    "from above, +y": ((0, 1, 0), (0, 0, -1)),
+    "from below, -y": ((0, -1, 0), (0, 0, 1)),
+}
+NUM_ROWS = 4
+_MIN_STOPS = 2
+_MIN_TILE, _MAX_TILE = 192, 640
+
+
+@dataclasses.dataclass(frozen=True)
+class Preview:
+    """Images of a luminaire or of an asset.
+
+    Attributes:
+        images: by the names of `VIEWS`.
+        paths_per_second: paths traced per second, without the time of compilation.
+    """
+
+    images: dict[str, ViewImages]
+    paths_per_second: float
+
+    @property
+    def radiance(self) -> NDArray[np.float32]:
+        """Radiance [6, H, W, 3] of all images, W/(m² sr)."""
+        return np.stack([image.radiance for image in self.images.values()])
+
+    @property
+    def exposure(self) -> float:
+        """Exposure factor of all images, at which the emitters are well exposed."""
+        return auto_exposure(self.radiance)
+
+    @property
+    def more_stops(self) -> int:
+        """Whole stops above `exposure` at which the median of the lit pixels is middle grey.
+
+        At this exposure the body of the lamp is visible. It is often a thousand times darker than
+        the emitters.
+        """
+        brightest = self.radiance.max(axis=-1)
+        lit = brightest[brightest > 0]
+        if not lit.size:
+            return _MIN_STOPS
+        return max(round(math.log2(0.18 / float(np.median(lit)) / self.exposure)), _MIN_STOPS)
+
+
+def take_preview(luminaire: Luminaire, resolution: int, samples_per_pixel: int) -> Preview:
+    """Render the six views.
+
+    Args:
+        luminaire: the luminaire.
+        resolution: pixels per side.
+        samples_per_pixel: paths per pixel.
+    """
+    camera = Camera(luminaire, resolution, samples_per_pixel)
+    images: dict[str, ViewImages] = {}
+    seconds = []
+    with progress(f"preview {luminaire.name}", len(VIEWS)) as advance:
+        for number, (name, (backward, up)) in enumerate(VIEWS.items()):
+            start = time.perf_counter()
+            pose = pose_towards(backward, up, 2 * luminaire.bounding_radius)
+            images[name] = camera.take(pose, SeedStream(Purpose.PREVIEW, number))
+            seconds.append(time.perf_counter() - start)
+            advance(1)
+    # The first view is not counted, because its time includes compilation.
+    paths = resolution**2 * samples_per_pixel * (len(VIEWS) - 1)
+    return Preview(images, paths / sum(seconds[1:]))
+
+
+def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) -> Preview:
+    """Render the six views of an asset, with the camera of its luminaire's preview.
+
+    Both opacities are that of `shown_images`. The camera's sphere contains the bounding box.
+
+    Args:
+        resolution: pixels per side.
+        samples_per_pixel: paths per pixel, if the asset has a model.
+    """
+    radius = float(np.linalg.norm(asset.frame.half_extents))
+    poses = [pose_towards(backward, up, 2 * radius) for backward, up in VIEWS.values()]
+    shown = shown_images(asset, poses, radius, resolution, samples_per_pixel)
+    images = {
+        name: ViewImages(radiance, opacity, opacity)
+        for name, (radiance, opacity) in zip(VIEWS, shown, strict=True)
+    }
+    return Preview(images, 0.0)
+
+
+def preview_layout(resolution: int, rows: int = NUM_ROWS) -> Layout:
+    """Layout of a preview. Tiles have the size of the images, within limits."""
+    tile = min(max(resolution, _MIN_TILE), _MAX_TILE)
+    return Layout(len(VIEWS), rows, tile, title=60, caption=6, side=30)
+
+
+def draw_preview(
+    preview: Preview, title: str, facts: Sequence[str], *, baked: bool = False
+) -> TileSheet:
+    """Contact sheet with a column for each view.
+
+    Rows: radiance at two exposures, geometric opacity and straight-through opacity; of an asset
+    the two are one.
+
+    Args:
+        preview: the images.
+        title: name of the luminaire.
+        facts: short texts for the line below the title.
+        baked: whether the preview is that of an asset.
+    """
+    exposure, stops = preview.exposure, preview.more_stops
+    opacities = (
+        ("geometric opacity", lambda image: grey(image.geometric)),
+        ("straight-through opacity", lambda image: grey(image.straight_through)),
+    )
+    rows = (
+        ("radiance", lambda image: tonemap(image.radiance, exposure)),
+        (
+            f"radiance, {stops} stops brighter",
+            lambda image: tonemap(image.radiance, exposure * 2**stops),
+        ),
+        *((("opacity", opacities[0][1]),) if baked else opacities),
+    )
+    sheet = TileSheet(preview_layout(preview.radiance.shape[1], len(rows)), DARK)
+    sheet.title(title, "   ·   ".join([*facts, f"exposure {exposure:.3g} in all views"]))
+    for column, name in enumerate(preview.images):
+        sheet.heading(column, name)
+    for row, (name, show) in enumerate(rows):
+        sheet.row_name(row, name)
+        for column, image in enumerate(preview.images.values()):
+            sheet.image(row, column, show(image))
+    return sheet

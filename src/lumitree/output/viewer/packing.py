@@ -1,0 +1,129 @@
+"""What the page of the viewer holds of an asset: arrays of numbers in one compressed block.
+
+The field keeps its own numbers: densities in float32 and coefficients in float16. Without a field
+the exitant light field is shown, as one (`light_as_field`). The exitant light field is reduced to
+luminous intensity, as float16 relative to the largest of each cell.
+"""
+
+import base64
+import dataclasses
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.asset.exitant import ExitantField, unpack
+from lumitree.core.photometry import luminance
+from lumitree.errors import LumitreeError
+from lumitree.octree.wide_nodes import wide_levels, wide_nodes
+from lumitree.output.viewer.light_as_field import DEFAULT_VIEW, brightest_view, light_as_field
+
+# WebGL 2 textures of 4096 texels a row; GPUs in use have at least 8192 rows.
+MAX_TEXELS = 4096 * 8192
+# Typed arrays of JavaScript start at multiples of their item's size.
+_ALIGNMENT = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class PackedAsset:
+    """An asset for the page.
+
+    Attributes:
+        description: numbers and names, for JSON; the key "arrays" has the type, the first byte and
+            the number of items of each array.
+        block: zlib-compressed bytes of all arrays, little-endian, in base64.
+    """
+
+    description: dict[str, Any]
+    block: str
+
+
+def pack_asset(asset: Asset) -> PackedAsset:
+    """Convert an asset for the page.
+
+    Raises:
+        LumitreeError: it is too large for textures of WebGL 2.
+    """
+    num_bytes, has_field = asset.num_bytes, asset.num_leaves > 0
+    shown, view = "field", DEFAULT_VIEW
+    if not has_field:
+        asset, view = light_as_field(asset), brightest_view(asset)
+        shown = "exitant light field" + ("" if asset.model is None else ", not the model")
+    levels = wide_nodes(asset.children, asset.tree_depth)
+    starts = np.concatenate([[0], np.cumsum([level.size for level in levels])])
+    arrays: dict[str, NDArray[Any]] = {
+        "nodes": np.concatenate(levels),
+        "density": asset.density,
+        # One texel of R, G and B for each coefficient.
+        "coefficients": np.ascontiguousarray(asset.coefficients.transpose(0, 2, 1)).ravel(),
+    }
+    description = {
+        "luminaire": asset.luminaire,
+        "law": asset.law,
+        "l_max": asset.l_max,
+        "tree_depth": asset.tree_depth,
+        "leaves": asset.num_leaves,
+        "bytes": num_bytes,
+        "shown": shown,
+        "has_field": has_field,
+        "view": view,
+        "max_radiance": asset.max_radiance * max(asset.gain),
+        "colour": [factor / max(asset.gain) for factor in asset.gain],
+        "half_extents": asset.frame.half_extents.tolist(),
+        "scale": float(asset.frame.scale),
+        "level_bits": wide_levels(asset.tree_depth),
+        "level_starts": starts[:-1].tolist(),
+        "exitant": None,
+    }
+    texels = [arrays["nodes"].size, arrays["coefficients"].size // 3]
+    if asset.exitant is not None:
+        field = asset.exitant
+        description["exitant"] = {"depth": field.depth, "resolution": field.resolution}
+        arrays |= _exitant_arrays(field, asset.gain)
+        texels.append(field.lit.size * 8)
+    if max(texels) > MAX_TEXELS:
+        raise LumitreeError(
+            f"the asset of {asset.luminaire} has {max(texels):,} texels; the viewer shows at most "
+            f"{MAX_TEXELS:,}; bake it with a lower quality"
+        )
+    return PackedAsset(description, _block(arrays, description))
+
+
+def unpack_asset(packed: PackedAsset) -> dict[str, NDArray[Any]]:
+    """Arrays by name, as the page reads them."""
+    content = zlib.decompress(base64.b64decode(packed.block))
+    return {
+        name: np.frombuffer(content, np.dtype(kind), count, start)
+        for name, (kind, start, count) in packed.description["arrays"].items()
+    }
+
+
+def _exitant_arrays(
+    field: ExitantField, gain: tuple[float, float, float]
+) -> dict[str, NDArray[Any]]:
+    """Luminous intensity of the bins that emit, in cd for local units of 1 m, and their cells."""
+    luminous = luminance(unpack(field.intensity) * field.scale * np.array(gain))
+    counts = np.bitwise_count(field.lit).sum(axis=1, dtype=np.int64)
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    largest = np.maximum.reduceat(luminous, starts)
+    divisor = np.repeat(np.where(largest > 0, largest, 1), counts)
+    return {
+        "cells": field.cells.ravel(),
+        "lit": field.lit.ravel(),
+        "cell_scale": largest.astype(np.float32),
+        "intensity": (luminous / divisor).astype(np.float16),
+    }
+
+
+def _block(arrays: dict[str, NDArray[Any]], description: dict[str, Any]) -> str:
+    """Bytes of the arrays; notes in the description where each is."""
+    content, places = bytearray(), {}
+    for name, array in arrays.items():
+        little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+        places[name] = (little.dtype.str.lstrip("<|"), len(content), little.size)
+        content += little.tobytes()
+        content += bytes(-len(content) % _ALIGNMENT)
+    description["arrays"] = places
+    return base64.b64encode(zlib.compress(bytes(content), 9)).decode()

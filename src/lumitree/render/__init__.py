@@ -1,0 +1,1 @@
+"""Assets in Mitsuba scenes: placement, images, passes."""

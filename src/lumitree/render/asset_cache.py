@@ -1,0 +1,96 @@
+"""Assets and their fields that are open: each is read once, and shared while anything uses it.
+
+Photometric files are assets once they are opened, so all that takes an asset takes them.
+"""
+
+import itertools
+import os
+import threading
+import weakref
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lumitree.asset.asset import Asset
+from lumitree.asset.file import load
+from lumitree.core.backend import load_mitsuba
+from lumitree.errors import LumitreeError, shown
+from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.source import source_kind
+from lumitree.trace.light_field_config import EXITANT_QUALITIES
+
+if TYPE_CHECKING:
+    from lumitree.octree.field import Field
+
+# File names that stand for assets in memory.
+_IN_MEMORY = "lumitree-asset-in-memory-"
+_NUMBERS = itertools.count()
+_LOCK = threading.Lock()
+_NAMED: "weakref.WeakValueDictionary[str, Asset]" = weakref.WeakValueDictionary()
+_READ: "weakref.WeakValueDictionary[tuple[object, ...], Asset]" = weakref.WeakValueDictionary()
+
+
+def file_name(asset: Asset | str | os.PathLike[str]) -> str:
+    """Name by which plugins find an asset: its path, or one that stands for it in this process."""
+    if not isinstance(asset, Asset):
+        return os.fspath(asset)
+    with _LOCK:
+        for name, other in _NAMED.items():
+            if other is asset:
+                return name
+        name = f"{_IN_MEMORY}{next(_NUMBERS)}"
+        _NAMED[name] = asset
+        return name
+
+
+def open_asset(asset: Asset | str | os.PathLike[str]) -> Asset:
+    """The asset of a file, of a name that `file_name` gave, or the asset itself.
+
+    Args:
+        asset: an asset, the path of a `.lumitree` file, or that of a photometric file or ray file,
+            of which an asset of the quality "standard" is made.
+
+    Raises:
+        LumitreeError: the file is missing or damaged, or is something else, which is named.
+    """
+    if isinstance(asset, Asset):
+        return asset
+    if (named := _NAMED.get(os.path.basename(asset))) is not None:
+        return named
+    if not os.path.exists(asset):
+        return _read(asset)
+    path = Path(asset).resolve()
+    stamp = path.stat()
+    key = (path, stamp.st_mtime_ns, stamp.st_size, stamp.st_ino)
+    found = _READ.get(key)
+    if found is None:
+        # As in `shared_field`: of two threads that read a file the first's asset is kept.
+        found = _read(asset)
+        with _LOCK:
+            found = _READ.setdefault(key, found)
+    return found
+
+
+def _read(path: str | os.PathLike[str]) -> Asset:
+    kind = source_kind(path)
+    if kind == "photometric":
+        load_mitsuba()
+        # Assets are read without Mitsuba.
+        from lumitree.formats.light_field import bake_file
+
+        return bake_file(path, EXITANT_QUALITIES["standard"])
+    name = os.fspath(path)
+    if kind == "dataset" or (name in BUILTIN and not os.path.exists(path)):
+        what = "a dataset" if kind == "dataset" else "a built-in luminaire"
+        raise LumitreeError(
+            f"{shown(name, 300)} is {what}, not an asset; bake it first, into a .lumitree file"
+        )
+    return load(path)
+
+
+def open_field(
+    asset: Asset | str | os.PathLike[str], min_density: float = 0.0, max_opacity: float = 1.0
+) -> "Field":
+    """The field of an asset on the device; arguments as for `open_asset` and `Field`."""
+    from lumitree.octree.field import shared_field
+
+    return shared_field(open_asset(asset), min_density, max_opacity)

@@ -1,0 +1,77 @@
+"""Where a luminaire goes in a scene."""
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+from lumitree.asset.asset import Asset
+from lumitree.core.arguments import check_gain, check_light
+from lumitree.core.frames import check_placement
+from lumitree.errors import LumitreeError, shown
+from lumitree.lamp.source import source_kind
+
+if TYPE_CHECKING:
+    from lumitree.lamp.luminaire import LuminaireLike
+
+
+@dataclasses.dataclass(frozen=True)
+class Placement:
+    """A luminaire in a scene.
+
+    Attributes:
+        source: an asset, or the path of a `.lumitree` file, a photometric file (`.ies`, `.ldt`) or
+            a ray file (`.ray`, `.tm25ray`); or a luminaire, as for `lumitree.bake`, whose explicit
+            geometry is placed.
+        at: [3] centre of its bounding box, scene units; default: where its own file has it.
+        size: largest side of its bounding box, scene units; default: its own size.
+        rotate: [4] axis x, y, z and angle in degrees, about the centre.
+        gain: [3] factors on the R, G and B of its light, or one number for all; 0 to 10⁶. For an
+            asset only.
+        lumens: luminous flux that the lamp has in the scene before `gain`, lm, if lengths of the
+            scene are in metres; 10⁻⁶ to 10⁹. For an asset only. Default: that of the asset, times
+            the square of the scale of its size.
+        temperature: colour temperature of its whole flux before `gain`, K; 1000 to 20,000. R, G and
+            B each get a factor, by which the colour in linear sRGB becomes that of a black body;
+            the luminous flux stays. For an asset only. Default: the colour of the asset.
+        label: name of this placement in layers; default: file name without ending, made unique by
+            a number.
+
+    Raises:
+        LumitreeError: a number is out of range, or there is a gain, a luminous flux or a
+            temperature for explicit geometry.
+    """
+
+    source: "Asset | LuminaireLike"
+    at: tuple[float, float, float] | None = None
+    size: float | None = None
+    rotate: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 0.0)
+    gain: float | tuple[float, float, float] = 1.0
+    lumens: float | None = None
+    temperature: float | None = None
+    label: str | None = None
+
+    def __post_init__(self) -> None:
+        check_placement(self.at, self.size, self.rotate)
+        if check_gain(self.gain) != (1.0, 1.0, 1.0) and not self.is_baked:
+            raise LumitreeError(
+                f"{self.name} has a gain of {shown(self.gain, 60)}, but is placed as explicit "
+                "geometry; bake it first, or change its emitters"
+            )
+        check_light(self.lumens, self.temperature)
+        for name, value in (("lumens", self.lumens), ("temperature", self.temperature)):
+            if value is not None and not self.is_baked:
+                raise LumitreeError(
+                    f"{self.name} has {name} of {value:g}, but is placed as explicit geometry; "
+                    "bake it first, or change its emitters"
+                )
+
+    @property
+    def is_baked(self) -> bool:
+        """Whether `source` is an asset once it is opened."""
+        return source_kind(self.source) in ("asset", "photometric")
+
+    @property
+    def name(self) -> str:
+        """What `source` is called in messages."""
+        if isinstance(self.source, Asset):
+            return shown(self.source.luminaire)
+        return shown(getattr(self.source, "name", self.source), 200)

@@ -1,0 +1,1 @@
+"""The plugins of Mitsuba: emitter, BSDF, shape, and the integrator."""

@@ -1,0 +1,1 @@
+"""Sampling of the light that an asset sends to a receiver."""

@@ -1,1 +1,0 @@
-"""Mitsuba plugins that render a baked luminaire."""

@@ -1,0 +1,1 @@
+"""Rays and paths through a lamp: light paths, cameras, views, histograms of light."""

@@ -1,0 +1,87 @@
+"""Rendering the views of a dataset, one by one, so that a capture can be resumed."""
+
+import os
+from pathlib import Path
+
+from lumitree.core.arguments import check_image_settings, check_range
+from lumitree.core.dataset import MANIFEST, MAX_VIEWS, Dataset, Frame, Manifest, Split, View
+from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
+from lumitree.core.progress import progress
+from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.errors import LumitreeError
+from lumitree.lamp.luminaire import Luminaire
+from lumitree.trace.cameras import Camera
+from lumitree.trace.tracing import PATH_DEPTH
+
+
+def capture(
+    luminaire: Luminaire,
+    folder: str | os.PathLike[str],
+    *,
+    num_views: int = 100,
+    resolution: int = 256,
+    samples_per_pixel: int = 128,
+    split: Split = "train",
+) -> Dataset:
+    """Capture the views of `luminaire` that are still missing in `folder`.
+
+    Views are orthographic, along Halton(2, 3) directions, fitted to the bounding sphere. Train
+    views are Halton indices from 1 on, test views from 100001 on. The pixel filter is a box.
+
+    Raises:
+        LumitreeError: bad settings, or `folder` holds another capture.
+    """
+    manifest = _plan(luminaire, num_views, resolution, samples_per_pixel, split)
+    dataset = _open_or_start(Path(folder), manifest)
+    missing = dataset.missing()
+    camera = Camera(luminaire, resolution, samples_per_pixel)
+    done = len(manifest.frames) - len(missing)
+    with progress(f"capture {luminaire.name}", len(manifest.frames), done) as advance:
+        for frame in missing:
+            images = camera.take(frame.pose, SeedStream(Purpose.CAPTURE, frame.halton_index))
+            dataset.write(View(frame, **vars(images)))
+            advance(1)
+    return dataset
+
+
+def _plan(
+    luminaire: Luminaire, num_views: int, resolution: int, samples_per_pixel: int, split: Split
+) -> Manifest:
+    check_range("views", num_views, 1, MAX_VIEWS)
+    check_image_settings(resolution=resolution, spp=samples_per_pixel)
+    first = 1 if split == "train" else FIRST_TEST_INDEX
+    # Cameras stand clear of the bounding sphere.
+    distance = 2 * luminaire.bounding_radius
+    frames = tuple(
+        Frame(
+            file=f"view_{index:06d}.exr",
+            halton_index=index,
+            local_from_camera=tuple(map(tuple, view_pose(index, distance).tolist())),
+        )
+        for index in range(first, first + num_views)
+    )
+    return Manifest(
+        luminaire=luminaire.name,
+        fingerprint=luminaire.fingerprint,
+        split=split,
+        resolution=resolution,
+        samples_per_pixel=samples_per_pixel,
+        path_depth=PATH_DEPTH,
+        half_width=luminaire.bounding_radius,
+        local_frame=luminaire.frame,
+        frames=frames,
+    )
+
+
+def _open_or_start(folder: Path, manifest: Manifest) -> Dataset:
+    if (folder / MANIFEST).exists():
+        dataset = Dataset.open(folder)
+        if dataset.manifest != manifest:
+            raise LumitreeError(
+                f"{folder} holds a capture of other settings or of another luminaire "
+                f"({dataset.manifest.luminaire}); choose another folder with -o, or remove it"
+            )
+        return dataset
+    dataset = Dataset(folder, manifest)
+    dataset.save_manifest()
+    return dataset

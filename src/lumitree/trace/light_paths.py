@@ -1,0 +1,252 @@
+"""Light paths: light traced from a luminaire's emitters until it leaves the luminaire.
+
+Camera paths find the image of a filament in a glass wall only by chance. Light paths, which start
+at the filament, always find it. Light that leaves by smooth transmission alone is omitted by
+default: camera rays that are followed straight through find it without noise
+(`lumitree.trace.straight_through`).
+
+Symbols
+    flux                of a path: radiance times the measure dA cos θ dω, local frame
+    termination point   where the field should stop a camera ray that meets the path in
+                        reverse, see `termination_point`
+    ρ                   as in `lumitree.trace.medium_paths`
+"""
+
+import dataclasses
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from lumitree.lamp.luminaire import Luminaire
+from lumitree.trace import medium_paths
+from lumitree.trace.ending_segments import EndingConfig, EndingSegments, make_reservoir
+from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
+from lumitree.trace.spawning import scene_extent, spawn
+from lumitree.trace.straight_through import COSINE_OF_CONE, is_smooth, is_transmitted
+
+# Number of events after which Russian roulette begins.
+_ROULETTE_DEPTH = 8
+
+
+@dataclasses.dataclass
+class LightPaths:
+    """Light paths that have left the luminaire.
+
+    Attributes:
+        origin: mi.Point3f, the last vertex, local frame.
+        direction: mi.Vector3f, direction of the camera ray that meets the path in reverse, local
+            frame.
+        flux: mi.Color3f; the sum over the paths of a trace is an estimate of the emitted flux.
+        termination: mi.Point3f, termination point, local frame.
+        ending: segments of all paths, also of absorbed ones, that end on the luminaire; None if
+            they were not asked for.
+    """
+
+    origin: Any
+    direction: Any
+    flux: Any
+    termination: Any
+    ending: EndingSegments | None = None
+
+
+def trace_light(
+    luminaire: Luminaire,
+    sampler: Any,
+    count: int,
+    path_depth: int,
+    *,
+    all_light: bool = False,
+    ending: EndingConfig | None = None,
+) -> LightPaths:
+    """Trace `count` light paths; those that leave the luminaire are returned.
+
+    Args:
+        sampler: mi.Sampler, seeded for as many paths.
+        path_depth: longest path, events.
+        all_light: also return paths that leave by smooth transmission alone.
+        ending: also return segments that end on the luminaire. The paths are the same with it.
+    """
+    reservoir = None if ending is None else make_reservoir(ending, luminaire.scene_frame, count)
+    origin, direction, flux, termination, leaves, smooth, reservoir = _trace(
+        luminaire.scene, sampler, path_depth, reservoir
+    )
+    if not all_light:
+        leaves &= ~smooth
+    dr.eval(origin, direction, flux, termination, leaves, reservoir)
+    chosen = dr.compress(leaves)
+    if not dr.width(chosen):
+        # Dr.Jit does not combine an empty array with others, so one path without flux is returned.
+        chosen, flux = mi.UInt32([0]), mi.Color3f(dr.zeros(mi.Float, count))
+    to_local = mi.Transform4f(luminaire.scene_frame.local_from_world)
+    dr.make_opaque(to_local)
+    scale = dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2))
+    paths = LightPaths(
+        to_local @ dr.gather(mi.Point3f, origin, chosen),
+        dr.normalize(to_local @ dr.gather(mi.Vector3f, -direction, chosen)),
+        dr.gather(mi.Color3f, flux, chosen) * scale,
+        to_local @ dr.gather(mi.Point3f, termination, chosen),
+        None if reservoir is None else reservoir.segments(scale),
+    )
+    dr.eval(paths.origin, paths.direction, paths.flux, paths.termination)
+    return paths
+
+
+def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> Any:
+    """Flux (mi.Color3f) with which `count` light paths start, before the luminaire absorbs any.
+
+    Args:
+        sampler: mi.Sampler, seeded for as many paths. Seeded as for `trace_light`, the paths start
+            alike.
+
+    Returns:
+        Flux of each path, local units; the sum is an estimate of the flux of the bare emitters.
+    """
+    scene = luminaire.scene
+    _, flux = _emit(scene, sampler, scene_extent(scene))
+    return flux * dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2))
+
+
+@dr.syntax
+def _trace(scene, sampler, path_depth, reservoir):
+    context = mi.BSDFContext(mi.TransportMode.Importance)
+    extent = scene_extent(scene)
+    ray, light = _emit(scene, sampler, extent)
+    flux = mi.Color3f(light)
+    # Where the last chain of transmissions began, and its direction there.
+    start, start_direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
+    smooth = mi.Bool(True)
+    first = mi.Bool(True)
+    medium = dr.zeros(mi.MediumPtr)
+    channel, ρ = medium_paths.draw_channel(sampler), mi.Color3f(1)
+    depth = mi.UInt32(0)
+    leaves = mi.Bool(False)
+    active = dr.max(flux) > 0
+    if dr.hint(reservoir is not None, mode="scalar"):
+        reservoir.start(ray.o, active)
+    while active:
+        si = scene.ray_intersect(ray, active)
+        misses = active & ~si.is_valid()
+        leaves |= misses
+        active &= si.is_valid()
+        # An emitter inside a medium: the medium is that behind the first border.
+        medium = medium_paths.behind(si, -ray.d, medium, active & first)
+        first &= ~active
+
+        arriving = mi.Color3f(flux)
+        flight = medium_paths.flight(medium, channel, sampler, active)
+        collides = active & (flight < si.t)
+        hits = active & ~collides
+        weight, densities = medium_paths.passed(medium, si.t, ρ, hits)
+        flux[hits], ρ[hits] = flux * weight, densities
+        weight, densities = medium_paths.scattered(medium, flight, ρ, collides)
+        flux[collides], ρ[collides] = flux * weight, densities
+        scattered, phase_weight, _ = medium_paths.sample_phase(medium, ray, sampler, collides)
+
+        bsdf = si.bsdf()
+        sample, bsdf_weight = bsdf.sample(
+            context, si, sampler.next_1d(hits), sampler.next_2d(hits), hits
+        )
+        towards = si.to_world(sample.wo)
+        passes = hits & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        passes &= dr.max(bsdf_weight) > 0
+        if dr.hint(reservoir is not None, mode="scalar"):
+            # What leaves behind null surfaces begins at the last of them.
+            end = dr.select(misses, ray.o, dr.select(collides, ray(flight), si.p))
+            reservoir.stop(end, ray.d, arriving, (misses | active) & ~passes)
+        # Correction for shading normals, Veach 1997, Eq. 5.19. Camera paths decide by the shading
+        # normal which side of a surface they are on, so these do too.
+        cos_in, cos_out = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(sample.wo)
+        true_in, true_out = dr.dot(si.n, ray.d), dr.dot(si.n, towards)
+        hits &= (true_in != 0) & (cos_out != 0)
+        crosses = ~is_transmitted(sample.sampled_type) & on_opposite_sides(si, ray.d, towards)
+        hits &= ~(crosses & is_opaque(bsdf))
+        correction = dr.abs(cos_in * true_out / (cos_out * true_in))
+        flux = dr.select(
+            collides, flux * phase_weight, dr.select(hits, flux * bsdf_weight * correction, flux)
+        )
+
+        transmits = hits & is_transmitted(sample.sampled_type)
+        smooth &= ~(active & ~(transmits & is_smooth(sample.sampled_type)))
+        onwards = spawn(si, towards, extent)
+        ray = dr.select(collides, mi.Ray3f(ray(flight), scattered), dr.select(hits, onwards, ray))
+        begins = collides | (hits & ~transmits)
+        start = dr.select(begins, ray.o, start)
+        start_direction = dr.select(begins, ray.d, start_direction)
+        if dr.hint(reservoir is not None, mode="scalar"):
+            reservoir.start(ray.o, active & ~passes)
+        medium = medium_paths.behind(si, ray.d, medium, transmits)
+        depth += 1
+        active = (collides | hits) & (depth < path_depth) & (dr.max(flux) > 0)
+        survival = dr.clip(dr.max(flux) / dr.max(light), 0.05, 0.95)
+        survival = dr.select(depth > _ROULETTE_DEPTH, survival, 1)
+        active &= sampler.next_1d(active) < survival
+        flux[active] = flux / survival
+
+    deflected = dr.dot(ray.d, start_direction) < COSINE_OF_CONE
+    at_first = sampler.next_1d() < 0.5
+    termination = termination_point(scene.bbox(), -ray.d, ray.o, start, deflected & at_first)
+    return ray.o, ray.d, flux, termination, leaves, smooth, reservoir
+
+
+def _emit(scene, sampler, extent):
+    """Rays of light paths that start, and their flux (mi.Color3f), world units."""
+    index, chance, _ = scene.sample_emitter(sampler.next_1d())
+    emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index)
+    samples = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
+    ray, weight = emitter.sample_ray(0, *samples)
+    ray, factor = _emit_about_true_normal(scene, emitter, *samples, mi.Ray3f(ray), extent)
+    return ray, mi.Color3f(weight * chance * factor)
+
+
+def _emit_about_true_normal(scene, emitter, wavelength, place, chosen, ray, extent):
+    """A ray of equal weight that leaves a mesh as camera paths see it; its weight's factor.
+
+    Mitsuba samples the directions of a mesh's emission about the interpolated normal. Camera paths
+    see the faces themselves, from where both normals are visible: for a wire of eight sides that is
+    2 % less flux (Veach 1997, Eq. 5.19, at the first vertex).
+
+    Args:
+        wavelength, place, chosen: samples with which the emitter returned `ray`; a direction of
+            another distribution than the cosine's is kept.
+
+    Returns:
+        mi.Ray3f; mi.Float, 0 where the ray leaves below the interpolated surface.
+    """
+    flags = emitter.flags()
+    diffuse = mi.has_flag(flags, mi.EmitterFlags.Surface)
+    diffuse &= ~mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
+    # The ray from the same point along the shading normal. `sample_position` would return both, but
+    # it is refused by baked luminaires, and a call on a pointer is compiled for all emitters.
+    upright, _ = emitter.sample_ray(0, wavelength, place, mi.Point2f(0.5), diffuse)
+    upright = mi.Ray3f(upright)
+    # It starts a little above the surface, whose true normal a short ray back finds.
+    probe = mi.Ray3f(upright.o, -upright.d)
+    probe.maxt = 2 * mi.math.RayEpsilon * (1 + dr.max(dr.abs(upright.o)))
+    si = scene.ray_intersect(probe, diffuse)
+    found = diffuse & si.is_valid() & (si.shape.emitter() == emitter)
+    # Sampled about the true normal, because the ratio of both cosines has no bound.
+    normal = dr.mulsign(si.n, dr.dot(si.n, upright.d))
+    direction = mi.Frame3f(normal).to_world(mi.warp.square_to_cosine_hemisphere(chosen))
+    below = found & (dr.dot(upright.d, direction) <= 0)
+    return dr.select(found, spawn(si, direction, extent), ray), dr.select(below, 0.0, 1.0)
+
+
+def termination_point(box: Any, direction: Any, first: Any, last: Any, at_first: Any) -> Any:
+    """Termination point of a ray whose path meets the luminaire at `first` and ends at `last`.
+
+    It is the orthogonal projection of `last` onto the ray: thick glass displaces what is behind it,
+    and rays of other directions see it at the projection too.
+
+    Args:
+        box: mi.BoundingBox3f of the luminaire; for a projection outside it, `first` is returned.
+        direction: mi.Vector3f of the ray.
+        first: mi.Point3f on the ray, on the first surface.
+        last: mi.Point3f, end of the path.
+        at_first: mi.Bool, return `first` in any case. With probability ½ where the path is
+            deflected, so that glass hides what is behind it.
+    """
+    along = dr.dot(last - first, direction)
+    projection = first + along * direction
+    inside = dr.all((projection >= box.min) & (projection <= box.max))
+    return mi.Point3f(dr.select(at_first | (along <= 0) | ~inside, first, projection))

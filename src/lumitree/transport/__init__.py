@@ -1,1 +1,0 @@
-"""Rays and paths through a luminaire."""

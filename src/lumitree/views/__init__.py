@@ -1,1 +1,0 @@
-"""Views of a luminaire: radiance and opacity, rendered by Mitsuba."""

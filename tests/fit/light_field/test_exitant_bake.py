@@ -1,0 +1,315 @@
+"""The bake of the exitant light field against closed forms, and its saved state."""
+
+import dataclasses
+import os
+
+import numpy as np
+import pytest
+
+import lumitree
+from lumitree.asset.asset import exitant_asset
+from lumitree.asset.exitant import unpack
+from lumitree.asset.file import save
+from lumitree.core.device import on_device
+from lumitree.core.octahedral import solid_angles
+from lumitree.core.progress import reporting
+from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.fit.light_field import bake as module
+from lumitree.fit.light_field.bake import bake_exitant
+from lumitree.fit.light_field.saved_field import EXITANT_STATE
+from lumitree.trace.light_field_config import ExitantConfig
+from lumitree.trace.light_paths import trace_light
+from lumitree.trace.tracing import PATH_DEPTH
+from support.exitant_fields import assert_equal_fields
+from support.lamps import AREA, cube, lamp_of, sphere
+
+CONFIG = ExitantConfig(paths=1 << 18, batch=1 << 17, depth=2, resolution=16)
+RADIANCE = np.array([3.0, 2.0, 1.0])
+BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>'
+
+
+def rectangle(half, height, inside):
+    """A horizontal square, centred on the z axis, that faces down."""
+    return (
+        '<shape type="rectangle"><transform name="to_world">'
+        f'<scale x="{half}" y="{half}" z="1"/><rotate x="1" angle="180"/>'
+        f'<translate x="0" y="0" z="{height}"/></transform>{inside}</shape>'
+    )
+
+
+@pytest.fixture(scope="module")
+def ball(mi, tmp_path_factory):
+    """A sphere of radius 0.5, local radius 1, that emits RADIANCE."""
+    return lamp_of(tmp_path_factory.mktemp("ball"), sphere("ball", 0.5, (1, 2, 3), inside=AREA))
+
+
+@pytest.fixture(scope="module")
+def field(ball, tmp_path_factory):
+    return bake_exitant(ball, CONFIG, tmp_path_factory.mktemp("state"))
+
+
+def intensities(field):
+    """Intensity [C, R², 3], local units."""
+    values = field.scale * unpack(field.intensity)
+    return np.stack([field.dense(values[:, channel]) for channel in range(3)], axis=-1)
+
+
+def flux(field):
+    """Flux [C, R², 3], local units."""
+    return intensities(field) * solid_angles(field.resolution)[:, None]
+
+
+def directions(mi, resolution, fine=4):
+    """Unit directions [R², fine², 3] in each bin."""
+    from lumitree.core.octahedral import direction_in_bin
+
+    places = (np.arange(fine) + 0.5) / fine
+    x, y = (np.tile(grid.ravel(), resolution**2) for grid in np.meshgrid(places, places))
+    bins = on_device(mi.UInt32, np.repeat(np.arange(resolution**2), fine**2))
+    sample = on_device(mi.Point2f, np.stack([x, y], axis=1))
+    direction, _ = direction_in_bin(bins, sample, resolution)
+    return np.array(direction, np.float64).T.reshape(resolution**2, fine**2, 3)
+
+
+def test_flux_of_a_sphere(ball, field):
+    """A sphere of radius R and radiance L emits 4π² R² L."""
+    expected = 4 * np.pi**2 * 0.5**2 * RADIANCE
+    found = flux(field).sum(axis=(0, 1)) * ball.frame.scale**2
+    assert found == pytest.approx(expected, rel=1e-3)
+
+
+def test_the_flux_of_the_paths_is_conserved(mi, ball, field):
+    """Bin by bin it is that of the traced paths, up to the packing; none is lost or added."""
+    from lumitree.core.octahedral import bin_of
+
+    expected = np.zeros((3, 256))
+    for step in range(2):
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(SeedStream(Purpose.EXITANT, step).seed(0), CONFIG.batch)
+        paths = trace_light(ball, sampler, CONFIG.batch, PATH_DEPTH, all_light=True)
+        bins = np.array(bin_of(-paths.direction, 16))
+        for channel, light in enumerate(np.array(paths.flux, np.float64)):
+            expected[channel] += np.bincount(bins, light / 2, 256)
+    found = flux(field).sum(axis=0).T
+    assert (np.abs(found - expected) <= 0.002 * expected.max(axis=0)).all()
+    # The errors of bins cancel.
+    assert found.sum(axis=1) == pytest.approx(expected.sum(axis=1), rel=2e-4)
+
+
+def test_cells_of_a_sphere_are_those_of_its_surface(field):
+    """Cells that the sphere does not cross emit nothing; all others do."""
+    side = 2 / (1 << CONFIG.depth)
+    near = np.maximum(np.maximum(field.cells * side - 1, 1 - (field.cells + 1) * side), 0)
+    far = np.maximum(np.abs(field.cells * side - 1), np.abs((field.cells + 1) * side - 1))
+    assert (np.linalg.norm(near, axis=1) <= 1).all()
+    assert (np.linalg.norm(far, axis=1) >= 1).all()
+    # Of 4 x 4 x 4 cells the 8 in the middle are not crossed.
+    assert len(field.cells) == 56
+
+
+def test_a_sphere_emits_alike_into_all_directions(mi, field):
+    """Its intensity is π R² L, local R = 1; each cell's light is that of its own normals."""
+    found = intensities(field).sum(axis=0)
+    expected = np.pi * RADIANCE
+    counts = CONFIG.paths * solid_angles(16) / (4 * np.pi)
+    scores = (found / expected - 1) * np.sqrt(counts)[:, None]
+    assert np.abs(scores).max() < 5
+    assert scores[:, 0].std() == pytest.approx(1, abs=5 / np.sqrt(2 * 256))
+    centre = (field.cells + 0.5) * 0.5 - 1
+    towards = np.einsum("cb,bx->cx", flux(field)[..., 0], directions(mi, 16).mean(axis=1))
+    cosine = (towards * centre).sum(axis=1)
+    cosine /= np.linalg.norm(towards, axis=1) * np.linalg.norm(centre, axis=1)
+    assert cosine.min() > 0.9
+
+
+def test_a_flat_emitter_follows_the_cosine(mi, tmp_path):
+    """The intensity of a square of area A is L A cos θ downwards, and 0 upwards."""
+    lamp = lamp_of(tmp_path, rectangle(0.1, 0.5, AREA), rectangle(1, 1, BLACK))
+    field = bake_exitant(lamp, dataclasses.replace(CONFIG, paths=1 << 19), tmp_path)
+    found = intensities(field).sum(axis=0) * lamp.frame.scale**2
+    down = -directions(mi, 16)[..., 2]
+    expected = 0.2**2 * RADIANCE * np.maximum(down, 0).mean(axis=1)[:, None]
+    assert (found[(down < 0).all(axis=1)] == 0).all()
+    counts = (1 << 19) * np.maximum(down, 0).mean(axis=1) * solid_angles(16) / np.pi
+    error = expected * np.sqrt(1 / np.maximum(counts, 1) + 0.01**2)[:, None]
+    lit = (down > 0.1).all(axis=1)
+    assert lit.sum() > 80
+    assert (np.abs(found - expected)[lit] < 5 * error[lit]).all()
+    # All of it starts in the cells about the square, which are in the layer below the plate.
+    height = (field.cells[:, 2] + 0.5) * 0.5 - 1
+    height = height * lamp.frame.scale + lamp.frame.centre[2]
+    assert np.abs(height - 0.5).max() < 0.5 * lamp.frame.scale
+
+
+def test_an_occluder_in_the_box_leaves_no_light_behind_it(mi, tmp_path):
+    """A black plate below a small emitter: bins that see only the plate are dark."""
+    plate = cube("plate", (0.5, 0.5, 0.01), (0, 0, -0.01), BLACK)
+    lamp = lamp_of(tmp_path, rectangle(0.1, 0.5, AREA), plate)
+    config = dataclasses.replace(CONFIG, resolution=32)
+    field = bake_exitant(lamp, config, tmp_path)
+    found = intensities(field).sum(axis=0) * lamp.frame.scale**2
+    towards = directions(mi, 32, fine=8)
+    down = np.maximum(-towards[..., 2], 1e-9)
+    # How far to the side a ray has gone at the height of the plate, 0.5 below the emitter.
+    aside = 0.5 * np.abs(towards[..., :2]).max(axis=2) / down
+    behind = ((towards[..., 2] < 0) & (aside < 0.38)).all(axis=1)
+    beside = ((towards[..., 2] < -0.2) & (aside > 0.62)).all(axis=1)
+    assert behind.sum() > 20
+    assert beside.sum() > 20
+    assert (found[behind] == 0).all()
+    expected = 0.2**2 * RADIANCE[0] * down.mean(axis=1)
+    ratio = found[beside, 0].sum() / expected[beside].sum()
+    assert ratio == pytest.approx(1, abs=0.02)
+
+
+def test_light_through_glass_starts_at_the_glass(mi, tmp_path):
+    """The cell is that of the last vertex, not of the emitter."""
+    glass = '<bsdf type="thindielectric"/>'
+    lamp = lamp_of(tmp_path, sphere("bulb", 0.1, inside=AREA), cube("shade", 1, inside=glass))
+    config = dataclasses.replace(CONFIG, depth=3)
+    field = bake_exitant(lamp, config, tmp_path)
+    outer = ((field.cells == 0) | (field.cells == 7)).any(axis=1)
+    light = flux(field).sum(axis=(1, 2))
+    assert light[~outer].sum() == 0
+    emitted = 4 * np.pi**2 * 0.1**2 * RADIANCE.sum()
+    assert light.sum() * lamp.frame.scale**2 == pytest.approx(emitted, rel=5e-3)
+
+
+def content(field, lamp, path):
+    save(exitant_asset(field, lamp.frame, lamp.name), path)
+    return path.read_bytes()
+
+
+def test_equal_seeds_give_equal_bytes(ball, field, tmp_path):
+    again, other = (
+        bake_exitant(ball, dataclasses.replace(CONFIG, seed=seed), tmp_path) for seed in (0, 1)
+    )
+    files = [content(each, ball, tmp_path / "x.lumitree") for each in (field, again, other)]
+    assert files[0] == files[1]
+    assert files[0] != files[2]
+
+
+def test_seeds_agree_within_their_noise(ball, field, tmp_path):
+    """All paths of a bare sphere have the same flux, so that bins hold counts of paths."""
+    other = bake_exitant(ball, dataclasses.replace(CONFIG, seed=1), tmp_path)
+    assert np.array_equal(field.cells, other.cells)
+    each = 4 * np.pi**2 * RADIANCE[0] / CONFIG.paths
+    counts = [flux(one)[..., 0].ravel() / each for one in (field, other)]
+    assert [one.sum() for one in counts] == pytest.approx([CONFIG.paths] * 2, rel=1e-3)
+    total = counts[0] + counts[1]
+    enough = total > 20
+    assert enough.sum() > 2000
+    scores = (counts[0] - counts[1])[enough] / np.sqrt(total[enough])
+    assert np.abs(scores).max() < 5.5
+    # Bins are chosen by both, so the variance is 1 up to its own noise.
+    assert scores.var() == pytest.approx(1, abs=5 * np.sqrt(2 / enough.sum()))
+    assert abs(scores.mean()) < 5 / np.sqrt(enough.sum())
+
+
+@pytest.mark.parametrize("batch", [1 << 15, 1 << 20])
+def test_the_flux_does_not_depend_on_the_batches(ball, tmp_path, batch):
+    """Also if the paths do not fill the last one."""
+    config = ExitantConfig(paths=(1 << 16) + 1, batch=batch, depth=2, resolution=16)
+    found = flux(bake_exitant(ball, config, tmp_path)).sum(axis=(0, 1))
+    assert found == pytest.approx(4 * np.pi**2 * RADIANCE, rel=1e-3)
+
+
+def test_a_luminaire_without_light_is_refused(mi, tmp_path):
+    lamp = lamp_of(tmp_path, sphere("bulb", 0.2, inside=AREA), cube("shell", 1, inside=BLACK))
+    message = r"^no light leaves .*lamp; look for emitters"
+    with pytest.raises(lumitree.LumitreeError, match=message) as caught:
+        bake_exitant(lamp, CONFIG, tmp_path)
+    assert str(caught.value).isprintable()
+    assert not (tmp_path / EXITANT_STATE).exists()
+
+
+@pytest.fixture
+def traced(monkeypatch):
+    """The number of traced batches so far, in a list."""
+    counts = [0]
+
+    def count(*arguments, **options):
+        counts[0] += 1
+        return trace_light(*arguments, **options)
+
+    monkeypatch.setattr(module, "trace_light", count)
+    return counts
+
+
+def test_an_equal_call_returns_the_saved_field(ball, field, tmp_path, traced):
+    first = bake_exitant(ball, CONFIG, tmp_path)
+    assert traced == [2]
+    assert os.listdir(tmp_path) == [EXITANT_STATE]
+    assert_equal_fields(first, field)
+    assert_equal_fields(bake_exitant(ball, CONFIG, tmp_path), first)
+    assert traced == [2]
+
+
+@pytest.mark.parametrize(
+    "change", [{"seed": 1}, {"paths": 1 << 17}, {"depth": 3}, {"resolution": 8}]
+)
+def test_another_setting_is_traced(ball, tmp_path, traced, change):
+    bake_exitant(ball, CONFIG, tmp_path)
+    before, config = traced[0], dataclasses.replace(CONFIG, **change)
+    field = bake_exitant(ball, config, tmp_path)
+    assert traced[0] > before
+    assert (field.depth, field.resolution) == (config.depth, config.resolution)
+
+
+def test_another_luminaire_is_traced(ball, field, tmp_path, traced):
+    bake_exitant(ball, CONFIG, tmp_path)
+    brighter = AREA.replace("3,2,1", "6,4,2")
+    (tmp_path / "other").mkdir()
+    lamp = lamp_of(tmp_path / "other", sphere("ball", 0.5, (1, 2, 3), inside=brighter))
+    found = bake_exitant(lamp, CONFIG, tmp_path)
+    assert traced == [4]
+    assert found.scale == pytest.approx(2 * field.scale, rel=1e-6)
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "empty", "text", "plain", "other"])
+def test_a_damaged_saved_field_is_ignored(ball, field, tmp_path, traced, damage):
+    bake_exitant(ball, CONFIG, tmp_path)
+    path = tmp_path / EXITANT_STATE
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    if damage == "plain":
+        # An asset of that name without an exitant light field.
+        plain = lumitree.load(path)
+        save(dataclasses.replace(plain, exitant=None), path)
+    elif damage == "other":
+        save(exitant_asset(field, ball.frame, ball.name), path)
+    else:
+        path.write_bytes({"flip": data, "cut": data[:-1], "empty": b"", "text": b"no"}[damage])
+    assert_equal_fields(bake_exitant(ball, CONFIG, tmp_path), field)
+    assert traced == [4]
+    # It has been replaced.
+    assert_equal_fields(bake_exitant(ball, CONFIG, tmp_path), field)
+    assert traced == [4]
+
+
+def test_progress_counts_batches(ball, tmp_path, monkeypatch):
+    monkeypatch.setattr("lumitree.core.progress._QUIET_SECONDS", 0)
+    seen = []
+    with reporting(seen.append):
+        bake_exitant(ball, dataclasses.replace(CONFIG, batch=1 << 16), tmp_path)
+    assert [(entry.done, entry.total) for entry in seen][-1] == (4, 4)
+    assert seen[-1].finished
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"paths": 0}, "light paths is 0"),
+        ({"paths": 1 << 33}, "light paths is"),
+        ({"depth": 0}, "depth of the exitant light field is 0"),
+        ({"depth": 8}, "depth of the exitant light field is 8"),
+        ({"resolution": 2}, "bins of direction a side is 2"),
+        ({"resolution": 256}, "bins of direction a side is 256"),
+        ({"resolution": 24}, "bins of direction a side is 24"),
+        ({"batch": 0}, "paths at once is 0"),
+        ({"seed": -1}, "seed is -1"),
+    ],
+)
+def test_settings_out_of_range_are_refused(change, message):
+    with pytest.raises(lumitree.LumitreeError, match=message):
+        dataclasses.replace(CONFIG, **change)

@@ -1,0 +1,368 @@
+"""`bake(parts=...)` and `--parts`: which parts an asset gets, and which later calls keep."""
+
+import dataclasses
+import json
+import os
+import re
+import signal
+
+import numpy as np
+import pytest
+
+import lumitree
+from lumitree.asset.asset import exitant_asset
+from lumitree.asset.file import save
+from lumitree.cli import main
+from lumitree.core.photometry import colour_temperature, luminance
+from lumitree.errors import LumitreeError
+from lumitree.fit.light_field import bake as exitant_bake
+from lumitree.fit.light_field.saved_field import EXITANT_STATE
+from lumitree.lamp.luminaire import load_luminaire
+from support import tiny_bakes
+from support.exitant_fields import assert_equal_fields, random_exitant
+from support.fields import random_asset
+from support.lamps import AREA, cube, scene, sphere
+
+# A radiance field of a second; most of the time is its first estimate.
+FEW = {"estimate": {"rays": 1 << 17, "growth_rays": 1 << 16}, "rays": 1 << 14}
+
+
+@pytest.fixture(autouse=True)
+def folder(mi, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tiny_bakes.set_qualities(monkeypatch.setitem, tree_depth=4, **FEW)
+    lamp = scene(sphere("ball", 0.5, inside=AREA), cube("bar", (1, 0.1, 0.1)))
+    (tmp_path / "lamp.xml").write_text(lamp)
+    return tmp_path
+
+
+@pytest.fixture
+def untraced(monkeypatch):
+    """Fails a test that bakes an exitant light field."""
+
+    def refuse(*_, **__):
+        raise AssertionError("light paths of an exitant light field are traced")
+
+    monkeypatch.setattr(exitant_bake, "bake_exitant", refuse)
+
+
+def test_the_exitant_light_field_alone(tmp_path):
+    baked = lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant"])
+    asset = baked.asset
+    assert (asset.info.leaves, asset.info.nodes) == (0, 1)
+    assert asset.info.exitant_cells == len(asset.exitant.cells) > 10
+    config = tiny_bakes.EXITANT
+    assert (asset.exitant.depth, asset.exitant.resolution) == (config.depth, config.resolution)
+    assert asset.luminaire == load_luminaire("lamp.xml").name
+    assert asset.frame.size == pytest.approx([2, 1, 1])
+    assert set(baked.seconds) == {"exitant", "irradiance"}
+    assert baked.held_out_psnr is baked.rays is baked.stopped_by is None
+    json.dumps(baked.to_json(), allow_nan=False)
+    # Neither the folder nor the state is left.
+    assert sorted(os.listdir()) == ["lamp.lumitree", "lamp.xml"]
+    again = lumitree.load(baked.path)
+    assert_equal_fields(again.exitant, asset.exitant)
+    lumitree.save(again, "again.lumitree")
+    assert (tmp_path / "again.lumitree").read_bytes() == baked.path.read_bytes()
+    # It hides nothing and shows nothing to rays.
+    radiance, transmittance = again.eval([[0, 0, 5]], [[0, 0, -1]])
+    assert (radiance.tolist(), transmittance.tolist()) == ([[0, 0, 0]], [1])
+
+
+def test_equal_calls_give_equal_files(tmp_path):
+    for name, seed in (("a", 3), ("b", 3), ("c", 4)):
+        lumitree.bake("lamp.xml", f"{name}.lumitree", parts=["exitant"], seed=seed)
+    files = [(tmp_path / f"{name}.lumitree").read_bytes() for name in "abc"]
+    assert files[0] == files[1] != files[2]
+
+
+def test_the_field_alone(untraced):
+    baked = lumitree.bake("lamp.xml", "lamp.lumitree", parts=["field"])
+    assert baked.asset.exitant is None
+    assert baked.asset.info.exitant_cells == 0
+    assert baked.asset.info.leaves > 10
+    assert set(baked.seconds) == {"bake", "irradiance"}
+    assert lumitree.load("lamp.lumitree").exitant is None
+
+
+def test_both_parts_and_their_refinement():
+    """Each part is that of a bake of it alone, and `refine` keeps the exitant light field."""
+    both = lumitree.bake("lamp.xml", "both.lumitree", work="state")
+    assert set(both.seconds) == {"exitant", "bake", "irradiance"}
+    assert EXITANT_STATE in os.listdir("state")
+    alone = lumitree.bake("lamp.xml", parts=("exitant",)).asset
+    assert_equal_fields(both.asset.exitant, alone.exitant)
+    field = lumitree.bake("lamp.xml", parts={"field"}).asset
+    for name in ("children", "density", "coefficients"):
+        assert np.array_equal(getattr(both.asset, name), getattr(field, name))
+    refined = lumitree.refine("both.lumitree", "lamp.xml", "refined.lumitree", rays=1 << 14)
+    assert_equal_fields(refined.asset.exitant, alone.exitant)
+    assert_equal_fields(lumitree.load("refined.lumitree").exitant, alone.exitant)
+    assert refined.asset.info.leaves >= field.info.leaves
+    plain = lumitree.refine(field, "lamp.xml", rays=1 << 14)
+    assert plain.asset.exitant is None
+
+
+def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
+    first = lumitree.bake("lamp.xml", parts=["exitant"], work="state").asset
+
+    def refuse(*_, **__):
+        raise AssertionError("light paths are traced")
+
+    monkeypatch.setattr(exitant_bake, "trace_light", refuse)
+    again = lumitree.bake("lamp.xml", parts=["exitant"], work="state").asset
+    assert_equal_fields(again.exitant, first.exitant)
+    with pytest.raises(AssertionError, match="light paths are traced"):
+        lumitree.bake("lamp.xml", parts=["exitant"], work="state", seed=1)
+
+
+@pytest.mark.parametrize("parts", [("exitant", "field", "model"), ("field",)])
+def test_a_bake_gets_the_flux_and_the_colour_that_are_asked_for(parts, capsys):
+    """All parts are those of a bake without them, but for the gain, which later calls keep."""
+    from lumitree.render.asset_flux import asset_watts
+
+    plain = lumitree.bake("lamp.xml", parts=parts)
+    light = {"lumens": 800.0, "temperature": 2700.0}
+    warm = lumitree.bake("lamp.xml", "warm.lumitree", parts=parts, **light)
+    assert np.array_equal(warm.asset.coefficients, plain.asset.coefficients)
+    assert warm.asset.parts == plain.asset.parts
+    watts = asset_watts(warm.asset)
+    exact = 1e-6 if "exitant" in parts else 0.01
+    assert luminance(watts) == pytest.approx(800, rel=exact)
+    assert colour_temperature(watts)[0] == pytest.approx(2700, rel=0.001 + exact)
+    # The comparison with the luminaire is that of its own light.
+    found, expected = (each.irradiance["irradiance_ratio"] for each in (warm, plain))
+    assert found == pytest.approx(expected, abs=1e-4 + 0.5 * plain.irradiance["ratio_error"])
+    refined = lumitree.refine("warm.lumitree", "lamp.xml", rays=1 << 14, irradiance_paths=0)
+    assert refined.asset.gain == warm.asset.gain
+    assert main(["info", "warm.lumitree", "--json", "info.json"]) == 0
+    shown = re.search(r"lumens  ([\d.]+)", capsys.readouterr().out)
+    assert float(shown[1]) == pytest.approx(luminance(watts), rel=1e-4)
+    with open("info.json") as file:
+        assert json.load(file)["asset"]["gain"] == list(warm.asset.gain)
+
+
+def test_a_colour_that_a_lamp_cannot_have_is_refused_at_once(monkeypatch):
+    from lumitree.fit.octree import bake as direct
+
+    red = AREA.replace("3,2,1", "3,0,0")
+    with open("red.xml", "w") as file:
+        file.write(scene(sphere("ball", 0.5, inside=red)))
+
+    def refuse(*_, **__):
+        raise AssertionError("a field is baked")
+
+    monkeypatch.setattr(direct, "bake", refuse)
+    with pytest.raises(lumitree.LumitreeError, match="emits no green light, which 2700 K has"):
+        lumitree.bake("red.xml", "red.lumitree", temperature=2700.0)
+    with pytest.raises(lumitree.LumitreeError, match="lumens is 0"):
+        lumitree.bake("lamp.xml", lumens=0)
+    assert not os.path.exists("red.lumitree")
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ((), r"^parts are none; expected"),
+        (["nonsense"], "part is 'nonsense'; expected exitant, field"),
+        (["exitant", "nonsense"], "part is 'nonsense'; expected exitant, field"),
+        ("exitant", "part is 'e'; expected exitant, field"),
+        ([""], "part is ''; expected exitant, field"),
+        ([None], "part is None; expected exitant, field"),
+    ],
+)
+def test_unknown_and_empty_parts_are_refused_before_any_work(untraced, parts, message):
+    with pytest.raises(lumitree.LumitreeError, match=message) as caught:
+        lumitree.bake("lamp.xml", "lamp.lumitree", parts=parts)
+    assert str(caught.value).isprintable()
+    assert os.listdir() == ["lamp.xml"]
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ("exitant,nonsense", "part is 'nonsense'; expected exitant, field"),
+        ("nonsense", "part is 'nonsense'"),
+        ("", "part is ''"),
+        ("exitant,", "part is ''"),
+        ("exitant, field", "part is ' field'"),
+        ("\x1b[2J\n", r"part is '\x1b[2J\n'"),
+    ],
+)
+def test_a_command_refuses_unknown_parts(capsys, untraced, parts, message):
+    assert main(["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", parts]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("lumitree: error: ")
+    assert captured.err.count("\n") == 1
+    assert captured.err.strip().isprintable()
+    assert message in captured.err
+    assert os.listdir() == ["lamp.xml"]
+
+
+def test_a_command_bakes_one_part(capsys):
+    command = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "exitant"]
+    assert main([*command, "--json", "report.json"]) == 0
+    assert capsys.readouterr().err == ""
+    asset = lumitree.load("lamp.lumitree")
+    assert asset.exitant is not None
+    assert asset.num_leaves == 0
+    assert main(["info", "lamp.lumitree", "--json", "info.json"]) == 0
+    with open("info.json") as file:
+        assert f'"exitant_cells": {asset.info.exitant_cells}' in file.read()
+
+
+def test_datasets_have_a_field_only(untraced):
+    views = {"num_views": 6, "resolution": 24, "samples_per_pixel": 4}
+    lumitree.capture("lamp.xml", "views", **views)
+    baked = lumitree.bake("views", "lamp.lumitree")
+    assert baked.asset.exitant is None
+    assert baked.irradiance is None
+    assert baked.asset.info.leaves > 0
+    for parts in (["exitant"], ["exitant", "field"]):
+        with pytest.raises(lumitree.LumitreeError, match="is a dataset"):
+            lumitree.bake("views", parts=parts)
+
+
+@pytest.mark.parametrize("parts", [("exitant",), ("field",), ("exitant", "field")])
+def test_a_bake_states_the_error_of_its_irradiance(parts):
+    """By the same function as `evaluate`, with the same light paths and random numbers.
+
+    The tables from which rays of a field are sampled are sums in any order, and differ by rounding.
+    """
+    from lumitree.measure.view_errors import evaluate_irradiance
+
+    baked = lumitree.bake("lamp.xml", parts=parts)
+    lamp = load_luminaire("lamp.xml")
+    expected = evaluate_irradiance(baked.asset, lamp, 1 << 14)
+    assert baked.irradiance["paths"] == 1 << 14
+    assert baked.irradiance["faces"].keys() == expected.report()["faces"].keys()
+    ratio = baked.irradiance["irradiance_ratio"]
+    # Where rounding moves a few rays, the ratio moves by a small part of its standard error.
+    slack = 1e-4 + 0.5 * baked.irradiance["ratio_error"]
+    assert ratio == pytest.approx(expected.metrics["irradiance_ratio"], abs=slack)
+    if "exitant" in parts:
+        assert ratio == pytest.approx(1, abs=5 * baked.irradiance["ratio_error"] + 0.005)
+
+
+def test_the_irradiance_is_compared_on_request(capsys):
+    command = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "exitant", "--json", "r.json"]
+    for paths, lines in ((None, 3), (4096, 3), (0, 0)):
+        chosen = [] if paths is None else ["--irradiance-paths", str(paths)]
+        assert main([*command, *chosen]) == 0
+        out = capsys.readouterr().out.splitlines()
+        found = [line for line in out if "irradiance, ratio" in line or "RMS error" in line]
+        assert len(found) == lines
+        with open("r.json") as file:
+            report = json.load(file)
+        assert ("irradiance" in report) == (lines > 0)
+        if lines:
+            assert report["irradiance"]["paths"] == (paths or 1 << 14)
+            assert re.search(r"irradiance, ratio  \d\.\d{4} ± 0\.\d{4}$", found[0])
+            assert re.search(r"RMS error  \d+\.\d %$", found[1])
+            assert re.search(r"RMS error touching  \d+\.\d %$", found[2])
+
+
+@pytest.mark.parametrize("paths", [-1, 1 << 27])
+def test_irradiance_paths_out_of_range_are_refused_before_any_work(untraced, paths):
+    with pytest.raises(lumitree.LumitreeError, match="irradiance paths is"):
+        lumitree.bake("lamp.xml", "lamp.lumitree", irradiance_paths=paths)
+    with pytest.raises(lumitree.LumitreeError, match="irradiance paths is"):
+        lumitree.refine(random_asset(0), "lamp.xml", irradiance_paths=paths)
+    assert os.listdir() == ["lamp.xml"]
+
+
+def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch, capsys):
+    """The asset is written before its irradiance is compared; the same call continues."""
+    from lumitree.measure import view_errors as evaluate
+
+    compare = evaluate.evaluate_irradiance
+
+    def interrupt(*_):
+        """As Dr.Jit does while it traces a loop."""
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt as error:
+            raise RuntimeError("in a loop") from error
+
+    monkeypatch.setattr(evaluate, "evaluate_irradiance", interrupt)
+    assert main(["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "exitant"]) == 128 + 15
+    line = "the asset in lamp.lumitree is complete, but its irradiance was not compared"
+    assert capsys.readouterr().err.splitlines()[-1] == f"lumitree: error: interrupted; {line}"
+    stopped = lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant"])
+    assert stopped.complete
+    assert (stopped.stopped_by, stopped.irradiance) == (signal.SIGTERM, None)
+    kept = lumitree.load(stopped.path)
+    assert os.path.exists("lamp.work")
+    monkeypatch.setattr(evaluate, "evaluate_irradiance", compare)
+    monkeypatch.setattr(exitant_bake, "trace_light", None)
+    again = lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant"])
+    assert again.stopped_by is None
+    assert again.irradiance is not None
+    assert_equal_fields(again.asset.exitant, kept.exitant)
+    assert sorted(os.listdir()) == ["lamp.lumitree", "lamp.xml"]
+
+
+def test_an_exitant_light_field_alone_is_evaluated():
+    """What is seen of it is measured; its irradiance is that of the luminaire."""
+    lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant"])
+    metrics = lumitree.evaluate(
+        "lamp.lumitree", "lamp.xml", num_views=1, resolution=24, samples_per_pixel=16,
+        irradiance_paths=1 << 16,
+    ).metrics  # fmt: skip
+    assert all(np.isfinite(value) for value in metrics.values() if value is not None)
+    assert metrics["irradiance_ratio"] == pytest.approx(1, abs=0.05)
+    assert metrics["flux_error"] < 0.05
+
+
+def test_an_exitant_light_field_alone_has_nothing_to_refine():
+    """Gradient descent cannot begin without leaves: that is refused in one line."""
+    rough = lumitree.bake("lamp.xml", parts=["exitant"]).asset
+    with pytest.raises(lumitree.LumitreeError, match="has no field"):
+        lumitree.refine(rough, "lamp.xml", rays=1 << 14)
+
+
+def test_an_interrupted_bake_keeps_the_exitant_light_field(monkeypatch):
+    """The same call continues it, without tracing the light paths again."""
+    from lumitree.fit.octree.refine import Refiner
+
+    advance = Refiner.advance
+
+    def interrupt(self, progress):
+        os.kill(os.getpid(), signal.SIGTERM)
+        return advance(self, progress)
+
+    monkeypatch.setattr(Refiner, "advance", interrupt)
+    cut = lumitree.bake("lamp.xml", "lamp.lumitree")
+    assert not cut.complete
+    assert cut.stopped_by == signal.SIGTERM
+    assert cut.asset.exitant is not None
+    assert EXITANT_STATE in os.listdir("lamp.work")
+    monkeypatch.setattr(Refiner, "advance", advance)
+    monkeypatch.setattr(exitant_bake, "trace_light", None)
+    whole = lumitree.bake("lamp.xml", "lamp.lumitree")
+    assert whole.stopped_by is None
+    assert_equal_fields(whole.asset.exitant, cut.asset.exitant)
+    assert sorted(os.listdir()) == ["lamp.lumitree", "lamp.xml"]
+
+
+def test_info_of_an_asset_counts_its_cells():
+    asset = dataclasses.replace(random_asset(0), exitant=random_exitant(0, count=7))
+    assert asset.info.exitant_cells == 7
+    save(asset, "seven.lumitree")
+    assert lumitree.load("seven.lumitree").info == asset.info
+
+
+def test_info_of_an_exitant_light_field_needs_no_llvm(tmp_path, monkeypatch, capsys):
+    lamp = random_asset(0)
+    light = exitant_asset(random_exitant(0), lamp.frame, "lamp")
+    lumitree.save(light, tmp_path / "lamp.lumitree")
+
+    def refused():
+        raise LumitreeError("no libLLVM")
+
+    monkeypatch.setattr("lumitree.core.results.load_mitsuba", refused)
+    assert main(["info", str(tmp_path / "lamp.lumitree")]) == 0
+    assert "lumens" in capsys.readouterr().out
+    lumitree.save(lamp, tmp_path / "field.lumitree")
+    assert main(["info", str(tmp_path / "field.lumitree")]) == 2

@@ -1,0 +1,255 @@
+"""TM-25 ray files: the published layout, round trips, kinds of spectra, damage."""
+
+import contextlib
+import struct
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from lumitree.core.photometry import LUMENS_PER_WATT, colour_temperature, luminance
+from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.formats.rays import Rays
+from lumitree.formats.tm25 import read_tm25, write_tm25
+from support.damage import damaged, refused
+
+ROUNDS = 200
+# Where the rays begin in a file without spectral tables.
+HEADER = 288 + 9 * 4000
+
+
+def random_rays(count=50, seed=0):
+    random = np.random.default_rng(seed)
+    direction = random.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return Rays(random.normal(size=(count, 3)), direction, random.random((count, 3)))
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "lamp.ray"
+
+
+def file_bytes(
+    rows,
+    flags,
+    spectrum=0,
+    wavelengths=(np.nan,) * 3,
+    tables=(),
+    additional=0,
+    text=0,
+    totals=(0, 0),
+):
+    """A file by the published layout, written without the module.
+
+    Args:
+        rows: [N, M] numbers of the rays.
+        flags: the 8 known data flags.
+        tables: spectral tables, [n, 2] each.
+        additional, text: number of additional items, and bytes of the additional text.
+        totals: luminous flux and radiant flux in the header.
+    """
+    head = b"TM25" + struct.pack("<iiffQ", 2013, 1, *totals, len(rows))
+    head += b"2026-11-23T12:00:00Z".ljust(28, b"\0")
+    head += struct.pack("<iifffiii", 7, spectrum, *wavelengths, len(tables), additional, text)
+    head += bytes(168) + struct.pack("<8i", *flags)
+    head += "light ☀".encode("utf-32-le").ljust(4000, b"\0") + bytes(8 * 4000)
+    assert len(head) == HEADER
+    spectra = b"".join(
+        struct.pack("<i", len(table)) + np.array(table, "<f4").tobytes() for table in tables
+    )
+    spectra += bytes(-len(spectra) % 32)
+    return head + spectra + bytes(512 * additional + text) + np.array(rows, "<f4").tobytes()
+
+
+def test_layout(path, mi):
+    rays = random_rays(3)
+    write_tm25(path, rays, "bulb ☀")
+    data = path.read_bytes()
+    assert len(data) == HEADER + 3 * 9 * 4
+    assert data[:4] == b"TM25"
+    version, method, lumens, watts, count = struct.unpack_from("<iiffQ", data, 4)
+    assert (version, method, count) == (2013, 0, 3)
+    assert lumens == pytest.approx(luminance(rays.flux.sum(axis=0)))
+    assert np.isnan(watts)
+    assert data[28:56].rstrip(b"\0").endswith(b"Z")
+    start, spectrum, *nanometres, tables, items, text = struct.unpack_from("<iifffiii", data, 56)
+    assert (start, spectrum, tables, items, text) == (0, 0, 0, 0, 0)
+    assert np.isnan(nanometres).all()
+    assert data[88:256] == bytes(168)
+    # Position, direction, luminous flux, tristimulus.
+    assert struct.unpack_from("<8i", data, 256) == (1, 1, 0, 0, 1, 0, 1, 0)
+    assert data[288:4288].decode("utf-32-le").rstrip("\0") == "bulb ☀"
+    row = struct.unpack_from("<9f", data, HEADER + 36)
+    x, y, z = rays.origin[1]
+    assert row[:3] == pytest.approx([1000 * x, -1000 * z, 1000 * y], rel=1e-6)
+    x, y, z = rays.direction[1]
+    assert row[3:6] == pytest.approx([x, -z, y], rel=1e-6)
+    assert row[6] == pytest.approx(luminance(rays.flux[1]))
+
+
+def test_round_trip(path, mi):
+    rays = random_rays()
+    write_tm25(path, rays, "name")
+    again, name = read_tm25(path)
+    assert name == "name"
+    for member in ("origin", "direction", "flux"):
+        # The primaries are rounded to four decimals.
+        assert getattr(again, member) == pytest.approx(getattr(rays, member), abs=2e-3)
+    assert luminance(again.flux) == pytest.approx(luminance(rays.flux), rel=1e-5)
+
+
+GEOMETRY = [[1000, 2000, 3000, 0, 0, -1], [0, 0, 0, 0.6, 0.8, 0]]
+
+
+def test_another_writers_file(path, mi):
+    """Luminous flux alone, additional items and text; z is up, lengths are in mm."""
+    rows = [[*geometry, 10.0 * (i + 1), 5, 6] for i, geometry in enumerate(GEOMETRY)]
+    path.write_bytes(file_bytes(rows, [1, 1, 0, 0, 1, 0, 0, 0], additional=2, text=64))
+    rays, name = read_tm25(path)
+    assert name == "light ☀"
+    assert rays.origin.tolist() == [[1, 3, -2], [0, 0, 0]]
+    assert rays.direction == pytest.approx(np.array([[0, -1, 0], [0.6, 0, -0.8]]), abs=1e-6)
+    assert luminance(rays.flux) == pytest.approx([10, 20])
+    assert np.ptp(rays.flux, axis=1).max() < 1e-12
+
+
+def read_flux(path, columns, *options, **more):
+    rows = [[*geometry, *column] for geometry, column in zip(GEOMETRY, columns, strict=True)]
+    path.write_bytes(file_bytes(rows, *options, **more))
+    return read_tm25(path)[0].flux
+
+
+def test_radiant_flux_without_a_spectrum_is_white(path, mi):
+    flux = read_flux(path, [[2.0], [3.0]], [1, 1, 1, 0, 0, 0, 0, 0])
+    assert flux == pytest.approx(np.array([[2.0] * 3, [3.0] * 3]))
+
+
+@pytest.mark.parametrize(
+    ("flags", "totals", "message"),
+    [
+        ([1, 1, 0, 0, 1, 0, 0, 0], (5e4, 0), "luminous flux of 50000 lm, but its rays have 5 lm"),
+        ([1, 1, 0, 0, 1, 0, 0, 0], (5.2, 0), "luminous flux of 5.2 lm"),
+        ([1, 1, 1, 0, 0, 0, 0, 0], (0, 0.5), "radiant flux of 0.5 W, but its rays have 5 W"),
+        ([1, 1, 0, 0, 1, 0, 0, 0], (5.02, 9), None),
+        ([1, 1, 1, 0, 0, 0, 0, 0], (9, np.nan), None),
+    ],
+)
+def test_a_header_with_another_total_is_said(path, mi, flags, totals, message):
+    """The rays are used."""
+    warned = pytest.warns(LumitreeWarning, match=message) if message else contextlib.nullcontext()
+    with warned:
+        flux = read_flux(path, [[2.0], [3.0]], flags, totals=totals)
+    expected = 5 / LUMENS_PER_WATT if flags[4] else 5
+    assert flux.sum(axis=0) == pytest.approx([expected] * 3)
+
+
+def test_a_wide_spectral_table_is_refused_before_memory_is_taken(path, mi):
+    tracemalloc.start()
+    with pytest.raises(LumitreeError, match="span more than"):
+        read_flux(path, [[1.0], [1.0]], [1, 1, 0, 0, 1, 0, 0, 0], 3, tables=[[[0, 1], [9e8, 1]]])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 24
+
+
+def test_wavelengths(path, mi):
+    """A watt of 555 nm has 683 lm; red is red, and luminous flux is kept in the gamut of sRGB."""
+    one = read_flux(path, [[2.0], [1.0]], [1, 1, 1, 0, 0, 0, 0, 0], 1, (555, np.nan, np.nan))
+    assert luminance(one) == pytest.approx([2 * LUMENS_PER_WATT, LUMENS_PER_WATT], rel=2e-3)
+    each = read_flux(path, [[1.0, 460], [1.0, 630]], [1, 1, 1, 1, 0, 0, 0, 0], 2)
+    # V(λ) of the CIE 1931 observer at 460 and 630 nm.
+    assert luminance(each) == pytest.approx(LUMENS_PER_WATT * np.array([0.06, 0.265]), rel=0.01)
+    assert each.argmax(axis=1).tolist() == [2, 0]
+    # The spectrum gives the colour only, if there is luminous flux.
+    both = read_flux(path, [[1, 460, 7], [1, 630, 8]], [1, 1, 1, 1, 1, 0, 0, 0], 2)
+    assert luminance(both) == pytest.approx([7, 8])
+
+
+def test_spectral_tables(path, mi):
+    nanometres = np.arange(380.0, 781, 10)
+    planck = nanometres**-5 / np.expm1(1.438777e7 / (nanometres * 2856))
+    table = np.stack([nanometres, planck / planck.max() * 100], axis=1)
+    flux = read_flux(path, [[5.0], [7.0]], [1, 1, 0, 0, 1, 0, 0, 0], 3, (np.nan, 380, 780), [table])
+    assert luminance(flux) == pytest.approx([5, 7])
+    temperature, duv = colour_temperature(flux[0])
+    assert temperature == pytest.approx(2856, abs=3)
+    assert abs(duv) < 3e-4
+    # A table of each ray, and a length that is not a multiple of 32 bytes.
+    narrow = np.array([[629.0, 1], [630, 1], [631, 1]])
+    flux = read_flux(
+        path, [[1.0, 2], [1.0, 1]], [1, 1, 1, 0, 0, 0, 0, 1], 4, tables=[table, narrow]
+    )
+    assert luminance(flux[0]) == pytest.approx(LUMENS_PER_WATT * 0.265, rel=0.01)
+    assert flux[0, 1] == 0
+    assert flux[1, 1] > 0
+
+
+ROWS = [[*geometry, 1.0] for geometry in GEOMETRY]
+GOOD = [1, 1, 0, 0, 1, 0, 0, 0]
+
+
+def changed(offset, form, value):
+    data = bytearray(file_bytes(ROWS, GOOD))
+    struct.pack_into(form, data, offset, value)
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "0 bytes"),
+        (b"TM25" + bytes(100), "104 bytes"),
+        (b"RAYS" + file_bytes(ROWS, GOOD)[4:], "begin with"),
+        (changed(4, "<i", 2020), "version is 2020"),
+        (changed(20, "<Q", 0), "number of rays is 0"),
+        (changed(20, "<Q", 3), "bytes; expected"),
+        (changed(20, "<Q", 2**63), "number of rays"),
+        (changed(60, "<i", 5), "kind of spectral data is 5"),
+        (changed(76, "<i", -1), "spectral tables is -1"),
+        (changed(76, "<i", 1), "spectral table has"),
+        (changed(80, "<i", 2**30), "additional items"),
+        (changed(84, "<i", -32), "additional text"),
+        (changed(256, "<i", 0), "position and direction"),
+        (changed(264, "<i", 2), "flags"),
+        (changed(272, "<i", 0), "radiant or luminous"),
+        (changed(HEADER, "<f", np.nan), "position"),
+        (changed(HEADER + 12, "<f", 3.0), "length 1"),
+        (changed(HEADER + 24, "<f", np.nan), "flux"),
+        (changed(HEADER + 24, "<f", -1.0), "flux"),
+        (file_bytes(ROWS, GOOD)[:-1], "bytes; expected"),
+        (file_bytes([[*row[:6], 0] for row in ROWS], GOOD), "flux"),
+        (file_bytes(ROWS, GOOD, 3, tables=[[[500, 1], [400, 1]]]), "ascending"),
+        (file_bytes(ROWS, GOOD, 3, tables=[[[500, np.nan], [600, 1]]]), "NaN"),
+        (file_bytes([[*row, 3] for row in ROWS], [*GOOD[:7], 1], 4, tables=[[[500, 1]]]), "none"),
+    ],
+)
+def test_bad_files_are_refused_in_a_line(path, mi, data, message):
+    path.write_bytes(data)
+    with pytest.raises(LumitreeError, match=message) as error:
+        read_tm25(path)
+    assert str(error.value).isprintable()
+
+
+def test_damaged_files_are_refused_or_read(path, mi):
+    nanometres = np.array([[400.0, 1], [700, 2]])
+    good = [
+        bytearray(file_bytes(ROWS, GOOD)),
+        bytearray(file_bytes([[*r, 1] for r in ROWS], [*GOOD[:7], 1], 4, tables=[nanometres])),
+    ]
+    random, outcomes = np.random.default_rng(0), set()
+
+    def check():
+        rays, _ = read_tm25(path)
+        assert np.isfinite(rays.flux).all()
+        assert len(rays) == 2
+
+    for round_ in range(ROUNDS):
+        data = bytearray(good[round_ % 2])
+        # Most of the file is empty text.
+        places = [*range(88), *range(256, 292), *range(HEADER, len(data))]
+        for place in random.choice(places, random.integers(1, 4)):
+            data[place] = random.integers(256)
+        path.write_bytes(data if round_ % 5 else damaged(bytes(data), random))
+        outcomes.add(refused(check))
+    assert outcomes == {True, False}

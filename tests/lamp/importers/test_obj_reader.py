@@ -1,0 +1,548 @@
+"""OBJ models as a whole: parts, materials, textures, and files that reach out of their folder."""
+
+import os
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.lamp import parts as model_module
+from lumitree.lamp.importers import images
+from lumitree.lamp.importers.obj import mesh, reader
+from lumitree.lamp.importers.obj.reader import read_obj
+from lumitree.lamp.importers.topology import count_solids
+from lumitree.lamp.parts import Diffuse, Glass, Metal, Principled, Texture, VertexColour
+
+QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+
+
+def obj_text(mesh, material, offset=0, flip=False):
+    lines = [f"usemtl {material}"]
+    lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
+    faces = mesh.faces[:, ::-1] if flip else mesh.faces
+    lines += ["f " + " ".join(str(i + 1 + offset) for i in face) for face in faces]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def model(tmp_path):
+    """Function of the OBJ's and the MTL's text."""
+
+    def read(obj, mtl=None):
+        if mtl is not None:
+            (tmp_path / "lamp.mtl").write_text(mtl)
+            obj = "mtllib lamp.mtl\n" + obj
+        (tmp_path / "lamp.obj").write_text(obj)
+        return read_obj(tmp_path / "lamp.obj")
+
+    return read
+
+
+@pytest.fixture
+def quad(model):
+    """Function of the lines of a quad's MTL block: its material."""
+
+    def read(lines):
+        return model(QUAD + "usemtl a\nf 1/1 2/2 3/3 4/4", "newmtl a\n" + lines).materials[0]
+
+    return read
+
+
+@pytest.fixture
+def ball(model):
+    def read(lines):
+        text = obj_text(trimesh.creation.icosphere(subdivisions=1), "a")
+        return model(text, "newmtl a\n" + lines).materials[0]
+
+    return read
+
+
+def image(path, pixels):
+    Image.fromarray(np.asarray(pixels, np.uint8)).save(path)
+
+
+def test_one_part_for_each_material_however_it_is_spread(model):
+    box = trimesh.creation.box()
+    text = "g first\n" + obj_text(box, "brass") + "g second\n"
+    text += obj_text(trimesh.creation.box().apply_translation([3, 0, 0]), "Mat.001", 8)
+    text += obj_text(trimesh.creation.box().apply_translation([6, 0, 0]), "brass", 16)
+    lamp = model(text, "newmtl brass\nKd 1 0 0\nnewmtl Mat.001\nKd 0 1 0\n")
+    assert [(part.name, part.material) for part in lamp.parts] == [
+        ("brass", "brass"), ("Mat_001", "Mat.001"),
+    ]  # fmt: skip
+    assert [len(part.mesh.faces) for part in lamp.parts] == [24, 12]
+    assert count_solids(lamp.parts[0].mesh) == (2, 2)
+
+
+def test_part_names_are_fit_for_files_and_distinct(model):
+    text = QUAD + "".join(
+        f"usemtl {name}\nf 1 2 3\n" for name in ("a/b", "a b", "../../x", "A_B", "ä", ".")
+    )
+    with pytest.warns(LumitreeWarning, match="no MTL file describes"):
+        lamp = model(text)
+    names = [part.name for part in lamp.parts]
+    assert names == ["a_b", "a_b-2", "x", "A_B-3", "default", "default-2"]
+    assert [material.name for material in lamp.materials][2] == "../../x"
+
+
+def test_repeated_faces_go_and_pieces_face_outwards(model):
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    text = "s 1\n" + obj_text(ball, "a", flip=True) + obj_text(ball, "a", len(ball.vertices))
+    mesh = model(text, "newmtl a\nKd 1 1 1").parts[0].mesh
+    assert len(mesh.faces) == len(ball.faces)
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume > 4
+    np.testing.assert_allclose(mesh.normals, mesh.vertices, atol=0.02)
+
+
+def test_normals_are_smooth_where_the_file_asks_for_it(model):
+    """In a file that names no smoothing group they are those of the faces, as the format says."""
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    text = obj_text(ball, "a")
+    mesh = model(text, "newmtl a").parts[0].mesh
+    np.testing.assert_allclose(mesh.normals[mesh.faces[:, 0]], ball.face_normals, atol=1e-6)
+    np.testing.assert_allclose(mesh.normals[mesh.faces[:, 1]], ball.face_normals, atol=1e-6)
+    smooth = model("s on\n" + text, "newmtl a").parts[0].mesh
+    np.testing.assert_allclose(smooth.normals, smooth.vertices, atol=0.02)
+    # Faces of one plane share their vertices.
+    plane = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nusemtl a\nf 1 2 3\nf 1 3 4"
+    assert len(model(plane, "newmtl a").parts[0].mesh.vertices) == 4
+
+
+WINDINGS = ["f 1/1 2/2 3/3 4/4\nf 4/4 3/3 2/2 1/1", "f 1 2 3\nf 1 3 4\nf 3 2 1\nf 1 4 3"]
+
+
+@pytest.mark.parametrize("faces", [*WINDINGS, "f 1 2 3 4\nf 3 2 1 4\nf 2 3 4 1\nf 2 1 4 3"])
+def test_both_sides_emit_where_a_face_has_both_windings(mi, model, tmp_path, faces):
+    """A ray from either side meets a face that emits towards it."""
+    from lumitree.lamp.scene_writer import write_scene
+
+    lamp = model(QUAD + "usemtl a\n" + faces, "newmtl a\nKe 3 2 1")
+    mesh = lamp.parts[0].mesh
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).area == pytest.approx(8)
+    scene = mi.load_file(str(write_scene(lamp, tmp_path / "scene")))
+    at = np.random.default_rng(0).uniform(-0.9, 0.9, (2, 64))
+    for side in (1.0, -1.0):
+        ray = mi.Ray3f(mi.Point3f(at[0], at[1], 3 * side), mi.Vector3f(0, 0, -side))
+        hit = scene.ray_intersect(ray)
+        radiance = np.array(hit.emitter(scene).eval(hit)).T
+        np.testing.assert_allclose(radiance, [[3, 2, 1]] * 64, rtol=1e-6)
+
+
+def test_copies_of_one_winding_emit_once_and_others_reflect_once(model):
+    twice = QUAD + "usemtl a\nf 1 2 3 4\nf 2 3 4 1"
+    assert len(model(twice, "newmtl a\nKe 1 1 1").parts[0].mesh.faces) == 2
+    both = QUAD + "usemtl a\n" + WINDINGS[0]
+    assert len(model(both, "newmtl a\nKd 1 1 1").parts[0].mesh.faces) == 2
+
+
+def test_a_closed_emitter_in_both_windings(model):
+    """One side of the copy faces inwards; textures and colours are those of the front."""
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    text = obj_text(ball, "a") + obj_text(ball, "a", len(ball.vertices), flip=True)
+    mesh = model(text, "newmtl a\nKe 1 1 1").parts[0].mesh
+    assert len(mesh.faces) == 2 * len(ball.faces)
+    assert abs(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume) < 1e-3
+    outer, inner = mesh.faces[: len(ball.faces)], mesh.faces[len(ball.faces) :]
+    assert ((mesh.normals * mesh.vertices)[outer].sum(axis=-1) > 0.9).all()
+    assert ((mesh.normals * mesh.vertices)[inner].sum(axis=-1) < -0.9).all()
+    assert np.linalg.norm(mesh.vertices[inner]) < np.linalg.norm(mesh.vertices[outer])
+
+
+PAINTED = "v -1 -1 0 1 0 0\nv 1 -1 0 1 0 0\nv 1 1 0 0 0 1\nv -1 1 0 0 0 1\nvt 0 0\n"
+
+
+def test_vertex_colours_times_kd(model, tmp_path):
+    text = PAINTED + "usemtl a\nf 1/1 2/1 3/1 4/1"
+    lamp = model(text, "newmtl a\nKd 0.5 0.5 0.25\nKe 1 2 3")
+    assert lamp.materials[0].surface == Diffuse(VertexColour())
+    assert lamp.materials[0].radiance == (1, 2, 3)
+    mesh = lamp.parts[0].mesh
+    np.testing.assert_allclose(mesh.colours[mesh.vertices[:, 1] < 0], [[0.5, 0, 0]] * 2)
+    np.testing.assert_allclose(mesh.colours[mesh.vertices[:, 1] > 0], [[0, 0, 0.25]] * 2)
+    # Without Kd the colours are the vertices' own.
+    assert model(text, "newmtl a").parts[0].mesh.colours.max() == 1
+    glossy = model(text, "newmtl a\nKs 0.5 0.5 0.5").materials[0].surface
+    assert glossy.base_color == VertexColour()
+    with pytest.warns(LumitreeWarning, match="or to have the colours of its vertices"):
+        assert model(text).materials[0].surface == Diffuse(VertexColour())
+
+
+def test_vertex_colours_that_are_not_used(model, tmp_path):
+    image(tmp_path / "a.png", np.zeros((2, 2, 3)))
+    text = PAINTED + "usemtl a\nf 1/1 2/1 3/1 4/1"
+    for lines in ("map_Kd a.png", "illum 4", "illum 3\nKd 0 0 0\nKs 1 1 1"):
+        with pytest.warns(LumitreeWarning, match="left out: vertex colours"):
+            assert model(text, "newmtl a\n" + lines).parts[0].mesh.colours is None
+    white = PAINTED.replace("1 0 0\n", "1 1 1\n").replace("0 0 1\n", "1 1 1\n")
+    assert model(white + "usemtl a\nf 1 2 3", "newmtl a").parts[0].mesh.colours is None
+
+
+def test_vertex_colours_when_rendered(mi, model, tmp_path):
+    from lumitree.lamp.scene_writer import write_scene
+
+    lamp = model(PAINTED + "usemtl a\nf 1 2 3 4", "newmtl a\nKd 1 1 1")
+    scene = mi.load_file(str(write_scene(lamp, tmp_path / "scene")))
+    ray = mi.Ray3f(mi.Point3f([0.0, 0.0], [-1.0, 1.0], [3.0, 3.0]), mi.Vector3f(0, 0, -1))
+    hit = scene.ray_intersect(ray)
+    reflectance = np.array(hit.bsdf().eval_diffuse_reflectance(hit)).T
+    np.testing.assert_allclose(reflectance, [[1, 0, 0], [0, 0, 1]], atol=1e-3)
+
+
+def test_text_of_materials_in_any_encoding(model, tmp_path):
+    text = "newmtl Küche\rKd 0,5 0,25 1\rNs 10\r"
+    for encoding in ("utf-8", "utf-16", "latin-1"):
+        (tmp_path / "b.mtl").write_bytes(text.encode(encoding))
+        lamp = model("mtllib b.mtl\n" + QUAD + "usemtl Küche\nf 1 2 3")
+        assert lamp.materials[0].surface == Diffuse((0.5, 0.25, 1))
+
+
+def test_a_copy_rounded_differently_is_still_a_copy(model):
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    copy = trimesh.Trimesh(ball.vertices + 3e-6, ball.faces, process=False)
+    text = obj_text(ball, "a") + obj_text(copy, "a", len(ball.vertices))
+    assert len(model(text, "newmtl a\nKd 1 1 1").parts[0].mesh.faces) == len(ball.faces)
+
+
+def test_given_normals_are_kept_and_turned_with_their_faces(model):
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    vertices = "".join(f"v {x} {y} {z}\n" for x, y, z in ball.vertices)
+    normals = "".join(f"vn {2 * x} {2 * y} {2 * z}\n" for x, y, z in ball.vertices)
+    inwards = "".join(f"vn {-x} {-y} {-z}\n" for x, y, z in ball.vertices)
+
+    def faces(order):
+        rows = (ball.faces + 1)[:, ::order]
+        return "".join("f " + " ".join(f"{i}//{i}" for i in row) + "\n" for row in rows)
+
+    for text in (normals + faces(1), normals + faces(-1), inwards + faces(-1)):
+        mesh = model("usemtl a\n" + vertices + text, "newmtl a").parts[0].mesh
+        assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume > 3
+        np.testing.assert_allclose(mesh.normals, mesh.vertices, atol=1e-6)
+
+
+def test_open_sheets_are_wound_as_their_normals_point(model):
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 -1\nusemtl a\nf 1//1 2//1 3//1"
+    mesh = model(text, "newmtl a").parts[0].mesh
+    a, b, c = mesh.vertices[mesh.faces[0]]
+    assert np.cross(b - a, c - a)[2] < 0
+    np.testing.assert_array_equal(mesh.normals, [[0, 0, -1]] * 3)
+
+
+def test_normals_of_no_length_are_computed(model):
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 0\nusemtl a\nf 1//1 2//1 3//1"
+    np.testing.assert_allclose(model(text, "newmtl a").parts[0].mesh.normals, [[0, 0, 1]] * 3)
+
+
+def test_concave_polygon_is_cut_by_its_ears(model):
+    text = "v 0 0 0\nv 2 1 0\nv 4 0 0\nv 2 4 0\nv 2 2 0\nusemtl a\nf 1 2 3 4"
+    mesh = model(text, "newmtl a").parts[0].mesh
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces).area == pytest.approx(6)
+
+
+def test_model_without_materials_is_grey(model):
+    lamp = model(QUAD + "f 1 2 3 4")
+    assert lamp.materials[0].surface == Diffuse((0.5, 0.5, 0.5))
+    with pytest.warns(LumitreeWarning, match=r"'lamp.mtl', which is not there"):
+        assert model("mtllib lamp.mtl\n" + QUAD + "f 1 2 3").materials[0].radiance is None
+
+
+def test_faces_without_area_leave_no_part(model):
+    with pytest.warns(LumitreeWarning, match="no face has any area"):
+        assert model(QUAD + "usemtl a\nf 1 1 2", "newmtl a").parts == ()
+
+
+@pytest.mark.parametrize("lines", ["illum 4", "illum 6", "illum 7", "illum 9", "d 0.5\nNi 1.45"])
+def test_glass_is_thin_where_it_is_open_and_solid_where_it_is_closed(quad, ball, lines):
+    thin, solid = quad(lines + "\nTf 0.25 1 1"), ball(lines + "\nTf 0.25 1 1")
+    assert isinstance(thin.surface, Glass)
+    assert thin.surface.thin
+    assert not solid.surface.thin
+    assert thin.opacity == solid.opacity == 1
+    assert thin.surface.ior == (1.45 if "Ni" in lines else 1.5)
+    # Light crosses a sheet once and a solid's surface twice.
+    assert thin.surface.tint == (0.25, 1, 1)
+    assert solid.surface.tint == (0.5, 1, 1)
+    assert not thin.two_sided
+
+
+def test_partly_closed_glass_is_reported(model):
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    text = obj_text(ball, "a") + "v 5 0 0\nv 6 0 0\nv 5 1 0\nf -3 -2 -1\n"
+    with pytest.warns(LumitreeWarning, match="'a': 1 of 2 pieces are closed"):
+        assert model(text, "newmtl a\nillum 7").materials[0].surface.thin
+
+
+def test_other_surfaces(quad):
+    assert quad("Kd 0.2 0.3 0.4").surface == Diffuse((0.2, 0.3, 0.4))
+    assert quad("Kd 0.2 0.3 0.4\nKs 1 1 1\nillum 1").surface == Diffuse((0.2, 0.3, 0.4))
+    metal = quad("Kd 0 0 0\nKs 0.9 0.8 0.7\nNs 198\nillum 3").surface
+    assert metal == Metal((0.9, 0.8, 0.7), pytest.approx(0.01**0.25))
+    glossy = quad("Kd 0.2 0.3 0.4\nKs 0.5 0.5 0.5\nNs 198\nNi 1.33").surface
+    assert glossy == Principled((0.2, 0.3, 0.4), roughness=pytest.approx(0.01**0.25), ior=1.33)
+    physical = quad("Kd 1 0 0\nPr 0.3\nPm 1\nPs 0.1\nPc 0.5\nPcr 0.2\naniso 0.4").surface
+    assert physical == Principled(
+        (1, 0, 0), metallic=1, roughness=0.3, anisotropy=0.4, sheen=0.1, clearcoat=0.5,
+        clearcoat_gloss=0.8,
+    )  # fmt: skip
+
+
+def test_opacity_and_emission(quad):
+    assert quad("d 0.25").opacity == 0.25
+    assert quad("Tr 0.25").opacity == 0.75
+    assert quad("d 0.5\nTr 0.9").opacity == 0.5
+    assert quad("Ke 40 30 16").radiance == (40, 30, 16)
+    assert quad("Ke 0 0 0").radiance is None
+    assert quad("Ke 0 -1 0").radiance is None
+    assert quad("Kd 1 1 1").two_sided
+
+
+def test_textures(quad, tmp_path):
+    pixels = np.zeros((4, 2, 4), np.uint8)
+    pixels[:2] = [255, 0, 0, 255]
+    pixels[2:] = [0, 128, 0, 51]
+    image(tmp_path / "a.png", pixels)
+    found = quad("map_Kd -s 2 3 -o 0.25 0.5 -clamp on a.png\nmap_d a.png\nmap_Ke a.png\nKe 7 7 7")
+    base = found.surface.reflectance
+    assert base.encoded
+    assert base.wrap == "clamp"
+    np.testing.assert_array_equal(base.pixels, pixels[..., :3])
+    # v = 0.25 from the bottom is 3 * 0.25 + 0.5 = 1.25 in the file's image, -0.25 from its top.
+    np.testing.assert_allclose(base.uv_transform @ [0.5, 0.75, 1], [1.25, -0.25, 1])
+    np.testing.assert_array_equal(found.opacity.pixels, pixels[..., 3:])
+    assert not found.opacity.encoded
+    np.testing.assert_allclose(found.radiance.pixels[0, 0], [7, 0, 0])
+    assert found.radiance.pixels[3, 0, 1] == pytest.approx(7 * 0.2158605, rel=1e-4)
+
+
+def test_opaque_image_as_opacity_and_roughness(quad, tmp_path):
+    image(tmp_path / "m.png", np.full((2, 2, 3), 100))
+    found = quad("map_d m.png\nd 0.5\nmap_Pr m.png")
+    assert found.opacity.pixels.shape == (2, 2, 1)
+    assert (found.opacity.pixels == 50).all()
+    assert (found.surface.roughness.pixels == 100).all()
+
+
+def test_normal_maps_and_height_maps(quad, tmp_path):
+    tilted = np.array([0.6, 0.0, 0.8])
+    image(tmp_path / "n.png", np.full((4, 4, 3), np.round((tilted + 1) * 127.5)))
+    image(tmp_path / "grey.png", np.full((4, 4, 3), 90))
+    assert isinstance(quad("norm n.png").normal_map, Texture)
+    halved = quad("map_Bump -bm 0.5 n.png").normal_map.pixels[0, 0] / 127.5 - 1
+    assert halved[0] / halved[2] == pytest.approx(0.375, abs=0.02)
+    with pytest.warns(LumitreeWarning, match=r"'a': left out: bump \(a height map"):
+        assert quad("map_Bump grey.png").normal_map is None
+
+
+def test_what_is_left_out_is_reported_in_one_warning(quad, tmp_path):
+    image(tmp_path / "a.png", np.zeros((2, 2, 3)))
+    with pytest.warns(LumitreeWarning) as caught:
+        quad("map_Kd -mm 0.5 2 -imfchan r a.png\nmap_Ns a.png\ndecal a.png")
+    assert [str(item.message) for item in caught] == [
+        "material 'a': left out: map_Ns, decal, map_Kd -mm, map_Kd -imfchan r"
+    ]
+
+
+def test_v_of_the_mesh_counts_from_the_first_row(model):
+    mesh = model(QUAD + "usemtl a\nf 1/1 2/2 3/3 4/4", "newmtl a").parts[0].mesh
+    by_place = {tuple(place): tuple(uv) for place, uv in zip(mesh.vertices, mesh.uv, strict=True)}
+    assert by_place[(-1, -1, 0)] == (0, 1)
+    assert by_place[(1, 1, 0)] == (1, 0)
+
+
+def test_texture_stands_upright_when_rendered(mi, model, tmp_path):
+    """An image that is red above and green below, on a quad in the plane z = 0, y up."""
+    from lumitree.lamp.scene_writer import write_scene
+
+    image(tmp_path / "a.png", [[[255, 0, 0]] * 2] * 4 + [[[0, 255, 0]] * 2] * 4)
+    lamp = model(QUAD + "usemtl a\nf 1/1 2/2 3/3 4/4", "newmtl a\nmap_Ke a.png\nKe 2 2 2")
+    scene = mi.load_file(str(write_scene(lamp, tmp_path / "scene")))
+    ray = mi.Ray3f(mi.Point3f([0.0, 0.0], [0.5, -0.5], [3.0, 3.0]), mi.Vector3f(0, 0, -1))
+    hit = scene.ray_intersect(ray)
+    radiance = np.array(hit.emitter(scene).eval(hit)).T
+    np.testing.assert_allclose(radiance, [[2, 0, 0], [0, 2, 0]], atol=1e-3)
+
+
+OUTSIDE = [
+    "/etc/passwd",
+    "../secret.mtl",
+    "a/../../secret.mtl",
+    "C:\\lamp\\secret.mtl",
+    "C:secret.mtl",
+]
+OUTSIDE += ["..\\secret.mtl", "file:///etc/secret.mtl", "https://example.org/secret.mtl"]
+OUTSIDE += ["data:text/plain,x", "\\\\host\\secret.mtl", "file:///C:/a/SECRET.mtl"]
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+@pytest.mark.parametrize("where", ["mtllib", "map_Kd", "map_Bump"])
+def test_nothing_outside_the_folder_is_read(model, tmp_path, name, where):
+    folder = tmp_path.parent
+    (folder / "secret.mtl").write_text("newmtl a\nKd 1 0 0\n")
+    obj, mtl = QUAD + "usemtl a\nf 1 2 3", f"newmtl a\n{where} {name}"
+    if where == "mtllib":
+        obj, mtl = f"mtllib {name}\n" + obj, None
+    with pytest.warns(LumitreeWarning, match="is not there|no MTL file"):
+        assert model(obj, mtl).materials[0].surface == Diffuse((0.5, 0.5, 0.5))
+
+
+@pytest.mark.parametrize("name", OUTSIDE[1:8] + OUTSIDE[9:])
+def test_the_file_of_the_same_name_beside_the_model_is_taken(model, tmp_path, name):
+    (tmp_path / "secret.mtl").write_text("newmtl a\nKd 1 0 0\n")
+    with pytest.warns(LumitreeWarning, match="'secret.mtl' in the model's folder is tak") as caught:
+        lamp = model(f"mtllib {name}\n" + QUAD + "usemtl a\nf 1 2 3")
+    assert len(caught) == 1
+    assert lamp.materials[0].surface == Diffuse((1, 0, 0))
+    quoted = model('mtllib "secret.mtl"\n' + QUAD + "usemtl a\nf 1 2 3")
+    assert quoted.materials[0].surface == Diffuse((1, 0, 0))
+
+
+def test_an_image_is_found_by_most_of_its_path_and_in_any_case(quad, tmp_path):
+    for folder, level in ((tmp_path, 50), (tmp_path / "Tex", 100), (tmp_path / "Tex" / "x", 150)):
+        folder.mkdir(exist_ok=True)
+        image(folder / "half.png", np.full((2, 2, 3), level))
+
+    def level(name):
+        with pytest.warns(LumitreeWarning, match="in the model's folder is taken") as caught:
+            found = quad(f"map_Kd {name}\nmap_Ke {name}")
+        assert len(caught) == 1
+        return found.surface.reflectance.pixels.max()
+
+    assert level("C:\\work\\tex\\half.png") == 100
+    assert level("/home/me/lamp/tex/X/Half.PNG") == 150
+    assert level("/elsewhere/HALF.png") == 50
+    assert level("lost/half.png") == 50
+    if (tmp_path / "HALF.png").exists():
+        return  # The file system does not distinguish case.
+    image(tmp_path / "HALF.png", np.full((2, 2, 3), 200))
+    assert quad("map_Kd HALF.png").surface.reflectance.pixels.max() == 200
+    assert quad("map_Kd half.png").surface.reflectance.pixels.max() == 50
+
+
+def test_links_out_of_the_folder_are_refused(model, tmp_path, tmp_path_factory):
+    outside = tmp_path_factory.mktemp("outside")
+    image(outside / "a.png", np.zeros((2, 2, 3)))
+    os.symlink(outside / "a.png", tmp_path / "a.png")
+    with pytest.raises(LumitreeError, match="a link out of the model's folder"):
+        model(QUAD + "usemtl a\nf 1 2 3", "newmtl a\nmap_Kd a.png")
+    os.symlink(outside, tmp_path / "images")
+    with pytest.raises(LumitreeError, match="a link out of the model's folder"):
+        model(QUAD + "usemtl a\nf 1 2 3", "newmtl a\nmap_Kd images/a.png")
+
+
+@pytest.mark.parametrize("name", ["x" * 300 + ".mtl", "a/" * 3000 + "b.mtl", "\x1b[31m.mtl"])
+@pytest.mark.parametrize("where", ["mtllib", "map_Kd"])
+def test_odd_names_are_not_there(model, name, where):
+    obj, mtl = QUAD + "usemtl a\nf 1 2 3", f"newmtl a\n{where} {name}"
+    if where == "mtllib":
+        obj, mtl = f"mtllib {name}\n" + obj, None
+    with pytest.warns(LumitreeWarning, match="is not there|no MTL file") as caught:
+        model(obj, mtl)
+    for entry in caught:
+        assert str(entry.message).isprintable()
+        assert len(str(entry.message)) < 600
+
+
+def test_a_library_is_read_once_however_it_is_named(model, tmp_path, monkeypatch):
+    read = []
+    monkeypatch.setattr(reader, "parse_mtl", lambda path: read.append(path) or {})
+    (tmp_path / "a.mtl").write_text("newmtl a\n")
+    with pytest.warns(LumitreeWarning, match="no MTL"):
+        model("mtllib a.mtl\nmtllib ./a.mtl\nmtllib .//a.mtl\n" + QUAD + "usemtl a\nf 1 2 3")
+    assert len(read) == 1
+
+
+def test_number_of_materials_is_limited(model, monkeypatch):
+    monkeypatch.setattr(model_module, "MAX_SHAPES", 3)
+    text = QUAD + "".join(f"usemtl {name}\nf 1 2 3\n" for name in "abcd")
+    with pytest.raises(LumitreeError, match="4 shapes; at most 3"):
+        model(text)
+
+
+def test_materials_share_the_textures_of_an_image(model, tmp_path, monkeypatch):
+    pixels = np.random.default_rng(0).integers(0, 255, (8, 8, 3))
+    image(tmp_path / "a.png", pixels)
+    # Decoded once, and one texture of it.
+    monkeypatch.setattr(images, "MAX_TOTAL_BYTES", 8 * 8 * (4 + 12))
+    text = QUAD + "".join(f"usemtl {name}\nf 1/1 2/2 3/3\n" for name in "abc")
+    library = "".join(f"newmtl {name}\nmap_Kd a.png\n" for name in "abc")
+    first, *others = model(text, library).materials
+    for other in others:
+        assert other.surface.reflectance.pixels is first.surface.reflectance.pixels
+    with pytest.raises(LumitreeError, match=r"a\.png brings the model's images .* at most"):
+        model(text, library + "map_Ke a.png\n")
+
+
+def test_work_on_a_material_does_not_grow_with_the_others(model, monkeypatch):
+    """Arrays of one material's mesh, where the file holds a hundred more."""
+    sizes = []
+    original = mesh.faces_to_turn
+
+    def recorded(positions, faces, pieces, where):
+        sizes.append(len(positions))
+        return original(positions, faces, pieces, where)
+
+    monkeypatch.setattr(mesh, "faces_to_turn", recorded)
+    lines = []
+    for at in range(100):
+        lines.append(f"v {at} 0 0\nv {at} 1 0\nv {at} 0 1\nusemtl m{at}\nf -3 -2 -1\n")
+    with pytest.warns(LumitreeWarning, match="no MTL"):
+        model("".join(lines))
+    assert sizes == [3] * 100
+
+
+def test_what_is_no_regular_file_is_not_opened(model, tmp_path):
+    os.mkfifo(tmp_path / "pipe.png")
+    with pytest.warns(LumitreeWarning, match="'pipe.png', which is not there"):
+        model(QUAD + "usemtl a\nf 1 2 3", "newmtl a\nmap_Kd pipe.png")
+    os.mkfifo(tmp_path / "pipe.mtl")
+    with pytest.warns(LumitreeWarning, match="'pipe.mtl', which is not there"):
+        model("mtllib pipe.mtl\n" + QUAD + "f 1 2 3")
+
+
+def test_bad_images_are_refused(model, tmp_path, monkeypatch):
+    def read():
+        return model(QUAD + "usemtl a\nf 1/1 2/2 3/3", "newmtl a\nmap_Kd a.png")
+
+    (tmp_path / "a.png").write_bytes(b"not an image")
+    with pytest.raises(LumitreeError, match=r"a\.png is not a readable image"):
+        read()
+    image(tmp_path / "a.png", np.random.default_rng(0).integers(0, 255, (64, 64, 3)))
+    data = (tmp_path / "a.png").read_bytes()
+    (tmp_path / "a.png").write_bytes(data[:2000])
+    with pytest.raises(LumitreeError, match=r"a\.png is not a readable image"):
+        read()
+    # PostScript would be run by an interpreter.
+    (tmp_path / "a.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n")
+    with pytest.raises(LumitreeError, match=r"a\.png is not a readable image"):
+        read()
+    (tmp_path / "a.png").write_bytes(data)
+    monkeypatch.setattr(images, "MAX_IMAGE_PIXELS", 64 * 63)
+    with pytest.raises(LumitreeError, match=r"has 64 x 64 pixels; at most 16384 .* 4032"):
+        read()
+
+
+def test_huge_images_are_refused_before_they_are_decoded(model, tmp_path):
+    """PNGs of a few bytes that say they have 100 000 x 100 000 and 10 000 x 10 000 pixels."""
+    import struct
+    import zlib
+
+    for side, message in ((100_000, "too many pixels"), (10_000, "has 10000 x 10000 pixels")):
+        header = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)
+        data = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + header
+        data += struct.pack(">I", zlib.crc32(header))
+        data += struct.pack(">I", 0) + b"IDAT" + struct.pack(">I", zlib.crc32(b"IDAT"))
+        (tmp_path / "a.png").write_bytes(data)
+        with pytest.raises(LumitreeError, match=message):
+            model(QUAD + "usemtl a\nf 1/1 2/2 3/3", "newmtl a\nmap_Kd a.png")
+
+
+def test_a_model_of_300_000_triangles(tmp_path):
+    ball = trimesh.creation.icosphere(subdivisions=7)
+    vertices = "".join(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in ball.vertices)
+    normals = vertices.replace("v ", "vn ")
+    faces = "".join(f"f {a}//{a} {b}//{b} {c}//{c}\n" for a, b, c in ball.faces + 1)
+    (tmp_path / "ball.obj").write_text(vertices + normals + faces)
+    mesh = read_obj(tmp_path / "ball.obj").parts[0].mesh
+    assert len(mesh.faces) == 327_680
+    assert count_solids(mesh) == (1, 1)

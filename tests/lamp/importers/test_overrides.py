@@ -1,0 +1,305 @@
+"""Overrides: what each key does, what lumens mean, and one line for everything that is wrong."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from lumitree.asset.measured import CONDUCTORS
+from lumitree.core.photometry import blackbody_colour, flux_from_radiance
+from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.lamp.importers.overrides import (
+    Overrides,
+    apply_overrides,
+    check_emits,
+    material_area,
+    select_parts,
+)
+from lumitree.lamp.importers.overrides_file import read_overrides
+from lumitree.lamp.meshes import Mesh
+from lumitree.lamp.parts import (
+    Diffuse,
+    Glass,
+    Material,
+    Medium,
+    Metal,
+    Model,
+    Part,
+    Principled,
+)
+
+
+def box(sides=(1, 1, 1), open_faces=0):
+    mesh = trimesh.creation.box(sides)
+    normals = np.asarray(mesh.vertex_normals)
+    return Mesh(np.asarray(mesh.vertices), normals, np.asarray(mesh.faces)[open_faces:])
+
+
+HERE = (np.eye(4),)
+
+
+def lamp(mesh=None, places=HERE):
+    return Model(
+        (Part("shade", box(), "steel"), Part("bulb", mesh or box(), "bulb glass", places)),
+        (Material("steel", Diffuse()), Material("bulb glass", Diffuse(), opacity=0.3)),
+    )
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text):
+        path = tmp_path / "lamp.toml"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read_overrides(path)
+
+    return write
+
+
+@pytest.fixture
+def changed(written):
+    """Function of the lines of [material."bulb glass"] (and a model): the material."""
+
+    def change(lines, model=None, head=""):
+        overrides = written(head + '\n[material."bulb glass"]\n' + lines)
+        return apply_overrides(model or lamp(), overrides).materials[1]
+
+    return change
+
+
+def test_glass_by_every_key(changed):
+    found = changed("glass = { ior = 1.6, tint = [1, 0.9, 0.8], thin = true }")
+    assert found.surface == Glass(1.6, tint=(1, 0.9, 0.8), thin=True)
+    assert found.opacity == 1
+    assert not found.two_sided
+    found = changed("glass = { roughness = 0.2, absorption = [1, 2, 3], scattering = 4 }")
+    assert found.surface == Glass(1.5, 0.2, medium=Medium((1, 2, 3), (4, 4, 4)))
+
+
+def test_other_surfaces(changed):
+    assert changed('metal = { conductor = "Au", roughness = 0.3 }').surface == Metal(
+        roughness=0.3, conductor="Au"
+    )
+    assert changed("metal = { tint = [1, 0.5, 0.25] }").surface == Metal((1, 0.5, 0.25))
+    assert changed("diffuse = { reflectance = 0 }").surface == Diffuse((0, 0, 0))
+    found = changed("principled = { base_color = 0.2, metallic = 1, roughness = 0 }\nopacity = 0.5")
+    assert found.surface == Principled((0.2, 0.2, 0.2), 1.0, 0.0)
+    assert (found.opacity, found.two_sided) == (0.5, True)
+
+
+def test_what_is_not_named_stays(changed):
+    found = changed("emitter = { radiance = 5 }")
+    assert found.surface == Diffuse()
+    assert found.opacity == 0.3
+    assert changed("opacity = 1").radiance is None
+
+
+def test_glass_is_thin_where_the_mesh_is_open(changed):
+    assert not changed("glass = {}").surface.thin
+    assert changed("glass = {}", lamp(box(open_faces=1))).surface.thin
+
+
+def test_open_or_partly_open_glass_is_reported(changed):
+    with pytest.warns(LumitreeWarning, match="'bulb glass' is solid glass, but only 0 of its 1"):
+        assert not changed("glass = { thin = false }", lamp(box(open_faces=2))).surface.thin
+    apart = box()
+    both = Mesh(
+        np.concatenate([apart.vertices, apart.vertices + 5]),
+        np.concatenate([apart.normals, apart.normals]),
+        np.concatenate([apart.faces, apart.faces[3:] + 8]),
+    )
+    with pytest.warns(LumitreeWarning, match="1 of 2 pieces are closed"):
+        assert changed("glass = {}", lamp(both)).surface.thin
+
+
+@pytest.mark.parametrize(
+    ("text", "radiance"),
+    [
+        ("{ radiance = [40, 30, 16] }", (40, 30, 16)),
+        ("{ radiance = 2 }", (2, 2, 2)),
+        ("{ radiance = 0 }", None),
+    ],
+)
+def test_radiance(changed, text, radiance):
+    assert changed(f"emitter = {text}").radiance == radiance
+
+
+def test_temperature_colours_a_radiance(mi, changed):
+    found = changed("emitter = { radiance = 10, temperature = 3000 }").radiance
+    np.testing.assert_allclose(found, 10 * np.array(blackbody_colour(3000)))
+
+
+def test_lumens_are_shared_by_all_copies_in_metres(mi, changed):
+    """A box of 2 x 3 x 4 cm, once as it is, once twice as large and turned: 52 and 208 cm²."""
+    turn = np.diag([2.0, 2.0, 2.0, 1.0])
+    turn[:3, :3] = turn[:3, :3] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    model = lamp(box((2, 3, 4)), (np.eye(4), turn))
+    text = "emitter = { lumens = 800, temperature = 2700 }"
+    found = changed(text, model, 'units = "cm"').radiance
+    assert flux_from_radiance(found, 260e-4) == pytest.approx(800)
+    assert found[0] / found[1] == pytest.approx(np.divide(*blackbody_colour(2700)[:2]))
+    white = changed("emitter = { lumens = 800 }", model, "units = 0.01").radiance
+    assert white == pytest.approx([800 / (683 * np.pi * 260e-4)] * 3)
+
+
+def test_area_under_uneven_scaling():
+    model = lamp(box((1, 1, 1)), (np.diag([1.0, 2.0, 3.0, 1.0]),))
+    assert material_area(model, "bulb glass") == pytest.approx(2 * (2 + 3 + 6))
+
+
+def test_units_and_up_axis_move_the_lamp(written):
+    model = apply_overrides(lamp(), written('units = "mm"\nup = "z"'))
+    place = model.parts[0].places[0]
+    np.testing.assert_allclose(place @ [1, 2, 3, 1], [0.001, 0.003, -0.002, 1])
+    np.testing.assert_allclose(np.linalg.det(place[:3, :3]), 1e-9)
+
+
+def test_media_of_the_file_are_rescaled_and_those_of_overrides_are_per_metre(written):
+    model = lamp()
+    glass = Material("bulb glass", Glass(medium=Medium((0.5, 0, 0))))
+    model = dataclasses.replace(model, materials=(model.materials[0], glass))
+    kept = apply_overrides(model, written('units = "cm"')).materials[1]
+    assert kept.surface.medium.absorption == pytest.approx((50, 0, 0))
+    text = 'units = "cm"\n[material."bulb glass"]\nglass = { absorption = [50, 0, 0] }'
+    assert apply_overrides(model, written(text)).materials[1] == kept
+
+
+def test_nothing_overridden_is_the_same_model():
+    model = lamp()
+    assert apply_overrides(model, Overrides()).parts == model.parts
+
+
+def test_conductors_are_those_of_assets(written):
+    """So that what is imported can be stored."""
+    for name in (*CONDUCTORS, "AlSb", "unobtainium"):
+        text = f'material.steel.metal.conductor = "{name}"'
+        if name in CONDUCTORS:
+            assert apply_overrides(lamp(), written(text)).materials[0].surface.conductor == name
+        else:
+            with pytest.raises(LumitreeError, match="conductor"):
+                written(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("units =", "not valid TOML"),
+        (b"units = '\xff'", "not valid TOML"),
+        ("a = " + "[" * 5000, "not valid TOML"),
+        ("unit = 'm'", "unknown key 'unit'; known here: material, units, up, variant"),
+        ("units = 'km'", "units is 'km'; expected one of m, cm"),
+        ("units = 0", "units is '0'"),
+        ("units = nan", "units is 'nan'"),
+        ("units = true", "units is 'True'"),
+        ("up = 'x'", "up is 'x'; expected 'y' or 'z'"),
+        ("up = ['y']", "up is"),
+        ("variant = 3", "variant is '3'; expected a text"),
+        ("material = 3", "material is '3'; expected"),
+        ("material.a = 3", "material.a is '3'; expected a table"),
+        ("[material.a]\nglas = {}", "unknown key 'material.a.glas'"),
+        ("[material.a]\nglass = 1", "material.a.glass is '1'; expected a table"),
+        ("[material.a]\nglass = { ior = 1 }", "glass.ior is '1'; expected a number above 1"),
+        ("[material.a]\nglass = { ior = inf }", "glass.ior is 'inf'"),
+        ("[material.a]\nglass = { thin = 1 }", "glass.thin is '1'; expected true or false"),
+        ("[material.a]\nglass = { tint = [1, 1] }", "glass.tint is"),
+        ("[material.a]\nglass = { tint = [1, 1, 1.5] }", "from 0 to 1"),
+        ("[material.a]\nglass = { tint = [1, nan, 1] }", "glass.tint is"),
+        ("[material.a]\nglass = { tint = [1, 'x', 1] }", "glass.tint is"),
+        ("[material.a]\nglass = { absorption = -1 }", "glass.absorption is '-1'"),
+        ("[material.a]\nglass = { thin = true, roughness = 0.1 }", "a thin sheet has no roughness"),
+        ("[material.a]\nglass = { thin = true, absorption = 1 }", "a thin sheet has no roughness"),
+        ("[material.a]\nglass = {}\nmetal = {}", "material.a has 2 surfaces"),
+        ("[material.a]\nmetal = { conductor = 'brass' }", "conductor is 'brass'; expected Ag"),
+        ("[material.a]\nmetal = { roughness = 2 }", "metal.roughness is '2'"),
+        ("[material.a]\nmetal = { color = 2 }", "unknown key 'material.a.metal.color'"),
+        ("[material.a]\ndiffuse = { reflectance = 2 }", "diffuse.reflectance is '2'"),
+        ("[material.a]\nopacity = -0.5", "opacity is '-0.5'"),
+        ("[material.a]\nemitter = {}", "needs either radiance or lumens"),
+        ("[material.a]\nemitter = { radiance = 1, lumens = 1 }", "needs either radiance or lumens"),
+        ("[material.a]\nemitter = { radiance = -1 }", "emitter.radiance is '-1'"),
+        ("[material.a]\nemitter = { radiance = [1, 2, inf] }", "emitter.radiance is"),
+        ("[material.a]\nemitter = { lumens = 0 }", "emitter.lumens is '0'"),
+        ("[material.a]\nemitter = { lumens = nan }", "emitter.lumens is 'nan'"),
+        (f"[material.a]\nemitter = {{ lumens = {10**400} }}", "emitter.lumens is '1000"),
+        (f"[material.a]\nopacity = {'9' * 5000}", "not valid TOML"),
+        ("[material.a]\nemitter = { lumens = '800' }", "emitter.lumens is '800'"),
+        ("[material.a]\nemitter = { lumens = 8, temperature = 50 }", "emitter.temperature is '50'"),
+        ("[material.a]\nemitter = { radiance = [1, 2, 3], temperature = 3000 }",
+         "its radiance has to be one number"),
+    ],
+)  # fmt: skip
+def test_wrong_files(written, text, message):
+    with pytest.raises(LumitreeError, match=r"lamp\.toml(:| is) ") as caught:
+        written(text)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 400
+
+
+def test_documented_and_example_files_are_valid(tmp_path):
+    root = Path(__file__).parents[2]
+    page = (root / "docs" / "bring-your-own-lamp.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```toml\n(.*?)```", page, flags=re.S)
+    examples = sorted((root / "examples" / "overrides").glob("*.toml"))
+    assert len(blocks) == 1
+    assert len(examples) >= 3
+    (tmp_path / "page.toml").write_text(blocks[0], encoding="utf-8")
+    assert len(read_overrides(tmp_path / "page.toml").materials) == 5
+    for path in examples:
+        found = read_overrides(path)
+        assert found.metres_per_unit in (0.01, 1.0)
+        assert any(change.emission for change in found.materials.values())
+
+
+def test_wrong_names_and_missing_files(written, tmp_path):
+    with pytest.raises(LumitreeError, match=r"no material is called 'bulb'.*steel, bulb glass"):
+        apply_overrides(lamp(), written("[material.bulb]\nopacity = 1"))
+    with pytest.raises(LumitreeError, match=r"no\.toml does not exist"):
+        read_overrides(tmp_path / "no.toml")
+    (tmp_path / "big.toml").write_bytes(b"#" * (2**20 + 1))
+    with pytest.raises(LumitreeError, match="larger than 1 MiB"):
+        read_overrides(tmp_path / "big.toml")
+
+
+def test_lumens_need_an_area(changed):
+    flat = box()
+    flat = dataclasses.replace(flat, vertices=np.zeros_like(flat.vertices))
+    with pytest.raises(LumitreeError, match="'bulb glass' has no area"):
+        changed("emitter = { lumens = 5 }", lamp(flat))
+
+
+def test_parts_are_kept_and_dropped_by_name_or_material():
+    model = lamp()
+
+    def names(keep=(), drop=()):
+        return [part.name for part in select_parts(model, keep, drop, "lamp.obj").parts]
+
+    assert names() == ["shade", "bulb"]
+    assert names(keep=["bulb*"]) == names(keep=["bulb glass"]) == names(drop=["st??l"]) == ["bulb"]
+    assert names(keep=["*"], drop=["bulb"]) == ["shade"]
+    with pytest.raises(LumitreeError, match=r"--keep 'x\*' matches no .*shade, steel, bulb"):
+        names(keep=["bulb", "x*"])
+    with pytest.raises(LumitreeError, match="--drop 'Bulb' matches no"):
+        names(drop=["Bulb"])
+    with pytest.raises(LumitreeError, match="leave nothing"):
+        names(drop=["*"])
+
+
+def test_a_dropped_emitter_takes_no_lumens(written):
+    overrides = written('[material."bulb glass"]\nemitter = { lumens = 800 }')
+    model = apply_overrides(select_parts(lamp(), [], ["bulb"], "lamp.obj"), overrides)
+    assert model.materials[1].radiance is None
+
+
+def test_lamp_without_light_gives_an_error_with_an_example():
+    import tomllib
+
+    with pytest.raises(
+        LumitreeError, match=r"no emitter \(materials: steel, bulb glass\)"
+    ) as caught:
+        check_emits(lamp(), "lamp.obj", "lamp.toml")
+    advice = str(caught.value).partition("lamp.toml: ")[2]
+    assert tomllib.loads(advice)["material"]["steel"]["emitter"]["lumens"] == 800
+    assert "\n" not in str(caught.value)

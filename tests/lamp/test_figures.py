@@ -1,0 +1,76 @@
+"""A lamp's figures are those of the scene it becomes."""
+
+import numpy as np
+import pytest
+
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.photometry import luminance
+from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.figures import figures
+from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.meshes import Mesh
+from lumitree.lamp.parts import (
+    Diffuse,
+    Glass,
+    Material,
+    Medium,
+    Model,
+    Part,
+    Texture,
+    VertexColour,
+)
+
+TRIANGLE = Mesh(
+    np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]]),
+    np.tile([0.0, 0, 1], (3, 1)),
+    np.array([[0, 1, 2]]),
+    colours=np.array([[0.1, 0.2, 0.3], [0.4, 0.0, 0.9], [0.0, 0.0, 0.0]]),
+)
+
+
+def lamp(radiance, surface=None):
+    material = Material("m", surface or Diffuse(), radiance)
+    moved = np.eye(4)
+    moved[:3, 3] = [3, 0, 1]
+    return Model((Part("p", TRIANGLE, "m", (np.eye(4), moved)),), (material,))
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_builtin_lamps(name):
+    load_mitsuba("llvm_ad_rgb")
+    luminaire, found = load_luminaire(name), figures(BUILTIN[name].build())
+    assert found.triangles == luminaire.num_triangles
+    assert found.emitters == luminaire.num_emitters
+    assert found.size == pytest.approx(luminaire.size, rel=1e-4)
+    assert found.has_media == luminaire.has_media
+
+
+def test_copies_count_and_stretch_the_box():
+    found = figures(lamp((5.0, 7.0, 1.0)))
+    assert (found.triangles, found.emitters, found.emitted_radiance) == (2, 2, 7.0)
+    assert found.size == (4, 2, 1)
+    assert figures(lamp(None)).emitters == 0
+
+
+@pytest.mark.parametrize(
+    ("radiance", "largest"),
+    [
+        (VertexColour(), 0.9),
+        (Texture(np.full((2, 2, 3), 40.0, np.float32), encoded=False), 40.0),
+        (Texture(np.full((2, 2, 3), 51, np.uint8), encoded=False), 0.2),
+        # sRGB 128 is 21.586 % of the light.
+        (Texture(np.full((2, 2, 3), 128, np.uint8), encoded=True), 0.21586),
+    ],
+)
+def test_largest_radiance_of_textures(radiance, largest):
+    assert figures(lamp(radiance)).emitted_radiance == pytest.approx(largest, rel=1e-4)
+
+
+def test_media():
+    assert figures(lamp(None, Glass(medium=Medium((1.0, 1.0, 1.0))))).has_media
+    assert not figures(lamp(None, Glass())).has_media
+
+
+def test_a_watt_of_white_is_683_lumens():
+    assert luminance([1, 1, 1]) == pytest.approx(683)
+    assert luminance([[0, 1, 0], [0, 0, 2]]) == pytest.approx([683 * 0.7152, 683 * 0.1444])

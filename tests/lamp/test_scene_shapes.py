@@ -1,0 +1,118 @@
+"""Shapes of a scene are chosen by id, by their BSDF's id or by number, and are listed."""
+
+import json
+
+import pytest
+
+from lumitree.errors import LumitreeError
+from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.scene_file import SceneFile
+from lumitree.lamp.source import LuminaireSource
+from support.lamps import AREA, cube, scene, sphere
+
+BARE = f'<shape type="sphere">{AREA}</shape>'
+ROOM = scene(
+    '<bsdf type="diffuse" id="paint"/>',
+    BARE,
+    cube("wall", 3, inside='<ref id="paint"/>'),
+    '<shape type="disk"><bsdf type="twosided"><bsdf type="diffuse" id="felt"/></bsdf></shape>',
+    '<shape type="shapegroup" id="group"><shape type="cube"/></shape>',
+    '<shape type="instance" id="copy"><ref id="group"/></shape>',
+    sphere("#1", 0.5),
+    '<emitter type="constant"/>',
+)
+LISTED = (
+    "#0 - (sphere, emits)",
+    "#1 wall (cube, BSDF paint)",
+    "#2 - (disk, BSDF felt)",
+    "#3 copy (instance)",
+    "#4 #1 (sphere)",
+)
+
+
+@pytest.fixture
+def room(mi, tmp_path):
+    path = tmp_path / "room.xml"
+    path.write_text(ROOM)
+    return path
+
+
+def numbers(path, keep=(), drop=()):
+    return [shape.number for shape in SceneFile(path, keep, drop).shapes]
+
+
+def test_they_are_listed_in_the_order_of_the_file(room):
+    assert tuple(map(str, SceneFile(room).shapes)) == LISTED
+
+
+@pytest.mark.parametrize(
+    ("keep", "drop", "expected"),
+    [
+        (["#0"], [], [0]),
+        (["#0", "#2"], [], [0, 2]),
+        (["paint"], [], [1]),
+        (["felt", "copy"], [], [2, 3]),
+        (["*"], ["#1"], [0, 2, 3, 4]),
+        ([], ["#0", "p*"], [2, 3, 4]),
+        # A number, not the id that looks like one; the id can be written as a pattern.
+        (["#1"], [], [1]),
+        (["[#]1"], [], [4]),
+    ],
+)
+def test_numbers_and_ids_of_bsdfs_choose(room, keep, drop, expected):
+    assert numbers(room, keep, drop) == expected
+
+
+@pytest.mark.parametrize("pattern", ["lamp", "#5", "#99999999999", "#", "#-1"])
+def test_a_pattern_without_a_match_lists_what_there_is(room, pattern):
+    with pytest.raises(LumitreeError, match="BSDF's id or number; there are #0 - ") as caught:
+        SceneFile(room, [pattern])
+    assert ", ".join(LISTED) in str(caught.value)
+    assert f"'lumitree preview {room} --keep \"*\"' lists" in str(caught.value)
+
+
+def test_bsdfs_that_are_shared_many_times_are_listed_once(mi, tmp_path):
+    """Each holds the one before it twice: 2^14 ways lead to the first."""
+    bsdfs = ['<bsdf type="diffuse" id="b0"/>']
+    for i in range(1, 14):
+        held = f'<ref id="b{i - 1}" name="x"/><ref id="b{i - 1}" name="y"/>'
+        bsdfs.append(
+            f'<bsdf type="blendbsdf" id="b{i}"><float name="weight" value="0.5"/>{held}</bsdf>'
+        )
+    shapes = [sphere(f"s{i}", 1, inside='<ref id="b13"/>') for i in range(20)]
+    (tmp_path / "lamp.xml").write_text(scene(*bsdfs, *shapes))
+    found = SceneFile(tmp_path / "lamp.xml").shapes
+    assert len(found) == 20
+    assert sorted(found[0].materials) == sorted(f"b{i}" for i in range(14))
+
+
+def test_a_lamp_in_a_room_without_ids_can_be_taken(room):
+    with pytest.raises(LumitreeError, match="--keep only the lamp's shapes: #0 - "):
+        load_luminaire(room)
+    lamp = load_luminaire(LuminaireSource(str(room), keep=("#0",)))
+    assert [str(shape) for shape in lamp.shapes] == [LISTED[0]]
+    assert lamp.num_emitters == 1
+
+
+def test_parts_of_models_are_chosen_by_name_alone(mi):
+    lamp = load_luminaire(LuminaireSource("bulbs", drop=("frame_*",)))
+    assert {shape.number for shape in lamp.shapes} == {None}
+    assert "filament" in {name for shape in lamp.shapes for name in shape.materials}
+    with pytest.raises(LumitreeError, match="'#0' matches no part or material; there are"):
+        load_luminaire(LuminaireSource("bulbs", keep=("#0",)))
+
+
+def test_preview_prints_and_returns_them(mi, tmp_path, capsys):
+    from lumitree.cli.app import main
+
+    (tmp_path / "room.xml").write_text(ROOM)
+    sheet, report = tmp_path / "sheet.png", tmp_path / "report.json"
+    options = ["--resolution", "8", "--spp", "1", "--drop", "wall", "--keep", "*"]
+    command = ["preview", str(tmp_path / "room.xml"), "-o", str(sheet), "--json", str(report)]
+    assert main([*command, *options]) == 0
+    lines = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]
+    assert [line[1] for line in lines if line[0] == "shape"] == [LISTED[i] for i in (0, 2, 3, 4)]
+    shapes = json.loads(report.read_text())["shapes"]
+    assert [shape["number"] for shape in shapes] == [0, 2, 3, 4]
+    assert shapes[1]["bsdf"] == "twosided"
+    assert shapes[0]["emitter"] == "area"

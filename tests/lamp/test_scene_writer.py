@@ -1,0 +1,181 @@
+"""The scene writer: what a model says is what Mitsuba loads."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lumitree.core.backend import load_mitsuba
+from lumitree.lamp.meshes import Mesh
+from lumitree.lamp.parts import (
+    Diffuse,
+    Glass,
+    Material,
+    Medium,
+    Metal,
+    Model,
+    Part,
+    Principled,
+    Texture,
+    VertexColour,
+)
+from lumitree.lamp.scene_writer import write_scene
+
+# A square that faces +z; v = 0 at its top.
+SQUARE = Mesh(
+    np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]),
+    np.tile([0.0, 0, 1], (4, 1)),
+    np.array([[0, 1, 2], [0, 2, 3]]),
+    np.array([[0.0, 1], [1, 1], [1, 0], [0, 0]]),
+    np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]),
+)
+FLAT = Texture(np.full((2, 2, 3), (128, 128, 255), np.uint8), False)
+
+
+@pytest.fixture(scope="module")
+def mi():
+    return load_mitsuba("llvm_ad_rgb")
+
+
+ONE_PLACE = (np.eye(4),)
+
+
+def written(mi, folder, surface, places=ONE_PLACE, **fields):
+    material = Material("coat", surface, **fields)
+    model = Model((Part("square", SQUARE, "coat", places),), (material,))
+    return mi.load_file(str(write_scene(model, folder)))
+
+
+def hit(mi, scene, x, y, side=1.0):
+    origin = mi.Point3f([float(x)], [float(y)], [5 * side])
+    return scene.ray_intersect(mi.Ray3f(origin, mi.Vector3f(0, 0, -side)))
+
+
+def reflectance(mi, scene, x, y):
+    si = hit(mi, scene, x, y)
+    return np.array(si.bsdf().eval_diffuse_reflectance(si)).ravel()
+
+
+def test_vertex_colours_come_back(mi, tmp_path):
+    scene = written(mi, tmp_path, Diffuse(VertexColour()))
+    np.testing.assert_allclose(reflectance(mi, scene, 0, 0), (0.5, 0, 0.5), atol=1e-6)
+    np.testing.assert_allclose(reflectance(mi, scene, 0.99, -0.99), (0, 1, 0), atol=0.011)
+
+
+def corners(encoded):
+    pixels = np.zeros((2, 2, 3), np.uint8)
+    pixels[0, 0], pixels[0, 1], pixels[1, 0] = (188, 0, 0), (0, 188, 0), (0, 0, 188)
+    return Texture(pixels, encoded, nearest=True)
+
+
+@pytest.mark.parametrize(("encoded", "value"), [(True, 0.5029), (False, 188 / 255)])
+def test_the_first_row_is_at_v_0_and_values_are_decoded(mi, tmp_path, encoded, value):
+    scene = written(mi, tmp_path, Diffuse(corners(encoded)))
+    for x, y, channel in ((-0.5, 0.5, 0), (0.5, 0.5, 1), (-0.5, -0.5, 2)):
+        expected = np.zeros(3)
+        expected[channel] = value
+        np.testing.assert_allclose(reflectance(mi, scene, x, y), expected, atol=1e-3)
+
+
+def test_texture_transforms_map_the_meshs_coordinates_to_the_images(mi, tmp_path):
+    shift = np.eye(3)
+    shift[0, 2] = 0.5
+    moved = dataclasses.replace(corners(True), uv_transform=shift)
+    scene = written(mi, tmp_path, Diffuse(moved))
+    assert reflectance(mi, scene, -0.5, 0.5).argmax() == 1
+    clamped = dataclasses.replace(moved, wrap="clamp")
+    assert reflectance(mi, written(mi, tmp_path, Diffuse(clamped)), 0.5, 0.5).argmax() == 1
+    repeated = reflectance(mi, written(mi, tmp_path, Diffuse(moved)), 0.5, 0.5)
+    assert repeated.argmax() == 0
+
+
+def test_radiance_textures_go_beyond_1(mi, tmp_path):
+    pixels = np.full((2, 2, 3), (40, 20, 2.5), np.float32)
+    scene = written(mi, tmp_path, Diffuse(), radiance=Texture(pixels, False))
+    si = hit(mi, scene, 0.2, 0.2)
+    emitted = np.array(si.emitter(scene).eval(si)).ravel()
+    np.testing.assert_allclose(emitted, (40, 20, 2.5), rtol=1e-3)
+    behind = hit(mi, scene, 0.2, 0.2, side=-1.0)
+    assert not np.array(behind.emitter(scene).eval(behind)).any()
+
+
+def scattered(mi, scene, side=1.0):
+    """BSDF value for light and eye 30° apart on the same side."""
+    si = hit(mi, scene, 0.1, 0.2, side)
+    wo = si.to_local(mi.Vector3f(0.5, 0.0, side * float(np.sqrt(0.75))))
+    return np.array(si.bsdf().eval(mi.BSDFContext(), si, wo)).ravel()
+
+
+@pytest.mark.parametrize("bumpy", [False, True])
+@pytest.mark.parametrize("opacity", [1.0, 0.25])
+@pytest.mark.parametrize("two_sided", [False, True])
+def test_layers_nest(mi, tmp_path, bumpy, opacity, two_sided):
+    """Mask over two-sidedness over normals: each does its part whatever the others are."""
+    surface = Diffuse((0.5, 0.5, 0.5))
+    fields = {"opacity": opacity, "two_sided": two_sided}
+    if bumpy:
+        fields["normal_map"] = FLAT
+    scene = written(mi, tmp_path, surface, **fields)
+    expected = opacity * 0.5 / np.pi * np.sqrt(0.75)
+    np.testing.assert_allclose(scattered(mi, scene), expected, rtol=0.01)
+    behind = scattered(mi, scene, -1.0)
+    np.testing.assert_allclose(behind, expected if two_sided else 0, rtol=0.01)
+    si = hit(mi, scene, 0.1, 0.2)
+    through = np.array(si.bsdf().eval_null_transmission(si)).ravel()
+    np.testing.assert_allclose(through, 1 - opacity, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [
+        Glass(),
+        Glass(tint=(1, 0.5, 0.2), roughness=0.3),
+        Glass(thin=True),
+        Metal((0.9, 0.8, 0.7), 0.2, "Au"),
+        Metal(),
+        Principled(transmission=0.5, metallic=0.2, clearcoat=0.5),
+        Principled(thin=True, diffuse_transmission=1.0),
+        Principled(VertexColour(), roughness=Texture(np.full((2, 2, 1), 99, np.uint8), False)),
+    ],
+)
+def test_every_surface_loads_under_every_layer(mi, tmp_path, surface):
+    fields = {"opacity": 0.5, "normal_map": FLAT, "two_sided": True}
+    scene = written(mi, tmp_path, surface, **fields)
+    si = hit(mi, scene, 0.1, 0.2)
+    sample, weight = si.bsdf().sample(
+        mi.BSDFContext(), si, mi.Float([0.2]), mi.Point2f([0.3], [0.6])
+    )
+    assert np.isfinite(np.array(weight)).all()
+    assert np.linalg.norm(np.array(sample.wo).ravel()) == pytest.approx(1, abs=1e-3)
+
+
+def test_copies_share_a_mesh_and_stand_in_their_places(mi, tmp_path):
+    places = []
+    for x in (-4.0, 4.0):
+        place = 0.5 * np.eye(4)
+        place[:, 3] = (x, 0, 0, 1)
+        places.append(place)
+    scene = written(mi, tmp_path, Diffuse(), tuple(places))
+    assert len(scene.shapes()) == 2
+    assert [path.name for path in (tmp_path / "meshes").iterdir()] == ["square.ply"]
+    np.testing.assert_allclose(np.ravel(scene.bbox().min), (-4.5, -0.5, 0), atol=1e-6)
+    np.testing.assert_allclose(np.ravel(scene.bbox().max), (4.5, 0.5, 0), atol=1e-6)
+
+
+def test_a_texture_that_is_used_twice_is_written_once(mi, tmp_path):
+    written(mi, tmp_path, Diffuse(corners(True)), radiance=corners(True))
+    assert len(list((tmp_path / "textures").iterdir())) == 2
+    shared = corners(True)
+    written(mi, tmp_path / "shared", Diffuse(shared), radiance=shared)
+    assert len(list((tmp_path / "shared" / "textures").iterdir())) == 1
+
+
+def test_media_have_their_coefficients(mi, tmp_path):
+    medium = Medium((2.0, 0.5, 0.0), (0.0, 1.5, 0.25), 0.3)
+    scene = written(mi, tmp_path, Glass(medium=medium))
+    parameters = mi.traverse(scene.shapes()[0].interior_medium())
+    scale = np.ravel(parameters["scale"])
+    extinction = np.ravel(parameters["sigma_t.value.value"]) * scale
+    albedo = np.ravel(parameters["albedo.value.value"])
+    np.testing.assert_allclose(extinction, (2, 2, 0.25), rtol=1e-5)
+    np.testing.assert_allclose(extinction * albedo, (0, 1.5, 0.25), atol=1e-6)

@@ -1,0 +1,289 @@
+"""Every kind of file behind one argument: formats, overrides, selection, fingerprints, light."""
+
+import os
+
+import numpy as np
+import pytest
+import trimesh
+
+from lumitree.errors import LumitreeError
+from lumitree.lamp.luminaire import (
+    load_luminaire,
+    luminaire_path,
+    place_shapes,
+    read_model,
+)
+from lumitree.lamp.meshes import Mesh
+from lumitree.lamp.parts import Diffuse, Glass, Material, Model, Part
+from lumitree.lamp.scene_writer import write_scene
+from lumitree.lamp.source import LuminaireSource
+
+BALL = trimesh.creation.icosphere(subdivisions=3, radius=5)
+STEM = trimesh.creation.box((1, 1, 20)).apply_translation([0, 0, 15])
+BULB = '[material."bulb"]\nemitter = { radiance = [6, 4, 2] }\ndiffuse = { reflectance = 0 }\n'
+
+
+def obj_text(**meshes):
+    lines, offset = [], 1
+    for name, mesh in meshes.items():
+        lines.append(f"usemtl {name}")
+        lines += [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in mesh.vertices]
+        lines += ["f " + " ".join(str(i + offset) for i in face) for face in mesh.faces]
+        offset += len(mesh.vertices)
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def lamp(mi, tmp_path):
+    """An OBJ lamp, a ball on a stem in centimetres, z up, without light of its own."""
+    (tmp_path / "lamp.mtl").write_text("newmtl bulb\nKd 1 1 1\nnewmtl stem\nKd 0.5 0.2 0.1\n")
+    path = tmp_path / "lamp.obj"
+    path.write_text("mtllib lamp.mtl\n" + obj_text(bulb=BALL, stem=STEM))
+    return path
+
+
+def capture(source, folder, **settings):
+    from lumitree.trace.capture import capture as capture_views
+
+    settings = {"num_views": 2, "resolution": 24, "samples_per_pixel": 16, **settings}
+    return list(capture_views(load_luminaire(source), folder, **settings).views())
+
+
+def test_obj_and_the_same_model_built_here_give_the_same_views(lamp, tmp_path):
+    lamp.with_suffix(".toml").write_text(BULB)
+    lamp.write_text("s off\n" + lamp.read_text())
+
+    def mesh(solid):
+        vertices = solid.vertices.round(6)
+        corners = vertices[solid.faces].reshape(-1, 3)
+        a, b, c = np.moveaxis(vertices[solid.faces], 1, 0)
+        flat = np.cross(b - a, c - a)
+        flat /= np.linalg.norm(flat, axis=1, keepdims=True)
+        return Mesh(corners, np.repeat(flat, 3, axis=0), np.arange(len(corners)).reshape(-1, 3))
+
+    built = Model(
+        (Part("bulb", mesh(BALL), "bulb"), Part("stem", mesh(STEM), "stem")),
+        (
+            Material("bulb", Diffuse((0, 0, 0)), (6, 4, 2), two_sided=True),
+            Material("stem", Diffuse((0.5, 0.2, 0.1)), two_sided=True),
+        ),
+    )
+    read = capture(lamp, tmp_path / "read", samples_per_pixel=64)
+    expected = capture(write_scene(built, tmp_path / "built"), tmp_path / "d", samples_per_pixel=64)
+    for one, other in zip(read, expected, strict=True):
+        np.testing.assert_allclose(one.geometric, other.geometric, atol=1e-6)
+        np.testing.assert_allclose(one.radiance, other.radiance, rtol=1e-3, atol=1e-4)
+        assert one.radiance.max() == pytest.approx(6, rel=1e-5)
+
+
+@pytest.mark.parametrize("head", ["", 'units = "cm"\nup = "z"\n', "units = 2.5\n"])
+def test_lumens_come_out_of_a_captured_lamp(mi, tmp_path, head):
+    """Flux is the integral over all directions of radiance times projected area.
+
+    A black cube around nothing is convex, so that every emitted ray gets away. The views are
+    Halton directions; for a box the projected area varies little between them.
+    """
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=3)
+    (tmp_path / "lamp.obj").write_text("mtllib lamp.mtl\n" + obj_text(bulb=ball))
+    (tmp_path / "lamp.mtl").write_text("newmtl bulb\nKd 0 0 0\n")
+    text = head + "[material.bulb]\nemitter = { lumens = 800, temperature = 2700 }\n"
+    (tmp_path / "lamp.toml").write_text(text)
+    luminaire = load_luminaire(tmp_path / "lamp.obj")
+    views = capture(tmp_path / "lamp.obj", tmp_path / "d", num_views=24, resolution=64)
+    scale = luminaire.frame.world_from_local[0, 0]
+    area = (2 * luminaire.bounding_radius * scale) ** 2
+    luminance = [683 * view.radiance @ [0.2126, 0.7152, 0.0722] for view in views]
+    assert 4 * np.pi * np.mean(luminance) * area == pytest.approx(800, rel=0.01)
+    red, _, blue = np.sum([view.radiance.sum(axis=(0, 1)) for view in views], axis=0)
+    assert red > 5 * blue
+
+
+def test_units_and_up_axis_place_the_lamp(lamp):
+    lamp.with_suffix(".toml").write_text('units = "cm"\nup = "z"\n' + BULB)
+    luminaire = load_luminaire(lamp)
+    size = 2 * luminaire.frame.half_extents * luminaire.frame.world_from_local[0, 0]
+    assert size == pytest.approx([0.1, 0.3, 0.1], rel=0.02)
+    assert luminaire.frame.world_from_local[1, 3] == pytest.approx(0.1, rel=0.02)
+    assert luminaire.name == f"{lamp.parent.name}/lamp"
+
+
+def test_named_overrides_take_the_place_of_those_beside_the_model(lamp, tmp_path):
+    lamp.with_suffix(".toml").write_text("nonsense")
+    with pytest.raises(LumitreeError, match=r"lamp\.toml is not valid TOML"):
+        load_luminaire(lamp)
+    (tmp_path / "warm.toml").write_text(BULB)
+    source = LuminaireSource(str(lamp), materials=str(tmp_path / "warm.toml"))
+    assert read_model(source).materials[0].radiance == (6, 4, 2)
+    with pytest.raises(LumitreeError, match=r"cold\.toml does not exist"):
+        load_luminaire(LuminaireSource(str(lamp), materials=str(tmp_path / "cold.toml")))
+
+
+def test_lamp_without_light_gives_an_error_with_an_example(lamp):
+    with pytest.raises(
+        LumitreeError, match=r'bulb, stem\); name one in lamp\.toml: material\."bulb"'
+    ):
+        load_luminaire(lamp)
+
+
+def test_fingerprint_covers_model_materials_and_overrides(lamp):
+    def fingerprint(**options):
+        # Stamps have the clock's resolution.
+        for path in lamp.parent.glob("lamp.*"):
+            os.utime(path, ns=(next(clock), next(clock)))
+        return load_luminaire(LuminaireSource(str(lamp), **options)).fingerprint
+
+    clock = iter(range(10**9, 2 * 10**9, 10**6))
+    lamp.with_suffix(".toml").write_text(BULB)
+    prints = [fingerprint()]
+    assert fingerprint() == prints[0]
+    lamp.with_suffix(".toml").write_text(BULB.replace("6,", "7,"))
+    prints.append(fingerprint())
+    lamp.with_suffix(".mtl").write_text("newmtl bulb\nnewmtl stem\nKd 0.1 0.1 0.1\n")
+    prints.append(fingerprint())
+    lamp.write_text("mtllib lamp.mtl\n" + obj_text(bulb=BALL, stem=BALL))
+    prints.append(fingerprint())
+    prints.append(fingerprint(drop=("stem",)))
+    assert len(set(prints)) == len(prints)
+
+
+def test_scene_is_written_once_and_again_when_the_overrides_change(lamp):
+    lamp.with_suffix(".toml").write_text(BULB)
+    path = luminaire_path(lamp)
+    assert luminaire_path(str(lamp)) == path
+    lamp.with_suffix(".toml").write_text(BULB + "# longer\n")
+    assert luminaire_path(lamp) != path
+
+
+def test_parts_of_a_model_are_selected(lamp):
+    lamp.with_suffix(".toml").write_text(BULB)
+    kept = load_luminaire(LuminaireSource(str(lamp), keep=("bul*",)))
+    assert [shape.id() for shape in kept.scene.shapes()] == ["bulb"]
+    dropped = LuminaireSource(str(lamp), drop=("stem",))
+    assert len(place_shapes(dropped, np.eye(4))) == 1
+
+
+def test_selection_that_leaves_no_light_is_refused(lamp):
+    lamp.with_suffix(".toml").write_text(BULB)
+    with pytest.raises(LumitreeError, match=r"no emitter \(materials: stem\)"):
+        load_luminaire(LuminaireSource(str(lamp), drop=("bulb",)))
+
+
+def test_builtins_are_selected_but_not_overridden(mi):
+    kept = load_luminaire(LuminaireSource("bulbs", drop=("bulb_glass",)))
+    assert kept.name == "bulbs"
+    assert not any("glass" in shape.id() for shape in kept.scene.shapes())
+    with pytest.raises(LumitreeError, match="takes no --materials"):
+        load_luminaire(LuminaireSource("bulbs", materials="x.toml"))
+
+
+def test_gltf_reader_gets_path_and_variant(mi, tmp_path, monkeypatch):
+    import sys
+    import types
+
+    calls = []
+
+    def read_gltf(path, *, variant=None):
+        calls.append((path, variant))
+        normals = np.asarray(BALL.vertex_normals)
+        mesh = Mesh(np.asarray(BALL.vertices), normals, np.asarray(BALL.faces))
+        return Model((Part("ball", mesh, "glow"),), (Material("glow", Glass(), (1, 1, 1)),))
+
+    module = types.ModuleType("lumitree.lamp.importers.gltf.reader")
+    module.read_gltf = read_gltf
+    monkeypatch.setitem(sys.modules, "lumitree.lamp.importers.gltf", types.ModuleType("gltf"))
+    monkeypatch.setitem(sys.modules, "lumitree.lamp.importers.gltf.reader", module)
+    for name in ("a.gltf", "b.GLB"):
+        (tmp_path / name).write_bytes(b"glTF")
+    assert load_luminaire(tmp_path / "a.gltf").name == f"{tmp_path.name}/a"
+    (tmp_path / "b.toml").write_text('variant = "Lamp off"')
+    load_luminaire(tmp_path / "b.GLB")
+    assert calls == [(tmp_path / "a.gltf", None), (tmp_path / "b.GLB", "Lamp off")]
+
+
+def test_variant_is_for_gltf_alone(lamp):
+    lamp.with_suffix(".toml").write_text("variant = 'x'\n" + BULB)
+    with pytest.raises(LumitreeError, match=r"lamp\.toml: variant is only for glTF"):
+        load_luminaire(lamp)
+
+
+def test_material_names_of_any_kind_reach_mitsuba(mi, tmp_path):
+    names = ["Mat.001", "$x", 'a "b" <c> & d', "ä ö", "../x"]
+    lines = "".join(f"newmtl {name}\nKe 1 1 1\n" for name in names)
+    (tmp_path / "lamp.mtl").write_text(lines)
+    (tmp_path / "lamp.obj").write_text("mtllib lamp.mtl\n" + obj_text(**dict.fromkeys(names, BALL)))
+    assert len(load_luminaire(tmp_path / "lamp.obj").scene.shapes()) == 5
+
+
+SHAPE = '<shape type="sphere"{}><point name="center" x="{}" y="0" z="0"/>{}</shape>'
+AREA = '<emitter type="area"><rgb name="radiance" value="3,2,1"/></emitter>'
+ROOM = (
+    '<scene version="3.0.0"><integrator type="path"/><sensor type="perspective"/>'
+    '<emitter type="constant" id="sky"/><bsdf type="dielectric" id="glass"/>'
+    + SHAPE.format(' id="lamp_bulb"', 0, AREA)
+    + SHAPE.format(' id="lamp_shade"', 4, '<ref id="glass"/>')
+    + SHAPE.format(' id="floor"', 90, '<medium type="homogeneous" name="interior"/>')
+    + SHAPE.format("", 50, "")
+    + '<shape type="shapegroup" id="beads">'
+    + SHAPE.format(' id="bead"', 0, "")
+    + '</shape><shape type="instance" id="lamp_beads"><ref id="beads"/>'
+    '<transform name="to_world"><translate x="8" y="0" z="0"/></transform></shape></scene>'
+)
+
+
+@pytest.fixture
+def room(mi, tmp_path):
+    (tmp_path / "room.xml").write_text(ROOM)
+    return str(tmp_path / "room.xml")
+
+
+def test_lamp_is_taken_out_of_a_mitsuba_scene(room):
+    luminaire = load_luminaire(LuminaireSource(room, keep=("lamp_*",), drop=("lamp_beads",)))
+    scene = luminaire.scene
+    assert sorted(shape.id() for shape in scene.shapes()) == ["lamp_bulb", "lamp_shade"]
+    assert not scene.sensors()
+    assert scene.environment() is None
+    assert len(scene.emitters()) == 1
+    assert not luminaire.has_media
+    assert list(scene.bbox().max) == pytest.approx([5, 1, 1])
+
+
+def test_instances_keep_their_group(room):
+    scene = load_luminaire(LuminaireSource(room, keep=("lamp_bulb", "lamp_beads"))).scene
+    assert list(scene.bbox().max) == pytest.approx([9, 1, 1])
+
+
+def test_dropping_alone_leaves_the_rest_of_the_scene(room):
+    with pytest.raises(LumitreeError, match=r"environment light .*--keep only the lamp's shapes"):
+        load_luminaire(LuminaireSource(room, drop=("floor",)))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"keep": ("lamp",)}, "--keep 'lamp' matches no shape's id, BSDF's id or number"),
+        ({"keep": ("lamp_*",), "drop": ("sky",)}, "--drop 'sky' matches no shape's id"),
+        ({"keep": ("lamp_*",), "drop": ("*",)}, "leave nothing"),
+        ({"keep": ("lamp_shade",)}, "holds no emitter"),
+        ({"materials": "a.toml"}, "--materials does not apply"),
+    ],
+)  # fmt: skip
+def test_wrong_selections(room, options, message):
+    with pytest.raises(LumitreeError) as caught:
+        load_luminaire(LuminaireSource(room, **options))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_selection_changes_the_fingerprint_of_a_scene(room):
+    first = load_luminaire(LuminaireSource(room, keep=("lamp_*",))).fingerprint
+    second = load_luminaire(LuminaireSource(room, keep=("lamp_bulb",))).fingerprint
+    assert first != second
+
+
+def test_unknown_formats_and_names(mi, tmp_path):
+    (tmp_path / "lamp.fbx").write_bytes(b"")
+    with pytest.raises(LumitreeError, match=r"\.xml .*\.obj, \.gltf, \.glb, or a built-in name"):
+        load_luminaire(tmp_path / "lamp.fbx")
+    (tmp_path / "folder.obj").mkdir()
+    with pytest.raises(LumitreeError, match="is a folder; expected an OBJ file"):
+        load_luminaire(tmp_path / "folder.obj")

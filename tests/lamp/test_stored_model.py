@@ -1,0 +1,301 @@
+"""The model of an asset: it renders as the luminaire that it was made from, or is refused."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lumitree.asset.asset import NO_GAIN
+from lumitree.asset.file import load, save
+from lumitree.core.device import on_device
+from lumitree.errors import LumitreeError
+from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.media import absorption, stored_medium
+from lumitree.lamp.stored_model import stored_model
+from support.lamps import AREA, GLASS, cube, scene, sphere
+from support.model_assets import with_model
+
+ID = '<transform name="to_world"><rotate y="1" angle="30"/><translate x="2"/></transform>'
+TEXTURE = (
+    '<texture type="bitmap" name="reflectance"><string name="filename" value="image.png"/>'
+    '<string name="wrap_mode" value="clamp"/><string name="filter_type" value="nearest"/></texture>'
+)
+RAW = (
+    '<texture type="bitmap" name="opacity"><string name="filename" value="grey.exr"/>'
+    '<boolean name="raw" value="true"/></texture>'
+)
+SURFACES = {
+    "texture": f'<bsdf type="diffuse">{TEXTURE}</bsdf>',
+    "mask": f'<bsdf type="mask">{RAW}<bsdf type="twosided"><bsdf type="diffuse"/></bsdf></bsdf>',
+    "glass": GLASS,
+    "metal": '<bsdf type="roughconductor"><string name="material" value="Au"/>'
+    '<float name="alpha" value="0.2"/><rgb name="specular_reflectance" value="1,0.5,0.2"/></bsdf>',
+    "eta": '<bsdf type="conductor"><rgb name="eta" value="1.6,0.9,0.5"/>'
+    '<rgb name="k" value="9,6,5"/></bsdf>',
+    "plastic": '<bsdf type="twosided"><bsdf type="roughplastic"><float name="alpha" value="0.3"/>'
+    '<rgb name="diffuse_reflectance" value="0.1,0.2,0.3"/></bsdf></bsdf>',
+    "frosted": '<bsdf type="roughdielectric"><string name="int_ior" value="bk7"/>'
+    '<float name="alpha" value="0.3"/></bsdf>',
+    "principled": '<bsdf type="principled"><rgb name="base_color" value="0.8,0.2,0.1"/>'
+    '<float name="metallic" value="0.4"/><float name="roughness" value="0.3"/></bsdf>',
+    "blend": '<bsdf type="blendbsdf"><float name="weight" value="0.3"/><bsdf type="diffuse"/>'
+    '<bsdf type="principledthin"><float name="diff_trans" value="0.7"/></bsdf></bsdf>',
+    "default": "",
+    "stretched": '<bsdf type="roughconductor"><float name="alpha_u" value="0.1"/>'
+    '<float name="alpha_v" value="0.4"/></bsdf>',
+    "bumps": '<bsdf type="bumpmap"><texture type="bitmap" name="any">'
+    '<string name="filename" value="grey.exr"/></texture><bsdf type="diffuse"/></bsdf>',
+}
+SHAPES = {
+    "sphere": lambda inside: sphere("other", 0.4, (2, 0.1, 0), inside),
+    "inside out": lambda inside: sphere("other", 0.4, (2, 0.1, 0), inside, flip=True),
+    "cube": lambda inside: cube("other", (0.4, 0.2, 0.3), (2, 0, 0), inside),
+    "disk": lambda inside: f'<shape type="disk" id="other">{ID}{inside}</shape>',
+    "cylinder": lambda inside: f'<shape type="cylinder" id="other">{ID}{inside}</shape>',
+    "rectangle": lambda inside: f'<shape type="rectangle" id="other">{ID}{inside}</shape>',
+}
+
+
+@pytest.fixture
+def luminaire(mi, tmp_path):
+    """A function: the luminaire of an emissive ball and another shape."""
+    random = np.random.default_rng(0)
+    mi.Bitmap(random.integers(0, 256, (5, 3, 3), np.uint8)).write(str(tmp_path / "image.png"))
+    grey = random.random((4, 4, 1)).astype(np.float32)
+    mi.Bitmap(grey).write(str(tmp_path / "grey.exr"))
+
+    def made(*shapes):
+        (tmp_path / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=AREA), *shapes))
+        return load_luminaire(tmp_path / "lamp.xml")
+
+    return made
+
+
+def rows(mi, values):
+    return [on_device(mi.Float, row) for row in values]
+
+
+def seen(mi, loaded):
+    """What rays from all sides meet in a scene: places, normals and scattered light."""
+    random = np.random.default_rng(1)
+    count = 4096
+    origin = random.normal(size=(3, count)) * 3 + [[1], [0], [0]]
+    direction = np.array([[1.0], [0], [0]]) + random.uniform(-1.2, 1.2, (3, count)) - origin
+    direction /= np.linalg.norm(direction, axis=0)
+    ray = mi.Ray3f(mi.Point3f(*rows(mi, origin)), mi.Vector3f(*rows(mi, direction)))
+    si = loaded.ray_intersect(ray)
+    bsdf = si.bsdf()
+    out = random.normal(size=(3, count))
+    wo = si.to_local(mi.Vector3f(*rows(mi, out / np.linalg.norm(out, axis=0))))
+    context = mi.BSDFContext()
+    valid = si.is_valid()
+    value = bsdf.eval(context, si, wo, valid)
+    sample, weight = bsdf.sample(context, si, mi.Float(0.7), mi.Point2f(0.3, 0.6), valid)
+    values = (si.t, si.n, si.sh_frame.n, value, weight, sample.wo, sample.eta)
+    return [np.nan_to_num(np.array(each, np.float64), posinf=0) for each in values]
+
+
+def placed_shapes(mi, model, scale=1.0):
+    """The shapes of a model in a scene, where it is `scale` times as large."""
+    from lumitree.render.model_shapes import model_shapes
+    from lumitree.render.sampling.own_lights import OwnLights
+
+    lamp = SimpleNamespace(
+        gain=mi.Color3f(1),
+        placed=SimpleNamespace(asset=SimpleNamespace(gain=NO_GAIN), own_lights=OwnLights()),
+    )
+    return model_shapes(model, np.diag([scale, scale, scale, 1]), lamp)
+
+
+@pytest.mark.parametrize(
+    ("shape", "surface"),
+    [*(("cube", name) for name in SURFACES), *((name, "plastic") for name in SHAPES)],
+)
+def test_it_is_the_luminaire(mi, luminaire, tmp_path, shape, surface):
+    lamp = luminaire(SHAPES[shape](SURFACES[surface]))
+    save(with_model(stored_model(lamp), lamp.frame), tmp_path / "lamp.lumitree")
+    shapes = placed_shapes(mi, load(tmp_path / "lamp.lumitree").model)
+    background = {"type": "scene", "light": {"type": "constant"}}
+    names = {f"s{index}": each for index, each in enumerate(shapes)}
+    again = mi.load_dict(background | names)
+    for first, second in zip(seen(mi, lamp.scene), seen(mi, again), strict=True):
+        assert np.abs(first - second).max() <= 2e-3 * max(np.abs(first).max(), 1)
+        # A few rays pass edges on the other side.
+        assert np.mean(np.abs(first - second) > 2e-4 * (1 + np.abs(first))) < 0.01
+
+
+def test_radiance_is_stored(luminaire):
+    texture = TEXTURE.replace("reflectance", "radiance")
+    image = AREA.replace('<rgb name="radiance" value="3,2,1"/>', texture)
+    model = stored_model(luminaire(cube("other", 0.2, (2, 0, 0), image)))
+    assert sorted(str(shape["radiance"])[:4] for shape in model.shapes) == ["[3.0", "{'im"]
+    assert model.images[0].shape == (5, 3, 3)
+    assert model.images[0].dtype == np.uint8
+
+
+def test_meshes_of_one_material_are_joined(luminaire):
+    metal, other = SURFACES["metal"], SURFACES["eta"]
+    lamp = luminaire(
+        cube("a", 0.1, (1, 0, 0), metal),
+        cube("b", 0.1, (2, 0, 0), other),
+        cube("c", 0.1, (3, 0, 0), metal),
+    )
+    model = stored_model(lamp)
+    assert [shape["type"] for shape in model.shapes] == ["mesh", "mesh", "sphere"]
+    assert [shape.get("faces") for shape in model.shapes] == [24, 12, None]
+    assert model.num_triangles == 36
+
+
+MEDIUM = (
+    '<medium type="homogeneous" name="{}"><rgb name="sigma_t" value="0.5,1,0.25"/>'
+    '<float name="scale" value="{}"/><float name="albedo" value="{}"/></medium>'
+)
+
+
+def test_media_that_absorb_are_stored(mi, luminaire, tmp_path):
+    """Per unit of the file's length; in a scene where it is half as large, twice as much."""
+    inside, outside = MEDIUM.format("interior", 4, 0), MEDIUM.format("exterior", 0.1, 0)
+    lamp = luminaire(
+        cube("a", 0.1, (1, 0, 0), GLASS + inside),
+        cube("b", 0.1, (2, 0, 0), GLASS + inside),
+        cube("c", 0.1, (3, 0, 0), GLASS),
+        sphere("d", 0.1, (4, 0, 0), GLASS + inside + outside),
+    )
+    save(with_model(stored_model(lamp), lamp.frame), tmp_path / "lamp.lumitree")
+    model = load(tmp_path / "lamp.lumitree").model
+    assert [sorted({"interior", "exterior"} & shape.keys()) for shape in model.shapes] == [
+        ["interior"],
+        [],
+        [],
+        ["exterior", "interior"],
+    ]
+    assert model.shapes[3]["exterior"] == pytest.approx([0.05, 0.1, 0.025], rel=1e-6)
+    shapes = placed_shapes(mi, model, 0.5)
+    assert absorption(shapes[0].interior_medium()) == pytest.approx([4, 8, 2], rel=1e-6)
+    assert shapes[1].interior_medium() is None
+    assert absorption(shapes[3].exterior_medium()) == pytest.approx([0.1, 0.2, 0.05], rel=1e-6)
+
+
+END = "</medium>"
+FORWARDS = f'<phase type="hg"><float name="g" value="0.6"/></phase>{END}'
+RAYLEIGH = f'<phase type="rayleigh"/>{END}'
+NARROW = FORWARDS.replace("0.6", "0.9999")
+
+
+def test_media_that_scatter_are_stored(mi, luminaire, tmp_path):
+    """As those that absorb; their phase function does not depend on the size."""
+    isotropic = MEDIUM.format("interior", 4, 0.25)
+    forwards = isotropic.replace(END, FORWARDS)
+    lamp = luminaire(
+        cube("a", 0.1, (1, 0, 0), GLASS + isotropic),
+        sphere("b", 0.1, (2, 0, 0), GLASS + forwards),
+        sphere("c", 0.1, (3, 0, 0), GLASS + forwards, flip=True),
+    )
+    save(with_model(stored_model(lamp), lamp.frame), tmp_path / "lamp.lumitree")
+    model = load(tmp_path / "lamp.lumitree").model
+    even, narrow, again = (shape["interior"] for shape in model.shapes if "interior" in shape)
+    assert even["absorption"] == pytest.approx([1.5, 3, 0.75], rel=1e-6)
+    assert even["scattering"] == pytest.approx([0.5, 1, 0.25], rel=1e-6)
+    assert (even["anisotropy"], narrow["anisotropy"]) == (0, pytest.approx(0.6))
+    assert again == narrow
+    shapes = placed_shapes(mi, model, 0.5)
+    first, *others = (s.interior_medium() for s in shapes if s.interior_medium() is not None)
+    assert others[0] is others[1]
+    for medium, g in ((first, 0), (others[0], 0.6)):
+        stored = stored_medium(medium)
+        assert stored["absorption"] == pytest.approx([3, 6, 1.5], rel=1e-6)
+        assert stored["scattering"] == pytest.approx([1, 2, 0.5], rel=1e-6)
+        assert stored["anisotropy"] == pytest.approx(g)
+
+
+REFUSED = {
+    "a phase function": (
+        cube("a", 0.2, (2, 0, 0), GLASS + MEDIUM.format("interior", 1, 0.5).replace(END, RAYLEIGH)),
+        "shape 'a': a medium with a RayleighPhaseFunction is not stored; expected isotropic or hg",
+    ),
+    "a phase function that is too narrow": (
+        cube("a", 0.2, (2, 0, 0), GLASS + MEDIUM.format("interior", 1, 0.5).replace(END, NARROW)),
+        "shape 'a': a medium has g of 0.9999, which is not stored; expected -0.999 to 0.999",
+    ),
+    "a BSDF": (cube("a", 0.2, (2, 0, 0), '<bsdf type="hair"/>'), "shape 'a': .*hair"),
+    "plastic in glass": (
+        cube(
+            "a",
+            0.2,
+            (2, 0, 0),
+            '<bsdf type="plastic"><float name="int_ior" value="1.2"/>'
+            '<float name="ext_ior" value="1.5"/></bsdf>',
+        ),
+        "shape 'a': plastic has int_ior 1.2.* and ext_ior 1.5; expected int_ior > ext_ior",
+    ),
+    "scaled colours of vertices": (
+        cube(
+            "a",
+            0.2,
+            (2, 0, 0),
+            '<bsdf type="diffuse"><texture type="mesh_attribute" name="reflectance">'
+            '<string name="name" value="vertex_color"/><float name="scale" value="0.5"/></texture>'
+            "</bsdf>",
+        ),
+        "shape 'a': a mesh_attribute has a parameter 'scale'",
+    ),
+    "many layers": (
+        cube(
+            "a",
+            0.2,
+            (2, 0, 0),
+            '<bsdf type="twosided">' * 8 + '<bsdf type="diffuse"/>' + "</bsdf>" * 8,
+        ),
+        "shape 'a': materials are nested more than 8 deep",
+    ),
+    "colours that are not there": (
+        cube(
+            "a",
+            0.2,
+            (2, 0, 0),
+            '<bsdf type="diffuse"><texture type="mesh_attribute" name="reflectance">'
+            '<string name="name" value="vertex_color"/></texture></bsdf>',
+        ),
+        "shape 'a': it has no colours of vertices",
+    ),
+    "a parameter": (
+        cube(
+            "a",
+            0.2,
+            (2, 0, 0),
+            '<bsdf type="principled"><float name="main_specular_sampling_rate" value="2"/></bsdf>',
+        ),
+        "principled has a parameter 'main_specular_sampling_rate'",
+    ),
+    "a texture": (
+        cube(
+            "a",
+            0.2,
+            (2, 0, 0),
+            '<bsdf type="diffuse"><texture type="checkerboard" name="reflectance"/></bsdf>',
+        ),
+        "checkerboard",
+    ),
+    "instances": (
+        '<shape type="shapegroup" id="g"><shape type="sphere"/></shape>'
+        '<shape type="instance"><ref id="g"/></shape>',
+        "shape 'g': a shapegroup holds an object",
+    ),
+}
+
+
+@pytest.mark.filterwarnings("ignore:.* has no attribute 'vertex_color'")
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_stored_is_refused_in_a_line(luminaire, name):
+    shape, reason = REFUSED[name]
+    with pytest.raises(LumitreeError, match=reason) as caught:
+        stored_model(luminaire(shape))
+    assert str(caught.value).isprintable()
+
+
+def test_a_scene_without_a_file_is_refused(mi, luminaire):
+    lamp = load_luminaire(luminaire().scene)
+    with pytest.raises(LumitreeError, match=r"mi\.Scene"):
+        stored_model(lamp)
+    assert dataclasses.is_dataclass(lamp)

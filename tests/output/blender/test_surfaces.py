@@ -1,0 +1,205 @@
+"""Materials as nodes of Blender, and shapes as meshes."""
+
+import json
+
+import numpy as np
+import pytest
+
+from support.model_assets import IDENTITY, small_model
+
+pytestmark = pytest.mark.usefixtures("mi")
+TEXTURE = {
+    "image": 1,
+    "raw": False,
+    "filter_type": "bilinear",
+    "wrap_mode": "repeat",
+    "to_uv": IDENTITY,
+}
+DIFFUSE = {"type": "diffuse", "reflectance": [0.1, 0.2, 0.3]}
+MATERIALS = (
+    DIFFUSE,
+    {"type": "diffuse", "reflectance": TEXTURE},
+    {"type": "dielectric", "int_ior": "bk7"},
+    {"type": "thindielectric", "int_ior": 1.4, "ext_ior": "air"},
+    {"type": "roughdielectric", "alpha": 0.04},
+    {"type": "conductor", "material": "Au"},
+    {"type": "roughconductor", "alpha_u": 0.1, "alpha_v": 0.2, "eta": 0.2, "k": [3.0, 2, 1]},
+    {"type": "roughconductor", "alpha": TEXTURE, "specular_reflectance": TEXTURE},
+    {"type": "plastic", "diffuse_reflectance": TEXTURE},
+    {"type": "roughplastic", "alpha": 0.3, "int_ior": 1.6},
+    {"type": "principled", "base_color": [1.0, 0, 0], "roughness": TEXTURE, "specular": 0.3},
+    {"type": "principled", "metallic": 1.0, "clearcoat": 0.5, "sheen": 0.2, "flatness": 0.1},
+    {"type": "principledthin", "diff_trans": 1.1, "spec_trans": 0.2},
+    {"type": "mask", "opacity": TEXTURE, "nested": [DIFFUSE]},
+    {"type": "twosided", "nested": [DIFFUSE, {"type": "conductor"}]},
+    {"type": "normalmap", "normalmap": TEXTURE, "nested": [DIFFUSE]},
+    {"type": "bumpmap", "bumpmap": TEXTURE, "nested": [{"type": "roughplastic"}]},
+    {"type": "blendbsdf", "weight": 0.2, "nested": [DIFFUSE, {"type": "dielectric"}]},
+    {"type": "diffuse", "reflectance": {"attribute": "vertex_color"}},
+)
+
+
+def every_material():
+    """A model with a shape of each material, the first mesh of `small_model` each time."""
+    model = small_model()
+    mesh = {**model.shapes[0], "radiance": TEXTURE}
+    count = len(MATERIALS)
+    return small_model(
+        vertices=np.tile(model.vertices[:4], (count, 1)),
+        normals=np.tile(model.normals, (count, 1)),
+        texcoords=np.tile(model.texcoords, (count, 1)),
+        colours=np.tile(model.colours, (count, 1)),
+        faces=np.tile(model.faces[:4], (count, 1)),
+        materials=MATERIALS,
+        shapes=tuple({**mesh, "material": i, "exterior": [1.0, 0, 0]} for i in range(count)),
+    )
+
+
+def trees(model):
+    from lumitree.output.blender.surfaces import Surfaces
+
+    surfaces = Surfaces(model)
+    return [surfaces.tree(shape) for shape in model.shapes], surfaces.lost
+
+
+def nodes_of(tree):
+    yield tree
+    for value in tree["inputs"].values():
+        if isinstance(value, dict):
+            yield from nodes_of(value)
+
+
+def test_emission_has_the_gain_of_the_asset():
+    """As numbers, and as a node where a texture emits."""
+    from lumitree.output.blender.surfaces import Surfaces
+
+    model = small_model()
+    shapes = [*model.shapes[1:], {**model.shapes[0], "radiance": TEXTURE}]
+    colours = []
+    for shape in shapes:
+        (emission,) = (
+            each
+            for each in nodes_of(Surfaces(model, (2.0, 1.0, 0.5)).tree(shape))
+            if each["node"] == "ShaderNodeEmission"
+        )
+        colours.append(emission["inputs"]["Color"])
+    assert colours[:2] == [[6.0, 2.0, 0.5], [5.0, 2.5, 1.25]]
+    assert colours[2]["set"]["blend_type"] == "MULTIPLY"
+    assert colours[2]["inputs"][7] == [2.0, 1.0, 0.5]
+
+
+def test_all_plugins_that_an_asset_may_have_become_nodes():
+    from lumitree.asset.plugins import PLUGINS
+
+    assert {each["type"] for each in MATERIALS} == set(PLUGINS)
+    found, lost = trees(every_material())
+    json.dumps(found, allow_nan=False)
+    assert all(any(each["node"] == "ShaderNodeEmission" for each in nodes_of(t)) for t in found)
+    assert any("normal incidence" in line for line in lost)
+    assert any("media outside of a shape" in line for line in lost)
+    normals = [
+        each["inputs"]["Normal"]["node"]
+        for tree in found
+        for each in nodes_of(tree)
+        if "Normal" in each["inputs"]
+    ]
+    assert normals == ["ShaderNodeNormalMap", "ShaderNodeBump"]
+
+
+def test_media_that_scatter_absorb():
+    from lumitree.output.blender.surfaces import absorption_inside
+
+    milk = {"absorption": [0.25, 1.0, 0.5], "scattering": [8.0, 8, 8], "anisotropy": 0.0}
+    shapes = [dict(shape) for shape in small_model().shapes]
+    shapes[0]["interior"], shapes[1]["interior"] = milk, [2.0, 0, 0]
+    assert list(map(absorption_inside, shapes)) == [[0.25, 1, 0.5], [2, 0, 0], None]
+    _, lost = trees(small_model(shapes=tuple(shapes)))
+    assert any("media absorb light and do not scatter it" in line for line in lost)
+
+
+def test_metals_reflect_at_normal_incidence_as_in_mitsuba(mi):
+    (tree,), _ = trees(
+        small_model(
+            materials=({"type": "conductor", "material": "Cu", "specular_reflectance": 0.5},),
+            shapes=({**small_model().shapes[2], "material": 0, "radiance": None},),
+            vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.uint32),
+            normals=np.zeros((0, 3), np.float32), texcoords=np.zeros((0, 2), np.float32),
+            colours=np.zeros((0, 3), np.float32),
+        )
+    )  # fmt: skip
+    bsdf = mi.load_dict({"type": "conductor", "material": "Cu", "specular_reflectance": 0.5})
+    import drjit as dr
+
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.wi = mi.Vector3f(0, 0, 1)
+    _, weight = bsdf.sample(mi.BSDFContext(), si, mi.Float(0.5), mi.Point2f(0.5))
+    np.testing.assert_allclose(tree["inputs"]["Color"], np.array(weight).ravel(), rtol=1e-3)
+
+
+def test_roughness_and_index_are_numbers_of_blender():
+    from lumitree.output.blender.surfaces import Surfaces
+
+    surfaces = Surfaces(small_model())
+    glass = surfaces._surface({"type": "roughdielectric", "alpha": 0.04, "int_ior": "bk7"}, None)
+    assert glass["inputs"]["Roughness"] == pytest.approx(0.2)
+    assert glass["inputs"]["IOR"] == pytest.approx(1.5046 / 1.000277, rel=1e-5)
+
+
+def test_coordinates_of_a_texture_are_mapped():
+    from lumitree.output.blender.nodes import texture
+
+    matrix = np.eye(4)
+    matrix[:2, [0, 1, 3]] = [[1, 2, 3], [4, 5, 6]]
+    tree = texture({**TEXTURE, "to_uv": matrix.tolist()})
+    vector = tree["inputs"]["Vector"]
+    rows = [vector["inputs"][axis]["inputs"][1] for axis in (0, 1)]
+    assert rows == [[1, 2, 3], [4, 5, 6]]
+    assert vector["inputs"][0]["inputs"][0]["inputs"][1] == [0, 0, 1]
+
+
+@pytest.mark.parametrize(
+    ("kind", "area"),
+    [("sphere", 4 * np.pi), ("disk", np.pi), ("cylinder", 2 * np.pi), ("rectangle", 4)],
+)
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("mirrored", [1, -1])
+def test_analytic_shapes_become_meshes_whose_faces_turn_as_the_normals(
+    kind, area, flipped, mirrored
+):
+    from lumitree.output.blender.meshes import blender_meshes
+
+    matrix = np.diag([2.0, 2, 2 * mirrored, 1])
+    matrix[:3, 3] = [0.1, 0.2, 0.3]
+    shape = {
+        "type": kind, "to_world": matrix.tolist(), "material": 0, "radiance": None,
+        "flipped": flipped,
+    }  # fmt: skip
+    (mesh,) = blender_meshes(
+        small_model(
+            shapes=(shape,), materials=(DIFFUSE,),
+            vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.uint32),
+            normals=np.zeros((0, 3), np.float32), texcoords=np.zeros((0, 2), np.float32),
+            colours=np.zeros((0, 3), np.float32),
+        ),
+        np.eye(3),
+    )  # fmt: skip
+    corners = mesh["vertices"][mesh["faces"]].astype(np.float64)
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert np.linalg.norm(cross, axis=1).sum() / 2 == pytest.approx(4 * area, rel=5e-3)
+    normals = mesh["normals"][mesh["faces"]].sum(axis=1)
+    assert ((cross * normals).sum(axis=1) > 0).all()
+    if kind == "sphere":
+        outwards = ((corners.mean(axis=1) - matrix[:3, 3]) * cross).sum(axis=1) > 0
+        assert (outwards != flipped).all()
+
+
+def test_meshes_are_turned_to_the_frame_of_blender():
+    from lumitree.output.blender.meshes import blender_meshes
+
+    model = small_model()
+    turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    mesh = blender_meshes(model, turn)[0]
+    x, y, z = model.vertices[:4].T
+    np.testing.assert_array_equal(mesh["vertices"], np.stack([x, -z, y], axis=-1))
+    assert np.array_equal(mesh["faces"], model.faces[:4])
+    assert {"normals", "texcoords", "colours"} <= set(mesh)

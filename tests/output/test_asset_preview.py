@@ -1,0 +1,91 @@
+"""The preview of an asset: its views, its figures, and its contact sheet."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumitree
+from lumitree.asset.asset import exitant_asset
+from lumitree.cli import main
+from lumitree.lamp.stored_model import stored_model
+from support.exitant_fields import random_exitant
+from support.fields import uniform_asset
+from support.lamps import AREA, cube, lamp_of
+from support.model_assets import with_model
+
+
+def test_every_view_shows_the_side_it_names(mi):
+    """A cube that is bright in one half of x: each view shows it where that half is."""
+    import dataclasses
+
+    from lumitree.output.preview_sheet import VIEWS, take_asset_preview
+
+    # Nearly opaque leaves; those of larger x emit.
+    asset = uniform_asset(50.0, (5, 5, 5), law="exponential")
+    coefficients = asset.coefficients.copy()
+    from lumitree.render.reference import leaf_boxes
+
+    lower, _ = leaf_boxes(asset)
+    coefficients[lower[:, 0] < -0.5] = -40
+    asset = dataclasses.replace(asset, coefficients=coefficients)
+    images = take_asset_preview(asset, 48, 1).images
+    assert list(images) == list(VIEWS)
+    for name, (backward, up) in VIEWS.items():
+        radiance, opacity = images[name].radiance[..., 0], images[name].geometric
+        right = np.cross(up, backward)
+        assert opacity[24, 24] > 0.99
+        assert opacity[0, 0] == 0
+        halves = radiance[:, 24:].mean(), radiance[:, :24].mean()
+        if right[0]:
+            bright, dark = halves if right[0] > 0 else halves[::-1]
+            assert dark < 0.01 * bright, name
+        elif backward[0]:
+            seen = radiance[24, 24] > 1
+            assert seen == (backward[0] > 0), name
+    # Of the cube's side of 2 in an image of 2 sqrt(3).
+    front = images["from the front, +z"].geometric
+    assert front.mean() == pytest.approx(1 / 3, abs=0.03)
+
+
+def test_figures_and_sheet_of_an_asset(tmp_path, monkeypatch, mi, capsys):
+    monkeypatch.chdir(tmp_path)
+    field = uniform_asset(50.0, (5, 5, 5), law="exponential")
+    lumitree.save(field, "lamp.lumitree")
+    result = lumitree.preview("lamp.lumitree", resolution=32)
+    # An opaque cube of side 2 and radiance 5: an area of 24 times 5 pi.
+    assert result.lumens == pytest.approx(683 * 24 * 5 * np.pi, rel=0.02)
+    assert result.size == (2, 2, 2)
+    assert result.parts == ("field",)
+    rows = {Image.open(io.BytesIO(result.png)).size}
+    exitant = lumitree.preview(exitant_asset(random_exitant(2), field.frame, "x"), resolution=32)
+    assert {Image.open(io.BytesIO(exitant.png)).size} == rows
+    assert exitant.lumens > 0
+    assert main(["preview", "lamp.lumitree", "-o", "sheet.png", "--resolution", "32"]) == 0
+    assert (tmp_path / "sheet.png").read_bytes() == result.png
+    assert "lumens" in capsys.readouterr().out
+    assert main(["preview", "lamp.lumitree", "-o", "sheet.png", "--bounces"]) == 2
+    assert "an asset has no paths" in capsys.readouterr().err
+
+
+def test_a_model_is_shown_as_the_luminaire_is(mi, tmp_path):
+    """Each view is that of the luminaire's own preview, and its opacity the geometric one."""
+    from lumitree.output.preview_sheet import take_asset_preview, take_preview
+
+    shapes = (
+        cube("left", (0.2, 0.3, 0.1), (-0.6, 0.2, 0.1), AREA),
+        cube("right", (0.1, 0.1, 0.4), (0.5, -0.3, 0.2)),
+    )
+    lamp = lamp_of(tmp_path, *shapes)
+    # The light of the asset is another one, and is not seen.
+    asset = with_model(stored_model(lamp), lamp.frame)
+    ours, theirs = take_asset_preview(asset, 24, 256), take_preview(lamp, 24, 256)
+    assert list(ours.images) == list(theirs.images)
+    for name, image in ours.images.items():
+        expected = theirs.images[name]
+        bright = expected.radiance.max()
+        # Pixels at edges have noise of both: 256 samples, so at most 1/32 of the contrast each.
+        assert np.abs(image.geometric - expected.geometric).max() < 0.25, name
+        assert np.abs(image.radiance - expected.radiance).max() < 0.25 * bright, name
+        assert image.geometric.mean() == pytest.approx(expected.geometric.mean(), abs=0.005)

@@ -1,0 +1,126 @@
+"""The preview's sheet: what is seen from where, its sizes, its labels."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lumitree.core.images import tonemap
+from lumitree.errors import LumitreeError
+from lumitree.lamp.luminaire import load_luminaire
+from support.lamps import AREA, cube, scene, sphere
+
+# A lit ball to the right, above and in front of the middle of a box of side 4.
+BALL = (1.0, 0.5, 1.5)
+WALLS = cube("box", 2, inside='<bsdf type="null"/>')
+
+
+@pytest.fixture
+def preview(mi, tmp_path):
+    from lumitree.output.preview_sheet import take_preview
+
+    def take(*shapes, resolution=48):
+        (tmp_path / "lamp.xml").write_text(scene(*shapes))
+        return take_preview(load_luminaire(tmp_path / "lamp.xml"), resolution, 4)
+
+    return take
+
+
+def tile(image, layout, row, column):
+    """Pixels of a tile without its edge."""
+    left, top, end = layout.left(column) + 2, layout.top(row) + 2, layout.tile - 4
+    return np.asarray(image)[top : top + end, left : left + end, :3]
+
+
+def test_every_view_is_taken_from_where_it_says(preview):
+    x, y, z = BALL
+    # Right and up in the picture.
+    expected = {
+        "from the front, +z": (x, y),
+        "from the right, +x": (-z, y),
+        "from the back, -z": (-x, y),
+        "from the left, -x": (z, y),
+        "from above, +y": (x, -z),
+        "from below, -y": (x, z),
+    }
+    pictures = preview(sphere("ball", 0.3, BALL, AREA), WALLS).images
+    assert list(pictures) == list(expected)
+    pixel = 2 * 2 * np.sqrt(3) / 48
+    for name, picture in pictures.items():
+        row, column = np.argwhere(picture.radiance[..., 0] > 2.9).mean(axis=0)
+        place = (column - 23.5) * pixel, (23.5 - row) * pixel
+        assert place == pytest.approx(expected[name], abs=0.05), name
+
+
+@pytest.mark.parametrize(("resolution", "side"), [(16, 192), (200, 200), (700, 640)])
+def test_tiles_show_pixels_one_to_one_where_legible(resolution, side):
+    from lumitree.output.preview_sheet import preview_layout
+
+    layout = preview_layout(resolution)
+    assert layout.tile == side
+    assert layout.size == (32 + 30 + 6 * side + 5 * 6, 32 + 60 + 26 + 4 * (side + 6))
+
+
+def test_sheet_shows_radiance_twice_and_both_opacities(preview, tmp_path):
+    from lumitree.output.preview_sheet import draw_preview, preview_layout
+
+    taken = preview(sphere("lamp", 1, inside=AREA))
+    draw_preview(taken, "lamp", ["1 emitter"]).save(tmp_path / "sheet.png")
+    layout = preview_layout(48)
+    with Image.open(tmp_path / "sheet.png") as image:
+        assert image.size == layout.size
+        middles = [[tile(image, layout, row, column)[94, 94] for column in range(6)]
+                   for row in range(4)]  # fmt: skip
+        corner = tile(image, layout, 3, 5)[3, 3]
+        paper = np.asarray(image)[4, 4, :3]
+    assert taken.exposure == pytest.approx(0.3)
+    colours = [
+        tonemap(np.array([3, 2, 1]), 0.3),
+        tonemap(np.array([3, 2, 1]), 0.3 * 2**taken.more_stops),
+        [255, 255, 255],
+        [255, 255, 255],
+    ]
+    for row, colour in zip(middles, colours, strict=True):
+        assert np.abs(np.array(row, float) - colour).max() <= 4
+    assert corner.tolist() == [0, 0, 0]
+    # Neutral and dark, but told apart from the black of a tile.
+    assert len(set(paper.tolist())) == 1
+    assert 20 < paper[0] < 60
+
+
+def test_labels(preview):
+    from lumitree.output.preview_sheet import VIEWS, draw_preview
+
+    taken = preview(sphere("lamp", 1, inside=AREA), sphere("dark", 0.5, (4, 0, 0)))
+    texts = draw_preview(taken, r"a $lamp_{", ["2 shapes", "12 lm"]).texts
+    assert texts[0] == r"a $lamp_{"
+    assert texts[1] == f"2 shapes   ·   12 lm   ·   exposure {taken.exposure:.3g} in all views"
+    assert texts[2:8] == list(VIEWS)
+    assert texts[8:] == [
+        "radiance",
+        f"radiance, {taken.more_stops} stops brighter",
+        "geometric opacity",
+        "straight-through opacity",
+    ]
+
+
+def test_the_brighter_row_brings_what_is_lit_to_middle_grey():
+    from lumitree.output.preview_sheet import Preview
+    from lumitree.trace.cameras import ViewImages
+
+    radiance = np.zeros((10, 10, 3))
+    radiance[:9] = 0.01
+    radiance[0] = 50.0
+    opacity = np.ones((10, 10))
+    preview = Preview({"a": ViewImages(radiance, opacity, opacity)}, 1.0)
+    assert preview.exposure == pytest.approx(0.9 / 50)
+    # 0.01 is to become 0.18: 1000 times the exposure of what emits.
+    assert preview.more_stops == 10
+    black = Preview({"a": ViewImages(0 * radiance, opacity, opacity)}, 1.0)
+    assert (black.exposure, black.more_stops) == (1, 2)
+
+
+def test_other_formats_are_refused(preview, tmp_path):
+    from lumitree.output.preview_sheet import draw_preview
+
+    with pytest.raises(LumitreeError, match=r"does not end in \.png"):
+        draw_preview(preview(sphere("a", 1, inside=AREA)), "a", []).save(tmp_path / "sheet.exr")

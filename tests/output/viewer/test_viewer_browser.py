@@ -1,0 +1,101 @@
+"""The page in a browser shows what the field on the device returns."""
+
+import base64
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from lumitree.asset.asset import exitant_asset
+from lumitree.asset.exitant import make_exitant_field
+from lumitree.core.device import on_device
+from lumitree.core.frames import LocalFrame
+from lumitree.core.octahedral import middle_directions
+from lumitree.output.viewer.page import make_page
+from support.browser import CHROMIUM, evaluate
+from support.exitant_fields import random_exitant
+from support.fields import random_asset
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no program chromium"),
+]
+
+
+def floats(text):
+    return np.frombuffer(base64.b64decode(text), np.float32)
+
+
+def camera_rays(eye, target, up, fov, width, height):
+    """Origin and directions [H, W, 3] of the pixels, bottom row first."""
+    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    tangent = np.tan(fov / 2)
+    x = (2 * (np.arange(width) + 0.5) / width - 1) * tangent * width / height
+    y = (2 * (np.arange(height) + 0.5) / height - 1) * tangent
+    direction = forward + x[None, :, None] * right + y[:, None, None] * np.cross(right, forward)
+    return direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+
+
+@pytest.mark.parametrize(("law", "l_max"), [("linear", 2), ("exponential", 4)])
+def test_image_is_that_of_the_field(mi, tmp_path, law, l_max):
+    asset = random_asset(5, tree_depth=6, law=law, l_max=l_max, half_extents=(1, 0.8, 0.9))
+    asset = dataclasses.replace(asset, gain=(0.5, 3.0, 1.0))
+    view = {"eye": [2.5, 1.7, -3.1], "target": [0.1, 0, 0], "up": [0.2, 1, 0.1], "fov": 0.6}
+    size = {"width": 120, "height": 80}
+    call = f"await lumitree.image({json.dumps(view | size)})"
+    found = evaluate(make_page(asset), call, tmp_path / "profile")
+    pixels = floats(found["radiance"]).reshape(80, 120, 4)
+    direction = camera_rays(**view, **size).reshape(-1, 3)
+    radiance, transmittance = asset.eval(np.tile(view["eye"], (len(direction), 1)), direction)
+    expected = np.concatenate([radiance, transmittance[:, None]], axis=1).reshape(80, 120, 4)
+    for channel in range(4):
+        difference = np.abs(pixels - expected)[..., channel].mean()
+        assert difference < 0.01 * expected[..., channel].mean()
+    assert floats(found["details"]).reshape(80, 120, 4)[..., 2].max() > 3
+
+
+def test_image_of_an_exitant_light_field(mi, tmp_path):
+    """Without a field the page shows the light itself, and has an exposure for it."""
+    light = make_exitant_field(*_cosine_cells(), 2)
+    asset = exitant_asset(light, LocalFrame((1, 0.5, 0.5), np.eye(4)), "light")
+    view = {"eye": [0.3, -2.7, 0.5], "target": [0, 0, 0], "up": [1, 0, 0], "fov": 0.6}
+    size = {"width": 60, "height": 40}
+    page = make_page(asset)
+    found = evaluate(page, f"await lumitree.image({json.dumps(view | size)})", tmp_path / "profile")
+    pixels = floats(found["radiance"]).reshape(40, 60, 4)
+    direction = camera_rays(**view, **size).reshape(-1, 3)
+    from lumitree.render.sampling.light_field import exitant_light
+
+    origin = on_device(mi.Point3f, np.tile(view["eye"], (len(direction), 1)))
+    rays = origin, origin, on_device(mi.Vector3f, direction), mi.Float(0)
+    expected = np.array(exitant_light(asset).eval(*rays)[0], np.float64).reshape(3, 40, 60)
+    difference = np.abs(pixels[..., :3] - np.moveaxis(expected, 0, -1)).mean()
+    assert difference < 0.05 * expected.mean()
+    shown = "document.getElementById('figure-Shown').textContent"
+    assert evaluate(page, f"lumitree.ready.then(() => {shown})", tmp_path / "second") == (
+        "exitant light field"
+    )
+
+
+def _cosine_cells():
+    """Cells [8, 3] and their intensities [8, R², 3]: cos γ, downwards."""
+    cells = np.array([0, 1, 1]) + np.indices((4, 2, 2)).reshape(3, -1).T[::2]
+    cosine = np.maximum(-middle_directions(32)[:, 1], 0)
+    colours = np.random.default_rng(0).uniform(0.2, 1, (len(cells), 1, 3))
+    return cells, colours * cosine[:, None]
+
+
+def test_illuminance_is_the_sum_over_cells(mi, tmp_path):
+    from lumitree.measure.irradiance import asset_irradiance
+
+    exitant = random_exitant(4, count=40)
+    asset = dataclasses.replace(random_asset(5), exitant=exitant, gain=(0.5, 3.0, 1.0))
+    call = "await lumitree.illuminance({room: [3, 3, 3], samples: 16, patches: 48})"
+    found = evaluate(make_page(asset), call, tmp_path / "profile")
+    patches = floats(found["lux"]).reshape(48, 6, 48)
+    means = patches.mean(axis=(0, 2))
+    expected = asset_irradiance(asset, 1 << 20).lux[:6].mean(axis=(1, 2))
+    assert means == pytest.approx(expected, rel=0.02)

@@ -1,0 +1,212 @@
+"""Lamps of opal glass shown by their models, against the explicit lamps."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from test_model_appearance import (
+    GREY,
+    PASSES,
+    ROUGH,
+    assert_same_expectation,
+    camera,
+    explicit,
+    floor,
+    panel,
+    passes,
+)
+
+import lumitree
+from lumitree.asset.asset import exitant_asset
+from lumitree.core.frames import rotation, similarity
+from lumitree.fit.light_field.bake import bake_exitant
+from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.stored_model import stored_model
+from support import tiny_bakes
+from support.lamps import GLASS, cube, scene, sphere
+
+GLOWS = (
+    '<bsdf type="diffuse"><rgb name="reflectance" value="0.2,0.2,0.2"/></bsdf>'
+    '<emitter type="area"><rgb name="radiance" value="8,6,4"/></emitter>'
+)
+DARK = GLOWS.replace("8,6,4", "1e-4,1e-4,1e-4")
+FROSTED = (
+    '<bsdf type="roughdielectric"><float name="int_ior" value="1.3"/>'
+    '<float name="ext_ior" value="1"/><float name="alpha" value="0.4"/></bsdf>'
+)
+MILK = (
+    '<medium type="homogeneous" name="{}"><rgb name="sigma_t" value="0.6,0.8,1"/>'
+    '<float name="scale" value="{}"/><rgb name="albedo" value="0.95,0.9,0.8"/>'
+    '<phase type="hg"><float name="g" value="0.3"/></phase></medium>'
+)
+PLACE = similarity(rotation([0, 1, 1], 20), 0.4, [0, 1, 0])
+DEEP = {"max_depth": 200, "rr_depth": 40}
+
+
+def solid(glass, light=GLOWS):
+    """A ball of opal glass, with a light in the medium and metal before it."""
+    return scene(
+        sphere("bulb", 0.25, (0.2, 0, 0), light + MILK.format("exterior", 3)),
+        sphere("ball", 0.9, inside=glass + MILK.format("interior", 3)),
+        cube("bar", (0.9, 0.05, 0.05), (0, 0.95, 0), ROUGH),
+    )
+
+
+def hollow(glass):
+    """A shell of opal glass around a light in the air."""
+    return scene(
+        sphere("bulb", 0.25, (0.2, 0, 0), GLOWS),
+        sphere("outer", 0.9, inside=glass + MILK.format("interior", 6)),
+        sphere("inner", 0.7, inside=glass + MILK.format("interior", 6), flip=True),
+        cube("bar", (0.9, 0.05, 0.05), (0, 0.95, 0), GREY),
+    )
+
+
+LAMPS = {
+    "smooth": solid(GLASS),
+    "frosted": solid(FROSTED),
+    "hollow": hollow(GLASS),
+    "frosted and hollow": hollow(FROSTED),
+}
+
+
+@pytest.fixture(scope="module")
+def make(mi, tmp_path_factory):
+    """A function: the luminaire of a scene's text, and its asset with a model."""
+    folder = tmp_path_factory.mktemp("lamps")
+    known = {}
+
+    def made(text):
+        if text not in known:
+            path = folder / f"lamp{len(known)}.xml"
+            path.write_text(text)
+            lamp = load_luminaire(path)
+            config = dataclasses.replace(tiny_bakes.EXITANT, paths=1 << 18, batch=1 << 18)
+            exitant = bake_exitant(lamp, config, tmp_path_factory.mktemp("state"))
+            asset = exitant_asset(exitant, lamp.frame, lamp.name)
+            known[text] = lamp, dataclasses.replace(asset, model=stored_model(lamp))
+        return known[text]
+
+    return made
+
+
+def baked(asset, place=PLACE, appearance="model"):
+    return {"lamp": lumitree.shape(asset, place, appearance=appearance)}
+
+
+def seen_alone():
+    """The lamp before nothing: it fills most of the image."""
+    return {"sensor": camera([0.3, 1.2, 1.6], [0, 1, 0], 32)}
+
+
+@pytest.mark.parametrize("name", LAMPS)
+def test_opal_glass_is_seen_as_it_is(make, name):
+    """Pixel by pixel and as a whole: by what the lamp's shapes emit, and by nothing else."""
+    lamp, asset = make(LAMPS[name])
+    assert asset.model.has_scattering
+    ours = passes(seen_alone() | baked(asset), spp=1024, **DEEP)
+    theirs = passes(seen_alone() | explicit(lamp), spp=1024, seed=500, **DEEP)
+    assert theirs.mean() > 0.1
+    assert_same_expectation(ours, theirs)
+
+
+@pytest.mark.parametrize("name", ["smooth", "frosted"])
+def test_a_lamp_that_lights_its_box_does_not_light_itself(make, name):
+    """Something black in a corner of the box: the lamp looks as before, but for what it hides."""
+    lamp, asset = make(LAMPS[name])
+    black = {"type": "diffuse", "reflectance": 0.0}
+    crumb = {"type": "sphere", "center": [0.27, 0.8, 0.27], "radius": 0.04, "bsdf": black}
+    objects = seen_alone() | {"crumb": crumb}
+    ours = passes(objects | baked(asset), spp=1024, **DEEP)
+    theirs = passes(objects | explicit(lamp), spp=1024, seed=500, **DEEP)
+    assert_same_expectation(ours, theirs)
+
+
+@pytest.mark.parametrize("name", ["smooth", "hollow"])
+def test_paths_from_elsewhere_do_not_find_the_lights_in_the_lamp(make, name):
+    """A floor has that light already: its mean is that of the explicit lamp, within cells."""
+    lamp, asset = make(LAMPS[name])
+    sensor = camera([0.5, 0.35, 1.2], [0.3, 0, 0.6], 25)
+    objects = {"sensor": sensor, "floor": floor({"type": "diffuse", "reflectance": 0.9})}
+    place = similarity(np.eye(3), 0.4, [0, 0.45, 0])
+    ours = passes(objects | baked(asset, place), spp=1024, **DEEP).mean(axis=(1, 2))
+    theirs = passes(objects | explicit(lamp, place), spp=4096, seed=500, **DEEP).mean(axis=(1, 2))
+    error = np.hypot(ours.std(0), theirs.std(0)) / np.sqrt(PASSES)
+    assert (np.abs(ours.mean(0) - theirs.mean(0)) < 4 * error + 0.02 * theirs.mean(0)).all()
+    assert (error < 0.03 * theirs.mean(0)).all()
+
+
+def test_light_that_scatters_in_the_lamp_is_shown_at_any_depth(make):
+    """The largest depth cuts paths in the room, and not the lamp's image."""
+    _, asset = make(LAMPS["hollow"])
+    deep = passes(seen_alone() | baked(asset), spp=1024, **DEEP)
+    shallow = passes(seen_alone() | baked(asset), spp=1024, seed=500, max_depth=2)
+    assert_same_expectation(shallow, deep)
+
+
+@pytest.mark.parametrize("name", ["smooth", "frosted and hollow"])
+def test_direct_light_is_the_exitant_light_field_once(make, name):
+    """A floor gets the same with the model as with the field: nothing is added by the shapes."""
+    _, asset = make(LAMPS[name])
+    sensor = camera([0.9, 1.2, 2.4], [0.4, 0, 1.2], 25)
+    objects = {"sensor": sensor, "floor": floor({"type": "diffuse"})}
+    ours = passes(objects | baked(asset), spp=2048, max_depth=2)
+    field = passes(objects | baked(asset, appearance="field"), spp=2048, seed=500, max_depth=2)
+    assert ours.mean() > 1e-3
+    assert_same_expectation(ours, field)
+
+
+def test_fog_gets_the_light_of_the_lamp(make):
+    """A scattering in a medium of the room is a receiver like any other."""
+    _, asset = make(LAMPS["smooth"])
+    sensor = camera([0.9, 1.2, 2.4], [0.4, 0, 1.2], 25)
+    fog = {"type": "homogeneous", "sigma_t": 0.3, "albedo": 0.8}
+    objects = {"sensor": sensor | {"medium": fog}, "floor": floor({"type": "diffuse"})}
+    ours = passes(objects | baked(asset), spp=2048, max_depth=2)
+    field = passes(objects | baked(asset, appearance="field"), spp=2048, seed=500, max_depth=2)
+    clear = passes({**objects, "sensor": sensor} | baked(asset), spp=256, max_depth=2)
+    assert_same_expectation(ours, field)
+    assert abs(ours.mean() / clear.mean() - 1) > 0.05
+
+
+def lit_room():
+    """A floor and an area light above it, with the lamp between them."""
+    return {
+        "sensor": camera([0.8, 1.5, 2.4], [0, 0.6, 0], 50),
+        "floor": floor({"type": "diffuse"}),
+        "window": panel([-0.3, 2.4, 0.5], [0, 0, 0], 0.5, [6, 5, 4]),
+    }
+
+
+@pytest.mark.parametrize("glass", [GLASS, FROSTED], ids=["smooth", "frosted"])
+def test_a_lamp_that_is_nearly_dark_is_an_object_of_the_room(make, glass):
+    """Light of others scatters in it, and the floor gets it, as with the explicit lamp."""
+    lamp, asset = make(solid(glass, DARK))
+    ours = passes(lit_room() | baked(asset), spp=2048, **DEEP)
+    theirs = passes(lit_room() | explicit(lamp), spp=2048, seed=500, **DEEP)
+    assert_same_expectation(ours, theirs)
+
+
+def test_a_medium_gets_the_own_light_of_its_lamp_alone(make):
+    """The light of another lamp of opal glass comes from its exitant light field, once."""
+    _, asset = make(LAMPS["frosted"])
+    dark, dark_asset = make(solid(GLASS, DARK))
+    above, below = (similarity(np.eye(3), 0.3, [0, y, 0]) for y in (1.65, 0.9))
+    objects = {
+        "sensor": camera([0.3, 1.2, 1.9], [0.1, 0.6, 0], 50),
+        "floor": floor({"type": "diffuse"}),
+        "other": lumitree.shape(asset, above, appearance="model"),
+    }
+    ours = passes(objects | baked(dark_asset, below), spp=2048, **DEEP)
+    theirs = passes(objects | explicit(dark, below), spp=2048, seed=500, **DEEP)
+    assert ours.mean() > 1e-3
+    assert_same_expectation(ours, theirs)
+
+
+def test_shapes_share_the_objects_of_equal_media(mi, make):
+    from lumitree.lamp.media import media, scatters
+
+    for name in LAMPS:
+        loaded = mi.load_dict({"type": "scene", **baked(make(LAMPS[name])[1])})
+        assert len({id(each) for each in media(loaded)}) == 1
+        assert all(map(scatters, media(loaded)))

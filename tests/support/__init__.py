@@ -1,0 +1,1 @@
+"""What tests share: lamps, assets, receivers, damaged files."""

@@ -1,0 +1,68 @@
+"""Small models of assets that several tests share."""
+
+import numpy as np
+
+from lumitree.asset.asset import Asset, exitant_asset
+from lumitree.asset.model import AssetModel
+from lumitree.core.frames import LocalFrame
+from support.exitant_fields import random_exitant
+
+IDENTITY = np.eye(4).tolist()
+
+
+def small_model(**changes) -> AssetModel:
+    """A textured tetrahedron with colours of vertices, an emissive one and an emissive sphere."""
+    random = np.random.default_rng(2)
+    texture = {
+        "image": 1,
+        "raw": False,
+        "filter_type": "bilinear",
+        "wrap_mode": "repeat",
+        "to_uv": IDENTITY,
+    }
+    mesh = {"type": "mesh", "vertices": 4, "faces": 4, "flipped": False}
+    full = {**mesh, "normals": True, "texcoords": True, "colours": True}
+    plain = {**mesh, "normals": False, "texcoords": False, "colours": False}
+    sphere = np.diag([0.2, 0.2, 0.2, 1])
+    members = {
+        "vertices": random.uniform(-0.5, 0.5, (8, 3)).astype(np.float32),
+        "normals": random.normal(size=(4, 3)).astype(np.float32),
+        "texcoords": random.random((4, 2)).astype(np.float32),
+        "colours": random.random((4, 3)).astype(np.float32),
+        "faces": np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]] * 2, np.uint32),
+        "images": (
+            random.random((2, 3, 1)).astype(np.float32),
+            random.integers(0, 256, (3, 2, 3), np.uint8),
+        ),
+        "shapes": (
+            {**full, "material": 0, "radiance": None},
+            {**plain, "material": 1, "radiance": [3.0, 2, 1]},
+            {
+                "type": "sphere",
+                "to_world": sphere.tolist(),
+                "material": 2,
+                "radiance": 2.5,
+                "flipped": True,
+            },
+        ),
+        "materials": (
+            {
+                "type": "mask",
+                "opacity": {**texture, "image": 0, "raw": True},
+                "nested": [
+                    {"type": "twosided", "nested": [{"type": "diffuse", "reflectance": texture}]}
+                ],
+            },
+            {"type": "roughconductor", "material": "Cr", "alpha": 0.2, "distribution": "ggx"},
+            {"type": "dielectric", "int_ior": 1.5, "ext_ior": "air"},
+        ),
+        **changes,
+    }
+    return AssetModel(**members)
+
+
+def with_model(model: AssetModel, frame: LocalFrame | None = None) -> Asset:
+    """An asset of a model and a random exitant light field."""
+    frame = LocalFrame(np.ones(3), np.eye(4)) if frame is None else frame
+    asset = exitant_asset(random_exitant(0), frame, "test")
+    return Asset(**{**vars(asset), "model": model})

@@ -1,0 +1,93 @@
+"""Flux of luminaires whose flux is known, from lines and from captured views."""
+
+import numpy as np
+import pytest
+
+from lumitree.lamp.luminaire import load_luminaire
+from support.lamps import AREA, GLASS, cube, scene, sphere
+
+RADIUS = 2.0
+KNOWN = 4 * np.pi**2 * RADIUS**2 * np.array([3.0, 2.0, 1.0])
+LUMENS = 683 * (KNOWN @ [0.2126, 0.7152, 0.0722])
+
+
+@pytest.fixture
+def lamp(mi, tmp_path):
+    path = tmp_path / "lamp.xml"
+    path.write_text(scene(sphere("lamp", RADIUS, (5, 1, 0), AREA)))
+    return load_luminaire(path)
+
+
+# All light paths of a bare sphere carry the same, so that rounding is all of their error.
+@pytest.mark.parametrize(("name", "rounding"), [("estimate_flux", 1e-4), ("flux_along_lines", 0.0)])
+def test_emissive_sphere_has_flux_4_pi2_r2_l(lamp, name, rounding):
+    from lumitree.trace import flux as estimates
+
+    flux = getattr(estimates, name)(lamp, 1 << 20)
+    assert flux.watts == pytest.approx(KNOWN, rel=0.01)
+    assert flux.lumens == pytest.approx(LUMENS, rel=0.01)
+    assert (np.abs(flux.watts - KNOWN) < 4 * flux.watts_error + rounding * KNOWN).all()
+    assert flux.num_paths == 1 << 20
+
+
+def test_standard_error_is_the_spread_of_independent_estimates(lamp):
+    from lumitree.trace.flux import flux_along_lines
+
+    estimates = [flux_along_lines(lamp, 1, seed=seed) for seed in range(12)]
+    lumens = np.array([flux.lumens for flux in estimates])
+    expected = np.mean([flux.lumens_error for flux in estimates])
+    # Lines hit the sphere or miss it: the error of one estimate follows from the hit rate p.
+    hit = 1 / lamp.bounding_radius**2
+    assert expected == pytest.approx(LUMENS * np.sqrt((1 - hit) / hit / (1 << 20)), rel=0.01)
+    # 99.8 % interval of a spread from 12 samples (chi-square, 11 degrees of freedom).
+    assert 0.33 < lumens.std(ddof=1) / expected < 1.69
+    assert abs(lumens.mean() - LUMENS) < 4 * expected / np.sqrt(12)
+
+
+def test_light_paths_and_lines_agree_behind_glass(mi, tmp_path):
+    """A large lamp, for which Mitsuba's distance of rays from surfaces is small."""
+    from lumitree.trace.flux import estimate_flux, flux_along_lines
+
+    shapes = sphere("lamp", 20, inside=AREA), sphere("glass", 50, inside=GLASS)
+    (tmp_path / "lamp.xml").write_text(scene(*shapes, cube("plate", (60, 1, 60), (0, -55, 0))))
+    lamp = load_luminaire(tmp_path / "lamp.xml")
+    light, lines = estimate_flux(lamp, 1 << 20), flux_along_lines(lamp, 1 << 21)
+    error = np.hypot(light.watts_error, lines.watts_error)
+    assert (np.abs(light.watts - lines.watts) < 4 * error).all()
+    assert (error < 0.01 * light.watts).all()
+
+
+def test_light_paths_and_lines_agree_behind_an_alpha_mask(mi, tmp_path):
+    """A small emitter in a shade that lets half of its light through, above a plate."""
+    from lumitree.trace.flux import estimate_flux, flux_along_lines
+
+    mask = '<bsdf type="mask"><float name="opacity" value="0.5"/><bsdf type="diffuse"/></bsdf>'
+    shapes = sphere("lamp", 1, inside=AREA), sphere("shade", 10, inside=mask)
+    (tmp_path / "lamp.xml").write_text(scene(*shapes, cube("plate", (30, 1, 30), (0, -20, 0))))
+    lamp = load_luminaire(tmp_path / "lamp.xml")
+    light, lines = estimate_flux(lamp, 1 << 20), flux_along_lines(lamp, 1 << 21)
+    error = np.hypot(light.watts_error, lines.watts_error)
+    assert (np.abs(light.watts - lines.watts) < 4 * error).all()
+    assert (error < 0.06 * light.watts).all()
+
+
+def test_flux_of_captured_views_agrees(lamp, tmp_path):
+    from lumitree.trace.capture import capture
+
+    dataset = capture(lamp, tmp_path / "d", num_views=4, resolution=64, samples_per_pixel=64)
+    side = 2 * lamp.bounding_radius * lamp.frame.world_from_local[0, 0]
+    mean = np.mean([view.radiance.mean(axis=(0, 1)) for view in dataset.views()], axis=0)
+    assert 4 * np.pi * side**2 * mean == pytest.approx(KNOWN, rel=0.01)
+
+
+def test_bounces_that_are_cut_off_are_missed(mi, tmp_path):
+    """Light crosses 6 invisible surfaces: paths of 4 bounces miss all of it, of 8 none."""
+    from lumitree.trace.flux import missed_by_depth
+
+    shells = [sphere(f"shell{i}", 1 + 0.1 * i, inside='<bsdf type="null"/>') for i in range(1, 7)]
+    (tmp_path / "lamp.xml").write_text(scene(sphere("lamp", 1, inside=AREA), *shells))
+    missed = missed_by_depth(load_luminaire(tmp_path / "lamp.xml"), 1, (4, 8), 12)
+    assert [each.path_depth for each in missed] == [4, 8]
+    assert missed[0].share == 1
+    assert 0 < missed[0].error < 0.01
+    assert (missed[1].share, missed[1].error) == (0, 0)
