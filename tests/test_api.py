@@ -17,7 +17,7 @@ from lumitree.cli.output import print_metrics
 from lumitree.core.frames import rotation, similarity
 from lumitree.core.images import read_exr
 from lumitree.core.work_folder import WorkFolder
-from lumitree.fit.network import bake as network
+from lumitree.fit import bake_network as network
 from lumitree.fit.network.config import PRESETS
 from lumitree.fit.octree.config import QUALITIES
 from lumitree.render.asset_cache import open_field

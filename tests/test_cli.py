@@ -16,7 +16,7 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
-from lumitree.core.results import Flux
+from lumitree.output.preview import Flux
 from support.fields import make_asset, random_asset
 
 LAMP = (
@@ -209,8 +209,9 @@ def test_what_a_command_cannot_do_is_refused_before_it_works(capsys, monkeypatch
         raise AssertionError("worked before it refused")
 
     monkeypatch.setattr("lumitree.fit.bake.load_mitsuba", work)
-    monkeypatch.setattr("lumitree.fit.network.bake.load_mitsuba", work)
+    monkeypatch.setattr("lumitree.fit.bake_network.load_mitsuba", work)
     monkeypatch.setattr("lumitree.measure.evaluate.load_mitsuba", work)
+    monkeypatch.setattr("lumitree.output.preview.load_mitsuba", work)
     for arguments in (
         ["bake", "bulbs", "-o", "a.lumitree", "--method", "nerf", "--depth", "99"],
         ["bake", "bulbs", "-o", "a.lumitree", "--seed", "-1"],
@@ -347,8 +348,8 @@ def test_list_tells_the_figures_of_every_lamp(capsys):
 
 
 def test_preview(capsys, monkeypatch):
-    monkeypatch.setattr("lumitree.measure.evaluate.FLUX_PATHS", 1)
-    monkeypatch.setattr("lumitree.measure.evaluate.BOUNCE_PATHS", 1)
+    monkeypatch.setattr("lumitree.output.preview.FLUX_PATHS", 1)
+    monkeypatch.setattr("lumitree.output.preview.BOUNCE_PATHS", 1)
     assert main(["preview", "lamp.xml", "-o", "sheet.png", "--resolution", "16", "--spp", "4",
                  "--bounces", "--json", "report.json"]) == 0  # fmt: skip
     captured = capsys.readouterr()
@@ -381,7 +382,7 @@ def test_flux_is_told_to_the_second_digit_of_its_error(lumens, error, text):
 
 
 def test_faults_of_glass_are_warned_of(capsys, folder, monkeypatch):
-    monkeypatch.setattr("lumitree.measure.evaluate.FLUX_PATHS", 1)
+    monkeypatch.setattr("lumitree.output.preview.FLUX_PATHS", 1)
     sheets = "".join(
         f'<shape type="rectangle" id="pane{i}"><transform name="to_world">'
         f'<translate z="{i + 2}"/></transform><bsdf type="dielectric"/></shape>'
@@ -505,7 +506,7 @@ def test_interrupted_capture_continues():
 
 
 def test_unexpected_errors_are_one_line(capsys, monkeypatch):
-    monkeypatch.setattr("lumitree.render.asset_cache.load", lambda path: 1 / 0)
+    monkeypatch.setattr("lumitree.render.asset_cache.read_asset", lambda path: 1 / 0)
     assert main(["info", "lamp.lumitree"]) == 1
     err = capsys.readouterr().err
     assert "unexpected ZeroDivisionError" in err

@@ -9,7 +9,7 @@ from PIL import Image
 import lumitree
 from lumitree.core.images import read_comment, read_exr, write_exr
 from lumitree.errors import LumitreeError
-from lumitree.measure import evaluate as viewing
+from lumitree.output import preview as viewing
 from support import tiny_bakes
 from support.fields import random_asset
 from support.lamps import AREA, scene, sphere

@@ -13,6 +13,7 @@ if is_program():
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from lumitree._version import __version__ as __version__
 from lumitree.core.backend import select_llvm
 from lumitree.core.interrupt import Interrupted
 from lumitree.errors import LumitreeError, LumitreeWarning
@@ -22,86 +23,81 @@ if TYPE_CHECKING:
     from lumitree.asset.file import save
     from lumitree.core.frames import LocalFrame
     from lumitree.core.progress import Progress, show_progress
-    from lumitree.core.results import (
-        AssetPreviewResult,
-        BakeResult,
-        CaptureResult,
-        EvaluateResult,
-        Flux,
-        MissedFlux,
-        MixResult,
-        PhotometryResult,
-        PreviewResult,
-        RenderResult,
-        Result,
-        TrainResult,
-    )
+    from lumitree.core.results import Result
     from lumitree.fit.bake import bake, refine
+    from lumitree.fit.bake_network import (
+        CaptureResult,
+        TrainResult,
+        bake_network,
+        capture,
+        extract,
+        train,
+    )
     from lumitree.fit.catalogue.bake_many import BakeManyResult, bake_many
     from lumitree.fit.catalogue.index import BakedLamp
     from lumitree.fit.merge import merge
-    from lumitree.fit.network.bake import bake_network, capture, extract, train
+    from lumitree.fit.result import BakeResult
     from lumitree.lamp.loading import builtin_luminaires, load_luminaire
     from lumitree.lamp.luminaire import Luminaire
     from lumitree.lamp.scene_shapes import SceneShape
     from lumitree.lamp.source import LuminaireSource
-    from lumitree.measure.evaluate import evaluate, preview
+    from lumitree.measure.evaluate import EvaluateResult, evaluate
     from lumitree.measure.photometry.figures import Estimate, PhotometricFigures
     from lumitree.measure.photometry.near_field import NearFieldLimit
-    from lumitree.measure.photometry.photometry import photometry
+    from lumitree.measure.photometry.photometry import PhotometryResult, photometry
     from lumitree.output.export import ExportResult, export
+    from lumitree.output.preview import AssetPreviewResult, Flux, MissedFlux, PreviewResult, preview
     from lumitree.output.viewer.view import ViewResult, view
-    from lumitree.render.files import load
+    from lumitree.render.asset_cache import load
     from lumitree.render.placement import Placement
     from lumitree.render.placement_file import read_placements
     from lumitree.render.plugins.register import register, shape
-    from lumitree.render.render import mix, render
+    from lumitree.render.render import MixResult, RenderResult, mix, render
 
-__version__ = "0.1.0"
 
 # Where each public name is defined; imported on first use, so that `lumitree --help` answers at
 # once.
 _HOMES = {
     "Asset": "asset.asset",
     "AssetInfo": "asset.asset",
-    "AssetPreviewResult": "core.results",
+    "AssetPreviewResult": "output.preview",
     "BakeManyResult": "fit.catalogue.bake_many",
-    "BakeResult": "core.results",
+    "BakeResult": "fit.result",
     "BakedLamp": "fit.catalogue.index",
-    "CaptureResult": "core.results",
+    "CaptureResult": "fit.bake_network",
     "Estimate": "measure.photometry.figures",
-    "EvaluateResult": "core.results",
+    "EvaluateResult": "measure.evaluate",
     "ExportResult": "output.export",
-    "Flux": "core.results",
+    "Flux": "output.preview",
     "LocalFrame": "core.frames",
     "Luminaire": "lamp.luminaire",
     "LuminaireSource": "lamp.source",
-    "MissedFlux": "core.results",
+    "MissedFlux": "output.preview",
     "NearFieldLimit": "measure.photometry.near_field",
     "PhotometricFigures": "measure.photometry.figures",
-    "PhotometryResult": "core.results",
+    "PhotometryResult": "measure.photometry.photometry",
     "Placement": "render.placement",
-    "PreviewResult": "core.results",
+    "PreviewResult": "output.preview",
     "Progress": "core.progress",
-    "MixResult": "core.results",
-    "RenderResult": "core.results",
+    "MixResult": "render.render",
+    "RenderResult": "render.render",
     "Result": "core.results",
     "SceneShape": "lamp.scene_shapes",
-    "TrainResult": "core.results",
+    "TrainResult": "fit.bake_network",
     "ViewResult": "output.viewer.view",
     "bake": "fit.bake",
     "bake_many": "fit.catalogue.bake_many",
-    "bake_network": "fit.network.bake",
+    "bake_network": "fit.bake_network",
     "builtin_luminaires": "lamp.loading",
-    "capture": "fit.network.bake",
+    "capture": "fit.bake_network",
     "evaluate": "measure.evaluate",
     "export": "output.export",
-    "extract": "fit.network.bake",
-    "load": "render.files",
+    "extract": "fit.bake_network",
+    "load": "render.asset_cache",
     "load_luminaire": "lamp.loading",
     "merge": "fit.merge",
     "photometry": "measure.photometry.photometry",
-    "preview": "measure.evaluate",
+    "preview": "output.preview",
     "read_placements": "render.placement_file",
     "refine": "fit.bake",
     "register": "render.plugins.register",
@@ -110,7 +106,7 @@ _HOMES = {
     "save": "asset.file",
     "shape": "render.plugins.register",
     "show_progress": "core.progress",
-    "train": "fit.network.bake",
+    "train": "fit.bake_network",
     "view": "output.viewer.view",
 }
 __all__ = [

@@ -4,7 +4,7 @@ import dataclasses
 import sys
 
 from lumitree.cli import main
-from lumitree.fit.network import bake as network
+from lumitree.fit import bake_network as network
 from lumitree.fit.network.config import PRESETS
 from lumitree.fit.octree.config import (
     QUALITIES,

@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> Any:
         return _run_many(args)
     luminaire = options.luminaire(args, args.luminaires[0])
     if args.method == "nerf":
-        from lumitree.fit.network.bake import NETWORK_PARTS
+        from lumitree.fit.bake_network import NETWORK_PARTS
 
         return lumitree.bake_network(
             luminaire,

@@ -25,6 +25,8 @@ _TEMPORARY_NAME = re.compile(
     r"\.(?P<stem>.*)\.lumitree-[a-z0-9_]{8}(?P<suffix>(\.[^.]*)?)", re.DOTALL
 )
 
+FilePath = str | os.PathLike[str]
+
 
 class WriteError(LumitreeError):
     """A file cannot be written.

@@ -14,7 +14,7 @@ def image_settings(command: str, **settings: Any) -> str:
         settings: values by name, as for `plain`; those that are None are left out.
     """
     # Imported here, because the package itself imports this module.
-    from lumitree import __version__
+    from lumitree._version import __version__
 
     given = {name: plain(value) for name, value in settings.items() if value is not None}
     return json.dumps({"lumitree": __version__, "command": command, **given}, ensure_ascii=False)

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
-from lumitree.lamp.parts import RGB
 
 # Maximum luminous efficacy, lm/W.
 LUMENS_PER_WATT = 683.0
+RGB = tuple[float, float, float]
 # Luminance of the linear sRGB primaries (ITU-R BT.709).
 LUMA: RGB = (0.2126, 0.7152, 0.0722)
 MIN_TEMPERATURE, MAX_TEMPERATURE = 1000.0, 20000.0

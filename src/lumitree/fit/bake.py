@@ -10,8 +10,8 @@ from lumitree.asset.model import AssetModel
 from lumitree.core.arguments import check_asset_output, check_choice, check_light
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import Dataset
+from lumitree.core.files import FilePath
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import BakeResult
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.transmittance import Law
 from lumitree.core.work_folder import WorkFolder
@@ -20,11 +20,12 @@ from lumitree.fit.finishing import finish_bake, remove_state
 from lumitree.fit.light_field.saved_field import EXITANT_STATE
 from lumitree.fit.octree.config import QUALITIES, DirectConfig
 from lumitree.fit.photometric_files import bake_photometric_file
+from lumitree.fit.result import BakeResult
+from lumitree.fit.work import open_work_folder
 from lumitree.lamp.loading import dataset_folder, warn_of_faults
 from lumitree.lamp.source import source_kind
 from lumitree.measure.irradiance_check import IRRADIANCE_PATHS, check_irradiance_paths
 from lumitree.render.asset_cache import open_asset
-from lumitree.render.files import FilePath, open_work_folder
 from lumitree.trace.light_field_config import EXITANT_QUALITIES
 
 if TYPE_CHECKING:

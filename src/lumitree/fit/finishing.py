@@ -4,12 +4,13 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from lumitree.asset.asset import Asset
+from lumitree.core.files import FilePath
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
-from lumitree.core.results import BakeResult
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.work_folder import WorkFolder
+from lumitree.fit.result import BakeResult
+from lumitree.fit.work import save_asset
 from lumitree.measure.irradiance_check import measure_irradiance
-from lumitree.render.files import FilePath, save_asset
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from lumitree.asset.asset import Asset
 from lumitree.asset.exitant import ExitantField
 from lumitree.core.arguments import check_asset_output
-from lumitree.core.results import BakeResult
+from lumitree.core.files import FilePath
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.errors import LumitreeError, explained, shown
+from lumitree.fit.result import BakeResult
+from lumitree.fit.work import save_asset
 from lumitree.render.asset_cache import open_asset
-from lumitree.render.files import FilePath, save_asset
 
 
 @explained

@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from lumitree.asset.asset import Part
+from lumitree.core.files import FilePath
 from lumitree.core.progress import ProgressCallback, reporting
 from lumitree.core.progress import progress as steps
-from lumitree.core.results import BakeResult
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
-from lumitree.lamp.source import LuminaireSource, as_source, source_kind
-from lumitree.render.files import FilePath, refuse_options, save_asset
+from lumitree.fit.result import BakeResult
+from lumitree.fit.work import save_asset
+from lumitree.lamp.source import LuminaireSource, as_source, refuse_options, source_kind
 from lumitree.trace.light_field_config import EXITANT_QUALITIES
 
 # Settings of `bake` that apply.

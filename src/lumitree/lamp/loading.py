@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError, LumitreeWarning, explained
-from lumitree.lamp.source import LuminaireSource, as_source, source_kind
-from lumitree.render.files import refuse_options
+from lumitree.lamp.source import LuminaireSource, as_source, refuse_options, source_kind
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike

@@ -10,13 +10,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.photometry import RGB
 from lumitree.errors import LumitreeError
 from lumitree.lamp.meshes import Floats, Mesh
 
 # Loading a shape takes milliseconds, however few triangles it has.
 MAX_SHAPES = 5000
 
-RGB = tuple[float, float, float]
 WHITE: RGB = (1.0, 1.0, 1.0)
 
 

@@ -7,6 +7,7 @@ from typing import Literal
 
 from lumitree.asset.asset import Asset
 from lumitree.core.dataset import MANIFEST
+from lumitree.errors import LumitreeError, shown
 
 # Files that are assets once they are opened, see `render.asset_cache.open_asset`.
 ASSET_SUFFIX = ".lumitree"
@@ -65,3 +66,12 @@ def source_kind(source: object) -> Kind:
     if suffix in PHOTOMETRIC_SUFFIXES:
         return "photometric"
     return "dataset" if os.path.isfile(Path(name) / MANIFEST) else "luminaire"
+
+
+def refuse_options(source: LuminaireSource, kind: str) -> None:
+    """Refuse options for reading a luminaire that are given for a source of another kind."""
+    if source.options:
+        raise LumitreeError(
+            f"{', '.join(source.options)}: not for {kind} such as {shown(source.name, 300)}; leave "
+            "it out"
+        )

@@ -1,9 +1,11 @@
-"""Images and measurements of luminaires, assets and scenes."""
+"""Comparison of an asset with its luminaire: held-out views, and the irradiance around it."""
 
 import contextlib
 import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import (
@@ -13,193 +15,59 @@ from lumitree.core.arguments import (
 )
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import MAX_VIEWS, Dataset
-from lumitree.core.files import write_bytes
+from lumitree.core.files import FilePath, write_bytes
 from lumitree.core.image_settings import image_settings
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import (
-    AssetPreviewResult,
-    EvaluateResult,
-    Flux,
-    MissedFlux,
-    PreviewResult,
-    asset_json,
-)
+from lumitree.core.results import ImageResult, Json
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained
 from lumitree.lamp.loading import dataset_folder, warn_of_faults
-from lumitree.measure.asset_comparison import compare_assets
 from lumitree.measure.irradiance_check import check_irradiance_paths
-from lumitree.render.asset_cache import open_asset
-from lumitree.render.files import FilePath, asset_of
+from lumitree.render.asset_cache import asset_of, open_asset
+from lumitree.render.asset_info import asset_json
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import LuminaireLike
 
-# Numbers of light paths of a preview, for the flux and for the flux by number of bounces.
-FLUX_PATHS, BOUNCE_PATHS = 1 << 22, 1 << 20
 # Light paths, and rays of the asset, of an evaluation's irradiance: 4 to 9 s each on 2 CPU cores,
 # for a standard error of about 0.5 % of the mean of a face.
 IRRADIANCE_PATHS = 1 << 20
 
 
-@explained
-def preview(
-    luminaire: "Asset | LuminaireLike",
-    sheet: FilePath | None = None,
-    *,
-    resolution: int = 256,
-    samples_per_pixel: int = 64,
-    bounces: bool = False,
-    variant: str | None = None,
-    progress: ProgressCallback | None = show_progress,
-) -> PreviewResult | AssetPreviewResult:
-    """Render six views of a luminaire or of an asset, and measure its flux and size.
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class EvaluateResult(ImageResult):
+    """Comparison of an asset with its luminaire: views, and the irradiance around it.
 
-    The contact sheet shows the radiance at two exposures and both opacities, from six sides. Warns
-    of glass that Mitsuba cannot render correctly. Of an asset the sheet shows what images show
-    of it, its model, its field or else its exitant light field, and one opacity.
-
-    Args:
-        luminaire: what to render: an asset, the path of a `.lumitree` file, of a photometric file
-            or of a ray file; or a luminaire in any form that `bake` takes except the folder of a
-            dataset.
-        sheet: path of the PNG file to write. Default: no file is written.
-        resolution: pixels per side of each view, 1 to 16,384.
-        samples_per_pixel: paths per pixel, 1 to 1,048,576. It does not apply to an asset without
-            a model, whose pixels have 16 rays without noise.
-        bounces: whether to measure the share of the flux that paths of at most 32, 64 and 128
-            bounces miss. Not for an asset.
-        variant: Mitsuba variant; see `bake`.
-        progress: function that is called with a `Progress` after each step; see `bake`.
-
-    Returns:
-        The figures of the luminaire or the asset (`AssetPreviewResult`), and the contact sheet as
-        `png`. Those of a luminaire have its `shapes`, for `keep` and `drop` of `load_luminaire`.
-
-    Raises:
-        LumitreeError: an argument is out of range; the luminaire cannot be read; or the file cannot
-            be written.
+    Attributes:
+        metrics: metrics by name, as means over the views; the gains over black, in dB, are
+            `gain_linear` and `gain_mulaw`. If the irradiance was compared, also `irradiance_ratio`:
+            flux through a cube of three times the luminaire's size, baked over explicit;
+            `irradiance_rms`: relative RMS error of the irradiance, mean over the cube's six faces;
+            and `irradiance_rms_touching`: the same on a plane that touches the bounding box from
+            below. One whose reference is too noisy, or dark, is omitted.
+        max_radiance: L_max of the views, W/(m² sr), by which the metrics divide radiance; None if
+            there are no views, because the asset was compared with another one.
+        views: metrics by name, of each view.
+        asset: `Asset.info` as a dictionary, and file and size in bytes if the asset is a file.
+        sheet: file of the contact sheet; None if none was written.
+        irradiance: `paths`, traced for each of both sides; `ratio_error`, the standard error of
+            `irradiance_ratio`; and `faces`: for each of "-x", "+x", "-y", "+y", "-z", "+z" and
+            "touching" the mean illuminance `explicit_lux` and `baked_lux`, lx, their `ratio` and
+            the relative `rms` error, with the standard errors `ratio_error` and `rms_error`. None
+            if the irradiance was not compared.
+        irradiance_sheet: file of the irradiance in false colour; None if none was written.
+        irradiance_png: this image, as the bytes of a PNG file; None if it was not made.
     """
-    if sheet is not None:
-        check_sheet_output(sheet)
-    check_image_settings(resolution=resolution, spp=samples_per_pixel)
-    mi = load_mitsuba(variant)
-    if (asset := asset_of(luminaire)) is not None:
-        if bounces:
-            raise LumitreeError("an asset has no paths to count the bounces of; leave bounces out")
-        with reporting(progress):
-            return _preview_asset(asset, sheet, resolution, samples_per_pixel)
-    from lumitree.core.images import max_radiance
-    from lumitree.lamp.luminaire import load_luminaire
-    from lumitree.output.preview_sheet import draw_preview, take_preview
-    from lumitree.trace.flux import estimate_flux, missed_by_depth
 
-    watch = Stopwatch()
-    with reporting(progress):
-        with watch.stage("load"):
-            lamp = load_luminaire(cast(Any, luminaire))
-        with watch.stage("diagnose"):
-            faults = warn_of_faults(lamp)
-        with watch.stage("views"):
-            views = take_preview(lamp, resolution, samples_per_pixel)
-        with watch.stage("flux"):
-            estimate = estimate_flux(lamp, FLUX_PATHS)
-        missed = []
-        if bounces:
-            with watch.stage("bounces"):
-                missed = missed_by_depth(lamp, BOUNCE_PATHS)
-    result = PreviewResult(
-        luminaire=lamp.name,
-        triangles=lamp.num_triangles,
-        emitters=lamp.num_emitters,
-        max_radiance=max_radiance([views.radiance]),
-        size=tuple(lamp.size.tolist()),
-        has_media=lamp.has_media,
-        flux=Flux(
-            watts=tuple(estimate.watts.tolist()),
-            watts_error=tuple(estimate.watts_error.tolist()),
-            lumens=estimate.lumens,
-            lumens_error=estimate.lumens_error,
-            paths=estimate.num_paths,
-        ),
-        paths_per_second=views.paths_per_second,
-        exposure=views.exposure,
-        faults=faults,
-        bounces=[MissedFlux(**dataclasses.asdict(each)) for each in missed] or None,
-        shapes=lamp.shapes,
-        sheet=None if sheet is None else Path(sheet),
-        png=b"",
-        **watch.costs(),
-    )
-    settings = image_settings(
-        "preview",
-        luminaire=lamp.name,
-        resolution=resolution,
-        samples_per_pixel=samples_per_pixel,
-        exposure=views.exposure,
-        variant=mi.variant(),
-    )
-    png = draw_preview(views, lamp.name, _facts(result)).png(settings)
-    if sheet is not None:
-        write_bytes(sheet, png)
-    return dataclasses.replace(result, png=png)
-
-
-def _preview_asset(
-    asset: Asset, sheet: FilePath | None, resolution: int, samples_per_pixel: int
-) -> AssetPreviewResult:
-    """As `preview`, of an asset."""
-    from lumitree.core.photometry import luminance
-    from lumitree.output.preview_sheet import draw_preview, take_asset_preview
-    from lumitree.render.asset_flux import asset_watts
-
-    watch = Stopwatch()
-    with watch.stage("views"):
-        views = take_asset_preview(asset, resolution, samples_per_pixel)
-    with watch.stage("flux"):
-        watts = asset_watts(asset)
-    lumens, size = float(luminance(watts)), asset.frame.size
-    facts = [
-        f"{' + '.join(asset.info.parts)}",
-        f"shown: {asset.info.appearance}",
-        f"flux {lumens:,.4g} lm",
-        "size " + " x ".join(f"{side:.4g}" for side in size),
-    ]
-    settings = image_settings(
-        "preview",
-        asset=asset.luminaire,
-        resolution=resolution,
-        samples_per_pixel=None if asset.model is None else samples_per_pixel,
-        exposure=views.exposure,
-    )
-    png = draw_preview(views, asset.luminaire, facts, baked=True).png(settings)
-    if sheet is not None:
-        write_bytes(sheet, png)
-    return AssetPreviewResult(
-        luminaire=asset.luminaire,
-        parts=asset.info.parts,
-        leaves=asset.num_leaves,
-        size=tuple(size.tolist()),
-        watts=tuple(watts.tolist()),
-        lumens=lumens,
-        exposure=views.exposure,
-        sheet=None if sheet is None else Path(sheet),
-        png=png,
-        **watch.costs(),
-    )
-
-
-def _facts(result: PreviewResult) -> list[str]:
-    """Lines of text for the contact sheet of a preview."""
-    return [
-        f"{result.triangles:,} triangles",
-        f"{result.emitters} emitter" + ("" if result.emitters == 1 else "s"),
-        f"L_max {result.max_radiance:.4g}",
-        f"flux {result.flux}",
-        "size " + " x ".join(f"{side:.4g}" for side in result.size),
-        *(["media"] if result.has_media else []),
-    ]
+    metrics: dict[str, float]
+    max_radiance: float | None
+    views: list[dict[str, Any]]
+    asset: Json
+    sheet: Path | None
+    irradiance: Json | None = None
+    irradiance_sheet: Path | None = None
+    irradiance_png: bytes | None = dataclasses.field(default=None, repr=False)
 
 
 @explained
@@ -320,5 +188,59 @@ def evaluate(
         irradiance=None if irradiance is None else irradiance.report(),
         irradiance_sheet=None if irradiance is None else irradiance_sheet,
         irradiance_png=irradiance_png,
+        **watch.costs(),
+    )
+
+
+def compare_assets(
+    asset: Asset,
+    path: FilePath | None,
+    reference: Asset,
+    sheet: Path | None,
+    irradiance_paths: int,
+) -> EvaluateResult:
+    """As `lumitree.evaluate`, with another asset: only the irradiance is compared.
+
+    Args:
+        path: file of `asset`, if it is one.
+        sheet: file to write, with the irradiance in false colour.
+
+    Raises:
+        LumitreeError: the bounding boxes have different sizes, or there are 0 paths.
+    """
+    from lumitree.measure.irradiance_figure import draw_irradiance
+    from lumitree.measure.view_errors import evaluate_irradiance
+
+    if irradiance_paths == 0:
+        raise LumitreeError(
+            f"of {reference.luminaire} there are no views, and with 0 irradiance paths nothing is "
+            "compared; give more"
+        )
+    # The irradiance is compared around one box.
+    if not np.allclose(asset.frame.size, reference.frame.size, rtol=1e-3, atol=0):
+        sizes = [" x ".join(f"{side:.4g}" for side in e.frame.size) for e in (asset, reference)]
+        raise LumitreeError(
+            f"{asset.luminaire} has a bounding box of {sizes[0]}, and {reference.luminaire} one of "
+            f"{sizes[1]}, around which the irradiance cannot be compared; compare their far "
+            "fields, by `lumitree photometry` of each"
+        )
+    title = asset.luminaire if path is None else f"{asset.luminaire}, {path}"
+    settings = image_settings("evaluate", asset=title, irradiance_paths=irradiance_paths)
+    watch = Stopwatch()
+    with watch.stage("irradiance"):
+        found = evaluate_irradiance(asset.without_gain, reference.without_gain, irradiance_paths)
+        png = draw_irradiance(found, title).png(settings)
+        if sheet is not None:
+            write_bytes(sheet, png)
+    return EvaluateResult(
+        metrics=found.metrics,
+        max_radiance=None,
+        views=[],
+        asset=asset_json(asset, path),
+        sheet=None,
+        png=png,
+        irradiance=found.report(),
+        irradiance_sheet=sheet,
+        irradiance_png=png,
         **watch.costs(),
     )

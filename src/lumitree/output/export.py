@@ -9,14 +9,13 @@ from typing import Literal
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_choice, check_range
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.files import atomic_path, check_writable, write_bytes
+from lumitree.core.files import FilePath, atomic_path, check_writable, write_bytes
 from lumitree.core.results import Result
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.render.asset_cache import open_asset
-from lumitree.render.files import FilePath
 
 _ENDINGS = (".py", ".blend", ".vdb")
 # By measurement, see docs/decisions/blender.md.
@@ -68,8 +67,8 @@ def export(
             needs an exitant light field, or a field for `.vdb`.
         output: path of the file to write. A `.py` file is a script that contains the lamp and runs
             in Blender 4.2 or newer; a `.blend` file is made by running it. A `.vdb` file has the
-            field as OpenVDB grids instead (`density` and `emission`, see `output.blender.volume`); it
-            needs the module `openvdb` of Blender 4.4 or newer.
+            field as OpenVDB grids instead (`density` and `emission`, see `output.blender.volume`);
+            it needs the module `openvdb` of Blender 4.4 or newer.
         lights: largest number of point lights, 1 to 1,024.
         up: the axis that points up in the luminaire's file, "y" or "z".
         blender: program that makes `.blend` and `.vdb` files: Blender, or a Python with the module

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.file import load
+from lumitree.asset.file import load as read_asset
 from lumitree.core.backend import load_mitsuba
-from lumitree.errors import LumitreeError, shown
+from lumitree.core.files import FilePath
+from lumitree.errors import LumitreeError, explained, shown
 from lumitree.lamp.builtin.registry import BUILTIN
-from lumitree.lamp.source import source_kind
+from lumitree.lamp.source import LuminaireSource, refuse_options, source_kind
 from lumitree.trace.light_field_config import EXITANT_QUALITIES
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def _read(path: str | os.PathLike[str]) -> Asset:
         raise LumitreeError(
             f"{shown(name, 300)} is {what}, not an asset; bake it first, into a .lumitree file"
         )
-    return load(path)
+    return read_asset(path)
 
 
 def open_field(
@@ -94,3 +95,36 @@ def open_field(
     from lumitree.octree.field import shared_field
 
     return shared_field(open_asset(asset), min_density, max_opacity)
+
+
+@explained
+def load(path: FilePath) -> Asset:
+    """Read an asset from a file, and check it. Nothing in the file is executed.
+
+    Args:
+        path: path of a `.lumitree` file; or of a photometric file (`.ies`, `.ldt`) or a ray file
+            (`.ray`, `.tm25ray`), of which an asset is made as by `bake`. While an asset is in use,
+            further calls for its file return the same one.
+
+    Returns:
+        The asset.
+
+    Raises:
+        LumitreeError: the file is missing, damaged or not an asset, or breaks an invariant.
+    """
+    return open_asset(path)
+
+
+def asset_of(source: object) -> Asset | None:
+    """The asset that a source is once it is opened; None for a luminaire or a dataset.
+
+    Raises:
+        LumitreeError: the asset cannot be read, or there are options for reading a luminaire.
+    """
+    if source_kind(source) not in ("asset", "photometric"):
+        return None
+    if isinstance(source, LuminaireSource):
+        refuse_options(source, "an asset or a photometric file")
+        source = source.name
+    assert isinstance(source, Asset | str | os.PathLike)
+    return open_asset(source)

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.core.arguments import check_gain, check_image_settings, check_range
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.files import check_writable
+from lumitree.core.files import FilePath, check_writable
 from lumitree.core.image_settings import image_settings
 from lumitree.core.images import (
     check_image_name,
@@ -21,11 +22,10 @@ from lumitree.core.images import (
     write_image,
 )
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import MixResult, RenderResult
+from lumitree.core.results import ImageResult
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.errors import LumitreeError, explained, shown
-from lumitree.render.files import FilePath
 
 if TYPE_CHECKING:
     from lumitree.render.placement import Placement
@@ -35,6 +35,51 @@ if TYPE_CHECKING:
 _SAMPLES_PER_PIXEL = 64
 # The layer of all light that is of no placed luminaire.
 _ROOM = "room"
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class RenderResult(ImageResult):
+    """Rendered image of a scene.
+
+    Attributes:
+        pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
+        image: file of the image; None if none was written.
+        resolution: width and height in pixels.
+        samples_per_pixel: samples per pixel.
+        mean_radiance: mean over pixels and channels, W/(m² sr).
+        noise: estimated standard error of the pixels before denoising: its sum over all pixels,
+            relative to the sum of their radiance. None if there was one pass only.
+        layers: file of the layers; None if none was written.
+        aov: file of albedo and normal; None if none was written.
+    """
+
+    pixels: NDArray[np.float32] = dataclasses.field(repr=False)
+    image: Path | None
+    resolution: tuple[int, int]
+    samples_per_pixel: int
+    mean_radiance: float
+    noise: float | None = None
+    layers: Path | None = None
+    aov: Path | None = None
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class MixResult(ImageResult):
+    """Image that was mixed from layers.
+
+    Attributes:
+        pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
+        image: file of the image; None if none was written.
+        layers: names of the layers.
+        resolution: width and height in pixels.
+        mean_radiance: mean over pixels and channels, W/(m² sr).
+    """
+
+    pixels: NDArray[np.float32] = dataclasses.field(repr=False)
+    image: Path | None
+    layers: list[str]
+    resolution: tuple[int, int]
+    mean_radiance: float
 
 
 @explained

@@ -361,7 +361,7 @@ def test_info_of_an_exitant_light_field_needs_no_llvm(tmp_path, monkeypatch, cap
     def refused():
         raise LumitreeError("no libLLVM")
 
-    monkeypatch.setattr("lumitree.core.results.load_mitsuba", refused)
+    monkeypatch.setattr("lumitree.render.asset_info.load_mitsuba", refused)
     assert main(["info", str(tmp_path / "lamp.lumitree")]) == 0
     assert "lumens" in capsys.readouterr().out
     lumitree.save(lamp, tmp_path / "field.lumitree")

@@ -14,7 +14,7 @@ from lumitree.asset.asset import Part
 from lumitree.core.arguments import check_asset_output
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import MANIFEST
-from lumitree.core.files import WriteError, exclusive
+from lumitree.core.files import FilePath, WriteError, exclusive
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_of
@@ -31,7 +31,6 @@ from lumitree.fit.photometric_files import applicable_settings, warn_of_unused
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.loading import dataset_folder
 from lumitree.lamp.source import LuminaireSource, as_source, source_kind
-from lumitree.render.files import FilePath
 
 # Interval at which a lamp is tried again that another process works on, s.
 _AGAIN_SECONDS = 0.5

@@ -7,12 +7,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_choice, check_range
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.files import check_writable
+from lumitree.core.files import FilePath, check_writable
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import PhotometryResult
+from lumitree.core.results import ImageResult
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
@@ -22,7 +25,9 @@ from lumitree.lamp.source import (
     RAY_SUFFIXES,
     source_kind,
 )
-from lumitree.render.files import FilePath, asset_of
+from lumitree.measure.photometry.figures import PhotometricFigures
+from lumitree.measure.photometry.near_field import NearFieldLimit
+from lumitree.render.asset_cache import asset_of
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import LuminaireLike
@@ -37,6 +42,38 @@ MAX_PATHS, MAX_FILE_RAYS = 1 << 32, 1 << 24
 # Samples whose rays a ray file gets.
 FILE_RAYS = 1 << 18
 OUTPUTS = (*PHOTOMETRIC_SUFFIXES, ".html", ".pdf")
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class PhotometryResult(ImageResult, PhotometricFigures):
+    """Result of a photometric measurement: the figures of `PhotometricFigures`, and more.
+
+    `png` shows a polar plot and an isocandela plot.
+
+    Attributes:
+        luminaire: name of the luminaire.
+        near_field: for some directions, the distance from which the far field is within 5 %.
+        step: of the angles, degrees.
+        size: [3] sides of the bounding box, m.
+        rays: number of light paths, or of rays of an asset.
+        c_angles, gamma_angles: [C] and [G] angles of the intensities, degrees.
+        intensity, intensity_error: [C, G] luminous intensities and standard errors, cd.
+        files: files that were written.
+        ugr: [19, 10] Unified Glare Ratings, see `measure.photometry.ugr.ugr_table`; NaN where there
+            is none. None if the optional dependency `ugr` is not installed.
+    """
+
+    luminaire: str
+    near_field: list[NearFieldLimit]
+    step: float
+    size: tuple[float, ...]
+    rays: int
+    c_angles: NDArray[np.float64] = dataclasses.field(repr=False)
+    gamma_angles: NDArray[np.float64] = dataclasses.field(repr=False)
+    intensity: NDArray[np.float64] = dataclasses.field(repr=False)
+    intensity_error: NDArray[np.float64] = dataclasses.field(repr=False)
+    files: list[Path]
+    ugr: NDArray[np.float64] | None = dataclasses.field(default=None, repr=False)
 
 
 @explained

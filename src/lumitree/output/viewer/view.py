@@ -4,12 +4,11 @@ import dataclasses
 from pathlib import Path
 
 from lumitree.asset.asset import Asset
-from lumitree.core.files import check_writable, write_bytes
+from lumitree.core.files import FilePath, check_writable, write_bytes
 from lumitree.core.results import Result
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.errors import explained
 from lumitree.render.asset_cache import open_asset
-from lumitree.render.files import FilePath
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)

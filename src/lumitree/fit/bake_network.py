@@ -16,10 +16,10 @@ from lumitree.core.arguments import (
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
 from lumitree.core.extras import check_network
-from lumitree.core.files import WriteError, check_writable
+from lumitree.core.files import FilePath, WriteError, check_writable
 from lumitree.core.interrupt import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import BakeResult, CaptureResult, TrainResult
+from lumitree.core.results import Result
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
 from lumitree.core.work_folder import scratch_folder
@@ -27,10 +27,11 @@ from lumitree.errors import LumitreeError, explained
 from lumitree.fit.finishing import finish_bake, remove_state
 from lumitree.fit.light_field.saved_field import EXITANT_STATE
 from lumitree.fit.network.config import PRESETS, TrainConfig
+from lumitree.fit.result import BakeResult
+from lumitree.fit.work import open_work_folder
 from lumitree.lamp.loading import warn_of_faults
 from lumitree.measure.irradiance_check import IRRADIANCE_PATHS, check_irradiance_paths
 from lumitree.octree.build import check_tree_depth
-from lumitree.render.files import FilePath, open_work_folder
 from lumitree.trace.light_field_config import EXITANT_QUALITIES
 
 if TYPE_CHECKING:
@@ -40,6 +41,44 @@ if TYPE_CHECKING:
 Preset = Literal["preview", "paper"]
 NetworkPart = Literal["exitant", "field"]
 NETWORK_PARTS: tuple[NetworkPart, ...] = get_args(NetworkPart)
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class CaptureResult(Result):
+    """Result of a capture.
+
+    Attributes:
+        dataset: folder of the dataset.
+        luminaire: name of the luminaire.
+        views: number of views in the dataset.
+    """
+
+    dataset: Path
+    luminaire: str
+    views: int
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class TrainResult(Result):
+    """Result of the training of a network.
+
+    Attributes:
+        run: folder of the checkpoints.
+        steps: number of steps, including those of earlier calls.
+        psnr: PSNR on held-out rays, dB.
+        psnr_black: PSNR of an all-black prediction of the same rays, dB.
+        rays_per_second: training speed of this call.
+        stopped_by: number of the signal that interrupted the training; None if there was none.
+        finished: whether the training is finished. A signal may have arrived afterwards.
+    """
+
+    run: Path
+    steps: int
+    psnr: float
+    psnr_black: float
+    rays_per_second: float
+    stopped_by: int | None = None
+    finished: bool = dataclasses.field(default=True, repr=False)
 
 
 @dataclasses.dataclass(frozen=True)

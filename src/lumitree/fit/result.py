@@ -1,0 +1,49 @@
+"""The result of a bake."""
+
+import dataclasses
+from pathlib import Path
+
+from lumitree.asset.asset import Asset
+from lumitree.core.results import Json, Result, plain
+from lumitree.render.asset_info import asset_json
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class BakeResult(Result):
+    """Result of a bake.
+
+    Attributes:
+        asset: the baked luminaire.
+        path: file of the asset; None if none was written.
+        irradiance: error of the irradiance around the asset: `irradiance_ratio`, `irradiance_rms`
+            and `irradiance_rms_touching`, as in `EvaluateResult.metrics`, and `paths`,
+            `ratio_error` and `faces`, as in `EvaluateResult.irradiance`. None if it was not
+            compared: for a dataset, for 0 `irradiance_paths`, and after an interruption.
+        held_out_psnr: PSNR on held-out rays, dB; None if no field was baked from
+            rays.
+        held_out_psnr_uncertainty: half the width of the 68 % interval of `held_out_psnr`, dB.
+        rays: rays of the gradient descent, including those of the calls that this one continued;
+            None if no field was baked from rays.
+        stopped_by: number of the signal that interrupted the bake; None if there was none.
+            The asset is then the best so far, or `complete`.
+        complete: whether the asset is complete.
+        finished: whether the bake is finished: the asset is complete, and the irradiance around it
+            was compared if it should be. A signal may have arrived afterwards.
+    """
+
+    asset: Asset
+    path: Path | None
+    irradiance: Json | None = None
+    held_out_psnr: float | None = None
+    held_out_psnr_uncertainty: float | None = None
+    rays: int | None = None
+    stopped_by: int | None = None
+    complete: bool = dataclasses.field(default=True, repr=False)
+    finished: bool = dataclasses.field(default=True, repr=False)
+
+    def to_json(self) -> Json:
+        """Dictionary of the result, for `json.dumps`, with `Asset.info` in place of the asset."""
+        values = {field.name: getattr(self, field.name) for field in self._shown()}
+        del values["path"]
+        values["asset"] = asset_json(self.asset, self.path)
+        return {name: plain(value) for name, value in values.items() if value is not None}

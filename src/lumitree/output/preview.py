@@ -1,0 +1,295 @@
+"""Preview of a luminaire before it is baked, or of an asset."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from lumitree.asset.asset import Asset
+from lumitree.core.arguments import (
+    check_image_settings,
+    check_sheet_output,
+)
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.files import FilePath, write_bytes
+from lumitree.core.image_settings import image_settings
+from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.results import ImageResult
+from lumitree.core.stopwatch import Stopwatch
+from lumitree.errors import LumitreeError, explained
+from lumitree.lamp.loading import warn_of_faults
+from lumitree.render.asset_cache import asset_of
+
+if TYPE_CHECKING:
+    from lumitree.lamp.luminaire import LuminaireLike
+
+import math
+
+from lumitree.lamp.scene_shapes import SceneShape
+
+# Numbers of light paths of a preview, for the flux and for the flux by number of bounces.
+FLUX_PATHS, BOUNCE_PATHS = 1 << 22, 1 << 20
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Flux:
+    """Estimate of the flux that leaves a luminaire, for lengths in metres.
+
+    Attributes:
+        watts: radiant flux of R, G and B, W.
+        watts_error: standard errors of `watts`, W.
+        lumens: luminous flux, lm.
+        lumens_error: standard error of `lumens`, lm.
+        paths: number of light paths of the estimate.
+    """
+
+    watts: tuple[float, ...]
+    watts_error: tuple[float, ...]
+    lumens: float
+    lumens_error: float
+    paths: int
+
+    def __str__(self) -> str:
+        """Luminous flux ± standard error, rounded to two significant digits of the error."""
+        error = self.lumens_error
+        digits = max(0, 1 - math.floor(math.log10(error))) if error else 0
+        return f"{self.lumens:,.{digits}f} ± {error:,.{digits}f} lm"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MissedFlux:
+    """Share of the luminous flux that paths of limited length miss.
+
+    Attributes:
+        path_depth: largest number of bounces.
+        reference_depth: largest number of bounces of the paths that are compared with.
+        share: share of the flux, 0 to 1.
+        error: standard error of `share`.
+    """
+
+    path_depth: int
+    reference_depth: int
+    share: float
+    error: float
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class PreviewResult(ImageResult):
+    """Figures of a luminaire, and its views from six sides.
+
+    Attributes:
+        luminaire: name of the luminaire.
+        triangles: number of triangles of its meshes.
+        emitters: number of shapes that emit.
+        max_radiance: L_max, the 99.99th percentile over the pixels of the views, W/(m² sr).
+        size: [3] sides of the bounding box, in the unit of the luminaire's file.
+        has_media: whether there are participating media.
+        flux: flux that leaves the luminaire.
+        paths_per_second: speed of path tracing.
+        exposure: factor on the radiance in the first row of the contact sheet.
+        faults: one line for each fault that cannot be rendered correctly, such as a dielectric that
+            is not closed.
+        bounces: share of the flux that short paths miss; None if it was not measured.
+        sheet: file of the contact sheet; None if none was written.
+        shapes: its shapes, with `number`, `name` (id), and `materials` (ids of BSDFs, names of
+            materials), by which `keep` and `drop` find them; and with their plugins, `kind`, `bsdf`
+            and `emitter`.
+    """
+
+    luminaire: str
+    triangles: int
+    emitters: int
+    max_radiance: float
+    size: tuple[float, ...]
+    has_media: bool
+    flux: Flux
+    paths_per_second: float
+    exposure: float
+    faults: list[str]
+    sheet: Path | None
+    bounces: list[MissedFlux] | None = None
+    shapes: tuple[SceneShape, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class AssetPreviewResult(ImageResult):
+    """Figures of an asset, and its views from six sides.
+
+    Attributes:
+        luminaire: name of the luminaire.
+        parts: which of "exitant", "field" and "model" it has.
+        leaves: number of leaves of its field.
+        size: [3] sides of the bounding box, in the unit of the luminaire's file.
+        watts: [3] flux that it emits, R, G and B, W, if lengths are in metres: exact with an
+            exitant light field, else estimated from 2²⁰ rays.
+        lumens: the same as luminous flux, lm.
+        exposure: factor on the radiance in the first row of the contact sheet.
+        sheet: file of the contact sheet; None if none was written.
+    """
+
+    luminaire: str
+    parts: tuple[str, ...]
+    leaves: int
+    size: tuple[float, ...]
+    watts: tuple[float, ...]
+    lumens: float
+    exposure: float
+    sheet: Path | None
+
+
+@explained
+def preview(
+    luminaire: "Asset | LuminaireLike",
+    sheet: FilePath | None = None,
+    *,
+    resolution: int = 256,
+    samples_per_pixel: int = 64,
+    bounces: bool = False,
+    variant: str | None = None,
+    progress: ProgressCallback | None = show_progress,
+) -> PreviewResult | AssetPreviewResult:
+    """Render six views of a luminaire or of an asset, and measure its flux and size.
+
+    The contact sheet shows the radiance at two exposures and both opacities, from six sides. Warns
+    of glass that Mitsuba cannot render correctly. Of an asset the sheet shows what images show
+    of it, its model, its field or else its exitant light field, and one opacity.
+
+    Args:
+        luminaire: what to render: an asset, the path of a `.lumitree` file, of a photometric file
+            or of a ray file; or a luminaire in any form that `bake` takes except the folder of a
+            dataset.
+        sheet: path of the PNG file to write. Default: no file is written.
+        resolution: pixels per side of each view, 1 to 16,384.
+        samples_per_pixel: paths per pixel, 1 to 1,048,576. It does not apply to an asset without
+            a model, whose pixels have 16 rays without noise.
+        bounces: whether to measure the share of the flux that paths of at most 32, 64 and 128
+            bounces miss. Not for an asset.
+        variant: Mitsuba variant; see `bake`.
+        progress: function that is called with a `Progress` after each step; see `bake`.
+
+    Returns:
+        The figures of the luminaire or the asset (`AssetPreviewResult`), and the contact sheet as
+        `png`. Those of a luminaire have its `shapes`, for `keep` and `drop` of `load_luminaire`.
+
+    Raises:
+        LumitreeError: an argument is out of range; the luminaire cannot be read; or the file cannot
+            be written.
+    """
+    if sheet is not None:
+        check_sheet_output(sheet)
+    check_image_settings(resolution=resolution, spp=samples_per_pixel)
+    mi = load_mitsuba(variant)
+    if (asset := asset_of(luminaire)) is not None:
+        if bounces:
+            raise LumitreeError("an asset has no paths to count the bounces of; leave bounces out")
+        with reporting(progress):
+            return _preview_asset(asset, sheet, resolution, samples_per_pixel)
+    from lumitree.core.images import max_radiance
+    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.output.preview_sheet import draw_preview, take_preview
+    from lumitree.trace.flux import estimate_flux, missed_by_depth
+
+    watch = Stopwatch()
+    with reporting(progress):
+        with watch.stage("load"):
+            lamp = load_luminaire(cast(Any, luminaire))
+        with watch.stage("diagnose"):
+            faults = warn_of_faults(lamp)
+        with watch.stage("views"):
+            views = take_preview(lamp, resolution, samples_per_pixel)
+        with watch.stage("flux"):
+            estimate = estimate_flux(lamp, FLUX_PATHS)
+        missed = []
+        if bounces:
+            with watch.stage("bounces"):
+                missed = missed_by_depth(lamp, BOUNCE_PATHS)
+    result = PreviewResult(
+        luminaire=lamp.name,
+        triangles=lamp.num_triangles,
+        emitters=lamp.num_emitters,
+        max_radiance=max_radiance([views.radiance]),
+        size=tuple(lamp.size.tolist()),
+        has_media=lamp.has_media,
+        flux=Flux(
+            watts=tuple(estimate.watts.tolist()),
+            watts_error=tuple(estimate.watts_error.tolist()),
+            lumens=estimate.lumens,
+            lumens_error=estimate.lumens_error,
+            paths=estimate.num_paths,
+        ),
+        paths_per_second=views.paths_per_second,
+        exposure=views.exposure,
+        faults=faults,
+        bounces=[MissedFlux(**dataclasses.asdict(each)) for each in missed] or None,
+        shapes=lamp.shapes,
+        sheet=None if sheet is None else Path(sheet),
+        png=b"",
+        **watch.costs(),
+    )
+    settings = image_settings(
+        "preview",
+        luminaire=lamp.name,
+        resolution=resolution,
+        samples_per_pixel=samples_per_pixel,
+        exposure=views.exposure,
+        variant=mi.variant(),
+    )
+    png = draw_preview(views, lamp.name, _facts(result)).png(settings)
+    if sheet is not None:
+        write_bytes(sheet, png)
+    return dataclasses.replace(result, png=png)
+
+
+def _preview_asset(
+    asset: Asset, sheet: FilePath | None, resolution: int, samples_per_pixel: int
+) -> AssetPreviewResult:
+    """As `preview`, of an asset."""
+    from lumitree.core.photometry import luminance
+    from lumitree.output.preview_sheet import draw_preview, take_asset_preview
+    from lumitree.render.asset_flux import asset_watts
+
+    watch = Stopwatch()
+    with watch.stage("views"):
+        views = take_asset_preview(asset, resolution, samples_per_pixel)
+    with watch.stage("flux"):
+        watts = asset_watts(asset)
+    lumens, size = float(luminance(watts)), asset.frame.size
+    facts = [
+        f"{' + '.join(asset.info.parts)}",
+        f"shown: {asset.info.appearance}",
+        f"flux {lumens:,.4g} lm",
+        "size " + " x ".join(f"{side:.4g}" for side in size),
+    ]
+    settings = image_settings(
+        "preview",
+        asset=asset.luminaire,
+        resolution=resolution,
+        samples_per_pixel=None if asset.model is None else samples_per_pixel,
+        exposure=views.exposure,
+    )
+    png = draw_preview(views, asset.luminaire, facts, baked=True).png(settings)
+    if sheet is not None:
+        write_bytes(sheet, png)
+    return AssetPreviewResult(
+        luminaire=asset.luminaire,
+        parts=asset.info.parts,
+        leaves=asset.num_leaves,
+        size=tuple(size.tolist()),
+        watts=tuple(watts.tolist()),
+        lumens=lumens,
+        exposure=views.exposure,
+        sheet=None if sheet is None else Path(sheet),
+        png=png,
+        **watch.costs(),
+    )
+
+
+def _facts(result: PreviewResult) -> list[str]:
+    """Lines of text for the contact sheet of a preview."""
+    return [
+        f"{result.triangles:,} triangles",
+        f"{result.emitters} emitter" + ("" if result.emitters == 1 else "s"),
+        f"L_max {result.max_radiance:.4g}",
+        f"flux {result.flux}",
+        "size " + " x ".join(f"{side:.4g}" for side in result.size),
+        *(["media"] if result.has_media else []),
+    ]
