@@ -14,7 +14,7 @@ from lumitree.errors import LumitreeError
 TESTS = Path(__file__).parent
 # Modules of which most tests import JAX.
 JAX_TESTS = (
-    "nerf/*",
+    "fit/network/*",
     "benchmarks/test_descent.py",
     "benchmarks/test_light_flow.py",
     "benchmarks/test_paper.py",

@@ -29,8 +29,8 @@ def source_of(file, symbol):
 
 def test_the_way_is_complete():
     packages = [Path(file).parts[2] for file, _ in STEPS]
-    assert packages[:3] == ["cli", "cli", "api"]
-    assert {"direct", "asset", "octree", "core", "nerf"} <= set(packages)
+    assert packages[:3] == ["cli", "cli", "fit"]
+    assert {"fit", "asset", "octree", "core"} == set(packages[3:])
 
 
 @pytest.mark.parametrize(("file", "symbol"), STEPS)

@@ -59,7 +59,7 @@ class Placed:
         # Whether something else of the scene is in the box, and gets light there.
         self.holds = False
         # Of the model: what emits, and numbers of the shapes and of the media that scatter
-        # (`plugin_objects.shape_number` and `medium_number`).
+        # (`objects.shape_number` and `medium_number`).
         self.own_lights = OwnLights()
         self.own_shapes: list[int] = []
         self.own_media: list[int] = []

@@ -139,7 +139,7 @@ class CellSampler(DividedSampler):
     """As `DividedSampler`; next-event estimation takes the light of one cell, without a traversal.
 
     Multiple importance sampling is by direction and distance, so this sampler computes its weights
-    (`exitant_light`). A direction that the BSDF hardly ever samples is left to next-event
+    (`light_field`). A direction that the BSDF hardly ever samples is left to next-event
     estimation, so that few paths need the radiance of a whole ray.
     """
 

@@ -16,7 +16,7 @@ integrator that leaves the weights to the lamp gets the light of the sampled cel
 traversal. A path that samples its direction by the BSDF then gets the rest (`received`).
 
 Symbols
-    x   receiver, outside the lamp's box (inside it, see `inside_light`)
+    x   receiver, outside the lamp's box (inside it, see `light_inside`)
     C   cells        R   bins of direction a side
     I   radiant intensity of a cell             f   BSDF times cosine
     p   probability with which a cell is sampled
@@ -104,7 +104,7 @@ class ExitantLight:
         half_extents: NDArray[np.float64],
         gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> None:
-        # What receivers inside the box get, by whether the lamp's surfaces block (`inside_light`).
+        # What receivers inside the box get, by whether the lamp's surfaces block (`light_inside`).
         self.inside: dict[bool, Any] = {}
         count = len(field.cells)
         self._count, self._resolution = count, field.resolution

@@ -1,6 +1,6 @@
 """The exitant light field for receivers inside the lamp's box.
 
-As `exitant_light`, whose symbols hold, for receivers among the cells. What they get of a cell
+As `light_field`, whose symbols hold, for receivers among the cells. What they get of a cell
 depends on their distance (`asset.light_inside`), and where the lamp's own surfaces are in the
 scene, on what these leave free.
 
