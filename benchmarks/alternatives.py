@@ -74,9 +74,9 @@ def scenes_of(
 
 def with_flux_of(asset: Any, other: Any, width: int) -> Any:
     """The room with another asset, of the size and the flux of the first."""
-    from lumitree.render.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
-    from lumitree.render.placement import Placement
-    from lumitree.render.scene import PlacedLuminaire, place_luminaires
+    from lumitree.rendering.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 
     gain = flux_in_room(asset).sum() / flux_in_room(other).sum()
     lamp = Placement(other, at=LAMP_CENTRE, size=LAMP_SIZE, gain=float(gain))
@@ -88,9 +88,9 @@ def thin_glass_room(source: LuminaireSource, width: int) -> Any:
     import mitsuba as mi
 
     from lumitree.lamp.luminaire import open_scene_file
-    from lumitree.render.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
-    from lumitree.render.placement import Placement
-    from lumitree.render.scene import PlacedLuminaire
+    from lumitree.rendering.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire
 
     place = PlacedLuminaire(Placement(source, at=LAMP_CENTRE, size=LAMP_SIZE)).scene_from_world
     file = open_scene_file(source)
@@ -172,7 +172,7 @@ def _job(name: str, scene: Any, images: list[Any], options: argparse.Namespace) 
 def _image(scene: Any, samples: int, seed: int) -> Any:
     import mitsuba as mi
 
-    from lumitree.render.passes import Budget, render_passes
+    from lumitree.rendering.passes import Budget, render_passes
 
     integrator = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
     return render_passes(scene, integrator, Budget(samples), seed=seed).radiance
@@ -186,9 +186,9 @@ def _denoised(scene: Any, samples: float, seed: int) -> Any:
     """A denoised image [H, W, 3]; filtering takes 0.3 s, which do not count."""
     import mitsuba as mi
 
-    from lumitree.render.denoise import denoise
-    from lumitree.render.layers import Layers
-    from lumitree.render.passes import Budget, render_passes
+    from lumitree.rendering.denoise import denoise
+    from lumitree.rendering.layers import Layers
+    from lumitree.rendering.passes import Budget, render_passes
 
     integrator: Any = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
     integrator.layers = Layers(scene)

@@ -120,7 +120,7 @@ def image(scene: Any, samples: int, path_depth: int, seed: int) -> Any:
     """An independent image [H, W, 3]."""
     import mitsuba as mi
 
-    from lumitree.render.passes import Budget, render_passes
+    from lumitree.rendering.passes import Budget, render_passes
 
     integrator = mi.load_dict({"type": "lumitree_path", "max_depth": path_depth})
     return render_passes(scene, integrator, Budget(samples), seed=seed).radiance

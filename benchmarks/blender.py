@@ -109,9 +109,9 @@ def render_room(asset: Any, program: str, options: argparse.Namespace) -> dict[s
 def _render_mitsuba(asset: Any, width: int, height: int, samples: int, seeds: list[int]) -> Images:
     import mitsuba as mi
 
-    from lumitree.render.passes import Budget, render_passes
-    from lumitree.render.placement import Placement
-    from lumitree.render.scene import PlacedLuminaire, place_luminaires
+    from lumitree.rendering.passes import Budget, render_passes
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 
     lamp = PlacedLuminaire(Placement(asset, at=LAMP_CENTRE))
     scene = place_luminaires(mitsuba_room(width, height), [lamp], appearance="model")

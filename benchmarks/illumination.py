@@ -88,7 +88,7 @@ def render(
     """CPU seconds of a pass, and relative variance of a sample in the pixels of the mask."""
     import mitsuba as mi
 
-    from lumitree.render.passes import Budget, render_passes
+    from lumitree.rendering.passes import Budget, render_passes
 
     passes: dict[str, list[Any]] = {name: [] for name in scenes}
 

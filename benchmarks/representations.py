@@ -183,7 +183,7 @@ def _see(made: Any, views: Any, seed: int) -> tuple[dict[str, float], Job] | Non
     import mitsuba as mi
 
     from lumitree.measure.view_errors import compare_views
-    from lumitree.render.asset_views import image_of
+    from lumitree.rendering.asset_views import image_of
 
     manifest = views.manifest
     corner = float(np.linalg.norm(manifest.local_frame.half_extents))

@@ -34,8 +34,8 @@ POINT_SAMPLES = 1 << 17
 
 def scenes(pair: Pair, width: int) -> dict:
     """The room with the lamp in it, by kind of sampling."""
-    from lumitree.render.placement import Placement
-    from lumitree.render.scene import (
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import (
         PlacedLuminaire,
         load_scene,
         place_luminaires,
@@ -52,7 +52,7 @@ def measure_paths(by_kind: dict, path_depth: int, options: argparse.Namespace) -
     """Variance and time of a sample a pixel, by kind of sampling."""
     import mitsuba as mi
 
-    from lumitree.render.passes import Budget, render_passes
+    from lumitree.rendering.passes import Budget, render_passes
 
     integrator = {"type": "lumitree_path", "max_depth": path_depth, "rr_depth": 1000}
     beside = ~shows_lamp(by_kind["emission"])[..., 0]
@@ -89,10 +89,10 @@ def measure_points(asset: str, options: argparse.Namespace) -> dict:
     """Without a room: variance ratios from points about the lamp, and time a sample."""
     import drjit as dr
 
-    from lumitree.render.asset_cache import open_field
-    from lumitree.render.sampling.emitter_sampling import EmitterSampler
-    from lumitree.render.sampling.light_leaves import light_leaves
-    from lumitree.render.sampling.proxy import make_proxy
+    from lumitree.rendering.asset_cache import open_field
+    from lumitree.rendering.sampling.emitter_sampling import EmitterSampler
+    from lumitree.rendering.sampling.light_leaves import light_leaves
+    from lumitree.rendering.sampling.proxy import make_proxy
 
     field = open_field(asset)
     half = field.asset.frame.half_extents

@@ -149,7 +149,7 @@ def _look_job(asset: Any, pixels: tuple[NDArray[np.float32], NDArray[np.float32]
 
     from lumitree.core.device import on_device
     from lumitree.octree.field import shared_field
-    from lumitree.render.sampling.divided_sampling import look
+    from lumitree.rendering.sampling.divided_sampling import look
 
     field = shared_field(asset)
     origins, directions = on_device(mi.Point3f, pixels[0]), on_device(mi.Vector3f, pixels[1])

@@ -74,7 +74,7 @@ def _no_scenes_of_other_modules():
 def mi():
     """Mitsuba with the CPU variant and the plugins registered."""
     from lumitree.core.backend import load_mitsuba
-    from lumitree.render.plugins.register import register
+    from lumitree.rendering.plugins.register import register
 
     mitsuba = load_mitsuba("llvm_ad_rgb")
     register()

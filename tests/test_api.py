@@ -20,8 +20,8 @@ from lumitree.core.work_folder import WorkFolder
 from lumitree.fit import bake_network as network
 from lumitree.fit.network.config import PRESETS
 from lumitree.fit.octree.config import QUALITIES
-from lumitree.render.asset_cache import open_field
-from lumitree.render.reference import integrate_ray
+from lumitree.rendering.asset_cache import open_field
+from lumitree.rendering.reference import integrate_ray
 from support import tiny_bakes
 from support.exitant_fields import assert_equal_fields
 from support.fields import random_asset

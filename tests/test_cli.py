@@ -506,7 +506,7 @@ def test_interrupted_capture_continues():
 
 
 def test_unexpected_errors_are_one_line(capsys, monkeypatch):
-    monkeypatch.setattr("lumitree.render.asset_cache.read_asset", lambda path: 1 / 0)
+    monkeypatch.setattr("lumitree.rendering.asset_cache.read_asset", lambda path: 1 / 0)
     assert main(["info", "lamp.lumitree"]) == 1
     err = capsys.readouterr().err
     assert "unexpected ZeroDivisionError" in err

@@ -18,8 +18,8 @@ from lumitree.formats.rays import Rays
 from lumitree.formats.tm25 import write_tm25
 from lumitree.formats.type_c import Grid, IntensityDistribution
 from lumitree.lamp.source import LuminaireSource, source_kind
-from lumitree.render.asset_cache import open_asset
-from lumitree.render.asset_flux import asset_lumens, asset_watts
+from lumitree.rendering.asset_cache import open_asset
+from lumitree.rendering.asset_flux import asset_lumens, asset_watts
 from support.lamps import AREA, scene, sphere
 from support.tiny_bakes import set_qualities
 from support.walls import irradiance
@@ -124,7 +124,7 @@ def test_files_light_rooms(folder, bakes):
 
 
 def test_placements_of_one_file_bake_once(folder, bakes):
-    from lumitree.render.scene import PlacedLuminaire
+    from lumitree.rendering.scene import PlacedLuminaire
 
     lamps = [f'[lamps.{i}]\nasset = "a.ies"\nat = [{i}, 2, 0]\nlumens = 300' for i in range(20)]
     (folder / "lamps.toml").write_text("\n".join(lamps))
@@ -146,7 +146,7 @@ def test_a_wall_gets_the_intensity_of_the_file(mi, folder, how):
 
 
 def test_a_placed_file_has_the_flux_and_the_colour_that_are_asked_for():
-    from lumitree.render.scene import PlacedLuminaire
+    from lumitree.rendering.scene import PlacedLuminaire
 
     placement = lumitree.Placement("a.ies", size=0.4, lumens=800, temperature=2700)
     assert placement.is_baked

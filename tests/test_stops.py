@@ -162,7 +162,7 @@ ROOM = (
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_while_mitsuba_makes_a_plugin_ends_the_command(monkeypatch, capfd, number):
     """Mitsuba turns it into RuntimeError."""
-    from lumitree.render.plugins import shape as proxy_shape
+    from lumitree.rendering.plugins import shape as proxy_shape
 
     make = proxy_shape._proxy
 

@@ -128,8 +128,8 @@ class BakedAsset:
     def __init__(self, asset: Any, num_bytes: int) -> None:
         from lumitree.measure.irradiance import asset_rays
         from lumitree.octree.field import shared_field
-        from lumitree.render.sampling.divided_sampling import emitter_sampler
-        from lumitree.render.sampling.proxy import BoxProxy
+        from lumitree.rendering.sampling.divided_sampling import emitter_sampler
+        from lumitree.rendering.sampling.proxy import BoxProxy
 
         self._proxy = BoxProxy(asset.frame.half_extents)
         self._sampler = emitter_sampler(asset, shared_field(asset), self._proxy)

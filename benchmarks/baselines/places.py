@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
-from lumitree.render.sampling.proxy import safe_inverse, slab
+from lumitree.rendering.sampling.proxy import safe_inverse, slab
 
 
 class Places(Protocol):

@@ -19,7 +19,7 @@ from benchmarks.baselines.traced_rays import TracedRays
 from lumitree.core.device import on_device
 from lumitree.core.harmonics import basis, basis_array, num_coefficients
 from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
-from lumitree.render.sampling.proxy import cone_pdf, sample_cone
+from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
 
 
 class Representation(Protocol):

@@ -18,9 +18,9 @@ def placed(what: Any, width: int, **options: Any) -> Any:
         width: of the image, pixels.
         options: of `place_luminaires`.
     """
-    from lumitree.render.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
-    from lumitree.render.placement import Placement
-    from lumitree.render.scene import PlacedLuminaire, place_luminaires
+    from lumitree.rendering.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 
     lamp = Placement(what, at=LAMP_CENTRE, size=LAMP_SIZE)
     return place_luminaires(demo_room(width), [PlacedLuminaire(lamp)], **options)
@@ -28,8 +28,8 @@ def placed(what: Any, width: int, **options: Any) -> Any:
 
 def flux_in_room(asset: Any) -> NDArray[np.float64]:
     """Flux [3] of an asset's exitant light field where `placed` puts it."""
-    from lumitree.render.asset_flux import exitant_watts
-    from lumitree.render.demo_room import LAMP_SIZE
+    from lumitree.rendering.asset_flux import exitant_watts
+    from lumitree.rendering.demo_room import LAMP_SIZE
 
     scale = LAMP_SIZE / (2 * float(asset.frame.half_extents.max()))
     return exitant_watts(asset.exitant) * asset.gain * scale**2
@@ -42,7 +42,7 @@ def sphere_room(asset: Any, width: int) -> Any:
     """
     import mitsuba as mi
 
-    from lumitree.render.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
+    from lumitree.rendering.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
 
     half = asset.frame.half_extents
     radius = float(half.prod() ** (1 / 3)) * LAMP_SIZE / (2 * float(half.max()))
@@ -68,8 +68,8 @@ def shows_diffuse(asset: Any, width: int) -> NDArray[np.bool_]:
     import mitsuba as mi
 
     from lumitree.core.device import on_device
-    from lumitree.render.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
-    from lumitree.render.sampling.proxy import safe_inverse, slab
+    from lumitree.rendering.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
+    from lumitree.rendering.sampling.proxy import safe_inverse, slab
 
     room = demo_room(width)
     sensor = room.sensors()[0]

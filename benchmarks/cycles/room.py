@@ -96,7 +96,7 @@ def mitsuba_room(width: int, height: int) -> Any:
     """The room (mi.Scene)."""
     import mitsuba as mi
 
-    from lumitree.render.plugins.objects import load_ordered
+    from lumitree.rendering.plugins.objects import load_ordered
 
     scene: dict[str, Any] = {"type": "scene"}
     for name, wall in WALLS.items():

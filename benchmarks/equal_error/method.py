@@ -14,7 +14,7 @@ from benchmarks.equal_error.pairs import Pair
 from lumitree.core.backend import load_mitsuba
 
 if TYPE_CHECKING:
-    from lumitree.render.sampling.emitter_sampling import Sampling
+    from lumitree.rendering.sampling.emitter_sampling import Sampling
 
 # What a picture of the baked lamp depends on, besides its asset and the room.
 _SOURCES = ("rendering", "octree", "asset", "core")
@@ -41,10 +41,10 @@ class Method:
         from lumitree.lamp.luminaire import load_luminaire
         from lumitree.lamp.scene_file import SceneFile
         from lumitree.octree.field import Thresholds
-        from lumitree.render.passes import Budget, render_passes
-        from lumitree.render.placement import Placement
-        from lumitree.render.plugins.placed import shows_model
-        from lumitree.render.scene import (
+        from lumitree.rendering.passes import Budget, render_passes
+        from lumitree.rendering.placement import Placement
+        from lumitree.rendering.plugins.placed import shows_model
+        from lumitree.rendering.scene import (
             PlacedLuminaire,
             load_scene,
             place_luminaires,

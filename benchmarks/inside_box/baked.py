@@ -10,9 +10,9 @@ from benchmarks.inside_box.patches import NORMALS, Floats, Rectangle
 from lumitree.asset.asset import Asset
 from lumitree.core.photometry import LUMA
 from lumitree.measure.illuminance import received_irradiance
-from lumitree.render.placement import Placement
-from lumitree.render.plugins.placed import Appearance
-from lumitree.render.scene import PlacedLuminaire, place_luminaires
+from lumitree.rendering.placement import Placement
+from lumitree.rendering.plugins.placed import Appearance
+from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 
 # Receivers of an estimate, at least, and samples of each.
 _RECEIVERS, _SAMPLES = 1 << 12, 128

@@ -159,8 +159,8 @@ def _shows_rough(scene: Any) -> Any:
 
 def _scene(path: Path, lamp: Any) -> tuple[Any, Any]:
     """Scene with a lamp in it, and its integrator."""
-    from lumitree.render.placement import Placement
-    from lumitree.render.scene import (
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import (
         appearance_for,
         load_scene,
         open_placements,
@@ -174,6 +174,6 @@ def _scene(path: Path, lamp: Any) -> tuple[Any, Any]:
 
 def _image(scene: Any, integrator: Any, samples: int, seed: int) -> Any:
     """An independent image [H, W, 3]."""
-    from lumitree.render.passes import Budget, render_passes
+    from lumitree.rendering.passes import Budget, render_passes
 
     return render_passes(scene, integrator, Budget(samples), seed=seed, name="desk").radiance

@@ -50,7 +50,7 @@ def cells(scale: Scale) -> list[Cell]:
 def measure_overview(work: Work, lamp: str) -> Measured:
     """A view, the network's, its octree's, and the octree in a room."""
     from lumitree.fit.network.trained_field import load_field
-    from lumitree.render.asset_views import baked_view
+    from lumitree.rendering.asset_views import baked_view
 
     config = work.scale.network
     run, asset = work.run(lamp, config), load(work.network_asset(lamp, config).path)
@@ -77,7 +77,7 @@ def _room(asset: Asset, scale: Scale) -> NDArray[np.uint8]:
     import mitsuba as mi
 
     from benchmarks.common.demo_lamps import placed
-    from lumitree.render.passes import Budget, render_passes
+    from lumitree.rendering.passes import Budget, render_passes
 
     width, samples = scale.figure
     scene = placed(asset, width, appearance="model")

@@ -48,11 +48,11 @@ if TYPE_CHECKING:
     from lumitree.output.export import ExportResult, export
     from lumitree.output.preview import AssetPreviewResult, Flux, MissedFlux, PreviewResult, preview
     from lumitree.output.viewer.view import ViewResult, view
-    from lumitree.render.asset_cache import load
-    from lumitree.render.placement import Placement
-    from lumitree.render.placement_file import read_placements
-    from lumitree.render.plugins.register import register, shape
-    from lumitree.render.render import MixResult, RenderResult, mix, render
+    from lumitree.rendering.asset_cache import load
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.placement_file import read_placements
+    from lumitree.rendering.plugins.register import register, shape
+    from lumitree.rendering.render import MixResult, RenderResult, mix, render
 
 
 # Where each public name is defined; imported on first use, so that `lumitree --help` answers at
@@ -76,11 +76,11 @@ _HOMES = {
     "NearFieldLimit": "measure.photometry.near_field",
     "PhotometricFigures": "measure.photometry.figures",
     "PhotometryResult": "measure.photometry.photometry",
-    "Placement": "render.placement",
+    "Placement": "rendering.placement",
     "PreviewResult": "output.preview",
     "Progress": "core.progress",
-    "MixResult": "render.render",
-    "RenderResult": "render.render",
+    "MixResult": "rendering.render",
+    "RenderResult": "rendering.render",
     "Result": "core.results",
     "SceneShape": "lamp.scene_shapes",
     "TrainResult": "fit.bake_network",
@@ -93,18 +93,18 @@ _HOMES = {
     "evaluate": "measure.evaluate",
     "export": "output.export",
     "extract": "fit.bake_network",
-    "load": "render.asset_cache",
+    "load": "rendering.asset_cache",
     "load_luminaire": "lamp.loading",
     "merge": "fit.merge",
     "photometry": "measure.photometry.photometry",
     "preview": "output.preview",
-    "read_placements": "render.placement_file",
+    "read_placements": "rendering.placement_file",
     "refine": "fit.bake",
-    "register": "render.plugins.register",
-    "mix": "render.render",
-    "render": "render.render",
+    "register": "rendering.plugins.register",
+    "mix": "rendering.render",
+    "render": "rendering.render",
     "save": "asset.file",
-    "shape": "render.plugins.register",
+    "shape": "rendering.plugins.register",
     "show_progress": "core.progress",
     "train": "fit.bake_network",
     "view": "output.viewer.view",

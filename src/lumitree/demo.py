@@ -64,9 +64,9 @@ def _render_room(output: Path, asset: str, watch: Stopwatch) -> dict[str, Any]:
     load_mitsuba()
     from lumitree.measure.metrics import rel_mse
     from lumitree.output.strip import write_strip
-    from lumitree.render.demo_room import demo_room, lamp
-    from lumitree.render.passes import Budget, render_passes
-    from lumitree.render.scene import (
+    from lumitree.rendering.demo_room import demo_room, lamp
+    from lumitree.rendering.passes import Budget, render_passes
+    from lumitree.rendering.scene import (
         PlacedLuminaire,
         appearance_for,
         default_integrator,

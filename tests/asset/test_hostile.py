@@ -21,7 +21,7 @@ from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import MAX_LABEL
 from lumitree.core.transmittance import LAWS
 from lumitree.errors import LumitreeError
-from lumitree.render.reference import leaf_boxes
+from lumitree.rendering.reference import leaf_boxes
 from support.exitant_fields import assert_equal_fields, random_exitant
 from support.fields import random_asset
 

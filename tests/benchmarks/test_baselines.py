@@ -149,7 +149,7 @@ def test_lines_show_what_directions_bring(mi, rays, fit, place):
     """Irradiance by directions of their own, and by uniform ones towards the box's corners."""
     import drjit as dr
 
-    from lumitree.render.sampling.proxy import cone_pdf, sample_cone
+    from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
 
     made, count, radius = fit(rays), 1 << 20, float(np.linalg.norm(HALF))
     x, normal = mi.Point3f(place), -dr.normalize(mi.Vector3f(place))

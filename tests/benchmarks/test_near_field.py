@@ -52,7 +52,7 @@ def camera_irradiance(mi, luminaire, rectangle):
     """[2, P²] irradiance by camera paths, and its standard error."""
     import drjit as dr
 
-    from lumitree.render.plugins.register import register
+    from lumitree.rendering.plugins.register import register
 
     register()
     frame, count = luminaire.frame, rectangle.patches**2

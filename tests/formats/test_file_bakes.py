@@ -23,7 +23,7 @@ from lumitree.formats.opening import Opening
 from lumitree.formats.rays import Rays
 from lumitree.formats.tm25 import write_tm25
 from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of, z_up
-from lumitree.render.asset_flux import asset_lumens, asset_watts
+from lumitree.rendering.asset_flux import asset_lumens, asset_watts
 from lumitree.trace.light_field_config import ExitantConfig
 from support.walls import irradiance
 
@@ -170,8 +170,8 @@ def test_importance_sampling_of_a_narrow_spot_has_little_noise(mi, tmp_path):
     path = tmp_path / "spot.lumitree"
     lumitree.save(asset, path)
     from lumitree.octree.field import shared_field
-    from lumitree.render.sampling.divided_sampling import emitter_sampler
-    from lumitree.render.sampling.proxy import BoxProxy
+    from lumitree.rendering.sampling.divided_sampling import emitter_sampler
+    from lumitree.rendering.sampling.proxy import BoxProxy
 
     emitter = emitter_sampler(asset, shared_field(asset), BoxProxy(asset.frame.half_extents))
     sampler = mi.load_dict({"type": "independent"})

@@ -50,7 +50,7 @@ def test_a_lamp_emits_it_and_says_so_once(mi, tmp_path):
 
 
 def test_emitters_of_rooms_are_converted(mi, tmp_path):
-    from lumitree.render.scene import load_scene
+    from lumitree.rendering.scene import load_scene
 
     point, ball = BODY.format("point", "intensity", 2000), sphere("ball", 1)
     (tmp_path / "room.xml").write_text(

@@ -129,7 +129,7 @@ def test_the_command_line_says_it_in_a_line(folder, capsys):
     ],
 )  # fmt: skip
 def test_rooms_are_tried_too(folder, element, expected):
-    from lumitree.render.scene import load_scene
+    from lumitree.rendering.scene import load_scene
 
     (folder / "room.xml").write_text(scene('<sensor type="perspective"/>', BULB, element))
     with pytest.raises(LumitreeError, match=expected):
@@ -143,7 +143,7 @@ def test_attributes_that_a_shape_lacks_are_named(folder):
 
 
 def test_an_area_emitter_of_a_room_that_emits_nothing_is_said(folder):
-    from lumitree.render.scene import load_scene
+    from lumitree.rendering.scene import load_scene
 
     room = scene('<integrator type="path"/><sensor type="perspective"/>', BULB, AREA)
     (folder / "room.xml").write_text(room)

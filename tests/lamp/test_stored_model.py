@@ -98,8 +98,8 @@ def seen(mi, loaded):
 
 def placed_shapes(mi, model, scale=1.0):
     """The shapes of a model in a scene, where it is `scale` times as large."""
-    from lumitree.render.model_shapes import model_shapes
-    from lumitree.render.sampling.own_lights import OwnLights
+    from lumitree.rendering.model_shapes import model_shapes
+    from lumitree.rendering.sampling.own_lights import OwnLights
 
     lamp = SimpleNamespace(
         gain=mi.Color3f(1),

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from lumitree.errors import LumitreeError
 from lumitree.octree.build import build_children, child_cells, morton
-from lumitree.render.reference import integrate_ray, leaf_boxes
+from lumitree.rendering.reference import integrate_ray, leaf_boxes
 from support.fields import make_asset, random_asset
 
 

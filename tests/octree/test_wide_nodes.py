@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lumitree.octree.wide_nodes import EMPTY, LEAF, wide_levels, wide_nodes
-from lumitree.render.reference import leaf_boxes
+from lumitree.rendering.reference import leaf_boxes
 from support.fields import random_asset
 
 

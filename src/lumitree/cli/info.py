@@ -14,7 +14,7 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> Any:
     import lumitree
-    from lumitree.render.asset_info import asset_report
+    from lumitree.rendering.asset_info import asset_report
 
     return {"asset": asset_report(lumitree.load(args.asset), args.asset)}
 

@@ -25,7 +25,7 @@ from lumitree.fit.work import open_work_folder
 from lumitree.lamp.loading import dataset_folder, warn_of_faults
 from lumitree.lamp.source import source_kind
 from lumitree.measure.irradiance_check import IRRADIANCE_PATHS, check_irradiance_paths
-from lumitree.render.asset_cache import open_asset
+from lumitree.rendering.asset_cache import open_asset
 from lumitree.trace.light_field_config import EXITANT_QUALITIES
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ def bake(
     from lumitree.fit.light_field.bake import bake_exitant
     from lumitree.fit.octree import bake as direct
     from lumitree.lamp.luminaire import load_luminaire
-    from lumitree.render.asset_flux import with_light
+    from lumitree.rendering.asset_flux import with_light
 
     exitant, model = None, None
 

@@ -11,7 +11,7 @@ from lumitree.core.stopwatch import Stopwatch
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.fit.result import BakeResult
 from lumitree.fit.work import save_asset
-from lumitree.render.asset_cache import open_asset
+from lumitree.rendering.asset_cache import open_asset
 
 
 @explained

@@ -51,7 +51,7 @@ def bake_photometric_file(
             "only the part exitant can be made; leave the others out"
         )
     from lumitree.formats.light_field import bake_file
-    from lumitree.render.asset_flux import with_light
+    from lumitree.rendering.asset_flux import with_light
 
     watch = Stopwatch()
     with (

@@ -9,7 +9,7 @@ from lumitree.asset.asset import Asset
 from lumitree.core.dataset import MANIFEST
 from lumitree.errors import LumitreeError, shown
 
-# Files that are assets once they are opened, see `render.asset_cache.open_asset`.
+# Files that are assets once they are opened, see `rendering.asset_cache.open_asset`.
 ASSET_SUFFIX = ".lumitree"
 RAY_SUFFIXES = (".ray", ".tm25ray")
 PHOTOMETRIC_SUFFIXES = (".ies", ".ldt", *RAY_SUFFIXES)

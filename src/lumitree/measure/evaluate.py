@@ -24,8 +24,8 @@ from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained
 from lumitree.lamp.loading import dataset_folder, warn_of_faults
 from lumitree.measure.irradiance_check import check_irradiance_paths
-from lumitree.render.asset_cache import asset_of, open_asset
-from lumitree.render.asset_info import asset_json
+from lumitree.rendering.asset_cache import asset_of, open_asset
+from lumitree.rendering.asset_info import asset_json
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import LuminaireLike

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.device import on_device
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.render.plugins.deferred_emitter import DeferredEmitter
-from lumitree.render.plugins.integrator import entered_light, eval_target, sample_target
-from lumitree.render.plugins.proxies import NONE, DividedScene
-from lumitree.render.plugins.shadow_rays import has_null_surfaces, visible
+from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
+from lumitree.rendering.plugins.integrator import entered_light, eval_target, sample_target
+from lumitree.rendering.plugins.proxies import NONE, DividedScene
+from lumitree.rendering.plugins.shadow_rays import has_null_surfaces, visible
 from lumitree.trace.spawning import scene_extent
 
 # Samples that are computed at once.

@@ -26,8 +26,8 @@ from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.octree.field import shared_field
-from lumitree.render.sampling.divided_sampling import emitter_sampler
-from lumitree.render.sampling.proxy import BoxProxy
+from lumitree.rendering.sampling.divided_sampling import emitter_sampler
+from lumitree.rendering.sampling.proxy import BoxProxy
 from lumitree.trace.light_paths import trace_light
 from lumitree.trace.tracing import PATH_DEPTH, check_finite
 

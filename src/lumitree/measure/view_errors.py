@@ -28,7 +28,7 @@ from lumitree.measure.metrics import (
     view_metrics,
 )
 from lumitree.output.sheet import MAX_ROWS, SheetRow
-from lumitree.render.asset_views import baked_view
+from lumitree.rendering.asset_views import baked_view
 
 Predict = Callable[[Frame], tuple[NDArray[np.floating], NDArray[np.floating]]]
 

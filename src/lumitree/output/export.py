@@ -15,7 +15,7 @@ from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained, shown
-from lumitree.render.asset_cache import open_asset
+from lumitree.rendering.asset_cache import open_asset
 
 _ENDINGS = (".py", ".blend", ".vdb")
 # By measurement, see docs/decisions/blender.md.

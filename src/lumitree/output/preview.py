@@ -17,7 +17,7 @@ from lumitree.core.results import ImageResult
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.errors import LumitreeError, explained
 from lumitree.lamp.loading import warn_of_faults
-from lumitree.render.asset_cache import asset_of
+from lumitree.rendering.asset_cache import asset_of
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import LuminaireLike
@@ -245,7 +245,7 @@ def _preview_asset(
     """As `preview`, of an asset."""
     from lumitree.core.photometry import luminance
     from lumitree.output.preview_sheet import draw_preview, take_asset_preview
-    from lumitree.render.asset_flux import asset_watts
+    from lumitree.rendering.asset_flux import asset_watts
 
     watch = Stopwatch()
     with watch.stage("views"):

@@ -15,7 +15,7 @@ from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.output.tiles import DARK, Layout, TileSheet, grey
-from lumitree.render.asset_images import shown_images
+from lumitree.rendering.asset_images import shown_images
 from lumitree.trace.cameras import Camera, ViewImages
 
 # Direction from the luminaire to the camera, and the direction that is upwards in the image, in the

@@ -119,7 +119,7 @@ def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
 @pytest.mark.parametrize("parts", [("exitant", "field", "model"), ("field",)])
 def test_a_bake_gets_the_flux_and_the_colour_that_are_asked_for(parts, capsys):
     """All parts are those of a bake without them, but for the gain, which later calls keep."""
-    from lumitree.render.asset_flux import asset_watts
+    from lumitree.rendering.asset_flux import asset_watts
 
     plain = lumitree.bake("lamp.xml", parts=parts)
     light = {"lumens": 800.0, "temperature": 2700.0}
@@ -361,7 +361,7 @@ def test_info_of_an_exitant_light_field_needs_no_llvm(tmp_path, monkeypatch, cap
     def refused():
         raise LumitreeError("no libLLVM")
 
-    monkeypatch.setattr("lumitree.render.asset_info.load_mitsuba", refused)
+    monkeypatch.setattr("lumitree.rendering.asset_info.load_mitsuba", refused)
     assert main(["info", str(tmp_path / "lamp.lumitree")]) == 0
     assert "lumens" in capsys.readouterr().out
     lumitree.save(lamp, tmp_path / "field.lumitree")

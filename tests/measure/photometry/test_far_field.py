@@ -25,7 +25,7 @@ from lumitree.measure.photometry.far_field import (
 from lumitree.measure.photometry.far_field_figures import evaluated
 from lumitree.measure.photometry.figures import Estimate, plane_curve, width_at
 from lumitree.measure.photometry.near_field import DISTANCES, NearFieldTest
-from lumitree.render.asset_flux import asset_lumens
+from lumitree.rendering.asset_flux import asset_lumens
 from lumitree.trace.flux import flux_along_lines
 from support.exitant_fields import random_exitant
 from support.fields import uniform_asset

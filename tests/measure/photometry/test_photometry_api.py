@@ -17,7 +17,7 @@ from lumitree.errors import LumitreeError
 from lumitree.formats.ies import read_ies
 from lumitree.formats.ldt import read_ldt
 from lumitree.formats.tm25 import read_tm25
-from lumitree.render.asset_flux import asset_lumens
+from lumitree.rendering.asset_flux import asset_lumens
 from support.exitant_fields import random_exitant
 from support.lamps import AREA, scene, sphere
 

@@ -44,7 +44,7 @@ def data_of(path, monkeypatch):
 
 def test_the_script_holds_the_flux_in_watts_and_metres_with_z_up(tmp_path, monkeypatch):
     from lumitree.output.blender.lights import cluster_lights, table_angles
-    from lumitree.render.asset_flux import asset_watts
+    from lumitree.rendering.asset_flux import asset_watts
 
     asset = lamp()
     result = lumitree.export(asset, tmp_path / "lamp.py", lights=6)
@@ -252,7 +252,7 @@ def test_glass_absorbs_as_the_medium_in_it(tmp_path, mi, scale):
 def test_a_volume_has_the_values_of_the_leaves():
     """Voxels of leaves do not overlap; at their centres are the leaf's density and emission."""
     from lumitree.output.blender.volume import volume_arrays
-    from lumitree.render.reference import leaf_boxes
+    from lumitree.rendering.reference import leaf_boxes
 
     asset = dataclasses.replace(random_asset(3, tree_depth=4, l_max=2), frame=FRAME, gain=GAIN)
     arrays = volume_arrays(asset, np.eye(3))
@@ -316,9 +316,9 @@ def test_cycles_illuminates_the_room_as_mitsuba_does(mi, tmp_path, gain):
         region_masks,
         render_cycles,
     )
-    from lumitree.render.passes import Budget, render_passes
-    from lumitree.render.placement import Placement
-    from lumitree.render.scene import PlacedLuminaire, place_luminaires
+    from lumitree.rendering.passes import Budget, render_passes
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 
     half, width, height = 0.02, 64, 48
     asset = exitant_asset(

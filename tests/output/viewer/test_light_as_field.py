@@ -54,7 +54,7 @@ def rays_of_images(half_extents, count, towards):
 @pytest.mark.parametrize("half_extents", [(1, 0.6, 0.8), (0.7, 1e-3, 1)])
 @pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (0.5, 2.0, 1.0)])
 def test_radiance_is_that_of_the_exitant_light_field(mi, half_extents, gain):
-    from lumitree.render.sampling.light_field import exitant_light
+    from lumitree.rendering.sampling.light_field import exitant_light
 
     asset = spot_asset(half_extents, gain=gain)
     origin, direction = rays_of_images(half_extents, 4000, SPOT)

@@ -14,7 +14,7 @@ from lumitree.core.photometry import luminance
 from lumitree.octree.wide_nodes import LEAF
 from lumitree.output.viewer.packing import PackedAsset, pack_asset, unpack_asset
 from lumitree.output.viewer.page import make_page, notebook_frame
-from lumitree.render.reference import leaf_boxes
+from lumitree.rendering.reference import leaf_boxes
 from support.exitant_fields import random_exitant
 from support.fields import make_asset, random_asset
 from support.model_assets import small_model

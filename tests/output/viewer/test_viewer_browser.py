@@ -67,7 +67,7 @@ def test_image_of_an_exitant_light_field(mi, tmp_path):
     found = evaluate(page, f"await lumitree.image({json.dumps(view | size)})", tmp_path / "profile")
     pixels = floats(found["radiance"]).reshape(40, 60, 4)
     direction = camera_rays(**view, **size).reshape(-1, 3)
-    from lumitree.render.sampling.light_field import exitant_light
+    from lumitree.rendering.sampling.light_field import exitant_light
 
     origin = on_device(mi.Point3f, np.tile(view["eye"], (len(direction), 1)))
     rays = origin, origin, on_device(mi.Vector3f, direction), mi.Float(0)

@@ -106,8 +106,8 @@ class LampFiles:
     ) -> LampRecord:
         """Write the thumbnail and the record of an asset that has been written."""
         from lumitree.core.directions import pose_towards
-        from lumitree.render.asset_flux import asset_lumens
-        from lumitree.render.asset_images import shown_images
+        from lumitree.rendering.asset_flux import asset_lumens
+        from lumitree.rendering.asset_images import shown_images
 
         described = image_settings("bake", lamp=asset.luminaire, settings=json.loads(settings))
         pose = pose_towards(_FROM, (0, 1, 0), 4.0)

@@ -24,8 +24,8 @@ from lumitree.formats.type_c import Grid, y_up
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.measure.photometry.near_field import NearFieldTest
 from lumitree.octree.field import shared_field
-from lumitree.render.sampling.divided_sampling import emitter_sampler
-from lumitree.render.sampling.proxy import BoxProxy
+from lumitree.rendering.sampling.divided_sampling import emitter_sampler
+from lumitree.rendering.sampling.proxy import BoxProxy
 from lumitree.trace.light_paths import emitted_flux, trace_light
 from lumitree.trace.tracing import PATH_DEPTH, check_finite
 

@@ -27,7 +27,7 @@ from lumitree.lamp.source import (
 )
 from lumitree.measure.photometry.figures import PhotometricFigures
 from lumitree.measure.photometry.near_field import NearFieldLimit
-from lumitree.render.asset_cache import asset_of
+from lumitree.rendering.asset_cache import asset_of
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import LuminaireLike

@@ -10,7 +10,7 @@ from lumitree.asset.asset import Asset
 from lumitree.core.frames import similarity
 from lumitree.core.harmonics import basis_array
 from lumitree.errors import LumitreeError
-from lumitree.render.reference import leaf_boxes
+from lumitree.rendering.reference import leaf_boxes
 
 # Directions of the mean over the sphere, and leaves whose values are in memory at a time.
 _DIRECTIONS, _CHUNK = 256, 4096

@@ -8,7 +8,7 @@ from lumitree.core.files import FilePath, check_writable, write_bytes
 from lumitree.core.results import Result
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.errors import explained
-from lumitree.render.asset_cache import open_asset
+from lumitree.rendering.asset_cache import open_asset
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)

@@ -1,0 +1,86 @@
+"""An asset as images show it, alone: its model, its field, or else its exitant light field."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.core.progress import progress
+from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.rendering.asset_views import baked_image
+from lumitree.rendering.passes import Budget, render_passes
+from lumitree.rendering.plugins.register import shape
+from lumitree.trace.tracing import PATH_DEPTH
+
+# Equal settings give equal images: there is no option for the seed.
+_ROOT_SEED = 0
+# Distance from a camera to the nearest surface that it sees, local units.
+_NEAR = 1e-3
+
+Images = tuple[NDArray[np.float32], NDArray[np.float32]]
+
+
+def shown_images(
+    asset: Asset,
+    poses: Sequence[NDArray[np.float64]],
+    half_width: float,
+    resolution: int,
+    samples_per_pixel: int,
+) -> list[Images]:
+    """Orthographic images of an asset.
+
+    Args:
+        poses: [4, 4] `local_from_camera` of cameras, which look along their -z.
+        half_width: half the side of the images, local units.
+        resolution: pixels per side.
+        samples_per_pixel: paths per pixel, of a model. The others have 16 rays without noise.
+
+    Returns:
+        For each pose radiance [H, W, 3], W/(m² sr), and opacity [H, W]: of a model the share of the
+        camera rays that hit a surface, else the straight-through opacity.
+    """
+    name = f"preview {asset.luminaire}"
+    if asset.model is not None:
+        camera = _ModelCamera(asset, half_width, resolution)
+        return [
+            camera.take(pose, samples_per_pixel, index, name) for index, pose in enumerate(poses)
+        ]
+    images = []
+    with progress(name, len(poses)) as advance:
+        for pose in poses:
+            images.append(baked_image(asset, pose, half_width, resolution))
+            advance(1)
+    return images
+
+
+class _ModelCamera:
+    """A camera before the model of an asset; the scene is loaded once."""
+
+    def __init__(self, asset: Asset, half_width: float, resolution: int) -> None:
+        self._half_width = half_width
+        film: dict[str, Any] = {"type": "hdrfilm", "width": resolution, "height": resolution}
+        film |= {"pixel_format": "rgba", "rfilter": {"type": "box"}}
+        lamp = shape(asset, asset.frame.local_from_world, appearance="model")
+        sensor = {"type": "orthographic", "film": film, "near_clip": _NEAR}
+        self._scene = mi.load_dict({"type": "scene", "sensor": sensor, "lamp": lamp})
+        self._integrator = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
+
+    def take(
+        self, pose: NDArray[np.float64], samples_per_pixel: int, index: int, name: str
+    ) -> Images:
+        """Radiance and opacity of the view with this index."""
+        # Mitsuba's cameras look along +z, with x to the left.
+        axes = np.diag([-self._half_width, self._half_width, -1, 1])
+        parameters = mi.traverse(self._scene.sensors()[0])
+        parameters["to_world"] = mi.Transform4f(pose @ axes)
+        parameters.update()
+        # A root seed has 31 bits.
+        seed = SeedStream(Purpose.PREVIEW, index).seed(_ROOT_SEED) >> 1
+        budget = Budget(samples_per_pixel)
+        channels = render_passes(
+            self._scene, self._integrator, budget, seed=seed, name=name
+        ).channels
+        return channels[..., :3], channels[..., 3]

@@ -1,0 +1,84 @@
+"""Views of a baked luminaire, with the pixel filter of the captured ones."""
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.core.dataset import Frame, Manifest
+from lumitree.octree.field import shared_field
+from lumitree.rendering.sampling.divided_sampling import look
+
+# Rays per pixel and side: 4 x 4 rays, stratified, with the box filter that capture uses.
+RAYS_A_SIDE = 4
+
+
+def baked_view(
+    asset: Asset, manifest: Manifest, frame: Frame
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Radiance [H, W, 3] and opacity [H, W] of a baked luminaire in one view of a dataset."""
+    return baked_image(asset, frame.pose, manifest.half_width, manifest.resolution)
+
+
+def baked_image(
+    asset: Asset, local_from_camera: NDArray[np.float64], half_width: float, resolution: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Orthographic image of a baked luminaire: its field, or its exitant light field without one.
+
+    Args:
+        local_from_camera: [4, 4] pose of the camera, which looks along its -z.
+        half_width: half the side of the image, local units.
+        resolution: pixels per side.
+
+    Returns:
+        Radiance [H, W, 3], W/(m² sr), and opacity [H, W].
+    """
+    field = shared_field(asset)
+    return image_of(
+        lambda origin, towards: look(asset, field, origin, towards, True),
+        local_from_camera,
+        half_width,
+        resolution,
+    )
+
+
+def image_of(
+    seen: Callable[[Any, Any], tuple[Any, Any]],
+    local_from_camera: NDArray[np.float64],
+    half_width: float,
+    resolution: int,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Orthographic image by rays, as `baked_image`.
+
+    Args:
+        seen: radiance (mi.Color3f) and transmittance (mi.Float) of rays, by their origins on the
+            plane of the camera (mi.Point3f) and their unit directions (mi.Vector3f).
+    """
+    fine = resolution * RAYS_A_SIDE
+    index = dr.arange(mi.UInt32, fine * fine)
+    # Rays of one pixel have consecutive indices, so that a block sum averages them.
+    pixel, sub = index // RAYS_A_SIDE**2, index % RAYS_A_SIDE**2
+    column = (pixel % resolution) * RAYS_A_SIDE + sub % RAYS_A_SIDE
+    row = (pixel // resolution) * RAYS_A_SIDE + sub // RAYS_A_SIDE
+    step = 2 * half_width / fine
+    pose = mi.Transform4f(local_from_camera)
+    dr.make_opaque(pose)
+    origin = pose @ mi.Point3f(
+        (column + 0.5) * step - half_width,
+        half_width - (row + 0.5) * step,
+        0,
+    )
+    towards = -(pose @ mi.Vector3f(0, 0, 1))
+    radiance, through = seen(origin, towards)
+    # A block sum evaluates its argument. Without this, each channel would repeat the traversal.
+    dr.eval(radiance, through)
+    values = [dr.block_sum(value, RAYS_A_SIDE**2) for value in (*radiance, through)]
+    dr.eval(values)
+    image = np.stack([np.array(value, np.float32) for value in values], axis=-1)
+    image /= RAYS_A_SIDE**2
+    image = image.reshape(resolution, resolution, 4)
+    return image[..., :3], 1 - image[..., 3]

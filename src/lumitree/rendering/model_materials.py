@@ -1,0 +1,61 @@
+"""The materials of an asset's model as BSDFs of Mitsuba."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.textures import Json
+from lumitree.rendering.plugins.objects import load_ordered, make_object, make_properties
+
+
+class Materials:
+    """Makes BSDFs; equal textures are made once."""
+
+    def __init__(self, images: Sequence[NDArray[Any]]) -> None:
+        """Materials whose textures are of these images, see `AssetModel.images`."""
+        self._images = images
+        self._textures: dict[str, Any] = {}
+
+    def bsdf(self, material: Json) -> Any:
+        """The mi.BSDF of a material."""
+        values = {f"nested_{i}": self.bsdf(m) for i, m in enumerate(material.get("nested", []))}
+        for name in material.keys() - {"type", "nested"}:
+            values[name] = self._value(material[name])
+        return make_object(material["type"], values)
+
+    def _value(self, value: Any) -> Any:
+        if isinstance(value, list):
+            return mi.ScalarColor3d(value)
+        if isinstance(value, dict):
+            return self._texture(value)
+        # JSON writes 1.0 as 1, too; Mitsuba refuses an integer as an index of refraction.
+        return float(value) if type(value) is int else value
+
+    def radiance(self, radiance: Any) -> Any:
+        """The mi.Texture of what a shape emits."""
+        values = {"radiance": self._value(radiance)}
+        return make_properties("", values).get_emissive_texture("radiance")
+
+    def _texture(self, texture: Json) -> Any:
+        key = repr(sorted(texture.items()))
+        if key not in self._textures:
+            self._textures[key] = load_ordered(self._description(texture))
+        return self._textures[key]
+
+    def _description(self, texture: Json) -> dict[str, Any]:
+        if "attribute" in texture:
+            return {"type": "mesh_attribute", "name": texture["attribute"]}
+        image = self._images[texture["image"]]
+        bitmap = mi.Bitmap(np.ascontiguousarray(image))
+        bitmap.set_srgb_gamma(image.dtype == np.uint8 and not texture["raw"])
+        return {
+            "type": "bitmap",
+            "bitmap": bitmap,
+            "raw": texture["raw"],
+            "filter_type": texture["filter_type"],
+            "wrap_mode": texture["wrap_mode"],
+            "to_uv": mi.ScalarTransform4f(np.array(texture["to_uv"])),
+        }

@@ -1,0 +1,168 @@
+"""The shapes of an asset's model in a scene."""
+
+import weakref
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.materials import is_specular
+from lumitree.asset.model import AssetModel
+from lumitree.asset.model_media import MEDIA_SIDES, model_medium, scattering_sides
+from lumitree.asset.textures import VERTEX_COLOUR, Json
+from lumitree.core.device import on_device
+from lumitree.core.frames import similarity_scale
+from lumitree.rendering.model_materials import Materials
+from lumitree.rendering.plugins.model_plugins import model_emitter_class, model_glass_class
+from lumitree.rendering.plugins.objects import make_object, make_properties
+
+_SURFACES: "weakref.WeakKeyDictionary[AssetModel, dict[str, _Surfaces]]" = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def model_shapes(model: AssetModel, scene_from_world: NDArray[np.float64], lamp: Any) -> list[Any]:
+    """The shapes (mi.Shape) of a model.
+
+    Args:
+        model: what to place.
+        scene_from_world: [4, 4] similarity, from the frame of the luminaire's file to the scene.
+        lamp: emitter `lumitree` of the proxy, whose gain applies to the shapes too, and whose
+            `own_lights` are made.
+    """
+    builder = _Builder(model, scene_from_world, lamp)
+    shapes = [
+        builder.shape(shape, mesh) for shape, mesh in zip(model.shapes, model.meshes(), strict=True)
+    ]
+    builder.complete()
+    return shapes
+
+
+class _Builder:
+    def __init__(self, model: AssetModel, scene_from_world: NDArray[np.float64], lamp: Any) -> None:
+        self._model, self._lamp = model, lamp
+        # From the coordinates of the model, in double precision: they may be far from the file's.
+        self._matrix = scene_from_world @ model.file_from_model
+        self._lights, self._emitting = lamp.placed.own_lights, []
+        # By their descriptions: all shapes of one medium share an object.
+        self._media: dict[str, Any] = {}
+        self._scale = similarity_scale(scene_from_world, "to_world")
+        self._emitter = model_emitter_class()
+        self._surfaces = _surfaces(model)
+
+    def shape(self, shape: Json, mesh: "dict[str, NDArray[Any]] | None") -> Any:
+        """The mi.Shape of a shape of the model, with its BSDF and its emitter."""
+        material = self._model.materials[shape["material"]]
+        radiance = shape["radiance"]
+        bsdf = self._surfaces.bsdf(shape)
+        values = {"flip_normals": shape["flipped"], "bsdf": bsdf}
+        # A surface that shows other things needs no emitter: it neither emits nor scatters.
+        emitted = None if radiance is None else self._surfaces.emitted(radiance)
+        if radiance is not None or not is_specular(material):
+            values["emitter"] = self._emitter(
+                self._lamp, self._lights, emitted, len(self._emitting)
+            )
+        for side in MEDIA_SIDES:
+            if side in shape:
+                values[side] = self._medium(shape[side])
+        if mesh is None:
+            matrix = self._matrix @ np.array(shape["to_world"], np.float64)
+            values["to_world"] = mi.ScalarTransform4d(matrix)
+            made = make_object(shape["type"], values)
+        else:
+            made = self._mesh(mesh, make_properties("", values))
+        if emitted is not None:
+            self._emitting.append((made, emitted))
+        return made
+
+    def complete(self) -> None:
+        """Sample what emits by its flux."""
+        if self._emitting:
+            shapes, radiances = zip(*self._emitting, strict=True)
+            area = [float(np.ravel(shape.surface_area())[0]) for shape in shapes]
+            mean = [float(np.ravel(radiance.mean())[0]) for radiance in radiances]
+            # A shape of which nothing is known is not left out.
+            power = np.maximum(np.array(area) * np.array(mean), 1e-30)
+            self._lights.set_shapes(list(shapes), power)
+
+    def _mesh(self, mesh: dict[str, NDArray[Any]], props: Any) -> Any:
+        rotation = self._matrix[:3, :3] / self._scale
+        placed = {
+            "vertex_positions": mesh["vertices"] @ self._matrix[:3, :3].T + self._matrix[:3, 3],
+            "faces": mesh["faces"],
+        }
+        if len(mesh["normals"]):
+            placed["vertex_normals"] = mesh["normals"] @ rotation.T
+        if len(mesh["texcoords"]):
+            placed["vertex_texcoords"] = mesh["texcoords"]
+        shape = mi.Mesh(
+            "model",
+            len(mesh["vertices"]),
+            len(mesh["faces"]),
+            has_vertex_normals="vertex_normals" in placed,
+            has_vertex_texcoords="vertex_texcoords" in placed,
+            props=props,
+        )
+        if len(mesh["colours"]):
+            shape.add_attribute(VERTEX_COLOUR, 3, on_device(mi.Float, mesh["colours"]))
+        parameters = mi.traverse(shape)
+        for name, values in placed.items():
+            parameters[name] = on_device(mi.UInt32 if name == "faces" else mi.Float, values)
+        parameters.update()
+        return shape
+
+    def _medium(self, described: Any) -> Any:
+        """The mi.Medium of a side of a shape, whose coefficients are per unit of the file."""
+        key = repr(described)
+        if key not in self._media:
+            absorption, scattering, anisotropy = model_medium(described)
+            extinction = absorption + scattering
+            densest = max(*extinction, 1e-30)
+            albedo = scattering / np.maximum(extinction, 1e-30)
+            phase = make_object("hg", {"g": anisotropy})
+            self._media[key] = make_object(
+                "homogeneous",
+                {
+                    "sigma_t": mi.ScalarColor3d(extinction / densest),
+                    "albedo": mi.ScalarColor3d(albedo),
+                    "scale": densest / self._scale,
+                    "phase": phase if anisotropy else make_object("isotropic", {}),
+                },
+            )
+        return self._media[key]
+
+
+def _surfaces(model: AssetModel) -> "_Surfaces":
+    """BSDFs and textures of a model, made on first use."""
+    known, variant = _SURFACES.setdefault(model, {}), str(mi.variant())
+    if variant not in known:
+        # Mitsuba creates plugins in parallel: of two, the first is kept.
+        return known.setdefault(variant, _Surfaces(model))
+    return known[variant]
+
+
+class _Surfaces:
+    """The BSDFs and textures of a model, which its instances share."""
+
+    def __init__(self, model: AssetModel) -> None:
+        self._materials, self._glass = Materials(model.images), model_glass_class()
+        self._kinds = [material["type"] for material in model.materials]
+        self._bsdfs = [self._materials.bsdf(material) for material in model.materials]
+        self._crossed = list(map(self._top, self._kinds, self._bsdfs))
+
+    def bsdf(self, shape: Json) -> Any:
+        """The mi.BSDF of a shape of the model.
+
+        Glass around a medium that scatters is not crossed straight: light that scatters in it
+        leaves it by refraction, or is reflected back totally.
+        """
+        straight = not scattering_sides(shape)
+        return (self._crossed if straight else self._bsdfs)[shape["material"]]
+
+    def emitted(self, radiance: Any) -> Any:
+        """Radiance as a mi.Texture."""
+        return self._materials.radiance(radiance)
+
+    def _top(self, kind: str, bsdf: Any) -> Any:
+        return self._glass(bsdf) if kind == "dielectric" else bsdf

@@ -1,0 +1,48 @@
+"""The BSDF `lumitree_null`: what stands behind a baked luminaire stays visible."""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from lumitree.rendering.plugins.delta_bsdf import delta_bsdf_class
+from lumitree.rendering.plugins.placed import Placed
+
+
+def null_bsdf_class() -> type:
+    """Class of the BSDF for the variant of Mitsuba that is set, whose base class it extends.
+
+    Light crosses it unbent, with the transmittance of the whole line through the proxy on the face
+    where the line enters, and 1 on the face where it leaves. Where the model is shown, its own
+    shapes take away light, and the transmittance is 1.
+    """
+
+    class LumitreeNull(delta_bsdf_class()):
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.placed = Placed(props)
+            flags = mi.BSDFFlags.Null | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
+            self.m_flags = flags
+            self.m_components = [flags]
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            enabled = active & ctx.is_enabled(mi.BSDFFlags.Null, 0)
+            bs = dr.zeros(mi.BSDFSample3f)
+            bs.wo = -si.wi
+            bs.sampled_component = 0
+            bs.sampled_type = mi.UInt32(+mi.BSDFFlags.Null)
+            bs.eta = 1
+            bs.pdf = dr.select(enabled, 1, 0)
+            return bs, self.eval_null_transmission(si, enabled) & enabled
+
+        def eval_null_transmission(self, si, active=True):
+            if self.placed.shows_model:
+                return mi.Color3f(1) & active
+            line, entering = self.placed.entering_line(si, active)
+            through = self.placed.field.transmittance(*line, entering)
+            return mi.Color3f(dr.select(entering, through, 1))
+
+        def to_string(self) -> str:
+            return f"LumitreeNull[luminaire={self.placed.field.asset.luminaire}]"
+
+    return LumitreeNull

@@ -1,0 +1,213 @@
+"""The emitter `lumitree`: what a baked luminaire sends out."""
+
+import functools
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from lumitree.core.arguments import check_gain
+from lumitree.errors import LumitreeError
+from lumitree.rendering.plugins.objects import complete_later
+from lumitree.rendering.plugins.placed import Placed
+from lumitree.rendering.sampling.divided_sampling import emitter_sampler
+from lumitree.rendering.sampling.emitter_sampling import RayEnds
+from lumitree.rendering.sampling.proxy import BoxProxy
+
+
+def emitter_class() -> type:
+    """Class of the emitter for the variant of Mitsuba that is set, whose base class it extends.
+
+    It is a `DeferredEmitter`. Radiance is that of the whole line through the proxy, on the face
+    where the line enters; on the face where it leaves it is 0. `gain` [3] (R, G, B) multiplies all
+    radiance and flux, but neither transmittance nor densities. It is a differentiable parameter of
+    `mitsuba.traverse`.
+    """
+
+    class LumitreeEmitter(mi.Emitter):
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.placed = Placed(props)
+            # Its tables are made while the scene is loaded, and not by the first image.
+            complete_later(lambda: self.sampler)
+            self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
+            self.gain = mi.Color3f(*check_gain(props.get("gain", 1.0)))
+            self._accept_gain()
+
+        @functools.cached_property
+        def sampler(self):
+            placed = self.placed
+            blocked = placed.shows_model
+            return emitter_sampler(
+                placed.asset, placed.field, placed.proxy, placed.sampling, blocked=blocked
+            )
+
+        def light_inside(self):
+            placed = self.placed
+            if self.sampler.weighs and isinstance(placed.proxy, BoxProxy):
+                self.sampler.light_inside()
+                placed.holds = True
+
+        def traverse(self, callback):
+            super().traverse(callback)
+            callback.put("gain", self.gain, mi.ParamFlags.Differentiable)
+
+        def parameters_changed(self, keys=()):
+            if not keys or "gain" in keys:
+                self._set_gain()
+
+        def _set_gain(self):
+            """Accept the value of `gain`, or raise and return to the one before."""
+            try:
+                check_gain(dr.detach(self.gain))
+            except LumitreeError:
+                mi.set_property(self.gain, self._accepted)
+                raise
+            self._accept_gain()
+
+        def _accept_gain(self):
+            # Opaque: another gain does not compile new kernels.
+            dr.make_opaque(self.gain)
+            self._accepted = mi.Color3f(self.gain)
+
+        def eval(self, si, active=True):
+            line, entering = self.placed.entering_line(si, active)
+            return self.gain * self.sampler.look(*line, entering)[0] & entering
+
+        def eval_entered(self, ray, distance, it, sees, pdf, chance, ends, active):
+            placed = self.placed
+            x, (entry, direction) = placed.local_point(it.p), placed.entry(ray, distance)
+            if placed.shows_model:
+                # Images show the model's own shapes, which also hide what is behind them.
+                active &= ~sees
+            inside = mi.Bool(False)
+            if placed.holds:
+                inside = placed.in_box(x)
+            else:
+                # Next-event estimation alone finds the light for receivers in the margin.
+                active &= (chance <= 0) | ~placed.in_margin(x)
+            ends = RayEnds(*((end - distance) / placed.scale for end in ends))
+            radiance, through, density = self.sampler.eval_hit(
+                x, entry, direction, dr.norm(entry - x), sees, pdf, chance, active, inside, ends
+            )
+            if not placed.dims:
+                through = mi.Float(1)
+            return self.gain * radiance & active, dr.select(active, through, 1), density
+
+        def sample_own(self, sample, active):
+            return self.placed.own_lights.sample(sample, active)
+
+        def transmittance(self, ray, distance, active):
+            if not self.placed.dims:
+                return mi.Float(1)
+            placed = self.placed
+            line = placed.entry(ray, distance)
+            # Not of what is behind a receiver in the box.
+            span = (mi.Float(0), mi.Float(dr.inf)) if placed.holds else None
+            return dr.select(active, placed.shadow_field.transmittance(*line, active, span), 1)
+
+        def sample_direction(self, it, sample, active=True):
+            placed = self.placed
+            x = placed.local_point(it.p)
+            direction, target = self.sampler.sample(x, sample, active)
+            ds = self._towards(it, x, direction, active)
+            active &= ds.pdf > 0
+            # As a ray that is given by the scene has it, for `pdf_direction` to agree.
+            direction, near = placed.local_direction(ds.d), ds.dist / placed.scale
+            entry = x + near * direction
+            # `eval` does not know whether it is for an image, so both are what an image shows.
+            radiance, _, ds.pdf = self.sampler.eval(
+                x, entry, direction, near, active, target, sees=True
+            )
+            return ds, dr.select(ds.pdf > 0, self.gain * radiance / ds.pdf, 0)
+
+        def sample_target(self, it, sample, active):
+            placed = self.placed
+            x = placed.local_point(it.p)
+            inside = placed.in_box(x) if placed.holds else mi.Bool(False)
+            direction, target = self.sampler.sample_target(x, sample, active, inside)
+            ds = self._towards(it, x, direction, active)
+            ds.delta |= self.sampler.weighs
+            end, beyond = ds.dist, mi.Float(0)
+            if placed.shows_model:
+                # The lamp's own surfaces block up to the box, or within it up to the cell.
+                border = self.sampler.border(x, direction, target, active) * placed.scale
+                end = dr.maximum(dr.select(inside, 0, end), border)
+            if placed.holds:
+                ds.pdf = dr.select(active & inside, 1, ds.pdf)
+                point = target[0] * placed.scale
+                if placed.shows_model:
+                    beyond = dr.maximum(point - end, 0)
+                else:
+                    end = point
+            ds.p = dr.select(ds.dist == end, ds.p, dr.fma(end, ds.d, it.p))
+            ds.dist = end
+            return ds, target, beyond
+
+        def _towards(self, it, origin, direction, active):
+            """Sample of a direction (local frame), without its density, which is 1 where it is."""
+            placed = self.placed
+            distance, n, enters = placed.proxy.enter(origin, direction)
+            ds = dr.zeros(mi.DirectionSample3f)
+            ds.p = placed.scene_point(origin + distance * direction)
+            ds.n = placed.scene_direction(n)
+            # Not from the difference of both points: far from the origin they are rounded.
+            ds.d = placed.scene_direction(direction)
+            ds.dist = distance * placed.scale
+            ds.time = it.time
+            ds.pdf = dr.select(active & enters, 1, 0)
+            # Rays that start within the margin of a proxy do not meet it, so that next-event
+            # estimation alone finds the lamp.
+            ds.delta = placed.in_margin(origin)
+            ds.emitter = mi.EmitterPtr(self)
+            return ds
+
+        def eval_target(self, it, ds, target, pdf, chance, active):
+            x, direction = self.placed.local_line(it.p, ds.d)
+            near = ds.dist / self.placed.scale
+            if not self.placed.holds:
+                # A receiver in the margin is not found by rays of its BSDF.
+                pdf = dr.select(self.placed.in_margin(x), 0, pdf)
+            weight, density = self.sampler.eval_target(
+                x, direction, near, target, pdf, chance, active
+            )
+            return self.gain * weight, density
+
+        def pdf_direction(self, it, ds, active=True):
+            entry, direction = self.placed.local_line(ds.p, ds.d)
+            distance = dr.norm(ds.p - it.p) / self.placed.scale
+            facing = active & (dr.dot(ds.d, ds.n) < 0)
+            x = self.placed.local_point(it.p)
+            return self.sampler.pdf(x, entry, direction, distance, facing)
+
+        def eval_direction(self, it, ds, active=True):
+            line = self.placed.local_line(it.p, ds.d)
+            facing = active & (dr.dot(ds.d, ds.n) < 0)
+            radiance, _ = self.sampler.look(*line, facing)
+            return self.gain * radiance & facing
+
+        def sample_wavelengths(self, si, sample, active=True):
+            return mi.Color0f(), self.eval(si, active)
+
+        def sample_ray(self, time, sample1, sample2, sample3, active=True):
+            placed = self.placed
+            p, direction, flux = self.sampler.sample_ray(sample1, sample2, sample3, active)
+            # Where the line leaves the proxy is where its reverse enters.
+            distance, n, _ = placed.proxy.enter(p, -direction)
+            si = dr.zeros(mi.SurfaceInteraction3f)
+            si.p = placed.scene_point(p - distance * direction)
+            si.n = placed.scene_direction(n)
+            si.time = time
+            ray = si.spawn_ray(placed.scene_direction(direction))
+            return ray, self.gain * flux * dr.square(placed.scale) & active
+
+        def sample_position(self, time, sample, active=True):
+            raise LumitreeError(
+                "the 'lumitree' emitter cannot be connected to a camera; set hide_emitters of the "
+                "integrator that traces from the light"
+            )
+
+        def to_string(self) -> str:
+            return f"LumitreeEmitter[luminaire={self.placed.field.asset.luminaire}]"
+
+    return LumitreeEmitter

@@ -1,0 +1,146 @@
+"""The emitter and the glass of a lamp's own shapes, where an image shows the model of an asset.
+
+The light of a lamp reaches a scene from its exitant light field. Its shapes therefore emit only
+where a path shows the lamp, and next-event estimation of the scene does not sample them. Where a
+path shows a rough surface of the lamp, next-event estimation of the lamp's own light does. The
+integrator `lumitree_path` makes this distinction; others see shapes that do not emit.
+
+Glass bends the rays of an image. Elsewhere light crosses it straight, with its Fresnel
+transmittance: shadow rays, and rays after a vertex that is not specular. Else next-event estimation
+could not find a light behind glass, and paths would find its caustics by chance.
+"""
+
+from typing import Any, Protocol, runtime_checkable
+
+import drjit as dr
+import mitsuba as mi
+
+from lumitree.core.device import parameter
+from lumitree.rendering.plugins.delta_bsdf import delta_bsdf_class
+from lumitree.rendering.plugins.objects import make_properties
+from lumitree.rendering.sampling.own_lights import OwnLights
+
+# Marks a BSDF that light crosses straight, in `flags()`; Mitsuba does not use this bit.
+CROSSED_STRAIGHT = 1 << 24
+
+
+@runtime_checkable
+class ModelEmitter(Protocol):
+    """Emitter of a shape of a lamp's model, which `lumitree_path` evaluates."""
+
+    def eval_own(self, si: Any, it: Any, ds: Any, active: Any) -> tuple[Any, Any]:
+        """Radiance of a point that a ray has hit.
+
+        Args:
+            si: mi.SurfaceInteraction3f on the shape.
+            it: mi.Interaction3f, the vertex that the ray comes from.
+            ds: mi.DirectionSample3f of both.
+            active: mi.Bool mask.
+
+        Returns:
+            mi.Color3f, radiance towards `si.wi`; and mi.Float, density per steradian with which a
+            point of the shape that `sample_own` gave has this direction from `it`.
+        """
+        ...
+
+    def radiance_at(self, ds: Any, active: Any) -> Any:
+        """Radiance (mi.Color3f) of a point that was sampled on the shape, towards the vertex."""
+        ...
+
+
+def model_emitter_class() -> type:
+    """Class of the emitter for the variant of Mitsuba that is set, whose base class it extends."""
+
+    class LumitreeModelEmitter(mi.Emitter):
+        def __init__(
+            self, lamp: Any, lights: OwnLights, radiance: Any = None, index: int = 0
+        ) -> None:
+            """Emitter of one shape.
+
+            Args:
+                lamp: emitter `lumitree` of the proxy, which has the gain.
+                lights: what emits in the lamp.
+                radiance: mi.Texture, what the front of the surface emits; None for nothing.
+                index: of the shape in `lights`, if it emits.
+            """
+            super().__init__(make_properties("lumitree_model", {"sampling_weight": 0.0}))
+            self._lamp, self._lights = lamp, lights
+            self._gain = parameter(mi.Color3f, *lamp.placed.asset.gain)
+            self._radiance, self._index = radiance, index
+            self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
+
+        def eval_own(self, si, it, ds, active):
+            if self._radiance is None:
+                return mi.Color3f(0), mi.Float(0)
+            pdf = self.get_shape().pdf_direction(it, ds, active) * self._lights.chance(self._index)
+            return self._eval(si, active), pdf
+
+        def radiance_at(self, ds, active):
+            if self._radiance is None:
+                return mi.Color3f(0)
+            si = mi.SurfaceInteraction3f(ds, [])
+            si.wi = mi.Vector3f(0, 0, -dr.dot(ds.d, ds.n))
+            return self._eval(si, active)
+
+        def _eval(self, si, active):
+            front = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+            radiance = self._lamp.gain * self._gain * mi.Color3f(self._radiance.eval(si, front))
+            return dr.select(front, radiance, 0)
+
+        def eval(self, si, active=True):
+            return mi.Color3f(0)
+
+        def sample_direction(self, it, sample, active=True):
+            return dr.zeros(mi.DirectionSample3f), mi.Color3f(0)
+
+        def pdf_direction(self, it, ds, active=True):
+            return mi.Float(0)
+
+        def eval_direction(self, it, ds, active=True):
+            return mi.Color3f(0)
+
+        def sample_ray(self, time, sample1, sample2, sample3, active=True):
+            # `ptracer` compiles this for the emitters of every scene in the process.
+            return dr.zeros(mi.Ray3f), mi.Color3f(0)
+
+        def to_string(self) -> str:
+            return "LumitreeModelEmitter[]"
+
+    return LumitreeModelEmitter
+
+
+def model_glass_class() -> type:
+    """Class of the glass for the variant of Mitsuba that is set, whose base class it extends."""
+
+    class LumitreeModelGlass(delta_bsdf_class()):
+        def __init__(self, glass: Any) -> None:
+            """A smooth dielectric that light may also cross straight.
+
+            Args:
+                glass: mi.BSDF, whose second component is a specular transmission.
+            """
+            super().__init__(make_properties("lumitree_glass", {}))
+            self._glass = glass
+            self.m_components = list(glass.m_components)
+            # Null surfaces are asked for their transmittance in shadow rays.
+            self.m_flags = int(glass.m_flags) | int(mi.BSDFFlags.Null) | CROSSED_STRAIGHT
+            self._transmission = mi.BSDFContext()
+            self._transmission.component = 1
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            return self._glass.sample(ctx, si, sample1, sample2, active)
+
+        def eval_null_transmission(self, si, active=True):
+            # By the angle outside the glass on both sides: a ray that leaves a pane has the same
+            # angle outside as where it entered. Seen from inside it would be totally reflected.
+            outside = mi.SurfaceInteraction3f(si)
+            outside.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+            unused = mi.Float(0.5), mi.Point2f(0.5)
+            bs, weight = self._glass.sample(self._transmission, outside, *unused, active)
+            # Without the compression of radiance in a denser medium.
+            return mi.Color3f(weight * dr.square(bs.eta)) & active
+
+        def to_string(self) -> str:
+            return f"LumitreeModelGlass[{self._glass}]"
+
+    return LumitreeModelGlass

@@ -1,0 +1,144 @@
+"""Where a baked luminaire stands in a scene: what its emitter and its BSDF share."""
+
+from typing import Any, Literal, get_args
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.core.frames import similarity_scale
+from lumitree.errors import LumitreeError
+from lumitree.octree.field import Field, FieldData
+from lumitree.rendering.asset_cache import open_asset, open_field
+from lumitree.rendering.sampling.own_lights import OwnLights
+from lumitree.rendering.sampling.proxy import make_proxy
+
+Appearance = Literal["field", "model"]
+APPEARANCES: tuple[Appearance, ...] = get_args(Appearance)
+# A proxy around a model is larger than its box by this part of the box's longest half-side. Else
+# rays that pass the proxy would also pass surfaces that lie in its faces, as of a canopy.
+MODEL_MARGIN = 1e-3
+_OPTIONS = ("gain", "min_density", "max_opacity", "proxy", "sampling", "appearance", "to_world")
+
+
+def plugin_options(props: Any) -> dict[str, Any]:
+    """Arguments of `describe_proxy` from plugin properties.
+
+    Raises:
+        LumitreeError: there is no file name.
+    """
+    options = {name: props[name] for name in _OPTIONS if props.has_property(name)}
+    if "to_world" in options:
+        options["to_world"] = np.array(options["to_world"].matrix)
+    if not props.has_property("filename"):
+        raise LumitreeError(
+            "plugin 'lumitree' needs a 'filename': a .lumitree asset or a photometric file"
+        )
+    # Looked up relative to the scene file, as Mitsuba does.
+    return {"asset": str(mi.file_resolver().resolve(props["filename"])), **options}
+
+
+def shows_model(asset: FieldData, appearance: Appearance) -> bool:
+    """Whether images show the luminaire itself."""
+    return appearance == "model" and isinstance(asset, Asset) and asset.model is not None
+
+
+class Placed:
+    """What the emitter and the BSDF share: a field, its proxy and where they stand."""
+
+    def __init__(self, props: Any) -> None:
+        options = plugin_options(props)
+        thresholds = {n: options[n] for n in ("min_density", "max_opacity") if n in options}
+        self.asset = asset = open_asset(options["asset"])
+        self.field = open_field(asset, **thresholds)
+        self.proxy = make_proxy(options.get("proxy", "box"), asset.frame.half_extents)
+        self.sampling = options.get("sampling", "emission")
+        self.shows_model = shows_model(asset, options.get("appearance", "field"))
+        # Whether something else of the scene is in the box, and gets light there.
+        self.holds = False
+        # Of the model: what emits, and numbers of the shapes and of the media that scatter
+        # (`objects.shape_number` and `medium_number`).
+        self.own_lights = OwnLights()
+        self.own_shapes: list[int] = []
+        self.own_media: list[int] = []
+        scene_from_local = options.get("to_world", np.eye(4)) @ asset.frame.world_from_local
+        scale = similarity_scale(scene_from_local, "to_world")
+        self._scale, self._origin = scale, scene_from_local[:3, 3]
+        self._axes = scene_from_local[:3, :3] / scale
+        self.scale = mi.Float(scale)
+        self._centre = mi.Point3f(self._origin)
+        self._rotation = mi.Matrix3f(self._axes)
+        # Opaque: moving a luminaire does not compile new kernels.
+        dr.make_opaque(self.scale, self._centre, self._rotation)
+
+    def unit_proxy(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The transform that makes the proxy the cube of [-1, 1]³, or the unit sphere.
+
+        Returns:
+            [3, 3] and [3], M and c, which take a point p of the scene to M (p - c).
+        """
+        margin = MODEL_MARGIN if self.shows_model else 0.0
+        side = self._scale * (np.asarray(self.proxy.shape_scale) + margin)
+        return self._axes.T / side[:, None], self._origin
+
+    @property
+    def dims(self) -> bool:
+        """Whether its field takes away light of what is behind it."""
+        return not self.shows_model and self.asset.num_leaves > 0
+
+    @property
+    def shadow_field(self) -> Field:
+        """Field whose transmittance shadow rays get: of less detail beside an exitant part."""
+        return self.field if self.asset.exitant is None else self.field.coarse
+
+    def in_margin(self, point: Any) -> Any:
+        """Whether a point of the local frame is inside the proxy of a model."""
+        return self.in_box(point) if self.shows_model else mi.Bool(False)
+
+    def in_box(self, point: Any) -> Any:
+        """Whether a point of the local frame is inside the box, with the margin of a model."""
+        margin = MODEL_MARGIN if self.shows_model else 0.0
+        half = mi.Vector3f(*(self.asset.frame.half_extents + margin).tolist())
+        return dr.all(dr.abs(point) <= half)
+
+    @property
+    def scene_from_box(self) -> NDArray[np.float64]:
+        """Transform [4, 4] of [-1, 1]³ into the scene, as the box."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self._scale * self._axes * self.asset.frame.half_extents
+        matrix[:3, 3] = self._origin
+        return matrix
+
+    def entering_line(self, si: Any, active: Any) -> tuple[tuple[Any, Any], Any]:
+        """Local line of what looks at an interaction with the proxy, and where it enters there."""
+        line = self.local_line(si.p, -si.to_world(si.wi))
+        return line, active & (mi.Frame3f.cos_theta(si.wi) > 0)
+
+    def entry(self, ray: Any, distance: Any) -> tuple[Any, Any]:
+        """Where a ray of the scene enters the proxy, and its direction, as `local_line`."""
+        origin, direction = self.local_line(ray.o, ray.d)
+        return origin + distance / self.scale * direction, direction
+
+    def local_line(self, point: Any, direction: Any) -> tuple[Any, Any]:
+        """A point of a scene line and its unit direction of travel, in the local frame."""
+        return self.local_point(point), self.local_direction(direction)
+
+    def local_point(self, point: Any) -> Any:
+        """A scene point (mi.Point3f) in the local frame."""
+        # The centre first: the difference of two points near each other is exact, however far from
+        # the origin they are. A matrix with a translation adds rounded products that cancel.
+        return mi.Point3f(self._rotation.T @ (point - self._centre) / self.scale)
+
+    def local_direction(self, direction: Any) -> Any:
+        """A direction of the scene in the local frame, unit length."""
+        return dr.normalize(self._rotation.T @ direction)
+
+    def scene_point(self, point: Any) -> Any:
+        """A point of the local frame in the scene (mi.Point3f)."""
+        return self._centre + mi.Point3f(self.scale * (self._rotation @ point))
+
+    def scene_direction(self, direction: Any) -> Any:
+        """A direction of the local frame in the scene (mi.Vector3f), unit length."""
+        return mi.Vector3f(dr.normalize(self._rotation @ direction))

@@ -1,0 +1,324 @@
+"""Proxies of baked luminaires, which an integrator tests itself instead of tracing them.
+
+A null shape that every ray may meet costs more time than a lamp's light. Rays are traced in
+packets, and a packet takes as long as its longest ray: one ray that crosses a proxy is traced three
+times. So `DividedScene` divides a scene into its surfaces, which are traced, and its proxies, which
+are few and need no acceleration structure.
+"""
+
+import weakref
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from lumitree.core.device import on_device
+from lumitree.rendering.placement_checks import holds_objects, overlapping
+from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
+from lumitree.rendering.plugins.objects import make_object, shape_number
+from lumitree.rendering.plugins.placed import Placed
+from lumitree.rendering.sampling.proxy import SphereProxy, safe_inverse, slab
+
+# What stands for no emitter, and the bits of all.
+NONE = ALL = 0xFFFFFFFF
+# Numbers of a proxy on the device: a point, a matrix, whether it is a sphere, and whether it gives
+# light to what is in it.
+_NUMBERS = 14
+
+
+class Proxies:
+    """The proxies of the baked luminaires of a scene.
+
+    Args:
+        emitters: `mi.Scene.emitters()`; those that are no `DeferredEmitter` are left out.
+        traced: whether the proxies are traced as shapes, so that only rays that start in them are
+            found here.
+    """
+
+    def __init__(self, emitters: list[Any], *, traced: bool = False) -> None:
+        rows, indices, dims = [], [], False
+        for index, emitter in enumerate(emitters):
+            if isinstance(emitter, DeferredEmitter):
+                matrix, centre = emitter.placed.unit_proxy()
+                is_sphere = isinstance(emitter.placed.proxy, SphereProxy)
+                rows.append([*centre, *matrix.ravel(), is_sphere, emitter.placed.holds])
+                indices.append(index)
+                dims |= emitter.placed.dims
+        # Whether there are any, and whether any has a transmittance below 1.
+        self.exist, self.dim = bool(rows), dims and not traced
+        self._traced = traced
+        if rows:
+            # On the device: numbers of lamps do not compile new kernels.
+            self._count = dr.opaque(mi.UInt32, len(rows))
+            self._rows = on_device(mi.Float, np.array(rows))
+            self._indices = on_device(mi.UInt32, np.array(indices))
+
+    def first(
+        self, ray: Any, end: Any, active: Any, starts: Any = False, skipped: Any = 0
+    ) -> tuple[Any, Any]:
+        """As `next`, for the first proxy on a ray."""
+        return self.next(ray, mi.Float(-1), mi.UInt32(NONE), end, active, starts, skipped)
+
+    @dr.syntax
+    def next(
+        self,
+        ray: Any,
+        after: Any,
+        last: Any,
+        end: Any,
+        active: Any,
+        starts: Any = False,
+        skipped: Any = 0,
+    ) -> tuple[Any, Any]:
+        """The proxy that a ray enters next.
+
+        A proxy in which a ray starts is entered at the origin, if it gives light to what is in it,
+        or else if the ray is one of `starts`.
+
+        Args:
+            ray: mi.Ray3f.
+            after, last: what was returned for the proxy before.
+            end: mi.Float, distance at which the ray ends.
+            active: mi.Bool mask.
+            starts: mi.Bool.
+            skipped: mi.UInt32, `bit_of` the lamps whose proxies are not entered at the origin.
+
+        Returns:
+            mi.Float, distance from the origin of the ray; and mi.UInt32, index of the emitter in
+            the scene, `NONE` where there is no further proxy.
+        """
+        distance, found = mi.Float(end), dr.full(mi.UInt32, NONE, dr.width(end))
+        proxy = mi.UInt32(0)
+        while active & (proxy < self._count):
+            index = dr.gather(mi.UInt32, self._indices, proxy, active)
+            entry, enters = self._enter(proxy, ray, active, starts, skipped & bit_of(index))
+            # Proxies that are entered at the same distance come in the order of their emitters.
+            enters &= (entry > after) | ((entry == after) & (last != NONE) & (index > last))
+            enters &= entry < distance
+            distance[enters] = entry
+            found[enters] = index
+            proxy += 1
+        return distance, found
+
+    def _enter(
+        self, proxy: Any, ray: Any, active: Any, starts: Any, skipped: Any
+    ) -> tuple[Any, Any]:
+        """Distance at which a ray enters a proxy, and whether it does."""
+        first = proxy * _NUMBERS
+        values = [dr.gather(mi.Float, self._rows, first + i, active) for i in range(_NUMBERS)]
+        matrix, is_sphere = mi.Matrix3f(*values[3:12]), values[12] > 0
+        # In these coordinates the proxy is the cube of [-1, 1]³, or the unit sphere.
+        o, d = mi.Vector3f(matrix @ (ray.o - mi.Point3f(*values[:3]))), matrix @ ray.d
+        near, far = slab(-o, mi.Vector3f(1), safe_inverse(d))
+        inverse_square = dr.rcp(dr.squared_norm(d))
+        middle = -dr.dot(o, d) * inverse_square
+        off_axis = dr.squared_norm(o + middle * d)
+        sphere_entry = middle - dr.safe_sqrt((1 - off_axis) * inverse_square)
+        entry = dr.select(is_sphere, sphere_entry, dr.max(near))
+        crosses = dr.select(is_sphere, off_axis < 1, dr.max(near) <= dr.min(far))
+        outermost = dr.max(dr.abs(o))
+        begins = ~is_sphere & (outermost <= 1) & ((values[13] > 0) | starts) & (skipped == 0)
+        if self._traced:
+            return mi.Float(0), active & begins
+        return dr.select(begins, 0, entry), active & (begins | (crosses & (entry > 0)))
+
+
+class Divided(NamedTuple):
+    """A scene as `DividedScene` divides it.
+
+    Attributes:
+        surfaces: mi.Scene that rays are traced against.
+        proxies: those that it leaves out.
+        room: mi.Scene, the surfaces without those of lamps; None if no lamp needs it.
+        owners: whose surfaces are whose.
+    """
+
+    surfaces: Any
+    proxies: Proxies
+    room: Any
+    owners: "Owners"
+
+    def ends(self, ray: Any, distance: Any, lamp: Any, ahead: Any, active: Any) -> tuple[Any, Any]:
+        """Where a ray ends for a lamp whose proxy it enters, as `DeferredEmitter.eval_entered`.
+
+        Args:
+            ray: mi.Ray3f.
+            distance: mi.Float, where it ends for the integrator.
+            lamp: mi.UInt32, index of the emitter.
+            ahead: mi.UInt32, lamp that the surface at `distance` belongs to (`Owners.of`).
+            active: mi.Bool mask.
+        """
+        mine = ahead == lamp
+        other = mi.Float(dr.inf)
+        if self.room is not None:
+            # What else is in the box may be behind the lamp's own surface.
+            other = self.room.ray_intersect_preliminary(ray, False, active & mine).t
+        return dr.select(mine, distance, dr.inf), dr.select(mine, other, distance)
+
+
+class Owners:
+    """The lamps that shapes of a scene, and media that scatter, belong to.
+
+    Args:
+        lamps: emitters by their index in the scene.
+    """
+
+    def __init__(self, lamps: Mapping[int, DeferredEmitter]) -> None:
+        # By the number of a shape.
+        self.owner = {
+            number: index for index, lamp in lamps.items() for number in lamp.placed.own_shapes
+        }
+        owner_of_medium = {
+            number: index for index, lamp in lamps.items() for number in lamp.placed.own_media
+        }
+        cloudy = dict.fromkeys(owner_of_medium.values(), 1)
+        # Whether there are shapes, and media that scatter.
+        self.exist, self.scatter = bool(self.owner), bool(owner_of_medium)
+        self._lamps, self._lamps_of_media = _Numbers(self.owner), _Numbers(owner_of_medium)
+        self._cloudy = _Numbers(cloudy)
+
+    def of(self, shape: Any, active: Any) -> Any:
+        """Index (mi.UInt32) of the emitter whose lamp a mi.ShapePtr belongs to, or `NONE`."""
+        return self._lamps.look_up(dr.reinterpret_array(mi.UInt32, shape), active)
+
+    def of_medium(self, medium: Any, active: Any) -> Any:
+        """As `of`, for a mi.MediumPtr; `NONE` for a medium that only absorbs."""
+        return self._lamps_of_media.look_up(dr.reinterpret_array(mi.UInt32, medium), active)
+
+    def scatters(self, lamp: Any, active: Any) -> Any:
+        """Whether (mi.Bool) media of the lamp with an index (mi.UInt32) scatter."""
+        return self._cloudy.look_up(lamp, active) != NONE
+
+
+class _Numbers:
+    """Numbers by other numbers, on the device.
+
+    Args:
+        values: may be empty.
+    """
+
+    def __init__(self, values: Mapping[int, int]) -> None:
+        self._any = bool(values)
+        if self._any:
+            table = np.full(max(values) + 1, NONE, np.uint32)
+            table[list(values)] = list(values.values())
+            self._count = dr.opaque(mi.UInt32, len(table))
+            self._table = on_device(mi.UInt32, table)
+
+    def look_up(self, number: Any, active: Any) -> Any:
+        """The value (mi.UInt32) of a number, or `NONE`."""
+        if not self._any:
+            return mi.UInt32(NONE)
+        known = active & (number < self._count)
+        return dr.select(known, dr.gather(mi.UInt32, self._table, number, known), NONE)
+
+
+def bit_of(lamp: Any) -> Any:
+    """A bit (mi.UInt32) for the index of a lamp, which it shares with every 32nd lamp."""
+    return dr.select(lamp == NONE, 0, mi.UInt32(1) << (lamp & 31))
+
+
+class DividedScene:
+    """The surfaces of a scene as a scene of their own, and its proxies.
+
+    An integrator keeps one, so that the surfaces' acceleration structure is built once. It holds
+    the shapes of the scene but not the scene, which may hold the integrator.
+    """
+
+    def __init__(self) -> None:
+        self._shapes: list[Any] | None = None
+        self._geometry: list[list[Any]] = []
+        self._surfaces: Any = None
+        self._room: Any = None
+        # Lamps that were asked to light what is in their boxes.
+        self._asked: weakref.WeakSet[Placed] = weakref.WeakSet()
+
+    def of(self, scene: Any) -> Divided:
+        """What rays of a scene (mi.Scene) are traced against, and the proxies that it leaves out.
+
+        The scene itself, if it has no proxies or cannot be divided: under OptiX one kernel traces
+        one scene, and instances belong to the scene that they were loaded with. Then there is no
+        `room`, and what is in a box throws shadows only beyond the cell that light comes from, and
+        only for receivers in or near the box.
+        """
+        shapes, emitters = scene.shapes(), scene.emitters()
+        surfaces = [s for s in shapes if not isinstance(s.emitter(), DeferredEmitter)]
+        lamps = {i: each for i, each in enumerate(emitters) if isinstance(each, DeferredEmitter)}
+        owners = Owners(lamps)
+        on_gpu = dr.backend_v(mi.Float) == dr.JitBackend.CUDA
+        if not lamps:
+            return Divided(scene, Proxies([]), None, owners)
+        whole = on_gpu or any(map(is_instance, surfaces))
+        geometry = [_geometry(shape) for shape in surfaces]
+        same = surfaces == self._shapes and all(map(_same, geometry, self._geometry))
+        # Another scene may have the same surfaces and other lamps.
+        if not (same and all(lamp.placed in self._asked for lamp in lamps.values())):
+            others = [shape for shape in surfaces if shape_number(shape) not in owners.owner]
+            if not same and not whole:
+                self._surfaces = _scene_of(surfaces)
+                self._room = _scene_of(others) if owners.exist else None
+            self._shapes, self._geometry = surfaces, geometry
+            # Shadow rays that cross a traced proxy are dimmed by its field, even on the way to the
+            # lamp's own light.
+            lighting = [lamp for lamp in lamps.values() if not (whole and lamp.placed.dims)]
+            _light_insides(lighting, others)
+            self._asked = weakref.WeakSet(lamp.placed for lamp in lamps.values())
+        if whole:
+            return Divided(scene, Proxies(emitters, traced=True), None, owners)
+        holds = any(lamp.placed.holds for lamp in lamps.values())
+        return Divided(self._surfaces, Proxies(emitters), self._room if holds else None, owners)
+
+
+def _light_insides(lamps: list[DeferredEmitter], room: list[Any]) -> None:
+    """Let lamps light what is in their boxes: shapes of the room, and those of other lamps."""
+    boxes = np.array([lamp.placed.scene_from_box for lamp in lamps]).reshape(-1, 4, 4)
+    holds = holds_objects(room, boxes)
+    for pair in overlapping(boxes):
+        if any(lamps[i].placed.shows_model for i in pair):
+            holds[pair] = True
+    for index in np.flatnonzero(holds):
+        lamps[index].light_inside()
+
+
+def _scene_of(shapes: list[Any]) -> Any:
+    """A mi.Scene of shapes."""
+    described: dict[str, Any] = {f"shape_{i}": shape for i, shape in enumerate(shapes)}
+    emitters = [shape.emitter() for shape in shapes if shape.is_emitter()]
+    if emitters and not any(emitter.sampling_weight() for emitter in emitters):
+        # Mitsuba accepts no scene whose emitters are never sampled. Nothing is asked of it.
+        described["light"] = make_object("point", {})
+    # Not by `load_dict`, which would rename the shapes.
+    return make_object("scene", described)
+
+
+def is_instance(shape: Any) -> bool:
+    """Whether a shape repeats others, whose BSDFs it does not tell."""
+    return shape.class_name() == "Instance"
+
+
+def _geometry(shape: Any) -> list[Any]:
+    """The parameters of a shape itself, without those of its BSDF and its emitter."""
+    parameters = mi.traverse(shape)
+    values = (parameters[name] for name in parameters.properties if "." not in name)
+    # Mitsuba returns references to some values, which change with the shape.
+    return [type(value)(value) for value in values]
+
+
+def _same(first: list[Any], second: list[Any]) -> bool:
+    """Whether two lists of `_geometry` have the same numbers."""
+    return all(map(_equal, first, second))
+
+
+def _equal(first: Any, second: Any) -> bool:
+    # Arrays of equal index are one array, which is not changed as long as both refer to it.
+    if _indices(first) == _indices(second) != []:
+        return True
+    first, second = (getattr(each, "matrix", each) for each in (first, second))
+    return np.array_equal(np.array(first), np.array(second))
+
+
+def _indices(value: Any) -> list[int]:
+    """Indices of the arrays of a value, as `mitsuba.SceneParameters` compares them."""
+    return dr.detail.collect_indices(value)

@@ -1,0 +1,112 @@
+"""The Mitsuba plugins, and `lumitree.shape`, which makes use of them.
+
+Emitter `lumitree`, BSDF `lumitree_null`, shape `lumitree_proxy` and integrator `lumitree_path`. The
+first three take the same properties:
+
+    filename      the asset, or a photometric file or ray file
+    to_world      where the luminaire goes, relative to its own file's frame (default: there)
+    proxy         "box" (default) or "sphere"
+    min_density, max_opacity    see `lumitree.octree.field.Field`; exact by default
+    sampling      "emission" (default), or "uniform" over the proxy
+    gain          factor on the emitted light, a number or R, G, B; default 1. The BSDF ignores it
+    appearance    "field" (default), or "model": images show the luminaire itself, if the asset has
+                  it; for the integrator `lumitree_path` only
+
+`lumitree_proxy` is the proxy shape with the emitter and the BSDF attached: what a scene XML names.
+With the appearance "model" it is several shapes: the proxy and those of the luminaire.
+L_o = gain · L_e + T · L_i (Eq. 2): the emitter returns gain · L_e, the BSDF T. The gain is
+a differentiable parameter of `mitsuba.traverse`, `<name of the shape>.emitter.gain`.
+"""
+
+import importlib
+import os
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
+
+from lumitree.core.backend import load_mitsuba
+from lumitree.errors import LumitreeError
+
+if TYPE_CHECKING:
+    from lumitree.asset.asset import Asset
+    from lumitree.rendering.plugins.placed import Appearance
+    from lumitree.rendering.sampling.emitter_sampling import Sampling
+    from lumitree.rendering.sampling.proxy import ProxyKind
+
+_registered: set[str] = set()
+_TOO_MANY = (
+    "Mitsuba loads this scene in parallel, and creates more lamps with the appearance 'model' "
+    "within each other than Python's limit of recursion allows; load it with parallel=False"
+)
+
+
+def register() -> None:
+    """Register the plugins with the variant of Mitsuba that is set; harmless when repeated.
+
+    Raises:
+        LumitreeError: Mitsuba runs on an unusable libLLVM, or its variant is not RGB.
+    """
+    mi = load_mitsuba()
+    if mi.variant() in _registered:
+        return
+    # Their classes extend Mitsuba's, which a variant has to be set for.
+    emitter = importlib.import_module("lumitree.rendering.plugins.emitter").emitter_class()
+    bsdf = importlib.import_module("lumitree.rendering.plugins.bsdf").null_bsdf_class()
+    integrator = importlib.import_module("lumitree.rendering.plugins.integrator").integrator_class()
+    make = importlib.import_module("lumitree.rendering.plugins.shape").make_shapes
+    options = importlib.import_module("lumitree.rendering.plugins.placed").plugin_options
+    mi.register_emitter("lumitree", emitter)
+    mi.register_bsdf("lumitree_null", bsdf)
+    mi.register_integrator("lumitree_path", integrator)
+
+    def make_proxy(props: Any) -> Any:
+        try:
+            return make(props.id(), **options(props))
+        except (RecursionError, RuntimeError) as error:
+            # Mitsuba turns exceptions of the plugins within this one into a RuntimeError.
+            if not isinstance(error, RecursionError) and "RecursionError" not in str(error):
+                raise
+            raise LumitreeError(_TOO_MANY) from None
+
+    mi.register_shape("lumitree_proxy", make_proxy)
+    _registered.add(mi.variant())
+
+
+def shape(
+    asset: "Asset | str | os.PathLike[str]",
+    to_world: ArrayLike | Any | None = None,
+    proxy: "ProxyKind" = "box",
+    min_density: float = 0.0,
+    max_opacity: float = 1.0,
+    sampling: "Sampling" = "emission",
+    gain: ArrayLike | Any = 1.0,
+    appearance: "Appearance" = "field",
+) -> dict[str, Any]:
+    """A baked luminaire as a shape dictionary for `mitsuba.load_dict`.
+
+    Args:
+        asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file.
+        to_world: [4, 4] matrix or Mitsuba transform that moves the luminaire from its own
+            file's frame into the scene; rotation, translation and uniform scale. Default: stay.
+        proxy: "box" or "sphere", the surface that carries the field.
+        min_density: leaves below this density count as empty (the paper: 0.1).
+        max_opacity: rays end at this opacity (the paper: 0.9).
+        sampling: of directions: "emission", about in proportion to it, or "uniform" over the proxy.
+        gain: [3] factors on the R, G and B of the emitted light, or one number for all; 0 to 10⁶.
+        appearance: what images show. "field": the radiance field. "model": the luminaire itself,
+            if the asset has it; only for the integrator `lumitree_path`.
+
+    Returns:
+        The proxy shape with the emitter `lumitree` and the BSDF `lumitree_null` attached; and with
+        the shapes of the luminaire, if images show it.
+
+    Raises:
+        LumitreeError: the asset cannot be read; `to_world` shears or scales non-uniformly; or the
+            gain is out of range.
+    """
+    register()
+    from lumitree.rendering.plugins.shape import describe_proxy
+
+    return describe_proxy(
+        asset, to_world, proxy, min_density, max_opacity, sampling, gain, appearance
+    )

@@ -1,0 +1,132 @@
+"""The proxy of a baked luminaire as a shape dictionary, and its shapes in a scene."""
+
+import os
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lumitree.asset.asset import Asset
+from lumitree.core.arguments import check_choice, check_gain
+from lumitree.core.frames import similarity_scale
+from lumitree.lamp.media import media_of, scatters
+from lumitree.octree.field import Field
+from lumitree.rendering.asset_cache import file_name, open_asset, open_field
+from lumitree.rendering.model_shapes import model_shapes
+from lumitree.rendering.plugins.objects import (
+    load_ordered,
+    make_object,
+    make_properties,
+    medium_number,
+    shape_number,
+)
+from lumitree.rendering.plugins.placed import (
+    APPEARANCES,
+    MODEL_MARGIN,
+    Appearance,
+    Placed,
+    shows_model,
+)
+from lumitree.rendering.sampling.emitter_sampling import SAMPLING_KINDS, Sampling
+from lumitree.rendering.sampling.proxy import PROXY_KINDS, ProxyKind, make_proxy
+
+
+class _Shape(dict[str, Any]):
+    """A shape dictionary that keeps its field open, so that its plugins need not read it again."""
+
+    field: Field
+
+
+def describe_proxy(
+    asset: Asset | str | os.PathLike[str],
+    to_world: ArrayLike | Any | None = None,
+    proxy: ProxyKind = "box",
+    min_density: float = 0.0,
+    max_opacity: float = 1.0,
+    sampling: Sampling = "emission",
+    gain: ArrayLike | Any = 1.0,
+    appearance: Appearance = "field",
+) -> dict[str, Any]:
+    """What `lumitree.shape` returns, with its arguments."""
+    check_choice("proxy", proxy, PROXY_KINDS)
+    check_choice("sampling", sampling, SAMPLING_KINDS)
+    factors = check_gain(gain)
+    check_choice("appearance", appearance, APPEARANCES)
+    matrix = np.asarray(getattr(to_world, "matrix", np.eye(4) if to_world is None else to_world))
+    if matrix.shape == (4, 4, 1):
+        matrix = matrix[..., 0]
+    similarity_scale(matrix, "to_world")
+    opened = open_asset(asset)
+    field = open_field(opened, min_density, max_opacity)
+    # In double precision where the transform ends far from where it begins.
+    transform = mi.ScalarTransform4d if opened.frame.is_far else mi.ScalarTransform4f
+    options = {
+        "filename": file_name(asset),
+        "to_world": transform(matrix),
+        "proxy": proxy,
+        "min_density": min_density,
+        "max_opacity": max_opacity,
+        "sampling": sampling,
+        "appearance": appearance,
+    }
+    if shows_model(opened, appearance):
+        # One dictionary cannot describe several shapes; the plugin calls `make_shapes`.
+        description = _Shape(type="lumitree_proxy", gain=list(factors), **options)
+    else:
+        description = _proxy(opened, matrix, proxy, 0.0, list(factors), options)
+    description.field = field
+    return description
+
+
+def make_shapes(name: str, **options: Any) -> Any:
+    """The mi.Shape of a proxy; or the shapes of a model and its proxy, as one that holds them.
+
+    The ids of a model's shapes begin with `name`, which is that of its proxy.
+    """
+    description = describe_proxy(**options)
+    if description["type"] != "lumitree_proxy":
+        return load_ordered(description)
+    properties = {n: value for n, value in description.items() if n not in ("type", "gain")}
+    placed = Placed(make_properties("lumitree_proxy", properties))
+    matrix = np.array(properties["to_world"].matrix, np.float64).reshape(4, 4)
+    proxy = load_ordered(
+        _proxy(
+            placed.asset,
+            matrix,
+            properties["proxy"],
+            MODEL_MARGIN,
+            description["gain"],
+            properties,
+        )
+    )
+    # The plugin `merge` expands into the shapes that it is given.
+    assert placed.asset.model is not None
+    shapes = model_shapes(placed.asset.model, matrix, proxy.emitter())
+    own = proxy.emitter().placed
+    own.own_shapes += map(shape_number, shapes)
+    own.own_media += {medium_number(each) for each in media_of(shapes) if scatters(each)}
+    together = {f"model_{index}": shape for index, shape in enumerate(shapes)}
+    proxy.set_id(name)
+    for key, shape in together.items():
+        shape.set_id(f"{name}_{key}")
+    return make_object("merge", {"proxy": proxy, **together})
+
+
+def _proxy(
+    asset: Asset,
+    matrix: Any,
+    proxy: ProxyKind,
+    margin: float,
+    gain: list[float],
+    options: dict[str, Any],
+) -> _Shape:
+    """The surface, larger than the box by a margin, with emitter and BSDF attached."""
+    surface = make_proxy(proxy, asset.frame.half_extents)
+    scale = np.diag([*(np.asarray(surface.shape_scale) + margin), 1])
+    return _Shape(
+        **surface.shape,
+        to_world=mi.ScalarTransform4f(matrix @ asset.frame.world_from_local @ scale),
+        emitter={"type": "lumitree", "gain": gain, **options},
+        bsdf={"type": "lumitree_null", **options},
+    )

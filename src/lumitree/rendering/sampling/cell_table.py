@@ -1,0 +1,131 @@
+"""The table from which a cell is sampled, for receivers in each of the cells of a space.
+
+Each row is in proportion to the root mean square of the light that cells send to random receivers
+of its cell of receivers, a part of it to the flux of cells.
+
+Symbols
+    C   cells that emit
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.device import parameter
+from lumitree.rendering.sampling.alias_table import AliasTable
+from lumitree.rendering.sampling.light_cells import LightCells
+
+# Part of the samples of a cell that is by flux alone.
+_FLUX_FRACTION = 0.1
+# Receivers in each of their cells that a row is made from, and rows that are made at once.
+_POINTS_PER_CELL = 16
+_ROWS_AT_ONCE = 16
+# intensity(cell, offset, distance): radiant intensity (mi.Color3f) of a cell towards a receiver.
+Intensity = Callable[[Any, Any, Any], Any]
+
+
+class Receivers(Protocol):
+    """Cells of a space in which there are receivers."""
+
+    count: int
+
+    def point(self, cell: Any, sample: Any, shell_sample: Any) -> Any:
+        """Random point (mi.Point3f) of a cell, as `receiver_cells.ReceiverCells.point`."""
+        ...
+
+
+def cell_table(
+    receivers: Receivers,
+    cells: LightCells,
+    intensity: Intensity,
+    scale: Any,
+    flux: NDArray[np.float64],
+    softening: float = 0.0,
+) -> AliasTable:
+    """A table with a row for each cell of receivers, a multiple of 16, and a column for each cell.
+
+    Args:
+        receivers: cells of receivers.
+        cells: that emit.
+        intensity: of these cells.
+        scale: mi.Float, the largest intensity.
+        flux: [C] of the cells.
+        softening: distance that is added to that from a cell to a receiver, in square: for
+            receivers among the cells. Others, at all distances, count alike with 0.
+    """
+    maker = _Maker(receivers, cells, intensity, scale, flux, softening)
+    return AliasTable(maker.rows(), receivers.count, len(flux))
+
+
+class _Maker:
+    def __init__(
+        self,
+        receivers: Receivers,
+        cells: LightCells,
+        intensity: Intensity,
+        scale: Any,
+        flux: NDArray[np.float64],
+        softening: float,
+    ) -> None:
+        self._receivers, self._cells, self._intensity = receivers, cells, intensity
+        self._scale, self._shares = scale, flux / flux.sum()
+        self._soft, self._softening = softening > 0, parameter(mi.Float, softening**2)
+        # Number of cells, as a number on the device.
+        self._count, self._opaque_count = len(flux), parameter(mi.UInt32, len(flux))
+
+    def rows(self) -> Iterator[NDArray[np.float64]]:
+        """Share [.., C] of samples that each cell is to get, for some cells of receivers each."""
+        # All are begun before the first is waited for: each waiting costs time of the processor.
+        firsts = range(0, self._receivers.count, _ROWS_AT_ONCE)
+        for square in [self._square(first) for first in firsts]:
+            light = np.sqrt(np.array(square, np.float64).reshape(_ROWS_AT_ONCE, -1))
+            total = light.sum(axis=1, keepdims=True)
+            shares = np.where(total > 0, light / np.maximum(total, 1e-300), self._shares)
+            yield (1 - _FLUX_FRACTION) * shares + _FLUX_FRACTION * self._shares
+
+    def _square(self, first: int) -> Any:
+        """`_mean_square` for random receivers in `_ROWS_AT_ONCE` cells from `first`."""
+        points = _ROWS_AT_ONCE * _POINTS_PER_CELL
+        rng = mi.PCG32(points, initstate=dr.opaque(mi.UInt64, first))
+        row = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
+        sample = mi.Point2f(rng.next_float32(), rng.next_float32())
+        square = self._mean_square(self._receivers.point(row, sample, rng.next_float32()), first)
+        dr.eval(square)
+        return square
+
+    @dr.syntax
+    def _mean_square(self, points: Any, seed: int) -> Any:
+        """Mean square of the light that cells send to receivers, relative to `_scale`.
+
+        Args:
+            points: mi.Point3f, `_POINTS_PER_CELL` receivers for each of `_ROWS_AT_ONCE` rows.
+            seed: of the points in the cells.
+
+        Returns:
+            mi.Float, for all cells in each row.
+        """
+        index = dr.arange(mi.UInt32, _ROWS_AT_ONCE * self._count)
+        row, cell = index // self._opaque_count, index % self._opaque_count
+        lower = dr.gather(mi.Point3f, self._cells.corners, 2 * cell)
+        upper = dr.gather(mi.Point3f, self._cells.corners, 2 * cell + 1)
+        rng = mi.PCG32(dr.width(index), initstate=dr.opaque(mi.UInt64, seed))
+        done, total = mi.UInt32(0), mi.Float(0)
+        # In a loop, since the table is made of some ten million terms, which need not be stored.
+        while done < _POINTS_PER_CELL:
+            x = dr.gather(mi.Point3f, points, row * _POINTS_PER_CELL + done)
+            within = mi.Point3f(rng.next_float32(), rng.next_float32(), rng.next_float32())
+            offset = mi.Vector3f(x - dr.lerp(lower, upper, within))
+            square = dr.squared_norm(offset) + self._softening
+            # Not the mean over channels: its divisor would be a constant that depends on the width.
+            light = dr.sum(self._intensity(cell, offset, dr.sqrt(square)))
+            if not self._soft:
+                light *= dr.squared_norm(mi.Vector3f(x))
+            # Relative to the largest intensity: squares of others may be out of range.
+            light /= square * self._scale
+            total += dr.square(light)
+            done += 1
+        return total / _POINTS_PER_CELL

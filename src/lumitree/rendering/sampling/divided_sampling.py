@@ -1,0 +1,246 @@
+"""Emission of a lamp that is divided: receivers get the exitant light field, images show the field.
+
+docs/decisions/light-field.md states which paths get which.
+"""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from lumitree.asset.asset import Asset
+from lumitree.core.device import parameter
+from lumitree.octree.field import Field
+from lumitree.octree.traversal import Span
+from lumitree.rendering.sampling.emitter_sampling import (
+    INSIDE,
+    NEAR,
+    OUTSIDE,
+    DirectionSampler,
+    EmitterSampler,
+    RayEnds,
+    Sampling,
+    Target,
+)
+from lumitree.rendering.sampling.light_field import exitant_light
+from lumitree.rendering.sampling.light_inside import InsideLight, inside_light
+from lumitree.rendering.sampling.light_leaves import light_leaves
+from lumitree.rendering.sampling.proxy import Proxy, cone_pdf
+from lumitree.rendering.sampling.samples import scrambled
+
+# Where the BSDF's density is below this part of a uniform density over the lamp's bounding sphere,
+# next-event estimation alone finds the light. The sphere is enlarged by the second number, and
+# within it this is never so: there the distance to a sampled point may be small.
+_CUTOFF, _CUTOFF_RADIUS = 0.5, 1.25
+
+
+def emitter_sampler(
+    asset: Asset,
+    field: Field,
+    proxy: Proxy,
+    sampling: Sampling = "emission",
+    *,
+    blocked: bool = False,
+) -> DirectionSampler:
+    """Sampler of what an asset emits; arguments as for `EmitterSampler` and `lumitree.shape`.
+
+    With `blocked`, the lamp's own surfaces are in the scene, and block its light.
+    """
+    uniform = sampling == "uniform"
+    if asset.exitant is None:
+        return EmitterSampler(proxy, field, None if uniform else light_leaves(field))
+    if uniform:
+        return DividedSampler(asset, field, proxy)
+    return CellSampler(asset, field, blocked=blocked)
+
+
+def look(asset: Asset, field: Field, origin: Any, direction: Any, active: Any) -> tuple[Any, Any]:
+    """Radiance and transmittance of a lamp in an image, as `Field.emission`.
+
+    An asset whose field is empty shows its exitant light field, which hides nothing.
+    """
+    if asset.exitant is None or asset.num_leaves:
+        return field.emission(origin, direction, active)
+    light = exitant_light(asset)
+    radiance, _ = light.eval(origin, origin, direction, mi.Float(0), active)
+    return radiance, dr.full(mi.Float, 1, dr.width(radiance))
+
+
+class DividedSampler(DirectionSampler):
+    """As `EmitterSampler`, for a lamp with an exitant light field.
+
+    Directions are sampled by the exitant light field. It is also the radiance that receivers get.
+    Images show the field, as `look` has it.
+
+    Args:
+        asset: has an exitant light field.
+        field: of the asset.
+        uniform: proxy whose directions are sampled uniformly, instead of by emission.
+    """
+
+    def __init__(self, asset: Asset, field: Field, uniform: Proxy | None = None) -> None:
+        self._asset, self._field, self._uniform = asset, field, uniform
+        self._light = exitant_light(asset)
+
+    def sample(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
+        """As `EmitterSampler.sample`; no sampled point is ever hidden."""
+        if self._uniform is not None:
+            return self._uniform.sample(x, sample), mi.Float(-dr.inf)
+        return self._light.sample(x, sample, active), mi.Float(-dr.inf)
+
+    def look(self, entry: Any, direction: Any, active: Any) -> tuple[Any, Any]:
+        """As `EmitterSampler.look`."""
+        return look(self._asset, self._field, entry, direction, active)
+
+    def eval(
+        self,
+        x: Any,
+        entry: Any,
+        direction: Any,
+        distance: Any,
+        active: Any,
+        target: Any = -dr.inf,
+        sees: Any = False,
+    ) -> tuple[Any, Any, Any]:
+        """As `EmitterSampler.eval`."""
+        radiance, density = self._eval(x, entry, direction, distance, active)
+        radiance, through = self._divide(radiance, entry, direction, active, sees)
+        return radiance, through, density
+
+    def _divide(
+        self, radiance: Any, entry: Any, direction: Any, active: Any, sees: Any, span: Span = None
+    ) -> tuple[Any, Any]:
+        """What rays get of a radiance for receivers, and their transmittance."""
+        if not self._asset.num_leaves:
+            return radiance, mi.Float(1)
+        seen, through = self._field.emission(entry, direction, active & sees, span)
+        passed = self._field.coarse.transmittance(entry, direction, active & ~mi.Bool(sees), span)
+        return dr.select(sees, seen, radiance), dr.select(sees, through, passed)
+
+    def pdf(self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True) -> Any:
+        """As `EmitterSampler.pdf`."""
+        return self._eval(x, entry, direction, distance, active)[1]
+
+    def _eval(self, x, entry, direction, distance, active):
+        radiance, density = self._light.eval(x, entry, direction, distance, active)
+        if self._uniform is not None:
+            density = self._uniform.pdf(x, direction)
+        return radiance, dr.select(active, density, 0)
+
+    def sample_ray(
+        self, choice: Any, sample1: Any, sample2: Any, active: Any = True
+    ) -> tuple[Any, Any, Any]:
+        """As `EmitterSampler.sample_ray`."""
+        return self._light.sample_ray(choice, sample1, sample2, active)
+
+
+class CellSampler(DividedSampler):
+    """As `DividedSampler`; next-event estimation takes the light of one cell, without a traversal.
+
+    Multiple importance sampling is by direction and distance, so this sampler computes its weights
+    (`light_field`). A direction that the BSDF hardly ever samples is left to next-event
+    estimation, so that few paths need the radiance of a whole ray.
+    """
+
+    weighs = True
+
+    def __init__(self, asset: Asset, field: Field, *, blocked: bool = False) -> None:
+        super().__init__(asset, field)
+        self._blocked = blocked
+        self._inside: InsideLight | None = None
+        self._radius = parameter(mi.Float, float(np.linalg.norm(asset.frame.half_extents)))
+
+    def light_inside(self) -> None:
+        """Make what receivers inside the box need."""
+        self._inside = inside_light(self._asset, blocked=self._blocked)
+
+    def sample_target(self, x: Any, sample: Any, active: Any, inside: Any) -> tuple[Any, Target]:
+        """As `DirectionSampler.sample_target`."""
+        point, cell, chance = self._light.sample_point(x, sample, active & ~inside)
+        place = mi.UInt32(OUTSIDE)
+        if self._blocked:
+            # Other bits of the same sample, which the point does not depend on.
+            near = scrambled(mi.Point2f(sample.y, sample.x)).z < self._light.blocked_part(x)
+            place = dr.select(near, mi.UInt32(NEAR), place)
+        if self._inside is not None:
+            others = *self._inside.sample_point(x, sample, active & inside), mi.UInt32(INSIDE)
+            found = zip(others, (point, cell, chance, place), strict=True)
+            point, cell, chance, place = (dr.select(inside, *each) for each in found)
+        offset = mi.Vector3f(point - x)
+        distance = dr.norm(offset)
+        return offset / distance, (distance, cell, chance, place)
+
+    def border(self, x: Any, direction: Any, target: Target, active: Any) -> Any:
+        """Distance up to which the lamp's own surfaces block; 0 where they do not."""
+        _, cell, _, place = target
+        border = mi.Float(0)
+        if self._blocked:
+            near = active & (place == NEAR)
+            border = dr.select(near, self._light.cells.border(x, direction, cell, near), border)
+        if self._inside is not None and self._inside.blocked:
+            inside = active & (place == INSIDE)
+            border = dr.select(
+                inside, self._inside.cells.border(x, direction, cell, inside), border
+            )
+        return border
+
+    def eval_target(
+        self,
+        x: Any,
+        direction: Any,
+        entry_distance: Any,
+        target: Target,
+        pdf: Any,
+        chance: Any,
+        active: Any,
+    ) -> tuple[Any, Any]:
+        """As `DirectionSampler.eval_target`."""
+        far, cell, probability, place = target
+        other = dr.select(self._left_out(x, pdf), 0, pdf / (self._radius * chance))
+        weight = self._light.contribution(
+            direction, far, cell, probability, other, place == NEAR, active & (place != INSIDE)
+        )
+        if self._inside is not None:
+            weight += self._inside.contribution(
+                direction, far, cell, probability, other, active & (place == INSIDE)
+            )
+        return weight, dr.select(active, mi.Float(1), 0)
+
+    def eval_hit(
+        self,
+        x: Any,
+        entry: Any,
+        direction: Any,
+        distance: Any,
+        sees: Any,
+        pdf: Any,
+        chance: Any,
+        active: Any,
+        inside: Any,
+        ends: RayEnds,
+    ) -> tuple[Any, Any, Any]:
+        """As `DirectionSampler.eval_hit`."""
+        gets = active & ~((chance > 0) & self._left_out(x, pdf))
+        if self._asset.num_leaves:
+            gets &= ~mi.Bool(sees)
+        inverse = dr.select(chance > 0, self._radius * chance / pdf, 0)
+        blocked = mi.Bool(False)
+        if self._blocked:
+            # A random number that the path has not used.
+            choice = scrambled(mi.Point2f(direction.x, direction.y)).z
+            blocked = gets & (choice < self._light.blocked_part(x))
+        radiance = self._light.received(
+            x, entry, direction, distance, inverse, blocked, ends, gets & ~inside
+        )
+        if self._inside is not None:
+            radiance += self._inside.received(x, entry, direction, inverse, ends, gets & inside)
+        span = mi.Float(0), ends.other
+        radiance, through = self._divide(radiance, entry, direction, active, sees, span)
+        return radiance, through, mi.Float(0)
+
+    def _left_out(self, x, pdf):
+        """Whether a direction is left to next-event estimation."""
+        radius = _CUTOFF_RADIUS * self._radius
+        far = dr.squared_norm(mi.Vector3f(x)) > radius**2
+        return far & (pdf < _CUTOFF * cone_pdf(x, radius))

@@ -1,0 +1,58 @@
+"""Cells of a grid from which light starts, on the device."""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.device import on_device
+from lumitree.octree.build import build_children
+from lumitree.octree.leaves import grid_boxes_inside
+from lumitree.octree.traversal import Octree
+from lumitree.rendering.sampling.proxy import safe_inverse, slab
+
+
+class LightCells:
+    """The parts of cells that are inside a lamp's box; light starts anywhere in them.
+
+    Args:
+        half_extents: [3] of the box.
+        cells: [C, 3] coordinates, in Morton order.
+        depth: the grid has 2**depth cells a side.
+
+    Attributes:
+        octree: of the cells, whose leaves are numbered as they are.
+        corners: mi.Float [C × 2 × 3], lower and upper corner of each.
+        volume: mi.Float [C].
+    """
+
+    def __init__(
+        self, half_extents: NDArray[np.float64], cells: NDArray[np.integer], depth: int
+    ) -> None:
+        children = build_children(cells.astype(np.int64), np.full(len(cells), depth))
+        self.octree = Octree(children, depth, half_extents)
+        lower, upper = grid_boxes_inside(half_extents, cells, depth)
+        self.corners = on_device(mi.Float, np.stack([lower, upper], axis=1))
+        self.volume = on_device(mi.Float, (upper - lower).prod(axis=1))
+
+    def point(self, cell: Any, within: Any, active: Any = True) -> Any:
+        """Point (mi.Point3f) of a cell (mi.UInt32) for numbers in [0, 1)³ (mi.Point3f)."""
+        lower = dr.gather(mi.Point3f, self.corners, 2 * cell, active)
+        upper = dr.gather(mi.Point3f, self.corners, 2 * cell + 1, active)
+        return dr.lerp(lower, upper, within)
+
+    def border(self, x: Any, direction: Any, cell: Any, active: Any = True) -> Any:
+        """Distance (mi.Float) at which a ray that meets a cell enters it; 0 if it starts in it.
+
+        Args:
+            x: mi.Point3f, origin of the ray, local frame.
+            direction: mi.Vector3f, unit.
+            cell: mi.UInt32.
+            active: mi.Bool mask.
+        """
+        lower = dr.gather(mi.Vector3f, self.corners, 2 * cell, active)
+        upper = dr.gather(mi.Vector3f, self.corners, 2 * cell + 1, active)
+        near, _ = slab((lower + upper) / 2 - x, (upper - lower) / 2, safe_inverse(direction))
+        return dr.maximum(dr.max(near), 0)

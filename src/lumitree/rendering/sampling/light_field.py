@@ -1,0 +1,376 @@
+"""The exitant light field as an emitter: directions towards it are sampled, and rays that leave it.
+
+A ray from a receiver crosses cells of the grid. Its radiance is the sum over them of intensity
+times length over volume. Nothing in the luminaire occludes it, because the intensities contain all
+occlusion. The density of a direction is a sum over the same cells, so one traversal returns both,
+in at most three times as many steps as the grid has cells a side.
+
+A cell is sampled from a table that depends on the receiver, in proportion to the root mean square
+of the light that it sends to the receiver's surroundings, a part of the samples by the flux of
+cells; then a point of the cell, uniformly.
+
+A sampled point is used in two ways. Integrators that ask for directions alone get the radiance of
+the whole ray through the point, over its density, for which a tenth of the directions is uniform
+over the lamp's bounding sphere: no weight exceeds the radiance times 4π over that tenth. An
+integrator that leaves the weights to the lamp gets the light of the sampled cell alone, without a
+traversal. A path that samples its direction by the BSDF then gets the rest (`received`).
+
+Symbols
+    x   receiver, outside the lamp's box (inside it, see `light_inside`)
+    C   cells        R   bins of direction a side
+    I   radiant intensity of a cell             f   BSDF times cosine
+    p   probability with which a cell is sampled
+    V   volume of the part of a cell that is inside the lamp's box. A cell adds
+        p (r₁³ - r₀³) / 3V to the density of a direction whose ray is in it from r₀ to r₁
+    a   p / V: points at a distance r are sampled with density a r² per steradian and length
+    b   what stands for the density of a direction sampled by the BSDF, per steradian and length.
+        With the balance heuristic a sampled point has the weight I f / (V (a r² + b)), and a point
+        of a ray that was sampled by the BSDF has a part b / (a r² + b) of its light
+    J, κ    see `asset.light_inside`
+
+Where the lamp's own surfaces are in the scene, receivers near the box get (I + J) κ of cells that
+they see past these surfaces, and nothing of others: the same on average, but with sharp shadows.
+From the box to `_NEAR` beyond it, a decreasing part of the samples is of this kind.
+"""
+
+import weakref
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.asset.exitant import (
+    EXPONENT_OF_ONE,
+    EXPONENT_SHIFT,
+    MANTISSA,
+    MANTISSA_SHIFTS,
+    ExitantField,
+    pack_lit,
+    unpack,
+)
+from lumitree.asset.light_inside import parts_of_ending
+from lumitree.asset.lit_bins import by_coarse_bin, by_fine_bin, dense
+from lumitree.core.device import on_device, parameter
+from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
+from lumitree.core.photometry import luminance
+from lumitree.octree.build import morton
+from lumitree.rendering.sampling.cell_table import cell_table
+from lumitree.rendering.sampling.emitter_sampling import UNIFORM_FRACTION, RayEnds
+from lumitree.rendering.sampling.light_cells import LightCells
+from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
+from lumitree.rendering.sampling.receiver_cells import ReceiverCells
+from lumitree.rendering.sampling.samples import divide_sample, sample_row, scrambled
+
+# Cells of receivers, see `receiver_cells`.
+_RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 16, 4, 0.3
+# Entries of the table, of 8 bytes: lamps with more cells have fewer rows.
+_MAX_ENTRIES = 1 << 24
+# Cells whose bins are computed at once, which bounds the memory.
+_CELLS_AT_ONCE = 1 << 10
+# Distance from the box, local units, up to which shadows of the lamp's own surfaces are sharp.
+_NEAR = 0.5
+
+_LIGHTS: "weakref.WeakKeyDictionary[ExitantField, dict[tuple[object, ...], ExitantLight]]" = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def exitant_light(asset: Asset) -> "ExitantLight":
+    """Device copy of an asset's exitant light field, shared by all instances of a lamp."""
+    assert asset.exitant is not None
+    lights, key = _LIGHTS.setdefault(asset.exitant, {}), (str(mi.variant()), asset.gain)
+    if key not in lights:
+        # Mitsuba creates plugins in parallel: of two copies, the first is kept.
+        light = ExitantLight(asset.exitant, asset.frame.half_extents, asset.gain)
+        return lights.setdefault(key, light)
+    return lights[key]
+
+
+class ExitantLight:
+    """Device copy of an exitant light field, in the lamp's local frame.
+
+    Args:
+        field: what is emitted.
+        half_extents: [3] of the lamp's box.
+        gain: [3] factors on R, G and B, not all 0.
+    """
+
+    def __init__(
+        self,
+        field: ExitantField,
+        half_extents: NDArray[np.float64],
+        gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    ) -> None:
+        # What receivers inside the box get, by whether the lamp's surfaces block (`light_inside`).
+        self.inside: dict[bool, Any] = {}
+        count = len(field.cells)
+        self._count, self._resolution = count, field.resolution
+        self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
+        resolution = _RESOLUTION
+        while resolution > 2 and resolution**2 * _NUM_SHELLS * count > _MAX_ENTRIES:
+            resolution //= 2
+        self._around = ReceiverCells(half_extents, resolution, _NUM_SHELLS, _SHELL_WIDTH)
+        self.cells = LightCells(half_extents, field.cells, field.depth)
+        self._half = parameter(mi.Vector3f, *half_extents.tolist())
+        self._packed = on_device(mi.UInt32, field.dense(field.intensity))
+        self.scale = dr.opaque(mi.Float, field.scale * max(gain))
+        self._colour = parameter(mi.Color3f, *(factor / max(gain) for factor in gain))
+        flux = field.dense(luminance(unpack(field.intensity))) * solid_angles(field.resolution)
+        by_cell = flux.sum(axis=1)
+        cumulated = np.cumsum(flux, axis=1)
+        self._bin_chances = on_device(mi.Float, cumulated / cumulated[:, -1:])
+        self._cell_chances = on_device(mi.Float, np.cumsum(by_cell / by_cell.sum()))
+        self._table = cell_table(self._around, self.cells, self._towards, self.scale, by_cell)
+        # J and κ of all bins, for receivers outside the box.
+        self._factors = None
+        if (inside := field.inside) is not None:
+            rows = np.searchsorted(morton(inside.cells), morton(field.cells))
+            far = inside.visibility_curves[:, -1][inside.visibility]
+            lit, bins = inside.lit, (field.resolution // 2) ** 2
+            self._factors = on_device(mi.Float, dense(lit, bins, far)[rows])
+            packed, scale = ending_by_bin(field)
+            self._ending = on_device(mi.UInt32, packed[rows])
+            self._ending_scale = parameter(mi.Color3f, *(scale * each for each in gain))
+
+    def blocked_part(self, x: Any) -> Any:
+        """Part of the samples for receivers (mi.Point3f) that the lamp's own surfaces block.
+
+        0 where it is not known how much they leave.
+        """
+        if self._factors is None:
+            return mi.Float(0)
+        beyond = dr.norm(dr.maximum(dr.abs(mi.Vector3f(x)) - self._half, 0))
+        return dr.maximum(1 - beyond / _NEAR, 0)
+
+    def sample(self, x: Any, sample: Any, active: Any = True) -> Any:
+        """Unit direction (mi.Vector3f) from a receiver.
+
+        Args:
+            x: mi.Point3f, local frame.
+            sample: mi.Point2f in the unit square.
+            active: mi.Bool mask.
+        """
+        uniform, rest = divide_sample(sample.x, UNIFORM_FRACTION)
+        sample = mi.Point2f(rest, sample.y)
+        cell, _ = self._table.sample(self._around.index(x), sample.x, active)
+        point = self.cells.point(cell, scrambled(sample), active)
+        return dr.select(
+            uniform, sample_cone(x, self._radius, sample), dr.normalize(mi.Vector3f(point - x))
+        )
+
+    def eval(
+        self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True
+    ) -> tuple[Any, Any]:
+        """Radiance from a direction, and the density with which `sample` returns it.
+
+        Args:
+            x: mi.Point3f, the receiver, as `sample` was given it.
+            entry: mi.Point3f, a point of the ray outside the lamp's box or on it.
+            direction: mi.Vector3f, unit direction from the receiver to it.
+            distance: mi.Float, from the receiver to it.
+            active: mi.Bool mask.
+
+        Returns:
+            mi.Color3f, and mi.Float per steradian; 0 where `active` is false.
+        """
+        row = self._around.index(x)
+        bins = bin_of(-direction, self._resolution)
+
+        def visit(state, cell, start, length, active):
+            radiance, density = state
+            near = start + distance
+            far = near + length
+            per_volume = length * dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
+            third = self._table.probability(row, cell, active) * per_volume / 3
+            part = third * (near * near + near * far + far * far)
+            light = self.intensity(cell, bins, active) * per_volume
+            return (
+                radiance + dr.select(active, light, 0),
+                density + dr.select(active, part, 0),
+            ), active
+
+        state = (mi.Color3f(0), mi.Float(0))
+        radiance, density = self.cells.octree.traverse(entry, direction, active, visit, state)
+        density = dr.lerp(density, cone_pdf(x, self._radius), UNIFORM_FRACTION)
+        return radiance, dr.select(active, density, 0)
+
+    def sample_point(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any, Any]:
+        """Point (mi.Point3f) of a cell, the cell (mi.UInt32), and its probability p (mi.Float).
+
+        Args:
+            x: mi.Point3f, the receiver, local frame.
+            sample: mi.Point2f in the unit square.
+            active: mi.Bool mask.
+        """
+        cell, chance = self._table.sample(self._around.index(x), sample.x, active)
+        return self.cells.point(cell, scrambled(sample), active), cell, chance
+
+    def contribution(
+        self,
+        direction: Any,
+        distance: Any,
+        cell: Any,
+        chance: Any,
+        other: Any,
+        blocked: Any,
+        active: Any = True,
+    ) -> Any:
+        """I / (V (a r² + b)) of a point of `sample_point` (mi.Color3f).
+
+        Args:
+            direction: mi.Vector3f, unit direction from the receiver to the point.
+            distance: mi.Float, r.
+            cell, chance: as `sample_point` returned them.
+            other: mi.Float, b.
+            blocked: mi.Bool, whether the lamp's own surfaces block: then it is (I + J) κ.
+            active: mi.Bool mask.
+        """
+        volume = dr.gather(mi.Float, self.cells.volume, cell, active)
+        density = chance * dr.square(distance) + other * volume
+        light = self._light(cell, direction, blocked, active)
+        return dr.select(active, light / density, 0)
+
+    def received(
+        self,
+        x: Any,
+        entry: Any,
+        direction: Any,
+        distance: Any,
+        inverse: Any,
+        blocked: Any,
+        ends: RayEnds,
+        active: Any = True,
+    ) -> Any:
+        """Part of the radiance from a direction that `contribution` leaves (mi.Color3f).
+
+        In a cell from r₀ to r₁ with k² = a / b it is ∫ dr / (1 + k² r²), or atan(z) / k with
+        z = k (r₁ - r₀) / (1 + k² r₀ r₁), times I / V.
+
+        Args:
+            x, entry, direction, distance, active: as for `eval`.
+            inverse: mi.Float, 1 / b; 0 for the whole radiance.
+            blocked: as for `contribution`.
+            ends: where the ray ends.
+        """
+        row = self._around.index(x)
+        shared = mi.Bool(active) & (inverse > 0)
+
+        def visit(state, cell, start, length, active):
+            active = ends.reached(start, blocked, active)
+            near = start + distance
+            inverse_volume = dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
+            chance = self._table.probability(row, cell, active & shared)
+            left = left_part(chance, inverse_volume, inverse, near, length)
+            light = self._light(cell, direction, blocked, active) * (left * inverse_volume)
+            return (state[0] + dr.select(active, light, 0),), active
+
+        state, span = (mi.Color3f(0),), (mi.Float(0), ends.other)
+        return self.cells.octree.traverse(entry, direction, active, visit, state, span)[0]
+
+    def _light(self, cell, direction, blocked, active):
+        """I of a cell towards where a ray comes from; where its surfaces block, (I + J) κ."""
+        bins = bin_of(-direction, self._resolution)
+        light = self.intensity(cell, bins, active)
+        if self._factors is None:
+            return light
+        blocked &= active
+        index = cell * self._resolution**2 + bins
+        ending = unpacked(dr.gather(mi.UInt32, self._ending, index, blocked))
+        coarse = self._resolution // 2
+        index = cell * coarse**2 + bin_of(-direction, coarse)
+        factor = dr.gather(mi.Float, self._factors, index, blocked)
+        return dr.select(blocked, (light + self._ending_scale * ending) * factor, light)
+
+    def sample_ray(
+        self, choice: Any, sample1: Any, sample2: Any, active: Any = True
+    ) -> tuple[Any, Any, Any]:
+        """Ray along which light leaves the lamp.
+
+        Args:
+            choice: mi.Float in [0, 1).
+            sample1, sample2: mi.Point2f in the unit square.
+            active: mi.Bool mask.
+
+        Returns:
+            A point of the ray inside the lamp's box; the unit direction of travel; and the flux of
+            the ray, local units, whose mean over all samples is the lamp's flux.
+        """
+        bins = self._resolution**2
+        cell = sample_row(self._cell_chances, mi.UInt32(0), self._count, choice, active)
+        index = sample_row(self._bin_chances, cell * bins, bins, sample1.x, active)
+        within = scrambled(sample2)
+        point = self.cells.point(cell, within, active)
+        # Other bits of the same samples, which the point does not depend on.
+        jitter = scrambled(mi.Point2f(sample2.y, sample1.y))
+        direction, density = direction_in_bin(
+            index, mi.Point2f(jitter.x, jitter.y), self._resolution
+        )
+        chance = self._chance(self._cell_chances, mi.UInt32(0), cell, active)
+        chance *= self._chance(self._bin_chances, cell * bins, index, active)
+        flux = self.intensity(cell, index, active) / (chance * density)
+        return point, direction, dr.select(active & (chance > 0), flux, 0)
+
+    def _chance(self, cumulated, first, index, active):
+        """Chance with which `sample_row` returns an index."""
+        upper = dr.gather(mi.Float, cumulated, first + index, active)
+        inner = active & (index > 0)
+        return upper - dr.gather(mi.Float, cumulated, first + index - 1, inner)
+
+    def _towards(self, cell, offset, _distance):
+        """Radiant intensity (mi.Color3f) of a cell in the direction of a mi.Vector3f."""
+        return self.intensity(cell, bin_of(offset, self._resolution), True)
+
+    def intensity(self, cell: Any, index: Any, active: Any) -> Any:
+        """Radiant intensity (mi.Color3f) of a bin (mi.UInt32) of a cell (mi.UInt32)."""
+        packed = dr.gather(mi.UInt32, self._packed, cell * self._resolution**2 + index, active)
+        return self._colour * (self.scale * unpacked(packed))
+
+
+def ending_by_bin(field: ExitantField) -> tuple[NDArray[np.uint32], float]:
+    """J of an exitant light field in the bins of I, as `parts_of_ending` divides it.
+
+    Returns:
+        RGB9_E5 numbers [C', R²] of the cells of `field.inside`, and their scale.
+    """
+    inside = field.inside
+    assert inside is not None
+    leaving = np.zeros((len(inside.cells), field.resolution**2), np.float32)
+    rows = np.searchsorted(morton(inside.cells), morton(field.cells))
+    leaving[rows] = field.dense(field.scale * luminance(unpack(field.intensity)))
+    packed = dense(inside.lit, (field.resolution // 2) ** 2, inside.intensity)
+    solid_angle = by_coarse_bin(solid_angles(field.resolution)[None])
+    # A part is at most about 4 times the mean.
+    scale, ending = 8 * inside.scale, np.zeros_like(leaving, np.uint32)
+    for start in range(0, len(leaving), _CELLS_AT_ONCE):
+        at = slice(start, start + _CELLS_AT_ONCE)
+        mean = inside.scale * unpack(packed[at])
+        parts = parts_of_ending(by_coarse_bin(leaving[at]), luminance(mean), solid_angle)
+        ending[at] = by_fine_bin(pack_lit(parts[..., None] * mean[:, :, None], scale))
+    return ending, scale
+
+
+def left_part(chance: Any, inverse_volume: Any, inverse: Any, near: Any, length: Any) -> Any:
+    """∫ dr / (1 + k² r²) of `ExitantLight.received` over a cell (mi.Float).
+
+    Args:
+        chance: mi.Float, p.
+        inverse_volume: mi.Float, 1 / V.
+        inverse: mi.Float, 1 / b.
+        near, length: mi.Float, r₀ and r₁ - r₀.
+    """
+    k = dr.sqrt(chance * inverse_volume * inverse)
+    left = length * dr.rcp(dr.fma(k * k, near * (near + length), 1))
+    z = k * left
+    return left * dr.select(z > 1e-3, dr.atan(z) / z, 1)
+
+
+def unpacked(packed: Any) -> Any:
+    """Colours (mi.Color3f) of RGB9_E5 numbers (mi.UInt32)."""
+    # As `asset.exitant.unpack`: a power of two is a number whose mantissa's 23 bits are 0.
+    exponent = (packed >> EXPONENT_SHIFT) + (127 - EXPONENT_OF_ONE)
+    unit = dr.reinterpret_array(mi.Float, exponent << 23)
+    mantissas = (packed >> shift & MANTISSA for shift in MANTISSA_SHIFTS)
+    return mi.Color3f(*(mi.Float(each) for each in mantissas)) * unit

@@ -1,0 +1,226 @@
+"""The exitant light field for receivers inside the lamp's box.
+
+As `light_field`, whose symbols hold, for receivers among the cells. What they get of a cell
+depends on their distance (`asset.light_inside`), and where the lamp's own surfaces are in the
+scene, on what these leave free.
+
+Symbols
+    C   cells that light leaves         Q   bins of direction a side, half of R
+    J, s, κ     see `asset.light_inside`
+"""
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.asset.exitant import ExitantField, unpack
+from lumitree.asset.lit_bins import dense
+from lumitree.core.device import on_device, parameter
+from lumitree.core.octahedral import bin_of, solid_angles
+from lumitree.core.photometry import luminance
+from lumitree.octree.build import morton
+from lumitree.rendering.sampling.cell_table import cell_table
+from lumitree.rendering.sampling.emitter_sampling import RayEnds
+from lumitree.rendering.sampling.light_cells import LightCells
+from lumitree.rendering.sampling.light_field import (
+    ExitantLight,
+    ending_by_bin,
+    exitant_light,
+    left_part,
+    unpacked,
+)
+from lumitree.rendering.sampling.samples import scrambled
+
+# Cells of receivers a side.
+_RESOLUTION = 8
+# Entries of the table, of 8 bytes: lamps with more cells have half as many cells a side.
+_MAX_ENTRIES = 1 << 23
+# Curves are looked up at this many distances, more densely where they are short.
+_STEPS = 64
+_NONE = 0xFFFFFFFF
+
+
+def inside_light(asset: Asset, *, blocked: bool) -> "InsideLight":
+    """What an asset sends to receivers inside its box, shared by all instances of a lamp.
+
+    With `blocked`, the lamp's own surfaces are in the scene.
+    """
+    assert asset.exitant is not None
+    outside = exitant_light(asset)
+    if blocked not in outside.inside:
+        half_extents = asset.frame.half_extents
+        outside.inside[blocked] = InsideLight(
+            asset.exitant, half_extents, outside, asset.gain, blocked=blocked
+        )
+    return outside.inside[blocked]
+
+
+class InsideReceivers:
+    """Cells of receivers in a box: as many a side, whatever its proportions.
+
+    Args:
+        half_extents: [3] of the box.
+        resolution: cells a side.
+    """
+
+    def __init__(self, half_extents: NDArray[np.float64], resolution: int) -> None:
+        self.resolution, self.count = resolution, resolution**3
+        self._half = parameter(mi.Vector3f, *half_extents.tolist())
+
+    def index(self, x: Any) -> Any:
+        """Index (mi.UInt32) of the cell of a point (mi.Point3f), or of the nearest cell."""
+        side = self.resolution
+        place = mi.Vector3i(dr.floor((mi.Vector3f(x) / self._half + 1) * (side / 2)))
+        place = mi.Vector3u(dr.clip(place, 0, side - 1))
+        return (place.z * side + place.y) * side + place.x
+
+    def point(self, cell: Any, sample: Any, shell_sample: Any) -> Any:
+        """Random point (mi.Point3f) of a cell.
+
+        Args:
+            cell: mi.UInt32, its index.
+            sample: mi.Point2f in the unit square.
+            shell_sample: mi.Float in [0, 1).
+        """
+        side = self.resolution
+        place = mi.Vector3f(cell % side, cell // side % side, cell // side**2)
+        within = mi.Vector3f(sample.x, sample.y, shell_sample)
+        return mi.Point3f(((place + within) * (2 / side) - 1) * self._half)
+
+
+class InsideLight:
+    """Device copy of what an exitant light field sends to receivers inside the box.
+
+    Args:
+        field: what is emitted. Without its part `inside`, receivers get what leaves the box.
+        half_extents: [3] of the lamp's box.
+        outside: device copy of the field.
+        gain: [3] factors on R, G and B.
+        blocked: whether the lamp's own surfaces are in the scene, and block.
+    """
+
+    def __init__(
+        self,
+        field: ExitantField,
+        half_extents: NDArray[np.float64],
+        outside: ExitantLight,
+        gain: tuple[float, float, float],
+        *,
+        blocked: bool,
+    ) -> None:
+        inside, self._outside = field.inside, outside
+        # Without factors, it is not known what the surfaces leave.
+        self.blocked = blocked and inside is not None
+        found = field.cells if inside is None else inside.cells
+        count = len(found)
+        self._resolution, self._coarse = field.resolution, field.resolution // 2
+        self.cells = LightCells(half_extents, found, field.depth)
+        rows = np.full(count, _NONE, np.uint32)
+        rows[np.searchsorted(morton(found), morton(field.cells))] = np.arange(len(field.cells))
+        self._rows = on_device(mi.UInt32, rows)
+        outgoing = field.dense(luminance(unpack(field.intensity))) * solid_angles(field.resolution)
+        flux = np.zeros(count)
+        flux[rows != _NONE] = field.scale * outgoing.sum(axis=1)
+        self._has_curves = inside is not None
+        if inside is not None:
+            bins = self._coarse**2
+            packed, scale = ending_by_bin(field)
+            self._packed = on_device(mi.UInt32, packed)
+            codes = inside.reach.astype(np.uint32) | inside.visibility.astype(np.uint32) << 8
+            self._codes = on_device(mi.UInt32, dense(inside.lit, bins, codes))
+            self._gain = parameter(mi.Color3f, *(scale * factor for factor in gain))
+            # By the square root of distance.
+            self._steps = parameter(mi.Float, (_STEPS - 1) / math.sqrt(inside.distances[-1]))
+            at = inside.distances[-1] * np.linspace(0, 1, _STEPS) ** 2
+            self._reach = _resampled(inside.reach_curves, inside.distances, at)
+            self._visibility = _resampled(inside.visibility_curves, inside.distances, at)
+            ending = dense(inside.lit, bins, luminance(unpack(inside.intensity)))
+            flux += inside.scale * (ending * solid_angles(self._coarse)).sum(axis=1)
+        many = _RESOLUTION**3 * count > _MAX_ENTRIES
+        self._receivers = InsideReceivers(half_extents, _RESOLUTION // 2 if many else _RESOLUTION)
+        self._table = cell_table(
+            self._receivers,
+            self.cells,
+            self._towards,
+            outside.scale,
+            # A cell may have no light but what ends nearer than the first distance.
+            np.maximum(flux, 1e-6 * flux.max()),
+            softening=2.0**-field.depth,
+        )
+
+    def sample_point(self, x: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+        """As `ExitantLight.sample_point`."""
+        cell, chance = self._table.sample(self._receivers.index(x), sample.x, active)
+        return self.cells.point(cell, scrambled(sample), active), cell, chance
+
+    def contribution(
+        self, direction: Any, distance: Any, cell: Any, chance: Any, other: Any, active: Any
+    ) -> Any:
+        """As `ExitantLight.contribution`."""
+        volume = dr.gather(mi.Float, self.cells.volume, cell, active)
+        density = chance * dr.square(distance) + other * volume
+        light = self._light(cell, -direction, distance, active, blocked=self.blocked)
+        return dr.select(active & (density > 0), light / density, 0)
+
+    def received(
+        self, x: Any, entry: Any, direction: Any, inverse: Any, ends: RayEnds, active: Any
+    ) -> Any:
+        """As `ExitantLight.received`, for a ray from `entry` in the box on.
+
+        The light of a cell is that at the middle of the ray's way in it.
+        """
+        row = self._receivers.index(x)
+        shared = mi.Bool(active) & (inverse > 0)
+        distance = dr.norm(entry - x)
+
+        def visit(state, cell, start, length, active):
+            active = ends.reached(start, mi.Bool(self.blocked), active)
+            near = start + distance
+            inverse_volume = dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
+            chance = self._table.probability(row, cell, active & shared)
+            left = left_part(chance, inverse_volume, inverse, near, length)
+            middle = near + length / 2
+            light = self._light(cell, -direction, middle, active, blocked=self.blocked)
+            return (state[0] + dr.select(active, light * (left * inverse_volume), 0),), active
+
+        state, span = (mi.Color3f(0),), (mi.Float(0), ends.other)
+        return self.cells.octree.traverse(entry, direction, active, visit, state, span)[0]
+
+    def _towards(self, cell, offset, distance):
+        return self._light(cell, offset, distance, mi.Bool(True), blocked=False)
+
+    def _light(self, cell, direction, distance, active, *, blocked):
+        """Radiant intensity (mi.Color3f) of a cell in a direction (mi.Vector3f), at a distance."""
+        row = dr.gather(mi.UInt32, self._rows, cell, active)
+        index = bin_of(direction, self._resolution)
+        leaves = active & (row != _NONE)
+        light = dr.select(leaves, self._outside.intensity(row, index, leaves), 0)
+        if not self._has_curves:
+            return light
+        packed = dr.gather(mi.UInt32, self._packed, cell * self._resolution**2 + index, active)
+        ending = self._gain * unpacked(packed)
+        entry = cell * self._coarse**2 + bin_of(direction, self._coarse)
+        code = dr.gather(mi.UInt32, self._codes, entry, active)
+        at = dr.minimum(dr.sqrt(distance) * self._steps, _STEPS - 1.001)
+        if blocked:
+            return (light + ending) * self._curve(self._visibility, code >> 8, at, active)
+        return light + ending * self._curve(self._reach, code & 255, at, active)
+
+    def _curve(self, curves, row, at, active):
+        """A row of a table of curves at a place, which is between two columns."""
+        step = mi.UInt32(at)
+        first = row * _STEPS + step
+        low = dr.gather(mi.Float, curves, first, active)
+        return dr.lerp(low, dr.gather(mi.Float, curves, first + 1, active), at - mi.Float(step))
+
+
+def _resampled(
+    curves: NDArray[np.float32], distances: NDArray[np.float32], at: NDArray[np.floating]
+) -> Any:
+    """Curves [.., K] at other distances, on the device (mi.Float)."""
+    return on_device(mi.Float, np.stack([np.interp(at, distances, curve) for curve in curves]))

@@ -1,0 +1,344 @@
+"""Scenes with luminaires placed in them."""
+
+import os
+import warnings
+from collections.abc import Sequence
+from typing import Any, cast
+
+import mitsuba as mi
+import numpy as np
+
+from lumitree.asset.asset import Asset
+from lumitree.core.arguments import check_gain
+from lumitree.core.frames import float32_step, is_far, similarity_scale
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
+from lumitree.lamp.luminaire import Luminaire, load_luminaire, place_shapes
+from lumitree.lamp.media import any_heterogeneous
+from lumitree.lamp.probe import check_evaluates
+from lumitree.lamp.scene_file import SceneFile
+from lumitree.lamp.source import LuminaireSource
+from lumitree.octree.field import EXACT, Field, Thresholds
+from lumitree.rendering.asset_cache import open_field
+from lumitree.rendering.asset_flux import asset_watts, gain_to
+from lumitree.rendering.placement import Placement
+from lumitree.rendering.placement_checks import holds_objects, warn_of_overlaps
+from lumitree.rendering.plugins.objects import load_ordered
+from lumitree.rendering.plugins.placed import Appearance, shows_model
+from lumitree.rendering.plugins.register import register, shape
+from lumitree.rendering.sampling.emitter_sampling import Sampling
+from lumitree.rendering.sampling.proxy import ProxyKind
+
+# Integrators that ask null surfaces for their transmittance in shadow rays, and see media.
+_SEE_MEDIA = ("volpath", "volpathmis")
+# What becomes `lumitree_path`, or `volpath` where media are heterogeneous.
+_PATH_TRACERS = ("path", "lumitree_path")
+_DEFAULT_PATH_DEPTH = 16
+# `volpath` starts rays (1 + largest coordinate) * RayEpsilon from surfaces. Where that is this part
+# of a lamp's size, the irradiance 0.7 sizes below it is 1 % too high; at 3 times this part, 4 %.
+_FAR_FOR_VOLPATH = 0.09
+
+
+class PlacedLuminaire:
+    """A luminaire that has been read, and where it goes.
+
+    Args:
+        placement: what to read, and where it goes.
+        luminaire: the explicit luminaire of the placement, if it is loaded already.
+    """
+
+    def __init__(self, placement: Placement, luminaire: Luminaire | None = None) -> None:
+        self.placement = placement
+        self.field: Field | None = None
+        self.luminaire = luminaire
+        if placement.is_baked:
+            # The field, not only the asset: the proxy's plugins then find it open.
+            self.field = open_field(cast(Any, placement.source))
+            frame = self.field.asset.frame
+        else:
+            if self.luminaire is None:
+                self.luminaire = load_luminaire(cast(Any, placement.source))
+            frame = self.luminaire.frame
+        scene_from_local = frame.placed(
+            at=placement.at, size=placement.size, rotate=placement.rotate
+        )
+        # `scene_from_world` [4, 4] from the frame of the luminaire's file; `scene_from_box` [4, 4]
+        # maps [-1, 1]³ to the bounding box.
+        self.scene_from_world = scene_from_local @ frame.local_from_world
+        self.scene_from_box = scene_from_local @ np.diag([*frame.half_extents, 1])
+        # Factors [3] on its light, for its `gain`, `lumens` and `temperature`.
+        self.gain = self._gain(similarity_scale(scene_from_local, "placement") / frame.scale)
+
+    def _gain(self, scale: float) -> tuple[float, float, float]:
+        """The gain of a lamp whose lengths in the scene are `scale` times those of its file."""
+        placement, gain = self.placement, np.array(check_gain(self.placement.gain))
+        if self.field is not None and (placement.lumens, placement.temperature) != (None, None):
+            asset = self.field.asset
+            assert isinstance(asset, Asset)
+            watts = asset_watts(asset) * scale**2
+            gain *= gain_to(watts, placement.lumens, placement.temperature, placement.name)
+        return check_gain(gain)
+
+    @property
+    def title(self) -> str:
+        """What it is called in messages: its label, if it has one."""
+        label = self.placement.label
+        return self.placement.name if label is None else shown(label, 200)
+
+    @property
+    def kind(self) -> object:
+        """What is placed; equal for instances of one lamp."""
+        return self.placement.name if self.field is None else self.field.asset
+
+    def is_shown_by_field(self, appearance: Appearance) -> bool:
+        """Whether images show its radiance field."""
+        return self.field is not None and not shows_model(self.field.asset, appearance)
+
+    def shapes(
+        self,
+        proxy: ProxyKind,
+        sampling: Sampling,
+        appearance: Appearance,
+        thresholds: Thresholds = EXACT,
+    ) -> dict[str, Any]:
+        """Shapes for `mitsuba.load_dict`; arguments as for `place_luminaires`."""
+        if self.luminaire is not None:
+            return place_shapes(self.luminaire, self.scene_from_world)
+        source = cast(Any, self.placement.source)
+        options: dict[str, Any] = {
+            "sampling": sampling,
+            "gain": self.gain,
+            "appearance": appearance,
+            "min_density": thresholds.min_density,
+            "max_opacity": thresholds.max_opacity,
+        }
+        return {"proxy": shape(source, self.scene_from_world, proxy, **options)}
+
+
+def open_placements(placements: Sequence[Placement]) -> list[PlacedLuminaire]:
+    """Read the luminaires of placements, each once."""
+    loaded: dict[object, Luminaire] = {}
+    opened = []
+    for placement in placements:
+        source = placement.source
+        # A dictionary has no hash.
+        key = source if isinstance(source, str | os.PathLike | LuminaireSource) else id(source)
+        placed = PlacedLuminaire(placement, loaded.get(key))
+        if placed.luminaire is not None:
+            loaded[key] = placed.luminaire
+        opened.append(placed)
+    return opened
+
+
+def place_luminaires(
+    scene: Any,
+    luminaires: Sequence[PlacedLuminaire],
+    proxy: ProxyKind = "box",
+    sampling: Sampling = "emission",
+    appearance: Appearance = "field",
+    thresholds: Thresholds = EXACT,
+) -> Any:
+    """Scene with the objects of another one and the placed luminaires.
+
+    The appearance "model" is for `lumitree_path` only (`appearance_for`). The thresholds are those
+    of all baked luminaires.
+
+    Warns on standard error of objects in the box of a luminaire that does not light them there.
+    """
+    register()
+    objects: dict[str, Any] = {"type": "scene"}
+    objects |= {f"room_{i}": item for i, item in enumerate(scene.shapes())}
+    objects |= {f"sensor_{i}": item for i, item in enumerate(scene.sensors())}
+    if scene.environment() is not None:
+        objects["environment"] = scene.environment()
+    distant = [e for e in scene.emitters() if e.get_shape() is None and not e.is_environment()]
+    objects |= {f"emitter_{i}": item for i, item in enumerate(distant)}
+    taken: set[tuple[str, bytes]] = set()
+    for placed in luminaires:
+        place = (placed.placement.name, placed.scene_from_world.tobytes())
+        if place in taken:
+            raise LumitreeError(
+                f"{place[0]} is placed twice in the same place; give each its own --at"
+            )
+        taken.add(place)
+    _warn_rounded(luminaires)
+    _warn_unlit(scene, luminaires, proxy, sampling)
+    if luminaires:
+        warn_of_overlaps(
+            np.stack([placed.scene_from_box for placed in luminaires]),
+            [placed.title for placed in luminaires],
+            [placed.kind for placed in luminaires],
+            [placed.is_shown_by_field(appearance) for placed in luminaires],
+        )
+    for start, placed in zip(placed_ids(luminaires), luminaires, strict=True):
+        shapes = placed.shapes(proxy, sampling, appearance, thresholds)
+        objects |= {start + name: value for name, value in shapes.items()}
+    return load_ordered(objects)
+
+
+def placed_ids(luminaires: Sequence[PlacedLuminaire]) -> list[str]:
+    """For each placed luminaire, what the ids of its shapes in `place_luminaires` begin with."""
+    return [f"placed_{index}_" for index in range(len(luminaires))]
+
+
+def load_scene(
+    path: str, luminaires: Sequence[PlacedLuminaire] = (), *, box_filter: bool = False
+) -> tuple[Any, Any]:
+    """Scene and integrator of a scene file; the integrator sees through null surfaces.
+
+    A `path` integrator becomes `lumitree_path` with the same settings, or `volpath` where the scene
+    has heterogeneous media. Any other that would let proxies block the light of other lamps is
+    replaced too, which is said on standard error; so is a baked luminaire too small, or too far
+    from the origin, for `volpath`.
+
+    With `box_filter`, each pixel is the mean of its own samples, whatever filter the scene names.
+
+    Raises:
+        LumitreeError: the scene cannot be loaded or has no camera, or Mitsuba cannot evaluate one
+            of its BSDFs or emitters.
+    """
+    register()  # the scene may name our plugins itself
+    file = SceneFile(path)
+    if not file.nodes("Sensor"):
+        raise LumitreeError(f"{path} has no sensor; add a camera to the scene")
+    # Copied, since creating the scene clears the nodes.
+    described: list[Any] = [mi.Properties(n.props) for n in file.nodes("Integrator")][:1]
+    kind = described[0].plugin_name() if described else None
+    if box_filter:
+        file.set_box_filter()
+    notes = list(file.notes)
+    if "area" in file.loose_lights():
+        notes.append("an area emitter outside of a shape emits nothing")
+    for note in notes:
+        warnings.warn(f"{path}: {note}", LumitreeWarning, stacklevel=2)
+    shapes = file.shapes
+    scene = file.instantiate()
+    check_evaluates(scene, shapes, str(path), rays=False)
+    heterogeneous = any_heterogeneous(scene)
+    if heterogeneous or kind in _SEE_MEDIA:
+        for item in luminaires:
+            if item.placement.is_baked:
+                _warn_far(item)
+                _warn_unlit_by_volpath(scene, item)
+    if kind in _SEE_MEDIA:
+        return scene, scene.integrator()
+    if kind in _PATH_TRACERS:
+        described[0].set_plugin_name(_path_tracer(heterogeneous))
+        return scene, mi.PluginManager.instance().create_object(described[0])
+    found = f"integrator {kind!r}" if kind else "no integrator"
+    tracer = _path_tracer(heterogeneous)
+    warnings.warn(
+        f"{path} has {found}; using {tracer} with max_depth {_DEFAULT_PATH_DEPTH}",
+        LumitreeWarning,
+        stacklevel=2,
+    )
+    return scene, default_integrator(heterogeneous=heterogeneous)
+
+
+def default_integrator(
+    path_depth: int = _DEFAULT_PATH_DEPTH, *, heterogeneous: bool = False
+) -> Any:
+    """Integrator for scenes that name none."""
+    register()
+    return mi.load_dict({"type": _path_tracer(heterogeneous), "max_depth": path_depth})
+
+
+def appearance_for(integrator: Any) -> Appearance:
+    """What an integrator can show of lamps whose assets have a model."""
+    return "model" if getattr(integrator, "shows_models", False) else "field"
+
+
+def _path_tracer(heterogeneous: bool) -> str:
+    return "volpath" if heterogeneous else "lumitree_path"
+
+
+def set_film_width(scene: Any, width: int) -> None:
+    """Change the film of the scene's first sensor to `width` pixels, keeping its proportions."""
+    film = scene.sensors()[0].film()
+    if width < 1:
+        raise LumitreeError(f"width is {width}; expected at least 1 pixel")
+    old = film.size()
+    params = mi.traverse(film)
+    height = max(1, round(int(old[1]) * width / int(old[0])))
+    params["size"] = [width, height]
+    params["crop_size"] = [width, height]
+    params["crop_offset"] = [0, 0]
+    params.update()
+
+
+def _warn_rounded(luminaires: Sequence[PlacedLuminaire]) -> None:
+    """Tell once where coordinates of a scene are too coarse for luminaires."""
+    far: list[tuple[float, float, PlacedLuminaire]] = []
+    for placed in luminaires:
+        box = placed.scene_from_box
+        reach = np.abs(box[:3, 3]) + np.abs(box[:3, :3]).sum(axis=1)
+        size = 2 * float(np.linalg.norm(box[:3, :3], axis=0).max())
+        if is_far(reach, size):
+            far.append((float32_step(reach) / size, float(reach.max()), placed))
+    if far:
+        part, reach, placed = max(far, key=lambda each: each[0])
+        others = "" if len(far) == 1 else f" and {len(far) - 1:,} others"
+        warnings.warn(
+            f"{placed.title}{others}: at {reach:.4g} units from the origin of the scene, "
+            f"coordinates are rounded to multiples of {float32_step(reach):.2g}, {part:.2%} of its "
+            "size; surfaces and shadows there are rough: move the scene to the origin",
+            LumitreeWarning,
+            stacklevel=3,
+        )
+
+
+def _warn_far(placed: PlacedLuminaire) -> None:
+    """Tell where `volpath` cannot resolve a baked luminaire."""
+    box, name = placed.scene_from_box, placed.placement.name
+    size = 2 * np.linalg.norm(box[:3, :3], axis=0).max()
+    coordinate = np.abs(box[:3, 3]).max()
+    offset = (1 + coordinate) * mi.math.RayEpsilon
+    if offset > _FAR_FOR_VOLPATH * size:
+        warnings.warn(
+            f"{name}: at coordinates of {coordinate:.4g} volpath starts rays {offset:.2g} "
+            f"from surfaces, for a luminaire of size {size:.2g}; surfaces near it are lit wrongly "
+            f"by about {0.11 * offset / size:.0%}; place it nearer the origin or use smaller units",
+            LumitreeWarning,
+            stacklevel=3,
+        )
+
+
+def _warn_unlit_by_volpath(scene: Any, placed: PlacedLuminaire) -> None:
+    """Tell of objects in a lamp's box, which `volpath` does not light."""
+    if holds_objects(scene.shapes(), placed.scene_from_box[None])[0]:
+        warnings.warn(
+            f"{placed.title}: an object of the room is inside its box, where volpath does not "
+            "light it; lumitree_path does",
+            LumitreeWarning,
+            stacklevel=3,
+        )
+
+
+def _warn_unlit(
+    scene: Any, luminaires: Sequence[PlacedLuminaire], proxy: ProxyKind, sampling: Sampling
+) -> None:
+    """Tell of baked luminaires that do not light, or not well, what is in their boxes."""
+    lacking = []
+    for placed in luminaires:
+        asset = placed.field.asset if placed.field is not None else None
+        exitant = asset.exitant if isinstance(asset, Asset) else None
+        if asset is None:
+            continue
+        if exitant is None:
+            told = "is not lit: the asset has no exitant light field; bake it with --parts exitant"
+        elif sampling == "uniform" or proxy == "sphere":
+            told = 'is not lit; use the proxy "box" and the sampling "emission"'
+        elif exitant.lacks_inside:
+            told = "gets only light that leaves the box: bake the lamp again with this version"
+        else:
+            continue
+        lacking.append((placed, told))
+    if not lacking:
+        return
+    boxes = np.stack([placed.scene_from_box for placed, _ in lacking])
+    for (placed, told), holds in zip(lacking, holds_objects(scene.shapes(), boxes), strict=True):
+        if holds:
+            warnings.warn(
+                f"{placed.title}: an object of the room is inside its box, where it {told}",
+                LumitreeWarning,
+                stacklevel=3,
+            )

@@ -1,0 +1,64 @@
+"""Alias tables: their probabilities, and that samples have them."""
+
+import numpy as np
+import pytest
+
+
+def rows_of_weights():
+    random = np.random.default_rng(3)
+    spiky = np.zeros(100)
+    spiky[[7, 50, 99]] = 1, 5, 1e-7
+    return {
+        "random": random.exponential(1, 100),
+        "steep": np.geomspace(1, 1e-12, 100),
+        "equal": np.full(100, 0.3),
+        "spiky": spiky,
+    }
+
+
+def implied(threshold, alias):
+    """Probabilities [N] of a row of thresholds and aliases."""
+    count = len(alias)
+    return (threshold + np.bincount(alias, 1 - threshold, count)) / count
+
+
+@pytest.mark.parametrize("name", rows_of_weights())
+def test_a_row_implies_its_weights(mi, name):
+    from lumitree.rendering.sampling.alias_table import alias_row
+
+    weights = rows_of_weights()[name]
+    threshold, alias = alias_row(weights)
+    assert ((threshold >= 0) & (threshold <= 1)).all()
+    assert implied(threshold, alias) == pytest.approx(weights / weights.sum(), abs=1e-15)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 1000])
+def test_a_row_of_any_length_implies_its_weights(mi, count):
+    from lumitree.rendering.sampling.alias_table import alias_row
+
+    weights = np.random.default_rng(count).exponential(1, count) ** 3
+    assert implied(*alias_row(weights)) == pytest.approx(weights / weights.sum(), abs=1e-14)
+
+
+def test_samples_have_the_probabilities_that_the_table_states(mi):
+    import drjit as dr
+
+    from lumitree.rendering.sampling.alias_table import AliasTable
+
+    weights = np.stack(list(rows_of_weights().values()))
+    table, count, samples = AliasTable([weights], *weights.shape), weights.shape[1], 1 << 20
+    sample = mi.PCG32(samples, 5).next_float32()
+    for row, weight in enumerate(weights):
+        index, chance = table.sample(mi.UInt32(row), sample)
+        stated = table.probability(mi.UInt32(row), dr.arange(mi.UInt32, count))
+        assert np.array_equal(np.array(chance), np.array(dr.gather(mi.Float, stated, index)))
+        stated = np.array(stated, np.float64)
+        assert (stated > 0).all()
+        assert stated.sum() == pytest.approx(1, abs=1e-5)
+        # Thresholds have 25 bits.
+        assert stated == pytest.approx(weight / weight.sum(), abs=1e-7)
+        found = np.bincount(np.array(index), minlength=count) / samples
+        error = np.sqrt(stated * (1 - stated) / samples)
+        likely = stated * samples > 20
+        assert (np.abs(found - stated) < 5 * error)[likely].all()
+        assert found[~likely].sum() * samples < 20 * (~likely).sum() + 1

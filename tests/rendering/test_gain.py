@@ -1,0 +1,265 @@
+"""The gain of a placed lamp: a factor on its light, in all methods of the emitter and in images."""
+
+import dataclasses
+import gc
+
+import numpy as np
+import pytest
+
+import lumitree
+from lumitree.asset.asset import exitant_asset
+from lumitree.errors import LumitreeError
+from lumitree.rendering.placement import Placement
+from support.exitant_fields import random_exitant
+from support.fields import random_asset
+
+GAIN = (0.5, 2.0, 3.0)
+NAME = "lamp.emitter.gain"
+
+
+def lamps():
+    """Assets with the parts field; exitant and field; exitant."""
+    field = random_asset(1)
+    exitant = random_exitant(2)
+    return {
+        "field": field,
+        "both": dataclasses.replace(field, exitant=exitant),
+        "exitant": exitant_asset(exitant, field.frame, "test"),
+    }
+
+
+@pytest.fixture(params=["field", "both", "exitant"])
+def asset(request):
+    return lamps()[request.param]
+
+
+def scene_with(mi, asset, **options):
+    """A lamp above a floor, and a camera that sees both."""
+    look = mi.ScalarTransform4f().look_at([0, 2.5, 4], [0, -0.5, 0], [0, 1, 0])
+    floor = mi.ScalarTransform4f().translate([0, -1.2, 0]).rotate([1, 0, 0], -90).scale(3)
+    film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "sensor": {"type": "perspective", "fov": 50, "to_world": look, "film": film},
+            "floor": {
+                "type": "rectangle",
+                "to_world": floor,
+                "bsdf": {"type": "roughplastic", "alpha": 0.3},
+            },
+            "lamp": lumitree.shape(asset, **options),
+        }
+    )
+
+
+def render(mi, scene, kind="lumitree_path", *, seed=1, params=None, **options):
+    integrator = mi.load_dict({"type": kind, "max_depth": 4})
+    return mi.render(scene, params, integrator=integrator, spp=16, seed=seed, **options)
+
+
+@pytest.mark.parametrize("kind", ["lumitree_path", "path", "volpath", "prb"])
+def test_an_image_is_proportional_to_the_gain(mi, asset, kind):
+    plain, gained = (
+        np.array(render(mi, scene_with(mi, asset, gain=gain), kind)) for gain in (1, GAIN)
+    )
+    assert plain.mean() > 0.01
+    assert gained == pytest.approx(plain * GAIN, rel=1e-4, abs=1e-5)
+
+
+def test_light_paths_carry_the_gain(mi, asset):
+    images = []
+    for gain in (1, GAIN):
+        scene = scene_with(mi, asset, gain=gain)
+        integrator = mi.load_dict({"type": "ptracer", "max_depth": 3, "hide_emitters": True})
+        images.append(np.array(mi.render(scene, integrator=integrator, spp=16, seed=3)))
+    assert images[0].mean() > 0.01
+    assert images[1] == pytest.approx(images[0] * GAIN, rel=1e-4, abs=1e-5)
+
+
+def test_methods_of_the_emitter_agree_on_it(mi, asset):
+    """Radiance, by each method that returns it; densities and transmittance without the gain."""
+    import drjit as dr
+
+    count = 512
+    found = []
+    for gain in (1, GAIN):
+        scene = scene_with(mi, asset, gain=gain)
+        emitter = scene.emitters()[0]
+        it = dr.zeros(mi.Interaction3f, count)
+        it.p = mi.Point3f(2.5, 1.0, 0.7)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(1, count)
+        sample = sampler.next_2d()
+        ds, weight = emitter.sample_direction(it, sample)
+        si = scene.ray_intersect(mi.Ray3f(it.p, ds.d))
+        sees = mi.Bool(True)
+        chances = mi.Float(0.3), mi.Float(0.5)
+        ray = mi.Ray3f(it.p, ds.d)
+        ends = mi.Float(dr.inf), mi.Float(dr.inf)
+        radiance, through, pdf = emitter.eval_entered(
+            ray, si.t, it, sees, *chances, ends, si.is_valid()
+        )
+        target, point, _ = emitter.sample_target(it, sample, mi.Bool(True))
+        value, value_pdf = emitter.eval_target(it, target, point, *chances, target.pdf > 0)
+        _, flux = emitter.sample_ray(0.0, sampler.next_1d(), sample, sampler.next_2d())
+        light = (
+            weight,
+            emitter.eval(si),
+            emitter.eval_direction(it, ds),
+            radiance,
+            value,
+            flux,
+        )
+        other = (ds.pdf, emitter.pdf_direction(it, ds), through, pdf, value_pdf)
+        found.append([[np.array(each) for each in group] for group in (light, other)])
+    (plain, same), (gained, again) = found
+    for first, second in zip(plain, gained, strict=True):
+        assert first.max() > 0
+        expected = first.reshape(3, -1) * np.array(GAIN)[:, None]
+        assert second.reshape(3, -1) == pytest.approx(expected, rel=1e-5)
+    for first, second in zip(same, again, strict=True):
+        assert np.array_equal(first, second)
+
+
+def test_lamps_of_one_asset_have_gains_of_their_own(mi):
+    import drjit as dr
+
+    asset = lamps()["both"]
+    away = np.eye(4)
+    away[0, 3] = 5
+    gains = {"near": (1, 0, 0), "far": (0, 1, 0)}
+    shapes = {
+        "near": lumitree.shape(asset, gain=gains["near"]),
+        "far": lumitree.shape(asset, away, gain=gains["far"]),
+    }
+    scene = mi.load_dict({"type": "scene", **shapes})
+    for offset, gain in ((0, gains["near"]), (5, gains["far"])):
+        origin = mi.Point3f(dr.linspace(mi.Float, -0.9, 0.9, 32) + offset, 0.1, 3.0)
+        si = scene.ray_intersect(mi.Ray3f(origin, mi.Vector3f(0, 0, -1)))
+        light = np.array(si.emitter(scene).eval(si)).max(axis=1)
+        assert ((light > 0) == np.array(gain, bool)).all()
+
+
+def test_another_gain_needs_no_reload_and_no_new_kernel(mi, asset):
+    import drjit as dr
+
+    # Emitters of scenes that are freed only after the first rendering would change its kernel.
+    gc.collect()
+    scene = scene_with(mi, asset)
+    params = mi.traverse(scene)
+    plain = np.array(render(mi, scene))
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        for gain in (GAIN, (0.0, 1.0, 7.0)):
+            dr.kernel_history_clear()
+            params[NAME] = mi.Color3f(*map(float, gain))
+            params.update()
+            image = np.array(render(mi, scene))
+            # One of size 1 stores the numbers of the gain, which are a part of it.
+            history = dr.kernel_history([dr.KernelType.JIT])
+            kernels = [kernel for kernel in history if kernel["size"] > 1]
+            assert kernels
+            assert all(kernel["cache_hit"] for kernel in kernels)
+            assert image == pytest.approx(plain * gain, rel=1e-4, abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["lumitree_path", "prb"])
+def test_the_gradient_is_that_of_finite_differences(mi, asset, kind):
+    import drjit as dr
+
+    scene = scene_with(mi, asset, gain=GAIN)
+    params = mi.traverse(scene)
+    dr.enable_grad(params[NAME])
+    params.update()
+    image = render(mi, scene, kind, seed=5, params=params, seed_grad=1)
+    dr.backward(dr.mean(image, axis=(0, 1)).array * [1, 2, 3])
+    gradient = np.array(dr.grad(params[NAME]), np.float64).ravel()
+    differences = []
+    # An image is linear in the gain, so a difference may be large.
+    for channel, step in enumerate(np.diag([0.5, 0.5, 0.5])):
+        ends = []
+        for gain in (GAIN - step, GAIN + step):
+            params[NAME] = mi.Color3f(*map(float, gain))
+            params.update()
+            image = np.array(render(mi, scene, kind), np.float64)
+            ends.append((image.mean(axis=(0, 1)) * [1, 2, 3])[channel])
+        differences.append(ends[1] - ends[0])
+    assert gradient == pytest.approx(differences, rel=1e-3)
+    assert min(differences) > 0.01
+
+
+def test_the_gain_of_an_image_is_recovered_by_descent(mi):
+    import drjit as dr
+
+    scene = scene_with(mi, lamps()["both"], gain=GAIN)
+    target = render(mi, scene, "prb", seed=2)
+    params = mi.traverse(scene)
+    params[NAME] = mi.Color3f(1)
+    optimiser = mi.ad.Adam(lr=0.4, params={NAME: params[NAME]})
+    for step in range(25):
+        params.update(optimiser)
+        image = render(mi, scene, "prb", seed=100 + step, params=params)
+        dr.backward(dr.mean(dr.square(image - target), axis=None))
+        optimiser.step()
+        optimiser[NAME] = dr.clip(optimiser[NAME], 0, 10)
+    assert np.array(optimiser[NAME]).ravel() == pytest.approx(GAIN, rel=0.15)
+
+
+BAD = [-1, (1, 2), (1, 2, -3), "bright", float("nan"), None, (1, 2, float("inf")), 1e9, [[1, 2]]]
+
+
+@pytest.mark.parametrize("gain", BAD)
+def test_bad_gains_are_refused(mi, gain):
+    with pytest.raises(LumitreeError, match=r"gain is .*; expected one number or three"):
+        lumitree.shape(lamps()["field"], gain=gain)
+    with pytest.raises(LumitreeError, match="gain is"):
+        Placement("lamp.lumitree", gain=gain)
+
+
+@pytest.mark.parametrize("gain", [(-1, 1, 1), (1, float("nan"), 1), (1, 1, 1e9)])
+def test_a_bad_parameter_is_refused_and_the_gain_stays(mi, gain):
+    scene = scene_with(mi, lamps()["field"], gain=GAIN)
+    params = mi.traverse(scene)
+    params[NAME] = mi.Color3f(*map(float, gain))
+    with pytest.raises(LumitreeError, match="gain is"):
+        params.update()
+    assert np.array(mi.traverse(scene)[NAME]).ravel() == pytest.approx(GAIN)
+
+
+def test_explicit_lamps_have_no_gain(mi):
+    with pytest.raises(LumitreeError, match=r"lamp\.xml has a gain of 2.*; bake it first"):
+        Placement("lamp.xml", gain=2)
+    assert Placement("lamp.xml").gain == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "gain"),
+    [
+        ('<rgb name="gain" value="0.5, 2, 3"/>', GAIN),
+        ('<vector name="gain" x="0.5" y="2" z="3"/>', GAIN),
+        ('<float name="gain" value="2.5"/>', (2.5, 2.5, 2.5)),
+        ('<integer name="gain" value="3"/>', (3, 3, 3)),
+        ("", (1, 1, 1)),
+    ],
+)
+def test_a_scene_file_names_it(mi, tmp_path, text, gain):
+    lumitree.save(lamps()["field"], tmp_path / "lamp.lumitree")
+    file = '<string name="filename" value="lamp.lumitree"/>'
+    (tmp_path / "scene.xml").write_text(
+        '<scene version="3.0.0"><shape type="lumitree_proxy" id="lamp">'
+        f"{file}{text}</shape></scene>"
+    )
+    scene = mi.load_file(str(tmp_path / "scene.xml"))
+    assert np.array(scene.emitters()[0].gain).ravel() == pytest.approx(gain)
+
+
+@pytest.mark.parametrize(
+    "text", ['<rgb name="gain" value="-1, 2, 3"/>', '<string name="gain" value="red"/>']
+)
+def test_a_scene_file_with_a_bad_one_is_refused(mi, tmp_path, text):
+    lumitree.save(lamps()["field"], tmp_path / "lamp.lumitree")
+    file = '<string name="filename" value="lamp.lumitree"/>'
+    (tmp_path / "scene.xml").write_text(
+        f'<scene version="3.0.0"><shape type="lumitree_proxy">{file}{text}</shape></scene>'
+    )
+    with pytest.raises(Exception, match="gain is"):
+        mi.load_file(str(tmp_path / "scene.xml"))

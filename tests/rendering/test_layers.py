@@ -1,0 +1,233 @@
+"""Light of lamps recorded apart, buffers of surfaces, budgets, and denoising."""
+
+import numpy as np
+import pytest
+
+import lumitree
+from lumitree.cli import main
+from lumitree.core.images import read_exr
+from lumitree.errors import LumitreeError
+from support.fields import random_asset
+from support.model_assets import small_model, with_model
+
+ROOM = """<scene version="3.0.0">
+<integrator type="path"><integer name="max_depth" value="3"/></integrator>
+<sensor type="perspective"><float name="fov" value="50"/>
+<transform name="to_world"><lookat origin="0, 1, 6" target="0, 0, 0" up="0, 1, 0"/></transform>
+<film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="16"/>{}</film>
+</sensor>
+<shape type="rectangle"><transform name="to_world"><scale value="6"/>
+<translate z="-2"/></transform>
+<bsdf type="diffuse"><rgb name="reflectance" value="0.6, 0.4, 0.2"/></bsdf></shape>
+<shape type="rectangle"><transform name="to_world"><rotate y="1" angle="20"/>
+<translate x="2.2" z="-1"/></transform>
+<emitter type="area"><rgb name="radiance" value="3, 2, 1"/></emitter></shape>
+</scene>"""
+
+
+@pytest.fixture
+def room(tmp_path):
+    (tmp_path / "room.xml").write_text(ROOM.format(""))
+    return tmp_path / "room.xml"
+
+
+@pytest.fixture
+def lamps(mi, tmp_path):
+    """Two placements of one asset; the second is called as the layer of the room is."""
+    lumitree.save(random_asset(3), tmp_path / "lamp.lumitree")
+    path = str(tmp_path / "lamp.lumitree")
+    return [
+        lumitree.Placement(path, at=(-1.5, 0, 0), size=1.0),
+        lumitree.Placement(path, at=(0, 0, 0), size=0.8, gain=2.0, label="room"),
+    ]
+
+
+def render(room, lamps=(), **options):
+    return lumitree.render(room, lamps, progress=None, **options)
+
+
+FOG = """<sensor type="perspective"><medium type="homogeneous" name="medium">
+<rgb name="sigma_t" value="0.05, 0.1, 0.2"/><rgb name="albedo" value="0.9, 0.5, 0.7"/></medium>"""
+
+
+@pytest.mark.parametrize("sensor", ['<sensor type="perspective">', FOG], ids=["clear", "fog"])
+def test_layers_add_up_to_the_image(room, lamps, tmp_path, sensor):
+    room.write_text(room.read_text().replace('<sensor type="perspective">', sensor))
+    path = tmp_path / "layers.exr"
+    plain = render(room, lamps, samples_per_pixel=64)
+    result = render(room, lamps, samples_per_pixel=64, layers=path)
+    layers = read_exr(path)
+    assert sorted(layers) == ["lamp", "room", "room_2"]
+    assert sum(layers.values()) == pytest.approx(result.pixels, abs=1e-4)
+    # Equal seeds; rounding may send a few paths elsewhere.
+    assert np.median(np.abs(result.pixels - plain.pixels)) < 1e-5
+    assert all(layer.mean() > 0.01 for layer in layers.values())
+
+
+def test_a_layer_has_the_light_of_its_lamp_only(room, lamps, tmp_path):
+    """Against images with one lamp each; the second lamp has twice the gain of the first."""
+    paths = [tmp_path / f"{name}.exr" for name in ("both", "none")]
+    render(room, lamps, samples_per_pixel=2048, layers=paths[0])
+    render(room, [], samples_per_pixel=2048, layers=paths[1])
+    both, none = (read_exr(path) for path in paths)
+    # On the right of the image no lamp is in front of the room's light.
+    assert both["room"][:, 20:].mean() == pytest.approx(none["room"][:, 20:].mean(), rel=0.03)
+    dark = [lumitree.Placement(lamps[0].source, at=lamps[0].at, size=1.0, gain=0.0), lamps[1]]
+    render(room, dark, samples_per_pixel=64, layers=paths[0])
+    layers = read_exr(paths[0])
+    assert not layers["lamp"].any()
+    assert layers["room_2"].mean() > 0.01
+
+
+def test_layers_of_models(mi, room, tmp_path):
+    """Of a lamp without gain nothing is seen, and of the other its own shapes."""
+    path = str(tmp_path / "model.lumitree")
+    lumitree.save(with_model(small_model()), path)
+    lamps = [
+        lumitree.Placement(path, at=(-1.2, 0, 1), size=1.5, label="on"),
+        lumitree.Placement(path, at=(0.8, 0, 1), size=1.5, gain=0, label="off"),
+    ]
+    result = render(room, lamps, samples_per_pixel=256, layers=tmp_path / "layers.exr")
+    layers = read_exr(tmp_path / "layers.exr")
+    assert sum(layers.values()) == pytest.approx(result.pixels, abs=1e-3)
+    assert not layers["off"].any()
+    left, right = layers["on"][4:12, 2:10].max(), layers["on"][4:12, 16:].max()
+    assert left > 3 * right > 0
+
+
+def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
+    path = tmp_path / "layers.exr"
+    result = render(room, lamps, samples_per_pixel=16, layers=path)
+    layers = read_exr(path)
+    assert lumitree.mix(path).pixels == pytest.approx(result.pixels, abs=1e-5)
+    mixed = lumitree.mix(path, tmp_path / "mixed.png", {"lamp": (0, 1, 2), "room": 0.5})
+    expected = layers["lamp"] * [0, 1, 2] + layers["room"] * 0.5 + layers["room_2"]
+    assert mixed.pixels == pytest.approx(expected, abs=1e-5)
+    assert mixed.layers == ["lamp", "room", "room_2"]
+    with pytest.raises(LumitreeError, match=r"no layer 'hall'; it has lamp, room, room_2"):
+        lumitree.mix(path, gains={"hall": 2})
+    with pytest.raises(LumitreeError, match="gain"):
+        lumitree.mix(path, gains={"lamp": -1})
+    image = tmp_path / "image.exr"
+    render(room, samples_per_pixel=1, output=image)
+    with pytest.raises(LumitreeError, match=r"no layers .* expected a file of `lumitree render"):
+        lumitree.mix(image)
+
+
+def test_buffers_describe_the_surfaces(mi, room, tmp_path):
+    """Against Mitsuba's integrator `aov`, where a single surface covers the pixel."""
+    render(room, samples_per_pixel=64, aov=tmp_path / "aov.exr")
+    found = read_exr(tmp_path / "aov.exr")
+    scene = mi.load_file(str(room))
+    aov = mi.load_dict({"type": "aov", "aovs": "albedo:albedo,nn:sh_normal"})
+    expected = np.array(mi.render(scene, integrator=aov, spp=64))
+    inner = slice(1, 16), slice(1, 12)
+    assert found["albedo"][inner] == pytest.approx(expected[inner][..., :3], abs=0.01)
+    normal = np.stack([found[f"normal.{c}"] for c in "XYZ"], axis=-1)
+    assert normal[inner] == pytest.approx(expected[inner][..., 3:6], abs=0.01)
+    assert found["albedo"][8, 5] == pytest.approx([0.6, 0.4, 0.2], abs=0.01)
+
+
+def test_noise_is_the_deviation_between_seeds(mi, room):
+    from lumitree.rendering.passes import Budget, render_passes
+    from lumitree.rendering.scene import load_scene
+
+    scene, integrator = load_scene(str(room), box_filter=True)
+    images = [
+        render_passes(scene, integrator, Budget(32, noise=1e-4), seed=seed) for seed in range(24)
+    ]
+    grey = np.array([image.radiance for image in images], np.float64).mean(axis=-1)
+    measured = grey.std(axis=0, ddof=1).sum() / grey.mean(axis=0).sum()
+    assert np.mean([image.noise for image in images]) == pytest.approx(measured, rel=0.1)
+    assert all(image.samples_per_pixel == 32 for image in images)
+
+
+def test_a_render_stops_at_the_first_limit(room):
+    assert render(room).samples_per_pixel == 64
+    found = render(room, noise=0.05)
+    assert found.noise <= 0.05
+    assert 8 <= found.samples_per_pixel < 1 << 14
+    assert render(room, noise=1e-4, samples_per_pixel=20).samples_per_pixel == 20
+    assert 1 <= render(room, time=1e-3).samples_per_pixel <= 16
+
+
+def test_a_pass_that_would_end_too_late_is_not_begun(mi, room, monkeypatch):
+    """A clock that advances by a second for each pass."""
+    from lumitree.rendering import passes
+    from lumitree.rendering.scene import load_scene
+
+    scene, integrator = load_scene(str(room))
+    ticks = iter(range(100))
+    monkeypatch.setattr(passes.time, "perf_counter", lambda: float(next(ticks)))
+    # The clock is read before the first pass, and before and after each.
+    image = passes.render_passes(scene, integrator, passes.Budget(seconds=6.5))
+    assert image.samples_per_pixel == 3 * 16
+    assert image.seconds == 6
+
+
+@pytest.mark.parametrize(
+    "film",
+    ["", '<rfilter type="mitchell"/>', '<rfilter type="box"/>'],
+    ids=["none", "other", "box"],
+)
+def test_the_filter_becomes_a_box(mi, tmp_path, film):
+    from lumitree.rendering.scene import load_scene
+
+    path = tmp_path / "room.xml"
+    path.write_text(ROOM.format(film))
+    scene, _ = load_scene(str(path), box_filter=True)
+    film = scene.sensors()[0].film()
+    assert film.rfilter().class_name() == "BoxFilter"
+    assert tuple(film.size()) == (24, 16)
+
+
+def test_denoising_reduces_the_error_and_leaves_what_is_seen(mi, room, lamps):
+    pytest.importorskip("mitsuba_oidn", reason="the optional dependency denoise is not installed")
+    room.write_text(ROOM.format('<rfilter type="box"/>'))
+    reference = render(room, lamps, samples_per_pixel=2048, width=96)
+    noisy = render(room, lamps, samples_per_pixel=4, width=96)
+    clean = render(room, lamps, samples_per_pixel=4, width=96, denoise=True)
+    errors = [np.abs(each.pixels - reference.pixels).mean() for each in (noisy, clean)]
+    assert errors[1] < 0.8 * errors[0]
+    assert clean.pixels.mean() == pytest.approx(reference.pixels.mean(), rel=0.05)
+    # The light itself, away from its edges.
+    seen = slice(30, 34), slice(78, 82)
+    assert clean.pixels[seen] == pytest.approx(noisy.pixels[seen], rel=1e-3)
+
+
+def test_without_the_denoiser_nothing_is_rendered(room, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
+    with pytest.raises(
+        LumitreeError, match=r"needs the package mitsuba-oidn .* 'lumitree\[denoise"
+    ):
+        render(room, denoise=True)
+
+
+def test_heterogeneous_media_have_no_layers(room, tmp_path):
+    medium = '<medium type="heterogeneous" name="interior"/>'
+    text = room.read_text().replace("</bsdf></shape>", f"</bsdf>{medium}</shape>", 1)
+    room.write_text(text)
+    with pytest.raises(LumitreeError, match=r"heterogeneous media; denoise, layers"):
+        render(room, layers=tmp_path / "layers.exr")
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"noise": 0.0}, "noise"),
+        ({"time": -1.0}, "time"),
+        ({"layers": "a.png"}, r"'a.png' does not end in \.exr"),
+        ({"aov": "a.png"}, r"'a.png' does not end in \.exr"),
+    ],
+)
+def test_wrong_arguments_are_refused(room, options, match):
+    with pytest.raises(LumitreeError, match=match):
+        render(room, **options)
+
+
+@pytest.mark.parametrize("gain", ["lamp", "=2", "lamp=a", "lamp=1,2"])
+def test_wrong_gains_are_refused(tmp_path, capsys, gain):
+    assert main(["mix", "layers.exr", "-o", str(tmp_path / "a.png"), "--gain", gain])
+    assert "argument --gain" in capsys.readouterr().err

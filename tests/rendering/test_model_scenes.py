@@ -1,0 +1,146 @@
+"""How the model of an asset comes into an asset, and from there into scenes."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import lumitree
+from lumitree.asset.file import save
+from lumitree.cli import main
+from lumitree.core.frames import LocalFrame
+from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.stored_model import stored_model
+from support import tiny_bakes
+from support.fields import random_asset
+from support.lamps import AREA, GLASS, cube, scene, sphere
+from support.model_assets import small_model, with_model
+
+FEW = {"estimate": {"rays": 1 << 17, "growth_rays": 1 << 16}, "rays": 1 << 14}
+LAMP = scene(sphere("ball", 0.5, inside=AREA), cube("bar", (1, 0.1, 0.1)))
+MEDIUM = (
+    '<medium type="homogeneous" name="interior"><float name="albedo" value="0.5"/>'
+    '<phase type="rayleigh"/></medium>'
+)
+HAZE = scene(sphere("ball", 0.2, inside=AREA), cube("bar", (0.5, 0.5, 0.5), inside=GLASS + MEDIUM))
+ROOM = """<scene version="3.0.0"><integrator type="{integrator}"/>
+<sensor type="perspective"><transform name="to_world">
+<lookat origin="0,0,6" target="0,0,0" up="0,1,0"/></transform>
+<film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>
+</sensor><shape type="rectangle"><transform name="to_world"><translate z="-3"/></transform></shape>
+{lamp}</scene>"""
+MODEL = '<shape type="lumitree_proxy"><string name="filename" value="lamp.lumitree"/>{}</shape>'
+
+
+@pytest.fixture(autouse=True)
+def folder(mi, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tiny_bakes.set_qualities(monkeypatch.setitem, tree_depth=4, **FEW)
+    (tmp_path / "lamp.xml").write_text(LAMP)
+    (tmp_path / "haze.xml").write_text(HAZE)
+    return tmp_path
+
+
+def bar(frame=None):
+    """An asset with the model of the lamp and some light."""
+    lamp = load_luminaire("lamp.xml")
+    return with_model(stored_model(lamp), lamp.frame)
+
+
+def test_parts_of_a_bake(capsys):
+    baked = lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant", "model"])
+    assert baked.asset.parts == ("exitant", "model")
+    assert baked.asset.model.num_triangles == 12
+    assert main(["info", "lamp.lumitree"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "exitant, model" in shown
+    assert main(["bake", "lamp.xml", "-o", "all.lumitree", "--parts", "exitant,field,model"]) == 0
+    every = lumitree.load("all.lumitree")
+    assert every.parts == ("exitant", "field", "model")
+    assert lumitree.bake("lamp.xml").asset.info.appearance == "model"
+    refined = lumitree.refine(every, "lamp.xml", rays=1 << 14)
+    assert refined.asset.model is every.model
+
+
+def test_a_luminaire_that_cannot_be_stored_keeps_its_field():
+    with pytest.warns(LumitreeWarning, match=r"no model: .*RayleighPhaseFunction is not"):
+        baked = lumitree.bake("haze.xml", irradiance_paths=0)
+    assert baked.asset.parts == ("exitant", "field")
+    with pytest.raises(LumitreeError, match=r"part model cannot be made: .*Rayleigh"):
+        lumitree.bake("haze.xml", parts=["exitant", "model"])
+
+
+def test_a_model_alone_is_refused_before_any_work():
+    with pytest.raises(LumitreeError, match="parts are model; expected exitant, field or both"):
+        lumitree.bake("lamp.xml", parts=["model"])
+
+
+def test_one_dictionary_and_one_element_expand_into_all_shapes(mi):
+    asset = bar()
+    described = lumitree.shape(asset, appearance="model")
+    loaded = mi.load_dict({"type": "scene", "lamp": described})
+    assert len(loaded.shapes()) == 1 + len(asset.model.shapes)
+    save(asset, "lamp.lumitree")
+    appearance = '<string name="appearance" value="model"/>'
+    for lamp, count in ((MODEL.format(appearance), 3), (MODEL.format(""), 1)):
+        loaded = mi.load_string(f'<scene version="3.0.0"><path value="."/>{lamp}</scene>')
+        assert len(loaded.shapes()) == count
+    with pytest.raises(LumitreeError, match="appearance is 'x'; expected field, model"):
+        lumitree.shape(asset, appearance="x")
+
+
+def test_an_asset_without_a_model_shows_its_field(mi):
+    described = lumitree.shape(random_asset(0), appearance="model")
+    assert len(mi.load_dict({"type": "scene", "lamp": described}).shapes()) == 1
+
+
+def test_every_kind_of_shape_and_material_can_be_placed(mi):
+    asset = with_model(small_model(), LocalFrame(np.ones(3), np.eye(4)))
+    loaded = mi.load_dict({"type": "scene", "lamp": lumitree.shape(asset, appearance="model")})
+    sensor = {"type": "perspective", "to_world": mi.ScalarTransform4f().translate([0, 0, -4])}
+    sensor["film"] = {"type": "hdrfilm", "width": 16, "height": 16}
+    integrator = mi.load_dict({"type": "lumitree_path"})
+    image = np.array(mi.render(loaded, sensor=mi.load_dict(sensor), integrator=integrator, spp=16))
+    assert np.isfinite(image).all()
+    assert image.max() > 0
+
+
+@pytest.mark.parametrize(
+    ("integrator", "shows"), [("path", True), ("lumitree_path", True), ("volpath", False)]
+)
+def test_render_shows_the_model_where_the_integrator_can(monkeypatch, integrator, shows):
+    from lumitree.rendering import scene as scenes
+
+    placed = []
+    place = scenes.place_luminaires
+
+    def watched(*args, **options):
+        placed.append(place(*args, **options))
+        return placed[0]
+
+    monkeypatch.setattr(scenes, "place_luminaires", watched)
+    save(bar(), "lamp.lumitree")
+    with open("room.xml", "w") as file:
+        file.write(ROOM.format(integrator=integrator, lamp=""))
+    call = ["render", "room.xml", "-o", "image.exr", "--spp", "4", "--place", "lamp.lumitree"]
+    assert main([*call, "--json", "report.json"]) == 0
+    assert len(placed[0].shapes()) == (4 if shows else 2)
+    with open("report.json") as file:
+        assert json.load(file)["mean_radiance"] > 0
+
+
+def test_a_camera_inside_a_lamp_is_no_fault(mi, recwarn):
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
+
+    film = {"type": "hdrfilm", "width": 4, "height": 4}
+    room = mi.load_dict({"type": "scene", "sensor": {"type": "perspective", "film": film}})
+    for appearance in ("model", "field"):
+        place_luminaires(room, [PlacedLuminaire(Placement(bar()))], appearance=appearance)
+    assert not [each for each in recwarn if issubclass(each.category, LumitreeWarning)]
+
+
+def test_parts_are_plain_data():
+    assert dataclasses.asdict(bar().info)["parts"] == ("exitant", "model")

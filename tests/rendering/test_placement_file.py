@@ -1,0 +1,194 @@
+"""TOML files of placements, and the luminous flux and colour of a placed lamp."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import lumitree
+from lumitree.asset.asset import exitant_asset
+from lumitree.cli import main
+from lumitree.core.photometry import colour_temperature, luminance
+from lumitree.errors import LumitreeError
+from support.damage import damaged, refused
+from support.exitant_fields import random_exitant
+from support.fields import random_asset
+
+FIELD = random_asset(1)
+EXITANT = exitant_asset(random_exitant(2), FIELD.frame, "test")
+
+FILE = """
+[lamps.kitchen]
+asset = "a.lumitree"
+at = [0, 2.5, -1]
+size = 0.4
+rotate = [0, 1, 0, 45]
+gain = [1, 0.5, 0.25]
+lumens = 800
+temperature = 2700.0
+
+[lamps."desk lamp"]
+asset = "bulbs"
+gain = 1
+"""
+
+
+def test_all_keys_are_read_and_paths_are_relative_to_the_file(tmp_path, mi):
+    folder = tmp_path / "sub"
+    folder.mkdir()
+    (folder / "lights.toml").write_text(FILE)
+    first, second = lumitree.read_placements(folder / "lights.toml")
+    assert first == lumitree.Placement(
+        str(folder / "a.lumitree"), (0, 2.5, -1), 0.4, (0, 1, 0, 45), (1, 0.5, 0.25), 800, 2700,
+        "kitchen",
+    )  # fmt: skip
+    assert second == lumitree.Placement("bulbs", gain=(1,), label="desk lamp")
+
+
+def test_damaged_files_are_refused_or_read(tmp_path, mi):
+    path = tmp_path / "lights.toml"
+    rng, outcomes = np.random.default_rng(0), set()
+
+    def check():
+        for lamp in lumitree.read_placements(path):
+            assert lamp.size is None or 0 < lamp.size < np.inf
+            assert lamp.label is not None
+
+    for _ in range(300):
+        path.write_bytes(damaged(FILE.encode(), rng))
+        outcomes.add(refused(check))
+    assert outcomes == {True, False}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "it has no lamps"),
+        ("lamps = 3", "lamps is '3'; expected [lamps.NAME] tables"),
+        ("[lamps]\nhall = 3", "lamps.hall is '3'; expected a table"),
+        ("[lamp.hall]", "unknown key 'lamp'"),
+        ("[lamps.hall]", "lamps.hall has no asset"),
+        ("[lamps.hall]\nasset = 3", "lamps.hall.asset is '3'; expected a text"),
+        ("[lamps.hall]\nasset = 'a.lumitree'\nsice = 1", "unknown key 'lamps.hall.sice'; known"),
+        ("[lamps.hall]\nasset = 'a.lumitree'\nat = [0, 1]", "hall.at is '[0, 1]'; expected 3 num"),
+        ("[lamps.hall]\nasset = 'a.lumitree'\nat = [0, 1, nan]", "expected 3 numbers"),
+        ("[lamps.hall]\nasset = 'a.lumitree'\nat = [0, 1, true]", "expected 3 numbers"),
+        ("[lamps.hall]\nasset = 'a.lumitree'\nat = [1e300, 1, 0]", "lamps.hall: at"),
+        ("[lamps.hall]\nasset = 'a.lumitree'\nsize = 'big'", "hall.size is 'big'"),
+        ("[lamps.hall]\nasset = 'a.lumitree'\nsize = 0", "hall.size is '0'; expected a number"),
+        ("[lamps.hall]\nasset = 'a.lumitree'\nrotate = [0, 0, 0, 9]", "lamps.hall: "),
+        ("[lamps.hall]\nasset = 'a.lumitree'\ngain = [1, 2]", "one number or 3 numbers"),
+        ("[lamps.hall]\nasset = 'a.lumitree'\ngain = -1", "gain has a factor"),
+        ("[lamps.hall]\nasset = 'a.lumitree'\nlumens = inf", "hall.lumens is 'inf'"),
+        ("[lamps.hall]\nasset = 'a.lumitree'\ntemperature = 300", "hall.temperature is '300'"),
+        ("[lamps.hall]\nasset = 'bulbs'\nlumens = 800", "lamps.hall: bulbs has lumens of 800"),
+        ("[lamps.hall]\n[lamps.hall]", "not valid TOML"),
+        ("\xff", "not valid TOML"),
+    ],
+)  # fmt: skip
+def test_a_wrong_file_gives_one_line_with_file_and_lamp(tmp_path, text, message):
+    path = tmp_path / "lights.toml"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(LumitreeError) as caught:
+        lumitree.read_placements(path)
+    assert message in str(caught.value)
+    assert "lights.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_and_explicit_geometry_are_refused(tmp_path):
+    with pytest.raises(LumitreeError, match="does not exist; expected a TOML file of placements"):
+        lumitree.read_placements(tmp_path / "no.toml")
+    for options in ({"lumens": 800}, {"temperature": 2700}):
+        with pytest.raises(LumitreeError, match="explicit geometry"):
+            lumitree.Placement("bulbs", **options)
+    for options in ({"lumens": -1}, {"lumens": np.nan}, {"temperature": 99}):
+        with pytest.raises(LumitreeError, match="expected"):
+            lumitree.Placement("a.lumitree", **options)
+
+
+def placed_flux(mi, placement):
+    """R, G and B of the flux of a lamp in the scene, from rays that it emits; and its errors."""
+    from lumitree.rendering.plugins.placed import APPEARANCES
+    from lumitree.rendering.scene import PlacedLuminaire
+
+    shape = PlacedLuminaire(placement).shapes("box", "emission", APPEARANCES[0])
+    emitter = mi.load_dict({"type": "scene", **shape}).emitters()[0]
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(7, 1 << 20)
+    args = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
+    _, weight = emitter.sample_ray(0.0, *args)
+    flux = np.array(weight, np.float64).reshape(3, -1)
+    return flux.mean(axis=1), flux.std(axis=1) / np.sqrt(flux.shape[1])
+
+
+@pytest.mark.parametrize(
+    ("asset", "size"),
+    [
+        (EXITANT, None),
+        (EXITANT, 0.3),
+        pytest.param(FIELD, 0.3, marks=pytest.mark.slow),
+        pytest.param(FIELD, None, marks=pytest.mark.slow),
+    ],
+)
+def test_a_placed_lamp_has_the_lumens_and_the_colour(mi, asset, size):
+    lumitree.register()
+    options = {"size": size, "lumens": 800, "temperature": 2700}
+    watts, errors = placed_flux(mi, lumitree.Placement(asset, **options))
+    lumens = float(luminance(watts))
+    # Of a field, the flux is an estimate too, of about as many rays.
+    tolerance = 5 * np.sqrt(2) * float(luminance(errors))
+    assert abs(lumens - 800) < tolerance
+    assert tolerance < 20
+    kelvin, duv = colour_temperature(watts)
+    assert kelvin == pytest.approx(2700, rel=0.02)
+    assert abs(duv) < 1e-3
+    half = placed_flux(mi, lumitree.Placement(asset, **options, gain=(0.5, 0.5, 0)))[0]
+    np.testing.assert_allclose(half, watts * [0.5, 0.5, 0], rtol=1e-3)
+
+
+def test_temperature_alone_keeps_the_lumens_and_lumens_alone_the_colour(mi):
+    from lumitree.rendering.asset_flux import asset_watts, gain_to
+
+    watts = asset_watts(EXITANT)
+    warm = watts * gain_to(watts, None, 2000, "lamp")
+    assert luminance(warm) == pytest.approx(luminance(watts))
+    bright = watts * gain_to(watts, 10.0, None, "lamp")
+    np.testing.assert_allclose(bright / bright.sum(), watts / watts.sum())
+    assert luminance(bright) == pytest.approx(10)
+    with pytest.raises(LumitreeError, match="lamp emits no blue light, which 6500 K has"):
+        gain_to(np.array([1.0, 1.0, 0.0]), None, 6500, "lamp")
+    with pytest.raises(LumitreeError, match="emits no light"):
+        gain_to(np.zeros(3), 10.0, None, "lamp")
+    # A black body of 1000 K has no blue in linear sRGB.
+    assert gain_to(np.array([1.0, 1.0, 0.0]), None, 1000, "lamp")[2] == 0
+
+
+ROOM = (
+    '<scene version="3.0.0"><integrator type="path"/><sensor type="perspective">'
+    '<transform name="to_world"><lookat origin="0,1,6" target="0,0.5,0" up="0,1,0"/></transform>'
+    '<film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="16"/>'
+    "</film></sensor></scene>"
+)
+
+
+def test_render_takes_the_file_and_options(tmp_path, mi, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "room.xml").write_text(ROOM)
+    lumitree.save(dataclasses.replace(FIELD, luminaire="x"), "lamp.lumitree")
+    (tmp_path / "lights.toml").write_text(
+        "[lamps.left]\nasset = 'lamp.lumitree'\nat = [-1.5, 0, 0]\nlumens = 500\n"
+    )
+    options = ("--spp", "4", "--placements", "lights.toml")
+    assert main(["render", "room.xml", "-o", "one.exr", *options]) == 0
+    left = ("--place", "lamp.lumitree", "--at", "-1.5,0,0", "--lumens", "1000")
+    assert main(["render", "room.xml", "-o", "two.exr", "--spp", "4", *left]) == 0
+    right = ("--place", "lamp.lumitree", "--at", "1.5,0,0")
+    assert main(["render", "room.xml", "-o", "both.exr", *options, *right]) == 0
+    one, two, both = (np.array(mi.Bitmap(f"{name}.exr")) for name in ("one", "two", "both"))
+    np.testing.assert_allclose(two, 2 * one, rtol=1e-3, atol=1e-6)
+    assert both[:, :12].mean() == pytest.approx(one[:, :12].mean(), rel=1e-3)
+    assert both[:, 12:].mean() > 0 == one[:, 12:].mean()
+    capsys.readouterr()
+    assert main(["render", "room.xml", "-o", "a.png", "--lumens", "3"]) == 2
+    assert "--lumens comes before any --place" in capsys.readouterr().err
