@@ -57,7 +57,7 @@ def run(code, *arguments, folder=None):
 def command(folder, *arguments):
     """A command of `tiny_bakes`, without the packages."""
     script = f"sys.path.insert(0, {str(TESTS)!r})\nimport runpy\n"
-    script += "runpy.run_module('tiny_bakes', run_name='__main__')"
+    script += "runpy.run_module('support.tiny_bakes', run_name='__main__')"
     return run(HIDE + script, *arguments, folder=folder)
 
 

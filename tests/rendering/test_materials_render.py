@@ -18,7 +18,7 @@ from support.model_assets import with_model
 
 def faults(count):
     """By `scalar_materials.py`, which tries thousands of materials without compiling any."""
-    script = Path(__file__).with_name("scalar_materials.py")
+    script = Path(__file__).parents[1] / "support" / "scalar_materials.py"
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     run = subprocess.run(
         [sys.executable, str(script), str(count)], env=environment, capture_output=True, text=True

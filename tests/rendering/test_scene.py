@@ -20,13 +20,13 @@ def loads(monkeypatch):
     """Paths of the assets that were read."""
     from lumitree.rendering import asset_cache as opened
 
-    read, load = [], opened.load
+    read, load = [], opened.read_asset
 
     def counting(path):
         read.append(path)
         return load(path)
 
-    monkeypatch.setattr(opened, "load", counting)
+    monkeypatch.setattr(opened, "read_asset", counting)
     return read
 
 

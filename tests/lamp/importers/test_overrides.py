@@ -239,7 +239,7 @@ def test_wrong_files(written, text, message):
 
 
 def test_documented_and_example_files_are_valid(tmp_path):
-    root = Path(__file__).parents[2]
+    root = Path(__file__).parents[3]
     page = (root / "docs" / "bring-your-own-lamp.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```toml\n(.*?)```", page, flags=re.S)
     examples = sorted((root / "examples" / "overrides").glob("*.toml"))

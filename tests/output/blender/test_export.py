@@ -293,7 +293,7 @@ def test_blender_writes_the_voxels(tmp_path):
         " name in ('density', 'emission')];"
         "print(json.dumps([[a.getValue(tuple(i)) for i in index] for a in read]))"
     )
-    script = os.path.join(os.path.dirname(lumitree.__file__), "exporting", "vdb_script.py")
+    script = os.path.join(os.path.dirname(lumitree.__file__), "output", "blender", "vdb_script.py")
     last = json.dumps(arrays["last"].tolist())
     run = subprocess.run(
         [str(blender), "-c", code, script, str(path), last], capture_output=True, text=True,

@@ -15,7 +15,7 @@ from lumitree.lamp.importers.gltf import read_gltf
 from lumitree.lamp.parts import Glass, Texture
 from lumitree.lamp.scene_writer import write_scene
 
-DATA = Path(os.environ.get("LUMITREE_DATA", Path(__file__).parents[3].parent / "shared" / "data"))
+DATA = Path(os.environ.get("LUMITREE_DATA", Path(__file__).parents[4].parent / "shared" / "data"))
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no development set at {DATA}")
 BARN = DATA / "luminaires" / "barn_lamp" / "AnisotropyBarnLamp.gltf"
 STAINED = DATA / "luminaires" / "stained_glass_lamp" / "StainedGlassLamp.gltf"
