@@ -8,6 +8,7 @@ import pytest
 import lumitree
 from lumitree.asset.asset import exitant_asset
 from lumitree.asset.exitant import make_exitant_field, unpack
+from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from support.fields import make_asset, uniform_asset
 from support.receivers import HALF, POINTS, device_point, uniform_samples
@@ -60,7 +61,7 @@ def chances(mi, light, x):
 
 @pytest.mark.parametrize("name", POINTS)
 def test_radiance_and_density_are_sums_over_all_cells(mi, light, name):
-    from lumitree.core.octahedral import bin_of
+    from lumitree.rendering.sampling.light_field import smooth_bin
     from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
 
     field = some_light()
@@ -77,7 +78,7 @@ def test_radiance_and_density_are_sums_over_all_cells(mi, light, name):
     last = np.maximum(np.maximum(near, far).min(axis=2), first)
     volume = (upper - lower).prod(axis=1)
     intensity = unpack(field.dense(field.intensity)) * field.scale
-    bins = np.array(bin_of(-direction, RESOLUTION))
+    bins = np.array(smooth_bin(-direction, RESOLUTION))
     expected = np.einsum("nc,cnk->nk", (last - first) / volume, intensity[:, bins])
     assert meets.mean() > 0.3
     found = np.array(radiance, np.float64).T
@@ -187,7 +188,8 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
 
 
 def test_rays_carry_the_flux_of_every_bin(mi, light):
-    from lumitree.core.octahedral import bin_of, solid_angles
+    from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
+    from lumitree.rendering.sampling.light_field import smooth_bin
 
     field, count = some_light(), 1 << 20
     sampler = uniform_samples(mi, count)
@@ -195,9 +197,8 @@ def test_rays_carry_the_flux_of_every_bin(mi, light):
         sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
     )
     flux = np.array(flux, np.float64).T
-    expected = unpack(field.dense(field.intensity)) * field.scale
-    expected = expected * solid_angles(RESOLUTION)[:, None]
-    total = expected.sum((0, 1))
+    intensity = unpack(field.dense(field.intensity)) * field.scale
+    total = (intensity * solid_angles(RESOLUTION)[:, None]).sum((0, 1))
     error = flux.std(axis=0) / np.sqrt(count)
     assert (error < 2e-3 * total).all()
     assert (np.abs(flux.mean(axis=0) - total) < 4 * error + 1e-4 * total).all()
@@ -211,7 +212,13 @@ def test_rays_carry_the_flux_of_every_bin(mi, light):
     green = flux[:, 1]
     found = np.bincount(index, green, parts) / count
     variance = np.bincount(index, green**2, parts) / count**2
-    expected = expected[..., 1].ravel()
+    # Of the radiance that receivers get, which is linear between the middles of bins.
+    many = 1 << 14
+    bins = np.repeat(np.arange(RESOLUTION**2), many)
+    within = uniform_samples(mi, len(bins), 1).next_2d()
+    ways, density = direction_in_bin(on_device(mi.UInt32, bins), within, RESOLUTION)
+    seen = intensity[:, np.array(smooth_bin(ways, RESOLUTION)), 1] / np.array(density)
+    expected = seen.reshape(len(field.cells), -1, many).mean(axis=2).ravel()
     bright = (np.bincount(index, minlength=parts) > 30) & (variance > 0)
     assert bright.sum() > 300
     z = (found - expected)[bright] / np.sqrt(variance[bright])
@@ -423,3 +430,45 @@ def test_light_of_others_passes_the_lamp_as_its_field_lets_it(mi):
     empty, _ = irradiance(mi, {"window": window}, *wall)
     agree(both, plain)
     assert (plain[0] < 0.95 * empty).all()
+
+
+def test_the_mean_over_bins_is_linear_between_their_middles(mi):
+    """Bins of one direction, against the bilinear weights of four bins; across the map's sides."""
+    from lumitree.core.octahedral import bin_of, octahedral
+    from lumitree.rendering.sampling.light_field import smooth_bin
+
+    count, resolution = 1 << 16, 8
+    values = np.random.default_rng(0).random(resolution**2)
+    for way in ([0.3, 0.5, 0.7], [0.6, -0.2, -0.5], [0.99, 0.02, 0.03], [0.02, 0.01, -1]):
+        # So near to one direction that the place on the map hardly changes.
+        tilt = 1e-4 * (uniform_samples(mi, count).next_2d() - 0.5)
+        direction = mi.Vector3f(way[0] + tilt.x, way[1] + tilt.y, way[2])
+        bins = np.array(smooth_bin(direction, resolution))
+        found = values[bins]
+        uv = np.array(octahedral(mi.Vector3f(*way))).ravel()
+        place = (uv + 1) * resolution / 2 - 0.5
+        part = place - np.floor(place)
+        expected = 0.0
+        for x in (0, 1):
+            for y in (0, 1):
+                weight = abs(1 - x - part[0]) * abs(1 - y - part[1])
+                offset = mi.Vector2f(*(np.floor(place) - place + (x, y)).tolist())
+                neighbour = bin_of(mi.Vector3f(*way), resolution, offset)
+                expected += weight * values[int(np.array(neighbour)[0])]
+        error = found.std() / count**0.5
+        assert abs(found.mean() - expected) < 4.5 * error + 1e-3
+
+
+def test_beyond_a_side_of_the_map_are_the_next_directions(mi):
+    """Bins at an offset of a bin are near, wherever the direction is."""
+    from lumitree.core.octahedral import bin_of, middle_directions
+
+    resolution = 16
+    middles = middle_directions(resolution)
+    for x in (-1, 0, 1):
+        for y in (-1, 0, 1):
+            ways = on_device(mi.Vector3f, middles)
+            found = np.array(bin_of(ways, resolution, mi.Vector2f(0.99 * x, 0.99 * y)))
+            assert (middles * middles[found]).sum(axis=1).min() > np.cos(9 / resolution)
+            if x or y:
+                assert (found != np.arange(resolution**2)).mean() > 0.95

@@ -131,7 +131,7 @@ def test_points_and_rays_share_the_light(mi):
 
     from lumitree.core.octahedral import bin_of, solid_angles
     from lumitree.rendering.sampling.emitter_sampling import RayEnds
-    from lumitree.rendering.sampling.light_field import ExitantLight
+    from lumitree.rendering.sampling.light_field import ExitantLight, smooth_bin
     from lumitree.rendering.sampling.light_inside import InsideLight
 
     random = np.random.default_rng(4)
@@ -185,7 +185,7 @@ def test_points_and_rays_share_the_light(mi):
     lower = np.maximum(cells / 4 - 1, -HALF)
     upper = np.minimum(cells / 4 - 0.75, HALF)
     rays = np.array(plain).T[:64]
-    fine = np.array(bin_of(-mi.Vector3f(*(mi.Float(c) for c in rays.T)), 8))
+    fine = np.array(smooth_bin(-plain, 8))[:64]
     leaving = np.zeros((24, 64))
     from lumitree.asset.exitant import unpack
 

@@ -22,22 +22,39 @@ def octahedral(direction: Any) -> Any:
     return dr.select(n.z < 0, folded, mi.Vector2f(n.x, n.y))
 
 
-def bin_of(direction: Any, resolution: int) -> Any:
-    """Index (mi.UInt32) of the bin of a direction of any length."""
+def bin_of(direction: Any, resolution: int, offset: Any = None) -> Any:
+    """Index (mi.UInt32) of the bin of a direction of any length.
+
+    Args:
+        direction: mi.Vector3f.
+        resolution: bins a side.
+        offset: mi.Vector2f from -1 to 1, added to the place on the map, in bins.
+    """
     uv = octahedral(direction)
+    if offset is not None:
+        uv = _on_map(uv + offset * (2 / resolution))
     cell = mi.Point2u(dr.clip(mi.Point2i((uv + 1) * (resolution / 2)), 0, resolution - 1))
     return cell.y * resolution + cell.x
 
 
 def direction_in_bin(bin_index: Any, sample: Any, resolution: int) -> tuple[Any, Any]:
-    """Unit direction in a bin, uniform in octahedral coordinates, and its density there."""
+    """Unit direction in a bin, uniform in octahedral coordinates, and its density there.
+
+    `sample` may be outside the unit square, by at most 1, and the direction then is in a neighbour.
+    """
     cell = mi.Point2f(bin_index % resolution, bin_index // resolution)
-    uv = (cell + sample) * (2 / resolution) - 1
+    uv = _on_map(mi.Vector2f((cell + sample) * (2 / resolution) - 1))
     z = 1 - dr.abs(uv.x) - dr.abs(uv.y)
     fold = dr.maximum(-z, 0)
     v = mi.Vector3f(uv.x - dr.copysign(fold, uv.x), uv.y - dr.copysign(fold, uv.y), z)
     direction = dr.normalize(v)
     return direction, bin_density(direction, resolution)
+
+
+def _on_map(uv: Any) -> Any:
+    """Octahedral coordinates of a place beyond the map: each side meets its own other half."""
+    uv = dr.select(dr.abs(uv.x) > 1, mi.Vector2f(dr.copysign(2, uv.x) - uv.x, -uv.y), uv)
+    return dr.select(dr.abs(uv.y) > 1, mi.Vector2f(-uv.x, dr.copysign(2, uv.y) - uv.y), uv)
 
 
 def bin_density(direction: Any, resolution: int) -> Any:

@@ -177,7 +177,7 @@ class ExitantLight:
             mi.Color3f, and mi.Float per steradian; 0 where `active` is false.
         """
         row = self._around.index(x)
-        bins = bin_of(-direction, self._resolution)
+        bins = smooth_bin(-direction, self._resolution)
 
         def visit(state, cell, start, length, active):
             radiance, density = state
@@ -272,15 +272,14 @@ class ExitantLight:
 
     def _light(self, cell, direction, blocked, active):
         """I of a cell towards where a ray comes from; where its surfaces block, (I + J) κ."""
-        bins = bin_of(-direction, self._resolution)
+        bins = smooth_bin(-direction, self._resolution)
         light = self.intensity(cell, bins, active)
         if self._factors is None:
             return light
         blocked &= active
         index = cell * self._resolution**2 + bins
         ending = unpacked(dr.gather(mi.UInt32, self._ending, index, blocked))
-        coarse = self._resolution // 2
-        index = cell * coarse**2 + bin_of(-direction, coarse)
+        index = cell * (self._resolution // 2) ** 2 + coarse_bin(bins, self._resolution)
         factor = dr.gather(mi.Float, self._factors, index, blocked)
         return dr.select(blocked, (light + self._ending_scale * ending) * factor, light)
 
@@ -305,9 +304,10 @@ class ExitantLight:
         point = self.cells.point(cell, within, active)
         # Other bits of the same samples, which the point does not depend on.
         jitter = scrambled(mi.Point2f(sample2.y, sample1.y))
-        direction, density = direction_in_bin(
-            index, mi.Point2f(jitter.x, jitter.y), self._resolution
-        )
+        spread = scrambled(mi.Point2f(sample1.y, sample2.y)) - 0.5
+        # As of `smooth_bin`: a bin has a part of the light of directions in its neighbours.
+        sample = mi.Point2f(jitter.x + spread.x, jitter.y + spread.y)
+        direction, density = direction_in_bin(index, sample, self._resolution)
         chance = self._chance(self._cell_chances, mi.UInt32(0), cell, active)
         chance *= self._chance(self._bin_chances, cell * bins, index, active)
         flux = self.intensity(cell, index, active) / (chance * density)
@@ -350,6 +350,25 @@ def ending_by_bin(field: ExitantField) -> tuple[NDArray[np.uint32], float]:
         parts = parts_of_ending(by_coarse_bin(leaving[at]), luminance(mean), solid_angle)
         ending[at] = by_fine_bin(pack_lit(parts[..., None] * mean[:, :, None], scale))
     return ending, scale
+
+
+def smooth_bin(direction: Any, resolution: int) -> Any:
+    """A bin at random, so that the mean over bins is linear between their middles.
+
+    Args:
+        direction: mi.Vector3f of any length; the random numbers are made of its bits.
+        resolution: bins a side.
+
+    Returns:
+        mi.UInt32
+    """
+    random = scrambled(mi.Point2f(direction.x, direction.y))
+    return bin_of(direction, resolution, mi.Vector2f(random.x, random.y) - 0.5)
+
+
+def coarse_bin(index: Any, resolution: int) -> Any:
+    """The bin (mi.UInt32) of half the resolution that contains one of `resolution` a side."""
+    return index // (2 * resolution) * (resolution // 2) + index % resolution // 2
 
 
 def left_part(chance: Any, inverse_volume: Any, inverse: Any, near: Any, length: Any) -> Any:

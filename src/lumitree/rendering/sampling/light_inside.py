@@ -21,7 +21,7 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.exitant import ExitantField, unpack
 from lumitree.asset.lit_bins import dense
 from lumitree.core.device import on_device, parameter
-from lumitree.core.octahedral import bin_of, solid_angles
+from lumitree.core.octahedral import solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.octree.build import morton
 from lumitree.rendering.sampling.cell_table import cell_table
@@ -29,9 +29,11 @@ from lumitree.rendering.sampling.emitter_sampling import RayEnds
 from lumitree.rendering.sampling.light_cells import LightCells
 from lumitree.rendering.sampling.light_field import (
     ExitantLight,
+    coarse_bin,
     ending_by_bin,
     exitant_light,
     left_part,
+    smooth_bin,
     unpacked,
 )
 from lumitree.rendering.sampling.samples import scrambled
@@ -197,14 +199,14 @@ class InsideLight:
     def _light(self, cell, direction, distance, active, *, blocked):
         """Radiant intensity (mi.Color3f) of a cell in a direction (mi.Vector3f), at a distance."""
         row = dr.gather(mi.UInt32, self._rows, cell, active)
-        index = bin_of(direction, self._resolution)
+        index = smooth_bin(direction, self._resolution)
         leaves = active & (row != _NONE)
         light = dr.select(leaves, self._outside.intensity(row, index, leaves), 0)
         if not self._has_curves:
             return light
         packed = dr.gather(mi.UInt32, self._packed, cell * self._resolution**2 + index, active)
         ending = self._gain * unpacked(packed)
-        entry = cell * self._coarse**2 + bin_of(direction, self._coarse)
+        entry = cell * self._coarse**2 + coarse_bin(index, self._resolution)
         code = dr.gather(mi.UInt32, self._codes, entry, active)
         at = dr.minimum(dr.sqrt(distance) * self._steps, _STEPS - 1.001)
         if blocked:
