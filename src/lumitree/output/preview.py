@@ -160,7 +160,7 @@ def preview(
         sheet: path of the PNG file to write. Default: no file is written.
         resolution: pixels per side of each view, 1 to 16,384.
         samples_per_pixel: paths per pixel, 1 to 1,048,576. It does not apply to an asset without
-            a model, whose pixels have 16 rays without noise.
+            a model, whose pixels have 16 rays.
         bounces: whether to measure the share of the flux that paths of at most 32, 64 and 128
             bounces miss. Not for an asset.
         variant: Mitsuba variant; see `bake`.

@@ -36,7 +36,7 @@ def shown_images(
         poses: [4, 4] `local_from_camera` of cameras, which look along their -z.
         half_width: half the side of the images, local units.
         resolution: pixels per side.
-        samples_per_pixel: paths per pixel, of a model. The others have 16 rays without noise.
+        samples_per_pixel: paths per pixel, of a model. The others have 16 rays.
 
     Returns:
         For each pose radiance [H, W, 3], W/(m² sr), and opacity [H, W]: of a model the share of the
