@@ -86,24 +86,26 @@ def test_densities_integrate_to_one(mi, resolution):
 
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
 def test_directions_have_the_stated_density(mi, resolution):
-    """The mean of 1 / density over a bin is its solid angle."""
+    """The mean of 1 / density over a bin and its neighbours, bilinear, is its solid angle."""
     from lumitree.core.octahedral import bin_density, direction_in_bin
 
     fine = 16
-    places = (np.arange(fine) + 0.5) / fine
+    places = (np.arange(2 * fine) + 0.5) / fine - 0.5
+    rising = (np.arange(fine) + 0.5) / fine**2
+    weights = np.outer(*[np.hstack([rising, rising[::-1]])] * 2).ravel()
     grid = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
-    index = on_device(mi.UInt32, np.repeat(np.arange(resolution**2), fine**2))
+    index = on_device(mi.UInt32, np.repeat(np.arange(resolution**2), 4 * fine**2))
     sample = on_device(mi.Point2f, np.tile(grid, (resolution**2, 1)))
     direction, density = direction_in_bin(index, sample, resolution)
     np.testing.assert_allclose(density, bin_density(direction, resolution), rtol=1e-5)
-    inverse = (1 / np.array(density, np.float64)).reshape(resolution**2, -1).mean(axis=1)
+    inverse = (1 / np.array(density, np.float64)).reshape(resolution**2, -1) @ weights
     assert inverse.sum() == pytest.approx(4 * np.pi, rel=2e-3)
     assert inverse == pytest.approx(solid_angles(resolution), rel=2e-2 if resolution == 4 else 5e-3)
 
 
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
 def test_solid_angles(mi, resolution):
-    """They sum to the sphere's, and are those of directions that are uniform on the sphere."""
+    """They sum to the sphere's, and are those of uniform directions, each with a random offset."""
     from lumitree.core.octahedral import bin_of
 
     angles = solid_angles(resolution)
@@ -116,7 +118,9 @@ def test_solid_angles(mi, resolution):
     count = 1 << 20
     _, direction = random_directions(mi, count, 2)
     expected = angles / (4 * np.pi) * count
-    counts = np.bincount(np.array(bin_of(direction, resolution)), minlength=resolution**2)
+    offset = on_device(mi.Point2f, np.random.default_rng(3).random((count, 2)) - 0.5)
+    bins = np.array(bin_of(direction, resolution, mi.Vector2f(offset)))
+    counts = np.bincount(bins, minlength=resolution**2)
     scores = (counts - expected) / np.sqrt(expected)
     # Chi-squared of all bins, about R² ± R √2.
     assert (scores**2).sum() == pytest.approx(resolution**2, abs=5 * np.sqrt(2) * resolution)

@@ -425,9 +425,15 @@ def test_light_paths_start_at_the_box_of_a_lamp_with_a_model(shaded):
     view = camera([1.3, 0.6, 0], [1.1, 0, 0], 20)
     room = {"sensor": view, "floor": floor({"type": "diffuse"})}
     images = [
-        passes({**room, **baked(asset, appearance)}, kind, max_depth=3, hide_emitters=True).mean()
-        for appearance, kind in (("model", "ptracer"), ("field", "lumitree_path"))
+        passes(
+            {**room, **baked(asset, appearance)}, kind, samples, max_depth=3, hide_emitters=True
+        ).mean()
+        # Few light paths meet what the camera sees: the error of the first mean is 3 %.
+        for appearance, kind, samples in (
+            ("model", "ptracer", 1 << 14),
+            ("field", "lumitree_path", 1 << 10),
+        )
     ]
     assert images[1] > 0.01
     # The model's shapes stand in the way of some of the light paths.
-    assert 0.1 * images[1] < images[0] < 1.05 * images[1]
+    assert 0.1 * images[1] < images[0] < 1.1 * images[1]

@@ -66,11 +66,23 @@ def bin_density(direction: Any, resolution: int) -> Any:
 
 
 def solid_angles(resolution: int) -> NDArray[np.float64]:
-    """Solid angle [R²] of each bin, sr: the Jacobian's mean over a grid in each bin."""
+    """Solid angle [R²] of each bin, sr, if directions between the middles of bins share in them.
+
+    A direction counts for a bin with the bilinear weight of its place on the map, which is the
+    chance with which an `offset` of `bin_of`, from -1/2 to 1/2, gives this bin. So intensities that
+    are flux over solid angle keep the flux, if they are linear between the middles of bins.
+    """
     fine = 8
     density = np.linalg.norm(_on_octahedron(resolution * fine), axis=-1) ** -3
-    blocks = density.reshape(resolution, fine, resolution, fine).sum(axis=(1, 3)).ravel()
-    return blocks * (4 * np.pi / blocks.sum())
+    # Beyond a side of the map is the other half of the same side.
+    half = fine // 2
+    density = np.vstack([density[:half][::-1, ::-1], density, density[-half:][::-1, ::-1]])
+    density = np.hstack([density[:, :half][::-1, ::-1], density, density[:, -half:][::-1, ::-1]])
+    rising = (np.arange(fine) + 0.5) / fine
+    weights = np.hstack([rising, rising[::-1]])
+    windows = np.lib.stride_tricks.sliding_window_view(density, (2 * fine, 2 * fine))
+    sums = np.einsum("ijkl,k,l->ij", windows[::fine, ::fine], weights, weights).ravel()
+    return sums * (4 * np.pi / sums.sum())
 
 
 def middle_directions(resolution: int) -> NDArray[Any]:

@@ -171,7 +171,7 @@ def test_an_asset_emits_what_its_exitant_light_field_has(mi):
         abs(figures.lumens.value - asset_lumens(asset))
         < 5 * figures.lumens.error + 1e-5 * figures.lumens.value
     )
-    # The reference: directions uniform on the sphere, each with its bin's intensity.
+    # The reference: directions uniform on the sphere, each with the intensity of a bin near it.
     random = np.random.default_rng(0)
     directions = random.normal(size=(1 << 19, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -181,7 +181,8 @@ def test_an_asset_emits_what_its_exitant_light_field_has(mi):
 
     field = asset.exitant
     table = field.scale * field.dense(luminance(unpack(field.intensity))).sum(axis=0)
-    bins = np.array(bin_of(on_device(mi.Vector3f, local), field.resolution))
+    offset = mi.Vector2f(on_device(mi.Point2f, random.random((len(local), 2)) - 0.5))
+    bins = np.array(bin_of(on_device(mi.Vector3f, local), field.resolution, offset))
     flux = table[bins] * frame.scale**2 * 4 * np.pi / len(local)
     grid = Grid(30)
     reference = grid.intensity(directions, flux)
