@@ -21,6 +21,7 @@ from lumitree.lamp.source import LuminaireSource
 from lumitree.octree.field import EXACT, Field, Thresholds
 from lumitree.rendering.asset_cache import open_field
 from lumitree.rendering.asset_flux import asset_watts, gain_to
+from lumitree.rendering.integrators import integrator_for
 from lumitree.rendering.layers import records_layers
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.placement_checks import holds_objects, warn_of_overlaps
@@ -30,12 +31,6 @@ from lumitree.rendering.plugins.register import register, shape
 from lumitree.rendering.sampling.emitter_sampling import Sampling
 from lumitree.rendering.sampling.proxy import ProxyKind
 
-# Classes of `volpath` and `volpathmis`, which take the transmittance of null surfaces for shadow
-# rays, and render media.
-_SEE_MEDIA = ("VolumetricPathIntegrator", "VolpathMisIntegratorImpl")
-# What becomes `lumitree_path`, or `volpath` where media are heterogeneous.
-_PATH_TRACERS = ("path", "lumitree_path")
-_DEFAULT_PATH_DEPTH = 16
 # `volpath` starts rays (1 + largest coordinate) * RayEpsilon from surfaces. Where that is this part
 # of a lamp's size, the irradiance 0.7 sizes below it is 1 % too high; at 3 times this part, 4 %.
 _FAR_FOR_VOLPATH = 0.09
@@ -231,7 +226,7 @@ def load_scene(
             )
         set_film_width(scene, width)
     heterogeneous = any_heterogeneous(scene)
-    integrator = _integrator(scene, described, title, heterogeneous=heterogeneous)
+    integrator = integrator_for(scene, described, title, heterogeneous=heterogeneous)
     if not records_layers(integrator):
         for item in luminaires:
             if item.placement.is_baked:
@@ -271,51 +266,9 @@ def _create(source: Any, title: str, *, box_filter: bool) -> tuple[Any, Any, Seq
     return file.instantiate(), described[0] if described else None, shapes
 
 
-def _integrator(scene: Any, described: Any, title: str, *, heterogeneous: bool) -> Any:
-    """The integrator of a scene, or what replaces it.
-
-    Args:
-        scene: mi.Scene.
-        described: mi.Properties of its integrator; None where it has none, or one that was created
-            before, whose settings cannot be read.
-        title: of the scene, for messages.
-        heterogeneous: whether it has heterogeneous media.
-    """
-    tracer, own = _path_tracer(heterogeneous), scene.integrator()
-    kind = described.plugin_name() if described is not None else None
-    if own is not None and own.class_name() in _SEE_MEDIA:
-        return own
-    if described is not None and kind in _PATH_TRACERS:
-        described.set_plugin_name(tracer)
-        return mi.PluginManager.instance().create_object(described)
-    if records_layers(own) and not heterogeneous:
-        return own
-    found = f"integrator {kind!r}" if kind else "no integrator"
-    if described is None and own is not None:
-        found = f"the integrator {own.class_name()}, which is created already"
-    warnings.warn(
-        f"{title} has {found}; using {tracer} with max_depth {_DEFAULT_PATH_DEPTH}",
-        LumitreeWarning,
-        stacklevel=3,
-    )
-    return default_integrator(heterogeneous=heterogeneous)
-
-
-def default_integrator(
-    path_depth: int = _DEFAULT_PATH_DEPTH, *, heterogeneous: bool = False
-) -> Any:
-    """Integrator for scenes that name none."""
-    register()
-    return mi.load_dict({"type": _path_tracer(heterogeneous), "max_depth": path_depth})
-
-
 def appearance_for(integrator: Any) -> Appearance:
     """What an integrator can show of lamps whose assets have a model."""
     return "model" if getattr(integrator, "shows_models", False) else "field"
-
-
-def _path_tracer(heterogeneous: bool) -> str:
-    return "volpath" if heterogeneous else "lumitree_path"
 
 
 def set_film_width(scene: Any, width: int) -> None:
