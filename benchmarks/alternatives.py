@@ -186,7 +186,7 @@ def _denoised(scene: Any, samples: float, seed: int) -> Any:
     """A denoised image [H, W, 3]; filtering takes 0.3 s, which do not count."""
     import mitsuba as mi
 
-    from lumitree.rendering.denoise import denoise
+    from lumitree.rendering.denoise import denoised
     from lumitree.rendering.layers import Layers
     from lumitree.rendering.passes import Budget, render_passes
 
@@ -194,7 +194,7 @@ def _denoised(scene: Any, samples: float, seed: int) -> Any:
     integrator.layers = Layers(scene)
     budget = Budget(max(1, round(samples)))
     channels = render_passes(scene, integrator, budget, seed=seed).channels
-    recorded = denoise(integrator.layers.divide(channels[..., 3:]))
+    recorded = denoised(integrator.layers.divide(channels[..., 3:]))
     return (recorded.seen + recorded.lit).sum(axis=0)
 
 

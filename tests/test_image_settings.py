@@ -40,9 +40,11 @@ def comment(path):
 
 def test_renders_and_what_is_mixed_of_them():
     lamps = [lumitree.Placement("lamp.lumitree", at=(0, 0, 1), lumens=30.0, label="Küche")]
-    options = {"samples_per_pixel": 2, "seed": 7, "layers": "layers.exr", "aov": "buffers.exr"}
+    image = lumitree.render("room.xml", lamps, samples_per_pixel=2, seed=7, layers=True, aov=True)
     for name in ("a.png", "a.exr"):
-        lumitree.render("room.xml", lamps, name, **options)
+        image.save(name)
+    image.save_layers("layers.exr")
+    image.save_aov("buffers.exr")
     first = comment("a.png")
     assert first["command"] == "render"
     assert first["lumitree"] == lumitree.__version__
@@ -50,7 +52,7 @@ def test_renders_and_what_is_mixed_of_them():
     lamp = first["lamps"]["Küche"]
     assert (lamp["source"], lamp["at"], lamp["lumens"]) == ("lamp.lumitree", [0, 0, 1], 30)
     assert comment("a.exr") == comment("layers.exr") == comment("buffers.exr") == first
-    lumitree.mix("layers.exr", "mixed.png", {"Küche": 0.5})
+    lumitree.mix("layers.exr", {"Küche": 0.5}).save("mixed.png")
     mixed = comment("mixed.png")
     assert mixed["gains"] == {"Küche": [0.5, 0.5, 0.5]}
     assert json.loads(mixed["rendered"]) == first
@@ -84,7 +86,7 @@ def test_thumbnails_of_bakes_and_sheets_of_evaluations(monkeypatch):
 def test_a_layers_file_without_a_comment(folder):
     write_exr("plain.exr", {"lamp": np.ones((2, 3, 3), np.float32)})
     assert read_comment("plain.exr") is None
-    lumitree.mix("plain.exr", "mixed.png")
+    lumitree.mix("plain.exr").save("mixed.png")
     assert "rendered" not in comment("mixed.png")
     (folder / "broken.exr").write_bytes(b"\x76\x2f\x31\x01" + bytes(40))
     for read in (read_comment, read_exr):

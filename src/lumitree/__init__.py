@@ -49,10 +49,11 @@ if TYPE_CHECKING:
     from lumitree.output.preview import AssetPreviewResult, Flux, MissedFlux, PreviewResult, preview
     from lumitree.output.viewer.view import ViewResult, view
     from lumitree.rendering.asset_cache import load
+    from lumitree.rendering.mixture import MixResult, mix
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.placement_file import read_placements
     from lumitree.rendering.plugins.register import register, shape
-    from lumitree.rendering.render import MixResult, RenderResult, mix, render
+    from lumitree.rendering.render import RenderResult, render
 
 
 # Where each public name is defined; imported on first use, so that `lumitree --help` answers at
@@ -79,7 +80,7 @@ _HOMES = {
     "Placement": "rendering.placement",
     "PreviewResult": "output.preview",
     "Progress": "core.progress",
-    "MixResult": "rendering.render",
+    "MixResult": "rendering.mixture",
     "RenderResult": "rendering.render",
     "Result": "core.results",
     "SceneShape": "lamp.scene_shapes",
@@ -101,7 +102,7 @@ _HOMES = {
     "read_placements": "rendering.placement_file",
     "refine": "fit.bake",
     "register": "rendering.plugins.register",
-    "mix": "rendering.render",
+    "mix": "rendering.mixture",
     "render": "rendering.render",
     "save": "asset.file",
     "shape": "rendering.plugins.register",

@@ -65,13 +65,9 @@ def _render_room(output: Path, asset: str, watch: Stopwatch) -> dict[str, Any]:
     from lumitree.measure.metrics import rel_mse
     from lumitree.output.strip import write_strip
     from lumitree.rendering.demo_room import demo_room, lamp
+    from lumitree.rendering.integrators import default_integrator
     from lumitree.rendering.passes import Budget, render_passes
-    from lumitree.rendering.scene import (
-        PlacedLuminaire,
-        appearance_for,
-        default_integrator,
-        place_luminaires,
-    )
+    from lumitree.rendering.scene import PlacedLuminaire, appearance_for, place_luminaires
 
     integrator = default_integrator(12)
     images: dict[str, NDArray[np.float32]] = {}

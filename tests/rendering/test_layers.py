@@ -55,8 +55,10 @@ def test_layers_add_up_to_the_image(room, lamps, tmp_path, sensor):
     room.write_text(room.read_text().replace('<sensor type="perspective">', sensor))
     path = tmp_path / "layers.exr"
     plain = render(room, lamps, samples_per_pixel=64)
-    result = render(room, lamps, samples_per_pixel=64, layers=path)
+    result = render(room, lamps, samples_per_pixel=64, layers=True)
+    result.save_layers(path)
     layers = read_exr(path)
+    assert all(np.array_equal(layers[name], light) for name, light in result.layers.items())
     assert sorted(layers) == ["lamp", "room", "room_2"]
     assert sum(layers.values()) == pytest.approx(result.pixels, abs=1e-4)
     # Equal seeds; rounding may send a few paths elsewhere.
@@ -64,17 +66,15 @@ def test_layers_add_up_to_the_image(room, lamps, tmp_path, sensor):
     assert all(layer.mean() > 0.01 for layer in layers.values())
 
 
-def test_a_layer_has_the_light_of_its_lamp_only(room, lamps, tmp_path):
+def test_a_layer_has_the_light_of_its_lamp_only(room, lamps):
     """Against images with one lamp each; the second lamp has twice the gain of the first."""
-    paths = [tmp_path / f"{name}.exr" for name in ("both", "none")]
-    render(room, lamps, samples_per_pixel=2048, layers=paths[0])
-    render(room, [], samples_per_pixel=2048, layers=paths[1])
-    both, none = (read_exr(path) for path in paths)
+    both, none = (
+        render(room, each, samples_per_pixel=2048, layers=True).layers for each in (lamps, [])
+    )
     # On the right of the image no lamp is in front of the room's light.
     assert both["room"][:, 20:].mean() == pytest.approx(none["room"][:, 20:].mean(), rel=0.03)
     dark = [lumitree.Placement(lamps[0].source, at=lamps[0].at, size=1.0, gain=0.0), lamps[1]]
-    render(room, dark, samples_per_pixel=64, layers=paths[0])
-    layers = read_exr(paths[0])
+    layers = render(room, dark, samples_per_pixel=64, layers=True).layers
     assert not layers["lamp"].any()
     assert layers["room_2"].mean() > 0.01
 
@@ -87,8 +87,8 @@ def test_layers_of_models(mi, room, tmp_path):
         lumitree.Placement(path, at=(-1.2, 0, 1), size=1.5, label="on"),
         lumitree.Placement(path, at=(0.8, 0, 1), size=1.5, gain=0, label="off"),
     ]
-    result = render(room, lamps, samples_per_pixel=256, layers=tmp_path / "layers.exr")
-    layers = read_exr(tmp_path / "layers.exr")
+    result = render(room, lamps, samples_per_pixel=256, layers=True)
+    layers = result.layers
     assert sum(layers.values()) == pytest.approx(result.pixels, abs=1e-3)
     assert not layers["off"].any()
     left, right = layers["on"][4:12, 2:10].max(), layers["on"][4:12, 16:].max()
@@ -97,10 +97,12 @@ def test_layers_of_models(mi, room, tmp_path):
 
 def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
     path = tmp_path / "layers.exr"
-    result = render(room, lamps, samples_per_pixel=16, layers=path)
-    layers = read_exr(path)
+    result = render(room, lamps, samples_per_pixel=16, layers=True)
+    result.save_layers(path)
+    layers = result.layers
+    assert np.array_equal(lumitree.mix(layers).pixels, lumitree.mix(path).pixels)
     assert lumitree.mix(path).pixels == pytest.approx(result.pixels, abs=1e-5)
-    mixed = lumitree.mix(path, tmp_path / "mixed.png", {"lamp": (0, 1, 2), "room": 0.5})
+    mixed = lumitree.mix(path, {"lamp": (0, 1, 2), "room": 0.5})
     expected = layers["lamp"] * [0, 1, 2] + layers["room"] * 0.5 + layers["room_2"]
     assert mixed.pixels == pytest.approx(expected, abs=1e-5)
     assert mixed.layers == ["lamp", "room", "room_2"]
@@ -109,21 +111,32 @@ def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
     with pytest.raises(LumitreeError, match="gain"):
         lumitree.mix(path, gains={"lamp": -1})
     image = tmp_path / "image.exr"
-    render(room, samples_per_pixel=1, output=image)
+    dark = render(room, samples_per_pixel=1)
+    dark.save(image)
+    with pytest.raises(LumitreeError, match="no layers; render it with layers=True"):
+        dark.save_layers(path)
+    with pytest.raises(LumitreeError, match="no albedo and normals; render it with aov=True"):
+        dark.save_aov(path)
+    with pytest.raises(LumitreeError, match=r"'a.png' does not end in \.exr"):
+        result.save_layers("a.png")
     with pytest.raises(LumitreeError, match=r"no layers .* expected a file of `lumitree render"):
         lumitree.mix(image)
 
 
 def test_buffers_describe_the_surfaces(mi, room, tmp_path):
     """Against Mitsuba's integrator `aov`, where a single surface covers the pixel."""
-    render(room, samples_per_pixel=64, aov=tmp_path / "aov.exr")
+    result = render(room, samples_per_pixel=64, aov=True)
+    result.save_aov(tmp_path / "aov.exr")
     found = read_exr(tmp_path / "aov.exr")
     scene = mi.load_file(str(room))
     aov = mi.load_dict({"type": "aov", "aovs": "albedo:albedo,nn:sh_normal"})
     expected = np.array(mi.render(scene, integrator=aov, spp=64))
     inner = slice(1, 16), slice(1, 12)
+    assert np.array_equal(found["albedo"], result.albedo)
+    assert np.array_equal(found["RGB"], result.pixels)
     assert found["albedo"][inner] == pytest.approx(expected[inner][..., :3], abs=0.01)
     normal = np.stack([found[f"normal.{c}"] for c in "XYZ"], axis=-1)
+    assert np.array_equal(normal, result.normals)
     assert normal[inner] == pytest.approx(expected[inner][..., 3:6], abs=0.01)
     assert found["albedo"][8, 5] == pytest.approx([0.6, 0.4, 0.2], abs=0.01)
 
@@ -205,12 +218,12 @@ def test_without_the_denoiser_nothing_is_rendered(room, monkeypatch):
         render(room, denoise=True)
 
 
-def test_heterogeneous_media_have_no_layers(room, tmp_path):
+def test_heterogeneous_media_have_no_layers(room):
     medium = '<medium type="heterogeneous" name="interior"/>'
     text = room.read_text().replace("</bsdf></shape>", f"</bsdf>{medium}</shape>", 1)
     room.write_text(text)
     with pytest.raises(LumitreeError, match=r"heterogeneous media; denoise, layers"):
-        render(room, layers=tmp_path / "layers.exr")
+        render(room, layers=True)
 
 
 @pytest.mark.parametrize(
@@ -218,8 +231,6 @@ def test_heterogeneous_media_have_no_layers(room, tmp_path):
     [
         ({"noise": 0.0}, "noise"),
         ({"time": -1.0}, "time"),
-        ({"layers": "a.png"}, r"'a.png' does not end in \.exr"),
-        ({"aov": "a.png"}, r"'a.png' does not end in \.exr"),
     ],
 )
 def test_wrong_arguments_are_refused(room, options, match):
@@ -231,3 +242,9 @@ def test_wrong_arguments_are_refused(room, options, match):
 def test_wrong_gains_are_refused(tmp_path, capsys, gain):
     assert main(["mix", "layers.exr", "-o", str(tmp_path / "a.png"), "--gain", gain])
     assert "argument --gain" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--layers", "--aov"])
+def test_wrong_names_of_layers_are_refused_before_any_work(tmp_path, capsys, option):
+    assert main(["render", "no.xml", "-o", str(tmp_path / "a.png"), option, "a.png"])
+    assert "'a.png' does not end in .exr" in capsys.readouterr().err

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from lumitree.asset.model import AssetModel
+from lumitree.rendering.integrators import default_integrator
 from lumitree.rendering.placement import Placement
-from lumitree.rendering.scene import PlacedLuminaire, default_integrator, place_luminaires
+from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 from support.material_combinations import IMAGES, RANDOM, accepted, materials
 from support.model_assets import with_model
 

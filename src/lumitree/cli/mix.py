@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from lumitree.cli import options
-from lumitree.cli.output import print_result
+from lumitree.cli.output import check_outputs, image_report, print_open, print_report
 
 
 def add(commands: Any) -> None:
@@ -28,11 +28,15 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    return lumitree.mix(args.layers, args.output, dict(args.gain))
+    check_outputs(args.output)
+    result = lumitree.mix(args.layers, dict(args.gain))
+    result.save(args.output)
+    return image_report(result, args.output)
 
 
 def show(args: argparse.Namespace, result: Any) -> None:
-    print_result(result, result.image)
+    print_report(result)
+    print_open(args.output)
 
 
 def _gain(text: str) -> tuple[str, Any]:

@@ -21,6 +21,26 @@ def print_result(result: Any, opens: str | os.PathLike[str] | None = None) -> No
     print_open(opens)
 
 
+def check_outputs(image: str, *buffers: str | None) -> None:
+    """Refuse an image, or OpenEXR files of layers and buffers, that cannot be written."""
+    from lumitree.core.files import check_writable
+    from lumitree.core.images import check_exr_name, check_image_name
+
+    check_image_name(image)
+    check_writable(image)
+    for path in buffers:
+        if path is not None:
+            check_exr_name(path)
+            check_writable(path)
+
+
+def image_report(result: Any, image: str) -> dict[str, Any]:
+    """Dictionary of a result whose image was written, with the name of the image."""
+    report = result.to_json()
+    costs = {name: report.pop(name) for name in ("seconds", "peak_memory_bytes")}
+    return {**costs, "image": image, **report}
+
+
 def print_open(path: str | os.PathLike[str] | None) -> None:
     """Print the last line of a command: the file or folder to look at; None prints nothing."""
     if path is not None:

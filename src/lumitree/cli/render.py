@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from lumitree.cli import options
-from lumitree.cli.output import print_result
+from lumitree.cli.output import check_outputs, image_report, print_open, print_report
 
 
 class _Place(argparse.Action):
@@ -139,23 +139,30 @@ def add(commands: Any) -> None:
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
+    check_outputs(args.output, args.layers, args.aov)
     placements = [] if args.placements is None else lumitree.read_placements(args.placements)
     placements += [lumitree.Placement(**placement) for placement in args.place or ()]
-    return lumitree.render(
+    result = lumitree.render(
         args.scene,
         placements,
-        args.output,
         samples_per_pixel=args.spp,
         time=args.time,
         noise=args.noise,
         denoise=args.denoise,
-        layers=args.layers,
-        aov=args.aov,
+        layers=args.layers is not None,
+        aov=args.aov is not None,
         width=args.width,
         proxy=args.proxy,
         variant=args.variant,
     )
+    if args.aov is not None:
+        result.save_aov(args.aov)
+    if args.layers is not None:
+        result.save_layers(args.layers)
+    result.save(args.output)
+    return image_report(result, args.output) | {"layers": args.layers, "aov": args.aov}
 
 
 def show(args: argparse.Namespace, result: Any) -> None:
-    print_result(result, result.image)
+    print_report(result)
+    print_open(args.output)

@@ -14,7 +14,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from lumitree.core.file_kinds import EXR, what_it_is
 from lumitree.core.files import atomic_path, write_bytes
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 
 # Largest side of an image that is read, pixels.
 MAX_SIDE = 1 << 14
@@ -150,6 +150,14 @@ def check_image_name(path: str | os.PathLike[str]) -> None:
     if Path(path).suffix.lower() not in (".exr", ".png"):
         raise LumitreeError(
             f"image name {str(path)!r} ends in neither .exr (linear) nor .png (tone-mapped)"
+        )
+
+
+def check_exr_name(path: str | os.PathLike[str]) -> None:
+    """Refuse a name of a file of layers or buffers, which are linear, that is not of OpenEXR."""
+    if Path(path).suffix.lower() != ".exr":
+        raise LumitreeError(
+            f"{shown(repr(str(path)), 300)} does not end in .exr; layers and buffers are linear"
         )
 
 

@@ -1,8 +1,8 @@
-"""Reading of Mitsuba scene files."""
+"""Reading of Mitsuba scene files and of dictionaries that describe scenes."""
 
 import contextlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -28,17 +28,19 @@ _CHOSEN_BY = "shape's id, BSDF's id or number"
 
 
 class SceneFile:
-    """A parsed Mitsuba 3 scene file whose objects have not been created yet."""
+    """A parsed Mitsuba 3 scene whose objects have not been created yet."""
 
     def __init__(
         self,
-        path: str | os.PathLike[str],
+        source: str | os.PathLike[str] | Mapping[str, Any],
         keep: Sequence[str] = (),
         drop: Sequence[str] = (),
     ) -> None:
-        """Parse `path`.
+        """Parse `source`.
 
         Args:
+            source: path of a scene file, or a dictionary as for `mitsuba.load_dict`. Of the objects
+                in a dictionary that are created already nothing is known.
             keep: patterns with * and ? of ids of shapes or of their BSDFs, or numbers of shapes
                 such as "#3". If there are any, all other shapes are left out of the scene, and all
                 objects that are not shapes.
@@ -48,9 +50,13 @@ class SceneFile:
             LumitreeError: the file is missing or is not a Mitsuba scene, or a pattern matches no
                 shape.
         """
-        self.path = Path(path)
-        self._name = shown(path, 300)
-        self._check_text(read_bytes(self.path, "a Mitsuba scene", MAX_MODEL_BYTES))
+        described = dict(source) if isinstance(source, Mapping) else None
+        # Relative names in a dictionary are those of the working folder.
+        self.path, self._folder, self._name = Path(), Path(), "the scene's dictionary"
+        if not isinstance(source, Mapping):
+            self.path = Path(source)
+            self._folder, self._name = self.path.parent, shown(source, 300)
+            self._check_text(self.path)
         mi = load_mitsuba()
         # Compared for each property of each node.
         self._types, self._reference = mi.ObjectType, mi.Properties.Type.ResolvedReference
@@ -59,7 +65,10 @@ class SceneFile:
         self._config.merge_meshes = self._config.merge_equivalent = False
         self._config.unused_parameters = mi.LogLevel.Debug
         with self._readable():
-            self._state = mi.parser.parse_file(self._config, str(self.path))
+            if described is None:
+                self._state = mi.parser.parse_file(self._config, str(source))
+            else:
+                self._state = mi.parser.parse_dict(self._config, described)
             mi.parser.transform_all(self._config, self._state)
         self._check_nesting()
         # Shapes of the scene by their keys. A group is only visible through its instances.
@@ -74,8 +83,9 @@ class SceneFile:
         # What has been read in another way than Mitsuba would; one line each.
         self.notes = replace_blackbodies(self)
 
-    def _check_text(self, data: bytes) -> None:
+    def _check_text(self, path: Path) -> None:
         """Refuse XML that is not well-formed, or would overflow the stack of Mitsuba's parser."""
+        data = read_bytes(path, "a Mitsuba scene", MAX_MODEL_BYTES)
         depth = 0
 
         def opened(name: str, attributes: dict[str, str]) -> None:
@@ -96,7 +106,7 @@ class SceneFile:
         try:
             parser.Parse(data, True)
         except (expat.ExpatError, ValueError) as error:
-            if (what := what_it_is(self.path, data)) not in (None, SCENE, XML):
+            if (what := what_it_is(path, data)) not in (None, SCENE, XML):
                 raise LumitreeError(
                     f"{self._name} is {what}; expected a Mitsuba 3 scene (.xml)"
                 ) from None
@@ -312,7 +322,7 @@ class SceneFile:
         mi = load_mitsuba()
         before = mi.file_resolver()
         resolver = mi.FileResolver(before)
-        resolver.prepend(mi.filesystem.path(str(self.path.resolve().parent)))
+        resolver.prepend(mi.filesystem.path(str(self._folder.resolve())))
         mi.set_file_resolver(resolver)
         try:
             yield resolver

@@ -19,7 +19,7 @@ def check_denoiser() -> None:
     _open_image_denoise()
 
 
-def denoise(recorded: Recorded) -> Recorded:
+def denoised(recorded: Recorded) -> Recorded:
     """What was recorded, with illumination that has less noise.
 
     The image has to be rendered with a box filter: the noise of pixels that share samples is taken

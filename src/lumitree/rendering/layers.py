@@ -3,8 +3,9 @@
 `lumitree_path` accumulates these along its paths, and its film stores them as further channels.
 """
 
+import contextlib
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import drjit as dr
@@ -139,3 +140,18 @@ class Layers(Unrecorded):
             albedo=images[:, :, -2],
             normal=images[:, :, -1],
         )
+
+
+def records_layers(integrator: Any) -> bool:
+    """Whether an integrator can record layers: whether it is `lumitree_path`."""
+    return isinstance(getattr(integrator, "layers", None), Unrecorded)
+
+
+@contextlib.contextmanager
+def recording(integrator: Any, layers: Layers) -> Iterator[None]:
+    """Context in which `lumitree_path` records layers; the integrator may be the user's."""
+    before, integrator.layers = integrator.layers, layers
+    try:
+        yield
+    finally:
+        integrator.layers = before

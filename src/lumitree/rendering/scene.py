@@ -2,7 +2,7 @@
 
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import mitsuba as mi
@@ -16,10 +16,13 @@ from lumitree.lamp.luminaire import Luminaire, load_luminaire, place_shapes
 from lumitree.lamp.media import any_heterogeneous
 from lumitree.lamp.probe import check_evaluates
 from lumitree.lamp.scene_file import SceneFile
+from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.lamp.source import LuminaireSource
 from lumitree.octree.field import EXACT, Field, Thresholds
 from lumitree.rendering.asset_cache import open_field
 from lumitree.rendering.asset_flux import asset_watts, gain_to
+from lumitree.rendering.integrators import integrator_for
+from lumitree.rendering.layers import records_layers
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.placement_checks import holds_objects, warn_of_overlaps
 from lumitree.rendering.plugins.objects import load_ordered
@@ -28,11 +31,6 @@ from lumitree.rendering.plugins.register import register, shape
 from lumitree.rendering.sampling.emitter_sampling import Sampling
 from lumitree.rendering.sampling.proxy import ProxyKind
 
-# Integrators that ask null surfaces for their transmittance in shadow rays, and see media.
-_SEE_MEDIA = ("volpath", "volpathmis")
-# What becomes `lumitree_path`, or `volpath` where media are heterogeneous.
-_PATH_TRACERS = ("path", "lumitree_path")
-_DEFAULT_PATH_DEPTH = 16
 # `volpath` starts rays (1 + largest coordinate) * RayEpsilon from surfaces. Where that is this part
 # of a lamp's size, the irradiance 0.7 sizes below it is 1 % too high; at 3 times this part, 4 %.
 _FAR_FOR_VOLPATH = 0.09
@@ -181,74 +179,96 @@ def placed_ids(luminaires: Sequence[PlacedLuminaire]) -> list[str]:
 
 
 def load_scene(
-    path: str, luminaires: Sequence[PlacedLuminaire] = (), *, box_filter: bool = False
+    source: Any,
+    luminaires: Sequence[PlacedLuminaire] = (),
+    *,
+    box_filter: bool = False,
+    width: int | None = None,
 ) -> tuple[Any, Any]:
-    """Scene and integrator of a scene file; the integrator sees through null surfaces.
+    """Scene and integrator of a scene; the integrator sees through null surfaces.
 
     A `path` integrator becomes `lumitree_path` with the same settings, or `volpath` where the scene
     has heterogeneous media. Any other that would let proxies block the light of other lamps is
     replaced too, which is said on standard error; so is a baked luminaire too small, or too far
     from the origin, for `volpath`.
 
-    With `box_filter`, each pixel is the mean of its own samples, whatever filter the scene names.
+    Args:
+        source: path of a scene file, dictionary as for `mitsuba.load_dict`, or mi.Scene.
+        luminaires: that will be placed in the scene.
+        box_filter: whether each pixel is the mean of its own samples, whatever filter the scene
+            names.
+        width: of the film, pixels; its proportions stay. Default: the scene's.
 
     Raises:
-        LumitreeError: the scene cannot be loaded or has no camera, or Mitsuba cannot evaluate one
-            of its BSDFs or emitters.
+        LumitreeError: the scene cannot be loaded or has no camera, Mitsuba cannot evaluate one
+            of its BSDFs or emitters, or its film is created already and cannot be changed.
     """
     register()  # the scene may name our plugins itself
-    file = SceneFile(path)
-    if not file.nodes("Sensor"):
-        raise LumitreeError(f"{path} has no sensor; add a camera to the scene")
+    title = scene_title(source)
+    if isinstance(source, mi.Scene):
+        scene, described, shapes = source, None, ()
+    else:
+        scene, described, shapes = _create(source, title, box_filter=box_filter)
+    sensors = scene.sensors()
+    if not sensors:
+        raise LumitreeError(f"{title} has no sensor; add a camera to the scene")
+    check_evaluates(scene, shapes, title, rays=False)
+    if box_filter and sensors[0].film().rfilter().class_name() != "BoxFilter":
+        raise LumitreeError(
+            f"{title} has a film that is created already; denoise needs one with the "
+            "reconstruction filter 'box': create it so, or describe the sensor by a dictionary"
+        )
+    if width is not None:
+        if any(sensors[0] is each for each in _created_sensors(source)):
+            raise LumitreeError(
+                f"{title} has a film that is created already, and keeps its width: create it with "
+                "another, or describe the sensor by a dictionary"
+            )
+        set_film_width(scene, width)
+    heterogeneous = any_heterogeneous(scene)
+    integrator = integrator_for(scene, described, title, heterogeneous=heterogeneous)
+    if not records_layers(integrator):
+        for item in luminaires:
+            if item.placement.is_baked:
+                _warn_far(item)
+                _warn_unlit_by_volpath(scene, item)
+    return scene, integrator
+
+
+def scene_title(source: Any) -> str:
+    """What a scene, as for `load_scene`, is called in messages."""
+    if isinstance(source, Mapping | mi.Scene):
+        return "the scene"
+    return str(source)
+
+
+def _created_sensors(source: Any) -> list[Any]:
+    """The sensors of a scene, as for `load_scene`, that are created already."""
+    if isinstance(source, mi.Scene):
+        return source.sensors()
+    values = source.values() if isinstance(source, Mapping) else ()
+    return [value for value in values if isinstance(value, mi.Sensor)]
+
+
+def _create(source: Any, title: str, *, box_filter: bool) -> tuple[Any, Any, Sequence[SceneShape]]:
+    """Scene of a file or a dictionary, mi.Properties of its integrator, and its shapes."""
+    file = SceneFile(source)
     # Copied, since creating the scene clears the nodes.
     described: list[Any] = [mi.Properties(n.props) for n in file.nodes("Integrator")][:1]
-    kind = described[0].plugin_name() if described else None
     if box_filter:
         file.set_box_filter()
     notes = list(file.notes)
     if "area" in file.loose_lights():
         notes.append("an area emitter outside of a shape emits nothing")
     for note in notes:
-        warnings.warn(f"{path}: {note}", LumitreeWarning, stacklevel=2)
+        warnings.warn(f"{title}: {note}", LumitreeWarning, stacklevel=3)
     shapes = file.shapes
-    scene = file.instantiate()
-    check_evaluates(scene, shapes, str(path), rays=False)
-    heterogeneous = any_heterogeneous(scene)
-    if heterogeneous or kind in _SEE_MEDIA:
-        for item in luminaires:
-            if item.placement.is_baked:
-                _warn_far(item)
-                _warn_unlit_by_volpath(scene, item)
-    if kind in _SEE_MEDIA:
-        return scene, scene.integrator()
-    if kind in _PATH_TRACERS:
-        described[0].set_plugin_name(_path_tracer(heterogeneous))
-        return scene, mi.PluginManager.instance().create_object(described[0])
-    found = f"integrator {kind!r}" if kind else "no integrator"
-    tracer = _path_tracer(heterogeneous)
-    warnings.warn(
-        f"{path} has {found}; using {tracer} with max_depth {_DEFAULT_PATH_DEPTH}",
-        LumitreeWarning,
-        stacklevel=2,
-    )
-    return scene, default_integrator(heterogeneous=heterogeneous)
-
-
-def default_integrator(
-    path_depth: int = _DEFAULT_PATH_DEPTH, *, heterogeneous: bool = False
-) -> Any:
-    """Integrator for scenes that name none."""
-    register()
-    return mi.load_dict({"type": _path_tracer(heterogeneous), "max_depth": path_depth})
+    return file.instantiate(), described[0] if described else None, shapes
 
 
 def appearance_for(integrator: Any) -> Appearance:
     """What an integrator can show of lamps whose assets have a model."""
     return "model" if getattr(integrator, "shows_models", False) else "field"
-
-
-def _path_tracer(heterogeneous: bool) -> str:
-    return "volpath" if heterogeneous else "lumitree_path"
 
 
 def set_film_width(scene: Any, width: int) -> None:

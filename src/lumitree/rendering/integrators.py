@@ -1,0 +1,59 @@
+"""The integrator of a scene: one that sees through the null surfaces of placed luminaires."""
+
+import warnings
+from typing import Any
+
+import mitsuba as mi
+
+from lumitree.errors import LumitreeWarning
+from lumitree.rendering.layers import records_layers
+from lumitree.rendering.plugins.register import register
+
+# Classes of `volpath` and `volpathmis`, which take the transmittance of null surfaces for shadow
+# rays, and render media.
+_SEE_MEDIA = ("VolumetricPathIntegrator", "VolpathMisIntegratorImpl")
+# What becomes `lumitree_path`, or `volpath` where media are heterogeneous.
+_PATH_TRACERS = ("path", "lumitree_path")
+_DEFAULT_PATH_DEPTH = 16
+
+
+def integrator_for(scene: Any, described: Any, title: str, *, heterogeneous: bool) -> Any:
+    """The integrator of a scene, or what replaces it.
+
+    Args:
+        scene: mi.Scene.
+        described: mi.Properties of its integrator; None where it has none, or one that was created
+            before, whose settings cannot be read.
+        title: of the scene, for messages.
+        heterogeneous: whether it has heterogeneous media.
+    """
+    tracer, own = _path_tracer(heterogeneous), scene.integrator()
+    kind = described.plugin_name() if described is not None else None
+    if own is not None and own.class_name() in _SEE_MEDIA:
+        return own
+    if described is not None and kind in _PATH_TRACERS:
+        described.set_plugin_name(tracer)
+        return mi.PluginManager.instance().create_object(described)
+    if records_layers(own) and not heterogeneous:
+        return own
+    found = f"integrator {kind!r}" if kind else "no integrator"
+    if described is None and own is not None:
+        found = f"the integrator {own.class_name()}, which is created already"
+    warnings.warn(
+        f"{title} has {found}; using {tracer} with max_depth {_DEFAULT_PATH_DEPTH}",
+        LumitreeWarning,
+        stacklevel=3,
+    )
+    return default_integrator(heterogeneous=heterogeneous)
+
+
+def default_integrator(
+    path_depth: int = _DEFAULT_PATH_DEPTH, *, heterogeneous: bool = False
+) -> Any:
+    """Integrator for scenes that name none."""
+    register()
+    return mi.load_dict({"type": _path_tracer(heterogeneous), "max_depth": path_depth})
+
+
+def _path_tracer(heterogeneous: bool) -> str:
+    return "volpath" if heterogeneous else "lumitree_path"

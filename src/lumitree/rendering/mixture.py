@@ -1,0 +1,90 @@
+"""Mixtures of the layers of an image."""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.arguments import check_gain
+from lumitree.core.files import FilePath
+from lumitree.core.image_settings import image_settings
+from lumitree.core.images import encode_png, read_comment, read_exr
+from lumitree.core.stopwatch import Stopwatch
+from lumitree.errors import LumitreeError, explained, shown
+from lumitree.rendering.saved_image import SavedImage
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class MixResult(SavedImage):
+    """Image that was mixed from layers.
+
+    Attributes:
+        pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
+        settings: what made the image, as JSON text; the comment of the files.
+        layers: names of the layers.
+        resolution: width and height in pixels.
+        mean_radiance: mean over pixels and channels, W/(m² sr).
+    """
+
+    layers: list[str]
+    resolution: tuple[int, int]
+    mean_radiance: float
+
+
+@explained
+def mix(
+    layers: FilePath | Mapping[str, NDArray[np.float32]],
+    gains: Mapping[str, float | tuple[float, float, float]] | None = None,
+) -> MixResult:
+    """Change the brightness and the colour of lamps in an image, without rendering it again.
+
+    Args:
+        layers: `RenderResult.layers`, arrays [height, width, 3] of linear radiance by name; or the
+            path of a file that `RenderResult.save_layers` has written.
+        gains: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
+            0 to 10⁶. Default: 1.
+
+    Returns:
+        The image as `pixels`, float32 [height, width, 3], linear radiance in W/(m² sr), and
+        tone-mapped as `png`. `MixResult.save` writes it.
+
+    Raises:
+        LumitreeError: the file is missing, damaged or has no layers; or a gain is out of range or
+            of a layer that there is not.
+    """
+    factors = {name: check_gain(gain) for name, gain in (gains or {}).items()}
+    watch = Stopwatch()
+    with watch.stage("mix"):
+        if isinstance(layers, Mapping):
+            what, file, colours, rendered = "the image", None, dict(layers), None
+        else:
+            what, file = shown(layers), Path(layers).name
+            colours = {n: c for n, c in read_exr(layers).items() if c.ndim == 3 and n != "RGB"}
+            rendered = read_comment(layers)
+        if not colours:
+            raise LumitreeError(
+                f"{what} has no layers NAME.R, NAME.G and NAME.B; expected a file of "
+                "`lumitree render --layers`"
+            )
+        for name in factors.keys() - colours.keys():
+            raise LumitreeError(
+                f"{what} has no layer {shown(repr(name), 100)}; it has "
+                f"{shown(', '.join(sorted(colours)), 300)}"
+            )
+        scaled = [
+            colour * np.array(factors.get(name, (1, 1, 1)), np.float32)
+            for name, colour in colours.items()
+        ]
+        pixels = np.sum(scaled, axis=0)
+    settings = image_settings("mix", layers=file, gains=factors, rendered=rendered)
+    return MixResult(
+        pixels=pixels,
+        settings=settings,
+        layers=sorted(colours),
+        resolution=(pixels.shape[1], pixels.shape[0]),
+        mean_radiance=float(pixels.mean()),
+        png=encode_png(pixels, settings=settings),
+        **watch.costs(),
+    )

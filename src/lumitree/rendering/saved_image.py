@@ -1,0 +1,36 @@
+"""Base class of results whose image can be written to a file."""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.files import FilePath
+from lumitree.core.images import write_image
+from lumitree.core.results import ImageResult
+from lumitree.errors import explained
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class SavedImage(ImageResult):
+    """Base class of results with an image that can be written to a file.
+
+    Attributes:
+        pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
+        settings: what made the image, as JSON text; the comment of the files.
+    """
+
+    pixels: NDArray[np.float32] = dataclasses.field(repr=False)
+    settings: str = dataclasses.field(repr=False)
+
+    @explained
+    def save(self, path: FilePath) -> None:
+        """Write the image.
+
+        Args:
+            path: path of the file, `.exr` (linear radiance) or `.png` (tone-mapped).
+
+        Raises:
+            LumitreeError: the name has another ending, or the file cannot be written.
+        """
+        write_image(path, self.pixels, settings=self.settings)

@@ -1,0 +1,101 @@
+"""Scenes that are built in Python: dictionaries and `mitsuba.Scene`, with lamps placed in them."""
+
+import numpy as np
+import pytest
+
+import lumitree
+from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.rendering.layers import Unrecorded
+from support.fields import random_asset
+
+
+@pytest.fixture
+def room(mi):
+    transform = mi.ScalarTransform4f
+    return {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 3},
+        "sensor": {
+            "type": "perspective",
+            "fov": 50,
+            "to_world": transform().look_at([0, 1, 6], [0, 0, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 24, "height": 16, "rfilter": {"type": "box"}},
+        },
+        "wall": {"type": "rectangle", "to_world": transform().translate([0, 0, -2]).scale(6)},
+    }
+
+
+XML = """<scene version="3.0.0">
+<integrator type="path"><integer name="max_depth" value="3"/></integrator>
+<sensor type="perspective"><float name="fov" value="50"/>
+<transform name="to_world"><lookat origin="0, 1, 6" target="0, 0, 0" up="0, 1, 0"/></transform>
+<film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="16"/>
+<rfilter type="box"/></film></sensor>
+<shape type="rectangle"><transform name="to_world"><scale value="6"/><translate z="-2"/>
+</transform></shape></scene>"""
+
+
+def render(scene, **options):
+    lamp = lumitree.Placement(random_asset(3), at=(0, 0, 0), size=1.5, label="lamp")
+    return lumitree.render(scene, [lamp], samples_per_pixel=8, progress=None, **options)
+
+
+def assert_similar(first, second):
+    """Equal seeds; samples of a pixel are added in any order."""
+    np.testing.assert_allclose(first, second, rtol=1e-4, atol=1e-6)
+
+
+def tracer(mi, **options):
+    lumitree.register()
+    return mi.load_dict({"type": "lumitree_path", "max_depth": 3, **options})
+
+
+def test_files_dictionaries_and_scenes_give_equal_images(mi, room, tmp_path):
+    (tmp_path / "room.xml").write_text(XML)
+    file = render(tmp_path / "room.xml").pixels
+    assert file.max() > 0
+    assert_similar(render(room).pixels, file)
+    built = mi.load_dict(room | {"integrator": tracer(mi)})
+    assert_similar(render(built).pixels, file)
+
+
+def test_a_dictionary_may_hold_objects(mi, room):
+    objects = {
+        "integrator": tracer(mi),
+        "sensor": mi.load_dict(room["sensor"]),
+        "wall": mi.load_dict(room["wall"]),
+    }
+    assert_similar(render(room | objects).pixels, render(room).pixels)
+
+
+def test_layers_of_a_scene_leave_its_integrator_as_it_was(mi, room):
+    integrator = tracer(mi)
+    scene = mi.load_dict(room | {"integrator": integrator})
+    first = render(scene, layers=True)
+    assert list(first.layers) == ["room", "lamp"]
+    assert not first.layers["room"].any()
+    assert type(integrator.layers) is Unrecorded
+    assert_similar(render(scene).pixels, render(scene).pixels)
+
+
+def test_dictionaries_take_widths_and_scenes_do_not(mi, room):
+    assert render(room, width=12).resolution == (12, 8)
+    assert room["sensor"]["film"]["width"] == 24
+    scene = mi.load_dict(room | {"integrator": tracer(mi)})
+    for built in (scene, room | {"sensor": mi.load_dict(room["sensor"])}):
+        with pytest.raises(LumitreeError, match=r"the scene has a film that is created already"):
+            render(built, width=12)
+
+
+def test_the_path_integrator_of_a_scene_is_replaced_with_a_warning(mi, room):
+    with pytest.warns(LumitreeWarning, match=r"PathIntegrator, which is created already; using"):
+        render(mi.load_dict(room))
+
+
+def test_scenes_that_cannot_be_rendered_are_refused(mi, room):
+    del room["sensor"]
+    for scene in (room, mi.load_dict(room)):
+        with pytest.raises(LumitreeError, match="the scene has no sensor"):
+            render(scene)
+    with pytest.raises(LumitreeError, match="the scene's dictionary cannot be loaded"):
+        render({"type": "scene", "wall": {"type": "no_such_plugin"}})
