@@ -38,6 +38,14 @@ def towards_viewer(direction: Vector) -> Vector:
     return -direction  # type: ignore[operator]
 
 
+def from_viewer(direction: Vector) -> Vector:
+    """Direction of the camera ray that meets light which travels along `direction`.
+
+    The inverse of `towards_viewer`.
+    """
+    return -direction  # type: ignore[operator]
+
+
 def rotation(axis: ArrayLike, degrees: float) -> NDArray[np.float64]:
     """Rotation matrix [3, 3] about `axis` [3] by `degrees`, right-handed (Rodrigues' formula)."""
     axis = np.asarray(axis, np.float64)
