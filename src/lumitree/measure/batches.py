@@ -1,12 +1,15 @@
 """Independent batches of rays, and standard errors of what is computed from them (jackknife)."""
 
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.seeds import SeedStream
-from lumitree.trace.emitted_rays import EmittedRays, RayBatch
+
+if TYPE_CHECKING:
+    from lumitree.trace.emitted_rays import EmittedRays, RayBatch
 
 # Independent batches whose spread is the noise of an estimate.
 BATCHES = 16
@@ -32,7 +35,7 @@ class RayBatches:
 
     def __init__(
         self,
-        rays: EmittedRays,
+        rays: "EmittedRays",
         num_rays: int,
         stream: Callable[[int, int], SeedStream],
         seed: int,
@@ -43,7 +46,7 @@ class RayBatches:
         self.count = BATCHES * pieces
         self.size = -(-num_rays // self.count)
 
-    def __iter__(self) -> Iterator[tuple[int, RayBatch]]:
+    def __iter__(self) -> Iterator[tuple[int, "RayBatch"]]:
         for index in range(self.count):
             yield index % BATCHES, self._rays.draw(self.size, self.seed(index))
 
