@@ -5,7 +5,8 @@ Symbols
     local       the luminaire's local frame: its bounding box is centred at the origin and the
                 box's longest half-side is 1; the field's unit of length
     scene       the frame of the scene that the luminaire is placed in
-    direction   direction of travel, from the camera to the scene, unit length
+    direction   direction of travel, unit length: of a camera ray from the camera to the scene, of
+                light from the lamp
 """
 
 import dataclasses

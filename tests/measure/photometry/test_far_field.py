@@ -288,13 +288,6 @@ def test_the_chosen_step_is_the_finest_with_little_noise(count):
     assert step == (allowed[0] if allowed else STEPS[-1])
 
 
-def test_jackknife_of_a_mean_and_of_a_ratio():
-    values = np.random.default_rng(0).random((BATCHES, 3))
-    mean, error = jackknife(lambda used: values[used].mean(axis=0))
-    assert mean == pytest.approx(values.mean(axis=0))
-    assert error == pytest.approx(values.std(axis=0, ddof=1) / np.sqrt(BATCHES))
-
-
 def test_planes_and_widths():
     """A curve around a plane: up on the side of C, back on the other."""
     grid = Grid(30)
