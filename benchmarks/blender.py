@@ -46,7 +46,7 @@ METHODS = ("exported", "explicit", "mitsuba")
 
 def irradiance_rows(name: str, asset: Any, seed: int) -> list[dict]:
     """Irradiance error of the field itself and of clusters of it."""
-    from benchmarks.cycles.table_rays import light_rays
+    from benchmarks.cycles.table_rays import TableRays
     from lumitree.lamp.luminaire import load_luminaire
     from lumitree.measure.irradiance import (
         asset_irradiance,
@@ -60,7 +60,7 @@ def irradiance_rows(name: str, asset: Any, seed: int) -> list[dict]:
     reference = luminaire_irradiance(load_luminaire(name), REFERENCE_PATHS, seed=seed)
     estimates = {"field": asset_irradiance(asset, RAYS, seed=seed)}
     for count in LIGHTS:
-        rays = light_rays(cluster_lights(asset.exitant, half, count, seed))
+        rays = TableRays(cluster_lights(asset.exitant, half, count, seed))
         estimates[str(count)] = rays_irradiance(rays, half, RAYS, draw=2, seed=seed)
     rows = []
     for lights, estimate in estimates.items():

@@ -179,23 +179,18 @@ def _bytes(asset: Any) -> int:
 
 def _paths_seconds(source: LuminaireSource, seed: int) -> float:
     """Seconds of the light paths of a bake and their histogram, without the light inside."""
-    import mitsuba as mi
-
     from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.trace.emitted_rays import as_rows
     from lumitree.trace.histograms import Histogram
+    from lumitree.trace.lamp_rays import LampRays
     from lumitree.trace.light_field_config import ExitantConfig
-    from lumitree.trace.light_paths import trace_light
-    from lumitree.trace.tracing import PATH_DEPTH
 
     luminaire, config = load_luminaire(source), ExitantConfig()
     start = time.perf_counter()
-    histogram = Histogram(config.depth, config.resolution)
+    rays, histogram = LampRays(luminaire), Histogram(config.depth, config.resolution)
     for step in range(-(-config.paths // config.batch)):
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed + step, config.batch)
-        paths = trace_light(luminaire, sampler, config.batch, PATH_DEPTH, all_light=True)
-        flux = np.array(paths.flux, np.float64).reshape(3, -1)
-        histogram.add(paths.origin, -paths.direction, flux)
+        paths = rays.draw(config.batch, seed + step)
+        histogram.add(paths.origin, paths.direction, as_rows(paths.flux).T)
     return time.perf_counter() - start
 
 

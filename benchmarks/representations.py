@@ -137,7 +137,7 @@ def _rows(
         start = time.perf_counter()
         made = fit(rays)
         seconds = time.perf_counter() - start
-        estimate = rays_irradiance(made.sample_ray, rays.half_extents, options.reference)
+        estimate = rays_irradiance(made, rays.half_extents, options.reference)
         error = irradiance_error(estimate, reference)
         row = {
             "luminaire": name,

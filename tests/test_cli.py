@@ -16,7 +16,7 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
-from lumitree.output.preview import Flux
+from lumitree.trace.flux_figures import Flux
 from support.fields import make_asset, random_asset
 
 LAMP = (

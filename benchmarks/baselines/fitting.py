@@ -15,6 +15,7 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.output.blender.lights import cluster_points
+from lumitree.trace.emitted_rays import RayBatch, seeded_sampler
 
 # About as many bins as a Type C file of 1° has values (181 · 360).
 FAR_FIELD_RESOLUTION = 256
@@ -99,16 +100,17 @@ class RaySet:
         # Nine floats, as in a TM-25 file with tristimulus values.
         self.num_bytes = 36 * count
 
-    def sample_ray(self, sampler: Any, count: int) -> tuple[Any, Any, Any]:
-        """As `Representation.sample_ray`."""
-        row = dr.minimum(mi.UInt32(sampler.next_1d() * self._count), self._count - 1)
+    def draw(self, count: int, seed: int) -> RayBatch:
+        """As `EmittedRays.draw`."""
+        chosen = seeded_sampler(seed, count).next_1d()
+        row = dr.minimum(mi.UInt32(chosen * self._count), self._count - 1)
         origin, direction, flux = (
             dr.gather(kind, values, row)
             for kind, values in zip((mi.Point3f, mi.Vector3f, mi.Color3f), self._rays, strict=True)
         )
         flux *= self._count / count
         dr.eval(origin, direction, flux)
-        return origin, direction, flux
+        return RayBatch(origin, direction, flux)
 
     def sample_direction(self, x: Any, sampler: Any) -> None:
         """A ray meets no receiver."""
@@ -121,19 +123,19 @@ class BakedAsset:
     """An asset of lumitree, with its own sampling.
 
     Attributes:
-        sample_ray: as `Representation.sample_ray`.
+        draw: as `EmittedRays.draw`.
         num_bytes: of what is in the asset.
     """
 
     def __init__(self, asset: Any, num_bytes: int) -> None:
-        from lumitree.measure.irradiance import asset_rays
         from lumitree.octree.field import shared_field
+        from lumitree.rendering.asset_rays import AssetRays
         from lumitree.rendering.sampling.divided_sampling import emitter_sampler
         from lumitree.rendering.sampling.proxy import BoxProxy
 
         self._proxy = BoxProxy(asset.frame.half_extents)
         self._sampler = emitter_sampler(asset, shared_field(asset), self._proxy)
-        self.sample_ray = asset_rays(asset)
+        self.draw = AssetRays(asset).draw
         self.num_bytes = num_bytes
 
     def sample_direction(self, x: Any, sampler: Any) -> tuple[Any, Any]:

@@ -39,6 +39,7 @@ from benchmarks.baselines.spline_flow import Conditioner, SplineFlow
 from benchmarks.baselines.traced_rays import TracedRays
 from lumitree.core.device import on_device
 from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.trace.emitted_rays import RayBatch, seeded_sampler
 
 LAYERS, BINS, WIDTH = 8, 16, 64
 # Radiance below that of an even distribution by this exponent is black to the small network.
@@ -87,14 +88,15 @@ class LightFlow:
         )
         self._eval = jax.jit(lambda x: jnp.exp(self._distilled(x) + self._middle))
 
-    def sample_ray(self, sampler: Any, count: int) -> tuple[Any, Any, Any]:
-        """As `Representation.sample_ray`; the flow maps the sampler's numbers to rays."""
+    def draw(self, count: int, seed: int) -> RayBatch:
+        """As `EmittedRays.draw`; the flow maps the sampler's numbers to rays."""
+        sampler = seeded_sampler(seed, count)
         first, second = sampler.next_2d(), sampler.next_2d()
         z = np.stack([np.array(v, np.float32) for v in (*first, *second)], axis=-1)
         x, colour = _in_chunks(self._sample, z)
         flux = colour * (self.flux.sum() / count).astype(np.float32)
         origin, direction = rays_of(x, self._radius)
-        return origin, direction, on_device(mi.Color3f, flux)
+        return RayBatch(origin, direction, on_device(mi.Color3f, flux))
 
     def sample_direction(self, x: Any, sampler: Any) -> None:
         """The flow has no distribution of directions at a receiver."""

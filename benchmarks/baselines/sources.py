@@ -20,24 +20,13 @@ from lumitree.core.device import on_device
 from lumitree.core.harmonics import basis, basis_array, num_coefficients
 from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
 from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
+from lumitree.trace.emitted_rays import EmittedRays, RayBatch, seeded_sampler
 
 
-class Representation(Protocol):
+class Representation(EmittedRays, Protocol):
     """What is compared."""
 
     num_bytes: int
-
-    def sample_ray(self, sampler: Any, count: int) -> tuple[Any, Any, Any]:
-        """Rays that leave the luminaire.
-
-        Args:
-            sampler: mi.Sampler, seeded for `count` rays.
-
-        Returns:
-            mi.Point3f, mi.Vector3f (unit direction of flight), mi.Color3f: flux, whose sum is an
-            estimate of the luminaire's.
-        """
-        ...
 
     def sample_direction(self, x: Any, sampler: Any) -> tuple[Any, Any] | None:
         """A direction in which a receiver gets light; None where there is no such method.
@@ -148,7 +137,9 @@ class Sources:
         )
         self.num_bytes = places.num_bytes + intensity.num_bytes
 
-    def sample_ray(self, sampler: Any, count: int) -> tuple[Any, Any, Any]:
+    def draw(self, count: int, seed: int) -> RayBatch:
+        """As `EmittedRays.draw`."""
+        sampler = seeded_sampler(seed, count)
         index, direction, density = self._intensity.sample(sampler.next_1d(), sampler.next_2d())
         point = self._places.point(index, direction, sampler.next_1d(), sampler.next_2d())
         # A sum of many probabilities is rounded, so that one of 0 can be chosen.
@@ -156,7 +147,7 @@ class Sources:
         weight = dr.select(possible, dr.rcp(dr.select(possible, density, 1) * count), 0)
         flux = self._intensity.eval(index, direction) * weight
         dr.eval(point, direction, flux)
-        return point, direction, flux
+        return RayBatch(point, direction, flux)
 
     def sample_direction(self, x: Any, sampler: Any) -> tuple[Any, Any]:
         index, _, chance = self._chosen.sample_reuse_pmf(sampler.next_1d())

@@ -19,7 +19,7 @@ class TracedRays:
 
     Attributes:
         origin: float32 [N, 3], last vertex, inside the box.
-        direction: float32 [N, 3], unit direction of flight.
+        direction: float32 [N, 3], unit direction of travel.
         flux: float32 [N, 3]; the sum is the luminaire's flux, local units.
         half_extents: [3], of the bounding box.
     """
@@ -32,18 +32,14 @@ class TracedRays:
 
 def trace_rays(luminaire: Luminaire, count: int, seed: int) -> TracedRays:
     """Light paths of a luminaire, `count` rounded up to a multiple of `BATCH`."""
-    import mitsuba as mi
+    from lumitree.trace.lamp_rays import LampRays
 
-    from lumitree.trace.light_paths import trace_light
-    from lumitree.trace.tracing import PATH_DEPTH
-
-    batches = -(-count // BATCH)
+    rays, batches = LampRays(luminaire), -(-count // BATCH)
     parts: list[tuple[NDArray[np.float32], ...]] = []
     for step in range(batches):
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(SeedStream(Purpose.EXITANT, FIRST_STEP + step).seed(seed), BATCH)
-        paths = trace_light(luminaire, sampler, BATCH, PATH_DEPTH, all_light=True)
-        vectors = paths.origin, -paths.direction, paths.flux / batches
-        parts.append(tuple(np.array(v, np.float32).reshape(3, -1).T for v in vectors))
+        stream = SeedStream(Purpose.EXITANT, FIRST_STEP + step)
+        vectors = rays.draw(BATCH, stream.seed(seed)).arrays()
+        parts.append(tuple(each.astype(np.float32) for each in vectors))
     origin, direction, flux = (np.concatenate(each) for each in zip(*parts, strict=True))
+    flux /= np.float32(batches)
     return TracedRays(origin, direction, flux, luminaire.frame.half_extents)

@@ -1,28 +1,30 @@
 """Rays of exported point lights, from their tables by direction, for `measure.irradiance`."""
 
-from collections.abc import Callable
-from typing import Any
-
 import mitsuba as mi
 import numpy as np
 
 from lumitree.core.device import on_device
 from lumitree.output.blender.lights import PointLights, direction_tables, table_angles
+from lumitree.trace.emitted_rays import RayBatch, seeded_sampler
 
 
-def light_rays(lights: PointLights) -> Callable[[Any, int], tuple[Any, Any, Any]]:
-    """The argument `rays` of `rays_irradiance`.
+class TableRays:
+    """Rays of point lights; `EmittedRays`.
 
     Intensities are interpolated linearly between the texels, as Cycles does it.
     """
-    height = 2 * lights.resolution
-    tables = direction_tables(lights, np.eye(3), height)
-    angles = table_angles(height)
-    weight = (tables.sum(axis=-1) * angles[:, None]).ravel()
-    ends = np.cumsum(weight) / weight.sum()
-    texel_area = (np.pi / height) ** 2
 
-    def rays(sampler: Any, count: int) -> tuple[Any, Any, Any]:
+    def __init__(self, lights: PointLights) -> None:
+        self._position, self._height = lights.position, 2 * lights.resolution
+        self._tables = direction_tables(lights, np.eye(3), self._height)
+        self._angles = table_angles(self._height)
+        self._weight = (self._tables.sum(axis=-1) * self._angles[:, None]).ravel()
+
+    def draw(self, count: int, seed: int) -> RayBatch:
+        """As `EmittedRays.draw`."""
+        tables, weight, height = self._tables, self._weight, self._height
+        sampler = seeded_sampler(seed, count)
+        ends = np.cumsum(weight) / weight.sum()
         chosen = np.searchsorted(ends, np.array(sampler.next_1d())).clip(0, len(ends) - 1)
         light, row, column = np.unravel_index(chosen, tables.shape[:3])
         first, second = (np.array(sampler.next_2d(), np.float64) for _ in range(2))
@@ -39,11 +41,12 @@ def light_rays(lights: PointLights) -> Callable[[Any, int], tuple[Any, Any, Any]
         )
         colour = tables[light, row, column]
         share = colour / colour.sum(axis=-1, keepdims=True) * weight.sum() / count
-        flux = share * (flat * texel_area / angles[row])[:, None]
-        vectors = lights.position[light], direction, flux
-        return tuple(  # type: ignore[return-value]
-            on_device(kind, np.ascontiguousarray(values, np.float32))
-            for kind, values in zip((mi.Point3f, mi.Vector3f, mi.Color3f), vectors, strict=True)
+        texel_area = (np.pi / height) ** 2
+        flux = share * (flat * texel_area / self._angles[row])[:, None]
+        vectors = self._position[light], direction, flux
+        return RayBatch(
+            *(
+                on_device(kind, np.ascontiguousarray(values, np.float32))
+                for kind, values in zip((mi.Point3f, mi.Vector3f, mi.Color3f), vectors, strict=True)
+            )
         )
-
-    return rays

@@ -15,6 +15,7 @@ from scipy.ndimage import uniform_filter
 
 from lumitree.core.images import srgb_from_linear
 from lumitree.core.photometry import LUMENS_PER_WATT, luminance
+from lumitree.measure.batches import jackknife_error
 
 Floats = NDArray[np.floating]
 Kind = Literal["measured", "extrapolated"]
@@ -101,7 +102,7 @@ def noise(batches: Floats, weights: Floats | float = 1.0) -> Estimate:
     # Without batch i, whose deviation from the others' mean is K / (K - 1) times that from all's.
     without = deviations.sum() - deviations * count / (count - 1)
     without /= (count - 2) * (count - 1)
-    return Estimate(float(value), _jackknife(without))
+    return Estimate(float(value), float(jackknife_error(without)))
 
 
 def squared_difference(first: Floats, second: Floats, weights: Floats | float = 1.0) -> Estimate:
@@ -116,7 +117,7 @@ def squared_difference(first: Floats, second: Floats, weights: Floats | float = 
     for series, other in ((first, second), (second, first)):
         rest = np.arange(len(series))
         without = [_difference(series[rest != i], other, weights) for i in rest]
-        errors.append(_jackknife(np.array(without)))
+        errors.append(float(jackknife_error(np.array(without))))
     return Estimate(whole, float(np.hypot(*errors)))
 
 
@@ -133,11 +134,6 @@ def _difference(first: Floats, second: Floats, weights: Floats | float) -> float
     for batches in (first, second):
         square -= (batches.var(0, ddof=1) * weights).mean() / len(batches)
     return float(square)
-
-
-def _jackknife(without: Floats) -> float:
-    count = len(without)
-    return float(np.sqrt((count - 1) / count * ((without - without.mean()) ** 2).sum()))
 
 
 def time_to_reach(level: float, seconds: Floats, errors: Floats) -> tuple[float, Kind]:

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from lumitree.measure.photometry.near_field import NearFieldLimit
     from lumitree.measure.photometry.photometry import PhotometryResult, photometry
     from lumitree.output.export import ExportResult, export
-    from lumitree.output.preview import AssetPreviewResult, Flux, MissedFlux, PreviewResult, preview
+    from lumitree.output.preview import AssetPreviewResult, PreviewResult, preview
     from lumitree.output.viewer.view import ViewResult, view
     from lumitree.rendering.asset_cache import load
     from lumitree.rendering.mixture import MixResult, mix
@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from lumitree.rendering.placement_file import read_placements
     from lumitree.rendering.plugins.register import register, shape
     from lumitree.rendering.render import RenderResult, render
+    from lumitree.trace.flux_figures import Flux, MissedFlux
 
 
 # Where each public name is defined; imported on first use, so that `lumitree --help` answers at
@@ -69,11 +70,11 @@ _HOMES = {
     "Estimate": "measure.photometry.figures",
     "EvaluateResult": "measure.evaluate",
     "ExportResult": "output.export",
-    "Flux": "output.preview",
+    "Flux": "trace.flux_figures",
     "LocalFrame": "core.frames",
     "Luminaire": "lamp.luminaire",
     "LuminaireSource": "lamp.source",
-    "MissedFlux": "output.preview",
+    "MissedFlux": "trace.flux_figures",
     "NearFieldLimit": "measure.photometry.near_field",
     "PhotometricFigures": "measure.photometry.figures",
     "PhotometryResult": "measure.photometry.photometry",

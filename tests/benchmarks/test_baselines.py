@@ -103,7 +103,7 @@ def test_patches_are_where_light_leaves_the_box(mi):
 
 @pytest.mark.parametrize("fit", [far_field, sphere, points, table, harmonics, exitant, ray_set])
 def test_flux_is_that_of_the_rays(mi, rays, fit):
-    _, _, flux = fit(rays).sample_ray(seeded(mi, PATHS), PATHS)
+    flux = fit(rays).draw(PATHS, 0).flux
     expected = rays.flux.sum(axis=0, dtype=np.float64)
     flux = np.array(flux, np.float64)
     error = flux.std(axis=1) * np.sqrt(PATHS)
@@ -123,7 +123,8 @@ def test_directions_bring_what_rays_do(mi, rays, fit, place):
     count, radius = 1 << 22, 0.2
     centre = np.array(place)
     normal = -centre / np.linalg.norm(centre)
-    origin, direction, flux = made.sample_ray(seeded(mi, count, 1), count)
+    drawn = made.draw(count, 1)
+    origin, direction, flux = drawn.origin, drawn.direction, drawn.flux
     n, c = mi.Vector3f(normal.tolist()), mi.Point3f(centre.tolist())
     cosine = -dr.dot(direction, n)
     t = dr.dot(c - origin, n) / dr.dot(direction, n)

@@ -132,10 +132,9 @@ def test_a_flow_learns_where_light_comes_from(mi, rays):
     from benchmarks.baselines.light_flow import BLACK, LightFlow, coordinates, rays_of
 
     made, count = LightFlow(rays, seed=0, steps=600), 1 << 16
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(1, count)
-    origin, direction, flux = made.sample_ray(sampler, count)
-    found = np.array(flux, np.float64)
+    drawn = made.draw(count, 1)
+    origin, direction = drawn.origin, drawn.direction
+    found = np.array(drawn.flux, np.float64)
     np.testing.assert_allclose(found.sum(), rays.flux.sum(dtype=np.float64), rtol=1e-3)
     np.testing.assert_allclose(found.sum(axis=1), made.flux, rtol=0.03, atol=0.02)
     for channel, side in ((0, -0.5), (1, 0.5)):

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from lumitree.core.frames import (
     LocalFrame,
+    from_viewer,
     rotation,
     similarity,
     similarity_scale,
@@ -136,3 +137,4 @@ def test_rotation_without_axis_is_refused():
 
 def test_viewer_is_where_the_ray_came_from():
     assert towards_viewer(np.array([0, 0, -1.0])).tolist() == [0, 0, 1]
+    assert from_viewer(towards_viewer(np.array([1, 2, 3]))).tolist() == [1, 2, 3]

@@ -5,7 +5,7 @@ import pytest
 
 from lumitree.core.photometry import luminance
 from lumitree.lamp.luminaire import load_luminaire
-from lumitree.measure import irradiance
+from lumitree.measure.batches import BATCHES
 from lumitree.measure.irradiance import (
     CUBE_HALF_SIDE,
     FACES,
@@ -176,4 +176,4 @@ def test_it_is_the_same_for_the_same_seed(mi, tmp_path):
     first, second, third = (luminaire_irradiance(lamp, 1 << 12, seed=s).batches for s in (1, 1, 2))
     assert (first == second).all()
     assert (first != third).any()
-    assert len(first) == irradiance.BATCHES
+    assert len(first) == BATCHES

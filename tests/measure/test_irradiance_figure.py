@@ -9,8 +9,8 @@ from PIL import Image
 
 from lumitree.core.photometry import LUMENS_PER_WATT
 from lumitree.measure import irradiance_figure
+from lumitree.measure.batches import BATCHES
 from lumitree.measure.irradiance import (
-    BATCHES,
     CUBE_HALF_SIDE,
     FACES,
     PATCHES,

@@ -5,8 +5,8 @@ import pytest
 
 import lumitree
 from lumitree.lamp.luminaire import load_luminaire
-from lumitree.trace.flux import flux_along_lines
 from lumitree.trace.light_paths import trace_light
+from support.camera_flux import flux_by_camera_paths
 from support.fields import uniform_asset
 from support.lamps import AREA, scene, sphere
 
@@ -41,8 +41,8 @@ def test_a_mesh_of_smooth_normals_emits_what_camera_paths_see_of_it(mi, tmp_path
     assert (flux[:, flux[0] > 0] > 0.999 * flux.max(axis=1, keepdims=True)).all()
     found = flux.sum(axis=1) * lamp.frame.scale**2
     assert found == pytest.approx(expected, rel=2e-3)
-    seen = flux_along_lines(lamp, 1 << 20)
-    assert (np.abs(seen.watts - found) < 4 * seen.watts_error + 1e-3 * found).all()
+    seen = flux_by_camera_paths(lamp, 1 << 20)
+    assert (np.abs(seen.watts - found) < 4 * np.array(seen.watts_error) + 1e-3 * found).all()
 
 
 def test_only_bent_light_is_returned_unless_all_is_asked_for(mi, tmp_path):

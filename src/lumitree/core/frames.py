@@ -5,7 +5,8 @@ Symbols
     local       the luminaire's local frame: its bounding box is centred at the origin and the
                 box's longest half-side is 1; the field's unit of length
     scene       the frame of the scene that the luminaire is placed in
-    direction   direction of travel, from the camera to the scene, unit length
+    direction   direction of travel, unit length: of a camera ray from the camera to the scene, of
+                light from the lamp
 """
 
 import dataclasses
@@ -34,6 +35,14 @@ def towards_viewer(direction: Vector) -> Vector:
     """Direction at which spherical harmonics are evaluated, for a ray travelling along `direction`.
 
     All code that evaluates spherical harmonics calls this function.
+    """
+    return -direction  # type: ignore[operator]
+
+
+def from_viewer(direction: Vector) -> Vector:
+    """Direction of the camera ray that meets light which travels along `direction`.
+
+    The inverse of `towards_viewer`.
     """
     return -direction  # type: ignore[operator]
 

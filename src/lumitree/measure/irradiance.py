@@ -12,11 +12,7 @@ Symbols
 """
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -25,11 +21,11 @@ from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.lamp.luminaire import Luminaire
-from lumitree.octree.field import shared_field
-from lumitree.rendering.sampling.divided_sampling import emitter_sampler
-from lumitree.rendering.sampling.proxy import BoxProxy
-from lumitree.trace.light_paths import trace_light
-from lumitree.trace.tracing import PATH_DEPTH, check_finite
+from lumitree.measure.batches import RayBatches, jackknife
+from lumitree.rendering.asset_rays import AssetRays
+from lumitree.trace.emitted_rays import EmittedRays, RayBatch
+from lumitree.trace.lamp_rays import LampRays
+from lumitree.trace.tracing import PATH_DEPTH
 
 FACES = ("-x", "+x", "-y", "+y", "-z", "+z", "touching")
 # The first faces are those of the cube.
@@ -37,14 +33,9 @@ NUM_CUBE_FACES = 6
 # Half side of the cube, local units, and patches along a side of each square.
 CUBE_HALF_SIDE = 3.0
 PATCHES = 12
-# Independent batches that an estimate is the mean of; their spread is its noise.
-BATCHES = 16
 # The RMS difference of a face is defined if at least this part of the reference's mean square is
 # not noise.
 _MIN_SIGNAL = 0.1
-# Takes a mi.Sampler and a number of rays, and returns origins (mi.Point3f), directions of flight
-# (mi.Vector3f) and fluxes (mi.Color3f), local units.
-Rays = Callable[[Any, int], tuple[Any, Any, Any]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,14 +102,8 @@ def luminaire_irradiance(
     Raises:
         LumitreeError: a path's flux is NaN or infinite.
     """
-
-    def rays(sampler: Any, count: int) -> tuple[Any, Any, Any]:
-        paths = trace_light(luminaire, sampler, count, path_depth, all_light=True)
-        return paths.origin, -paths.direction, paths.flux
-
-    result = rays_irradiance(rays, luminaire.frame.half_extents, num_paths, draw=0, seed=seed)
-    check_finite(luminaire, result.batches)
-    return result
+    rays = LampRays(luminaire, path_depth)
+    return rays_irradiance(rays, luminaire.frame.half_extents, num_paths, draw=0, seed=seed)
 
 
 def asset_irradiance(asset: Asset, num_rays: int, *, seed: int = 0) -> Irradiance:
@@ -128,49 +113,33 @@ def asset_irradiance(asset: Asset, num_rays: int, *, seed: int = 0) -> Irradianc
         num_rays: rays, rounded up to a multiple of `BATCHES`.
         seed: root seed.
     """
-    half_extents = asset.frame.half_extents
-    return rays_irradiance(asset_rays(asset), half_extents, num_rays, draw=1, seed=seed)
-
-
-def asset_rays(asset: Asset) -> Rays:
-    """Rays sampled from a baked luminaire's emission."""
-    emitter = emitter_sampler(asset, shared_field(asset), BoxProxy(asset.frame.half_extents))
-
-    def rays(sampler: Any, count: int) -> tuple[Any, Any, Any]:
-        origin, direction, flux = emitter.sample_ray(
-            sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
-        )
-        flux /= count
-        dr.eval(origin, direction, flux)
-        return origin, direction, flux
-
-    return rays
+    return rays_irradiance(AssetRays(asset), asset.frame.half_extents, num_rays, seed=seed)
 
 
 def rays_irradiance(
-    rays: Rays,
+    rays: EmittedRays,
     half_extents: NDArray[np.float64],
     num_rays: int,
     *,
     draw: int = 1,
     seed: int = 0,
 ) -> Irradiance:
-    """Irradiance by rays of any origin.
+    """Irradiance that a representation of a luminaire causes, by its rays.
 
     Args:
-        rays: origins are inside the bounding box.
+        rays: that leave it.
         half_extents: [3] of the luminaire's box.
         num_rays: rounded up to a multiple of `BATCHES`.
         draw: of `Purpose.IRRADIANCE`.
         seed: root seed.
     """
-    count = -(-num_rays // BATCHES)
+    drawn = RayBatches(
+        rays, num_rays, lambda batch, _: SeedStream(Purpose.IRRADIANCE, batch, draw), seed
+    )
     batches = []
-    with progress("irradiance", BATCHES) as advance:
-        for step in range(BATCHES):
-            sampler = mi.load_dict({"type": "independent"})
-            sampler.seed(SeedStream(Purpose.IRRADIANCE, step, draw).seed(seed), count)
-            batches.append(_accumulate(*rays(sampler, count), half_extents))
+    with progress("irradiance", drawn.count) as advance:
+        for _, batch in drawn:
+            batches.append(_accumulate(batch, half_extents))
             advance(1)
     return Irradiance(np.array(batches))
 
@@ -178,12 +147,7 @@ def rays_irradiance(
 def irradiance_error(estimate: Irradiance, reference: Irradiance) -> IrradianceError:
     """Compare two estimates of the irradiance around a luminaire."""
     first, second = luminance(estimate.batches), luminance(reference.batches)
-    values = _compare(first, second)
-    count = min(len(first), len(second))
-    left_out = np.array(
-        [_compare(np.delete(first, i, 0), np.delete(second, i, 0)) for i in range(count)]
-    )
-    error = np.sqrt((count - 1) / count * ((left_out - left_out.mean(0)) ** 2).sum(0))
+    values, error = jackknife(lambda used: _compare(first[used], second[used]), len(first))
     ratio, rms = slice(0, len(FACES)), slice(len(FACES), 2 * len(FACES))
     return IrradianceError(
         values[ratio],
@@ -224,13 +188,9 @@ def _divide(a: ArrayLike, b: ArrayLike, defined: ArrayLike) -> NDArray[np.float6
     return np.divide(a, b, out=np.full(np.shape(a), np.nan), where=np.asarray(defined))
 
 
-def _accumulate(
-    origin: Any, direction: Any, flux: Any, half_extents: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _accumulate(rays: RayBatch, half_extents: NDArray[np.float64]) -> NDArray[np.float64]:
     """E [7, P, P, 3] by rays that start inside the bounding box."""
-    position, towards, carried = (
-        np.array(vector, np.float64).reshape(3, -1).T for vector in (origin, direction, flux)
-    )
+    position, towards, carried = rays.arrays()
     side = 2 * CUBE_HALF_SIDE / PATCHES
     total = np.zeros((len(FACES) * PATCHES**2, 3))
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -17,59 +17,16 @@ from lumitree.core.results import ImageResult
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.errors import LumitreeError, explained
 from lumitree.lamp.loading import warn_of_faults
+from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.rendering.asset_cache import asset_of
+from lumitree.trace.flux_figures import Flux, MissedFlux
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import LuminaireLike
 
-import math
-
-from lumitree.lamp.scene_shapes import SceneShape
 
 # Numbers of light paths of a preview, for the flux and for the flux by number of bounces.
 FLUX_PATHS, BOUNCE_PATHS = 1 << 22, 1 << 20
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Flux:
-    """Estimate of the flux that leaves a luminaire, for lengths in metres.
-
-    Attributes:
-        watts: radiant flux of R, G and B, W.
-        watts_error: standard errors of `watts`, W.
-        lumens: luminous flux, lm.
-        lumens_error: standard error of `lumens`, lm.
-        paths: number of light paths of the estimate.
-    """
-
-    watts: tuple[float, ...]
-    watts_error: tuple[float, ...]
-    lumens: float
-    lumens_error: float
-    paths: int
-
-    def __str__(self) -> str:
-        """Luminous flux ± standard error, rounded to two significant digits of the error."""
-        error = self.lumens_error
-        digits = max(0, 1 - math.floor(math.log10(error))) if error else 0
-        return f"{self.lumens:,.{digits}f} ± {error:,.{digits}f} lm"
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class MissedFlux:
-    """Share of the luminous flux that paths of limited length miss.
-
-    Attributes:
-        path_depth: largest number of bounces.
-        reference_depth: largest number of bounces of the paths that are compared with.
-        share: share of the flux, 0 to 1.
-        error: standard error of `share`.
-    """
-
-    path_depth: int
-    reference_depth: int
-    share: float
-    error: float
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -197,8 +154,8 @@ def preview(
         with watch.stage("views"):
             views = take_preview(lamp, resolution, samples_per_pixel)
         with watch.stage("flux"):
-            estimate = estimate_flux(lamp, FLUX_PATHS)
-        missed = []
+            flux = estimate_flux(lamp, FLUX_PATHS)
+        missed = None
         if bounces:
             with watch.stage("bounces"):
                 missed = missed_by_depth(lamp, BOUNCE_PATHS)
@@ -209,17 +166,11 @@ def preview(
         max_radiance=max_radiance([views.radiance]),
         size=tuple(lamp.size.tolist()),
         has_media=lamp.has_media,
-        flux=Flux(
-            watts=tuple(estimate.watts.tolist()),
-            watts_error=tuple(estimate.watts_error.tolist()),
-            lumens=estimate.lumens,
-            lumens_error=estimate.lumens_error,
-            paths=estimate.num_paths,
-        ),
+        flux=flux,
         paths_per_second=views.paths_per_second,
         exposure=views.exposure,
         faults=faults,
-        bounces=[MissedFlux(**dataclasses.asdict(each)) for each in missed] or None,
+        bounces=missed,
         shapes=lamp.shapes,
         sheet=None if sheet is None else Path(sheet),
         png=b"",

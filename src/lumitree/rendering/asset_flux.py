@@ -1,10 +1,7 @@
 """The flux that an asset emits, and the gain that gives a lamp a luminous flux and a colour."""
 
 import dataclasses
-from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,9 +11,8 @@ from lumitree.core.octahedral import solid_angles
 from lumitree.core.photometry import LUMENS_PER_WATT, blackbody_colour, luminance
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError, shown
-from lumitree.octree.field import shared_field
-from lumitree.rendering.sampling.divided_sampling import emitter_sampler
-from lumitree.rendering.sampling.proxy import BoxProxy
+from lumitree.rendering.asset_rays import AssetRays
+from lumitree.trace.emitted_rays import as_rows
 
 # Rays that estimate the flux of a field, to about 0.1 to 0.5 %, in some tenths of a second.
 FIELD_RAYS = 1 << 20
@@ -40,12 +36,8 @@ def asset_watts(asset: Asset) -> NDArray[np.float64]:
     """
     if asset.exitant is not None:
         return exitant_watts(asset.exitant) * asset.gain * asset.frame.scale**2
-    sampler: Any = mi.load_dict({"type": "independent"})
-    sampler.seed(SeedStream(Purpose.ASSET_FLUX).seed(0), FIELD_RAYS)
-    emitter = emitter_sampler(asset, shared_field(asset), BoxProxy(asset.frame.half_extents))
-    _, _, flux = emitter.sample_ray(sampler.next_1d(), sampler.next_2d(), sampler.next_2d())
-    dr.eval(flux)
-    return np.array(flux, np.float64).reshape(3, -1).mean(axis=1) * asset.frame.scale**2
+    rays = AssetRays(asset).draw(FIELD_RAYS, SeedStream(Purpose.ASSET_FLUX).seed(0))
+    return as_rows(rays.flux).sum(axis=0) * asset.frame.scale**2
 
 
 def asset_lumens(asset: Asset) -> float:

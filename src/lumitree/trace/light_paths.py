@@ -18,8 +18,10 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from lumitree.core.frames import from_viewer
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.trace import medium_paths
+from lumitree.trace.emitted_rays import RayBatch
 from lumitree.trace.ending_segments import EndingConfig, EndingSegments, make_reservoir
 from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
 from lumitree.trace.spawning import scene_extent, spawn
@@ -30,22 +32,15 @@ _ROULETTE_DEPTH = 8
 
 
 @dataclasses.dataclass
-class LightPaths:
-    """Light paths that have left the luminaire.
+class LightPaths(RayBatch):
+    """Light paths that have left the luminaire; each ray starts at the last vertex of its path.
 
     Attributes:
-        origin: mi.Point3f, the last vertex, local frame.
-        direction: mi.Vector3f, direction of the camera ray that meets the path in reverse, local
-            frame.
-        flux: mi.Color3f; the sum over the paths of a trace is an estimate of the emitted flux.
         termination: mi.Point3f, termination point, local frame.
         ending: segments of all paths, also of absorbed ones, that end on the luminaire; None if
             they were not asked for.
     """
 
-    origin: Any
-    direction: Any
-    flux: Any
     termination: Any
     ending: EndingSegments | None = None
 
@@ -83,7 +78,7 @@ def trace_light(
     scale = dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2))
     paths = LightPaths(
         to_local @ dr.gather(mi.Point3f, origin, chosen),
-        dr.normalize(to_local @ dr.gather(mi.Vector3f, -direction, chosen)),
+        dr.normalize(to_local @ dr.gather(mi.Vector3f, direction, chosen)),
         dr.gather(mi.Color3f, flux, chosen) * scale,
         to_local @ dr.gather(mi.Point3f, termination, chosen),
         None if reservoir is None else reservoir.segments(scale),
@@ -185,7 +180,9 @@ def _trace(scene, sampler, path_depth, reservoir):
 
     deflected = dr.dot(ray.d, start_direction) < COSINE_OF_CONE
     at_first = sampler.next_1d() < 0.5
-    termination = termination_point(scene.bbox(), -ray.d, ray.o, start, deflected & at_first)
+    termination = termination_point(
+        scene.bbox(), from_viewer(ray.d), ray.o, start, deflected & at_first
+    )
     return ray.o, ray.d, flux, termination, leaves, smooth, reservoir
 
 

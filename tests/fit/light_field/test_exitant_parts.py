@@ -109,7 +109,7 @@ def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("light paths are traced")
 
-    monkeypatch.setattr(exitant_bake, "trace_light", refuse)
+    monkeypatch.setattr(exitant_bake, "LampRays", refuse)
     again = lumitree.bake("lamp.xml", parts=["exitant"], work="state").asset
     assert_equal_fields(again.exitant, first.exitant)
     with pytest.raises(AssertionError, match="light paths are traced"):
@@ -295,7 +295,7 @@ def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch, capsys):
     kept = lumitree.load(stopped.path)
     assert os.path.exists("lamp.work")
     monkeypatch.setattr(evaluate, "evaluate_irradiance", compare)
-    monkeypatch.setattr(exitant_bake, "trace_light", None)
+    monkeypatch.setattr(exitant_bake, "LampRays", None)
     again = lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant"])
     assert again.stopped_by is None
     assert again.irradiance is not None
@@ -339,7 +339,7 @@ def test_an_interrupted_bake_keeps_the_exitant_light_field(monkeypatch):
     assert cut.asset.exitant is not None
     assert EXITANT_STATE in os.listdir("lamp.work")
     monkeypatch.setattr(Refiner, "advance", advance)
-    monkeypatch.setattr(exitant_bake, "trace_light", None)
+    monkeypatch.setattr(exitant_bake, "LampRays", None)
     whole = lumitree.bake("lamp.xml", "lamp.lumitree")
     assert whole.stopped_by is None
     assert_equal_fields(whole.asset.exitant, cut.asset.exitant)

@@ -15,8 +15,8 @@ from lumitree.fit.light_field.bake import bake_exitant
 from lumitree.fit.light_field.merge import merge_exitant
 from lumitree.fit.light_field.visibility import _free_length
 from lumitree.trace.ending_segments import EndingConfig
+from lumitree.trace.lamp_rays import LampRays
 from lumitree.trace.light_field_config import ExitantConfig
-from lumitree.trace.light_paths import trace_light
 from support.exitant_fields import assert_equal_fields
 from support.lamps import AREA, cube, lamp_of, sphere
 
@@ -188,14 +188,12 @@ def test_flux_that_ends_on_the_disc(lamp, field):
 def test_the_exitant_light_is_as_without_it(mi, lamp, field, tmp_path, monkeypatch):
     from lumitree.fit.light_field import bake as module
 
-    def alone(*arguments, ending, **options):
-        paths = trace_light(*arguments, **options)
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(0, 4)
-        few = trace_light(lamp, sampler, 4, 4, ending=EndingConfig(5, 0))
-        return dataclasses.replace(paths, ending=few.ending)
+    class Alone(LampRays):
+        def draw(self, count, seed, *, ending=None):
+            few = LampRays(lamp, 4).draw(4, 0, ending=EndingConfig(5, 0))
+            return dataclasses.replace(super().draw(count, seed), ending=few.ending)
 
-    monkeypatch.setattr(module, "trace_light", alone)
+    monkeypatch.setattr(module, "LampRays", Alone)
     plain = bake_exitant(lamp, CONFIG, tmp_path)
     for name in ("cells", "lit", "intensity"):
         assert np.array_equal(getattr(plain, name), getattr(field, name))

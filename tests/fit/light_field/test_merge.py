@@ -77,7 +77,7 @@ def test_merging_is_one_histogram_of_all_paths(mi, lamp, bakes):
             sampler.seed(SeedStream(Purpose.EXITANT, step).seed(seed), BATCH)
             paths = trace_light(lamp, sampler, BATCH, PATH_DEPTH, all_light=True)
             flux = np.array(paths.flux, np.float64).reshape(3, -1)
-            histogram.add(paths.origin, -paths.direction, flux / 24)
+            histogram.add(paths.origin, paths.direction, flux / 24)
     expected = histogram.flux / solid_angles(RESOLUTION)[:, None]
     longer = make_exitant_field(histogram.cells, expected, CONFIG.depth)
     merged = merge_exitant([bakes[1], bakes[2]], names(2))

@@ -11,14 +11,13 @@ from lumitree.core.frames import LocalFrame, rotation, similarity
 from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError
 from lumitree.formats.type_c import Grid, angles_of, node_solid_angles
+from lumitree.measure.batches import BATCHES, jackknife
 from lumitree.measure.photometry import far_field as module
 from lumitree.measure.photometry.far_field import (
-    BATCHES,
     MAX_NOISE,
     STEPS,
     asset_source,
     chosen_step,
-    jackknife,
     luminaire_source,
     measure,
 )
@@ -26,7 +25,7 @@ from lumitree.measure.photometry.far_field_figures import evaluated
 from lumitree.measure.photometry.figures import Estimate, plane_curve, width_at
 from lumitree.measure.photometry.near_field import DISTANCES, NearFieldTest
 from lumitree.rendering.asset_flux import asset_lumens
-from lumitree.trace.flux import flux_along_lines
+from support.camera_flux import flux_by_camera_paths
 from support.exitant_fields import random_exitant
 from support.fields import uniform_asset
 from support.lamps import AREA, lamp_of, sphere
@@ -147,7 +146,7 @@ def test_a_luminaire_that_absorbs(mi, tmp_path):
     figures = evaluated(measure(luminaire_source(lamp), PATHS)).figures
     emitted = luminance(RADIANCE) * 4 * np.pi**2 * 0.04
     assert figures.emitted_lumens.value == pytest.approx(emitted, rel=1e-4)
-    reference = flux_along_lines(lamp, 1 << 21)
+    reference = flux_by_camera_paths(lamp, 1 << 21)
     error = np.hypot(figures.lumens.error, reference.lumens_error)
     assert abs(figures.lumens.value - reference.lumens) < 4 * error
     ratio = figures.light_output_ratio
@@ -256,12 +255,13 @@ def test_a_first_piece_without_light(ball):
     """Light that few paths carry: the first piece has none by chance."""
     source, calls = luminaire_source(ball), []
 
-    def rays(sampler, count):
-        origin, direction, flux = source.rays(sampler, count)
-        calls.append(count)
-        return origin, direction, flux * (len(calls) > 1)
+    class LitLater:
+        def draw(self, count, seed):
+            rays = source.rays.draw(count, seed)
+            calls.append(count)
+            return dataclasses.replace(rays, flux=rays.flux * (len(calls) > 1))
 
-    measurement = measure(dataclasses.replace(source, rays=rays), 1 << 12)
+    measurement = measure(dataclasses.replace(source, rays=LitLater()), 1 << 12)
     assert measurement.grid.step == STEPS[-1]
     exact = luminance(RADIANCE) * np.pi**2
     assert luminance(measurement.watts.mean(axis=0)) == pytest.approx(exact * 15 / 16, rel=1e-3)
@@ -287,13 +287,6 @@ def test_the_chosen_step_is_the_finest_with_little_noise(count):
 
     allowed = [each for each in STEPS if noise(each) <= MAX_NOISE]
     assert step == (allowed[0] if allowed else STEPS[-1])
-
-
-def test_jackknife_of_a_mean_and_of_a_ratio():
-    values = np.random.default_rng(0).random((BATCHES, 3))
-    mean, error = jackknife(lambda used: values[used].mean(axis=0))
-    assert mean == pytest.approx(values.mean(axis=0))
-    assert error == pytest.approx(values.std(axis=0, ddof=1) / np.sqrt(BATCHES))
 
 
 def test_planes_and_widths():

@@ -104,7 +104,7 @@ def two_groups():
 
 
 def test_irradiance_of_as_many_lights_as_groups_is_that_of_the_field():
-    from benchmarks.cycles.table_rays import light_rays
+    from benchmarks.cycles.table_rays import TableRays
     from lumitree.measure.irradiance import (
         asset_irradiance,
         irradiance_error,
@@ -116,7 +116,7 @@ def test_irradiance_of_as_many_lights_as_groups_is_that_of_the_field():
     reference = asset_irradiance(asset, 1 << 18)
     errors = {}
     for count in (1, 2):
-        rays = light_rays(lights_of(field, count))
+        rays = TableRays(lights_of(field, count))
         errors[count] = irradiance_error(rays_irradiance(rays, half, 1 << 18, draw=2), reference)
     assert errors[2].total_ratio == pytest.approx(1, abs=5 * errors[2].total_ratio_error + 1e-6)
     assert errors[2].mean_rms < 0.06

@@ -6,7 +6,6 @@ Light that ends on the luminaire is counted too, by its reach (`inside`).
 import dataclasses
 from pathlib import Path
 
-import mitsuba as mi
 import numpy as np
 
 from lumitree.asset.exitant import ExitantField, TracedPaths, make_exitant_field
@@ -20,11 +19,11 @@ from lumitree.fit.light_field.merge import relative_noise
 from lumitree.fit.light_field.saved_field import SavedExitantField
 from lumitree.fit.light_field.visibility import unoccluded
 from lumitree.lamp.luminaire import Luminaire
+from lumitree.trace.emitted_rays import as_rows
 from lumitree.trace.ending_segments import EndingConfig
 from lumitree.trace.histograms import EndingHistogram, Histogram
+from lumitree.trace.lamp_rays import LampRays
 from lumitree.trace.light_field_config import ExitantConfig
-from lumitree.trace.light_paths import trace_light
-from lumitree.trace.tracing import PATH_DEPTH, check_finite
 
 
 def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> ExitantField:
@@ -43,29 +42,23 @@ def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> E
     saved = SavedExitantField(folder, luminaire, config)
     if (field := saved.load()) is not None:
         return field
+    rays = LampRays(luminaire)
     histogram = Histogram(config.depth, config.resolution)
     ending = EndingHistogram(config.depth, config.resolution // 2, DISTANCES)
     batches = -(-config.paths // config.batch)
     by_direction = []
     with progress(f"light of {luminaire.name}", batches) as advance:
         for step in range(batches):
-            sampler = mi.load_dict({"type": "independent"})
-            sampler.seed(SeedStream(Purpose.EXITANT, step).seed(config.seed), config.batch)
             segments = EndingConfig(
                 config.depth, SeedStream(Purpose.ENDING, step).seed(config.seed)
             )
-            paths = trace_light(
-                luminaire, sampler, config.batch, PATH_DEPTH, all_light=True, ending=segments
-            )
-            flux = np.array(paths.flux, np.float64).reshape(3, -1)
-            check_finite(luminaire, flux)
+            seed = SeedStream(Purpose.EXITANT, step).seed(config.seed)
+            paths = rays.draw(config.batch, seed, ending=segments)
             assert paths.ending is not None
-            ends = np.array(paths.ending.flux, np.float64).reshape(3, -1)
-            check_finite(luminaire, ends)
+            flux, ends = (as_rows(each.flux).T for each in (paths, paths.ending))
             places = SeedStream(Purpose.ENDING, step, 2).seed(config.seed)
             ending.add(paths.ending, ends / batches, places)
-            # Paths have the direction of the camera ray that meets them.
-            bins = histogram.add(paths.origin, -paths.direction, flux / batches)
+            bins = histogram.add(paths.origin, paths.direction, flux / batches)
             by_direction.append(np.bincount(bins, luminance(flux.T), config.resolution**2))
             advance(1)
     if not histogram.flux.any():

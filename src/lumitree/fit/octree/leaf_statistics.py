@@ -74,7 +74,8 @@ class LeafStatistics:
     def add_light_paths(self, octree: Octree, paths: LightPaths, scale: float) -> None:
         """Add the flux of light paths, times `scale`."""
         leaf, found = octree.find_leaf(paths.termination)
-        y = basis(*towards_viewer(paths.direction), l_max=self._l_max)
+        # Light travels towards the viewer.
+        y = basis(*paths.direction, l_max=self._l_max)
         self._add_radiance(y, paths.flux * dr.opaque(mi.Float, scale), leaf, found)
         dr.eval(self._b)
 

@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from lumitree.core.frames import from_viewer
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.octree.config import TILE_RAYS, TILE_SIDE, MaxRadianceConfig
 from lumitree.fit.octree.ray_source import RayPairs, Rays, Subject, Wanted
@@ -84,7 +85,7 @@ class TracedRays:
         num_paths = dr.width(paths.origin)
         rays = Rays(
             _join(origin, paths.origin),
-            _join(direction, paths.direction),
+            _join(direction, from_viewer(paths.direction)),
             dr.concat([share * dr.ones(mi.Float, num_rays), dr.zeros(mi.Float, num_paths)]),
             _join(seen * share, paths.flux * scale),
             dr.concat([through, dr.zeros(mi.Float, num_paths)]),

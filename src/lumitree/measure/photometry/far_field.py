@@ -1,15 +1,12 @@
 """Measurement of the light that leaves a luminaire or an asset, by rays.
 
-Rays come in independent batches of equal size, large ones in pieces. A figure of all rays has a
-standard error by the jackknife: from its values with one batch left out.
+Rays come in independent batches of equal size, large ones in pieces (`lumitree.measure.batches`).
 """
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Literal
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,15 +19,13 @@ from lumitree.errors import LumitreeError
 from lumitree.formats.rays import Rays
 from lumitree.formats.type_c import Grid, y_up
 from lumitree.lamp.luminaire import Luminaire
+from lumitree.measure.batches import BATCHES, RayBatches
 from lumitree.measure.photometry.near_field import NearFieldTest
-from lumitree.octree.field import shared_field
-from lumitree.rendering.sampling.divided_sampling import emitter_sampler
-from lumitree.rendering.sampling.proxy import BoxProxy
-from lumitree.trace.light_paths import emitted_flux, trace_light
-from lumitree.trace.tracing import PATH_DEPTH, check_finite
+from lumitree.rendering.asset_rays import AssetRays
+from lumitree.trace.emitted_rays import EmittedRays, RayBatch
+from lumitree.trace.lamp_rays import LampRays
 
 Up = Literal["y", "z"]
-BATCHES = 16
 # Samples that are traced at once.
 MAX_AT_ONCE = 1 << 20
 # Steps that are tried, degrees, finest first; the first whose noise is low enough is taken.
@@ -47,17 +42,15 @@ class Source:
     Attributes:
         name: of the luminaire.
         frame: its local frame; the world has y up, and lengths in metres.
-        rays: function that takes a sampler and a count, and returns the rays of as many samples:
-            origin, direction of travel, flux [3]; local units. The sum of the flux is an estimate
-            of the flux that leaves the luminaire.
-        emitted: as `rays`, but returns the flux [3, N] of the bare emitters; None if it is not
-            known.
+        rays: that leave it.
+        bare_flux: function of a number of samples and a seed: flux [3] of the bare emitters of the
+            rays of that draw, local units; None if it is not known.
     """
 
     name: str
     frame: LocalFrame
-    rays: Callable[[Any, int], tuple[Any, Any, Any]]
-    emitted: Callable[[Any, int], NDArray[np.float64]] | None
+    rays: EmittedRays
+    bare_flux: Callable[[int, int], NDArray[np.float64]] | None = None
 
 
 def oriented(source: Source, unit: float, up: Up) -> Source:
@@ -79,31 +72,13 @@ def oriented(source: Source, unit: float, up: Up) -> Source:
 
 def luminaire_source(luminaire: Luminaire) -> Source:
     """Light paths of a luminaire."""
-
-    def rays(sampler: Any, count: int) -> tuple[Any, Any, Any]:
-        paths = trace_light(luminaire, sampler, count, PATH_DEPTH, all_light=True)
-        check_finite(luminaire, _array(paths.flux))
-        # Paths have the direction of the camera ray that meets them.
-        return paths.origin, -paths.direction, paths.flux
-
-    def emitted(sampler: Any, count: int) -> NDArray[np.float64]:
-        return _array(emitted_flux(luminaire, sampler, count)).sum(axis=0)
-
-    return Source(luminaire.name, luminaire.frame, rays, emitted)
+    rays = LampRays(luminaire)
+    return Source(luminaire.name, luminaire.frame, rays, rays.bare_flux)
 
 
 def asset_source(asset: Asset) -> Source:
     """Rays sampled from the emission of an asset: of its exitant light field if it has one."""
-    emitter = emitter_sampler(asset, shared_field(asset), BoxProxy(asset.frame.half_extents))
-
-    def rays(sampler: Any, count: int) -> tuple[Any, Any, Any]:
-        samples = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
-        origin, direction, flux = emitter.sample_ray(*samples)
-        flux /= count
-        dr.eval(origin, direction, flux)
-        return origin, direction, flux
-
-    return Source(asset.luminaire, asset.frame, rays, None)
+    return Source(asset.luminaire, asset.frame, AssetRays(asset))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -150,16 +125,22 @@ def measure(
     Raises:
         LumitreeError: no light leaves the luminaire, or a path's flux is NaN or infinite.
     """
-    pieces = _Pieces(source, num_rays, seed)
+    pieces = RayBatches(
+        source.rays,
+        num_rays,
+        lambda batch, piece: SeedStream(Purpose.PHOTOMETRY, batch, piece),
+        seed,
+        pieces=max(1, -(-num_rays // (BATCHES * MAX_AT_ONCE))),
+    )
     kept_pieces = min(pieces.count, -(-kept_rays // pieces.size))
     kept: list[Rays] = []
     tally: _Tally | None = None
     with progress(f"light of {source.name}", pieces.count) as advance:
-        for index in range(pieces.count):
-            rays = pieces.rays(index)
+        for batch, drawn in pieces:
+            rays = _in_world(drawn, source.frame)
             if tally is None:
                 tally = _Tally(source, rays, pieces.count, step)
-            tally.add(index % BATCHES, rays)
+            tally.add(batch, rays)
             if len(kept) < kept_pieces:
                 kept.append(rays)
             advance(1)
@@ -168,17 +149,13 @@ def measure(
         raise LumitreeError(
             f"no light leaves {source.name}; look for emitters that are enclosed or black"
         )
-    emitted = None
-    if source.emitted is not None:
-        parts = np.array([pieces.emitted(index) for index in range(pieces.count)])
-        emitted = parts.reshape(-1, BATCHES, 3).mean(axis=0)
     return Measurement(
         name=source.name,
         grid=tally.grid,
         intensity=tally.intensity,
         watts=tally.watts,
         upward=tally.upward,
-        emitted=emitted,
+        emitted=_bare_watts(source, pieces),
         near_field=tally.near_field,
         size=np.abs(source.frame.rotation) @ source.frame.size,
         num_rays=pieces.count * pieces.size,
@@ -186,40 +163,22 @@ def measure(
     )
 
 
-class _Pieces:
-    """Rays that are traced at once: pieces of the batches, of equal size.
+def _in_world(rays: RayBatch, frame: LocalFrame) -> Rays:
+    """Rays of a draw in the frame of the luminaire's file; flux in W."""
+    origin, direction, flux = rays.arrays()
+    return Rays(
+        origin @ frame.rotation.T * frame.scale + frame.centre,
+        direction @ frame.rotation.T,
+        flux * frame.scale**2,
+    )
 
-    Attributes:
-        count: number of pieces, a multiple of `BATCHES`; piece i belongs to batch i modulo that.
-        size: number of samples of each.
-    """
 
-    def __init__(self, source: Source, num_rays: int, seed: int) -> None:
-        self._source, self._seed = source, seed
-        self.count = BATCHES * max(1, -(-num_rays // (BATCHES * MAX_AT_ONCE)))
-        self.size = -(-num_rays // self.count)
-
-    def rays(self, index: int) -> Rays:
-        """Rays of a piece, an estimate of all light."""
-        frame = self._source.frame
-        origin, direction, flux = self._source.rays(self._sampler(index), self.size)
-        return Rays(
-            _array(origin) @ frame.rotation.T * frame.scale + frame.centre,
-            _array(direction) @ frame.rotation.T,
-            _array(flux) * frame.scale**2,
-        )
-
-    def emitted(self, index: int) -> NDArray[np.float64]:
-        """Flux [3], W, of the bare emitters, for the light paths of `rays`."""
-        assert self._source.emitted is not None
-        flux = self._source.emitted(self._sampler(index), self.size)
-        return flux * self._source.frame.scale**2
-
-    def _sampler(self, index: int) -> Any:
-        stream = SeedStream(Purpose.PHOTOMETRY, index % BATCHES, index // BATCHES)
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(stream.seed(self._seed), self.size)
-        return sampler
+def _bare_watts(source: Source, pieces: RayBatches) -> NDArray[np.float64] | None:
+    """Radiant flux [B, 3] of the bare emitters, W; None if it is not known."""
+    if source.bare_flux is None:
+        return None
+    parts = [source.bare_flux(pieces.size, pieces.seed(index)) for index in range(pieces.count)]
+    return (np.array(parts) * source.frame.scale**2).reshape(-1, BATCHES, 3).mean(axis=0)
 
 
 class _Tally:
@@ -272,28 +231,9 @@ def chosen_step(direction: NDArray[np.float64], lumens: NDArray[np.float64], pie
     return STEPS[-1]
 
 
-def jackknife(
-    figure: Callable[[NDArray[np.bool_]], NDArray[np.float64] | float], batches: int = BATCHES
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Values of a figure for all batches, and their standard errors.
-
-    Args:
-        figure: takes a mask [B] of the batches to use.
-    """
-    value = np.asarray(figure(np.ones(batches, bool)), np.float64)
-    without = np.array([figure(np.arange(batches) != left_out) for left_out in range(batches)])
-    deviation = without - without.mean(axis=0)
-    return value, np.sqrt((batches - 1) / batches * (deviation**2).sum(axis=0))
-
-
 def _brightest(direction: NDArray[np.float64], lumens: NDArray[np.float64]) -> tuple[float, float]:
     """Angles C and γ of the largest intensity on a coarse grid."""
     grid = Grid(_COARSE_STEP)
     intensity = grid.intensity(direction, lumens)
     plane, row = np.unravel_index(intensity.argmax(), intensity.shape)
     return float(grid.c[plane]), float(grid.gamma[row])
-
-
-def _array(vectors: Any) -> NDArray[np.float64]:
-    """Dr.Jit vectors as an array [N, 3]."""
-    return np.array(vectors, np.float64).reshape(3, -1).T

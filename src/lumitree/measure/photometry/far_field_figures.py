@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import IntensityDistribution
-from lumitree.measure.photometry.far_field import Measurement, jackknife
+from lumitree.measure.batches import jackknife
+from lumitree.measure.photometry.far_field import Measurement
 from lumitree.measure.photometry.figures import (
     BEAM,
     FIELD,

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.formats.type_c import direction_of
+from lumitree.measure.batches import jackknife_error
 
 # Radii of the spheres over D. The smallest sphere contains the box, whose half diagonal is at most
 # 0.87 D.
@@ -138,14 +139,11 @@ class NearFieldTest:
         NaN where no ray leaves in a cone.
         """
         batches = self._batches
-        count = len(batches)
         total = batches.sum(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             value = total[1:] / total[0] - 1
             rest = total - batches
-            without = rest[:, 1:] / rest[:, :1] - 1
-            spread = ((without - without.mean(axis=0)) ** 2).sum(axis=0)
-        return value, np.sqrt((count - 1) / count * spread)
+            return value, jackknife_error(rest[:, 1:] / rest[:, :1] - 1)
 
     def _limit(
         self, difference: NDArray[np.float64], error: NDArray[np.float64]

@@ -402,7 +402,7 @@ def test_spot_lights_have_the_cone_of_the_file(mi, tmp_path, inner, outer):
     sampler.seed(1, count)
     paths = trace_light(lamp, sampler, count, 8, all_light=True)
     flux = 683 * np.array(paths.flux, np.float64)[1] * lamp.frame.scale**2
-    angle = np.arccos(np.clip(np.array(paths.direction)[1], -1, 1))
+    angle = np.arccos(np.clip(-np.array(paths.direction)[1], -1, 1))
     edges = np.linspace(0, outer, 6)
     found, number = np.histogram(angle, edges, weights=flux)[0], np.histogram(angle, edges)[0]
     fine = (np.arange(5000) + 0.5) / 5000 * outer
