@@ -22,9 +22,9 @@ from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import MAX_LABEL
 from lumitree.core.transmittance import LAWS
 from lumitree.errors import LumitreeError
-from lumitree.rendering.reference import leaf_boxes
 from support.exitant_fields import assert_equal_fields, random_exitant
 from support.fields import random_asset
+from support.reference_field import leaf_boxes
 
 ROUNDS = 100
 TRACED = TracedPaths(1 << 20, (0, 7), 64 * "a", 0.02)

@@ -135,7 +135,6 @@ def test_media_that_scatter(tmp_path, inside):
     path = tmp_path / "milk.lumitree"
     save(asset, path)
     assert asset.model.has_media
-    assert asset.model.has_scattering
     equal(load(path).model, asset.model)
     assert (load(path).exitant.inside is not None) == inside
 

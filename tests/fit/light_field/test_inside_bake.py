@@ -11,7 +11,6 @@ from lumitree.asset.lit_bins import by_coarse_bin
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import bin_of, solid_angles
 from lumitree.core.photometry import luminance
-from lumitree.errors import LumitreeError
 from lumitree.fit.light_field.bake import bake_exitant
 from lumitree.fit.light_field.merge import merge_exitant
 from lumitree.fit.light_field.visibility import _free_length
@@ -253,7 +252,7 @@ def test_merged_light_inside_illuminates(mi, lamp, field, merged, x, surfaces):
     assert light[2] == pytest.approx((light[0] + light[1]) / 2, rel=0.02)
 
 
-def test_a_field_without_light_inside_is_not_merged(field, merged):
+def test_a_field_without_light_inside_merges_into_one_without(field, merged):
     plain = dataclasses.replace(merged[1], inside=None)
-    with pytest.raises(LumitreeError, match="the light inside the box is missing"):
-        merge_exitant([field, plain], ["a", "b"])
+    result = merge_exitant([field, plain], ["a", "b"])
+    assert result.inside is None

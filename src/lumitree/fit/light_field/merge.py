@@ -26,7 +26,7 @@ def merge_exitant(fields: Sequence[ExitantField], names: Sequence[str]) -> Exita
 
     It differs from one longer bake only by the rounding of stored intensities, at most 0.2 % of
     the largest channel of each bin, in each field and in the result; and by the curves of light
-    inside the box, which are found anew.
+    inside the box, which are found anew. If a field lacks that light, so does the result.
 
     Args:
         fields: at least two, of one luminaire, with grids and bins of the same numbers.
@@ -34,7 +34,7 @@ def merge_exitant(fields: Sequence[ExitantField], names: Sequence[str]) -> Exita
 
     Raises:
         LumitreeError: they are of different luminaires, grids or numbers of bins; two have a
-            seed in common; or one does not state its light paths, or has no light inside the box.
+            seed in common; or one does not state its light paths.
     """
     records = _check(fields, names)
     counts = np.array([record.count for record in records], np.float64)
@@ -56,6 +56,8 @@ def merge_exitant(fields: Sequence[ExitantField], names: Sequence[str]) -> Exita
         noise=relative_noise(by_direction, counts),
     )
     merged = make_exitant_field(cells, intensity, depth, traced)
+    if any(field.inside is None for field in fields):
+        return merged
     return dataclasses.replace(merged, inside=_merged_inside(merged, fields, counts))
 
 
@@ -107,10 +109,11 @@ class _Expanded:
 
 def _expanded(field: ExitantField) -> _Expanded:
     inside = field.inside
-    if inside is None or not np.array_equal(inside.distances, DISTANCES):
+    assert inside is not None
+    if not np.array_equal(inside.distances, DISTANCES):
         raise LumitreeError(
-            "the light inside the box is missing, or is stated for other distances than this "
-            "lumitree's; bake it again"
+            "the light inside the box is stated for other distances than this lumitree's; bake it "
+            "again"
         )
     bins = (field.resolution // 2) ** 2
     flux = dense(inside.lit, bins, inside.scale * unpack(inside.intensity))
