@@ -21,10 +21,10 @@ from lumitree.fit import bake_network as network
 from lumitree.fit.network.config import PRESETS
 from lumitree.fit.octree.config import QUALITIES
 from lumitree.rendering.asset_cache import open_field
-from lumitree.rendering.reference import integrate_ray
 from support import tiny_bakes
 from support.exitant_fields import assert_equal_fields
 from support.fields import random_asset
+from support.reference_field import integrate_ray
 
 LAMP = """<scene version="3.0.0">
 <shape type="sphere"><float name="radius" value="0.5"/>

@@ -2,7 +2,7 @@
 
 import json
 import struct
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,15 +15,16 @@ from lumitree.asset.asset import (
     exitant_asset,
 )
 from lumitree.asset.exitant import MAX_BINS, MAX_DEPTH, MAX_RESOLUTION, TracedPaths, unpack
+from lumitree.asset.exitant_bytes import exitant_description, exitant_tensors
 from lumitree.asset.file import _digest, load, save
 from lumitree.core.frames import MAX_SCALE, MIN_HALF_EXTENT, MIN_SCALE, similarity_scale
 from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import MAX_LABEL
 from lumitree.core.transmittance import LAWS
 from lumitree.errors import LumitreeError
-from lumitree.rendering.reference import leaf_boxes
 from support.exitant_fields import assert_equal_fields, random_exitant
 from support.fields import random_asset
+from support.reference_field import leaf_boxes
 
 ROUNDS = 100
 TRACED = TracedPaths(1 << 20, (0, 7), 64 * "a", 0.02)
@@ -59,17 +60,13 @@ class Draft:
             ("law", json.dumps(asset.law)),
             ("activation", '"sigmoid"'),
             ("max_radiance", str(asset.max_radiance)),
+            ("gain", str(list(asset.gain))),
             ("half_extents", str(asset.frame.half_extents.tolist())),
             ("world_from_proxy", str(asset.frame.world_from_local.tolist())),
         ]
         if (field := asset.exitant) is not None:
-            for name in EXITANT_DTYPES:
-                self.tensors[f"exitant.{name}"] = np.array(getattr(field, name))
-            self.members[1] = ("version", "2")
-            scalars = {name: getattr(field, name) for name in ("depth", "resolution", "scale")}
-            if field.traced is not None:
-                scalars["traced"] = asdict(field.traced)
-            self.members.append(("exitant", json.dumps(scalars)))
+            self.tensors |= {name: each.copy() for name, each in exitant_tensors(field).items()}
+            self.members.append(("exitant", json.dumps(exitant_description(field))))
 
     @property
     def full(self):

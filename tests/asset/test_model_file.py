@@ -42,12 +42,6 @@ WORDS = (
 )
 
 
-def version(path):
-    content = path.read_bytes()
-    header = json.loads(content[8 : 8 + struct.unpack("<Q", content[:8])[0]])
-    return json.loads(header["__metadata__"]["lumitree"].partition(" ")[2])["version"]
-
-
 def equal(first, second):
     assert first.shapes == second.shapes
     assert first.materials == second.materials
@@ -87,77 +81,51 @@ def test_it_comes_back_byte_for_byte(original, tmp_path):
     equal(found.model, small_model())
     save(found, tmp_path / "again.lumitree")
     assert (tmp_path / "again.lumitree").read_bytes() == original.read_bytes()
-    assert version(original) == 4
 
 
 def test_parts_in_all_combinations(tmp_path):
     field = random_asset(0, tree_depth=3, l_max=1)
     light, model = random_exitant(0), small_model()
     cases = {
-        ("field",): (field, 1),
-        ("exitant",): (exitant_asset(light, field.frame, "test"), 2),
-        ("exitant", "field"): (replace(field, exitant=light), 2),
-        ("field", "model"): (replace(field, model=model), 4),
-        ("exitant", "model"): (with_model(model), 4),
-        ("exitant", "field", "model"): (replace(field, exitant=light, model=model), 4),
+        ("field",): field,
+        ("exitant",): exitant_asset(light, field.frame, "test"),
+        ("exitant", "field"): replace(field, exitant=light),
+        ("field", "model"): replace(field, model=model),
+        ("exitant", "model"): with_model(model),
+        ("exitant", "field", "model"): replace(field, exitant=light, model=model),
     }
-    for parts, (asset, expected) in cases.items():
+    for parts, asset in cases.items():
         path = tmp_path / f"{'-'.join(parts)}.lumitree"
         save(asset, path)
         found = load(path)
         assert found.parts == found.info.parts == parts
-        assert version(path) == expected
         assert found.info.model_triangles == (8 if "model" in parts else 0)
         assert found.num_bytes == asset.num_bytes
 
 
-def test_version_3_holds_images_as_they_are(original, tmp_path):
-    model = small_model()
-    raw = b"".join(image.tobytes() for image in model.images)
-
-    def change(tensors):
-        tensors["model.images"] = np.frombuffer(raw, np.uint8)
-
-    path = tmp_path / "old.lumitree"
-
-    def earlier(text):
-        return text.replace('"version":4', '"version":3').replace('"gain":[1.0,1.0,1.0],', "")
-
-    rewrite(original, path, change, earlier)
-    assert version(path) == 3
-    equal(load(path).model, model)
-
-
-def test_a_model_without_images_has_version_3(tmp_path):
+def test_a_model_without_images(tmp_path):
     plain = {"type": "diffuse", "reflectance": 0.5}
     model = small_model(images=(), materials=(plain, *small_model().materials[1:]))
     path = tmp_path / "plain.lumitree"
     save(with_model(model), path)
-    assert version(path) == 3
     equal(load(path).model, model)
 
 
-def test_media_have_version_5(tmp_path):
-    """Which says so, so that earlier readers refuse the file rather than show clear glass."""
+def test_media_that_absorb(tmp_path):
     shapes = [dict(shape) for shape in small_model().shapes]
     shapes[1]["exterior"], shapes[2]["interior"] = [0.0, 1, 2], [0.5, 0.25, 1e6]
     model = small_model(shapes=tuple(shapes))
     path = tmp_path / "media.lumitree"
     save(with_model(model), path)
     assert model.has_media
-    assert version(path) == 5
     equal(load(path).model, model)
-    earlier = tmp_path / "earlier.lumitree"
-    rewrite(path, earlier, lambda t: None, lambda t: t.replace('"version":5', '"version":4'))
-    with pytest.raises(LumitreeError, match="version 4 has no media"):
-        load(earlier)
 
 
 MILK = {"absorption": [0.0, 1, 2], "scattering": [4.0, 0, 1e3], "anisotropy": -0.25}
 
 
 @pytest.mark.parametrize("inside", [False, True])
-def test_media_that_scatter_have_version_8(tmp_path, inside):
+def test_media_that_scatter(tmp_path, inside):
     """With light inside the box and without it."""
     shapes = [dict(shape) for shape in small_model().shapes]
     shapes[1]["exterior"], shapes[2]["interior"] = [0.0, 1, 2], MILK
@@ -167,14 +135,8 @@ def test_media_that_scatter_have_version_8(tmp_path, inside):
     path = tmp_path / "milk.lumitree"
     save(asset, path)
     assert asset.model.has_media
-    assert asset.model.has_scattering
-    assert version(path) == 8
     equal(load(path).model, asset.model)
     assert (load(path).exitant.inside is not None) == inside
-    earlier = tmp_path / "earlier.lumitree"
-    rewrite(path, earlier, lambda t: None, lambda t: t.replace('"version":8', '"version":7'))
-    with pytest.raises(LumitreeError, match='lacks "bins"' if not inside else "media that scatter"):
-        load(earlier)
 
 
 def test_smooth_images_are_compressed():
@@ -292,10 +254,6 @@ BROKEN = {
     "an anisotropy": (
         lambda d: d["shapes"][2].update(interior=MILK | {"anisotropy": 1}),
         r"anisotropy of the interior of a sphere is 1, expected -0.999 to 0.999",
-    ),
-    "media of a later version": (
-        lambda d: d["shapes"][2].update(interior=MILK),
-        "version 4 has no media",
     ),
     "a squeezed sphere": (
         lambda d: d["shapes"][2].update(to_world=np.diag([0.1, 0.2, 0.2, 1]).tolist()),

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from lumitree.errors import LumitreeError
 from lumitree.octree.build import build_children, child_cells, morton
-from lumitree.rendering.reference import integrate_ray, leaf_boxes
 from support.fields import make_asset, random_asset
+from support.reference_field import integrate_ray, leaf_boxes
 
 
 @given(st.lists(st.tuples(*[st.integers(0, 1023)] * 3), min_size=1, max_size=50))

@@ -6,7 +6,7 @@ import pytest
 from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
 from lumitree.octree.extract import extract
-from lumitree.rendering.reference import leaf_boxes
+from support.reference_field import leaf_boxes
 
 
 def ball(radius=0.6, density=5.0, num_coefficients=4):

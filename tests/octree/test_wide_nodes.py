@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from lumitree.octree.wide_nodes import EMPTY, LEAF, wide_levels, wide_nodes
-from lumitree.rendering.reference import leaf_boxes
 from support.fields import random_asset
+from support.reference_field import leaf_boxes
 
 
 @pytest.mark.parametrize("depth", range(1, 12))

@@ -25,7 +25,7 @@ def test_every_view_shows_the_side_it_names(mi):
     # Nearly opaque leaves; those of larger x emit.
     asset = uniform_asset(50.0, (5, 5, 5), law="exponential")
     coefficients = asset.coefficients.copy()
-    from lumitree.rendering.reference import leaf_boxes
+    from support.reference_field import leaf_boxes
 
     lower, _ = leaf_boxes(asset)
     coefficients[lower[:, 0] < -0.5] = -40

@@ -13,13 +13,14 @@ from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.lamp.stored_model import stored_model
 from lumitree.measure.irradiance import asset_irradiance
 from lumitree.measure.photometry.far_field import asset_source, measure
-from lumitree.output.viewer.packing import pack_asset, unpack_asset
+from lumitree.output.viewer.packing import pack_asset
 from lumitree.rendering.asset_flux import asset_watts, with_light
 from lumitree.rendering.asset_views import baked_image
-from lumitree.rendering.reference import integrate_ray
 from support.exitant_fields import random_exitant
 from support.fields import random_asset
 from support.lamps import AREA, lamp_of, sphere
+from support.packed_assets import unpack_asset
+from support.reference_field import integrate_ray
 
 
 @pytest.fixture(params=["field", "both", "exitant"])

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from lumitree.core.device import on_device
 from lumitree.octree.build import child_cells
-from lumitree.rendering.reference import integrate_ray
 from support.fields import make_asset, random_asset
+from support.reference_field import integrate_ray
 
 
 def trace(mi, asset, origins, directions):

@@ -6,7 +6,7 @@ from lumitree.asset.asset import Asset
 from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import num_coefficients
 from lumitree.octree.build import build_children, child_cells
-from lumitree.rendering.reference import leaf_boxes
+from support.reference_field import leaf_boxes
 
 
 def make_asset(

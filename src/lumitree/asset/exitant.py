@@ -104,7 +104,7 @@ class ExitantField:
         scale: the largest intensity that occurs.
         traced: the light paths that it was estimated from; None if they are not known.
         inside: light that ends on the luminaire, for receivers inside its box. None if none does,
-            as in a photometric file, or if it is not known, see `lacks_inside`.
+            as in a photometric file.
 
     Raises:
         LumitreeError: a member has a wrong type, shape or range.
@@ -159,14 +159,6 @@ class ExitantField:
         """Bytes of all arrays."""
         inside = 0 if self.inside is None else self.inside.num_bytes
         return self.cells.nbytes + self.lit.nbytes + self.intensity.nbytes + inside
-
-    @property
-    def lacks_inside(self) -> bool:
-        """Whether it was baked from a luminaire before `inside` was.
-
-        Receivers inside the box then lack the light that ends on the luminaire.
-        """
-        return self.inside is None and self.traced is not None
 
     def dense(self, values: NDArray[Number]) -> NDArray[Number]:
         """Values [B] of the bins that emit, by cell and bin [C, R²]; 0 in other bins."""

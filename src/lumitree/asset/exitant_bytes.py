@@ -1,7 +1,6 @@
-"""The exitant light field as tensors and a description of its file, see docs/format.md.
+"""The exitant light field as a tensor and a description of its file, see docs/format.md.
 
-A field with light inside the box is one zlib stream of all of its arrays, whose sizes are in the
-description. A field without is stored as before: three tensors.
+The tensor is one zlib stream of all arrays, whose sizes are in the description.
 """
 
 import dataclasses
@@ -17,8 +16,7 @@ from lumitree.asset.light_inside import LightInside
 from lumitree.core.reading import Record
 from lumitree.errors import LumitreeError
 
-PLAIN_TENSORS = {"exitant.cells": "U8", "exitant.lit": "U8", "exitant.intensity": "U32"}
-COMPRESSED_TENSORS = {"exitant.light": "U8"}
+EXITANT_TENSORS = {"exitant.light": "U8"}
 _KEYS = ("depth", "resolution", "scale")
 _TRACED_KEYS = ("count", "seeds", "luminaire", "noise")
 # Numbers of rows of the arrays.
@@ -32,11 +30,9 @@ _Layout = tuple[str, Any, tuple[int, ...]]
 
 def exitant_tensors(field: ExitantField) -> dict[str, NDArray[Any]]:
     """Tensors of a field, by name."""
-    if (inside := field.inside) is None:
-        return {name: getattr(field, name.partition(".")[2]) for name in PLAIN_TENSORS}
     outer, inner = _layouts(_counts(field), field.resolution)
     compressor, parts = zlib.compressobj(6), []
-    for part, layouts in ((field, outer), (inside, inner)):
+    for part, layouts in ((field, outer), (field.inside, inner)):
         for name, dtype, _ in layouts:
             array = np.ascontiguousarray(getattr(part, name), dtype)
             parts.append(compressor.compress(array.tobytes()))
@@ -46,54 +42,42 @@ def exitant_tensors(field: ExitantField) -> dict[str, NDArray[Any]]:
 
 def exitant_description(field: ExitantField) -> dict[str, Any]:
     """What the file states of a field besides its tensors."""
-    members: dict[str, Any] = {key: getattr(field, key) for key in _KEYS}
+    counts, inside = _counts(field)
+    members: dict[str, Any] = {key: getattr(field, key) for key in _KEYS} | counts
     if field.traced is not None:
         members["traced"] = dataclasses.asdict(field.traced)
     if field.inside is not None:
-        counts, inside = _counts(field)
-        members |= counts
         members["inside"] = {**inside, "scale": field.inside.scale}
     return members
 
 
-def build_exitant(
-    description: Record, tensors: dict[str, NDArray[Any]], *, compressed: bool
-) -> ExitantField:
+def build_exitant(description: Record, tensors: dict[str, NDArray[Any]]) -> ExitantField:
     """The field of a file; the inverse of `exitant_tensors` and `exitant_description`.
 
     Args:
         description: what the file states of it.
         tensors: all tensors of the file.
-        compressed: whether it is a stream, and has light inside the box.
 
     Raises:
-        LumitreeError: a tensor is missing, or the field is invalid.
+        LumitreeError: the field is invalid.
     """
-    # Files of earlier versions lack it.
-    traced = description.has("traced")
-    description.expect_keys(
-        *_KEYS, *(["traced"] if traced else []), *([*_COUNTS, "inside"] if compressed else [])
-    )
-    if not tensors.keys() >= (COMPRESSED_TENSORS if compressed else PLAIN_TENSORS).keys():
-        raise LumitreeError("the tensors of the exitant light field are missing")
-    depth, resolution = description.integer("depth"), description.integer("resolution")
-    inside = None
-    if compressed:
+    description.expect_keys(*_KEYS, *_COUNTS, optional=("traced", "inside"))
+    resolution = description.integer("resolution")
+    own, inner = None, {}
+    if description.has("inside"):
         own = description.record("inside")
         own.expect_keys(*_INSIDE_COUNTS, "scale")
-        counts = _read_counts(description, _COUNTS), _read_counts(own, _INSIDE_COUNTS)
-        arrays, inside_arrays = _decompressed(
-            tensors["exitant.light"], _layouts(counts, resolution)
-        )
-        inside = LightInside(**inside_arrays, scale=own.number("scale"))
-    else:
-        arrays = {name.partition(".")[2]: tensors[name] for name in PLAIN_TENSORS}
+        inner = _read_counts(own, _INSIDE_COUNTS)
+    layouts = _layouts((_read_counts(description, _COUNTS), inner), resolution)
+    arrays, inside_arrays = _decompressed(tensors["exitant.light"], layouts)
+    traced = _build_traced(description.record("traced")) if description.has("traced") else None
+    inside = LightInside(**inside_arrays, scale=own.number("scale")) if own is not None else None
     return ExitantField(
         **arrays,
-        depth=depth,
+        depth=description.integer("depth"),
         resolution=resolution,
         scale=description.number("scale"),
-        traced=_build_traced(description.record("traced")) if traced else None,
+        traced=traced,
         inside=inside,
     )
 
@@ -109,19 +93,17 @@ def _build_traced(description: Record) -> TracedPaths:
 
 
 def _counts(field: ExitantField) -> tuple[dict[str, int], dict[str, int]]:
-    """Numbers of rows of the arrays of a field with light inside, and of that light."""
-    inside = field.inside
-    assert inside is not None
-    return (
-        {"cells": len(field.cells), "bins": len(field.intensity)},
-        {
-            "cells": len(inside.cells),
-            "entries": len(inside.intensity),
-            "distances": len(inside.distances),
-            "reach_curves": len(inside.reach_curves),
-            "visibility_curves": len(inside.visibility_curves),
-        },
-    )
+    """Numbers of rows of the arrays of a field, and of its light inside the box, if it has any."""
+    outer = {"cells": len(field.cells), "bins": len(field.intensity)}
+    if (inside := field.inside) is None:
+        return outer, {}
+    return outer, {
+        "cells": len(inside.cells),
+        "entries": len(inside.intensity),
+        "distances": len(inside.distances),
+        "reach_curves": len(inside.reach_curves),
+        "visibility_curves": len(inside.visibility_curves),
+    }
 
 
 def _read_counts(description: Record, keys: tuple[str, ...]) -> dict[str, int]:
@@ -136,25 +118,25 @@ def _layouts(
     counts: tuple[dict[str, int], dict[str, int]], resolution: int
 ) -> tuple[list[_Layout], list[_Layout]]:
     """Arrays of a stream, in its order: those of a field, and those of the light inside."""
-    outer, inner = counts
-    distances = inner["distances"]
-    return (
-        [
-            ("cells", np.uint8, (outer["cells"], 3)),
-            ("lit", np.uint8, (outer["cells"], resolution**2 // 8)),
-            ("intensity", np.dtype("<u4"), (outer["bins"],)),
-        ],
-        [
-            ("cells", np.uint8, (inner["cells"], 3)),
-            ("lit", np.uint8, (inner["cells"], -(-((resolution // 2) ** 2) // 8))),
-            ("intensity", np.dtype("<u4"), (inner["entries"],)),
-            ("reach", np.uint8, (inner["entries"],)),
-            ("visibility", np.uint8, (inner["entries"],)),
-            ("distances", np.dtype("<f4"), (distances,)),
-            ("reach_curves", np.dtype("<f4"), (inner["reach_curves"], distances)),
-            ("visibility_curves", np.dtype("<f4"), (inner["visibility_curves"], distances)),
-        ],
-    )
+    counts_outer, counts_inner = counts
+    outer = [
+        ("cells", np.uint8, (counts_outer["cells"], 3)),
+        ("lit", np.uint8, (counts_outer["cells"], resolution**2 // 8)),
+        ("intensity", np.dtype("<u4"), (counts_outer["bins"],)),
+    ]
+    if not counts_inner:
+        return outer, []
+    cells, entries, distances, reach, visibility = (counts_inner[key] for key in _INSIDE_COUNTS)
+    return outer, [
+        ("cells", np.uint8, (cells, 3)),
+        ("lit", np.uint8, (cells, -(-((resolution // 2) ** 2) // 8))),
+        ("intensity", np.dtype("<u4"), (entries,)),
+        ("reach", np.uint8, (entries,)),
+        ("visibility", np.uint8, (entries,)),
+        ("distances", np.dtype("<f4"), (distances,)),
+        ("reach_curves", np.dtype("<f4"), (reach, distances)),
+        ("visibility_curves", np.dtype("<f4"), (visibility, distances)),
+    ]
 
 
 def _decompressed(

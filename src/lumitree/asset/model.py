@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.checks import expect, expect_arrays, naming, require
 from lumitree.asset.materials import check_material, check_radiance
-from lumitree.asset.model_media import MEDIA_SIDES, check_medium, scattering_sides
+from lumitree.asset.model_media import MEDIA_SIDES, check_medium
 from lumitree.asset.textures import (
     VERTEX_RANGE,
     ImageFacts,
@@ -136,11 +136,6 @@ class AssetModel:
     def has_media(self) -> bool:
         """Whether some shapes have media."""
         return any(side in shape for shape in self.shapes for side in MEDIA_SIDES)
-
-    @property
-    def has_scattering(self) -> bool:
-        """Whether some of its media scatter light."""
-        return any(map(scattering_sides, self.shapes))
 
     def meshes(self) -> "list[dict[str, NDArray[Any]] | None]":
         """Arrays of each shape by name, or None if it is not a mesh; the inverse of `join`."""

@@ -27,8 +27,9 @@ from lumitree.core.reading import Record, parse_json
 from lumitree.errors import LumitreeError
 
 _DTYPES = {np.float32: "F32", np.uint32: "U32"}
+MODEL_SHAPES = "model.shapes"
 MODEL_TENSORS = {
-    "model.shapes": "U8",
+    MODEL_SHAPES: "U8",
     "model.images": "U8",
     **{f"model.{name}": _DTYPES[dtype] for name, (dtype, _) in ARRAYS.items()},  # type: ignore[index]
 }
@@ -47,35 +48,28 @@ def model_tensors(model: AssetModel) -> dict[str, NDArray[Any]]:
     }
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return {
-        "model.shapes": np.frombuffer(text.encode(), np.uint8),
+        MODEL_SHAPES: np.frombuffer(text.encode(), np.uint8),
         "model.images": np.frombuffer(_compressed(model.images), np.uint8),
         **{f"model.{name}": array for name, array in model.arrays.items()},
     }
 
 
-def build_model(tensors: dict[str, NDArray[Any]], *, compressed: bool = True) -> AssetModel:
+def build_model(tensors: dict[str, NDArray[Any]]) -> AssetModel:
     """The model of a file's tensors; the inverse of `model_tensors`.
 
-    Args:
-        compressed: whether the images are; they are not in files of version 3.
-
     Raises:
-        LumitreeError: a tensor is missing, or the model is invalid.
+        LumitreeError: the model is invalid.
     """
-    if not tensors.keys() >= MODEL_TENSORS.keys():
-        raise LumitreeError("the tensors of the model are missing")
-    text = tensors["model.shapes"].tobytes()
+    text = tensors[MODEL_SHAPES].tobytes()
     if len(text) > _MAX_TEXT:
         raise LumitreeError(f"the model's description has {len(text)} bytes (limit {_MAX_TEXT})")
     description = Record(parse_json(text), "the model")
+    description.expect_keys("images", "materials", "shapes", optional=("origin",))
     has_origin = description.has("origin")
-    description.expect_keys("images", "materials", "shapes", *(["origin"] if has_origin else []))
     x, y, z = description.array("origin", 3).tolist() if has_origin else NO_ORIGIN
     return AssetModel(
         **{name: tensors[f"model.{name}"] for name in ARRAYS},
-        images=_images(
-            description.items("images"), tensors["model.images"].tobytes(), compressed=compressed
-        ),
+        images=_images(description.items("images"), tensors["model.images"].tobytes()),
         shapes=tuple(description.items("shapes")[: MAX_SHAPES + 1]),
         materials=tuple(description.items("materials")),
         origin=(x, y, z),
@@ -83,7 +77,7 @@ def build_model(tensors: dict[str, NDArray[Any]], *, compressed: bool = True) ->
 
 
 def _compressed(images: tuple[NDArray[Any], ...]) -> bytes:
-    """All images as bytes; none for no image, so that versions 3 and 4 agree there."""
+    """All images as bytes; none for no image."""
     compressor, parts = zlib.compressobj(6), []
     for image in images:
         content = image.astype(_PIXELS[str(image.dtype)])
@@ -95,6 +89,8 @@ def _compressed(images: tuple[NDArray[Any], ...]) -> bytes:
 
 def _decompressed(content: bytes, size: int) -> bytes:
     """The bytes of all images, of which there are `size`."""
+    if not size and not content:
+        return b""
     decompressor = zlib.decompressobj()
     try:
         # No more than is expected, whatever the stream holds.
@@ -111,28 +107,20 @@ def _rows(image: NDArray[Any]) -> NDArray[np.uint8]:
     return image.view(np.uint8).reshape(*image.shape[:2], -1)
 
 
-def _images(
-    descriptions: list[Json], content: bytes, *, compressed: bool
-) -> tuple[NDArray[Any], ...]:
+def _images(descriptions: list[Json], content: bytes) -> tuple[NDArray[Any], ...]:
     if len(descriptions) > MAX_IMAGES:
         raise LumitreeError(f"the model has {len(descriptions)} images (limit {MAX_IMAGES})")
     layouts = [_layout(each) for each in descriptions]
     sizes = [math.prod(shape) * dtype.itemsize for shape, dtype in layouts]
     if (total := sum(sizes)) > MAX_IMAGE_BYTES:
         raise LumitreeError(f"the images of the model have {total} bytes (limit {MAX_IMAGE_BYTES})")
-    compressed &= bool(layouts)
-    if compressed:
-        content = _decompressed(content, total)
-    if len(content) != total:
-        raise LumitreeError(f"the images of the model have {len(content)} bytes, not {total}")
+    content = _decompressed(content, total)
     images, start = [], 0
     for (shape, dtype), size in zip(layouts, sizes, strict=True):
-        pixels = np.frombuffer(content, dtype, math.prod(shape), start).reshape(shape)
-        if compressed:
-            rows = np.cumsum(_rows(pixels), axis=1, dtype=np.uint8)
-            pixels = rows.view(dtype).reshape(shape)
-        # What was decompressed is already a copy.
-        images.append(pixels.astype(dtype.newbyteorder("="), copy=not compressed))
+        differences = np.frombuffer(content, dtype, math.prod(shape), start).reshape(shape)
+        rows = np.cumsum(_rows(differences), axis=1, dtype=np.uint8)
+        pixels = rows.view(dtype).reshape(shape)
+        images.append(pixels.astype(dtype.newbyteorder("="), copy=False))
         start += size
     return tuple(images)
 

@@ -134,15 +134,13 @@ class Record:
             raise LumitreeError(f"{what} is {_shown(value)}; expected a JSON object")
         self._members, self._what = value, what
 
-    def expect_version(self, *versions: int) -> int:
-        """The "version"; refuses others. To be called before `expect_keys`."""
+    def expect_version(self, version: int) -> None:
+        """Refuse another "version" than this. To be called before `expect_keys`."""
         found = self._members.get("version")
-        if type(found) is not int or found not in versions:
-            known = " and ".join(map(str, versions))
+        if type(found) is not int or found != version:
             raise LumitreeError(
-                f"{self._what} has version {_shown(found)}, this lumitree reads {known}"
+                f"{self._what} has version {_shown(found)}, this lumitree reads {version}"
             )
-        return found
 
     def has(self, key: str) -> bool:
         """Whether the object has a member."""
@@ -156,11 +154,11 @@ class Record:
         """Whether a member is an object."""
         return isinstance(self._members.get(key), dict)
 
-    def expect_keys(self, *keys: str) -> None:
-        """Refuse an object that lacks one of these keys, or has another one."""
+    def expect_keys(self, *keys: str, optional: Sequence[str] = ()) -> None:
+        """Refuse an object that lacks one of these keys, or has one that is not optional either."""
         for verb, names in (
             ("lacks", keys - self._members.keys()),
-            ("has the unknown key", self._members.keys() - keys),
+            ("has the unknown key", self._members.keys() - {*keys, *optional}),
         ):
             if names:
                 raise LumitreeError(f"{self._what} {verb} {_shown(min(names))}")

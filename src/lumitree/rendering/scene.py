@@ -336,7 +336,7 @@ def _warn_unlit_by_volpath(scene: Any, placed: PlacedLuminaire) -> None:
 def _warn_unlit(
     scene: Any, luminaires: Sequence[PlacedLuminaire], proxy: ProxyKind, sampling: Sampling
 ) -> None:
-    """Tell of baked luminaires that do not light, or not well, what is in their boxes."""
+    """Tell of baked luminaires that do not light what is in their boxes."""
     lacking = []
     for placed in luminaires:
         asset = placed.field.asset if placed.field is not None else None
@@ -347,8 +347,6 @@ def _warn_unlit(
             told = "is not lit: the asset has no exitant light field; bake it with --parts exitant"
         elif sampling == "uniform" or proxy == "sphere":
             told = 'is not lit; use the proxy "box" and the sampling "emission"'
-        elif exitant.lacks_inside:
-            told = "gets only light that leaves the box: bake the lamp again with this version"
         else:
             continue
         lacking.append((placed, told))

@@ -254,4 +254,3 @@ def test_a_field_without_light_inside_merges_into_one_without(field, merged):
     plain = dataclasses.replace(merged[1], inside=None)
     result = merge_exitant([field, plain], ["a", "b"])
     assert result.inside is None
-    assert result.lacks_inside

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lumitree.core.device import on_device
-from lumitree.rendering import reference
+from support import reference_field as reference
 from support.field_rays import NUM_RAYS, rays_on_device, targeted_rays
 from support.fields import leaf_field, make_asset, random_asset
 

@@ -252,7 +252,7 @@ def test_glass_absorbs_as_the_medium_in_it(tmp_path, mi, scale):
 def test_a_volume_has_the_values_of_the_leaves():
     """Voxels of leaves do not overlap; at their centres are the leaf's density and emission."""
     from lumitree.output.blender.volume import volume_arrays
-    from lumitree.rendering.reference import leaf_boxes
+    from support.reference_field import leaf_boxes
 
     asset = dataclasses.replace(random_asset(3, tree_depth=4, l_max=2), frame=FRAME, gain=GAIN)
     arrays = volume_arrays(asset, np.eye(3))

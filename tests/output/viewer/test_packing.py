@@ -12,12 +12,13 @@ from lumitree.asset.exitant import unpack
 from lumitree.core.frames import LocalFrame
 from lumitree.core.photometry import luminance
 from lumitree.octree.wide_nodes import LEAF
-from lumitree.output.viewer.packing import PackedAsset, pack_asset, unpack_asset
+from lumitree.output.viewer.packing import PackedAsset, pack_asset
 from lumitree.output.viewer.page import make_page, notebook_frame
-from lumitree.rendering.reference import leaf_boxes
 from support.exitant_fields import random_exitant
 from support.fields import make_asset, random_asset
 from support.model_assets import small_model
+from support.packed_assets import unpack_asset
+from support.reference_field import leaf_boxes
 
 
 def leaf_at(packed, nodes, point):

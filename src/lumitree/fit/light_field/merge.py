@@ -56,8 +56,7 @@ def merge_exitant(fields: Sequence[ExitantField], names: Sequence[str]) -> Exita
         noise=relative_noise(by_direction, counts),
     )
     merged = make_exitant_field(cells, intensity, depth, traced)
-    inside = [field.inside for field in fields if field.inside is not None]
-    if len(inside) < len(fields):
+    if any(field.inside is None for field in fields):
         return merged
     return dataclasses.replace(merged, inside=_merged_inside(merged, fields, counts))
 

@@ -43,7 +43,7 @@ class SavedExitantField:
         except LumitreeError:
             return None
         field = asset.exitant
-        if field is None or field.inside is None or asset.luminaire != self._digest:
+        if field is None or asset.luminaire != self._digest:
             return None
         return field
 

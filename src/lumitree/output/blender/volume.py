@@ -10,7 +10,7 @@ from lumitree.asset.asset import Asset
 from lumitree.core.frames import similarity
 from lumitree.core.harmonics import basis_array
 from lumitree.errors import LumitreeError
-from lumitree.rendering.reference import leaf_boxes
+from lumitree.octree.leaves import leaf_cells
 
 # Directions of the mean over the sphere, and leaves whose values are in memory at a time.
 _DIRECTIONS, _CHUNK = 256, 4096
@@ -36,16 +36,16 @@ def volume_arrays(asset: Asset, z_up: NDArray[np.float64]) -> dict[str, NDArray[
             f"the asset of {asset.luminaire} has no field, which a .vdb file holds; bake its "
             "luminaire with the part field (a photometric file has none: export it as .py)"
         )
-    voxels = 1 << asset.tree_depth
-    lower, upper = leaf_boxes(asset)
-    frame, side = asset.frame, 2.0 / voxels
+    cells, levels = leaf_cells(asset.children, asset.num_leaves)
+    voxels = 1 << (asset.tree_depth - levels[:, None])
+    frame, side = asset.frame, 2.0 / (1 << asset.tree_depth)
     local = similarity(np.eye(3), side, np.full(3, side / 2 - 1))
     turn = np.eye(4)
     turn[:3, :3] = z_up
     density = asset.density.astype(np.float64) / float(frame.scale)
     return {
-        "first": np.round((lower + 1) / side).astype(np.int32),
-        "last": np.round((upper + 1) / side).astype(np.int32) - 1,
+        "first": (cells * voxels).astype(np.int32),
+        "last": ((cells + 1) * voxels - 1).astype(np.int32),
         "density": density.astype(np.float32),
         "emission": (density[:, None] * mean_emission(asset)).astype(np.float32),
         "transform": turn @ frame.world_from_local @ local,

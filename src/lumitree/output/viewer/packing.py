@@ -91,15 +91,6 @@ def pack_asset(asset: Asset) -> PackedAsset:
     return PackedAsset(description, _block(arrays, description))
 
 
-def unpack_asset(packed: PackedAsset) -> dict[str, NDArray[Any]]:
-    """Arrays by name, as the page reads them."""
-    content = zlib.decompress(base64.b64decode(packed.block))
-    return {
-        name: np.frombuffer(content, np.dtype(kind), count, start)
-        for name, (kind, start, count) in packed.description["arrays"].items()
-    }
-
-
 def _exitant_arrays(
     field: ExitantField, gain: tuple[float, float, float]
 ) -> dict[str, NDArray[Any]]:

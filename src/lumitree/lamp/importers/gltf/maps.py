@@ -290,9 +290,5 @@ def _bytes(values: Array) -> NDArray[np.uint8]:
     return np.round(np.clip(values, 0, 1) * 255).astype(np.uint8)
 
 
-def _encoded_bytes(values: Array) -> NDArray[np.uint8]:
-    return _bytes(srgb_from_linear(values))
-
-
 _LINEAR = (np.arange(256) / 255).astype(np.float32)
 _DECODED = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
