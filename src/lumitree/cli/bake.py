@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lumitree.cli import options
-from lumitree.cli.config_file import config_text, read_config
 from lumitree.cli.output import print_lamps, print_open, print_result
 from lumitree.errors import LumitreeError, shown
 
@@ -18,12 +17,13 @@ if TYPE_CHECKING:
 _FIELDS = ("time", "seed", "parts", "lumens", "temperature")
 _QUALITIES = {"octree": ("preview", "standard", "high"), "network": ("preview", "paper")}
 _HEAD = """# Settings of 'lumitree bake --config FILE'. Remove the # before a setting to change it.
+# "..." stands for None: the setting has no value unless it is given.
 
-# Folder for the state, which is kept; it must be new, empty or that of an earlier call (default: the
-# name of ASSET with .work, removed at the end).
+# Folder for the state, which is kept; it must be new, empty or that of an earlier call. Default:
+# the name of ASSET with .work, removed at the end.
 #work = ...
 
-# Mitsuba variant (default: "cuda_ad_rgb" where there is a GPU, else "llvm_ad_rgb").
+# Mitsuba variant. Default: "cuda_ad_rgb" where there is a GPU, else "llvm_ad_rgb".
 #variant = ...
 """
 
@@ -189,6 +189,7 @@ def _settings(args: argparse.Namespace) -> _Settings:
     work = variant = None
     given = {} if args.quality is None else {"quality": "--quality"}
     if args.config is not None:
+        from lumitree.cli.config_file import read_config
         from lumitree.core.toml_table import read_toml, text
 
         table = read_toml(Path(args.config), "a TOML file of settings")
@@ -246,6 +247,7 @@ def _run_many(args: argparse.Namespace, luminaires: list[Any], settings: _Settin
 
 def _write_config(args: argparse.Namespace) -> dict[str, str]:
     """Write the settings of a quality; returns the text, or the path of the file."""
+    from lumitree.cli.config_file import config_text
     from lumitree.core.files import write_bytes
 
     content = _HEAD + config_text(_base(args))

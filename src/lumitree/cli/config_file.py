@@ -84,6 +84,7 @@ def _meanings(kind: type) -> dict[str, str]:
 
 
 def _comment(meaning: str) -> list[str]:
+    meaning = meaning[0].upper() + meaning[1:]
     return textwrap.wrap(meaning, _WIDTH, initial_indent="# ", subsequent_indent="# ")
 
 
