@@ -138,7 +138,7 @@ def test_a_network_bakes_the_parts_that_are_chosen(mi, tiny_network, tmp_path, m
     for name in ("children", "density", "coefficients"):
         assert np.array_equal(getattr(both, name), getattr(field.asset, name))
     # A run lacks the luminaire.
-    line = ["extract", "state/run", "-o", "again.lumitree", "--depth", "3"]
+    line = ["extract", "state/run", "-o", "again.lumitree", "--tree-depth", "3"]
     assert main(line) == 0
     assert "irradiance" not in capsys.readouterr().out
     assert lumitree.load("again.lumitree").exitant is None

@@ -149,7 +149,7 @@ def fails(capsys, *arguments):
          "seed is -1"),
         (["refine", "no.lumitree", "lamp.xml", "-o", "a.lumitree"], "no.lumitree does not exist"),
         (["refine", "lamp.lumitree", "lamp.xml", "-o", "a.bin"], "does not end in .lumitree"),
-        (["extract", "no", "-o", "a.lumitree", "--depth", "0"], "tree depth is 0"),
+        (["extract", "no", "-o", "a.lumitree", "--tree-depth", "0"], "tree depth is 0"),
         (["evaluate", "lamp.lumitree", "lamp.xml", "-o", "x.jpg"], "does not end in .png"),
         (["evaluate", "lamp.lumitree", "lamp.xml", "--views", "0"], "views is 0"),
         (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--rotate", "0,0,0,9"],
