@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from lumitree.core.results import Result
     from lumitree.fit.bake import bake, bake_views, refine
     from lumitree.fit.bake_network import (
-        CaptureResult,
-        TrainResult,
         bake_network,
         capture,
         extract,
@@ -39,7 +37,7 @@ if TYPE_CHECKING:
     from lumitree.fit.merge import merge
     from lumitree.fit.octree.config import DirectConfig, OctreeConfig
     from lumitree.fit.photometric_files import bake_photometric
-    from lumitree.fit.result import BakeResult
+    from lumitree.fit.result import BakeResult, CaptureResult, TrainResult
     from lumitree.lamp.loading import builtin_luminaires, load_luminaire
     from lumitree.lamp.luminaire import Luminaire
     from lumitree.lamp.scene_shapes import SceneShape
@@ -69,7 +67,7 @@ _HOMES = {
     "BakeManyResult": "fit.catalogue.bake_many",
     "BakeResult": "fit.result",
     "BakedLamp": "fit.catalogue.index",
-    "CaptureResult": "fit.bake_network",
+    "CaptureResult": "fit.result",
     "DirectConfig": "fit.octree.config",
     "Estimate": "measure.photometry.figures",
     "EvaluateResult": "measure.evaluate",
@@ -92,7 +90,7 @@ _HOMES = {
     "RenderResult": "rendering.render",
     "Result": "core.results",
     "SceneShape": "lamp.scene_shapes",
-    "TrainResult": "fit.bake_network",
+    "TrainResult": "fit.result",
     "ViewResult": "output.viewer.view",
     "bake": "fit.bake",
     "bake_many": "fit.catalogue.bake_many",

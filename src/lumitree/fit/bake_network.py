@@ -18,7 +18,6 @@ from lumitree.core.extras import check_network
 from lumitree.core.files import FilePath, WriteError, check_writable
 from lumitree.core.interrupt import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import Result
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
 from lumitree.core.work_folder import scratch_folder
@@ -27,7 +26,7 @@ from lumitree.fit.config import BakeConfig, NetworkConfig, NetworkPreset, exitan
 from lumitree.fit.finishing import finish_bake, remove_state
 from lumitree.fit.light_field.saved_field import EXITANT_STATE
 from lumitree.fit.network.config import PRESETS, TrainConfig
-from lumitree.fit.result import BakeResult
+from lumitree.fit.result import BakeResult, CaptureResult, TrainResult
 from lumitree.fit.work import open_work_folder
 from lumitree.lamp.loading import warn_of_faults
 from lumitree.measure.irradiance_check import check_irradiance_paths
@@ -37,44 +36,6 @@ from lumitree.trace.light_field_config import ExitantConfig
 if TYPE_CHECKING:
     from lumitree.asset.exitant import ExitantField
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
-
-
-@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
-class CaptureResult(Result):
-    """Result of a capture.
-
-    Attributes:
-        dataset: folder of the dataset.
-        luminaire: name of the luminaire.
-        views: number of views in the dataset.
-    """
-
-    dataset: Path
-    luminaire: str
-    views: int
-
-
-@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
-class TrainResult(Result):
-    """Result of the training of a network.
-
-    Attributes:
-        run: folder of the checkpoints.
-        steps: number of steps, including those of earlier calls.
-        psnr: PSNR on held-out rays, dB.
-        psnr_black: PSNR of an all-black prediction of the same rays, dB.
-        rays_per_second: training speed of this call.
-        stopped_by: number of the signal that interrupted the training; None if there was none.
-        finished: whether the training is finished. A signal may have arrived afterwards.
-    """
-
-    run: Path
-    steps: int
-    psnr: float
-    psnr_black: float
-    rays_per_second: float
-    stopped_by: int | None = None
-    finished: bool = dataclasses.field(default=True, repr=False)
 
 
 @explained

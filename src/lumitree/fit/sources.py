@@ -79,7 +79,7 @@ def _parts_error(config: BakeConfig, source: Any, kind: str, part: Part) -> Lumi
 
 
 def inapplicable(source: Any) -> tuple[str, ...]:
-    """Names of the fields of `BakeConfig`, and of its groups' fields, that a source does not use."""
+    """Names of the fields of `BakeConfig`, and of groups in them, that a source does not use."""
     match source_kind(source):
         case "photometric":
             used: tuple[str, ...] = ("parts", "lumens", "temperature")
