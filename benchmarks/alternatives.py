@@ -62,7 +62,7 @@ def scenes_of(
     import lumitree
 
     lumitree.photometry(source, folder / "far_field.ies", seed=options.seed)
-    far_field = lumitree.bake(str(folder / "far_field.ies"), seed=options.seed).asset
+    far_field = lumitree.bake_photometric(folder / "far_field.ies").asset
     return {
         BASELINE: placed(source, options.width),
         "thin glass": thin_glass_room(source, options.width),
@@ -110,7 +110,10 @@ def measure(source: LuminaireSource, name: str, options: argparse.Namespace) -> 
     """A row, and the sheet."""
     import lumitree
 
-    asset = lumitree.bake(source, parts=("exitant",), irradiance_paths=0, seed=options.seed).asset
+    asset = lumitree.bake(
+        source,
+        config=lumitree.BakeConfig(parts=("exitant",), irradiance_paths=0, seed=options.seed),
+    ).asset
     with tempfile.TemporaryDirectory() as folder:
         scenes = scenes_of(source, asset, Path(folder), options)
     mask = shows_diffuse(asset, options.width)[..., None]

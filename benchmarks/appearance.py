@@ -49,7 +49,9 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
 
     if not path.exists():
         lumitree.bake(
-            source, path, time=options.bake_seconds, irradiance_paths=0, seed=options.seed
+            source,
+            path,
+            lumitree.BakeConfig(time=options.bake_seconds, irradiance_paths=0, seed=options.seed),
         )
     asset = lumitree.load(path)
     methods = scenes(source, asset, options.width)

@@ -266,7 +266,9 @@ def run(options: argparse.Namespace) -> None:
         for name in options.luminaires:
             path = folder / f"{name}.lumitree"
             if not path.exists():
-                lumitree.bake(name, path, parts=("exitant", "model"), irradiance_paths=0)
+                lumitree.bake(
+                    name, path, lumitree.BakeConfig(parts=("exitant", "model"), irradiance_paths=0)
+                )
             asset = lumitree.load(path)
             irradiance += irradiance_rows(name, asset, options.seed)
             if program is not None:

@@ -9,6 +9,7 @@ stay, with the commit they were measured at. The baseline is an all-black image 
 """
 
 import argparse
+import dataclasses
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -20,7 +21,7 @@ from benchmarks.common.options import add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from lumitree.core.dataset import Dataset
-from lumitree.fit.bake import Quality
+from lumitree.fit.config import QUALITIES, Quality
 
 COLUMNS = {
     "psnr_linear": 2,
@@ -39,15 +40,22 @@ def measure(name: str, method: str, options: argparse.Namespace, folder: Path) -
     title = label(name)
     asset = str(options.assets / f"{title}-{method}.lumitree")
     if method == NETWORK:
-        baked = lumitree.bake_network(name, asset, irradiance_paths=0, variant=options.variant)
+        baked = lumitree.bake_network(
+            name,
+            asset,
+            dataclasses.replace(lumitree.NetworkConfig.preview(), irradiance_paths=0),
+            variant=options.variant,
+        )
     else:
         baked = lumitree.bake(
             name,
             asset,
-            quality=cast(Quality, method),
-            parts=("exitant", "field"),
-            irradiance_paths=0,
-            seed=options.seed,
+            dataclasses.replace(
+                QUALITIES[cast(Quality, method)],
+                parts=("exitant", "field"),
+                irradiance_paths=0,
+                seed=options.seed,
+            ),
             variant=options.variant,
         )
     bake = {

@@ -47,7 +47,9 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
 
     made = None
     if not path.exists():
-        made = lumitree.bake(source, path, parts=("exitant", "model"), seed=options.seed)
+        made = lumitree.bake(
+            source, path, lumitree.BakeConfig(parts=("exitant", "model"), seed=options.seed)
+        )
     asset = lumitree.load(path)
     scenes = rooms(source, asset, options.width)
     mask = shows_diffuse(asset, options.width)

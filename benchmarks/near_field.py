@@ -240,7 +240,11 @@ def _baked(
     if path.exists():
         return lumitree.load(path), None
     baked = lumitree.bake(
-        source, path, parts=("exitant", "model"), irradiance_paths=0, seed=options.seed + number
+        source,
+        path,
+        lumitree.BakeConfig(
+            parts=("exitant", "model"), irradiance_paths=0, seed=options.seed + number
+        ),
     )
     return baked.asset, baked.seconds["exitant"]
 

@@ -9,6 +9,7 @@ image on the same views.
 """
 
 import argparse
+import dataclasses
 import json
 import tempfile
 from pathlib import Path
@@ -39,12 +40,21 @@ PANELS = {
 }
 
 
-def measure(name: str, views: str, folder: Path, **how: Any) -> dict:
+def measure(
+    name: str, views: str, folder: Path, how: dict[str, Any], seed: int, variant: str | None
+) -> dict:
     """One bake and its errors."""
     asset = str(folder / "lamp.lumitree")
     Path(asset).unlink(missing_ok=True)
     parts: tuple[Part, ...] = ("exitant", "field")
-    baked = lumitree.bake(name, asset, quality="preview", parts=parts, irradiance_paths=0, **how)
+    baked = lumitree.bake(
+        name,
+        asset,
+        dataclasses.replace(
+            lumitree.BakeConfig.preview(), parts=parts, irradiance_paths=0, seed=seed, **how
+        ),
+        variant=variant,
+    )
     sheet = str(folder / "sheet.png")
     metrics = lumitree.evaluate(asset, views, sheet).metrics
     return {
@@ -144,8 +154,9 @@ def run(options: argparse.Namespace) -> None:
                 how = given | change
                 text = json.dumps(how)
                 if text not in known:
-                    more = {"seed": options.seed, "variant": options.variant}
-                    known[text] = measure(options.luminaire, views, Path(folder), **how, **more)
+                    known[text] = measure(
+                        options.luminaire, views, Path(folder), how, options.seed, options.variant
+                    )
                 report[key].append(known[text])
                 results.write({"setting": results.setting(), **report})
             print(table(key, report[key]).text(), flush=True)

@@ -5,6 +5,7 @@ Each built-in lamp is baked with few leaves, harmonics and cells, so that its as
 them. A second call bakes only what is missing.
 """
 
+import dataclasses
 import io
 from pathlib import Path
 
@@ -13,7 +14,6 @@ from PIL import Image
 import lumitree
 from lumitree.core.files import write_bytes
 from lumitree.lamp.builtin.registry import BUILTIN
-from lumitree.trace.light_field_config import EXITANT_QUALITIES, ExitantConfig
 
 DOCS = Path(__file__).parent
 BAKES = DOCS / "generated" / "lamps"
@@ -21,20 +21,21 @@ PAGES = DOCS / "generated" / "extra" / "gallery"
 THUMBNAILS = DOCS / "images" / "gallery"
 LARGEST_ASSET = 2_000_000
 # Cells of twice the side: the light of a field of a preview takes 1.0 to 1.5 MB.
-EXITANT = ExitantConfig(paths=1 << 21, depth=4)
+LIGHT_FIELD = lumitree.LightFieldConfig(paths=1 << 21, depth=4)
 
 
 def main() -> None:
-    EXITANT_QUALITIES["preview"] = EXITANT
     result = lumitree.bake_many(
         list(BUILTIN),
         BAKES,
-        quality="preview",
-        tree_depth=6,
-        l_max=1,
-        parts=("exitant", "field"),
-        irradiance_paths=0,
-        seed=0,
+        dataclasses.replace(
+            lumitree.BakeConfig.preview(),
+            tree_depth=6,
+            l_max=1,
+            parts=("exitant", "field"),
+            irradiance_paths=0,
+            light_field=LIGHT_FIELD,
+        ),
     )
     PAGES.mkdir(parents=True, exist_ok=True)
     THUMBNAILS.mkdir(parents=True, exist_ok=True)

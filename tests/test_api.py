@@ -17,14 +17,14 @@ from lumitree.cli.output import print_metrics
 from lumitree.core.frames import rotation, similarity
 from lumitree.core.images import read_exr
 from lumitree.core.work_folder import WorkFolder
-from lumitree.fit import bake_network as network
+from lumitree.fit.config import NETWORK_BAKES, NetworkConfig
 from lumitree.fit.network.config import PRESETS
-from lumitree.fit.octree.config import QUALITIES
 from lumitree.rendering.asset_cache import open_field
 from support import tiny_bakes
 from support.exitant_fields import assert_equal_fields
 from support.fields import random_asset
 from support.reference_field import integrate_ray
+from support.tiny_bakes import standard
 
 LAMP = """<scene version="3.0.0">
 <shape type="sphere"><float name="radius" value="0.5"/>
@@ -37,16 +37,15 @@ LAMP = """<scene version="3.0.0">
 def tiny(mi, monkeypatch):
     """A direct bake of seconds."""
     tiny_bakes.set_qualities(monkeypatch.setitem)
-    return QUALITIES["standard"]
 
 
 @pytest.fixture
 def tiny_network(network_packages, monkeypatch):
     """A network's bake of seconds: few views, a small network, few light paths."""
     tiny_bakes.set_qualities(monkeypatch.setitem)
-    preset = tiny_bakes.network_preset()
+    preset = tiny_bakes.network_config()
     monkeypatch.setitem(PRESETS, "preview", preset.train)
-    monkeypatch.setitem(network.NETWORK_BAKES, "preview", preset)
+    monkeypatch.setitem(NETWORK_BAKES, "preview", preset)
 
 
 def test_bake_evaluate_render(mi, tiny, tmp_path, monkeypatch):
@@ -93,7 +92,7 @@ def test_irradiance_is_left_out_on_request_and_for_a_dataset(mi, tmp_path, monke
         assert not (tmp_path / "sheet-irradiance.png").exists()
         print_metrics(report.to_json())
         assert "irradiance: not compared" in capsys.readouterr().out
-    with pytest.raises(lumitree.LumitreeError, match="irradiance paths is -1"):
+    with pytest.raises(lumitree.LumitreeError, match="irradiance_paths is -1"):
         lumitree.evaluate("lamp.lumitree", "lamp.xml", irradiance_paths=-1)
 
 
@@ -104,7 +103,7 @@ def test_network_bake_evaluate(mi, tiny_network, tmp_path, monkeypatch):
     baked = lumitree.bake_network("lamp.xml", "lamp.lumitree")
     assert baked.asset.info.leaves > 50
     assert set(baked.seconds) == {"exitant", "capture", "train", "extract", "irradiance"}
-    lit = lumitree.bake("lamp.xml", parts=["exitant"], irradiance_paths=0).asset
+    lit = lumitree.bake("lamp.xml", config=standard(parts=["exitant"], irradiance_paths=0)).asset
     assert_equal_fields(baked.asset.exitant, lit.exitant)
     assert baked.irradiance["irradiance_ratio"] == pytest.approx(1, abs=0.05)
     assert not (tmp_path / "lamp.work").exists()
@@ -120,24 +119,26 @@ def test_a_network_bakes_the_parts_that_are_chosen(mi, tiny_network, tmp_path, m
     """In one command and in steps; all random numbers but those of views depend on the seed."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lamp.xml").write_text(LAMP)
-    preset = network.NETWORK_BAKES["preview"]
+    preset = NETWORK_BAKES["preview"]
     short = dataclasses.replace(preset.train, num_steps=20)
     monkeypatch.setitem(PRESETS, "preview", short)
-    monkeypatch.setitem(network.NETWORK_BAKES, "preview", dataclasses.replace(preset, train=short))
-    whole = ["bake", "lamp.xml", "-o", "whole.lumitree", "--method", "nerf", "--seed", "3"]
-    assert main([*whole, "--work", "state"]) == 0
+    monkeypatch.setitem(NETWORK_BAKES, "preview", dataclasses.replace(preset, train=short))
+    whole = ["bake", "lamp.xml", "-o", "whole.lumitree", "--method", "network", "--seed", "3"]
+    (tmp_path / "bake.toml").write_text('work = "state"')
+    assert main([*whole, "--config", "bake.toml"]) == 0
     assert "irradiance, ratio" in capsys.readouterr().out
     both = lumitree.load("whole.lumitree")
     assert both.exitant.traced.seeds == (3,)
     # The finished views and the finished training of the same folder.
-    field = lumitree.bake_network(
-        "lamp.xml", "field.lumitree", parts=["field"], seed=3, work="state", irradiance_paths=0
+    config = dataclasses.replace(
+        NetworkConfig.preview(), parts=("field",), seed=3, irradiance_paths=0
     )
+    field = lumitree.bake_network("lamp.xml", "field.lumitree", config, work="state")
     assert field.asset.exitant is field.irradiance is None
     for name in ("children", "density", "coefficients"):
         assert np.array_equal(getattr(both, name), getattr(field.asset, name))
     # A run lacks the luminaire.
-    line = ["extract", "state/run", "-o", "again.lumitree", "--depth", "3"]
+    line = ["extract", "state/run", "-o", "again.lumitree", "--tree-depth", "3"]
     assert main(line) == 0
     assert "irradiance" not in capsys.readouterr().out
     assert lumitree.load("again.lumitree").exitant is None
@@ -162,9 +163,9 @@ def test_a_network_needs_the_part_field(mi, tmp_path, monkeypatch):
         (["nonsense"], "part is 'nonsense'; expected exitant, field"),
     ):
         with pytest.raises(lumitree.LumitreeError, match=message):
-            lumitree.bake_network("lamp.xml", "lamp.lumitree", parts=parts)
+            NetworkConfig(parts=parts)
     with pytest.raises(lumitree.LumitreeError, match="seed is -1"):
-        lumitree.bake_network("lamp.xml", "lamp.lumitree", seed=-1)
+        NetworkConfig(seed=-1)
     assert os.listdir() == []
 
 
@@ -231,9 +232,9 @@ def test_demo(mi, tiny, tmp_path, monkeypatch):
     monkeypatch.setattr(demo, "IRRADIANCE_PATHS", 1 << 14)
     budgets = []
 
-    def bake(*args, time, **options):
-        budgets.append(time)
-        return lumitree.bake(*args, time=time, **options)
+    def bake(luminaire, output, config, **options):
+        budgets.append(config.time)
+        return lumitree.bake(luminaire, output, config, **options)
 
     monkeypatch.setattr(demo, "bake", bake)
     demo.run("out")

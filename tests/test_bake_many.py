@@ -1,7 +1,6 @@
 """Many lamps in one folder: what is baked, kept and continued, and the index page."""
 
 import contextlib
-import functools
 import json
 import os
 import re
@@ -19,10 +18,10 @@ from lumitree.core.work_folder import WorkFolder
 from lumitree.fit.catalogue import bake_many as many
 from lumitree.fit.catalogue import record as lamp_record
 from support.lamps import AREA, scene, sphere
-from support.tiny_bakes import set_qualities
+from support.tiny_bakes import set_qualities, standard
 
-SETTINGS = {"parts": ("exitant",), "irradiance_paths": 1 << 14}
-ARGUMENTS = ("--parts", "exitant", "--irradiance-paths", "16384")
+SETTINGS = {"parts": ("exitant",)}
+ARGUMENTS = ("--parts", "exitant")
 
 
 @pytest.fixture(autouse=True)
@@ -38,15 +37,13 @@ def folder(tmp_path, monkeypatch, mi):
 @pytest.fixture
 def baked(monkeypatch):
     """Names of the assets that were baked, in order."""
-    names, bake = [], many.bake
+    names, bake = [], many.bake_source
 
-    # The settings are those of the real function.
-    @functools.wraps(bake)
-    def record(luminaire, output, **options):
+    def record(source, output, config, **options):
         names.append(output.stem)
-        return bake(luminaire, output, **options)
+        return bake(source, output, config, **options)
 
-    monkeypatch.setattr(many, "bake", record)
+    monkeypatch.setattr(many, "bake_source", record)
     return names
 
 
@@ -55,25 +52,24 @@ def states(result):
 
 
 def test_lamps_are_baked_and_kept_while_source_and_settings_are_equal(folder, baked):
-    first = lumitree.bake_many(["a.xml", "b.xml"], "out", **SETTINGS)
+    first = lumitree.bake_many(["a.xml", "b.xml"], "out", standard(**SETTINGS))
     assert states(first) == [("a", "baked"), ("b", "baked")]
     # Four times the area.
     bright, dim = (lamp.figures["lumens"] for lamp in first.lamps)
     assert bright / dim == pytest.approx(4, rel=0.02)
-    # A given default is no other setting, nor is another order of the parts.
-    again = lumitree.bake_many(["b.xml", "a.xml"], "out", quality="standard", **SETTINGS)
+    again = lumitree.bake_many(["b.xml", "a.xml"], "out", standard(**SETTINGS))
     assert states(again) == [("b", "kept"), ("a", "kept")]
     assert again.lamps[1].figures == first.lamps[0].figures
     assert again.lamps[1].seconds > 0
     (folder / "a.xml").write_text(scene(sphere("ball", 2, inside=AREA)))
-    changed = lumitree.bake_many(["a.xml", "b.xml"], "out", **SETTINGS)
+    changed = lumitree.bake_many(["a.xml", "b.xml"], "out", standard(**SETTINGS))
     assert states(changed) == [("a", "baked"), ("b", "kept")]
-    other = lumitree.bake_many(["b.xml"], "out", **SETTINGS, seed=1)
+    other = lumitree.bake_many(["b.xml"], "out", standard(**SETTINGS, seed=1))
     assert states(other) == [("b", "baked")]
     # An asset that is not the one of the record.
     (folder / "out/b.lumitree").write_bytes((folder / "out/a.lumitree").read_bytes())
     (folder / "out/index-files/a.json").write_text('{"version": 1}')
-    replaced = lumitree.bake_many(["a.xml", "b.xml"], "out", **SETTINGS, seed=1)
+    replaced = lumitree.bake_many(["a.xml", "b.xml"], "out", standard(**SETTINGS, seed=1))
     assert states(replaced) == [("a", "baked"), ("b", "baked")]
     assert baked == ["a", "b", "a", "b", "a", "b"]
 
@@ -101,19 +97,18 @@ def test_one_failure_does_not_lose_the_others(folder, capsys):
 
 
 def test_an_unexpected_error_is_a_failure_too(monkeypatch):
-    @functools.wraps(many.bake)
-    def fail(luminaire, output, **options):
+    def fail(*_, **__):
         raise ZeroDivisionError("division by zero")
 
-    monkeypatch.setattr(many, "bake", fail)
-    result = lumitree.bake_many(["a.xml"], "out", **SETTINGS)
+    monkeypatch.setattr(many, "bake_source", fail)
+    result = lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
     assert result.failed[0].error == "unexpected ZeroDivisionError: division by zero"
 
 
 OTHER = """
 import sys
 import lumitree
-from support.tiny_bakes import set_qualities
+from support.tiny_bakes import set_qualities, standard
 
 def wait(report):
     if report.task.startswith("light of") and report.within.done == 0:
@@ -122,7 +117,7 @@ def wait(report):
 
 set_qualities(dict.__setitem__)
 result = lumitree.bake_many(
-    ["a.xml", "b.xml"], "out", parts=("exitant",), irradiance_paths=1 << 14, progress=wait
+    ["a.xml", "b.xml"], "out", standard(parts=("exitant",)), progress=wait
 )
 print([(lamp.name, lamp.state) for lamp in result.lamps])
 """
@@ -144,7 +139,7 @@ def test_two_processes_share_a_folder(folder, baked, monkeypatch):
     try:
         assert other.stdout.readline() == "working\n"
         with pytest.warns(lumitree.LumitreeWarning, match="another process works on a; it is left"):
-            result = lumitree.bake_many(["a.xml", "b.xml"], "out", **SETTINGS)
+            result = lumitree.bake_many(["a.xml", "b.xml"], "out", standard(**SETTINGS))
     finally:
         other.kill()
         other.wait()
@@ -164,7 +159,7 @@ def test_two_processes_share_a_folder(folder, baked, monkeypatch):
 
 def test_a_page_has_what_other_processes_have_baked_meanwhile(folder):
     """Also lamps that are still to come in the list of the process that writes it."""
-    lumitree.bake_many(["a.xml"], "out", **SETTINGS)
+    lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
     lamps = [many.BakedLamp("a", "a.xml", "waiting"), many.BakedLamp("c", "c.xml", "waiting")]
     many.write_index(Path("out"), lamps)
     page = (folder / "out/index.html").read_text()
@@ -178,7 +173,7 @@ def test_a_lamp_that_is_baked_alone_is_left_until_then(folder, monkeypatch):
         stack.enter_context(WorkFolder("out/a.work"))
         monkeypatch.setattr("lumitree.fit.catalogue.bake_many.time.sleep", lambda _: stack.close())
         with pytest.warns(lumitree.LumitreeWarning, match="another process works on a"):
-            result = lumitree.bake_many(["a.xml"], "out", **SETTINGS)
+            result = lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
     assert states(result) == [("a", "baked")]
 
 
@@ -189,7 +184,7 @@ def test_a_signal_while_a_list_waits_is_heeded(folder, monkeypatch):
     with exclusive(folder / "out/index-files/a.lock") as free:
         assert free
         with pytest.warns(lumitree.LumitreeWarning, match="another process works on a"):
-            result = lumitree.bake_many(["a.xml"], "out", **SETTINGS)
+            result = lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
     assert result.stopped_by == signal.SIGTERM
     assert not result.finished
 
@@ -229,12 +224,12 @@ def test_an_interrupted_list_continues(folder, baked, capsys):
             raise lumitree.Interrupted(number=signal.SIGTERM)
 
     names = ["a.xml", "b.xml", "dark.xml"]
-    first = lumitree.bake_many(names, "out", progress=stop, **SETTINGS)
+    first = lumitree.bake_many(names, "out", standard(**SETTINGS), progress=stop)
     assert states(first) == [("a", "baked"), ("b", "interrupted"), ("dark", "waiting")]
     assert first.stopped_by == signal.SIGTERM
     page = (folder / "out/index.html").read_text()
     assert "not baked yet" in page
-    second = lumitree.bake_many(names[:2], "out", **SETTINGS)
+    second = lumitree.bake_many(names[:2], "out", standard(**SETTINGS))
     assert states(second) == [("a", "kept"), ("b", "baked")]
     assert baked == ["a", "b", "b"]
 
@@ -249,12 +244,12 @@ def test_the_best_field_so_far_is_written_and_continued(folder, monkeypatch, bak
             signal.raise_signal(signal.SIGINT)
 
     settings = {"parts": ("field",), "irradiance_paths": 0, "rays": 1 << 19}
-    first = lumitree.bake_many(["a.xml"], "out", progress=stop, **settings)
+    first = lumitree.bake_many(["a.xml"], "out", standard(**settings), progress=stop)
     assert states(first) == [("a", "interrupted")]
     assert first.stopped_by == signal.SIGINT
     assert first.lamps[0].figures["lumens"] > 0
     assert (folder / "out/a.work").is_dir()
-    second = lumitree.bake_many(["a.xml"], "out", **settings)
+    second = lumitree.bake_many(["a.xml"], "out", standard(**settings))
     assert states(second) == [("a", "baked")]
     assert not (folder / "out/a.work").exists()
     assert second.lamps[0].seconds > first.lamps[0].seconds
@@ -262,22 +257,18 @@ def test_the_best_field_so_far_is_written_and_continued(folder, monkeypatch, bak
 
 def test_names_and_arguments_are_checked_first(folder):
     (folder / "sub").mkdir()
-    for names, options, message in (
-        ([], {}, "no luminaire"),
-        (["a.xml", "sub/A.obj"], {}, "a.xml and sub/A.obj would both be written to out/A.lumitree"),
-        (["bulbs", "bulbs.glb"], {}, "would both be written"),
-        (["a.xml"], {"quality": "best"}, "quality is 'best'"),
-        (["a.xml"], {"tree_depth": 11}, "depth"),
+    for names, message in (
+        ([], "no luminaire"),
+        (["a.xml", "sub/A.obj"], "a.xml and sub/A.obj would both be written to out/A.lumitree"),
+        (["bulbs", "bulbs.glb"], "would both be written"),
     ):
         with pytest.raises(lumitree.LumitreeError, match=message):
-            lumitree.bake_many(names, "out", **options)
+            lumitree.bake_many(names, "out")
     (folder / "site").mkdir()
     (folder / "site/index.html").write_text("<title>mine</title>")
     with pytest.raises(lumitree.LumitreeError, match=r"site/index.html is not a page of lumitree"):
         lumitree.bake_many(["a.xml"], "site")
     assert (folder / "site/index.html").read_text() == "<title>mine</title>"
-    with pytest.raises(TypeError, match="'qualty'"):
-        lumitree.bake_many(["a.xml"], "out", qualty="high")
     assert not (folder / "out").exists()
 
 
@@ -285,12 +276,13 @@ def test_names_and_arguments_are_checked_first(folder):
     ("arguments", "message"),
     [
         (["a.xml", "b.xml", "-o", "a.lumitree"], "is the name of one asset"),
-        (["a.xml", "b.xml", "-o", "out", "--work", "w"], "--work: for one luminaire"),
-        (["a.xml", "b.xml", "-o", "out", "--method", "nerf"], "--method nerf: for one"),
+        (["a.xml", "b.xml", "-o", "out", "--config", "work.toml"], "work: for one luminaire"),
+        (["a.xml", "b.xml", "-o", "out", "--method", "network"], "--method network: for one"),
         (["a.xml", "b.xml", "-o", "a.xml"], "cannot write a.xml/index.html"),
     ],
 )
-def test_command_refuses(arguments, message, capsys):
+def test_command_refuses(folder, arguments, message, capsys):
+    (folder / "work.toml").write_text('work = "w"')
     assert main(["bake", *arguments]) == 2
     assert message in capsys.readouterr().err
 
@@ -298,7 +290,7 @@ def test_command_refuses(arguments, message, capsys):
 def test_the_page_is_self_contained_and_escapes_names(folder):
     name = 'a & "b" <i>%'
     (folder / f"{name}.xml").write_text(scene(sphere("ball", 1, inside=AREA)))
-    result = lumitree.bake_many([f"{name}.xml"], "out", **SETTINGS)
+    result = lumitree.bake_many([f"{name}.xml"], "out", standard(**SETTINGS))
     page = result.index.read_text()
     assert 'href="a%20%26%20%22b%22%20%3Ci%3E%25.lumitree"' in page
     assert "<i>" not in page

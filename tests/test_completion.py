@@ -58,7 +58,7 @@ def test_builtin_names_are_those_of_the_registry():
     [
         ("lumitree pre", {"preview"}),
         ("lumitree bake --qual", {"--quality"}),
-        ("lumitree bake --quality ", {"preview", "standard", "high"}),
+        ("lumitree bake --quality ", {"preview", "standard", "high", "paper"}),
         ("lumitree info ", {"a.lumitree", "d.ies", "sub/", "-h", "--help", "--json"}),
         ("lumitree capture b", {"b.xml", "bulbs"}),
         ("lumitree bake bulbs ", {*BUILTIN_NAMES, "b.xml", "c.glb", "d.ies", "sub/"}),

@@ -13,6 +13,7 @@ from lumitree.output import preview as viewing
 from support import tiny_bakes
 from support.fields import random_asset
 from support.lamps import AREA, scene, sphere
+from support.tiny_bakes import standard
 
 ROOM = """<scene version="3.0.0"><integrator type="path"/>
 <sensor type="perspective"><transform name="to_world">
@@ -70,7 +71,7 @@ def test_sheets(monkeypatch):
 
 def test_thumbnails_of_bakes_and_sheets_of_evaluations(monkeypatch):
     tiny_bakes.set_qualities(monkeypatch.setitem, tree_depth=3)
-    lumitree.bake_many(["lamp.xml"], "lamps", parts=["exitant"], seed=4)
+    lumitree.bake_many(["lamp.xml"], "lamps", standard(parts=["exitant"], seed=4))
     assert comment("lamps/index-files/lamp.png")["settings"]["seed"] == 4
     options = {
         "num_views": 1,

@@ -23,7 +23,7 @@ ROOM = (
     "</film></sensor></scene>"
 )
 SMALL = ("--resolution", "16", "--spp", "1")
-LAMP = ("bake", "lamp.xml", "--parts", "exitant", "--irradiance-paths", "0")
+LAMP = ("bake", "lamp.xml", "--parts", "exitant")
 
 
 @pytest.fixture(autouse=True)

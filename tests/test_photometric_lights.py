@@ -21,7 +21,7 @@ from lumitree.lamp.source import LuminaireSource, source_kind
 from lumitree.rendering.asset_cache import open_asset
 from lumitree.rendering.asset_flux import asset_lumens, asset_watts
 from support.lamps import AREA, scene, sphere
-from support.tiny_bakes import set_qualities
+from support.tiny_bakes import set_qualities, standard
 from support.walls import irradiance
 
 FILES = ("a.ies", "B.LDT", "c.Ray", "d.TM25RAY")
@@ -92,7 +92,7 @@ def test_one_function_says_what_a_source_is(folder):
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_is_the_asset_that_a_bake_makes_of_it(name):
-    baked = lumitree.bake(name).asset
+    baked = lumitree.bake_photometric(name).asset
     opened = lumitree.load(name)
     assert opened.exitant.intensity.tolist() == baked.exitant.intensity.tolist()
     assert opened.frame == baked.frame
@@ -157,7 +157,7 @@ def test_a_placed_file_has_the_flux_and_the_colour_that_are_asked_for():
 
 
 def test_an_asset_is_compared_with_its_file(folder, capsys):
-    lumitree.bake("a.ies", "a.lumitree", lumens=10.0)
+    lumitree.bake_photometric("a.ies", "a.lumitree", lumens=10.0)
     command = ["evaluate", "a.lumitree", "a.ies", "-o", "sheet.png", "--json", "report.json"]
     assert main([*command, "--irradiance-paths", "65536"]) == 0
     report = json.loads((folder / "report.json").read_text())
@@ -182,15 +182,17 @@ def test_an_asset_is_compared_with_its_file(folder, capsys):
         (["--parts", "exitant,field"], "parts are exitant, field, but a.ies is a photometric"),
         (["--parts", "field"], "of which only the part exitant can be made"),
         (["--parts", "exitant,model"], "of which only the part exitant can be made"),
-        (["--work", "w"], "work: not for a photometric file such as a.ies"),
-        (["--seed", "3"], "seed: not for"),
-        (["--irradiance-paths", "4096"], "irradiance_paths: not for"),
-        (["--time", "3s", "--depth", "4"], "time, tree_depth: not for"),
+        (["--seed", "0"], "--seed: not for a photometric file such as a.ies"),
+        (["--quality", "standard"], "--quality: not for"),
+        (["--time", "3s"], "--time: not for"),
+        (["--config", "bake.toml"], "tree_depth, light_field.paths, octree.refine.rays, work: not"),
         (["--keep", "a", "--materials", "m.toml"], "materials, keep: not for"),
-        (["--method", "nerf"], "is a photometric file, which has no shapes"),
+        (["--method", "network"], "is a photometric file, which has no shapes"),
     ],
 )
 def test_settings_of_a_bake_that_do_not_apply_are_refused(folder, capsys, options, message):
+    tables = "[light_field]\npaths = 9\n[octree.refine]\nrays = 16"
+    (folder / "bake.toml").write_text(f'work = "w"\ntree_depth = 4\n{tables}')
     before = sorted(folder.iterdir())
     assert main(["bake", "a.ies", "-o", "a.lumitree", *options]) == 2
     error = capsys.readouterr().err
@@ -199,10 +201,9 @@ def test_settings_of_a_bake_that_do_not_apply_are_refused(folder, capsys, option
     assert sorted(folder.iterdir()) == before
 
 
-def test_a_bake_reports_its_progress_and_takes_what_says_nothing_else(folder):
+def test_a_bake_reports_its_progress(folder):
     reports = []
-    command = {"parts": ["exitant"], "irradiance_paths": 0, "seed": 0}
-    lumitree.bake("a.ies", progress=reports.append, **command)
+    lumitree.bake_photometric("a.ies", progress=reports.append)
     assert [report.task for report in reports][-1] == "light of a.ies"
     assert reports[-1].finished
 
@@ -213,15 +214,15 @@ def test_many_lamps_of_both_kinds(folder, monkeypatch, bakes):
     names = ["lamp.xml", "a.ies"]
     settings = {"parts": ("exitant", "model"), "irradiance_paths": 1 << 12, "seed": 3}
     with pytest.warns(LumitreeWarning, match="a.ies: irradiance_paths, seed, part model not used"):
-        result = lumitree.bake_many(names, "out", **settings)
+        result = lumitree.bake_many(names, "out", standard(**settings))
     assert [lamp.state for lamp in result.lamps] == ["baked", "baked"]
     assert lumitree.load("out/lamp.lumitree").parts == ("exitant", "model")
     # Without settings that do not apply there is no warning, and the file's lamp is kept.
-    again = lumitree.bake_many(["a.ies"], "out")
+    again = lumitree.bake_many(["a.ies"], "out", standard(irradiance_paths=1 << 14))
     assert [lamp.state for lamp in again.lamps] == ["kept"]
     assert len(bakes) == 1
     with pytest.warns(LumitreeWarning, match="part field not used"):
-        failed = lumitree.bake_many(["B.LDT"], "out", parts=["field"])
+        failed = lumitree.bake_many(["B.LDT"], "out", standard(parts=["field"]))
     assert "only the part exitant can be made" in failed.failed[0].error
 
 

@@ -32,7 +32,7 @@ LAMP = (
 BAKE = ("bake", "lamp.xml", "-o", "out/lamp.lumitree")
 COMMANDS = {
     "direct": BAKE,
-    "network": (*BAKE, "--method", "nerf"),
+    "network": (*BAKE, "--method", "network"),
     "refine": ("refine", "rough.lumitree", "lamp.xml", "-o", "out/lamp.lumitree",
                "--rays", "500000"),
     "evaluate": ("evaluate", "rough.lumitree", "lamp.xml", "-o", "out/sheet.png", "--views", "3",
@@ -58,12 +58,20 @@ def start(command, **options):
     )  # fmt: skip
 
 
+def work(command, folder):
+    """Options that choose the folder of the state."""
+    if command[0] != "bake":
+        return ["--work", folder]
+    Path(".bake.toml").write_text(f'work = "{folder}"')
+    return ["--config", ".bake.toml"]
+
+
 def left():
     """Files below the current folder, without what was there at first."""
     return sorted(
         str(path)
         for path in Path().rglob("*")
-        if path.is_file() and path.name not in ("lamp.xml", "rough.lumitree")
+        if path.is_file() and path.name not in ("lamp.xml", "rough.lumitree", ".bake.toml")
     )
 
 
@@ -313,7 +321,7 @@ def test_a_full_work_disk_is_warned_of_once_and_the_bake_goes_on(
     often = {"save_seconds": 0.0, "save_time_factor": 0.0}
     tiny_bakes.set_qualities(monkeypatch.setitem, schedule=often)
     monkeypatch.setattr(np, "savez", run_out_of_disk)
-    assert main([*command, "--work", "full"]) == 0
+    assert main([*command, *work(command, "full")]) == 0
     err = capsys.readouterr().err
     assert err.count("No space left on device") == 1
     assert "the bake goes on" in err
@@ -427,7 +435,7 @@ def test_a_folder_of_others_is_neither_used_nor_removed(
 
 
 def test_a_named_work_folder_stays(tiny, steps, capsys):
-    assert main([*BAKE, "--work", "w"]) == 0
+    assert main([*BAKE, *work(BAKE, "w")]) == 0
     assert left() == ["out/lamp.lumitree", f"w/{MARKER}", "w/exitant.lumitree", "w/state.npz"]
 
 
@@ -443,7 +451,7 @@ def test_pictures_are_baked_too(tiny, capsys):
 @pytest.mark.slow
 @pytest.mark.usefixtures("network_packages")
 def test_training_that_was_killed_before_its_first_checkpoint_starts_again(monkeypatch, capsys):
-    train = dataclasses.replace(tiny_bakes.network_preset().train, num_steps=20)
+    train = dataclasses.replace(tiny_bakes.network_config().train, num_steps=20)
     monkeypatch.setitem(PRESETS, "preview", train)
     assert main(["capture", "lamp.xml", "-o", "d", "--views", "8", "--resolution", "32",
                  "--spp", "16"]) == 0  # fmt: skip
@@ -464,7 +472,7 @@ def test_training_that_was_killed_before_its_first_checkpoint_starts_again(monke
 def test_training_goes_on_where_a_checkpoint_cannot_be_written(monkeypatch, capsys):
     from lumitree.fit.network import train as training
 
-    train = dataclasses.replace(tiny_bakes.network_preset().train, num_steps=20)
+    train = dataclasses.replace(tiny_bakes.network_config().train, num_steps=20)
     monkeypatch.setitem(PRESETS, "preview", train)
     assert main(["capture", "lamp.xml", "-o", "d", "--views", "8", "--resolution", "32",
                  "--spp", "16"]) == 0  # fmt: skip

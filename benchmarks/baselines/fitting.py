@@ -175,6 +175,9 @@ def baked_field(luminaire: str, seed: int) -> BakedAsset:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "field.lumitree"
         lumitree.bake(
-            luminaire, file, parts=("field",), irradiance_paths=0, seed=seed, progress=None
+            luminaire,
+            file,
+            lumitree.BakeConfig(parts=("field",), irradiance_paths=0, seed=seed),
+            progress=None,
         )
         return BakedAsset(lumitree.load(file), file.stat().st_size)

@@ -28,19 +28,23 @@ def fits(
 
     views = folder / "train"
 
-    def direct(source: Any, file: str) -> Path:
-        output = folder / f"{file}.lumitree"
-        lumitree.bake(
-            source,
-            output,
-            quality="preview",
-            tree_depth=TREE_DEPTH,
-            time=seconds,
-            parts=("field",),
-            irradiance_paths=0,
-            seed=seed,
-            progress=None,
-        )
+    config = dataclasses.replace(
+        lumitree.BakeConfig.preview(),
+        tree_depth=TREE_DEPTH,
+        time=seconds,
+        parts=("field",),
+        irradiance_paths=0,
+        seed=seed,
+    )
+
+    def direct() -> Path:
+        output = folder / "direct.lumitree"
+        lumitree.bake(name, output, config, progress=None)
+        return output
+
+    def from_views() -> Path:
+        output = folder / "views.lumitree"
+        lumitree.bake_views(views, output, config.direct_config, progress=None)
         return output
 
     chosen: dict[str, Callable[[], Any]] = {"Zhu et al.": lambda: zhu(views, seconds, seed)}
@@ -48,8 +52,8 @@ def fits(
         chosen["Zhu et al., converged"] = lambda: zhu(views, None, seed)
     return chosen | {
         BASELINE: lambda: network(views, folder, seconds, seed),
-        "direct, views": lambda: direct(views, "views"),
-        "direct": lambda: direct(name, "direct"),
+        "direct, views": from_views,
+        "direct": direct,
     }
 
 

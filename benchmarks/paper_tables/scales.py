@@ -21,7 +21,10 @@ class Views:
 
 @dataclasses.dataclass(frozen=True)
 class Direct:
-    """A direct bake: arguments of `lumitree.bake`. By rays and not by time, so that it repeats."""
+    """A direct bake: a quality, and fields of its settings that differ.
+
+    By rays and not by time, so that it repeats.
+    """
 
     quality: Literal["preview", "standard", "high"]
     tree_depth: int

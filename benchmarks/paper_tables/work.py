@@ -21,6 +21,7 @@ from lumitree.core.dataset import Split
 from lumitree.core.files import write_json
 from lumitree.core.interrupt import Interrupted
 from lumitree.core.stopwatch import peak_memory_bytes
+from lumitree.fit.config import QUALITIES
 from lumitree.fit.network.config import TrainConfig
 
 COSTS = "costs.json"
@@ -138,12 +139,15 @@ class Work:
                 baked = lumitree.bake(
                     lamp,
                     at / "asset.lumitree",
-                    quality=direct.quality,
-                    rays=direct.rays,
-                    tree_depth=direct.tree_depth,
-                    l_max=l_max,
-                    parts=parts,
-                    irradiance_paths=0,
+                    dataclasses.replace(
+                        QUALITIES[direct.quality],
+                        time=None,
+                        rays=direct.rays,
+                        tree_depth=direct.tree_depth,
+                        l_max=l_max,
+                        parts=parts,
+                        irradiance_paths=0,
+                    ),
                     work=at / "bake.work",
                 )
                 if baked.stopped_by is not None:

@@ -24,10 +24,8 @@ if TYPE_CHECKING:
     from lumitree.core.frames import LocalFrame
     from lumitree.core.progress import Progress, show_progress
     from lumitree.core.results import Result
-    from lumitree.fit.bake import bake, refine
+    from lumitree.fit.bake import bake, bake_views, refine
     from lumitree.fit.bake_network import (
-        CaptureResult,
-        TrainResult,
         bake_network,
         capture,
         extract,
@@ -35,8 +33,11 @@ if TYPE_CHECKING:
     )
     from lumitree.fit.catalogue.bake_many import BakeManyResult, bake_many
     from lumitree.fit.catalogue.index import BakedLamp
+    from lumitree.fit.config import BakeConfig, NetworkConfig
     from lumitree.fit.merge import merge
-    from lumitree.fit.result import BakeResult
+    from lumitree.fit.octree.config import DirectConfig, OctreeConfig
+    from lumitree.fit.photometric_files import bake_photometric
+    from lumitree.fit.result import BakeResult, CaptureResult, TrainResult
     from lumitree.lamp.loading import builtin_luminaires, load_luminaire
     from lumitree.lamp.luminaire import Luminaire
     from lumitree.lamp.scene_shapes import SceneShape
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     from lumitree.rendering.plugins.register import register, shape
     from lumitree.rendering.render import RenderResult, render
     from lumitree.trace.flux_figures import Flux, MissedFlux
+    from lumitree.trace.light_field_config import LightFieldConfig
 
 
 # Where each public name is defined; imported on first use, so that `lumitree --help` answers at
@@ -63,19 +65,24 @@ _HOMES = {
     "Asset": "asset.asset",
     "AssetInfo": "asset.asset",
     "AssetPreviewResult": "output.preview",
+    "BakeConfig": "fit.config",
     "BakeManyResult": "fit.catalogue.bake_many",
     "BakeResult": "fit.result",
     "BakedLamp": "fit.catalogue.index",
-    "CaptureResult": "fit.bake_network",
+    "CaptureResult": "fit.result",
+    "DirectConfig": "fit.octree.config",
     "Estimate": "measure.photometry.figures",
     "EvaluateResult": "measure.evaluate",
     "ExportResult": "output.export",
     "Flux": "trace.flux_figures",
+    "LightFieldConfig": "trace.light_field_config",
     "LocalFrame": "core.frames",
     "Luminaire": "lamp.luminaire",
     "LuminaireSource": "lamp.source",
     "MissedFlux": "trace.flux_figures",
     "NearFieldLimit": "measure.photometry.near_field",
+    "NetworkConfig": "fit.config",
+    "OctreeConfig": "fit.octree.config",
     "PhotometricFigures": "measure.photometry.figures",
     "PhotometryResult": "measure.photometry.photometry",
     "Placement": "rendering.placement",
@@ -85,11 +92,13 @@ _HOMES = {
     "RenderResult": "rendering.render",
     "Result": "core.results",
     "SceneShape": "lamp.scene_shapes",
-    "TrainResult": "fit.bake_network",
+    "TrainResult": "fit.result",
     "ViewResult": "output.viewer.view",
     "bake": "fit.bake",
     "bake_many": "fit.catalogue.bake_many",
     "bake_network": "fit.bake_network",
+    "bake_photometric": "fit.photometric_files",
+    "bake_views": "fit.bake",
     "builtin_luminaires": "lamp.loading",
     "capture": "fit.bake_network",
     "evaluate": "measure.evaluate",
@@ -115,15 +124,18 @@ __all__ = [
     "Asset",
     "AssetInfo",
     "AssetPreviewResult",
+    "BakeConfig",
     "BakeManyResult",
     "BakeResult",
     "BakedLamp",
     "CaptureResult",
+    "DirectConfig",
     "Estimate",
     "EvaluateResult",
     "ExportResult",
     "Flux",
     "Interrupted",
+    "LightFieldConfig",
     "LocalFrame",
     "Luminaire",
     "LuminaireSource",
@@ -132,6 +144,8 @@ __all__ = [
     "MissedFlux",
     "MixResult",
     "NearFieldLimit",
+    "NetworkConfig",
+    "OctreeConfig",
     "PhotometricFigures",
     "PhotometryResult",
     "Placement",
@@ -145,6 +159,8 @@ __all__ = [
     "bake",
     "bake_many",
     "bake_network",
+    "bake_photometric",
+    "bake_views",
     "builtin_luminaires",
     "capture",
     "evaluate",

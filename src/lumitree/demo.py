@@ -1,5 +1,6 @@
 """The demonstration: bakes a built-in lamp and compares it with the explicit lamp in a room."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from lumitree.core.images import write_exr
 from lumitree.core.interrupt import Interrupted
 from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
 from lumitree.fit.bake import bake
+from lumitree.fit.config import BakeConfig
 from lumitree.measure.evaluate import IRRADIANCE_PATHS, evaluate
 
 LUMINAIRE = "bulbs"
@@ -28,7 +30,12 @@ def run(folder: str = "demo-output", variant: str | None = None) -> dict[str, An
     output = Path(folder)
     asset = output / "lamp.lumitree"
     # `evaluate` compares the irradiance.
-    baked = bake(LUMINAIRE, asset, time=BAKE_SECONDS, irradiance_paths=0, variant=variant)
+    baked = bake(
+        LUMINAIRE,
+        asset,
+        dataclasses.replace(BakeConfig.standard(), time=BAKE_SECONDS, irradiance_paths=0),
+        variant=variant,
+    )
     if baked.stopped_by is not None:
         raise Interrupted("the same command continues", baked.stopped_by)
     evaluation = evaluate(

@@ -9,11 +9,12 @@ from benchmarks.__main__ import main
 from benchmarks.inside_box.figures import masks, over_planes, patch_errors, shadow
 from benchmarks.inside_box.patches import NORMALS, Rectangle, surroundings
 from lumitree.core.device import on_device
+from lumitree.fit.config import QUALITIES
 from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.meshes import lathe
 from lumitree.lamp.parts import Diffuse, Material, Metal, Model, Part
 from lumitree.lamp.scene_writer import write_scene
-from lumitree.trace.light_field_config import EXITANT_QUALITIES, ExitantConfig
+from lumitree.trace.light_field_config import LightFieldConfig
 from support import tiny_bakes
 from support.lamps import AREA, scene, sphere
 
@@ -173,7 +174,8 @@ def test_a_lamp_from_end_to_end(mi, tmp_path, monkeypatch, capsys):
     from benchmarks.inside_box import baked
 
     tiny_bakes.set_qualities(monkeypatch.setitem)
-    monkeypatch.setitem(EXITANT_QUALITIES, "standard", ExitantConfig(1 << 18, batch=1 << 18))
+    few = tiny_bakes.standard(light_field=LightFieldConfig(1 << 18, batch=1 << 18))
+    monkeypatch.setitem(QUALITIES, "standard", few)
     monkeypatch.setattr(baked, "_RECEIVERS", 1 << 10)
     monkeypatch.setattr(baked, "_SAMPLES", 64)
     monkeypatch.chdir(tmp_path)

@@ -86,7 +86,7 @@ def test_lamps_are_baked_and_rendered_without_the_network(tmp_path):
 @pytest.mark.parametrize(
     "line",
     [
-        ["bake", "lamp.xml", "-o", "a.lumitree", "--method", "nerf"],
+        ["bake", "lamp.xml", "-o", "a.lumitree", "--method", "network"],
         ["train", "views", "-o", "run"],
         ["extract", "run", "-o", "a.lumitree"],
         ["extract", "run", "-o", "a.lumitree", "--luminaire", "lamp.xml"],

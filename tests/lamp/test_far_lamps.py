@@ -13,6 +13,7 @@ from lumitree.errors import LumitreeWarning
 from support import tiny_bakes
 from support.lamps import AREA, cube, scene, sphere
 from support.model_assets import small_model, with_model
+from support.tiny_bakes import standard
 
 FAR = (5e5, 4.2e6, 300.0)
 KINDS = ("obj", "glb", "xml")
@@ -169,7 +170,9 @@ def test_a_far_lamp_renders_as_the_near_one(mi, lamps, tmp_path, monkeypatch, ki
     tiny_bakes.set_qualities(monkeypatch.setitem, tree_depth=4, l_max=0)
     near, far = (
         lumitree.bake(
-            lamp, tmp_path / "lamp.lumitree", parts=parts, rays=1 << 14, irradiance_paths=0
+            lamp,
+            tmp_path / "lamp.lumitree",
+            standard(parts=parts, rays=1 << 14, irradiance_paths=0),
         ).asset
         for lamp in lamps(kind)
     )

@@ -6,6 +6,7 @@ import lumitree
 from lumitree.lamp.luminaire import load_luminaire
 from lumitree.measure.view_errors import evaluate_irradiance
 from support import tiny_bakes
+from support.tiny_bakes import standard
 
 PATHS = 1 << 20
 # Gains over black in dB, linear and mu-law, that a bake of seconds must have, some 2 dB below what
@@ -25,7 +26,7 @@ FLOORS = {
 @pytest.fixture
 def bake(mi, monkeypatch):
     tiny_bakes.set_qualities(monkeypatch.setitem, tree_depth=6, l_max=2)
-    return lambda name: lumitree.bake(name, progress=None, parts=["field"]).asset
+    return lambda name: lumitree.bake(name, config=standard(parts=["field"]), progress=None).asset
 
 
 @pytest.mark.parametrize("name", ["bulbs", pytest.param("dallas", marks=pytest.mark.slow)])

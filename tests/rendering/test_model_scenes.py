@@ -17,6 +17,7 @@ from support import tiny_bakes
 from support.fields import random_asset
 from support.lamps import AREA, GLASS, cube, scene, sphere
 from support.model_assets import small_model, with_model
+from support.tiny_bakes import standard
 
 FEW = {"estimate": {"rays": 1 << 17, "growth_rays": 1 << 16}, "rays": 1 << 14}
 LAMP = scene(sphere("ball", 0.5, inside=AREA), cube("bar", (1, 0.1, 0.1)))
@@ -50,7 +51,7 @@ def bar(frame=None):
 
 
 def test_parts_of_a_bake(capsys):
-    baked = lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant", "model"])
+    baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["exitant", "model"]))
     assert baked.asset.parts == ("exitant", "model")
     assert baked.asset.model.num_triangles == 12
     assert main(["info", "lamp.lumitree"]) == 0
@@ -66,15 +67,15 @@ def test_parts_of_a_bake(capsys):
 
 def test_a_luminaire_that_cannot_be_stored_keeps_its_field():
     with pytest.warns(LumitreeWarning, match=r"no model: .*RayleighPhaseFunction is not"):
-        baked = lumitree.bake("haze.xml", irradiance_paths=0)
+        baked = lumitree.bake("haze.xml", config=standard(irradiance_paths=0))
     assert baked.asset.parts == ("exitant", "field")
     with pytest.raises(LumitreeError, match=r"part model cannot be made: .*Rayleigh"):
-        lumitree.bake("haze.xml", parts=["exitant", "model"])
+        lumitree.bake("haze.xml", config=standard(parts=["exitant", "model"]))
 
 
 def test_a_model_alone_is_refused_before_any_work():
     with pytest.raises(LumitreeError, match="parts are model; expected exitant, field or both"):
-        lumitree.bake("lamp.xml", parts=["model"])
+        lumitree.bake("lamp.xml", config=standard(parts=["model"]))
 
 
 def test_one_dictionary_and_one_element_expand_into_all_shapes(mi):

@@ -4,75 +4,97 @@ import dataclasses
 import sys
 
 from lumitree.cli import main
-from lumitree.fit import bake_network as network
+from lumitree.fit.config import NETWORK_BAKES, QUALITIES, BakeConfig, NetworkConfig
 from lumitree.fit.network.config import PRESETS
 from lumitree.fit.octree.config import (
-    QUALITIES,
     CalibrationConfig,
-    DirectConfig,
     EstimateConfig,
     FluxConfig,
     HeldOutConfig,
     MaxRadianceConfig,
+    OctreeConfig,
     RefineConfig,
     SplitConfig,
 )
-from lumitree.measure.irradiance_check import IRRADIANCE_PATHS
-from lumitree.trace.light_field_config import EXITANT_QUALITIES, ExitantConfig
+from lumitree.trace.light_field_config import ExitantConfig, LightFieldConfig
 
 # Budget of rays of a direct bake, and rays of its first estimate.
 RAYS, ESTIMATE_RAYS = 1 << 19, 1 << 20
+LIGHT_FIELD = LightFieldConfig(paths=1 << 18, batch=1 << 18, depth=3, resolution=32)
 EXITANT = ExitantConfig(paths=1 << 18, batch=1 << 18, depth=3, resolution=32)
+IRRADIANCE_PATHS = 1 << 14
+
+
+GROUPS = OctreeConfig(
+    max_radiance=MaxRadianceConfig(rays=1 << 18),
+    estimate=EstimateConfig(rays=ESTIMATE_RAYS, growth_rays=1 << 19, batch_rays=1 << 19),
+    calibration=CalibrationConfig(rays=1 << 14),
+    flux=FluxConfig(draws=2, rays=1 << 18),
+    held_out=HeldOutConfig(rays=1 << 15),
+    refine=RefineConfig(rays=1 << 14),
+    split=SplitConfig(indicator_rays=1 << 15),
+)
+
+
+def bake_config(**options):
+    """Settings of a bake of seconds, about four million rays and paths in all.
+
+    Args:
+        options: other settings; those of a group of the octree fit, as `refine`, are a dictionary
+            of some of them.
+    """
+    groups = {
+        name: dataclasses.replace(getattr(GROUPS, name), **options.pop(name))
+        for name in [each for each in options if isinstance(options[each], dict)]
+    }
+    few = {"tree_depth": 5, "l_max": 1, "time": None, "rays": RAYS, **options}
+    octree = dataclasses.replace(GROUPS, **groups)
+    return BakeConfig(
+        irradiance_paths=IRRADIANCE_PATHS, light_field=LIGHT_FIELD, octree=octree, **few
+    )
 
 
 def direct_config(**options):
-    """Settings of a direct bake of seconds, about four million rays and paths in all.
-
-    Args:
-        options: other settings; those of a group, as `refine`, are a dictionary of some of them.
-    """
-    few = {
-        "max_radiance": MaxRadianceConfig(rays=1 << 18),
-        "estimate": EstimateConfig(rays=ESTIMATE_RAYS, growth_rays=1 << 19, batch_rays=1 << 19),
-        "calibration": CalibrationConfig(rays=1 << 14),
-        "flux": FluxConfig(draws=2, rays=1 << 18),
-        "held_out": HeldOutConfig(rays=1 << 15),
-        "refine": RefineConfig(rays=1 << 14),
-        "split": SplitConfig(indicator_rays=1 << 15),
-    }
-    config = DirectConfig(tree_depth=5, l_max=1, seconds=None, rays=RAYS, **few)
-    groups = {
-        name: dataclasses.replace(getattr(config, name), **value)
-        for name, value in options.items()
-        if isinstance(value, dict)
-    }
-    return dataclasses.replace(config, **{**options, **groups})
+    """The octree fit of `bake_config`."""
+    return bake_config(**options).direct_config
 
 
-def network_preset():
+def standard(**options):
+    """The quality "standard", or what `set_qualities` has put in its place, with other settings."""
+    return dataclasses.replace(BakeConfig.standard(), **options)
+
+
+def network_config():
     """Settings of a bake by a small network from few views."""
     train = dataclasses.replace(
         PRESETS["preview"], width=32, output_width=16, num_coarse=16, num_fine=16,
         rays_per_batch=512, num_steps=250,
     )  # fmt: skip
-    return network.NetworkBake(16, 48, 32, 5, train)
+    return NetworkConfig(
+        num_views=16,
+        resolution=48,
+        samples_per_pixel=32,
+        tree_depth=5,
+        samples_per_leaf=256,
+        irradiance_paths=IRRADIANCE_PATHS,
+        light_field=LIGHT_FIELD,
+        train=train,
+    )
 
 
 def set_qualities(set_item, **options):
-    """Make all qualities those of bakes of seconds.
+    """Make all qualities those of bakes of seconds, for commands and functions with defaults.
 
     Args:
         set_item: as `dict.__setitem__`, or the `setitem` of pytest's monkeypatch.
-        options: as for `direct_config`.
+        options: as for `bake_config`.
     """
     for name in QUALITIES:
-        set_item(QUALITIES, name, direct_config(**options))
-        set_item(EXITANT_QUALITIES, name, EXITANT)
-        set_item(IRRADIANCE_PATHS, name, 1 << 14)
+        set_item(QUALITIES, name, bake_config(**options))
 
 
 if __name__ == "__main__":
     set_qualities(dict.__setitem__)
-    network.NETWORK_BAKES["preview"] = network_preset()
-    PRESETS["preview"] = network.NETWORK_BAKES["preview"].train
+    NETWORK_BAKES["preview"] = network_config()
+    PRESETS["preview"] = NETWORK_BAKES["preview"].train
     sys.exit(main())

@@ -1,164 +1,257 @@
 """`lumitree bake`."""
 
 import argparse
-from typing import Any
+import dataclasses
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from lumitree.cli import options
 from lumitree.cli.output import print_lamps, print_open, print_result
 from lumitree.errors import LumitreeError, shown
 
-# Options that apply to one method only.
-_DIRECT_ONLY = ("quality", "time", "rays", "l_max", "law", "lumens", "temperature")
-_NETWORK_ONLY = ("preset",)
+if TYPE_CHECKING:
+    from lumitree.fit.config import BakeConfig, NetworkConfig
+
+# Options that are fields of the settings.
+_FIELDS = ("time", "seed", "parts", "lumens", "temperature")
+_QUALITIES = {"octree": ("preview", "standard", "high"), "network": ("preview", "paper")}
+_HEAD = """# Settings of 'lumitree bake --config FILE'. Remove the # before a setting to change it.
+# "..." stands for None: the setting has no value unless it is given.
+
+# Folder for the state, which is kept; it must be new, empty or that of an earlier call. Default:
+# the name of ASSET with .work, removed at the end.
+#work = ...
+
+# Mitsuba variant. Default: "cuda_ad_rgb" where there is a GPU, else "llvm_ad_rgb".
+#variant = ...
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Settings:
+    """What options and the file of `--config` say.
+
+    Attributes:
+        config: settings of the bake.
+        given: the fields of `config` that are given, with the names by which they are given.
+        work, variant: as for `lumitree.bake`.
+    """
+
+    config: "BakeConfig | NetworkConfig"
+    given: dict[str, str]
+    work: str | None
+    variant: str | None
 
 
 def add(commands: Any) -> None:
     parser = options.command(commands, "bake", "convert a luminaire into an asset", run, show)
-    options.add_luminaire(
-        parser,
-        "; or the folder of a dataset, or a photometric file (.ies, .ldt, .ray, .tm25ray). Several "
-        "are baked into a folder",
-        many=True,
+    parser.add_argument(
+        "luminaires",
+        metavar="LUMINAIRE",
+        nargs="*",
+        help=options.LUMINAIRE + "; or the folder of a dataset, or a photometric file (.ies, .ldt, "
+        ".ray, .tm25ray). Several are baked into a folder",
     )
-    options.add_output(
-        parser,
-        "ASSET|FOLDER/",
-        "the .lumitree file to write; for several luminaires, or with / at the end, a folder for "
-        "the assets and an index page. The same command continues an interrupted bake",
+    options.add_reading(parser)
+    parser.add_argument(
+        "-o",
+        dest="output",
+        metavar="ASSET|FOLDER/",
+        help="the .lumitree file to write; for several luminaires, or with / at the end, a folder "
+        "for the assets and an index page. The same command continues an interrupted bake",
     )
     parser.add_argument(
         "--method",
-        choices=("direct", "nerf"),
-        default="direct",
-        help="direct: from traced rays, in minutes; nerf: by a network, as in the paper; "
-        "needs the extra 'network'",
+        choices=tuple(_QUALITIES),
+        default="octree",
+        help="octree: from traced rays, in minutes; network: by a network, as in the paper; needs "
+        "the extra 'network'",
     )
     parser.add_argument(
         "--quality",
-        choices=("preview", "standard", "high"),
-        help="direct only. preview: depth 7, 1 minute on 2 CPU cores; standard (default): depth 8, "
-        "5 minutes; high: depth 10, 30 minutes",
+        choices=("preview", "standard", "high", "paper"),
+        help="preview: depth 7, 1 minute on 2 CPU cores; standard (default): depth 8, 5 minutes; "
+        "high: depth 10, 30 minutes. With --method network, preview (default): minutes on 2 CPU "
+        "cores; paper: days on a GPU",
     )
-    # There are no defaults here, so that `run` can refuse options of the other method.
-    options.add_budget(parser, seed=None)
-    options.add_preset(parser, default=None)
-    parser.add_argument(
-        "--depth",
-        type=int,
-        metavar="D",
-        help="tree depth, 1 to 10 (default: that of the quality or of the preset)",
-    )
-    parser.add_argument(
-        "--l-max",
-        dest="l_max",
-        type=int,
-        metavar="L",
-        help="direct only: highest band of the spherical harmonics, 0 to 4 (default: 2)",
-    )
-    parser.add_argument(
-        "--law",
-        choices=("linear", "exponential"),
-        help="direct only: transmittance law (default: exponential)",
-    )
+    # There are no defaults here, so that `run` can refuse options that do not apply.
+    options.add_time(parser)
+    options.add_seed(parser, default=None)
     parser.add_argument(
         "--parts",
         type=lambda text: tuple(text.split(",")),
         metavar="PARTS",
         help="what the asset gets, separated by commas. exitant: what the luminaire "
         "sends to its surroundings; field: what images show of it; model: the luminaire itself, "
-        "which images show in place of the field, not for --method nerf (default: all that the "
+        "which images show in place of the field, not for --method network (default: all that the "
         "method and the luminaire allow)",
     )
-    options.add_irradiance_paths(parser, None)
     parser.add_argument(
         "--lumens",
         type=float,
         metavar="LM",
-        help="direct only: luminous flux of the asset, lm, if lengths are in metres (default: that "
-        "of the luminaire)",
+        help="luminous flux of the asset, lm, if lengths are in metres (default: that of the "
+        "luminaire)",
     )
     parser.add_argument(
         "--temperature",
         type=float,
         metavar="K",
-        help="direct only: colour temperature of the whole flux, 1000 to 20000 K; all colours get "
-        "the same factors (default: the colours of the luminaire)",
+        help="colour temperature of the whole flux, 1000 to 20000 K; all colours get the same "
+        "factors (default: the colours of the luminaire)",
     )
-    options.add_work(parser)
-    options.add_variant(parser)
+    parser.add_argument(
+        "--config",
+        metavar="FILE",
+        help="TOML file of all other settings, such as tree_depth, l_max, law, rays, "
+        "irradiance_paths, work and variant; options replace its values, and it replaces those of "
+        "the quality",
+    )
+    parser.add_argument(
+        "--write-config",
+        metavar="FILE",
+        nargs="?",
+        const="-",
+        help="write the settings of the quality, with comments, to FILE or to the terminal, and "
+        "end",
+    )
 
 
 def run(args: argparse.Namespace) -> Any:
     import lumitree
+    from lumitree.fit.config import BakeConfig
+    from lumitree.fit.sources import bake_source
 
-    unused = _NETWORK_ONLY if args.method == "direct" else _DIRECT_ONLY
-    if given := [name for name in unused if getattr(args, name) is not None]:
-        names = ", ".join("--" + name.replace("_", "-") for name in given)
-        raise LumitreeError(f"{names}: not for --method {args.method}; leave it out")
-    many = len(args.luminaires) > 1 or args.output.endswith("/")
-    if many:
-        return _run_many(args)
-    luminaire = options.luminaire(args, args.luminaires[0])
-    if args.method == "nerf":
-        from lumitree.fit.bake_network import NETWORK_PARTS
-
-        return lumitree.bake_network(
+    if args.write_config is not None:
+        return _write_config(args)
+    if not args.luminaires or args.output is None:
+        what = "-o" if args.luminaires else "LUMINAIRE"
+        raise LumitreeError(
+            f"the following arguments are required: {what}; see 'lumitree bake --help'"
+        )
+    settings = _settings(args)
+    luminaires = [options.luminaire(args, name) for name in args.luminaires]
+    if len(luminaires) > 1 or args.output.endswith("/"):
+        return _run_many(args, luminaires, settings)
+    (luminaire,) = luminaires
+    if isinstance(settings.config, BakeConfig):
+        _refuse_inapplicable(luminaire, settings)
+        return bake_source(
             luminaire,
             args.output,
-            preset=args.preset or "preview",
-            tree_depth=args.depth,
-            parts=args.parts or NETWORK_PARTS,
-            irradiance_paths=args.irradiance_paths,
-            seed=args.seed or 0,
-            work=args.work,
-            variant=args.variant,
+            settings.config,
+            work=settings.work,
+            variant=settings.variant,
         )
-    return lumitree.bake(
+    return lumitree.bake_network(
         luminaire,
         args.output,
-        **_settings(args),
-        work=args.work,
-        variant=args.variant,
+        settings.config,
+        work=settings.work,
+        variant=settings.variant,
     )
 
 
 def show(args: argparse.Namespace, result: Any) -> None:
     import lumitree
 
-    if isinstance(result, lumitree.BakeManyResult):
+    if isinstance(result, dict):
+        if args.write_config == "-":
+            sys.stdout.write(result["config"])
+        else:
+            print_open(args.write_config)
+    elif isinstance(result, lumitree.BakeManyResult):
         print_lamps(result.lamps)
         print_open(result.index)
     else:
         print_result(result, result.path)
 
 
-def _settings(args: argparse.Namespace) -> dict[str, Any]:
-    """Settings of a direct bake."""
-    return {
-        "quality": args.quality or "standard",
-        "time": args.time,
-        "rays": args.rays,
-        "tree_depth": args.depth,
-        "l_max": args.l_max,
-        "law": args.law,
-        "parts": args.parts,
-        "irradiance_paths": args.irradiance_paths,
-        "lumens": args.lumens,
-        "temperature": args.temperature,
-        "seed": args.seed or 0,
-    }
+def _base(args: argparse.Namespace) -> "BakeConfig | NetworkConfig":
+    """Settings of the quality of the method."""
+    from lumitree.fit.config import NETWORK_BAKES, QUALITIES
+
+    allowed = _QUALITIES[args.method]
+    if args.quality not in (None, *allowed):
+        raise LumitreeError(
+            f"--quality {args.quality}: not for --method {args.method}; expected "
+            f"{', '.join(allowed)}"
+        )
+    if args.method == "network":
+        return NETWORK_BAKES[args.quality or "preview"]
+    return QUALITIES[args.quality or "standard"]
 
 
-def _run_many(args: argparse.Namespace) -> Any:
+def _settings(args: argparse.Namespace) -> _Settings:
+    """Settings of the quality, with those of the file and of the options in their place."""
+    config = _base(args)
+    work = variant = None
+    given = {} if args.quality is None else {"quality": "--quality"}
+    if args.config is not None:
+        from lumitree.cli.config_file import read_config
+        from lumitree.core.toml_table import read_toml, text
+
+        table = read_toml(Path(args.config), "a TOML file of settings")
+        work, variant = table.take("work", text), table.take("variant", text)
+        config, names = read_config(table, config)
+        table.finish()
+        given |= {name: name for name in names}
+        given |= {"work": "work"} if work is not None else {}
+    values = {name: getattr(args, name) for name in _FIELDS if getattr(args, name) is not None}
+    fields = {each.name for each in dataclasses.fields(config)}
+    if unknown := [f"--{name}" for name in values if name not in fields]:
+        names = ", ".join(unknown)
+        raise LumitreeError(f"{names}: not for --method {args.method}; leave it out")
+    given |= {name: f"--{name}" for name in values}
+    return _Settings(dataclasses.replace(config, **values), given, work, variant)
+
+
+def _refuse_inapplicable(luminaire: Any, settings: _Settings) -> None:
+    """Refuse settings that are given, and that a luminaire of this kind does not use."""
+    from lumitree.fit.sources import inapplicable
+    from lumitree.lamp.source import source_kind
+
+    kind = source_kind(luminaire)
+    unused = inapplicable(luminaire)
+    if kind == "photometric":
+        unused += ("work",) if "light_field" not in unused else ("work", "quality")
+    names = [
+        name
+        for field, name in settings.given.items()
+        if any(field == each or field.startswith(f"{each}.") for each in unused)
+    ]
+    if names:
+        what = {"photometric": "a photometric file", "dataset": "a dataset"}.get(
+            kind, "a luminaire"
+        )
+        raise LumitreeError(
+            f"{', '.join(names)}: not for {what} such as {shown(luminaire, 300)}; leave it out"
+        )
+
+
+def _run_many(args: argparse.Namespace, luminaires: list[Any], settings: _Settings) -> Any:
     import lumitree
+    from lumitree.fit.config import BakeConfig
 
-    if args.method == "nerf" or args.work is not None:
-        what = "--method nerf" if args.method == "nerf" else "--work"
+    if not isinstance(settings.config, BakeConfig) or settings.work is not None:
+        what = f"--method {args.method}" if settings.work is None else "work"
         raise LumitreeError(f"{what}: for one luminaire at a time; leave it out")
     if args.output.endswith(".lumitree"):
         raise LumitreeError(
             f"{shown(args.output, 300)} is the name of one asset, but there are "
             f"{len(args.luminaires)} luminaires; give a folder"
         )
-    luminaires = [options.luminaire(args, name) for name in args.luminaires]
-    return lumitree.bake_many(luminaires, args.output, variant=args.variant, **_settings(args))
+    return lumitree.bake_many(luminaires, args.output, settings.config, variant=settings.variant)
+
+
+def _write_config(args: argparse.Namespace) -> dict[str, str]:
+    """Write the settings of a quality; returns the text, or the path of the file."""
+    from lumitree.cli.config_file import config_text
+    from lumitree.core.files import write_bytes
+
+    content = _HEAD + config_text(_base(args))
+    if args.write_config == "-":
+        return {"config": content}
+    write_bytes(args.write_config, content.encode())
+    return {"config": args.write_config}

@@ -15,7 +15,7 @@ def add(commands: Any) -> None:
     )
     options.add_output(parser, "ASSET", "the .lumitree file to write")
     parser.add_argument(
-        "--depth",
+        "--tree-depth",
         type=int,
         metavar="D",
         default=8,
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> Any:
     return lumitree.extract(
         args.run_folder,
         args.output,
-        tree_depth=args.depth,
+        tree_depth=args.tree_depth,
         luminaire=luminaire,
         irradiance_paths=args.irradiance_paths,
         seed=args.seed,

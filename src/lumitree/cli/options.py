@@ -57,16 +57,9 @@ def command(
     return parser
 
 
-def add_luminaire(parser: argparse.ArgumentParser, more: str = "", *, many: bool = False) -> None:
-    """Add LUMINAIRE and the options of `add_reading`; `more` is added to the help.
-
-    Args:
-        many: whether there may be several; they become a list, `luminaires`.
-    """
-    if many:
-        parser.add_argument("luminaires", metavar="LUMINAIRE", nargs="+", help=LUMINAIRE + more)
-    else:
-        parser.add_argument("luminaire", metavar="LUMINAIRE", help=LUMINAIRE + more)
+def add_luminaire(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """Add LUMINAIRE and the options of `add_reading`; `more` is added to the help."""
+    parser.add_argument("luminaire", metavar="LUMINAIRE", help=LUMINAIRE + more)
     add_reading(parser)
 
 
@@ -131,18 +124,30 @@ def add_pixels(parser: argparse.ArgumentParser, resolution: int, samples: int) -
     parser.add_argument("--spp", type=int, metavar="S", default=samples, help="paths per pixel")
 
 
-def add_preset(parser: argparse.ArgumentParser, default: str | None = "preview") -> None:
+def add_preset(parser: argparse.ArgumentParser) -> None:
     """Add `--preset`."""
     parser.add_argument(
         "--preset",
         choices=("preview", "paper"),
-        default=default,
+        default="preview",
         help="settings of the network. preview: minutes on 2 CPU cores; paper: days on a GPU",
     )
 
 
-def add_budget(parser: argparse.ArgumentParser, seed: int | None = 0) -> None:
+def add_budget(parser: argparse.ArgumentParser) -> None:
     """Add `--time`, `--rays` and `--seed`."""
+    add_time(parser)
+    parser.add_argument(
+        "--rays",
+        type=int,
+        metavar="N",
+        help="budget of rays for the gradient descent, instead of --time or in addition to it",
+    )
+    add_seed(parser, 0)
+
+
+def add_time(parser: argparse.ArgumentParser) -> None:
+    """Add `--time`."""
     parser.add_argument(
         "--time",
         type=duration,
@@ -150,19 +155,17 @@ def add_budget(parser: argparse.ArgumentParser, seed: int | None = 0) -> None:
         help="budget of time, such as 90s, 5m or 1h (default: that of the quality); the first "
         "estimate of a bake, about 20 seconds, is always completed",
     )
-    parser.add_argument(
-        "--rays",
-        type=int,
-        metavar="N",
-        help="budget of rays for the gradient descent, instead of --time or in addition to it",
-    )
+
+
+def add_seed(parser: argparse.ArgumentParser, default: int | None) -> None:
+    """Add `--seed`."""
     parser.add_argument(
         "--seed",
         type=int,
         metavar="S",
-        default=seed,
-        help="root seed of all random numbers, 0 (default) to 2147483647; with --rays alone, equal "
-        "seeds and settings give equal files on one machine",
+        default=default,
+        help="root seed of all random numbers, 0 (default) to 2147483647; with a budget of rays "
+        "alone, equal seeds and settings give equal files on one machine",
     )
 
 

@@ -1,9 +1,8 @@
 """The bake by the paper's network: `bake_network`, and its steps `capture`, `train`, `extract`."""
 
 import dataclasses
-from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import (
@@ -19,108 +18,32 @@ from lumitree.core.extras import check_network
 from lumitree.core.files import FilePath, WriteError, check_writable
 from lumitree.core.interrupt import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import Result
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained
+from lumitree.fit.config import BakeConfig, NetworkConfig, NetworkPreset, exitant_config
 from lumitree.fit.finishing import finish_bake, remove_state
 from lumitree.fit.light_field.saved_field import EXITANT_STATE
 from lumitree.fit.network.config import PRESETS, TrainConfig
-from lumitree.fit.result import BakeResult
+from lumitree.fit.result import BakeResult, CaptureResult, TrainResult
 from lumitree.fit.work import open_work_folder
 from lumitree.lamp.loading import warn_of_faults
-from lumitree.measure.irradiance_check import IRRADIANCE_PATHS, check_irradiance_paths
+from lumitree.measure.irradiance_check import check_irradiance_paths
 from lumitree.octree.build import check_tree_depth
-from lumitree.trace.light_field_config import EXITANT_QUALITIES
+from lumitree.trace.light_field_config import ExitantConfig
 
 if TYPE_CHECKING:
     from lumitree.asset.exitant import ExitantField
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
-
-Preset = Literal["preview", "paper"]
-NetworkPart = Literal["exitant", "field"]
-NETWORK_PARTS: tuple[NetworkPart, ...] = get_args(NetworkPart)
-
-
-@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
-class CaptureResult(Result):
-    """Result of a capture.
-
-    Attributes:
-        dataset: folder of the dataset.
-        luminaire: name of the luminaire.
-        views: number of views in the dataset.
-    """
-
-    dataset: Path
-    luminaire: str
-    views: int
-
-
-@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
-class TrainResult(Result):
-    """Result of the training of a network.
-
-    Attributes:
-        run: folder of the checkpoints.
-        steps: number of steps, including those of earlier calls.
-        psnr: PSNR on held-out rays, dB.
-        psnr_black: PSNR of an all-black prediction of the same rays, dB.
-        rays_per_second: training speed of this call.
-        stopped_by: number of the signal that interrupted the training; None if there was none.
-        finished: whether the training is finished. A signal may have arrived afterwards.
-    """
-
-    run: Path
-    steps: int
-    psnr: float
-    psnr_black: float
-    rays_per_second: float
-    stopped_by: int | None = None
-    finished: bool = dataclasses.field(default=True, repr=False)
-
-
-@dataclasses.dataclass(frozen=True)
-class NetworkBake:
-    """Settings of `bake_network`.
-
-    Attributes:
-        num_views: number of captured views.
-        resolution: pixels per side of a view.
-        samples_per_pixel: paths per pixel of a view.
-        tree_depth: level of the leaves.
-        train: settings of the network and of its training.
-        samples_per_leaf: positions at which the network is evaluated per leaf.
-        quality: of the exitant light field, and of the comparison of irradiance, see `bake`.
-    """
-
-    num_views: int
-    resolution: int
-    samples_per_pixel: int
-    tree_depth: int
-    train: TrainConfig
-    samples_per_leaf: int = 256
-    quality: str = "preview"
-
-
-NETWORK_BAKES: dict[str, NetworkBake] = {
-    "preview": NetworkBake(60, 192, 48, 7, PRESETS["preview"], samples_per_leaf=64),
-    # The paper does not state its samples per pixel.
-    "paper": NetworkBake(100, 800, 256, 10, PRESETS["paper"], quality="high"),
-}
 
 
 @explained
 def bake_network(
     luminaire: "LuminaireLike",
     output: FilePath,
+    config: NetworkConfig | None = None,
     *,
-    preset: Preset = "preview",
-    tree_depth: int | None = None,
-    parts: Collection[NetworkPart] = NETWORK_PARTS,
-    irradiance_paths: int | None = None,
-    seed: int = 0,
     work: FilePath | None = None,
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
@@ -131,16 +54,9 @@ def bake_network(
     interrupted, the same call continues it.
 
     Args:
-        luminaire: what to bake, in any form that `bake` takes except the folder of a dataset.
+        luminaire: what to bake, in any form that `bake` takes.
         output: path of the `.lumitree` file to write.
-        preset: settings of views, network and octree: "preview" (minutes on 2 CPU cores) or
-            "paper" (days on a GPU).
-        tree_depth: level of the leaves, 1 to 10. Default: 7 for "preview", 10 for "paper".
-        parts: what the asset gets, see `bake`: "field", which the network is trained for, and
-            "exitant".
-        irradiance_paths: see `bake`. Default: 2¹⁸ for "preview", 2²⁰ for "paper".
-        seed: root seed of the training and of the exitant light field, 0 to 2³¹ - 1. Views do not
-            depend on it.
+        config: settings of the bake. Default: `NetworkConfig.preview()`.
         work: folder for the dataset and the run; see `bake`.
         variant: Mitsuba variant; see `bake`.
         progress: function that is called with a `Progress` after each step; see `bake`.
@@ -151,26 +67,13 @@ def bake_network(
         complete, or None.
 
     Raises:
-        LumitreeError: an argument is out of range; the luminaire cannot be read; the work folder
-            holds the state of another bake; a file cannot be written; or the extra `network` of
-            lumitree is not installed.
+        LumitreeError: the luminaire cannot be read; the work folder holds the state of another
+            bake; a file cannot be written; or the extra `network` of lumitree is not installed.
         Interrupted: SIGINT, SIGTERM or SIGHUP was received before the asset was complete. The work
             folder is kept.
     """
+    config = NetworkConfig.preview() if config is None else config
     check_asset_output(output)
-    check_choice("preset", preset, NETWORK_BAKES)
-    settings = NETWORK_BAKES[preset]
-    tree_depth = settings.tree_depth if tree_depth is None else tree_depth
-    check_tree_depth(tree_depth)
-    for part in parts:
-        check_choice("part", part, NETWORK_PARTS)
-    if "field" not in parts:
-        raise LumitreeError(
-            f"parts are {', '.join(parts) or 'none'}; expected field, which the network is trained "
-            "for: use bake for the others alone"
-        )
-    paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS[settings.quality])
-    check_seed(seed)
     check_network()
     load_mitsuba(variant)
     from lumitree.lamp.luminaire import load_luminaire
@@ -179,28 +82,33 @@ def bake_network(
     with open_work_folder(output, work) as folder:
         with reporting(progress):
             lamp = load_luminaire(luminaire)
-            if "exitant" in parts:
-                exitant = _bake_exitant(lamp, settings.quality, seed, folder.path, watch)
+            if "exitant" in config.parts:
+                exitant = _bake_exitant(lamp, config.exitant_config, folder.path, watch)
         captured = capture(
             lamp,
             folder.path / "dataset",
-            num_views=settings.num_views,
-            resolution=settings.resolution,
-            samples_per_pixel=settings.samples_per_pixel,
+            num_views=config.num_views,
+            resolution=config.resolution,
+            samples_per_pixel=config.samples_per_pixel,
             variant=variant,
             progress=progress,
         )
         from lumitree.fit.network.run import RUN_FILES
 
         run = folder.path / "run"
-        trained = train(
-            captured.dataset, run, preset=preset, seed=seed, resume=run.exists(), progress=progress
-        )
+        training = dataclasses.replace(config.train, seed=config.seed)
+        trained = _train(captured.dataset, run, training, run.exists(), progress)
         if trained.stopped_by is not None:
             raise Interrupted("the same command continues", trained.stopped_by)
         with reporting(progress):
             extracted = _extract(
-                run, output, tree_depth, settings.samples_per_leaf, exitant, lamp, paths
+                run,
+                output,
+                config.tree_depth,
+                config.samples_per_leaf,
+                exitant,
+                lamp,
+                config.irradiance_paths,
             )
         names = [f"dataset/{name}" for name in DATASET_FILES]
         names += [*(f"run/{name}" for name in RUN_FILES), EXITANT_STATE]
@@ -282,7 +190,7 @@ def train(
     dataset: FilePath,
     output: FilePath,
     *,
-    preset: Preset = "preview",
+    preset: NetworkPreset = "preview",
     seed: int = 0,
     resume: bool = False,
     progress: ProgressCallback | None = show_progress,
@@ -314,6 +222,17 @@ def train(
     config = dataclasses.replace(PRESETS[preset], seed=seed)
     check_writable(Path(output) / MANIFEST)
     check_network()
+    return _train(dataset, output, config, resume, progress)
+
+
+def _train(
+    dataset: FilePath,
+    output: FilePath,
+    config: TrainConfig,
+    resume: bool,
+    progress: ProgressCallback | None,
+) -> TrainResult:
+    """As `train`, with settings of any kind."""
     from lumitree.fit.network.train import train as train_network
 
     watch = Stopwatch()
@@ -376,7 +295,10 @@ def extract(
         check_asset_output(output)
     check_tree_depth(tree_depth)
     check_range("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
-    paths = check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS["standard"])
+    standard = BakeConfig.standard()
+    if irradiance_paths is None:
+        irradiance_paths = standard.irradiance_paths
+    check_irradiance_paths(irradiance_paths)
     check_seed(seed)
     check_network()
     if luminaire is None:
@@ -395,8 +317,11 @@ def extract(
                 f"{run} one of {_sides(frame.size)}, or another place; give the luminaire that was "
                 "captured"
             )
-        exitant = _bake_exitant(lamp, "standard", seed, folder, watch)
-        result = _extract(run, output, tree_depth, samples_per_leaf, exitant, lamp, paths)
+        config = exitant_config(standard.light_field, seed)
+        exitant = _bake_exitant(lamp, config, folder, watch)
+        result = _extract(
+            run, output, tree_depth, samples_per_leaf, exitant, lamp, irradiance_paths
+        )
     return dataclasses.replace(result, seconds=watch.seconds | result.seconds)
 
 
@@ -405,13 +330,12 @@ def _sides(size: Any) -> str:
 
 
 def _bake_exitant(
-    lamp: "Luminaire", quality: str, seed: int, folder: Path, watch: Stopwatch
+    lamp: "Luminaire", config: ExitantConfig, folder: Path, watch: Stopwatch
 ) -> "ExitantField":
-    """The exitant light field of a quality of `bake`; see `fit.light_field.bake`."""
+    """`bake_exitant`, and the time that it takes."""
     from lumitree.fit.light_field.bake import bake_exitant
 
     with watch.stage("exitant"):
-        config = dataclasses.replace(EXITANT_QUALITIES[quality], seed=seed)
         return bake_exitant(lamp, config, folder)
 
 

@@ -1,4 +1,4 @@
-"""The result of a bake."""
+"""The results of a bake and of the steps of the network."""
 
 import dataclasses
 from pathlib import Path
@@ -47,3 +47,41 @@ class BakeResult(Result):
         del values["path"]
         values["asset"] = asset_json(self.asset, self.path)
         return {name: plain(value) for name, value in values.items() if value is not None}
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class CaptureResult(Result):
+    """Result of a capture.
+
+    Attributes:
+        dataset: folder of the dataset.
+        luminaire: name of the luminaire.
+        views: number of views in the dataset.
+    """
+
+    dataset: Path
+    luminaire: str
+    views: int
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class TrainResult(Result):
+    """Result of the training of a network.
+
+    Attributes:
+        run: folder of the checkpoints.
+        steps: number of steps, including those of earlier calls.
+        psnr: PSNR on held-out rays, dB.
+        psnr_black: PSNR of an all-black prediction of the same rays, dB.
+        rays_per_second: training speed of this call.
+        stopped_by: number of the signal that interrupted the training; None if there was none.
+        finished: whether the training is finished. A signal may have arrived afterwards.
+    """
+
+    run: Path
+    steps: int
+    psnr: float
+    psnr_black: float
+    rays_per_second: float
+    stopped_by: int | None = None
+    finished: bool = dataclasses.field(default=True, repr=False)

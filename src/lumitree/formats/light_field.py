@@ -29,7 +29,7 @@ from lumitree.formats.rays import Rays
 from lumitree.formats.tm25 import read_tm25
 from lumitree.formats.type_c import IntensityDistribution
 from lumitree.trace.histograms import Histogram
-from lumitree.trace.light_field_config import ExitantConfig
+from lumitree.trace.light_field_config import LightFieldConfig
 
 # Side of the box of a source without extent, m; and the shortest side, as a part of the longest.
 POINT_SIZE = 0.01
@@ -45,7 +45,7 @@ _COARSE, _BINS_AT_ONCE = 32, 32
 _COARSE_ERROR = 0.02
 
 
-def bake_file(path: str | os.PathLike[str], config: ExitantConfig) -> Asset:
+def bake_file(path: str | os.PathLike[str], config: LightFieldConfig) -> Asset:
     """Asset of a photometric file or ray file.
 
     Args:
@@ -176,7 +176,7 @@ class _Starts:
         return [(cells[lower], 1 - (at - lower)), (cells[upper], at - lower)]
 
 
-def bake_rays(rays: Rays, name: str, config: ExitantConfig) -> Asset:
+def bake_rays(rays: Rays, name: str, config: LightFieldConfig) -> Asset:
     """Asset with the histogram of rays by the cell of their start and by direction.
 
     Args:

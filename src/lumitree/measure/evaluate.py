@@ -122,7 +122,7 @@ def evaluate(
         irradiance_sheet = Path(sheet).with_stem(f"{Path(sheet).stem}-irradiance")
         check_sheet_output(irradiance_sheet)
     check_range("views", num_views, 1, MAX_VIEWS)
-    check_irradiance_paths(irradiance_paths, IRRADIANCE_PATHS)
+    check_irradiance_paths(irradiance_paths)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     mi = load_mitsuba(variant)
     from lumitree.lamp.luminaire import load_luminaire

@@ -12,20 +12,11 @@ if TYPE_CHECKING:
 
 # More would need more than some gigabytes of memory.
 MAX_IRRADIANCE_PATHS = 1 << 26
-# Light paths, and rays of the asset, at the end of a bake, by quality: 1 to 4 s of both CPU cores
-# each. With 2¹⁹ the mean of a face has a standard error of 0.3 to 1 %.
-IRRADIANCE_PATHS = {"preview": 1 << 18, "standard": 1 << 19, "high": 1 << 20}
 
 
-def check_irradiance_paths(paths: int | None, default: int) -> int:
-    """The number of paths, or the default for None.
-
-    Raises:
-        LumitreeError: it is not from 0 to `MAX_IRRADIANCE_PATHS`.
-    """
-    paths = default if paths is None else paths
-    check_range("irradiance paths", paths, 0, MAX_IRRADIANCE_PATHS)
-    return paths
+def check_irradiance_paths(paths: int) -> None:
+    """Refuse a number of paths that is not from 0 to `MAX_IRRADIANCE_PATHS`."""
+    check_range("irradiance_paths", paths, 0, MAX_IRRADIANCE_PATHS)
 
 
 def measure_irradiance(

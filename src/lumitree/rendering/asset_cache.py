@@ -17,7 +17,7 @@ from lumitree.core.files import FilePath
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.source import LuminaireSource, refuse_options, source_kind
-from lumitree.trace.light_field_config import EXITANT_QUALITIES
+from lumitree.trace.light_field_config import LightFieldConfig
 
 if TYPE_CHECKING:
     from lumitree.octree.field import Field
@@ -78,7 +78,7 @@ def _read(path: str | os.PathLike[str]) -> Asset:
         # Assets are read without Mitsuba.
         from lumitree.formats.light_field import bake_file
 
-        return bake_file(path, EXITANT_QUALITIES["standard"])
+        return bake_file(path, LightFieldConfig())
     name = os.fspath(path)
     if kind == "dataset" or (name in BUILTIN and not os.path.exists(path)):
         what = "a dataset" if kind == "dataset" else "a built-in luminaire"

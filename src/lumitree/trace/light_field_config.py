@@ -11,27 +11,28 @@ MAX_PATHS = 1 << 32
 
 
 @dataclasses.dataclass(frozen=True)
-class ExitantConfig:
-    """How the exitant light field of a luminaire is estimated.
+class LightFieldConfig:
+    """Resolution of an exitant light field, and the number of light paths that it is made from.
 
     Attributes:
-        paths: light paths, rounded up to whole batches; 2²² take 5 to 20 s on 2 CPU cores. More
-            sharpen little: the error of irradiance is then mostly that of the resolution.
+        paths: light paths, rounded up to whole batches, 1 to 2³²; 2²² take 5 to 20 s on 2 CPU
+            cores. More sharpen little: the error of irradiance is then mostly that of the
+            resolution.
         depth: the grid has 2**depth cells a side. Cells blur the light of what is near: with 16
             cells a side a plane that touches the box has an error of 1 to 6 %, with 32 of 1 %.
         resolution: bins of direction a side, a power of two. They blur the light of what is far.
-        batch: paths that are traced at once; bounds the memory.
-        seed: root seed of all random numbers.
+        batch: paths that are traced at once, 1 to 2²⁴; bounds the memory.
+
+    Raises:
+        LumitreeError: a setting is out of range.
     """
 
     paths: int = 1 << 22
     depth: int = 5
     resolution: int = 32
     batch: int = 1 << 20
-    seed: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse settings out of range."""
         check_range("light paths", self.paths, 1, MAX_PATHS)
         check_range("depth of the exitant light field", self.depth, 1, MAX_DEPTH)
         check_range("bins of direction a side", self.resolution, 4, MAX_RESOLUTION)
@@ -40,11 +41,18 @@ class ExitantConfig:
                 f"bins of direction a side is {self.resolution}; expected a power of two"
             )
         check_range("paths at once", self.batch, 1, 1 << 24)
+
+
+@dataclasses.dataclass(frozen=True)
+class ExitantConfig(LightFieldConfig):
+    """How the exitant light field of a luminaire is estimated.
+
+    Attributes:
+        seed: root seed of all random numbers.
+    """
+
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         check_seed(self.seed)
-
-
-EXITANT_QUALITIES: dict[str, ExitantConfig] = {
-    "preview": ExitantConfig(paths=1 << 21),
-    "standard": ExitantConfig(),
-    "high": ExitantConfig(paths=1 << 24),
-}

@@ -22,6 +22,7 @@ from support import tiny_bakes
 from support.exitant_fields import assert_equal_fields, random_exitant
 from support.fields import random_asset
 from support.lamps import AREA, cube, scene, sphere
+from support.tiny_bakes import standard
 
 # A radiance field of a second; most of the time is its first estimate.
 FEW = {"estimate": {"rays": 1 << 17, "growth_rays": 1 << 16}, "rays": 1 << 14}
@@ -47,11 +48,11 @@ def untraced(monkeypatch):
 
 
 def test_the_exitant_light_field_alone(tmp_path):
-    baked = lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant"])
+    baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["exitant"]))
     asset = baked.asset
     assert (asset.info.leaves, asset.info.nodes) == (0, 1)
     assert asset.info.exitant_cells == len(asset.exitant.cells) > 10
-    config = tiny_bakes.EXITANT
+    config = tiny_bakes.LIGHT_FIELD
     assert (asset.exitant.depth, asset.exitant.resolution) == (config.depth, config.resolution)
     assert asset.luminaire == load_luminaire("lamp.xml").name
     assert asset.frame.size == pytest.approx([2, 1, 1])
@@ -71,13 +72,13 @@ def test_the_exitant_light_field_alone(tmp_path):
 
 def test_equal_calls_give_equal_files(tmp_path):
     for name, seed in (("a", 3), ("b", 3), ("c", 4)):
-        lumitree.bake("lamp.xml", f"{name}.lumitree", parts=["exitant"], seed=seed)
+        lumitree.bake("lamp.xml", f"{name}.lumitree", standard(parts=["exitant"], seed=seed))
     files = [(tmp_path / f"{name}.lumitree").read_bytes() for name in "abc"]
     assert files[0] == files[1] != files[2]
 
 
 def test_the_field_alone(untraced):
-    baked = lumitree.bake("lamp.xml", "lamp.lumitree", parts=["field"])
+    baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["field"]))
     assert baked.asset.exitant is None
     assert baked.asset.info.exitant_cells == 0
     assert baked.asset.info.leaves > 10
@@ -90,9 +91,9 @@ def test_both_parts_and_their_refinement():
     both = lumitree.bake("lamp.xml", "both.lumitree", work="state")
     assert set(both.seconds) == {"exitant", "bake", "irradiance"}
     assert EXITANT_STATE in os.listdir("state")
-    alone = lumitree.bake("lamp.xml", parts=("exitant",)).asset
+    alone = lumitree.bake("lamp.xml", config=standard(parts=("exitant",))).asset
     assert_equal_fields(both.asset.exitant, alone.exitant)
-    field = lumitree.bake("lamp.xml", parts={"field"}).asset
+    field = lumitree.bake("lamp.xml", config=standard(parts={"field"})).asset
     for name in ("children", "density", "coefficients"):
         assert np.array_equal(getattr(both.asset, name), getattr(field, name))
     refined = lumitree.refine("both.lumitree", "lamp.xml", "refined.lumitree", rays=1 << 14)
@@ -104,16 +105,16 @@ def test_both_parts_and_their_refinement():
 
 
 def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
-    first = lumitree.bake("lamp.xml", parts=["exitant"], work="state").asset
+    first = lumitree.bake("lamp.xml", config=standard(parts=["exitant"]), work="state").asset
 
     def refuse(*_, **__):
         raise AssertionError("light paths are traced")
 
     monkeypatch.setattr(exitant_bake, "LampRays", refuse)
-    again = lumitree.bake("lamp.xml", parts=["exitant"], work="state").asset
+    again = lumitree.bake("lamp.xml", config=standard(parts=["exitant"]), work="state").asset
     assert_equal_fields(again.exitant, first.exitant)
     with pytest.raises(AssertionError, match="light paths are traced"):
-        lumitree.bake("lamp.xml", parts=["exitant"], work="state", seed=1)
+        lumitree.bake("lamp.xml", config=standard(parts=["exitant"], seed=1), work="state")
 
 
 @pytest.mark.parametrize("parts", [("exitant", "field", "model"), ("field",)])
@@ -121,9 +122,9 @@ def test_a_bake_gets_the_flux_and_the_colour_that_are_asked_for(parts, capsys):
     """All parts are those of a bake without them, but for the gain, which later calls keep."""
     from lumitree.rendering.asset_flux import asset_watts
 
-    plain = lumitree.bake("lamp.xml", parts=parts)
+    plain = lumitree.bake("lamp.xml", config=standard(parts=parts))
     light = {"lumens": 800.0, "temperature": 2700.0}
-    warm = lumitree.bake("lamp.xml", "warm.lumitree", parts=parts, **light)
+    warm = lumitree.bake("lamp.xml", "warm.lumitree", standard(parts=parts, **light))
     assert np.array_equal(warm.asset.coefficients, plain.asset.coefficients)
     assert warm.asset.parts == plain.asset.parts
     watts = asset_watts(warm.asset)
@@ -154,9 +155,9 @@ def test_a_colour_that_a_lamp_cannot_have_is_refused_at_once(monkeypatch):
 
     monkeypatch.setattr(direct, "bake", refuse)
     with pytest.raises(lumitree.LumitreeError, match="emits no green light, which 2700 K has"):
-        lumitree.bake("red.xml", "red.lumitree", temperature=2700.0)
+        lumitree.bake("red.xml", "red.lumitree", standard(temperature=2700.0))
     with pytest.raises(lumitree.LumitreeError, match="lumens is 0"):
-        lumitree.bake("lamp.xml", lumens=0)
+        lumitree.bake("lamp.xml", config=standard(lumens=0))
     assert not os.path.exists("red.lumitree")
 
 
@@ -173,7 +174,7 @@ def test_a_colour_that_a_lamp_cannot_have_is_refused_at_once(monkeypatch):
 )
 def test_unknown_and_empty_parts_are_refused_before_any_work(untraced, parts, message):
     with pytest.raises(lumitree.LumitreeError, match=message) as caught:
-        lumitree.bake("lamp.xml", "lamp.lumitree", parts=parts)
+        lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=parts))
     assert str(caught.value).isprintable()
     assert os.listdir() == ["lamp.xml"]
 
@@ -212,16 +213,18 @@ def test_a_command_bakes_one_part(capsys):
         assert f'"exitant_cells": {asset.info.exitant_cells}' in file.read()
 
 
-def test_datasets_have_a_field_only(untraced):
+def test_datasets_have_a_field_only(untraced, capsys):
     views = {"num_views": 6, "resolution": 24, "samples_per_pixel": 4}
     lumitree.capture("lamp.xml", "views", **views)
-    baked = lumitree.bake("views", "lamp.lumitree")
+    baked = lumitree.bake_views("views", "lamp.lumitree")
     assert baked.asset.exitant is None
     assert baked.irradiance is None
     assert baked.asset.info.leaves > 0
-    for parts in (["exitant"], ["exitant", "field"]):
-        with pytest.raises(lumitree.LumitreeError, match="is a dataset"):
-            lumitree.bake("views", parts=parts)
+    with pytest.raises(lumitree.LumitreeError, match="dataset, not a luminaire"):
+        lumitree.bake("views")
+    for parts in ("exitant", "exitant,field"):
+        assert main(["bake", "views", "-o", "lamp.lumitree", "--parts", parts]) == 2
+        assert "is a dataset, of which only the part field" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("parts", [("exitant",), ("field",), ("exitant", "field")])
@@ -232,7 +235,7 @@ def test_a_bake_states_the_error_of_its_irradiance(parts):
     """
     from lumitree.measure.view_errors import evaluate_irradiance
 
-    baked = lumitree.bake("lamp.xml", parts=parts)
+    baked = lumitree.bake("lamp.xml", config=standard(parts=parts))
     lamp = load_luminaire("lamp.xml")
     expected = evaluate_irradiance(baked.asset, lamp, 1 << 14)
     assert baked.irradiance["paths"] == 1 << 14
@@ -248,7 +251,9 @@ def test_a_bake_states_the_error_of_its_irradiance(parts):
 def test_the_irradiance_is_compared_on_request(capsys):
     command = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "exitant", "--json", "r.json"]
     for paths, lines in ((None, 3), (4096, 3), (0, 0)):
-        chosen = [] if paths is None else ["--irradiance-paths", str(paths)]
+        chosen = [] if paths is None else ["--config", "bake.toml"]
+        with open("bake.toml", "w") as file:
+            file.write(f"irradiance_paths = {paths}")
         assert main([*command, *chosen]) == 0
         out = capsys.readouterr().out.splitlines()
         found = [line for line in out if "irradiance, ratio" in line or "RMS error" in line]
@@ -265,9 +270,9 @@ def test_the_irradiance_is_compared_on_request(capsys):
 
 @pytest.mark.parametrize("paths", [-1, 1 << 27])
 def test_irradiance_paths_out_of_range_are_refused_before_any_work(untraced, paths):
-    with pytest.raises(lumitree.LumitreeError, match="irradiance paths is"):
-        lumitree.bake("lamp.xml", "lamp.lumitree", irradiance_paths=paths)
-    with pytest.raises(lumitree.LumitreeError, match="irradiance paths is"):
+    with pytest.raises(lumitree.LumitreeError, match="irradiance_paths is"):
+        lumitree.bake("lamp.xml", "lamp.lumitree", standard(irradiance_paths=paths))
+    with pytest.raises(lumitree.LumitreeError, match="irradiance_paths is"):
         lumitree.refine(random_asset(0), "lamp.xml", irradiance_paths=paths)
     assert os.listdir() == ["lamp.xml"]
 
@@ -289,14 +294,14 @@ def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch, capsys):
     assert main(["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "exitant"]) == 128 + 15
     line = "the asset in lamp.lumitree is complete, but its irradiance was not compared"
     assert capsys.readouterr().err.splitlines()[-1] == f"lumitree: error: interrupted; {line}"
-    stopped = lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant"])
+    stopped = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["exitant"]))
     assert stopped.complete
     assert (stopped.stopped_by, stopped.irradiance) == (signal.SIGTERM, None)
     kept = lumitree.load(stopped.path)
     assert os.path.exists("lamp.work")
     monkeypatch.setattr(evaluate, "evaluate_irradiance", compare)
     monkeypatch.setattr(exitant_bake, "LampRays", None)
-    again = lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant"])
+    again = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["exitant"]))
     assert again.stopped_by is None
     assert again.irradiance is not None
     assert_equal_fields(again.asset.exitant, kept.exitant)
@@ -305,7 +310,7 @@ def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch, capsys):
 
 def test_an_exitant_light_field_alone_is_evaluated():
     """What is seen of it is measured; its irradiance is that of the luminaire."""
-    lumitree.bake("lamp.xml", "lamp.lumitree", parts=["exitant"])
+    lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["exitant"]))
     metrics = lumitree.evaluate(
         "lamp.lumitree", "lamp.xml", num_views=1, resolution=24, samples_per_pixel=16,
         irradiance_paths=1 << 16,
@@ -317,7 +322,7 @@ def test_an_exitant_light_field_alone_is_evaluated():
 
 def test_an_exitant_light_field_alone_has_nothing_to_refine():
     """Gradient descent cannot begin without leaves: that is refused in one line."""
-    rough = lumitree.bake("lamp.xml", parts=["exitant"]).asset
+    rough = lumitree.bake("lamp.xml", config=standard(parts=["exitant"])).asset
     with pytest.raises(lumitree.LumitreeError, match="has no field"):
         lumitree.refine(rough, "lamp.xml", rays=1 << 14)
 

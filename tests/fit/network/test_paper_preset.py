@@ -5,7 +5,7 @@ import inspect
 import numpy as np
 import pytest
 
-from lumitree.fit.bake_network import NETWORK_BAKES
+from lumitree.fit.config import NETWORK_BAKES
 from lumitree.fit.network.config import PRESETS
 from lumitree.fit.network.losses import EPSILON
 from lumitree.fit.network.step import learning_rate

@@ -151,7 +151,7 @@ def test_budget_may_be_raised_other_settings_may_not(ball, lamp, tmp_path, monke
             bake(luminaire, settings, tmp_path)
         assert "\n" not in str(refusal.value)
     assert len(steps) == 2
-    more = dataclasses.replace(config(), rays=RAYS + (1 << 15), seconds=600.0)
+    more = dataclasses.replace(config(), rays=RAYS + (1 << 15), time=600.0)
     assert bake(ball, more, tmp_path).rays >= RAYS + (1 << 15)
     assert steps[:4] == [1, 2, 3, 4]
 

@@ -43,7 +43,7 @@ def saved(mi, tmp_path):
 def test_a_saved_state_is_restored(mi, saved, tmp_path):
     descent, first = saved
     # A budget may be another.
-    config = dataclasses.replace(CONFIG, seconds=None, rays=1000)
+    config = dataclasses.replace(CONFIG, time=None, rays=1000)
     state = state_file(tmp_path, config).load()
     assert (state.seconds, state.rays, state.max_radiance) == (12.5, 345, 6.75)
     other = refiner(mi, seed=5)

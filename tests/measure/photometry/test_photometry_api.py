@@ -160,7 +160,7 @@ def test_an_ies_file_there_and_back(folder, capsys):
         (["photometry", "none"], "no luminaire"),
         (["bake", "none.ies", "-o", "a.lumitree"], "does not exist"),
         (["bake", "lamp.ies", "-o", "a.lumitree", "--keep", "x"], "keep: not for a photometric"),
-        (["bake", "lamp.ies", "-o", "a.lumitree", "--method", "nerf"], "ies"),
+        (["bake", "lamp.ies", "-o", "a.lumitree", "--method", "network"], "ies"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--lumens", "0"], "lumens is 0"),
     ],
 )

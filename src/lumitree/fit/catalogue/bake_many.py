@@ -2,15 +2,13 @@
 
 import dataclasses
 import hashlib
-import inspect
 import time
 import warnings
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
-from lumitree.asset.asset import Part
 from lumitree.core.arguments import check_asset_output
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import MANIFEST
@@ -21,13 +19,12 @@ from lumitree.core.progress import progress as progress_of
 from lumitree.core.reading import read_bytes
 from lumitree.core.results import Result
 from lumitree.core.stopwatch import peak_memory_bytes
-from lumitree.core.transmittance import Law
 from lumitree.core.work_folder import BusyFolderError
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
-from lumitree.fit.bake import Quality, bake, check_bake
 from lumitree.fit.catalogue.index import INDEX, BakedLamp, State, check_index, write_index
 from lumitree.fit.catalogue.record import LampFiles, LampRecord, settings_text
-from lumitree.fit.photometric_files import applicable_settings, warn_of_unused
+from lumitree.fit.config import BakeConfig
+from lumitree.fit.sources import applicable, bake_source, warn_of_unused
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.loading import dataset_folder
 from lumitree.lamp.source import LuminaireSource, as_source, source_kind
@@ -35,24 +32,6 @@ from lumitree.lamp.source import LuminaireSource, as_source, source_kind
 # Interval at which a lamp is tried again that another process works on, s.
 _AGAIN_SECONDS = 0.5
 _MAX_SOURCE_BYTES = 1 << 26
-# Arguments of `bake` that do not apply, or do not change the asset.
-_NOT_SETTINGS = ("luminaire", "output", "work", "variant", "progress")
-
-
-class BakeSettings(TypedDict, total=False):
-    """Settings of `bake` that apply to many lamps; see there."""
-
-    quality: Quality
-    time: float | None
-    rays: int | None
-    tree_depth: int | None
-    l_max: int | None
-    law: Law | None
-    parts: Collection[Part] | None
-    irradiance_paths: int | None
-    lumens: float | None
-    temperature: float | None
-    seed: int
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -86,10 +65,10 @@ class BakeManyResult(Result):
 def bake_many(
     luminaires: Sequence[FilePath | LuminaireSource],
     folder: FilePath,
+    config: BakeConfig | None = None,
     *,
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
-    **settings: Unpack[BakeSettings],
 ) -> BakeManyResult:
     """Bake luminaires one after another into a folder, with an index page.
 
@@ -105,46 +84,37 @@ def bake_many(
     and at the end waits for the others.
 
     Args:
-        luminaires: names, files and `LuminaireSource`, as for `bake`.
+        luminaires: names, files and `LuminaireSource`, as for `bake`, `bake_views` and
+            `bake_photometric`.
         folder: folder of the assets. It is made if it is missing.
+        config: settings of the bakes of all lamps. Default: `BakeConfig.standard()`. For
+            photometric files those that do not apply are not used, with a warning.
         variant: Mitsuba variant; see `bake`.
         progress: function that is called with a `Progress` after each step. Reports of the bake of
             a lamp have a report of the whole list as `within`.
-        settings: keyword arguments of `bake`, for all lamps: `quality`, `time`, `rays`,
-            `tree_depth`, `l_max`, `law`, `parts`, `irradiance_paths`, `lumens`, `temperature` and
-            `seed`. For photometric files those that do not apply are not used, with a warning.
 
     Returns:
         What became of each lamp (`lamps`), and the path of the index page (`index`).
 
     Raises:
-        LumitreeError: there is no luminaire, or two have one name; an argument is out of range; or
-            the folder cannot be written, or holds an `index.html` that is not lumitree's.
+        LumitreeError: there is no luminaire, or two have one name; or the folder cannot
+            be written, or holds an `index.html` that is not lumitree's.
 
     Example:
-        >>> result = lumitree.bake_many(["bulbs", "lamp.glb"], "lamps", quality="preview")
+        >>> result = lumitree.bake_many(["bulbs", "lamp.glb"], "lamps")
         >>> [(lamp.name, lamp.state) for lamp in result.lamps]
     """
     root = Path(folder)
     check_index(root / INDEX)
     named = _named([as_source(each) for each in luminaires], root)
-    options = _complete(settings)
-    check_bake(**{key: options[key] for key in options if key not in ("lumens", "temperature")})
-    defaults = _complete({})
-    given = {name: value for name, value in settings.items() if value != defaults[name]}
-    warn_of_unused(named.values(), given)
+    config = BakeConfig.standard() if config is None else config
+    warn_of_unused(named.values(), config)
     load_mitsuba(variant)
     lamps = [BakedLamp(name, source.name, "waiting") for name, source in named.items()]
     stopped_by = None
     jobs = deque(
         enumerate(
-            _Job(
-                LampFiles(root, name),
-                source,
-                applicable_settings(options, source),
-                variant,
-                progress,
-            )
+            _Job(LampFiles(root, name), source, applicable(config, source), variant, progress)
             for name, source in named.items()
         )
     )
@@ -205,24 +175,13 @@ def _named(sources: Sequence[LuminaireSource], folder: Path) -> dict[str, Lumina
     return named
 
 
-def _complete(settings: BakeSettings) -> dict[str, Any]:
-    """The settings, with the defaults of `bake` for those that are not given."""
-    parameters = inspect.signature(bake).parameters
-    defaults = {
-        name: each.default for name, each in parameters.items() if name not in _NOT_SETTINGS
-    }
-    if unknown := settings.keys() - defaults.keys():
-        raise TypeError(f"bake_many() got an unexpected keyword argument {min(unknown)!r}")
-    return defaults | settings
-
-
 @dataclasses.dataclass(frozen=True)
 class _Job:
     """The bake of one lamp of a list."""
 
     files: LampFiles
     source: LuminaireSource
-    options: dict[str, Any]
+    config: BakeConfig
     variant: str | None
     progress: ProgressCallback | None
 
@@ -254,19 +213,19 @@ class _Job:
 
     def _run(self) -> tuple[BakedLamp, int | None]:
         fingerprint, luminaire = self._loaded()
-        settings = settings_text(self.options)
+        settings = settings_text(self.config, self.source)
         record = self.files.read()
         seconds = 0.0
         if record is not None and record.is_of(fingerprint, settings):
             if record.finished:
                 return self._lamp("kept", record), None
             seconds = record.seconds
-        result = bake(
+        result = bake_source(
             luminaire,
             self.files.asset,
+            self.config,
             variant=self.variant,
             progress=self.progress,
-            **self.options,
         )
         # Otherwise a signal would make the next call repeat a bake that is complete.
         with deferred_interrupt() as interruption:

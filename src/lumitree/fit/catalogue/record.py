@@ -12,6 +12,9 @@ from lumitree.core.image_settings import image_settings
 from lumitree.core.images import encode_png
 from lumitree.core.reading import Record, parse_json, read_bytes
 from lumitree.errors import LumitreeError
+from lumitree.fit.config import BakeConfig
+from lumitree.fit.sources import PHOTOMETRIC_SETTINGS
+from lumitree.lamp.source import LuminaireSource, source_kind
 
 # Folder of the thumbnails and records, within that of the assets.
 INDEX_FILES = "index-files"
@@ -140,7 +143,9 @@ class LampFiles:
         return hashlib.sha256(content).hexdigest()
 
 
-def settings_text(settings: dict[str, Any]) -> str:
-    """Settings of a bake as JSON; equal settings have equal text."""
-    parts = {"parts": sorted(settings["parts"] or PARTS)}
-    return json.dumps(settings | parts, sort_keys=True)
+def settings_text(config: BakeConfig, source: LuminaireSource) -> str:
+    """The settings that apply to a source, as JSON; equal settings have equal text."""
+    settings = dataclasses.asdict(config) | {"parts": config.parts or PARTS}
+    if source_kind(source) == "photometric":
+        settings = {name: settings[name] for name in PHOTOMETRIC_SETTINGS}
+    return json.dumps(settings, sort_keys=True)

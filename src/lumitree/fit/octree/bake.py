@@ -125,7 +125,8 @@ def refine(asset: Asset, luminaire: Luminaire, config: DirectConfig, folder: Pat
             f"the asset ({asset.luminaire}) and {luminaire.name} have different bounding boxes; "
             "refine an asset with its own luminaire"
         )
-    config = config.with_options(
+    config = dataclasses.replace(
+        config,
         tree_depth=asset.tree_depth,
         l_max=asset.l_max,
         law=asset.law,

@@ -268,32 +268,17 @@ class ScheduleConfig(_Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class DirectConfig:
-    """A direct bake.
+class OctreeConfig:
+    """Settings of the octree fit that do not depend on what a bake is asked for.
 
     Attributes:
-        tree_depth: level of the smallest leaves, 1 to 10.
-        l_max: highest band of the spherical harmonics, 0 to 4.
-        law: transmittance law.
-        seconds: budget of time, 0.001 s to one year; None for no limit.
-        rays: budget of rays of the descent, 1 to 2**50; None for no limit.
-        seed: root seed of all random numbers, 0 to 2**31 - 1.
         ray_spacing_level: neighbouring rays of a tile are as far apart as leaves of this level, or
-            of `tree_depth` if that is less. Closer rays show a leaf from too few
+            of the smallest leaves if those are larger. Closer rays show a leaf from too few
             directions; rays farther apart are slower to trace.
         max_radiance, estimate, views, calibration, flux, held_out, refine, split, schedule:
             settings of the parts of the bake.
-
-    Raises:
-        LumitreeError: a setting is out of range, or neither `seconds` nor `rays` is given.
     """
 
-    tree_depth: int = 8
-    l_max: int = 2
-    law: Law = "exponential"
-    seconds: float | None = 285.0
-    rays: int | None = None
-    seed: int = 0
     ray_spacing_level: int = 6
     max_radiance: MaxRadianceConfig = MaxRadianceConfig()
     estimate: EstimateConfig = EstimateConfig()
@@ -305,62 +290,38 @@ class DirectConfig:
     split: SplitConfig = SplitConfig()
     schedule: ScheduleConfig = ScheduleConfig()
 
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class DirectConfig(OctreeConfig):
+    """An octree fit.
+
+    Attributes:
+        tree_depth: level of the smallest leaves, 1 to 10.
+        l_max: highest band of the spherical harmonics, 0 to 4.
+        law: transmittance law.
+        time: budget of time, 0.001 s to one year; None for no limit.
+        rays: budget of rays of the descent, 1 to 2**50; None for no limit.
+        seed: root seed of all random numbers, 0 to 2**31 - 1.
+
+    Raises:
+        LumitreeError: a setting is out of range, or neither `time` nor `rays` is given.
+    """
+
+    tree_depth: int = 8
+    l_max: int = 2
+    law: Law = "exponential"
+    time: float | None = 285.0
+    rays: int | None = None
+    seed: int = 0
+
     def __post_init__(self) -> None:
         check_tree_depth(self.tree_depth)
         check_range("l_max", self.l_max, 0, MAX_L)
         check_choice("law", self.law, LAWS)
         check_seed(self.seed)
-        if self.seconds is None and self.rays is None:
+        if self.time is None and self.rays is None:
             raise LumitreeError("a bake needs a budget; give it a time or a number of rays")
-        if self.seconds is not None:
-            check_range("time", self.seconds, 1e-3, MAX_SECONDS, "seconds")
+        if self.time is not None:
+            check_range("time", self.time, 1e-3, MAX_SECONDS, "seconds")
         if self.rays is not None:
             check_range("rays", self.rays, 1, MAX_RAYS)
-
-    def with_options(
-        self,
-        *,
-        tree_depth: int | None = None,
-        l_max: int | None = None,
-        law: Law | None = None,
-        seconds: float | None = None,
-        rays: int | None = None,
-        seed: int,
-    ) -> "DirectConfig":
-        """These settings with another seed, and with those options that are not None.
-
-        `seconds` and `rays` are one option, the budget: if either is given, both are replaced.
-        """
-        no_budget = seconds is None and rays is None
-        # Not `dataclasses.replace`: editors cannot follow its keywords to the fields.
-        return DirectConfig(
-            tree_depth=self.tree_depth if tree_depth is None else tree_depth,
-            l_max=self.l_max if l_max is None else l_max,
-            law=self.law if law is None else law,
-            seconds=self.seconds if no_budget else seconds,
-            rays=self.rays if no_budget else rays,
-            seed=seed,
-            ray_spacing_level=self.ray_spacing_level,
-            max_radiance=self.max_radiance,
-            estimate=self.estimate,
-            views=self.views,
-            calibration=self.calibration,
-            flux=self.flux,
-            held_out=self.held_out,
-            refine=self.refine,
-            split=self.split,
-            schedule=self.schedule,
-        )
-
-
-# What `--quality` names: minutes on two CPU cores.
-QUALITIES: dict[str, DirectConfig] = {
-    "preview": DirectConfig(
-        tree_depth=7,
-        estimate=EstimateConfig(rays=1 << 22, growth_rays=1 << 21),
-        seconds=60.0,
-    ),
-    "standard": DirectConfig(),
-    # With ten times as many leaves, few rays a step would cross most of them not at all.
-    "high": DirectConfig(tree_depth=10, seconds=1740.0, refine=RefineConfig(rays=1 << 17)),
-}

@@ -40,8 +40,8 @@ class Budget:
     def progress(self) -> float:
         """Share of the budget that is spent, 1 when it is all."""
         shares = [0.0]
-        if self._config.seconds is not None:
-            shares.append((self.seconds + self.reserved) / self._config.seconds)
+        if self._config.time is not None:
+            shares.append((self.seconds + self.reserved) / self._config.time)
         if self._config.rays is not None:
             shares.append(self.rays / self._config.rays)
         return min(max(shares), 1.0)

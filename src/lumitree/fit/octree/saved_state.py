@@ -54,7 +54,7 @@ class StateFile:
 
     def __init__(self, folder: Path, subject: Subject, config: DirectConfig) -> None:
         settings = dataclasses.asdict(config)
-        del settings["seconds"], settings["rays"]
+        del settings["time"], settings["rays"]
         record = {"version": _VERSION, "fingerprint": subject.fingerprint, **settings}
         self._path, self._record = folder / STATE, json.dumps(record, sort_keys=True)
         self._warned = False
