@@ -217,10 +217,12 @@ def test_a_signal_after_a_bake_is_complete_changes_nothing(tiny, monkeypatch, ca
         return save(*args)
 
     monkeypatch.setattr(finishing, "save_asset", signalled)
-    command = [*BAKE, "--parts", "exitant", "--irradiance-paths"]
-    assert main([*command, "0"]) == 0
+    command = [*BAKE, "--parts", "exitant", "--config", ".bake.toml"]
+    Path(".bake.toml").write_text("irradiance_paths = 0")
+    assert main(command) == 0
     assert left() == ["out/lamp.lumitree"]
-    assert main([*command, "1024"]) == 143
+    Path(".bake.toml").write_text("irradiance_paths = 1024")
+    assert main(command) == 143
     assert "is complete, but its irradiance was not compared" in capfd.readouterr().err
 
 
@@ -419,17 +421,18 @@ def test_a_run_without_a_checkpoint_is_removed_from_a_full_disk(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["precious.txt", "run/precious.txt"])
-@pytest.mark.parametrize("option", [[], ["--work", "proj"]])
-@pytest.mark.parametrize("method", ["direct", "nerf"])
+@pytest.mark.parametrize("option", [False, True])
+@pytest.mark.parametrize("method", ["octree", "network"])
 def test_a_folder_of_others_is_neither_used_nor_removed(
     tiny, request, capsys, name, option, method
 ):
-    if method == "nerf":
+    if method == "network":
         request.getfixturevalue("network_packages")
     path = Path("proj" if option else "out/lamp.work") / name
     path.parent.mkdir(parents=True)
     path.write_text("mine")
-    assert main([*BAKE, *option, "--method", method]) == 2
+    chosen = work(BAKE, "proj") if option else []
+    assert main([*BAKE, *chosen, "--method", method]) == 2
     assert "holds what lumitree did not write" in capsys.readouterr().err
     assert left() == [str(path)]
 

@@ -180,7 +180,8 @@ def bake_views(
         dataset: folder of the dataset, made by `capture`.
         output: path of the `.lumitree` file to write. Default: no file is written.
         config: settings of the octree fit. Default: `BakeConfig.standard().direct_config`.
-        lumens, temperature: luminous flux and colour temperature of the asset; see `BakeConfig`.
+        lumens: luminous flux of the asset, lm; see `BakeConfig`.
+        temperature: colour temperature of the asset, K; see `BakeConfig`.
         work: folder for the state; see `bake`.
         variant: Mitsuba variant; see `bake`.
         progress: function that is called with a `Progress` after each step; see `bake`.
