@@ -99,11 +99,11 @@ def seen(mi, loaded):
 def placed_shapes(mi, model, scale=1.0):
     """The shapes of a model in a scene, where it is `scale` times as large."""
     from lumitree.rendering.model_shapes import model_shapes
-    from lumitree.rendering.sampling.own_lights import OwnLights
+    from lumitree.rendering.sampling.self_lights import SelfLights
 
     lamp = SimpleNamespace(
         gain=mi.Color3f(1),
-        placed=SimpleNamespace(asset=SimpleNamespace(gain=NO_GAIN), own_lights=OwnLights()),
+        placed=SimpleNamespace(asset=SimpleNamespace(gain=NO_GAIN), self_lights=SelfLights()),
     )
     return model_shapes(model, np.diag([scale, scale, scale, 1]), lamp)
 

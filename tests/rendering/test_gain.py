@@ -92,15 +92,15 @@ def test_methods_of_the_emitter_agree_on_it(mi, asset):
         sample = sampler.next_2d()
         ds, weight = emitter.sample_direction(it, sample)
         si = scene.ray_intersect(mi.Ray3f(it.p, ds.d))
-        sees = mi.Bool(True)
+        specular_chain = mi.Bool(True)
         chances = mi.Float(0.3), mi.Float(0.5)
         ray = mi.Ray3f(it.p, ds.d)
         ends = mi.Float(dr.inf), mi.Float(dr.inf)
         radiance, through, pdf = emitter.eval_entered(
-            ray, si.t, it, sees, *chances, ends, si.is_valid()
+            ray, si.t, it, specular_chain, *chances, ends, si.is_valid()
         )
-        target, point, _ = emitter.sample_target(it, sample, mi.Bool(True))
-        value, value_pdf = emitter.eval_target(it, target, point, *chances, target.pdf > 0)
+        sampled = emitter.sample_target(it, sample, mi.Bool(True))
+        value, value_pdf = emitter.eval_target(it, sampled, *chances, sampled.valid)
         _, flux = emitter.sample_ray(0.0, sampler.next_1d(), sample, sampler.next_2d())
         light = (
             weight,

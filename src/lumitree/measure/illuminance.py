@@ -69,17 +69,16 @@ def _receive(scene, divided, point, normal, sampler):
     index, emitter_weight, choice = scene.sample_emitter(sampler.next_1d(), active)
     emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index, active)
     sample = mi.Point2f(choice, sampler.next_1d())
-    ds, weight, target, beyond = dr.dispatch(emitter, sample_target, si, sample, active)
+    sampled = dr.dispatch(emitter, sample_target, si, sample, active)
+    ds, beyond = sampled.ds, sampled.beyond
     cosine = dr.maximum(dr.dot(si.n, ds.d), 0)
-    found = active & (ds.pdf != 0) & (cosine > 0) & dr.dispatch(emitter, is_baked, active)
+    found = active & sampled.valid & (cosine > 0) & dr.dispatch(emitter, is_baked, active)
     through = visible(scene, divided, sees_null, False, extent, si, ds, beyond, index, none, found)
     weight, _ = dr.dispatch(
         emitter,
         eval_target,
         si,
-        ds,
-        weight,
-        target,
+        sampled,
         cosine * (1 / math.pi),
         dr.rcp(emitter_weight),
         found,
@@ -97,7 +96,7 @@ def _receive(scene, divided, point, normal, sampler):
     while entered:
         ends = divided.ends(ray, pi.t, lamp, ahead, entered)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), lamp, entered)
-        chance = emitter.sampling_weight() * dr.rcp(sampling_weight)
+        emitter_pmf = emitter.sampling_weight() * dr.rcp(sampling_weight)
         pdf = local.z * (1 / math.pi)
         light, _, _ = dr.dispatch(
             emitter,
@@ -107,7 +106,7 @@ def _receive(scene, divided, point, normal, sampler):
             mi.Interaction3f(si),
             mi.Bool(False),
             pdf,
-            chance,
+            emitter_pmf,
             ends,
             entered,
         )

@@ -29,7 +29,7 @@ def model_shapes(model: AssetModel, scene_from_world: NDArray[np.float64], lamp:
         model: what to place.
         scene_from_world: [4, 4] similarity, from the frame of the luminaire's file to the scene.
         lamp: emitter `lumitree` of the proxy, whose gain applies to the shapes too, and whose
-            `own_lights` are made.
+            `self_lights` are made.
     """
     builder = _Builder(model, scene_from_world, lamp)
     shapes = [
@@ -44,7 +44,7 @@ class _Builder:
         self._model, self._lamp = model, lamp
         # From the coordinates of the model, in double precision: they may be far from the file's.
         self._matrix = scene_from_world @ model.file_from_model
-        self._lights, self._emitting = lamp.placed.own_lights, []
+        self._lights, self._emitting = lamp.placed.self_lights, []
         # By their descriptions: all shapes of one medium share an object.
         self._media: dict[str, Any] = {}
         self._scale = similarity_scale(scene_from_world, "to_world")

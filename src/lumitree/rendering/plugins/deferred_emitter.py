@@ -1,8 +1,35 @@
 """What an integrator may ask of an emitter whose radiance is costly."""
 
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
+import mitsuba as mi
+
 from lumitree.rendering.plugins.placed import Placed
+from lumitree.rendering.sampling.emitter_sampling import Target
+
+
+@dataclass
+class EmitterSample:
+    """A direction sampled towards an emitter by next-event estimation (a PyTree of Dr.Jit).
+
+    Attributes:
+        ds: the direction and its end; its `pdf` is of no use before `eval_target`. `delta` is as
+            Mitsuba has it: rays sampled by BSDFs do not find this light.
+        weight: radiance over density; `eval_target` of a `DeferredEmitter` replaces it.
+        valid: whether a direction was sampled.
+        includes_mis: whether the weight that `eval_target` returns includes the weight of multiple
+            importance sampling.
+        target: the sampled point in a lamp.
+        beyond: how far the shadow ray goes on beyond `ds.p`, through the lamp's own surfaces.
+    """
+
+    ds: "mi.DirectionSample3f"
+    weight: "mi.Color3f"
+    valid: "mi.Bool"
+    includes_mis: "mi.Bool"
+    target: Target
+    beyond: "mi.Float"
 
 
 @runtime_checkable
@@ -25,32 +52,26 @@ class DeferredEmitter(Protocol):
         """Light what is in the box from now on, if it can (`placed.holds`)."""
         ...
 
-    def sample_target(self, it: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+    def sample_target(self, it: Any, sample: Any, active: Any) -> EmitterSample:
         """First half of `sample_direction`: a direction towards the proxy.
 
         Args:
             it: mi.Interaction3f, the reference point.
             sample: mi.Point2f in the unit square.
             active: mi.Bool mask.
-
-        Returns:
-            mi.DirectionSample3f, whose `pdf` is 1 where there is a direction and 0 elsewhere, and
-            whose `delta` says that `eval_target` returns a weight that includes multiple importance
-            sampling; what `eval_target` needs of the sample, a `Target`; and mi.Float, how far the
-            way goes on beyond the sample's point, through the lamp's own surfaces.
         """
         ...
 
     def eval_target(
-        self, it: Any, ds: Any, target: Any, pdf: Any, chance: Any, active: Any
+        self, it: Any, sampled: EmitterSample, bsdf_pdf: Any, emitter_pmf: Any, active: Any
     ) -> tuple[Any, Any]:
         """Second half of `sample_direction`: what a sampled direction is worth.
 
         Args:
             it: as for `sample_target`.
-            ds, target: what `sample_target` returned.
-            pdf: mi.Float, density per steradian with which the BSDF samples the direction.
-            chance: mi.Float, probability with which this emitter was chosen.
+            sampled: what `sample_target` returned.
+            bsdf_pdf: mi.Float, density per steradian with which the BSDF samples the direction.
+            emitter_pmf: mi.Float, probability with which this emitter was chosen.
             active: mi.Bool mask.
 
         Returns:
@@ -64,9 +85,9 @@ class DeferredEmitter(Protocol):
         ray: Any,
         distance: Any,
         it: Any,
-        sees: Any,
-        pdf: Any,
-        chance: Any,
+        specular_chain: Any,
+        bsdf_pdf: Any,
+        emitter_pmf: Any,
         ends: tuple[Any, Any],
         active: Any,
     ) -> tuple[Any, Any, Any]:
@@ -76,11 +97,11 @@ class DeferredEmitter(Protocol):
             ray: mi.Ray3f that enters the proxy.
             distance: mi.Float, from its origin to the proxy.
             it: mi.Interaction3f, the vertex that the ray comes from.
-            sees: mi.Bool, whether the ray belongs to an image of the emitter: it comes from the
-                camera, directly or by specular reflections and refractions alone.
-            pdf: mi.Float, density per steradian with which the BSDF sampled the ray.
-            chance: mi.Float, probability with which next-event estimation chooses this emitter; 0
-                if it could not have found the ray.
+            specular_chain: mi.Bool, whether all vertices between the camera and the ray are
+                specular, so that the ray belongs to an image of the emitter.
+            bsdf_pdf: mi.Float, density per steradian with which the BSDF sampled the ray.
+            emitter_pmf: mi.Float, probability with which next-event estimation chooses this
+                emitter; 0 if it could not have found the ray.
             ends: mi.Float, distances from the ray's origin of the first surface that belongs to
                 the emitter's lamp, and of the first other one.
             active: mi.Bool mask.
@@ -92,8 +113,17 @@ class DeferredEmitter(Protocol):
         """
         ...
 
-    def sample_own(self, sample: Any, active: Any) -> tuple[Any, Any, Any]:
-        """A shape of the lamp's model that emits, as `OwnLights.sample`."""
+    def sample_self_emission(self, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+        """A shape of the lamp's model that emits.
+
+        Args:
+            sample: mi.Float in [0, 1).
+            active: mi.Bool mask.
+
+        Returns:
+            mi.ShapePtr, null where nothing emits; its probability (mi.Float); and a new sample in
+            [0, 1).
+        """
         ...
 
     def transmittance(self, ray: Any, distance: Any, active: Any) -> Any:

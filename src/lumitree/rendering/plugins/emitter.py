@@ -8,6 +8,7 @@ import mitsuba as mi
 
 from lumitree.core.arguments import check_gain
 from lumitree.errors import LumitreeError
+from lumitree.rendering.plugins.deferred_emitter import EmitterSample
 from lumitree.rendering.plugins.objects import complete_later
 from lumitree.rendering.plugins.placed import Placed
 from lumitree.rendering.sampling.divided_sampling import emitter_sampler
@@ -44,7 +45,7 @@ def emitter_class() -> type:
 
         def light_inside(self):
             placed = self.placed
-            if self.sampler.weighs and isinstance(placed.proxy, BoxProxy):
+            if self.sampler.includes_mis and isinstance(placed.proxy, BoxProxy):
                 self.sampler.light_inside()
                 placed.holds = True
 
@@ -74,28 +75,39 @@ def emitter_class() -> type:
             line, entering = self.placed.entering_line(si, active)
             return self.gain * self.sampler.look(*line, entering)[0] & entering
 
-        def eval_entered(self, ray, distance, it, sees, pdf, chance, ends, active):
+        def eval_entered(
+            self, ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, ends, active
+        ):
             placed = self.placed
             x, (entry, direction) = placed.local_point(it.p), placed.entry(ray, distance)
             if placed.shows_model:
                 # Images show the model's own shapes, which also hide what is behind them.
-                active &= ~sees
+                active &= ~specular_chain
             inside = mi.Bool(False)
             if placed.holds:
                 inside = placed.in_box(x)
             else:
                 # Next-event estimation alone finds the light for receivers in the margin.
-                active &= (chance <= 0) | ~placed.in_margin(x)
+                active &= (emitter_pmf <= 0) | ~placed.in_margin(x)
             ends = RayEnds(*((end - distance) / placed.scale for end in ends))
             radiance, through, density = self.sampler.eval_hit(
-                x, entry, direction, dr.norm(entry - x), sees, pdf, chance, active, inside, ends
+                x,
+                entry,
+                direction,
+                dr.norm(entry - x),
+                specular_chain,
+                bsdf_pdf,
+                emitter_pmf,
+                active,
+                inside,
+                ends,
             )
             if not placed.dims:
                 through = mi.Float(1)
             return self.gain * radiance & active, dr.select(active, through, 1), density
 
-        def sample_own(self, sample, active):
-            return self.placed.own_lights.sample(sample, active)
+        def sample_self_emission(self, sample, active):
+            return self.placed.self_lights.sample(sample, active)
 
         def transmittance(self, ray, distance, active):
             if not self.placed.dims:
@@ -110,14 +122,13 @@ def emitter_class() -> type:
             placed = self.placed
             x = placed.local_point(it.p)
             direction, target = self.sampler.sample(x, sample, active)
-            ds = self._towards(it, x, direction, active)
-            active &= ds.pdf > 0
+            ds, active = self._towards(it, x, direction, active)
             # As a ray that is given by the scene has it, for `pdf_direction` to agree.
             direction, near = placed.local_direction(ds.d), ds.dist / placed.scale
             entry = x + near * direction
             # `eval` does not know whether it is for an image, so both are what an image shows.
             radiance, _, ds.pdf = self.sampler.eval(
-                x, entry, direction, near, active, target, sees=True
+                x, entry, direction, near, active, target, specular_chain=True
             )
             return ds, dr.select(ds.pdf > 0, self.gain * radiance / ds.pdf, 0)
 
@@ -126,26 +137,26 @@ def emitter_class() -> type:
             x = placed.local_point(it.p)
             inside = placed.in_box(x) if placed.holds else mi.Bool(False)
             direction, target = self.sampler.sample_target(x, sample, active, inside)
-            ds = self._towards(it, x, direction, active)
-            ds.delta |= self.sampler.weighs
+            ds, valid = self._towards(it, x, direction, active)
             end, beyond = ds.dist, mi.Float(0)
             if placed.shows_model:
                 # The lamp's own surfaces block up to the box, or within it up to the cell.
                 border = self.sampler.border(x, direction, target, active) * placed.scale
                 end = dr.maximum(dr.select(inside, 0, end), border)
             if placed.holds:
-                ds.pdf = dr.select(active & inside, 1, ds.pdf)
-                point = target[0] * placed.scale
+                valid |= active & inside
+                point = target.distance * placed.scale
                 if placed.shows_model:
                     beyond = dr.maximum(point - end, 0)
                 else:
                     end = point
             ds.p = dr.select(ds.dist == end, ds.p, dr.fma(end, ds.d, it.p))
             ds.dist = end
-            return ds, target, beyond
+            includes_mis = mi.Bool(self.sampler.includes_mis)
+            return EmitterSample(ds, mi.Color3f(1), valid, includes_mis, target, beyond)
 
         def _towards(self, it, origin, direction, active):
-            """Sample of a direction (local frame), without its density, which is 1 where it is."""
+            """Sample of a direction (local frame), without its density, and whether it is valid."""
             placed = self.placed
             distance, n, enters = placed.proxy.enter(origin, direction)
             ds = dr.zeros(mi.DirectionSample3f)
@@ -155,21 +166,20 @@ def emitter_class() -> type:
             ds.d = placed.scene_direction(direction)
             ds.dist = distance * placed.scale
             ds.time = it.time
-            ds.pdf = dr.select(active & enters, 1, 0)
             # Rays that start within the margin of a proxy do not meet it, so that next-event
             # estimation alone finds the lamp.
             ds.delta = placed.in_margin(origin)
             ds.emitter = mi.EmitterPtr(self)
-            return ds
+            return ds, active & enters
 
-        def eval_target(self, it, ds, target, pdf, chance, active):
-            x, direction = self.placed.local_line(it.p, ds.d)
-            near = ds.dist / self.placed.scale
+        def eval_target(self, it, sampled, bsdf_pdf, emitter_pmf, active):
+            x, direction = self.placed.local_line(it.p, sampled.ds.d)
+            near = sampled.ds.dist / self.placed.scale
             if not self.placed.holds:
                 # A receiver in the margin is not found by rays of its BSDF.
-                pdf = dr.select(self.placed.in_margin(x), 0, pdf)
+                bsdf_pdf = dr.select(self.placed.in_margin(x), 0, bsdf_pdf)
             weight, density = self.sampler.eval_target(
-                x, direction, near, target, pdf, chance, active
+                x, direction, near, sampled.target, bsdf_pdf, emitter_pmf, active
             )
             return self.gain * weight, density
 

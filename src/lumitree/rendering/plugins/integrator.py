@@ -17,10 +17,10 @@ ray crosses a proxy as any null surface.
 
 Where images show the model of a lamp, its shapes are in the scene, and each path gets its light
 once. As long as all vertices since the camera are specular or on surfaces of this lamp, the path
-gets what the lamp's shapes emit (`own`). A scattering in a medium of the lamp's model counts as a
-vertex on the lamp. Vertices elsewhere, inside its box too, get its exitant
-light field, which contains all light that its surfaces scatter: so these surfaces get none of it
-again. After the first vertex that is not specular, the lamp's glass bends no ray (`model_plugins`),
+gets what the lamp's shapes emit (`self_emission`). A scattering in a medium of the lamp's model
+counts as a vertex on the lamp. Vertices elsewhere, inside its box too, get its exitant light field,
+which contains all light that its surfaces scatter: so these surfaces get none of it again.
+After the first vertex that is not specular, the lamp's glass bends no ray (`model_plugins`),
 and a crossing of it is a null interaction.
 
 Symbols
@@ -35,10 +35,11 @@ import mitsuba as mi
 from lumitree.errors import LumitreeError
 from lumitree.lamp.media import absorption, media
 from lumitree.rendering.layers import Layers, Unrecorded
-from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
+from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter, EmitterSample
 from lumitree.rendering.plugins.model_plugins import CROSSED_STRAIGHT, ModelEmitter
 from lumitree.rendering.plugins.proxies import ALL, NONE, DividedScene, bit_of
 from lumitree.rendering.plugins.shadow_rays import MAX_CROSSINGS, has_null_surfaces, visible
+from lumitree.rendering.sampling.emitter_sampling import Target
 from lumitree.trace import medium_paths
 from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
 from lumitree.trace.spawning import scene_extent, spawn
@@ -122,11 +123,11 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
     # whether next-event estimation could not have found that direction.
     vertex = dr.zeros(mi.Interaction3f)
     pdf, delta = mi.Float(1), mi.Bool(True)
-    # Whether all interactions since the camera were specular, so that the image shows what is met.
-    specular = mi.Bool(True)
+    # Whether all interactions since the camera were specular, so that the image shows the next.
+    specular_chain = mi.Bool(True)
     # The lamp whose own shapes' emission counts even if not all interactions were specular; and
     # whether next-event estimation at the vertex could have found it.
-    own, sampled_own = mi.UInt32(NONE), mi.Bool(False)
+    self_emission, sampled_self_emission = mi.UInt32(NONE), mi.Bool(False)
     # Lamps whose light the ray does not get in the box in which it starts (`proxies.bit_of`).
     skipped = mi.UInt32(0)
     active &= depth < max_depth
@@ -162,41 +163,45 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
             if dr.hint(settings.hide_emitters, mode="scalar"):
                 entered &= depth > 0
             end = dr.minimum(pi.t, flight)
-            distance, lamp = proxies.first(ray, end, entered, specular, skipped)
+            distance, lamp = proxies.first(ray, end, entered, specular_chain, skipped)
             entered &= lamp != NONE
             ahead = owners.of(pi.shape, entered & pi.is_valid() & ~collides)
             while entered:
                 ends = divided.ends(ray, end, lamp, ahead, entered)
                 emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), lamp, entered)
-                chance = dr.select(delta, 0, emitter.sampling_weight() * dr.rcp(sampling_weight))
+                emitter_pmf = dr.select(
+                    delta, 0, emitter.sampling_weight() * dr.rcp(sampling_weight)
+                )
                 emitted, through, emitter_pdf = dr.dispatch(
                     emitter,
                     entered_light,
                     ray,
                     distance,
                     vertex,
-                    specular,
+                    specular_chain,
                     pdf,
-                    chance,
+                    emitter_pmf,
                     ends,
                     entered,
                 )
-                emitted *= β * _mis_weight(pdf, emitter_pdf * chance)
+                emitted *= β * _mis_weight(pdf, emitter_pdf * emitter_pmf)
                 if dr.hint(sees_media, mode="scalar"):
                     emitted *= medium_paths.passed(medium, distance, ρ, entered)[0]
                 radiance[entered] += emitted
-                layers.add_light(record, emitter, emitted, specular, entered)
+                layers.add_light(record, emitter, emitted, specular_chain, entered)
                 β[entered] *= through
                 valid |= entered & (dr.max(emitted) > 0)
-                distance, lamp = proxies.next(ray, distance, lamp, end, entered, specular, skipped)
+                distance, lamp = proxies.next(
+                    ray, distance, lamp, end, entered, specular_chain, skipped
+                )
                 entered &= lamp != NONE
 
         si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
-        met = active & ~collides
+        hit_surface = active & ~collides
         if dr.hint(sees_media, mode="scalar"):
-            weight, densities = medium_paths.passed(medium, si.t, ρ, met)
-            β[met] *= weight
-            ρ[met] = densities
+            weight, densities = medium_paths.passed(medium, si.t, ρ, hit_surface)
+            β[hit_surface] *= weight
+            ρ[hit_surface] = densities
         if dr.hint(sees_scattering, mode="scalar"):
             weight, densities = medium_paths.scattered(medium, flight, ρ, collides)
             β[collides] *= weight
@@ -204,30 +209,39 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
         bsdf = si.bsdf(ray)
 
         # Light of the emitter that the ray has hit.
-        seen = mi.Bool(met)
+        seen = mi.Bool(hit_surface)
         if dr.hint(settings.hide_emitters, mode="scalar"):
             seen &= depth > 0
         ds = mi.DirectionSample3f(scene, si, vertex)
-        share = ds.emitter.sampling_weight() * dr.rcp(sampling_weight)
+        pmf = ds.emitter.sampling_weight() * dr.rcp(sampling_weight)
         # The lamp that the surface belongs to, and whether the path gets what its shapes emit.
-        owner, shown = mi.UInt32(NONE), mi.Bool(specular)
+        owner, shown = mi.UInt32(NONE), mi.Bool(specular_chain)
         if dr.hint(shows_models, mode="scalar"):
-            owner = owners.of(si.shape, met & si.is_valid())
+            owner = owners.of(si.shape, hit_surface & si.is_valid())
             if dr.hint(owners.scatter, mode="scalar"):
                 owner = dr.select(collides, owners.of_medium(medium, collides), owner)
-            shown |= (owner == own) & (owner != NONE)
-        chance = dr.select(delta, 0, share)
+            shown |= (owner == self_emission) & (owner != NONE)
+        emitter_pmf = dr.select(delta, 0, pmf)
         emitted, through, emitter_pdf, proxy, of_lamp = dr.dispatch(
-            ds.emitter, _emitted, si, vertex, ds, specular, shown, pdf, chance, met
+            ds.emitter,
+            _emitted,
+            si,
+            vertex,
+            ds,
+            specular_chain,
+            shown,
+            pdf,
+            emitter_pmf,
+            hit_surface,
         )
-        own_chance = dr.select(sampled_own & ~delta, 1, 0)
-        emitter_pdf *= dr.select(of_lamp, own_chance, chance)
+        self_pmf = dr.select(sampled_self_emission & ~delta, 1, 0)
+        emitter_pdf *= dr.select(of_lamp, self_pmf, emitter_pmf)
         hit = β * _mis_weight(pdf, emitter_pdf) * emitted
         radiance[seen] += hit
-        layers.add_light(record, ds.emitter, hit, specular, seen)
+        layers.add_light(record, ds.emitter, hit, specular_chain, seen)
 
         # A proxy is left the way it was entered; every other surface is sampled.
-        proxy &= met & si.is_valid()
+        proxy &= hit_surface & si.is_valid()
         scatters = active & ~proxy & (si.is_valid() | collides) & (depth - freed + 1 < max_depth)
         if dr.hint(sees_scattering, mode="scalar"):
             si[collides] = medium_paths.scattering_point(ray, flight)
@@ -237,7 +251,7 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
         glass, behind, shows = mi.Bool(False), mi.Bool(False), mi.Bool(False)
         if dr.hint(shows_models, mode="scalar"):
             # Glass that light crosses straight is seen from outside on both sides.
-            glass = reflects & ~specular & ((bsdf.flags() & CROSSED_STRAIGHT) != 0)
+            glass = reflects & ~specular_chain & ((bsdf.flags() & CROSSED_STRAIGHT) != 0)
             behind = glass & (si.wi.z < 0)
             si.wi.z = dr.select(behind, -si.wi.z, si.wi.z)
 
@@ -250,10 +264,11 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
         index, emitter_weight, sample.x = scene.sample_emitter(sample.x, estimates)
         emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index, estimates)
         estimates &= index != owner
-        ds, weight, target, beyond = dr.dispatch(emitter, sample_target, si, sample, estimates)
-        estimates &= ds.pdf != 0
+        sampled = dr.dispatch(emitter, sample_target, si, sample, estimates)
+        ds = sampled.ds
+        estimates &= sampled.valid
         wo = si.to_local(ds.d)
-        value, value_pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
+        bsdf_value, bsdf_pdf, bs, bsdf_weight = bsdf.eval_pdf_sample(
             context, si, wo, sampler.next_1d(), sampler.next_2d(), reflects
         )
         opaque = reflects & is_opaque(bsdf)
@@ -261,21 +276,22 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
         onwards = mi.Vector3f(0)
         if dr.hint(sees_scattering, mode="scalar"):
             phase = medium_paths.eval_phase(medium, ray, ds.d, collides)
-            value[collides], value_pdf[collides] = phase
+            bsdf_value[collides], bsdf_pdf[collides] = phase
             onwards, *phase = medium_paths.sample_phase(medium, ray, sampler, collides)
             bsdf_weight[collides], bs.pdf[collides] = phase
-        direct = β * value
+        direct = β * bsdf_value
         estimates &= dr.max(direct) > 0
         way = scene, divided, sees_null, sees_media, extent
-        direct *= visible(*way, si, ds, beyond, index, medium, estimates)
+        direct *= visible(*way, si, ds, sampled.beyond, index, medium, estimates)
         estimates &= dr.max(direct) > 0
-        chance = dr.rcp(emitter_weight)
-        weight, ds.pdf = dr.dispatch(
-            emitter, eval_target, si, ds, weight, target, value_pdf, chance, estimates
+        emitter_pmf = dr.rcp(emitter_weight)
+        weight, em_pdf = dr.dispatch(
+            emitter, eval_target, si, sampled, bsdf_pdf, emitter_pmf, estimates
         )
         weight *= emitter_weight
-        ds.pdf *= chance
-        direct *= weight * dr.select(ds.delta, 1, _mis_weight(ds.pdf, value_pdf))
+        em_pdf *= emitter_pmf
+        needs_no_mis = ds.delta | sampled.includes_mis
+        direct *= weight * dr.select(needs_no_mis, 1, _mis_weight(em_pdf, bsdf_pdf))
         radiance[estimates] += direct
         layers.add_light(record, emitter, direct, mi.Bool(False), estimates)
 
@@ -284,20 +300,24 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
             shows = reflects & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             shows = (shows | collides) & shown & (owner != NONE)
             sample = sampler.next_2d()
-            own_lamp = dr.gather(mi.EmitterPtr, scene.emitters_dr(), owner, shows)
-            shape, chance, sample.x = dr.dispatch(own_lamp, _sample_own, sample.x, shows)
+            lamp_emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), owner, shows)
+            shape, emitter_pmf, sample.x = dr.dispatch(
+                lamp_emitter, _sample_self_emission, sample.x, shows
+            )
             ds = shape.sample_direction(si, sample, shows)
-            ds.pdf *= chance
+            ds.pdf *= emitter_pmf
             found = shows & (ds.pdf > 0)
-            value, value_pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), found & reflects)
+            bsdf_value, bsdf_pdf = bsdf.eval_pdf(context, si, si.to_local(ds.d), found & reflects)
             if dr.hint(owners.scatter, mode="scalar"):
                 phase = medium_paths.eval_phase(medium, ray, ds.d, found & collides)
-                value[collides], value_pdf[collides] = phase
+                bsdf_value[collides], bsdf_pdf[collides] = phase
             found &= ~(opaque & on_opposite_sides(si, ray.d, ds.d))
-            direct = β * value * visible(*way, si, ds, mi.Float(0), mi.UInt32(NONE), medium, found)
+            direct = (
+                β * bsdf_value * visible(*way, si, ds, mi.Float(0), mi.UInt32(NONE), medium, found)
+            )
             found &= dr.max(direct) > 0
-            direct *= dr.dispatch(shape.emitter(), _own_radiance, ds, found)
-            direct *= _mis_weight(ds.pdf, value_pdf) / ds.pdf
+            direct *= dr.dispatch(shape.emitter(), _self_radiance, ds, found)
+            direct *= _mis_weight(ds.pdf, bsdf_pdf) / ds.pdf
             radiance[found] += direct
             layers.add_light(record, shape.emitter(), direct, mi.Bool(False), found)
 
@@ -315,15 +335,15 @@ def _trace(settings, scene, divided, crossed, sampler, ray, medium, active):
         η[bounces & reflects] *= bs.eta
         vertex[bounces] = mi.Interaction3f(si)
         pdf[bounces] = bs.pdf
-        sampled_own[bounces] = shows
+        sampled_self_emission[bounces] = shows
         # A ray that goes on behind a proxy, or behind a surface of a lamp, has its light already.
         skipped[bounces] = 0
         skipped[proxy] = ALL
         if dr.hint(shows_models, mode="scalar"):
-            own[bounces] = dr.select(shown, owner, NONE)
+            self_emission[bounces] = dr.select(shown, owner, NONE)
             skipped[bounces | null] |= bit_of(owner)
         delta[bounces] = reflects & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
-        specular &= ~bounces | delta
+        specular_chain &= ~bounces | delta
         depth[bounces] += 1
         if dr.hint(owners.scatter, mode="scalar"):
             # Light that scatters in a lamp is shown whatever the largest depth: as the light that
@@ -358,10 +378,10 @@ def _emitted(
     si: Any,
     vertex: Any,
     ds: Any,
-    specular: Any,
+    specular_chain: Any,
     shown: Any,
     pdf: Any,
-    chance: Any,
+    emitter_pmf: Any,
     active: Any,
 ) -> tuple[Any, Any, Any, Any, Any]:
     """Radiance of an emitter that was hit, T if it is a proxy, density, and whether it is one.
@@ -375,11 +395,12 @@ def _emitted(
         entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
         nowhere = mi.Float(dr.inf), mi.Float(dr.inf)
         hit = entered_light(
-            emitter, ray, mi.Float(0), vertex, specular, pdf, chance, nowhere, entering
+            emitter, ray, mi.Float(0), vertex, specular_chain, pdf, emitter_pmf, nowhere, entering
         )
         return *hit, mi.Bool(True), no
     if isinstance(emitter, ModelEmitter):
-        return *_own(emitter.eval_own(si, vertex, ds, active & shown), shown), no, mi.Bool(True)
+        radiance, pdf = emitter.eval_self_emission(si, vertex, ds, active & shown)
+        return radiance & shown, mi.Float(1), pdf, no, mi.Bool(True)
     pdf = emitter.pdf_direction(vertex, ds, active)
     return emitter.eval(si, active), mi.Float(1), pdf, no, no
 
@@ -389,65 +410,50 @@ def entered_light(
     ray: Any,
     distance: Any,
     vertex: Any,
-    specular: Any,
+    specular_chain: Any,
     pdf: Any,
-    chance: Any,
+    emitter_pmf: Any,
     ends: tuple[Any, Any],
     active: Any,
 ) -> tuple[Any, Any, Any]:
     """Radiance, transmittance and density of a lamp whose proxy a ray enters."""
     if isinstance(emitter, DeferredEmitter):
-        return emitter.eval_entered(ray, distance, vertex, specular, pdf, chance, ends, active)
+        return emitter.eval_entered(
+            ray, distance, vertex, specular_chain, pdf, emitter_pmf, ends, active
+        )
     return mi.Color3f(0), mi.Float(1), mi.Float(0)
 
 
-def _own(evaluated: tuple[Any, Any], own: Any) -> tuple[Any, Any, Any]:
-    """Radiance, transmittance and density of a lamp's shape."""
-    radiance, pdf = evaluated
-    return radiance & own, mi.Float(1), pdf
-
-
-def _sample_own(emitter: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
-    """A shape of a lamp that emits, its chance, and a new sample."""
+def _sample_self_emission(emitter: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+    """A shape of a lamp that emits, its probability, and a new sample."""
     if isinstance(emitter, DeferredEmitter):
-        return emitter.sample_own(sample, active)
+        return emitter.sample_self_emission(sample, active)
     return dr.zeros(mi.ShapePtr), mi.Float(0), mi.Float(0)
 
 
-def _own_radiance(emitter: Any, ds: Any, active: Any) -> Any:
+def _self_radiance(emitter: Any, ds: Any, active: Any) -> Any:
     """Radiance of a sampled point of a lamp's shape."""
     if isinstance(emitter, ModelEmitter):
         return emitter.radiance_at(ds, active)
     return mi.Color3f(0)
 
 
-def sample_target(emitter: Any, it: Any, sample: Any, active: Any) -> tuple[Any, Any, Any, Any]:
-    """Direction sampled towards an emitter, its weight, and what `eval_target` needs of it.
-
-    Weight and density of a `DeferredEmitter` are for `eval_target` to find. Last, how far the way
-    goes on in its box.
-    """
+def sample_target(emitter: Any, it: Any, sample: Any, active: Any) -> EmitterSample:
+    """Direction sampled towards an emitter; weight and density are for `eval_target` to find."""
     if isinstance(emitter, DeferredEmitter):
-        ds, target, beyond = emitter.sample_target(it, sample, active)
-        return ds, mi.Color3f(1), target, beyond
-    none = mi.Float(0), mi.UInt32(0), mi.Float(0), mi.UInt32(0)
-    return *emitter.sample_direction(it, sample, active), none, mi.Float(0)
+        return emitter.sample_target(it, sample, active)
+    ds, weight = emitter.sample_direction(it, sample, active)
+    target = Target.at(mi.Float(0))
+    return EmitterSample(ds, weight, ds.pdf != 0, mi.Bool(False), target, mi.Float(0))
 
 
 def eval_target(
-    emitter: Any,
-    it: Any,
-    ds: Any,
-    weight: Any,
-    target: Any,
-    pdf: Any,
-    chance: Any,
-    active: Any,
+    emitter: Any, it: Any, sampled: EmitterSample, bsdf_pdf: Any, emitter_pmf: Any, active: Any
 ) -> tuple[Any, Any]:
     """Weight and density of a direction of `sample_target`."""
     if isinstance(emitter, DeferredEmitter):
-        return emitter.eval_target(it, ds, target, pdf, chance, active)
-    return mi.Color3f(weight), mi.Float(ds.pdf)
+        return emitter.eval_target(it, sampled, bsdf_pdf, emitter_pmf, active)
+    return mi.Color3f(sampled.weight), mi.Float(sampled.ds.pdf)
 
 
 def _emits(pi: Any) -> Any:

@@ -18,7 +18,7 @@ import mitsuba as mi
 from lumitree.core.device import parameter
 from lumitree.rendering.plugins.delta_bsdf import delta_bsdf_class
 from lumitree.rendering.plugins.objects import make_properties
-from lumitree.rendering.sampling.own_lights import OwnLights
+from lumitree.rendering.sampling.self_lights import SelfLights
 
 # Marks a BSDF that light crosses straight, in `flags()`; Mitsuba does not use this bit.
 CROSSED_STRAIGHT = 1 << 24
@@ -28,7 +28,7 @@ CROSSED_STRAIGHT = 1 << 24
 class ModelEmitter(Protocol):
     """Emitter of a shape of a lamp's model, which `lumitree_path` evaluates."""
 
-    def eval_own(self, si: Any, it: Any, ds: Any, active: Any) -> tuple[Any, Any]:
+    def eval_self_emission(self, si: Any, it: Any, ds: Any, active: Any) -> tuple[Any, Any]:
         """Radiance of a point that a ray has hit.
 
         Args:
@@ -39,7 +39,7 @@ class ModelEmitter(Protocol):
 
         Returns:
             mi.Color3f, radiance towards `si.wi`; and mi.Float, density per steradian with which a
-            point of the shape that `sample_own` gave has this direction from `it`.
+            point of the shape that `sample_self_emission` gave has this direction from `it`.
         """
         ...
 
@@ -53,7 +53,7 @@ def model_emitter_class() -> type:
 
     class LumitreeModelEmitter(mi.Emitter):
         def __init__(
-            self, lamp: Any, lights: OwnLights, radiance: Any = None, index: int = 0
+            self, lamp: Any, lights: SelfLights, radiance: Any = None, index: int = 0
         ) -> None:
             """Emitter of one shape.
 
@@ -69,10 +69,10 @@ def model_emitter_class() -> type:
             self._radiance, self._index = radiance, index
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
-        def eval_own(self, si, it, ds, active):
+        def eval_self_emission(self, si, it, ds, active):
             if self._radiance is None:
                 return mi.Color3f(0), mi.Float(0)
-            pdf = self.get_shape().pdf_direction(it, ds, active) * self._lights.chance(self._index)
+            pdf = self.get_shape().pdf_direction(it, ds, active) * self._lights.pmf(self._index)
             return self._eval(si, active), pdf
 
         def radiance_at(self, ds, active):

@@ -12,8 +12,8 @@ from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError
 from lumitree.octree.field import Field, FieldData
 from lumitree.rendering.asset_cache import open_asset, open_field
-from lumitree.rendering.sampling.own_lights import OwnLights
 from lumitree.rendering.sampling.proxy import make_proxy
+from lumitree.rendering.sampling.self_lights import SelfLights
 
 Appearance = Literal["field", "model"]
 APPEARANCES: tuple[Appearance, ...] = get_args(Appearance)
@@ -60,7 +60,7 @@ class Placed:
         self.holds = False
         # Of the model: what emits, and numbers of the shapes and of the media that scatter
         # (`objects.shape_number` and `medium_number`).
-        self.own_lights = OwnLights()
+        self.self_lights = SelfLights()
         self.own_shapes: list[int] = []
         self.own_media: list[int] = []
         scene_from_local = options.get("to_world", np.eye(4)) @ asset.frame.world_from_local

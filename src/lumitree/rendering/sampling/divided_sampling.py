@@ -84,13 +84,13 @@ class DividedSampler(DirectionSampler):
         self._light = exitant_light(asset)
 
     def sample(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
-        """As `EmitterSampler.sample`; no sampled point is ever hidden."""
+        """Unit direction for a sample in the unit square; no point is sampled (-inf)."""
         if self._uniform is not None:
             return self._uniform.sample(x, sample), mi.Float(-dr.inf)
         return self._light.sample(x, sample, active), mi.Float(-dr.inf)
 
     def look(self, entry: Any, direction: Any, active: Any) -> tuple[Any, Any]:
-        """As `EmitterSampler.look`."""
+        """Radiance and transmittance along rays of an image."""
         return look(self._asset, self._field, entry, direction, active)
 
     def eval(
@@ -101,25 +101,33 @@ class DividedSampler(DirectionSampler):
         distance: Any,
         active: Any,
         target: Any = -dr.inf,
-        sees: Any = False,
+        specular_chain: Any = False,
     ) -> tuple[Any, Any, Any]:
-        """As `EmitterSampler.eval`."""
+        """Radiance from a direction, transmittance, and the density per steradian of `sample`."""
         radiance, density = self._eval(x, entry, direction, distance, active)
-        radiance, through = self._divide(radiance, entry, direction, active, sees)
+        radiance, through = self._divide(radiance, entry, direction, active, specular_chain)
         return radiance, through, density
 
     def _divide(
-        self, radiance: Any, entry: Any, direction: Any, active: Any, sees: Any, span: Span = None
+        self,
+        radiance: Any,
+        entry: Any,
+        direction: Any,
+        active: Any,
+        specular_chain: Any,
+        span: Span = None,
     ) -> tuple[Any, Any]:
         """What rays get of a radiance for receivers, and their transmittance."""
         if not self._asset.num_leaves:
             return radiance, mi.Float(1)
-        seen, through = self._field.emission(entry, direction, active & sees, span)
-        passed = self._field.coarse.transmittance(entry, direction, active & ~mi.Bool(sees), span)
-        return dr.select(sees, seen, radiance), dr.select(sees, through, passed)
+        seen, through = self._field.emission(entry, direction, active & specular_chain, span)
+        passed = self._field.coarse.transmittance(
+            entry, direction, active & ~mi.Bool(specular_chain), span
+        )
+        return dr.select(specular_chain, seen, radiance), dr.select(specular_chain, through, passed)
 
     def pdf(self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True) -> Any:
-        """As `EmitterSampler.pdf`."""
+        """Density per steradian with which `sample` returns a direction."""
         return self._eval(x, entry, direction, distance, active)[1]
 
     def _eval(self, x, entry, direction, distance, active):
@@ -131,7 +139,7 @@ class DividedSampler(DirectionSampler):
     def sample_ray(
         self, choice: Any, sample1: Any, sample2: Any, active: Any = True
     ) -> tuple[Any, Any, Any]:
-        """As `EmitterSampler.sample_ray`."""
+        """Point of a ray on which light leaves the lamp, its direction of travel, and its flux."""
         return self._light.sample_ray(choice, sample1, sample2, active)
 
 
@@ -143,7 +151,7 @@ class CellSampler(DividedSampler):
     estimation, so that few paths need the radiance of a whole ray.
     """
 
-    weighs = True
+    includes_mis = True
 
     def __init__(self, asset: Asset, field: Field, *, blocked: bool = False) -> None:
         super().__init__(asset, field)
@@ -156,8 +164,8 @@ class CellSampler(DividedSampler):
         self._inside = inside_light(self._asset, blocked=self._blocked)
 
     def sample_target(self, x: Any, sample: Any, active: Any, inside: Any) -> tuple[Any, Target]:
-        """As `DirectionSampler.sample_target`."""
-        point, cell, chance = self._light.sample_point(x, sample, active & ~inside)
+        """Direction towards a point of a cell, and that point."""
+        point, cell, pmf = self._light.sample_point(x, sample, active & ~inside)
         place = mi.UInt32(OUTSIDE)
         if self._blocked:
             # Other bits of the same sample, which the point does not depend on.
@@ -165,15 +173,15 @@ class CellSampler(DividedSampler):
             place = dr.select(near, mi.UInt32(NEAR), place)
         if self._inside is not None:
             others = *self._inside.sample_point(x, sample, active & inside), mi.UInt32(INSIDE)
-            found = zip(others, (point, cell, chance, place), strict=True)
-            point, cell, chance, place = (dr.select(inside, *each) for each in found)
+            found = zip(others, (point, cell, pmf, place), strict=True)
+            point, cell, pmf, place = (dr.select(inside, *each) for each in found)
         offset = mi.Vector3f(point - x)
         distance = dr.norm(offset)
-        return offset / distance, (distance, cell, chance, place)
+        return offset / distance, Target(distance, cell, pmf, place)
 
     def border(self, x: Any, direction: Any, target: Target, active: Any) -> Any:
         """Distance up to which the lamp's own surfaces block; 0 where they do not."""
-        _, cell, _, place = target
+        cell, place = target.cell, target.place
         border = mi.Float(0)
         if self._blocked:
             near = active & (place == NEAR)
@@ -191,19 +199,22 @@ class CellSampler(DividedSampler):
         direction: Any,
         entry_distance: Any,
         target: Target,
-        pdf: Any,
-        chance: Any,
+        bsdf_pdf: Any,
+        emitter_pmf: Any,
         active: Any,
     ) -> tuple[Any, Any]:
-        """As `DirectionSampler.eval_target`."""
-        far, cell, probability, place = target
-        other = dr.select(self._left_out(x, pdf), 0, pdf / (self._radius * chance))
+        """Light of the sampled cell times its weight of multiple importance sampling.
+
+        The density is 1 where `active`, because the weight is included.
+        """
+        far, cell, pmf, place = target.distance, target.cell, target.pmf, target.place
+        other = dr.select(self._left_out(x, bsdf_pdf), 0, bsdf_pdf / (self._radius * emitter_pmf))
         weight = self._light.contribution(
-            direction, far, cell, probability, other, place == NEAR, active & (place != INSIDE)
+            direction, far, cell, pmf, other, place == NEAR, active & (place != INSIDE)
         )
         if self._inside is not None:
             weight += self._inside.contribution(
-                direction, far, cell, probability, other, active & (place == INSIDE)
+                direction, far, cell, pmf, other, active & (place == INSIDE)
             )
         return weight, dr.select(active, mi.Float(1), 0)
 
@@ -213,18 +224,18 @@ class CellSampler(DividedSampler):
         entry: Any,
         direction: Any,
         distance: Any,
-        sees: Any,
-        pdf: Any,
-        chance: Any,
+        specular_chain: Any,
+        bsdf_pdf: Any,
+        emitter_pmf: Any,
         active: Any,
         inside: Any,
         ends: RayEnds,
     ) -> tuple[Any, Any, Any]:
-        """As `DirectionSampler.eval_hit`."""
-        gets = active & ~((chance > 0) & self._left_out(x, pdf))
+        """Light of all cells on the ray times their weights, transmittance, and a density of 0."""
+        gets = active & ~((emitter_pmf > 0) & self._left_out(x, bsdf_pdf))
         if self._asset.num_leaves:
-            gets &= ~mi.Bool(sees)
-        inverse = dr.select(chance > 0, self._radius * chance / pdf, 0)
+            gets &= ~mi.Bool(specular_chain)
+        inverse = dr.select(emitter_pmf > 0, self._radius * emitter_pmf / bsdf_pdf, 0)
         blocked = mi.Bool(False)
         if self._blocked:
             # A random number that the path has not used.
@@ -236,11 +247,11 @@ class CellSampler(DividedSampler):
         if self._inside is not None:
             radiance += self._inside.received(x, entry, direction, inverse, ends, gets & inside)
         span = mi.Float(0), ends.other
-        radiance, through = self._divide(radiance, entry, direction, active, sees, span)
+        radiance, through = self._divide(radiance, entry, direction, active, specular_chain, span)
         return radiance, through, mi.Float(0)
 
-    def _left_out(self, x, pdf):
+    def _left_out(self, x, bsdf_pdf):
         """Whether a direction is left to next-event estimation."""
         radius = _CUTOFF_RADIUS * self._radius
         far = dr.squared_norm(mi.Vector3f(x)) > radius**2
-        return far & (pdf < _CUTOFF * cone_pdf(x, radius))
+        return far & (bsdf_pdf < _CUTOFF * cone_pdf(x, radius))

@@ -8,6 +8,7 @@ The density of a direction is computed along its ray, together with its radiance
 """
 
 import math
+from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import drjit as dr
@@ -32,9 +33,31 @@ SAMPLING_KINDS: tuple[Sampling, ...] = get_args(Sampling)
 UNIFORM_FRACTION = 0.1
 # Where a receiver is: outside the box, near it, where the lamp's own surfaces block; or inside.
 OUTSIDE, NEAR, INSIDE = range(3)
-# Of a sampled point: distance, cell and its probability where cells are sampled, and place of the
-# receiver (mi.Float, mi.UInt32, mi.Float, mi.UInt32).
-Target = tuple[Any, Any, Any, Any]
+
+
+@dataclass
+class Target:
+    """The point in a lamp that a sampled direction leads to (a PyTree of Dr.Jit).
+
+    A sampler that returns directions alone has a distance of -inf. Only a sampler of cells has
+    `cell`, `pmf` and `place`.
+
+    Attributes:
+        distance: of the point from the receiver, local units.
+        cell: index of the cell of the light field that the point is in.
+        pmf: probability with which this cell is sampled.
+        place: where the receiver is: `OUTSIDE`, `NEAR` or `INSIDE`.
+    """
+
+    distance: "mi.Float"
+    cell: "mi.UInt32"
+    pmf: "mi.Float"
+    place: "mi.UInt32"
+
+    @classmethod
+    def at(cls, distance: "mi.Float") -> "Target":
+        """Target at a distance, of a sampler that does not sample cells."""
+        return cls(distance, mi.UInt32(0), mi.Float(0), mi.UInt32(OUTSIDE))
 
 
 class RayEnds(NamedTuple):
@@ -67,7 +90,7 @@ class DirectionSampler(Protocol):
 
     # Whether `eval_target` and `eval_hit` return radiance times its weight of multiple importance
     # sampling, and not densities to compute the weight from.
-    weighs = False
+    includes_mis = False
 
     def sample(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]: ...
 
@@ -81,7 +104,7 @@ class DirectionSampler(Protocol):
         distance: Any,
         active: Any,
         target: Any = -dr.inf,
-        sees: Any = False,
+        specular_chain: Any = False,
     ) -> tuple[Any, Any, Any]: ...
 
     def pdf(self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True) -> Any: ...
@@ -96,7 +119,7 @@ class DirectionSampler(Protocol):
         `inside` (mi.Bool): whether the receiver is inside the box, and gets light there.
         """
         direction, distance = self.sample(x, sample, active)
-        return direction, (distance, mi.UInt32(0), mi.Float(0), mi.UInt32(OUTSIDE))
+        return direction, Target.at(distance)
 
     def border(self, x: Any, direction: Any, target: Target, active: Any) -> Any:
         """Distance (mi.Float) within which the lamp's own surfaces block; 0 where they do not."""
@@ -111,8 +134,8 @@ class DirectionSampler(Protocol):
         direction: Any,
         entry_distance: Any,
         target: Target,
-        pdf: Any,
-        chance: Any,
+        bsdf_pdf: Any,
+        emitter_pmf: Any,
         active: Any,
     ) -> tuple[Any, Any]:
         """Radiance over density (mi.Color3f) of a direction of `sample_target`, and its density.
@@ -122,12 +145,15 @@ class DirectionSampler(Protocol):
             direction: mi.Vector3f, unit direction from it.
             entry_distance: mi.Float, distance at which the ray enters the proxy.
             target: as `sample_target` returned it.
-            pdf: mi.Float, density per steradian with which the BSDF samples the direction.
-            chance: mi.Float, probability with which next-event estimation chooses the emitter.
+            bsdf_pdf: mi.Float, density per steradian with which the BSDF samples the direction.
+            emitter_pmf: mi.Float, probability with which next-event estimation chooses the
+                emitter.
             active: mi.Bool mask.
         """
         entry = x + entry_distance * direction
-        radiance, _, density = self.eval(x, entry, direction, entry_distance, active, target[0])
+        radiance, _, density = self.eval(
+            x, entry, direction, entry_distance, active, target.distance
+        )
         return dr.select(density > 0, radiance / density, 0), density
 
     def eval_hit(
@@ -136,9 +162,9 @@ class DirectionSampler(Protocol):
         entry: Any,
         direction: Any,
         distance: Any,
-        sees: Any,
-        pdf: Any,
-        chance: Any,
+        specular_chain: Any,
+        bsdf_pdf: Any,
+        emitter_pmf: Any,
         active: Any,
         inside: Any,
         ends: RayEnds,
@@ -146,13 +172,13 @@ class DirectionSampler(Protocol):
         """Radiance, transmittance and density of a ray that has hit the proxy.
 
         Args:
-            x, entry, direction, distance, sees, active: as for `eval`.
-            pdf, chance: as for `eval_target`; a chance of 0 if next-event estimation could not have
-                found the direction.
+            x, entry, direction, distance, specular_chain, active: as for `eval`.
+            bsdf_pdf, emitter_pmf: as for `eval_target`; a probability of 0 if next-event
+                estimation could not have found the direction.
             inside: as for `sample_target`.
             ends: where the ray ends in the box.
         """
-        return self.eval(x, entry, direction, distance, active, sees=sees)
+        return self.eval(x, entry, direction, distance, active, specular_chain=specular_chain)
 
 
 class EmitterSampler(DirectionSampler):
@@ -202,7 +228,7 @@ class EmitterSampler(DirectionSampler):
         distance: Any,
         active: Any,
         target: Any = -dr.inf,
-        sees: Any = False,
+        specular_chain: Any = False,
     ) -> tuple[Any, Any, Any]:
         """Radiance from a direction, and the density with which `sample` returns it.
 
@@ -214,8 +240,8 @@ class EmitterSampler(DirectionSampler):
             distance: mi.Float, from the shading point to it.
             active: mi.Bool mask.
             target: as `sample` returned it with this direction.
-            sees: mi.Bool, whether the radiance is for an image of the lamp. Here it is the same
-                as what the lamp sends to receivers.
+            specular_chain: mi.Bool, whether the radiance is for an image of the lamp. Here it is
+                the same as what the lamp sends to receivers.
 
         Returns:
             Radiance (mi.Color3f) and transmittance of the ray; density, mi.Float per steradian, 0

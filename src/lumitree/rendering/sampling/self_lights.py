@@ -1,4 +1,4 @@
-"""Next-event estimation towards the emitters of a lamp's own shapes, from its own surfaces."""
+"""Next-event estimation of self emission: from a lamp's surfaces towards its own emitters."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from lumitree.core.device import on_device
 from lumitree.rendering.sampling.samples import sample_row
 
 
-class OwnLights:
+class SelfLights:
     """The shapes of one lamp that emit.
 
     Their emitters exist before their shapes do, so `set_shapes` completes it.
@@ -23,15 +23,15 @@ class OwnLights:
     def set_shapes(self, shapes: list[Any], power: NDArray[np.float64]) -> None:
         """Sample these shapes (mi.Shape) in proportion to `power` [N], positive."""
         self._count = len(shapes)
-        share = power / power.sum()
+        pmf = power / power.sum()
         # Pointers do not own what they refer to: the shapes own their emitters, which own this.
         self._shapes = mi.ShapePtr(shapes)
-        self._cumulated = on_device(mi.Float, np.cumsum(share))
-        self._chance = on_device(mi.Float, share)
+        self._cumulated = on_device(mi.Float, np.cumsum(pmf))
+        self._pmf = on_device(mi.Float, pmf)
 
-    def chance(self, index: int) -> Any:
+    def pmf(self, index: int) -> Any:
         """Probability (mi.Float) with which a shape is sampled."""
-        return dr.gather(mi.Float, self._chance, mi.UInt32(index))
+        return dr.gather(mi.Float, self._pmf, mi.UInt32(index))
 
     def sample(self, sample: Any, active: Any) -> tuple[Any, Any, Any]:
         """Choose one of the shapes.
@@ -48,6 +48,6 @@ class OwnLights:
             return dr.zeros(mi.ShapePtr), mi.Float(0), mi.Float(0)
         index = sample_row(self._cumulated, mi.UInt32(0), self._count, sample, active)
         upper = dr.gather(mi.Float, self._cumulated, index, active)
-        chance = dr.gather(mi.Float, self._chance, index, active)
-        rest = dr.clip((sample - upper + chance) / chance, 0, dr.one_minus_epsilon(mi.Float))
-        return dr.gather(mi.ShapePtr, self._shapes, index, active), chance, rest
+        pmf = dr.gather(mi.Float, self._pmf, index, active)
+        rest = dr.clip((sample - upper + pmf) / pmf, 0, dr.one_minus_epsilon(mi.Float))
+        return dr.gather(mi.ShapePtr, self._shapes, index, active), pmf, rest
