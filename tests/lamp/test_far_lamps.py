@@ -194,11 +194,8 @@ def test_a_far_model_is_stored_with_its_origin(mi, tmp_path):
     asset = with_model(small_model(origin=FAR), frame)
     save(asset, tmp_path / "far.lumitree")
     assert load(tmp_path / "far.lumitree").model.origin == FAR
-    header = (tmp_path / "far.lumitree").read_bytes()[:4000]
-    assert b'\\"version\\":6' in header
     save(with_model(small_model()), tmp_path / "near.lumitree")
     near = (tmp_path / "near.lumitree").read_bytes()
-    assert b'\\"version\\":4' in near[:4000]
     assert b"origin" not in near
 
 
