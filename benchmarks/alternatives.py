@@ -4,7 +4,7 @@
 
 Each luminaire hangs in the demonstration's room as: explicit geometry; explicit geometry with thin
 glass in place of all smooth glass, so that shadow rays cross it; the far field of an IES file,
-emitted evenly from the lamp's box; an emissive sphere of the same flux; an asset with an exitant
+emitted evenly from the lamp's box; an emissive sphere of the same flux; an asset with a
 light field; and, where mitsuba-oidn is installed, explicit geometry and asset denoised. The
 reference is a long run of explicit geometry. Compared are the pixels that show diffuse surfaces of
 the room.
@@ -112,7 +112,7 @@ def measure(source: LuminaireSource, name: str, options: argparse.Namespace) -> 
 
     asset = lumitree.bake(
         source,
-        config=lumitree.BakeConfig(parts=("exitant",), irradiance_paths=0, seed=options.seed),
+        config=lumitree.BakeConfig(parts=("light",), irradiance_paths=0, seed=options.seed),
     ).asset
     with tempfile.TemporaryDirectory() as folder:
         scenes = scenes_of(source, asset, Path(folder), options)

@@ -60,7 +60,7 @@ def irradiance_rows(name: str, asset: Any, seed: int) -> list[dict]:
     reference = luminaire_irradiance(load_luminaire(name), REFERENCE_PATHS, seed=seed)
     estimates = {"field": asset_irradiance(asset, RAYS, seed=seed)}
     for count in LIGHTS:
-        rays = TableRays(cluster_lights(asset.exitant, half, count, seed))
+        rays = TableRays(cluster_lights(asset.light_field, half, count, seed))
         estimates[str(count)] = rays_irradiance(rays, half, RAYS, draw=2, seed=seed)
     rows = []
     for lights, estimate in estimates.items():
@@ -267,7 +267,7 @@ def run(options: argparse.Namespace) -> None:
             path = folder / f"{name}.lumitree"
             if not path.exists():
                 lumitree.bake(
-                    name, path, lumitree.BakeConfig(parts=("exitant", "model"), irradiance_paths=0)
+                    name, path, lumitree.BakeConfig(parts=("light", "model"), irradiance_paths=0)
                 )
             asset = lumitree.load(path)
             irradiance += irradiance_rows(name, asset, options.seed)

@@ -3,7 +3,7 @@
     python -m benchmarks illumination [--data FOLDER] [--assets FOLDER] [LUMINAIRE ...]
 
 Each luminaire hangs in the demonstration's room, in turn as an emissive sphere of the same flux
-(the baseline), as explicit geometry, as an asset with an exitant light field alone, and as one with
+(the baseline), as explicit geometry, as an asset with a light field alone, and as one with
 a model. Writes `illumination.md` and `illumination.json`: the bake (seconds, bytes, irradiance
 error); CPU time of a sample over the sphere's and over the explicit lamp's; variance of the pixels
 that show diffuse surfaces, relative to their squared mean and without the 0.1 % of largest, over
@@ -33,7 +33,7 @@ from lumitree.lamp.source import LuminaireSource
 
 PATH_DEPTH = 8
 BASELINE = "sphere"
-LAMPS = ("explicit", "exitant", "model")
+LAMPS = ("explicit", "light", "model")
 
 
 def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) -> dict:
@@ -48,7 +48,7 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
     made = None
     if not path.exists():
         made = lumitree.bake(
-            source, path, lumitree.BakeConfig(parts=("exitant", "model"), seed=options.seed)
+            source, path, lumitree.BakeConfig(parts=("light", "model"), seed=options.seed)
         )
     asset = lumitree.load(path)
     scenes = rooms(source, asset, options.width)
@@ -77,7 +77,7 @@ def rooms(source: LuminaireSource, asset: Any, width: int) -> dict[str, Any]:
     scenes = {
         BASELINE: sphere_room(asset, width),
         "explicit": placed(source, width),
-        "exitant": placed(asset, width),
+        "light": placed(asset, width),
     }
     if asset.model is not None:
         scenes["model"] = placed(asset, width, appearance="model")
@@ -131,7 +131,7 @@ def _bake_cells(row: dict) -> list[str]:
     size = f"{row['bytes'] / 1e6:.1f}"
     if row.get("irradiance") is None:
         return ["", size, "", "", "", ""]
-    seconds, found = row["bake_seconds"]["exitant"], row["irradiance"]
+    seconds, found = row["bake_seconds"]["light"], row["irradiance"]
     faces = found["faces"].values()
     cube = [face for name, face in found["faces"].items() if name != "touching"]
     ratio = [face["ratio"] for face in cube]

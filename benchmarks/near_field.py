@@ -8,12 +8,12 @@ ones. Of each plane the side with more light counts. The reference are light pat
 patches. Patches are *far* (more than a tenth of the box's longest half side from the lamp's
 surfaces) or *near*; those in closed parts of the lamp do not count. RMS differences are without the
 noise of either side, which needs two bakes. There are two ways to receive the light: with the
-lamp's surfaces in the scene (`model`), and without (`exitant`).
+lamp's surfaces in the scene (`model`), and without (`light`).
 
-*Before* is an exitant light field without the light inside the box, which lights receivers
+*Before* is a light field without the light inside the box, which lights receivers
 outside only. Further figures: light in the shadow under a lamp, over that of the brightest patches;
 time times variance of a receiver in the box over that of one just outside it; bytes of an asset
-with the exitant part alone, and time of its bake, over that of the same light paths and their
+with the light field alone, and time of its bake, over that of the same light paths and their
 histogram alone. `--data` adds luminaires of others, and `--desk` renders a scene
 with the little lamp, baked and explicit, for the same CPU time; errors are `rmse_display`.
 
@@ -54,7 +54,7 @@ GROUPS = (("horizontal", "far"), ("horizontal", "near"), ("touching", "all"), ("
 # For the shadow under a lamp.
 FINE = Rectangle(1, -0.02, 48, part=1.0)
 # Appearance of the lamp, by the name of the way to receive its light.
-WAYS: dict[str, Literal["model", "field"]] = {"model": "model", "exitant": "field"}
+WAYS: dict[str, Literal["model", "field"]] = {"model": "model", "light": "field"}
 # Receivers whose noise is measured are in patches with this part of their plane's largest
 # irradiance.
 LIT = 0.1
@@ -163,17 +163,19 @@ def _shadow(lamps: list[Any], fine: Plane, seed: int) -> dict[str, float] | None
 
 def without_inside(asset: Any) -> Any:
     """An asset with the light alone that leaves the lamp's box."""
-    return dataclasses.replace(asset, exitant=dataclasses.replace(asset.exitant, inside=None))
+    return dataclasses.replace(
+        asset, light_field=dataclasses.replace(asset.light_field, inside=None)
+    )
 
 
 def _bytes(asset: Any) -> int:
-    """Size of the file of an asset with its exitant part alone."""
+    """Size of the file of an asset with its light field alone."""
     import lumitree
-    from lumitree.asset.asset import exitant_asset
+    from lumitree.asset.asset import light_field_asset
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "lamp.lumitree"
-        lumitree.save(exitant_asset(asset.exitant, asset.frame, asset.luminaire), path)
+        lumitree.save(light_field_asset(asset.light_field, asset.frame, asset.luminaire), path)
         return path.stat().st_size
 
 
@@ -183,9 +185,9 @@ def _paths_seconds(source: LuminaireSource, seed: int) -> float:
     from lumitree.trace.emitted_rays import as_rows
     from lumitree.trace.histograms import Histogram
     from lumitree.trace.lamp_rays import LampRays
-    from lumitree.trace.light_field_config import ExitantConfig
+    from lumitree.trace.light_field_config import LightFieldFitConfig
 
-    luminaire, config = load_luminaire(source), ExitantConfig()
+    luminaire, config = load_luminaire(source), LightFieldFitConfig()
     start = time.perf_counter()
     rays, histogram = LampRays(luminaire), Histogram(config.depth, config.resolution)
     for step in range(-(-config.paths // config.batch)):
@@ -233,7 +235,7 @@ def _receivers(lamp: Any, planes: list[Plane]) -> dict[str, list[tuple[Floats, i
 def _baked(
     source: LuminaireSource, folder: Path, options: argparse.Namespace, number: int
 ) -> tuple[Any, float | None]:
-    """An asset, which is baked where it is missing, and the seconds of its exitant part."""
+    """An asset, which is baked where it is missing, and the seconds of its light field."""
     import lumitree
 
     path = folder / f"{file_name(source)}-{number}.lumitree"
@@ -243,10 +245,10 @@ def _baked(
         source,
         path,
         lumitree.BakeConfig(
-            parts=("exitant", "model"), irradiance_paths=0, seed=options.seed + number
+            parts=("light", "model"), irradiance_paths=0, seed=options.seed + number
         ),
     )
-    return baked.asset, baked.seconds["exitant"]
+    return baked.asset, baked.seconds["light"]
 
 
 def plane_table(rows: list[dict[str, Any]]) -> Table:
@@ -261,7 +263,7 @@ def plane_table(rows: list[dict[str, Any]]) -> Table:
             for kind in ("far", "near"):
                 count = "0" if model[kind] is None else str(model[kind]["patches"])
                 line += [count, *_errors(model[kind])]
-            lines.append([*line, *_errors(plane["exitant"]["far"])])
+            lines.append([*line, *_errors(plane["light"]["far"])])
     return Table(heads, lines, left=3)
 
 
@@ -320,7 +322,7 @@ def _noise_ratio(found: dict[str, Any]) -> float | None:
 
 
 def cost_table(rows: list[dict[str, Any]]) -> Table:
-    """Bytes and time of the exitant part, and what there was before."""
+    """Bytes and time of the light field, and what there was before."""
     lines = []
     for row in rows:
         size, size_before = (np.mean(row[name]) / 1e6 for name in ("bytes", "bytes_before"))
@@ -333,7 +335,7 @@ def cost_table(rows: list[dict[str, Any]]) -> Table:
         lines.append(
             [*line, *_errors(before["touching"]), "-" if dark is None else f"{dark['baked']:.3f}"]
         )
-    heads = ["luminaire", "exitant part", "over before", "its bake", "over before"]
+    heads = ["luminaire", "light field", "over before", "its bake", "over before"]
     heads += ["before, touching: ratio", "RMS", "in shadow"]
     return Table(heads, lines)
 

@@ -2,13 +2,13 @@
 
     python -m benchmarks representations [LUMINAIRE ...]
 
-All are fitted to the same light paths, but for lumitree's field, whose direct bake traces rays of
+All are fitted to the same light paths, but for lumitree's field, whose octree fit traces rays of
 its own. For each: seconds of the fit, bytes, the RMS error of the irradiance on the faces of a cube
 around the lamp and on a plane that touches its box against other light paths; the
 gain over black of images from outside, against captured views; nanoseconds of a query of radiance
 along a line, and of a direction sampled towards the lamp with what arrives from there; and the
 variance of the irradiance that one such sample estimates, over the square of its mean. The
-baseline of times and variances is the exitant light field at its defaults. Writes
+baseline of times and variances is the light field at its defaults. Writes
 `representations.md`, `representations.json` and `representations.png`.
 """
 
@@ -31,7 +31,7 @@ from lumitree.core.extras import check_network
 from lumitree.lamp.builtin.registry import BUILTIN
 
 REFERENCE_PATHS = 1 << 22
-BASELINE, FIELD = "exitant 32³ x 32²", "field, direct bake"
+BASELINE, FIELD = "light field 32³ x 32²", "field, octree fit"
 # Receivers, local units; each faces the lamp's centre.
 RECEIVERS = {"below": (0.0, -6.0, 0.0), "beside": (4.0, 0.0, 0.5), "near": (0.3, -1.4, 0.2)}
 SAMPLES = 1 << 18
@@ -48,8 +48,8 @@ FAMILIES = {
     "table": "table on the box",
     "harmonics": "harmonics on the box",
     "flow": "normalizing flow (PureLight)",
-    "exitant": "exitant light field",
-    "field, direct": "field (direct bake)",
+    "light": "light field",
+    "field, direct": "field (octree fit)",
 }
 
 
@@ -60,9 +60,9 @@ def fits(name: str, options: argparse.Namespace) -> Mapping[str, Callable[[Any],
         baked_field,
         box_harmonics,
         box_table,
-        exitant_light_field,
         far_field_point,
         far_field_sphere,
+        light_field,
         point_lights,
     )
     from benchmarks.baselines.light_flow import LightFlow
@@ -89,10 +89,8 @@ def fits(name: str, options: argparse.Namespace) -> Mapping[str, Callable[[Any],
             lambda rays, patches=patches, l_max=l_max: box_harmonics(rays, patches, l_max)
         )
     for depth, resolution in ((3, 32), (4, 32), (5, 32)):
-        chosen[f"exitant {1 << depth}³ x {resolution}²"] = (
-            lambda rays, depth=depth, resolution=resolution: exitant_light_field(
-                rays, depth, resolution
-            )
+        chosen[f"light_field {1 << depth}³ x {resolution}²"] = (
+            lambda rays, depth=depth, resolution=resolution: light_field(rays, depth, resolution)
         )
     chosen[FIELD] = lambda _: baked_field(name, seed)
     return chosen

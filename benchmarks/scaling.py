@@ -1,4 +1,4 @@
-"""Gain over black of a direct bake against its time, depth, harmonics and leaves.
+"""Gain over black of an octree fit against its time, depth, harmonics and leaves.
 
     python -m benchmarks scaling bulbs --references FOLDER [--time 45] [--depth 7] [--l-max 2]
 
@@ -46,7 +46,7 @@ def measure(
     """One bake and its errors."""
     asset = str(folder / "lamp.lumitree")
     Path(asset).unlink(missing_ok=True)
-    parts: tuple[Part, ...] = ("exitant", "field")
+    parts: tuple[Part, ...] = ("light", "field")
     baked = lumitree.bake(
         name,
         asset,

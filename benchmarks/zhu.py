@@ -1,4 +1,4 @@
-"""The networks of Zhu et al. 2021 against the paper's network and the direct bake (Table 6).
+"""The networks of Zhu et al. 2021 against the paper's network and the octree fit (Table 6).
 
     python -m benchmarks zhu [LUMINAIRE ...] [--views N --resolution R --seconds S] [--converge]
 
@@ -8,8 +8,8 @@ Captures views of a luminaire and gives each method the same time for them:
   rays of the views; and with `--converge` until they improve no more;
 * network, octree: the paper's network at the preset `preview`, with as many steps as the time
   allows, and the octree that is extracted from it (depth 7);
-* direct, views: the direct bake of the views (depth 7);
-* direct: the direct bake, which traces rays of its own (depth 7).
+* direct, views: the octree fit of the views (depth 7);
+* direct: the octree fit, which traces rays of its own (depth 7).
 
 The seconds of the table are those of the whole fit, with compilation, which does not count for the
 time that the networks are given, and without the capture. Metrics are those of `evaluate`, on test

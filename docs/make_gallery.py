@@ -32,7 +32,7 @@ def main() -> None:
             lumitree.BakeConfig.preview(),
             tree_depth=6,
             l_max=1,
-            parts=("exitant", "field"),
+            parts=("light", "field"),
             irradiance_paths=0,
             light_field=LIGHT_FIELD,
         ),

@@ -21,8 +21,8 @@ from lumitree.fit.config import NETWORK_BAKES, NetworkConfig
 from lumitree.fit.network.config import PRESETS
 from lumitree.rendering.asset_cache import open_field
 from support import tiny_bakes
-from support.exitant_fields import assert_equal_fields
 from support.fields import random_asset
+from support.light_fields import assert_equal_fields
 from support.reference_field import integrate_ray
 from support.tiny_bakes import standard
 
@@ -35,7 +35,7 @@ LAMP = """<scene version="3.0.0">
 
 @pytest.fixture
 def tiny(mi, monkeypatch):
-    """A direct bake of seconds."""
+    """An octree fit of seconds."""
     tiny_bakes.set_qualities(monkeypatch.setitem)
 
 
@@ -55,7 +55,7 @@ def test_bake_evaluate_render(mi, tiny, tmp_path, monkeypatch):
     assert baked.asset.info.leaves > 50
     assert baked.asset.tree_depth == 5
     assert tiny_bakes.RAYS <= baked.rays < tiny_bakes.RAYS + 6 * (1 << 14)
-    assert set(baked.seconds) == {"exitant", "bake", "irradiance"}
+    assert set(baked.seconds) == {"light", "bake", "irradiance"}
     assert not (tmp_path / "lamp.work").exists()
     json.dumps(baked.to_json(), allow_nan=False)
     report = lumitree.evaluate(
@@ -102,9 +102,9 @@ def test_network_bake_evaluate(mi, tiny_network, tmp_path, monkeypatch):
     (tmp_path / "lamp.xml").write_text(LAMP)
     baked = lumitree.bake_network("lamp.xml", "lamp.lumitree")
     assert baked.asset.info.leaves > 50
-    assert set(baked.seconds) == {"exitant", "capture", "train", "extract", "irradiance"}
-    lit = lumitree.bake("lamp.xml", config=standard(parts=["exitant"], irradiance_paths=0)).asset
-    assert_equal_fields(baked.asset.exitant, lit.exitant)
+    assert set(baked.seconds) == {"light", "capture", "train", "extract", "irradiance"}
+    lit = lumitree.bake("lamp.xml", config=standard(parts=["light"], irradiance_paths=0)).asset
+    assert_equal_fields(baked.asset.light_field, lit.light_field)
     assert baked.irradiance["irradiance_ratio"] == pytest.approx(1, abs=0.05)
     assert not (tmp_path / "lamp.work").exists()
     metrics = lumitree.evaluate(
@@ -128,24 +128,24 @@ def test_a_network_bakes_the_parts_that_are_chosen(mi, tiny_network, tmp_path, m
     assert main([*whole, "--config", "bake.toml"]) == 0
     assert "irradiance, ratio" in capsys.readouterr().out
     both = lumitree.load("whole.lumitree")
-    assert both.exitant.traced.seeds == (3,)
+    assert both.light_field.traced.seeds == (3,)
     # The finished views and the finished training of the same folder.
     config = dataclasses.replace(
         NetworkConfig.preview(), parts=("field",), seed=3, irradiance_paths=0
     )
     field = lumitree.bake_network("lamp.xml", "field.lumitree", config, work="state")
-    assert field.asset.exitant is field.irradiance is None
+    assert field.asset.light_field is field.irradiance is None
     for name in ("children", "density", "coefficients"):
         assert np.array_equal(getattr(both, name), getattr(field.asset, name))
     # A run lacks the luminaire.
     line = ["extract", "state/run", "-o", "again.lumitree", "--tree-depth", "3"]
     assert main(line) == 0
     assert "irradiance" not in capsys.readouterr().out
-    assert lumitree.load("again.lumitree").exitant is None
+    assert lumitree.load("again.lumitree").light_field is None
     assert main([*line, "--luminaire", "lamp.xml", "--seed", "3"]) == 0
     assert "irradiance, ratio" in capsys.readouterr().out
     again = lumitree.load("again.lumitree")
-    assert_equal_fields(again.exitant, both.exitant)
+    assert_equal_fields(again.light_field, both.light_field)
     assert again.num_leaves > 0
     with pytest.raises(lumitree.LumitreeError, match="other settings"):
         lumitree.train("state/dataset", "state/run", seed=4, resume=True)
@@ -158,9 +158,9 @@ def test_a_network_bakes_the_parts_that_are_chosen(mi, tiny_network, tmp_path, m
 def test_a_network_needs_the_part_field(mi, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for parts, message in (
-        (["exitant"], "parts are exitant; expected field"),
+        (["light"], "parts are light_field; expected field"),
         ([], "parts are none; expected field"),
-        (["nonsense"], "part is 'nonsense'; expected exitant, field"),
+        (["nonsense"], "part is 'nonsense'; expected light, field"),
     ):
         with pytest.raises(lumitree.LumitreeError, match=message):
             NetworkConfig(parts=parts)
@@ -243,7 +243,7 @@ def test_demo(mi, tiny, tmp_path, monkeypatch):
     assert set(report["evaluate"]) >= {"metrics", "views", "seconds", "asset"}
     seconds = report["seconds"]
     total = seconds.pop("total")
-    assert set(seconds) >= {"exitant", "bake", "evaluate", "room baked", "room explicit"}
+    assert set(seconds) >= {"light", "bake", "evaluate", "room baked", "room explicit"}
     assert total == pytest.approx(sum(seconds.values()), abs=1e-2)
     assert set(report["room"]) == {"baked", "explicit"}
     assert report["room"]["baked"]["samples"] == 8

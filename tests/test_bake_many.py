@@ -20,8 +20,8 @@ from lumitree.fit.catalogue import record as lamp_record
 from support.lamps import AREA, scene, sphere
 from support.tiny_bakes import set_qualities, standard
 
-SETTINGS = {"parts": ("exitant",)}
-ARGUMENTS = ("--parts", "exitant")
+SETTINGS = {"parts": ("light",)}
+ARGUMENTS = ("--parts", "light")
 
 
 @pytest.fixture(autouse=True)
@@ -117,7 +117,7 @@ def wait(report):
 
 set_qualities(dict.__setitem__)
 result = lumitree.bake_many(
-    ["a.xml", "b.xml"], "out", standard(parts=("exitant",)), progress=wait
+    ["a.xml", "b.xml"], "out", standard(parts=("light",)), progress=wait
 )
 print([(lamp.name, lamp.state) for lamp in result.lamps])
 """

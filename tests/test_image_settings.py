@@ -71,7 +71,7 @@ def test_sheets(monkeypatch):
 
 def test_thumbnails_of_bakes_and_sheets_of_evaluations(monkeypatch):
     tiny_bakes.set_qualities(monkeypatch.setitem, tree_depth=3)
-    lumitree.bake_many(["lamp.xml"], "lamps", standard(parts=["exitant"], seed=4))
+    lumitree.bake_many(["lamp.xml"], "lamps", standard(parts=["light"], seed=4))
     assert comment("lamps/index-files/lamp.png")["settings"]["seed"] == 4
     options = {
         "num_views": 1,

@@ -10,7 +10,7 @@ import pytest
 import lumitree
 from lumitree.cli import main
 from lumitree.fit.config import BakeConfig
-from lumitree.fit.octree.config import DirectConfig
+from lumitree.fit.octree.config import OctreeFitConfig
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -38,7 +38,7 @@ def test_each_step_names_the_parameter(file, symbol):
     assert re.search(r"\bl_max\b", source_of(file, symbol))
 
 
-@pytest.mark.parametrize("function", [BakeConfig, DirectConfig])
+@pytest.mark.parametrize("function", [BakeConfig, OctreeFitConfig])
 def test_the_parameter_is_in_each_signature(function):
     parameters = inspect.signature(function).parameters
     assert "l_max" in parameters

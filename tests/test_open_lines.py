@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
-from lumitree.asset.exitant import TracedPaths
+from lumitree.asset.asset import light_field_asset
+from lumitree.asset.light_field import TracedPaths
 from lumitree.cli import main
 from lumitree.core.images import write_exr
-from support.exitant_fields import random_exitant
 from support.fields import random_asset
 from support.lamps import AREA, scene, sphere
+from support.light_fields import random_light_field
 from support.tiny_bakes import set_qualities
 
 ROOM = (
@@ -23,7 +23,7 @@ ROOM = (
     "</film></sensor></scene>"
 )
 SMALL = ("--resolution", "16", "--spp", "1")
-LAMP = ("bake", "lamp.xml", "--parts", "exitant")
+LAMP = ("bake", "lamp.xml", "--parts", "light")
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +38,7 @@ def folder(tmp_path, monkeypatch, mi):
     for seed in (0, 1):
         traced = TracedPaths(1000, (seed,), 64 * "0")
         lumitree.save(
-            exitant_asset(random_exitant(0, traced=traced), frame, "x"), f"{seed}.lumitree"
+            light_field_asset(random_light_field(0, traced=traced), frame, "x"), f"{seed}.lumitree"
         )
 
 

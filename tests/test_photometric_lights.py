@@ -94,7 +94,7 @@ def test_one_function_says_what_a_source_is(folder):
 def test_a_file_is_the_asset_that_a_bake_makes_of_it(name):
     baked = lumitree.bake_photometric(name).asset
     opened = lumitree.load(name)
-    assert opened.exitant.intensity.tolist() == baked.exitant.intensity.tolist()
+    assert opened.light_field.intensity.tolist() == baked.light_field.intensity.tolist()
     assert opened.frame == baked.frame
     # The same one while it is in use.
     assert lumitree.load(name) is opened
@@ -179,9 +179,9 @@ def test_an_asset_is_compared_with_its_file(folder, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--parts", "exitant,field"], "parts are exitant, field, but a.ies is a photometric"),
-        (["--parts", "field"], "of which only the part exitant can be made"),
-        (["--parts", "exitant,model"], "of which only the part exitant can be made"),
+        (["--parts", "light,field"], "parts are light_field, field, but a.ies is a photometric"),
+        (["--parts", "field"], "of which only the part light_field can be made"),
+        (["--parts", "light,model"], "of which only the part light_field can be made"),
         (["--seed", "0"], "--seed: not for a photometric file such as a.ies"),
         (["--quality", "standard"], "--quality: not for"),
         (["--time", "3s"], "--time: not for"),
@@ -212,18 +212,18 @@ def test_many_lamps_of_both_kinds(folder, monkeypatch, bakes):
     set_qualities(monkeypatch.setitem)
     (folder / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=AREA)))
     names = ["lamp.xml", "a.ies"]
-    settings = {"parts": ("exitant", "model"), "irradiance_paths": 1 << 12, "seed": 3}
+    settings = {"parts": ("light", "model"), "irradiance_paths": 1 << 12, "seed": 3}
     with pytest.warns(LumitreeWarning, match="a.ies: irradiance_paths, seed, part model not used"):
         result = lumitree.bake_many(names, "out", standard(**settings))
     assert [lamp.state for lamp in result.lamps] == ["baked", "baked"]
-    assert lumitree.load("out/lamp.lumitree").parts == ("exitant", "model")
+    assert lumitree.load("out/lamp.lumitree").parts == ("light", "model")
     # Without settings that do not apply there is no warning, and the file's lamp is kept.
     again = lumitree.bake_many(["a.ies"], "out", standard(irradiance_paths=1 << 14))
     assert [lamp.state for lamp in again.lamps] == ["kept"]
     assert len(bakes) == 1
     with pytest.warns(LumitreeWarning, match="part field not used"):
         failed = lumitree.bake_many(["B.LDT"], "out", standard(parts=["field"]))
-    assert "only the part exitant can be made" in failed.failed[0].error
+    assert "only the part light_field can be made" in failed.failed[0].error
 
 
 @pytest.mark.parametrize("options", [["--unit", "cm"], ["--up", "z"]])

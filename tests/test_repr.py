@@ -3,25 +3,25 @@
 import numpy as np
 
 from lumitree.asset.asset import Asset
-from support.exitant_fields import random_exitant
 from support.fields import random_asset
 from support.lamps import AREA, cube, lamp_of
+from support.light_fields import random_light_field
 from support.model_assets import small_model, with_model
 
 
 def test_assets_and_their_parts():
     field = random_asset(0, tree_depth=3, l_max=1)
-    whole = Asset(**{**vars(field), "model": small_model(), "exitant": random_exitant(0)})
+    whole = Asset(**{**vars(field), "model": small_model(), "light": random_light_field(0)})
     for asset in (whole, field, with_model(small_model())):
         text = repr(asset)
         assert text.startswith(f"Asset('{asset.luminaire}': {' + '.join(asset.parts)}, size ")
         assert f"{asset.num_bytes:,} bytes" in text
         assert len(text) < 300
-    light = whole.exitant
+    light = whole.light_field
     assert repr(whole.model) == (
         f"AssetModel(3 shapes, 8 triangles, 3 materials, 2 images, {whole.model.num_bytes:,} bytes)"
     )
-    assert repr(light).startswith(f"ExitantField({len(light.cells):,} cells of ")
+    assert repr(light).startswith(f"LightField({len(light.cells):,} cells of ")
     assert len(repr(light)) < 200
 
 

@@ -217,7 +217,7 @@ def test_a_signal_after_a_bake_is_complete_changes_nothing(tiny, monkeypatch, ca
         return save(*args)
 
     monkeypatch.setattr(finishing, "save_asset", signalled)
-    command = [*BAKE, "--parts", "exitant", "--config", ".bake.toml"]
+    command = [*BAKE, "--parts", "light", "--config", ".bake.toml"]
     Path(".bake.toml").write_text("irradiance_paths = 0")
     assert main(command) == 0
     assert left() == ["out/lamp.lumitree"]
@@ -269,8 +269,8 @@ def run_out_of_disk(*_, **__):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-UNFINISHED = [f"out/lamp.work/{name}" for name in (MARKER, "exitant.lumitree", "state.npz")]
-# Of an exitant light field that could not be saved.
+UNFINISHED = [f"out/lamp.work/{name}" for name in (MARKER, "light.lumitree", "state.npz")]
+# Of a light field that could not be saved.
 UNSAVED = [UNFINISHED[0], UNFINISHED[2]]
 
 
@@ -328,7 +328,7 @@ def test_a_full_work_disk_is_warned_of_once_and_the_bake_goes_on(
     assert err.count("No space left on device") == 1
     assert "the bake goes on" in err
     assert len(steps) > 5
-    kept = [f"full/{MARKER}", "full/exitant.lumitree"] if command is BAKE else []
+    kept = [f"full/{MARKER}", "full/light_field.lumitree"] if command is BAKE else []
     assert left() == [*kept, "out/lamp.lumitree"]
 
 
@@ -337,7 +337,7 @@ def test_a_full_disk_at_the_end_loses_no_work(tiny, steps, monkeypatch, capsys):
         patch.setattr("safetensors.numpy.save_file", run_out_of_disk)
         assert main(list(BAKE)) == 2
     err = capsys.readouterr().err
-    assert "cannot save the exitant light field" in err
+    assert "cannot save the light field" in err
     assert "cannot write out/lamp.lumitree: No space left on device" in err
     done = list(steps)
     assert left() == UNSAVED
@@ -349,7 +349,7 @@ def test_a_full_disk_at_the_end_loses_no_work(tiny, steps, monkeypatch, capsys):
 def test_a_full_disk_ends_a_list_of_bakes(tiny, monkeypatch, capsys):
     """And fails no lamp: the next one could not be written either."""
     Path("next.xml").write_text(LAMP)
-    command = ["bake", "lamp.xml", "next.xml", "-o", "out/", "--parts", "exitant"]
+    command = ["bake", "lamp.xml", "next.xml", "-o", "out/", "--parts", "light"]
     with monkeypatch.context() as patch:
         patch.setattr("safetensors.numpy.save_file", run_out_of_disk)
         assert main(command) == 2
@@ -369,7 +369,7 @@ def test_state_that_stays_on_a_full_disk_is_said(tiny, monkeypatch, capsys):
             run_out_of_disk()
 
     monkeypatch.setattr(finishing, "save_asset", fail)
-    assert main([*BAKE, "--parts", "exitant"]) == 2
+    assert main([*BAKE, "--parts", "light"]) == 2
     assert capsys.readouterr().err.endswith(
         "; free some space or choose another output; the same command continues from what "
         "out/lamp.work holds\n"
@@ -439,7 +439,7 @@ def test_a_folder_of_others_is_neither_used_nor_removed(
 
 def test_a_named_work_folder_stays(tiny, steps, capsys):
     assert main([*BAKE, *work(BAKE, "w")]) == 0
-    assert left() == ["out/lamp.lumitree", f"w/{MARKER}", "w/exitant.lumitree", "w/state.npz"]
+    assert left() == ["out/lamp.lumitree", f"w/{MARKER}", "w/light_field.lumitree", "w/state.npz"]
 
 
 def test_pictures_are_baked_too(tiny, capsys):

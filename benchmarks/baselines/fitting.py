@@ -43,7 +43,7 @@ def point_lights(rays: TracedRays, count: int, resolution: int, seed: int) -> So
     """
     from scipy.spatial import KDTree
 
-    random = np.random.default_rng(SeedStream(Purpose.EXITANT, 0, draw=1).seed(seed))
+    random = np.random.default_rng(SeedStream(Purpose.LIGHT_FIELD, 0, draw=1).seed(seed))
     power = rays.flux.sum(axis=1, dtype=np.float64)
     chosen = random.choice(len(power), _CLUSTERED, p=power / power.sum())
     centres = cluster_points(rays.origin[chosen], count, random)
@@ -88,7 +88,7 @@ class RaySet:
     """
 
     def __init__(self, rays: TracedRays, count: int, seed: int) -> None:
-        random = np.random.default_rng(SeedStream(Purpose.EXITANT, 0, draw=2).seed(seed))
+        random = np.random.default_rng(SeedStream(Purpose.LIGHT_FIELD, 0, draw=2).seed(seed))
         power = rays.flux.sum(axis=1, dtype=np.float64)
         chosen = random.choice(len(power), count, p=power / power.sum())
         flux = rays.flux[chosen] * (power.sum() / power[chosen] / count)[:, None]
@@ -151,23 +151,23 @@ class BakedAsset:
         return self._sampler.look(origin, -direction, True)[0]
 
 
-def exitant_light_field(rays: TracedRays, depth: int, resolution: int) -> BakedAsset:
-    """lumitree's exitant light field, of the same rays."""
-    from lumitree.asset.asset import exitant_asset
-    from lumitree.asset.exitant import make_exitant_field
+def light_field(rays: TracedRays, depth: int, resolution: int) -> BakedAsset:
+    """lumitree's light field, of the same rays."""
+    from lumitree.asset.asset import light_field_asset
+    from lumitree.asset.light_field import make_light_field
 
     side = 1 << depth
     cell = np.clip(((rays.origin + 1) * (side / 2)).astype(np.int64), 0, side - 1)
     key = (cell[:, 0] * side + cell[:, 1]) * side + cell[:, 2]
     _, first, index = np.unique(key, return_index=True, return_inverse=True)
     table = tabulated(rays, index, len(first), resolution)
-    field = make_exitant_field(cell[first], table.intensity, depth)
-    asset = exitant_asset(field, LocalFrame(rays.half_extents, np.eye(4)), "exitant")
+    field = make_light_field(cell[first], table.intensity, depth)
+    asset = light_field_asset(field, LocalFrame(rays.half_extents, np.eye(4)), "light")
     return BakedAsset(asset, field.num_bytes)
 
 
 def baked_field(luminaire: str, seed: int) -> BakedAsset:
-    """lumitree's field, by a direct bake at its default quality: without exitant light field."""
+    """lumitree's field, by an octree fit at its default quality: without light field."""
     import tempfile
 
     import lumitree

@@ -44,7 +44,7 @@ def fits(
 
     def from_views() -> Path:
         output = folder / "views.lumitree"
-        lumitree.bake_views(views, output, config.direct_config, progress=None)
+        lumitree.bake_views(views, output, config.octree_fit, progress=None)
         return output
 
     chosen: dict[str, Callable[[], Any]] = {"Zhu et al.": lambda: zhu(views, seconds, seed)}

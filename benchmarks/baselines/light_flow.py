@@ -73,7 +73,7 @@ class LightFlow:
     def __init__(self, rays: TracedRays, seed: int, steps: int = 2000) -> None:
         self.flux = rays.flux.sum(axis=0, dtype=np.float64)
         self._radius = float(np.linalg.norm(rays.half_extents))
-        seeds = SeedStream(Purpose.EXITANT, 0, draw=3)
+        seeds = SeedStream(Purpose.LIGHT_FIELD, 0, draw=3)
         # Flax and JAX take seeds below 2³¹.
         parts = [seeds.seed(seed, part) % (2**31 - 2) for part in range(4)]
         # Logarithm of the radiance of an even distribution, which the small network starts from.

@@ -9,7 +9,7 @@ from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.lamp.luminaire import Luminaire
 
 BATCH = 1 << 20
-# `Purpose.EXITANT` has steps 0 to some hundreds for its own bake.
+# `Purpose.LIGHT_FIELD` has steps 0 to some hundreds for its own bake.
 FIRST_STEP = 1 << 16
 
 
@@ -37,7 +37,7 @@ def trace_rays(luminaire: Luminaire, count: int, seed: int) -> TracedRays:
     rays, batches = LampRays(luminaire), -(-count // BATCH)
     parts: list[tuple[NDArray[np.float32], ...]] = []
     for step in range(batches):
-        stream = SeedStream(Purpose.EXITANT, FIRST_STEP + step)
+        stream = SeedStream(Purpose.LIGHT_FIELD, FIRST_STEP + step)
         vectors = rays.draw(BATCH, stream.seed(seed)).arrays()
         parts.append(tuple(each.astype(np.float32) for each in vectors))
     origin, direction, flux = (np.concatenate(each) for each in zip(*parts, strict=True))

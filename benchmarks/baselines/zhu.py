@@ -130,7 +130,7 @@ def train_zhu(
 
 
 def _seed(config: ZhuConfig, part: int) -> int:
-    return SeedStream(Purpose.EXITANT, 0, draw=4).seed(config.seed, part) % 2**31
+    return SeedStream(Purpose.LIGHT_FIELD, 0, draw=4).seed(config.seed, part) % 2**31
 
 
 def _ray_networks(

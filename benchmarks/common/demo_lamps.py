@@ -27,12 +27,12 @@ def placed(what: Any, width: int, **options: Any) -> Any:
 
 
 def flux_in_room(asset: Any) -> NDArray[np.float64]:
-    """Flux [3] of an asset's exitant light field where `placed` puts it."""
-    from lumitree.rendering.asset_flux import exitant_watts
+    """Flux [3] of an asset's light field where `placed` puts it."""
+    from lumitree.rendering.asset_flux import light_field_watts
     from lumitree.rendering.demo_room import LAMP_SIZE
 
     scale = LAMP_SIZE / (2 * float(asset.frame.half_extents.max()))
-    return exitant_watts(asset.exitant) * asset.gain * scale**2
+    return light_field_watts(asset.light_field) * asset.gain * scale**2
 
 
 def sphere_room(asset: Any, width: int) -> Any:

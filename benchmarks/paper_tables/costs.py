@@ -13,8 +13,8 @@ PAPER_OVERHEAD = 0.20
 
 def section(found: Found) -> str:
     """The paper's figures, and a row for each lamp."""
-    heads = ["lamp", "octree of the network, MB", "direct bake, MB"]
-    heads += ["views + training + octree, min", "peak GB", "direct bake, min", "peak GB"]
+    heads = ["lamp", "octree of the network, MB", "octree fit, MB"]
+    heads += ["views + training + octree, min", "peak GB", "octree fit, min", "peak GB"]
     heads += ["paper's way, overhead a sample", "divided, overhead a sample"]
     paper = ["paper", f"{PAPER_BYTES / 1e6:.0f} (depth 10)", "", PAPER_DAYS, "", "", ""]
     rows = [[*paper, f"+{PAPER_OVERHEAD:.0%}", ""]]

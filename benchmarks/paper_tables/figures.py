@@ -68,7 +68,7 @@ def measure_overview(work: Work, lamp: str) -> Measured:
 
 
 def measure_room(work: Work, lamp: str) -> Measured:
-    """A converged image by the exitant light field and the model."""
+    """A converged image by the light field and the model."""
     asset = load(work.direct_asset(lamp, work.scale.direct).path)
     return Measured({"has_model": asset.model is not None}, {"room": _room(asset, work.scale)})
 
@@ -101,5 +101,5 @@ def section(found: Found) -> str:
     )
     rooms = [found.image(f"room-{lamp}", "room", lamp) for lamp in LAMPS]
     if any(rooms):
-        images += "In the demonstration's room, by exitant light field and model:\n\n"
+        images += "In the demonstration's room, by light field and model:\n\n"
     return "".join([images, *rooms]) or f"{found.missing.capitalize()}.\n"

@@ -1,4 +1,4 @@
-"""Table 3: bands of the spherical harmonics, on `cluster`, by network and by direct bake."""
+"""Table 3: bands of the spherical harmonics, on `cluster`, by network and by octree fit."""
 
 import dataclasses
 import statistics
@@ -25,7 +25,7 @@ def lamp_of(scale: Scale) -> str:
 
 
 def cells(scale: Scale) -> list[Cell]:
-    """For each l_max a network with its octree, and a direct bake."""
+    """For each l_max a network with its octree, and an octree fit."""
     lamp, found = lamp_of(scale), []
     for l_max in scale.bands:
         config = dataclasses.replace(scale.network, l_max=l_max)

@@ -1,4 +1,4 @@
-"""Table 1: reconstruction of the five stand-ins, by the paper's method and by the direct bake."""
+"""Table 1: reconstruction of the five stand-ins, by the paper's method and by the octree fit."""
 
 from typing import Any
 
@@ -27,11 +27,11 @@ PAPER = {
     "neoclassical": (26.8784, 0.8829),
     "star": (27.8027, 0.9119),
 }
-METHODS = {"network": "network", "octree": "octree of the network", "direct": "direct bake"}
+METHODS = {"network": "network", "octree": "octree of the network", "direct": "octree fit"}
 
 
 def cells(scale: Scale) -> list[Cell]:
-    """For each lamp the network with its octree, and the direct bake."""
+    """For each lamp the network with its octree, and the octree fit."""
     training, baking, capture = scale.minutes
     views = {"train": scale.train, "test": scale.test, "large": scale.large}
     network = views | {"network": scale.network, "depth": scale.network_depth}
@@ -81,7 +81,7 @@ def measure_network(work: Work, lamp: str) -> Measured:
 
 
 def measure_direct(work: Work, lamp: str) -> Measured:
-    """The direct bake."""
+    """The octree fit."""
     asset = work.direct_asset(lamp, work.scale.direct)
     scored = score_asset(asset, test_views(work, lamp))
     values: dict[str, Any] = {
@@ -158,7 +158,7 @@ def _all_metrics(found: Found) -> str:
 
 def _images(found: Found) -> str:
     text = "The first held-out view: reference, network and its octree, opacities below; then the "
-    text += "reference and the direct bake.\n\n"
+    text += "reference and the octree fit.\n\n"
     for lamp in LAMPS:
         for kind in ("network", "direct"):
             text += found.image(f"1-{lamp}-{kind}", "view", f"{lamp}, {kind}")

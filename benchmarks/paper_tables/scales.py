@@ -21,7 +21,7 @@ class Views:
 
 @dataclasses.dataclass(frozen=True)
 class Direct:
-    """A direct bake: a quality, and fields of its settings that differ.
+    """An octree fit: a quality, and fields of its settings that differ.
 
     By rays and not by time, so that it repeats.
     """
@@ -57,7 +57,7 @@ class Scale:
         network: settings of the network; each cell changes what it compares.
         network_depth: tree depth of the octree of a network.
         samples_per_leaf: positions averaged in its leaves.
-        direct: the direct bake.
+        direct: the octree fit.
         bands: l_max of Table 3.
         seeds: number of seeds of Table 4.
         transmittance_lamps: of Table 4.
@@ -66,7 +66,7 @@ class Scale:
         equal: of Table 5.
         equal_lamps: lamps of Table 5.
         figure: width in pixels and samples a pixel of converged images.
-        minutes: of training a network, of a direct bake and of capturing a lamp, for estimates.
+        minutes: of training a network, of an octree fit and of capturing a lamp, for estimates.
     """
 
     name: ScaleName

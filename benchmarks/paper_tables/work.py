@@ -130,7 +130,7 @@ class Work:
         return built
 
     def direct_asset(self, lamp: str, direct: Direct, l_max: int = 2) -> Built:
-        """The asset of a direct bake, with all parts that the lamp can have."""
+        """The asset of an octree fit, with all parts that the lamp can have."""
         parts = _parts(lamp)
         parameters = {"lamp": lamp, "direct": direct, "l_max": l_max, "parts": parts}
         at = self._at(f"direct-{lamp}", parameters)
@@ -170,7 +170,7 @@ def _parts(lamp: str) -> list[Any]:
     """
     from lumitree.lamp.luminaire import load_luminaire
 
-    return ["exitant", "field", *([] if load_luminaire(lamp).scatters else ["model"])]
+    return ["light", "field", *([] if load_luminaire(lamp).scatters else ["model"])]
 
 
 @contextlib.contextmanager

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from lumitree.fit.catalogue.index import BakedLamp
     from lumitree.fit.config import BakeConfig, NetworkConfig
     from lumitree.fit.merge import merge
-    from lumitree.fit.octree.config import DirectConfig, OctreeConfig
+    from lumitree.fit.octree.config import OctreeConfig, OctreeFitConfig
     from lumitree.fit.photometric_files import bake_photometric
     from lumitree.fit.result import BakeResult, CaptureResult, TrainResult
     from lumitree.lamp.loading import builtin_luminaires, load_luminaire
@@ -70,7 +70,7 @@ _HOMES = {
     "BakeResult": "fit.result",
     "BakedLamp": "fit.catalogue.index",
     "CaptureResult": "fit.result",
-    "DirectConfig": "fit.octree.config",
+    "OctreeFitConfig": "fit.octree.config",
     "Estimate": "measure.photometry.figures",
     "EvaluateResult": "measure.evaluate",
     "ExportResult": "output.export",
@@ -129,7 +129,6 @@ __all__ = [
     "BakeResult",
     "BakedLamp",
     "CaptureResult",
-    "DirectConfig",
     "Estimate",
     "EvaluateResult",
     "ExportResult",
@@ -146,6 +145,7 @@ __all__ = [
     "NearFieldLimit",
     "NetworkConfig",
     "OctreeConfig",
+    "OctreeFitConfig",
     "PhotometricFigures",
     "PhotometryResult",
     "Placement",

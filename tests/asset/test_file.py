@@ -11,13 +11,13 @@ import safetensors.numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lumitree.asset.asset import exitant_asset
-from lumitree.asset.exitant import TracedPaths, make_exitant_field
+from lumitree.asset.asset import light_field_asset
 from lumitree.asset.file import load, save
+from lumitree.asset.light_field import TracedPaths, make_light_field
 from lumitree.errors import LumitreeError
 from support import damage
-from support.exitant_fields import assert_equal_fields, random_exitant, with_inside
 from support.fields import random_asset
+from support.light_fields import assert_equal_fields, random_light_field, with_inside
 from support.model_assets import small_model, with_model
 
 
@@ -29,18 +29,18 @@ def original(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def with_exitant(tmp_path_factory):
-    """The same asset with an exitant light field."""
-    path = tmp_path_factory.mktemp("exitant") / "lamp.lumitree"
-    save(replace(random_asset(0, tree_depth=3, l_max=1), exitant=random_exitant(0)), path)
+def with_light_field(tmp_path_factory):
+    """The same asset with a light field."""
+    path = tmp_path_factory.mktemp("light") / "lamp.lumitree"
+    save(replace(random_asset(0, tree_depth=3, l_max=1), light_field=random_light_field(0)), path)
     return path
 
 
 @pytest.fixture(scope="module")
-def exitant_only(tmp_path_factory):
+def light_field_only(tmp_path_factory):
     """An asset whose field is empty."""
     path = tmp_path_factory.mktemp("only") / "lamp.lumitree"
-    save(exitant_asset(random_exitant(0), random_asset(0).frame, "test"), path)
+    save(light_field_asset(random_light_field(0), random_asset(0).frame, "test"), path)
     return path
 
 
@@ -54,14 +54,14 @@ def with_gain(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def lit_inside(tmp_path_factory):
-    """An asset with an exitant light field, light inside its box and a model."""
+    """An asset with a light field, light inside its box and a model."""
     path = tmp_path_factory.mktemp("inside") / "lamp.lumitree"
-    save(replace(with_model(small_model()), exitant=INSIDE), path)
+    save(replace(with_model(small_model()), light_field=INSIDE), path)
     return path
 
 
 INSIDE = with_inside(
-    1, random_exitant(0, resolution=16, traced=TracedPaths(3, (1, 5), 64 * "0", 0.5))
+    1, random_light_field(0, resolution=16, traced=TracedPaths(3, (1, 5), 64 * "0", 0.5))
 )
 TRACED = {"count": 3, "seeds": [1, 5], "luminaire": 64 * "0", "noise": 0.5}
 
@@ -69,20 +69,20 @@ TRACED = {"count": 3, "seeds": [1, 5], "luminaire": 64 * "0", "noise": 0.5}
 @pytest.mark.parametrize("noise", [0.25, None])
 def test_the_record_of_light_paths_is_kept(tmp_path, noise):
     traced = TracedPaths(1 << 40, (0, 2, 2**31 - 1), 64 * "f", noise)
-    asset = replace(random_asset(0), exitant=random_exitant(0, traced=traced))
+    asset = replace(random_asset(0), light_field=random_light_field(0, traced=traced))
     save(asset, tmp_path / "lamp.lumitree")
     found = load(tmp_path / "lamp.lumitree")
-    assert found.exitant.traced == traced
-    assert (found.info.exitant_paths, found.info.exitant_noise) == (1 << 40, noise)
-    assert random_asset(0).info.exitant_paths is None
+    assert found.light_field.traced == traced
+    assert (found.info.light_field_paths, found.info.light_field_noise) == (1 << 40, noise)
+    assert random_asset(0).info.light_field_paths is None
 
 
-FILES = ("original", "with_exitant", "exitant_only", "with_gain", "lit_inside")
+FILES = ("original", "with_light_field", "light_field_only", "with_gain", "lit_inside")
 
 
 @pytest.fixture(params=FILES)
 def any_file(request):
-    """A file without an exitant light field, with one, alone, with a gain, or light inside."""
+    """A file without a light field, with one, alone, with a gain, or light inside."""
     return request.getfixturevalue(request.param)
 
 
@@ -99,50 +99,50 @@ def test_loaded_equals_saved(tmp_path):
         assert np.array_equal(getattr(asset, name), getattr(again, name))
     for name in ("law", "l_max", "tree_depth", "max_radiance", "luminaire"):
         assert getattr(asset, name) == getattr(again, name)
-    assert again.exitant is None
+    assert again.light_field is None
 
 
-def test_loaded_exitant_light_field_equals_saved(with_exitant):
-    field, plain = random_exitant(0), random_asset(0, tree_depth=3, l_max=1)
-    found = load(with_exitant)
-    assert_equal_fields(found.exitant, field)
+def test_loaded_light_field_equals_saved(with_light_field):
+    field, plain = random_light_field(0), random_asset(0, tree_depth=3, l_max=1)
+    found = load(with_light_field)
+    assert_equal_fields(found.light_field, field)
     assert np.array_equal(found.coefficients, plain.coefficients)
     assert found.num_bytes == plain.num_bytes + field.num_bytes
-    assert found.info.exitant_cells == len(field.cells) == 5
-    assert plain.info.exitant_cells == 0
+    assert found.info.light_field_cells == len(field.cells) == 5
+    assert plain.info.light_field_cells == 0
 
 
 def test_loaded_light_inside_equals_saved(lit_inside):
     found = load(lit_inside)
-    assert_equal_fields(found.exitant, INSIDE)
+    assert_equal_fields(found.light_field, INSIDE)
     plain = with_model(small_model())
-    assert found.num_bytes == plain.num_bytes - plain.exitant.num_bytes + INSIDE.num_bytes
+    assert found.num_bytes == plain.num_bytes - plain.light_field.num_bytes + INSIDE.num_bytes
 
 
 def test_the_fewest_bins_have_light_inside(tmp_path):
     """Four coarse bins are half a byte."""
-    field = with_inside(0, random_exitant(0))
+    field = with_inside(0, random_light_field(0))
     assert field.inside.lit.shape == (7, 1)
-    save(exitant_asset(field, random_asset(0).frame, "test"), tmp_path / "a.lumitree")
-    assert_equal_fields(load(tmp_path / "a.lumitree").exitant, field)
+    save(light_field_asset(field, random_asset(0).frame, "test"), tmp_path / "a.lumitree")
+    assert_equal_fields(load(tmp_path / "a.lumitree").light_field, field)
 
 
 def stream(change):
-    """Change the content of the compressed exitant light field."""
+    """Change the content of the compressed light field."""
 
     def changed(tensors):
-        content = change(zlib.decompress(tensors["exitant.light"].tobytes()))
-        tensors["exitant.light"] = np.frombuffer(zlib.compress(content), np.uint8)
+        content = change(zlib.decompress(tensors["light.stream"].tobytes()))
+        tensors["light.stream"] = np.frombuffer(zlib.compress(content), np.uint8)
 
     return changed
 
 
 def cut(tensors):
-    tensors["exitant.light"] = tensors["exitant.light"][:-3]
+    tensors["light.stream"] = tensors["light.stream"][:-3]
 
 
 def append(tensors):
-    tensors["exitant.light"] = np.append(tensors["exitant.light"], np.uint8(0))
+    tensors["light.stream"] = np.append(tensors["light.stream"], np.uint8(0))
 
 
 @pytest.mark.parametrize(
@@ -156,11 +156,11 @@ def append(tensors):
         (stream(lambda content: content[:-4] + b"\xff\xff\xff\xff"), "visibility curves are not"),
         (cut, "does not decompress to"),
         (append, "does not decompress to"),
-        (lambda t: t.update({"exitant.light": np.zeros(9, np.uint8)}), "cannot be decompressed"),
-        (lambda t: t.update({"exitant.light": np.zeros((), np.uint8)}), "decompress"),
-        (lambda t: t.pop("exitant.light"), 'the header lacks "exitant.light"'),
-        (lambda t: t.update({"exitant.cells": t["density"]}), 'unknown key "exitant.cells"'),
-        (lambda t: t.update({"exitant.light": t["density"]}), 'dtype of exitant.light .* "F32"'),
+        (lambda t: t.update({"light.stream": np.zeros(9, np.uint8)}), "cannot be decompressed"),
+        (lambda t: t.update({"light.stream": np.zeros((), np.uint8)}), "decompress"),
+        (lambda t: t.pop("light.stream"), 'the header lacks "light.stream"'),
+        (lambda t: t.update({"light.cells": t["density"]}), 'unknown key "light.cells"'),
+        (lambda t: t.update({"light.stream": t["density"]}), 'dtype of light.stream .* "F32"'),
     ],
 )
 def test_broken_streams_are_refused(lit_inside, tmp_path, change, message):
@@ -173,17 +173,17 @@ def test_broken_streams_are_refused(lit_inside, tmp_path, change, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d["exitant"].update(cells=6), "does not decompress to"),
-        (lambda d: d["exitant"].update(bins=-1), "bins -1, expected 0 to"),
-        (lambda d: d["exitant"].update(bins=1 << 40), "bins 1099511627776, expected 0 to"),
-        (lambda d: d["exitant"].update(cells=1 << 28, bins=1 << 28), r"limit 2147483648"),
-        (lambda d: d["exitant"].update(bins=True), "bins"),
-        (lambda d: d["exitant"].pop("cells"), 'lacks "cells"'),
-        (lambda d: d["exitant"].pop("inside"), "does not decompress to"),
-        (lambda d: d["exitant"]["inside"].update(more=1), 'unknown key "more"'),
-        (lambda d: d["exitant"]["inside"].update(distances=5), "does not decompress to"),
-        (lambda d: d["exitant"]["inside"].update(scale=0.0), "scale 0.0, expected"),
-        (lambda d: d["exitant"]["inside"].update(scale=1e16), "scale 1e"),
+        (lambda d: d["light"].update(cells=6), "does not decompress to"),
+        (lambda d: d["light"].update(bins=-1), "bins -1, expected 0 to"),
+        (lambda d: d["light"].update(bins=1 << 40), "bins 1099511627776, expected 0 to"),
+        (lambda d: d["light"].update(cells=1 << 28, bins=1 << 28), r"limit 2147483648"),
+        (lambda d: d["light"].update(bins=True), "bins"),
+        (lambda d: d["light"].pop("cells"), 'lacks "cells"'),
+        (lambda d: d["light"].pop("inside"), "does not decompress to"),
+        (lambda d: d["light"]["inside"].update(more=1), 'unknown key "more"'),
+        (lambda d: d["light"]["inside"].update(distances=5), "does not decompress to"),
+        (lambda d: d["light"]["inside"].update(scale=0.0), "scale 0.0, expected"),
+        (lambda d: d["light"]["inside"].update(scale=1e16), "scale 1e"),
         (lambda d: d.update(gain=[1e15, 1, 1]), "emission exceeds"),
     ],
 )
@@ -194,7 +194,7 @@ def test_broken_descriptions_of_streams_are_refused(lit_inside, tmp_path, change
     assert str(caught.value).isprintable()
 
 
-@pytest.mark.parametrize("name", ["with_exitant", "lit_inside"])
+@pytest.mark.parametrize("name", ["with_light_field", "lit_inside"])
 def test_a_random_stream_is_refused_or_read(request, tmp_path, name):
     """Any bytes of the right number: no other exception than a `LumitreeError`."""
     random = np.random.default_rng(0)
@@ -213,22 +213,22 @@ def test_a_random_stream_is_refused_or_read(request, tmp_path, name):
     assert 20 < refused < 200
 
 
-def test_an_asset_of_an_exitant_light_field_alone(exitant_only):
-    found = load(exitant_only)
-    assert_equal_fields(found.exitant, random_exitant(0))
+def test_an_asset_of_an_light_field_alone(light_field_only):
+    found = load(light_field_only)
+    assert_equal_fields(found.light_field, random_light_field(0))
     assert found.num_leaves == 0
     assert (found.info.nodes, found.info.leaves) == (1, 0)
     assert not found.children.any()
 
 
-def test_equal_assets_give_equal_bytes(with_exitant, tmp_path):
+def test_equal_assets_give_equal_bytes(with_light_field, tmp_path):
     """Also if the arrays lie otherwise in memory."""
-    plain, field = random_asset(0, tree_depth=3, l_max=1), random_exitant(0)
+    plain, field = random_asset(0, tree_depth=3, l_max=1), random_light_field(0)
     fortran = replace(field, cells=np.asfortranarray(field.cells), lit=np.asfortranarray(field.lit))
-    save(replace(plain, exitant=fortran), tmp_path / "again.lumitree")
-    assert (tmp_path / "again.lumitree").read_bytes() == with_exitant.read_bytes()
-    save(replace(plain, exitant=random_exitant(1)), tmp_path / "other.lumitree")
-    assert (tmp_path / "other.lumitree").read_bytes() != with_exitant.read_bytes()
+    save(replace(plain, light_field=fortran), tmp_path / "again.lumitree")
+    assert (tmp_path / "again.lumitree").read_bytes() == with_light_field.read_bytes()
+    save(replace(plain, light_field=random_light_field(1)), tmp_path / "other.lumitree")
+    assert (tmp_path / "other.lumitree").read_bytes() != with_light_field.read_bytes()
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -314,7 +314,7 @@ def test_broken_tensors_are_refused(original, tmp_path, change, message):
         ("version", 0, "version 0, this"),
         ("version", 1.0, "version 1.0, this"),
         ("version", True, "version true, this"),
-        ("exitant", {"depth": 1, "resolution": 4, "scale": 1.0}, 'lacks "exitant.light"'),
+        ("light", {"depth": 1, "resolution": 4, "scale": 1.0}, 'lacks "light.stream"'),
         ("gain", None, "gain of the description is null; expected 3 numbers"),
         ("format", "other", "format of the description is"),
         ("activation", "relu", "activation"),
@@ -356,7 +356,7 @@ def test_broken_gains_are_refused(with_gain, tmp_path, value, message):
 def test_a_gain_is_kept(original, with_gain):
     asset = load(with_gain)
     assert asset.gain == asset.info.gain == (0.5, 0.0, 2e3)
-    assert asset.parts == ("exitant", "model")
+    assert asset.parts == ("light", "model")
     assert asset.without_gain.gain == load(original).gain == (1.0, 1.0, 1.0)
 
 
@@ -364,7 +364,7 @@ def put_bytes(start, stop, value):
     return stream(lambda content: content[:start] + value + content[stop:])
 
 
-# Cells [5, 3], the bins of each that emit [5, 2] and intensities, see `random_exitant`.
+# Cells [5, 3], the bins of each that emit [5, 2] and intensities, see `random_light_field`.
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -375,9 +375,7 @@ def put_bytes(start, stop, value):
     ],
 )
 @pytest.mark.parametrize("name", FILES[1:-1])
-def test_broken_arrays_of_the_exitant_light_field_are_refused(
-    request, tmp_path, name, change, message
-):
+def test_broken_arrays_of_the_light_field_are_refused(request, tmp_path, name, change, message):
     path = request.getfixturevalue(name)
     rewrite(path, tmp_path / "bad.lumitree", change_tensors=change)
     with pytest.raises(LumitreeError, match=message) as caught:
@@ -392,18 +390,21 @@ def test_broken_arrays_of_the_exitant_light_field_are_refused(
         ({"depth": 0}, "depth 0, expected 1 to 7"),
         ({"depth": 8}, "depth 8, expected 1 to 7"),
         ({"depth": 1}, "a cell is outside the grid"),
-        ({"depth": 2.0}, "depth of exitant of the description is 2.0; expected an integer"),
-        ({"depth": True}, "depth of exitant of the description is true; expected an integer"),
+        ({"depth": 2.0}, "depth of light of the description is 2.0; expected an integer"),
+        ({"depth": True}, "depth of light of the description is true; expected an integer"),
         ({"resolution": 8}, "does not decompress to"),
         ({"resolution": 5}, "does not decompress to"),
         ({"resolution": 256}, "does not decompress to"),
         ({"resolution": 1 << 40}, "limit 2147483648"),
         ({"scale": 0}, "scale 0.0"),
-        ({"scale": "1"}, 'scale of exitant of the description is "1"; expected a number'),
+        ({"scale": "1"}, 'scale of light of the description is "1"; expected a number'),
         ({"scale": 1e16}, "scale 1e"),
-        ({"extra": 1}, 'exitant of the description has the unknown key "extra"'),
-        ({"traced": None}, "traced of exitant of the description is null; expected a JSON object"),
-        ({"traced": {"count": 1}}, 'traced of exitant of the description lacks "luminaire"'),
+        ({"extra": 1}, 'light_field of the description has the unknown key "extra"'),
+        (
+            {"traced": None},
+            "traced of light of the description is null; expected a JSON object",
+        ),
+        ({"traced": {"count": 1}}, 'traced of light of the description lacks "luminaire"'),
         ({"traced": TRACED | {"extra": 1}}, 'has the unknown key "extra"'),
         ({"traced": TRACED | {"count": 0}}, r"record of light paths: count 0, expected 1 to 2\^50"),
         ({"traced": TRACED | {"count": 2.0}}, "count of traced .* expected an integer"),
@@ -417,11 +418,11 @@ def test_broken_arrays_of_the_exitant_light_field_are_refused(
         ({"traced": TRACED | {"noise": "0"}}, 'noise of traced .* is "0"; expected a number'),
     ],
 )
-def test_broken_descriptions_of_the_exitant_light_field_are_refused(
-    with_exitant, tmp_path, change, message
+def test_broken_descriptions_of_the_light_field_are_refused(
+    with_light_field, tmp_path, change, message
 ):
     path = tmp_path / "bad.lumitree"
-    rewrite(with_exitant, path, change_text=lambda d: d["exitant"].update(change))
+    rewrite(with_light_field, path, change_text=lambda d: d["light"].update(change))
     with pytest.raises(LumitreeError, match=message):
         load(path)
 
@@ -429,25 +430,31 @@ def test_broken_descriptions_of_the_exitant_light_field_are_refused(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d.pop("exitant"), 'the header has the unknown key "exitant.light"'),
-        (lambda d: d.update(exitant=None), "exitant of the description is null; expected a JSON"),
-        (lambda d: d.update(exitant=[2, 4, 1.0]), "exitant of the description is a list of 3"),
-        (lambda d: d["exitant"].pop("scale"), 'exitant of the description lacks "scale"'),
+        (lambda d: d.pop("light"), 'the header has the unknown key "light.stream"'),
+        (
+            lambda d: d.update(light_field=None),
+            "light_field of the description is null; expected a JSON",
+        ),
+        (
+            lambda d: d.update(light_field=[2, 4, 1.0]),
+            "light_field of the description is a list of 3",
+        ),
+        (lambda d: d["light"].pop("scale"), 'light_field of the description lacks "scale"'),
     ],
 )
-def test_description_and_tensor_of_the_exitant_light_field_belong_together(
-    with_exitant, tmp_path, change, message
+def test_description_and_tensor_of_the_light_field_belong_together(
+    with_light_field, tmp_path, change, message
 ):
-    rewrite(with_exitant, tmp_path / "bad.lumitree", change_text=change)
+    rewrite(with_light_field, tmp_path / "bad.lumitree", change_text=change)
     with pytest.raises(LumitreeError, match=message):
         load(tmp_path / "bad.lumitree")
 
 
 def test_the_largest_resolution_and_depth_are_kept(tmp_path):
     intensity = np.ones((1, 128**2, 3))
-    field = make_exitant_field(np.array([[127, 0, 127]]), intensity, 7)
-    save(exitant_asset(field, random_asset(0).frame, "fine"), tmp_path / "fine.lumitree")
-    assert_equal_fields(load(tmp_path / "fine.lumitree").exitant, field)
+    field = make_light_field(np.array([[127, 0, 127]]), intensity, 7)
+    save(light_field_asset(field, random_asset(0).frame, "fine"), tmp_path / "fine.lumitree")
+    assert_equal_fields(load(tmp_path / "fine.lumitree").light_field, field)
 
 
 def test_a_cycle_is_refused():

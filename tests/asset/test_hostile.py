@@ -12,18 +12,18 @@ from lumitree.asset.asset import (
     MAX_RADIANCE,
     MAX_TREE_DEPTH,
     MIN_RADIANCE,
-    exitant_asset,
+    light_field_asset,
 )
-from lumitree.asset.exitant import MAX_BINS, MAX_DEPTH, MAX_RESOLUTION, TracedPaths, unpack
-from lumitree.asset.exitant_bytes import exitant_description, exitant_tensors
 from lumitree.asset.file import _digest, load, save
+from lumitree.asset.light_field import MAX_BINS, MAX_DEPTH, MAX_RESOLUTION, TracedPaths, unpack
+from lumitree.asset.light_field_bytes import light_field_description, light_field_tensors
 from lumitree.core.frames import MAX_SCALE, MIN_HALF_EXTENT, MIN_SCALE, similarity_scale
 from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import MAX_LABEL
 from lumitree.core.transmittance import LAWS
 from lumitree.errors import LumitreeError
-from support.exitant_fields import assert_equal_fields, random_exitant
 from support.fields import random_asset
+from support.light_fields import assert_equal_fields, random_light_field
 from support.reference_field import leaf_boxes
 
 ROUNDS = 100
@@ -39,7 +39,7 @@ VALUES = [
     *('"\\ud800"', f'"{100_000 * "x"}"', f'"{1000 * "é"}"', "01", "", "{", '"', "\x00", "é"),
 ]
 DTYPES = {"children": np.int32, "density": np.float32, "coefficients": np.float16}
-EXITANT_DTYPES = {"cells": np.uint8, "lit": np.uint8, "intensity": np.uint32}
+LIGHT_FIELD_DTYPES = {"cells": np.uint8, "lit": np.uint8, "intensity": np.uint32}
 SAFETENSORS = {
     **{"int32": "I32", "float32": "F32", "float16": "F16", "float64": "F64"},
     **{"uint8": "U8", "uint32": "U32"},
@@ -64,9 +64,9 @@ class Draft:
             ("half_extents", str(asset.frame.half_extents.tolist())),
             ("world_from_proxy", str(asset.frame.world_from_local.tolist())),
         ]
-        if (field := asset.exitant) is not None:
-            self.tensors |= {name: each.copy() for name, each in exitant_tensors(field).items()}
-            self.members.append(("exitant", json.dumps(exitant_description(field))))
+        if (field := asset.light_field) is not None:
+            self.tensors |= {name: each.copy() for name, each in light_field_tensors(field).items()}
+            self.members.append(("light", json.dumps(light_field_description(field))))
 
     @property
     def full(self):
@@ -136,12 +136,12 @@ def replace_values(draft, random):
 
 
 def replace_numbers(draft, random):
-    """A number within the lists, or within the exitant light field, of the description."""
+    """A number within the lists, or within the light field, of the description."""
     keys = [name for name, _ in draft.members]
-    key = random.choice(["half_extents", "world_from_proxy", "exitant"][: 2 + ("exitant" in keys)])
+    key = random.choice(["half_extents", "world_from_proxy", "light"][: 2 + ("light" in keys)])
     index = keys.index(key)
     values = json.loads(draft.members[index][1])
-    if key == "exitant":
+    if key == "light":
         values[random.choice(list(values))] = "@"
     else:
         values = np.array(values).astype(object)
@@ -237,8 +237,8 @@ def assert_sound(asset):
     assert sides.max(initial=1) <= asset.tree_depth
     # Leaves do not overlap: together they fill at most the cube.
     assert ((upper - lower) ** 3)[:, 0].sum() <= 8
-    if asset.exitant is not None:
-        assert_sound_field(asset.exitant)
+    if asset.light_field is not None:
+        assert_sound_field(asset.light_field)
 
 
 def assert_sound_field(field):
@@ -248,7 +248,7 @@ def assert_sound_field(field):
     assert 1 <= field.depth <= MAX_DEPTH
     assert field.resolution in [2**power for power in range(2, 8)]
     assert field.resolution <= MAX_RESOLUTION
-    for name, dtype in EXITANT_DTYPES.items():
+    for name, dtype in LIGHT_FIELD_DTYPES.items():
         assert getattr(field, name).dtype == dtype
     count, bins = len(field.cells), field.resolution**2
     assert 0 < count * bins <= MAX_BINS
@@ -263,14 +263,14 @@ def assert_sound_field(field):
     assert (intensity.max(axis=1) > 0).all()
 
 
-@pytest.fixture(scope="module", params=["field", "both", "exitant"])
+@pytest.fixture(scope="module", params=["field", "both", "light"])
 def asset(request):
-    """An asset with a radiance field, with an exitant light field too, or with the latter alone."""
+    """An asset with a radiance field, with a light field too, or with the latter alone."""
     plain = random_asset(0, tree_depth=3, l_max=1, half_extents=np.array([1.0, 0.5, 0.25]))
     return {
         "field": plain,
-        "both": replace(plain, exitant=random_exitant(0, traced=TRACED)),
-        "exitant": exitant_asset(random_exitant(0), plain.frame, "test"),
+        "both": replace(plain, light_field=random_light_field(0, traced=TRACED)),
+        "light": light_field_asset(random_light_field(0), plain.frame, "test"),
     }[request.param]
 
 
@@ -315,7 +315,7 @@ def test_mutations_are_sound_or_refused(asset, tmp_path, mutate):
             save(mutant, again)
             loaded = load(again)
             assert loaded.luminaire == mutant.luminaire
-            assert (loaded.exitant is None) == (mutant.exitant is None)
-            if mutant.exitant is not None:
-                assert_equal_fields(loaded.exitant, mutant.exitant)
+            assert (loaded.light_field is None) == (mutant.light_field is None)
+            if mutant.light_field is not None:
+                assert_equal_fields(loaded.light_field, mutant.light_field)
     assert refused > ROUNDS // 8

@@ -7,9 +7,9 @@ import pytest
 
 from lumitree.asset.light_inside import parts_of_ending
 from lumitree.errors import LumitreeError
-from support.exitant_fields import random_exitant, random_inside
+from support.light_fields import random_inside, random_light_field
 
-FIELD = random_exitant(0)
+FIELD = random_light_field(0)
 INSIDE = random_inside(0, FIELD)
 
 
@@ -72,11 +72,11 @@ def without(row):
     return dataclasses.replace(INSIDE, cells=cells, lit=lit, **members)
 
 
-def test_every_cell_of_the_exitant_light_field_is_needed():
+def test_every_cell_of_the_light_field_is_needed():
     own = {tuple(cell) for cell in FIELD.cells.tolist()}
     for row, cell in enumerate(INSIDE.cells.tolist()):
         if tuple(cell) in own:
-            with pytest.raises(LumitreeError, match="cell of the exitant light field is missing"):
+            with pytest.raises(LumitreeError, match="cell of the light field is missing"):
                 dataclasses.replace(FIELD, inside=without(row))
         else:
             assert dataclasses.replace(FIELD, inside=without(row)).num_bytes < (
@@ -118,15 +118,15 @@ def test_bins_beyond_the_last_are_refused():
 
 def test_light_inside_of_another_grid_is_refused():
     with pytest.raises(LumitreeError, match=r"lit is uint8 \(7, 1\), expected uint8 \(7, 8\)"):
-        dataclasses.replace(random_exitant(0, resolution=16), inside=INSIDE)
+        dataclasses.replace(random_light_field(0, resolution=16), inside=INSIDE)
     with pytest.raises(LumitreeError, match="a cell is outside the grid"):
         dataclasses.replace(
-            random_exitant(0, depth=1), inside=random_inside(0, random_exitant(0, depth=3))
+            random_light_field(0, depth=1), inside=random_inside(0, random_light_field(0, depth=3))
         )
 
 
 def test_values_of_bins_that_do_not_fill_their_bytes():
-    """Four bins a cell, as beside an exitant light field of 4 bins a side."""
+    """Four bins a cell, as beside a light field of 4 bins a side."""
     from lumitree.asset.lit_bins import dense
 
     stored = np.array([[True, False, True, True], [False, False, True, False]])

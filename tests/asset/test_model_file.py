@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import safetensors.numpy
 
-from lumitree.asset.asset import exitant_asset
+from lumitree.asset.asset import light_field_asset
 from lumitree.asset.file import _digest, load, save
 from lumitree.asset.materials import check_material
 from lumitree.asset.measured import CONDUCTORS, INDICES
@@ -18,8 +18,8 @@ from lumitree.asset.model_bytes import model_tensors
 from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
 from support.damage import refused
-from support.exitant_fields import random_exitant, with_inside
 from support.fields import random_asset
+from support.light_fields import random_light_field, with_inside
 from support.model_assets import small_model, with_model
 
 ROUNDS = 300
@@ -85,14 +85,14 @@ def test_it_comes_back_byte_for_byte(original, tmp_path):
 
 def test_parts_in_all_combinations(tmp_path):
     field = random_asset(0, tree_depth=3, l_max=1)
-    light, model = random_exitant(0), small_model()
+    light, model = random_light_field(0), small_model()
     cases = {
         ("field",): field,
-        ("exitant",): exitant_asset(light, field.frame, "test"),
-        ("exitant", "field"): replace(field, exitant=light),
+        ("light",): light_field_asset(light, field.frame, "test"),
+        ("light", "field"): replace(field, light_field=light),
         ("field", "model"): replace(field, model=model),
-        ("exitant", "model"): with_model(model),
-        ("exitant", "field", "model"): replace(field, exitant=light, model=model),
+        ("light", "model"): with_model(model),
+        ("light", "field", "model"): replace(field, light_field=light, model=model),
     }
     for parts, asset in cases.items():
         path = tmp_path / f"{'-'.join(parts)}.lumitree"
@@ -131,12 +131,12 @@ def test_media_that_scatter(tmp_path, inside):
     shapes[1]["exterior"], shapes[2]["interior"] = [0.0, 1, 2], MILK
     asset = with_model(small_model(shapes=tuple(shapes)))
     if inside:
-        asset = replace(asset, exitant=with_inside(0, asset.exitant))
+        asset = replace(asset, light_field=with_inside(0, asset.light_field))
     path = tmp_path / "milk.lumitree"
     save(asset, path)
     assert asset.model.has_media
     equal(load(path).model, asset.model)
-    assert (load(path).exitant.inside is not None) == inside
+    assert (load(path).light_field.inside is not None) == inside
 
 
 def test_smooth_images_are_compressed():
@@ -167,7 +167,7 @@ def test_a_model_that_could_not_be_read_again_is_not_made(monkeypatch):
 
 def test_a_model_alone_illuminates_nothing_and_is_refused():
     with pytest.raises(LumitreeError, match="a model without anything that illuminates"):
-        replace(with_model(small_model()), exitant=None)
+        replace(with_model(small_model()), light_field=None)
 
 
 def test_a_model_outside_the_box_is_refused():

@@ -39,10 +39,10 @@ def harmonics(rays):
     return box_harmonics(rays, 8, 4)
 
 
-def exitant(rays):
-    from benchmarks.baselines.fitting import exitant_light_field
+def light_field(rays):
+    from benchmarks.baselines.fitting import light_field
 
-    return exitant_light_field(rays, 3, 16)
+    return light_field(rays, 3, 16)
 
 
 def ray_set(rays):
@@ -101,19 +101,19 @@ def test_patches_are_where_light_leaves_the_box(mi):
     assert not dr.any(patches.seen(mi.Point3f(0, 2, 0), mi.Vector3f(1, 0, 0))[2])
 
 
-@pytest.mark.parametrize("fit", [far_field, sphere, points, table, harmonics, exitant, ray_set])
+@pytest.mark.parametrize("fit", [far_field, sphere, points, table, harmonics, light_field, ray_set])
 def test_flux_is_that_of_the_rays(mi, rays, fit):
     flux = fit(rays).draw(PATHS, 0).flux
     expected = rays.flux.sum(axis=0, dtype=np.float64)
     flux = np.array(flux, np.float64)
     error = flux.std(axis=1) * np.sqrt(PATHS)
-    # Histograms and harmonics have the rays' flux; the stored numbers of the exitant light field
+    # Histograms and harmonics have the rays' flux; the stored numbers of the light field
     # are rounded, and a ray set is a sample.
     slack = 6 / np.sqrt(1 << 16) if fit is ray_set else 0.002
     assert (np.abs(flux.sum(axis=1) - expected) <= 5 * error + slack * expected.max()).all()
 
 
-@pytest.mark.parametrize("fit", [far_field, sphere, points, table, harmonics, exitant])
+@pytest.mark.parametrize("fit", [far_field, sphere, points, table, harmonics, light_field])
 @pytest.mark.parametrize("place", [(0.4, 4, 0.3), (1.5, 0.9, -0.8)])
 def test_directions_bring_what_rays_do(mi, rays, fit, place):
     """Irradiance on a small disk, by directions towards the lamp and by rays that hit it."""
@@ -144,7 +144,7 @@ def test_directions_bring_what_rays_do(mi, rays, fit, place):
     assert (np.abs(found - expected) < 4.5 * error + 1e-9).all()
 
 
-@pytest.mark.parametrize("fit", [sphere, table, harmonics, exitant])
+@pytest.mark.parametrize("fit", [sphere, table, harmonics, light_field])
 @pytest.mark.parametrize("place", [(0.4, 4, 0.3), (1.5, 0.9, -0.8)])
 def test_lines_show_what_directions_bring(mi, rays, fit, place):
     """Irradiance by directions of their own, and by uniform ones towards the box's corners."""
@@ -182,7 +182,11 @@ def test_the_benchmark_makes_a_row_for_each(tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr(representations, "SAMPLES", 1 << 10)
     monkeypatch.setattr(representations, "QUERIES", 1 << 10)
-    chosen = {"exitant 32³ x 32²": exitant, "far field, point": far_field, "ray set": ray_set}
+    chosen = {
+        "light field 32³ x 32²": light_field,
+        "far field, point": far_field,
+        "ray set": ray_set,
+    }
     words = ("point lights", "box table", "harmonics")
     chosen |= {
         f"{word} 8": fit for word, fit in zip(words, (points, table, harmonics), strict=True)

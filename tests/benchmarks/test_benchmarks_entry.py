@@ -90,5 +90,5 @@ def test_a_query_from_end_to_end(mi, tmp_path, monkeypatch, capsys):
 def test_commands_name_no_folders_of_the_machine():
     argv = ["direct", "star", "--references", "/home/me/views", "--assets=../mine", "-o", "out/a"]
     assert command_line(argv) == (
-        "python -m benchmarks direct star --references views --assets=mine -o out/a"
+        "python -m benchmarks octree_fit star --references views --assets=mine -o out/a"
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.exitant import unpack
+from lumitree.asset.light_field import unpack
 from lumitree.core.device import on_device
 from lumitree.core.frames import rotation, similarity
 from lumitree.core.octahedral import bin_of
@@ -24,7 +24,7 @@ from lumitree.formats.rays import Rays
 from lumitree.formats.tm25 import write_tm25
 from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of, z_up
 from lumitree.rendering.asset_flux import asset_lumens, asset_watts
-from lumitree.trace.light_field_config import ExitantConfig
+from lumitree.trace.light_field_config import LightFieldFitConfig
 from support.walls import irradiance
 
 
@@ -47,7 +47,7 @@ def analytic(direction, power=4.0, peak=1000.0):
 def bin_intensity(asset, direction):
     """Luminous intensity [N], cd, of the bins of all cells together."""
     mi = pytest.importorskip("mitsuba")
-    field = asset.exitant
+    field = asset.light_field
     table = field.dense(luminance(unpack(field.intensity))).sum(axis=0) * field.scale
     directions = np.asarray(direction)
     vectors = on_device(mi.Vector3f, directions.reshape(-1, 3))
@@ -199,7 +199,7 @@ def test_files_of_all_kinds_have_one_flux(mi, tmp_path):
         result = lumitree.bake_photometric(tmp_path / name, tmp_path / "a.lumitree")
         assert asset_lumens(result.asset) == pytest.approx(float(lumens), rel=2e-3)
         assert result.asset.num_leaves == 0
-        assert lumitree.load(result.path).exitant is not None
+        assert lumitree.load(result.path).light_field is not None
         assert result.held_out_psnr is None
 
 
@@ -216,24 +216,24 @@ def uniform_rays(count, seed=0):
 def test_rays_become_a_histogram(mi):
     """Flux by cell and by hemisphere, and the box of the starting points."""
     rays = uniform_rays(1 << 14)
-    config = ExitantConfig(depth=2, resolution=8)
+    config = LightFieldFitConfig(depth=2, resolution=8)
     asset = bake_rays(rays, "box", config)
     assert asset.frame.centre == pytest.approx([1, 2, 3], abs=1e-3)
     assert asset.frame.size == pytest.approx([0.4, 0.3, 0.15], rel=2e-3)
     assert asset_lumens(asset) == pytest.approx(luminance(rays.flux.sum(axis=0)), rel=2e-3)
     # Cells have a side of 0.1, so the box has 4, 4 and 2 along its sides.
-    assert len(asset.exitant.cells) == 4 * 4 * 2
+    assert len(asset.light_field.cells) == 4 * 4 * 2
     ups = bin_intensity(asset, direction_of([0, 90, 200], [120, 150, 170]))
     assert ups.tolist() == [0, 0, 0]
     # White balance of the mean colour: 3 : 2 : 1.
-    field = asset.exitant
+    field = asset.light_field
     colour = unpack(field.intensity).mean(axis=0)
     assert colour / colour[2] == pytest.approx([3, 2, 1], rel=0.05)
 
 
 def test_rays_of_a_point_get_a_small_box(mi):
     rays = Rays(np.full((8, 3), 2.0), direction_of(np.arange(8) * 45, 60), np.ones((8, 3)))
-    asset = bake_rays(rays, "point", ExitantConfig(depth=1, resolution=4))
+    asset = bake_rays(rays, "point", LightFieldFitConfig(depth=1, resolution=4))
     assert asset.frame.size == pytest.approx([POINT_SIZE] * 3)
     assert asset.frame.centre == pytest.approx([2, 2, 2])
 

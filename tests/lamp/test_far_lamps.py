@@ -159,9 +159,9 @@ def assert_similar(first, second):
 @pytest.mark.parametrize(
     ("kind", "parts"),
     [
-        ("obj", ("exitant", "model")),
-        pytest.param("glb", ("exitant", "model"), marks=pytest.mark.slow),
-        ("xml", ("exitant", "model")),
+        ("obj", ("light", "model")),
+        pytest.param("glb", ("light", "model"), marks=pytest.mark.slow),
+        ("xml", ("light", "model")),
         pytest.param("obj", ("field",), marks=pytest.mark.slow),
         pytest.param("xml", ("field",), marks=pytest.mark.slow),
     ],

@@ -7,12 +7,12 @@ import pytest
 from PIL import Image
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
+from lumitree.asset.asset import light_field_asset
 from lumitree.cli import main
 from lumitree.lamp.stored_model import stored_model
-from support.exitant_fields import random_exitant
 from support.fields import uniform_asset
 from support.lamps import AREA, cube, lamp_of
+from support.light_fields import random_light_field
 from support.model_assets import with_model
 
 
@@ -59,9 +59,11 @@ def test_figures_and_sheet_of_an_asset(tmp_path, monkeypatch, mi, capsys):
     assert result.size == (2, 2, 2)
     assert result.parts == ("field",)
     rows = {Image.open(io.BytesIO(result.png)).size}
-    exitant = lumitree.preview(exitant_asset(random_exitant(2), field.frame, "x"), resolution=32)
-    assert {Image.open(io.BytesIO(exitant.png)).size} == rows
-    assert exitant.lumens > 0
+    light_field = lumitree.preview(
+        light_field_asset(random_light_field(2), field.frame, "x"), resolution=32
+    )
+    assert {Image.open(io.BytesIO(light_field.png)).size} == rows
+    assert light_field.lumens > 0
     assert main(["preview", "lamp.lumitree", "-o", "sheet.png", "--resolution", "32"]) == 0
     assert (tmp_path / "sheet.png").read_bytes() == result.png
     assert "lumens" in capsys.readouterr().out

@@ -7,8 +7,8 @@ import pytest
 from test_gain import GAIN, lamps, render, scene_with
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
-from lumitree.asset.exitant import unpack
+from lumitree.asset.asset import light_field_asset
+from lumitree.asset.light_field import unpack
 from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.lamp.stored_model import stored_model
 from lumitree.measure.irradiance import asset_irradiance
@@ -16,14 +16,14 @@ from lumitree.measure.photometry.far_field import asset_source, measure
 from lumitree.output.viewer.packing import pack_asset
 from lumitree.rendering.asset_flux import asset_watts, with_light
 from lumitree.rendering.asset_views import baked_image
-from support.exitant_fields import random_exitant
 from support.fields import random_asset
 from support.lamps import AREA, lamp_of, sphere
+from support.light_fields import random_light_field
 from support.packed_assets import unpack_asset
 from support.reference_field import integrate_ray
 
 
-@pytest.fixture(params=["field", "both", "exitant"])
+@pytest.fixture(params=["field", "both", "light"])
 def asset(request):
     return lamps()[request.param]
 
@@ -74,7 +74,7 @@ def test_it_multiplies_the_gain_of_a_placed_lamp(mi, asset, kind):
 def test_it_applies_to_the_model(mi, tmp_path):
     lumitree.register()
     lamp = lamp_of(tmp_path, sphere("ball", 1, inside=AREA))
-    asset = exitant_asset(random_exitant(2), lamp.frame, "test")
+    asset = light_field_asset(random_light_field(2), lamp.frame, "test")
     asset = dataclasses.replace(asset, model=stored_model(lamp))
     # Emission that the camera sees, which takes no random choice of a light.
     seen = mi.load_dict({"type": "lumitree_path", "max_depth": 1})
@@ -91,7 +91,7 @@ def test_it_applies_to_the_model(mi, tmp_path):
 
 
 def test_photometry_and_the_viewer_have_it(mi):
-    asset = dataclasses.replace(random_asset(1), exitant=random_exitant(2))
+    asset = dataclasses.replace(random_asset(1), light_field=random_light_field(2))
     both = [
         measure(asset_source(each), 1 << 14, step=30, seed=1) for each in (asset, brighter(asset))
     ]
@@ -101,9 +101,11 @@ def test_photometry_and_the_viewer_have_it(mi):
     colour = np.array(packed.description["colour"]) * packed.description["max_radiance"]
     np.testing.assert_allclose(colour, np.multiply(GAIN, asset.max_radiance))
     arrays = unpack_asset(packed)
-    counts = np.bitwise_count(asset.exitant.lit).sum(axis=1, dtype=np.int64)
+    counts = np.bitwise_count(asset.light_field.lit).sum(axis=1, dtype=np.int64)
     found = arrays["intensity"].astype(np.float64) * np.repeat(arrays["cell_scale"], counts)
-    expected = luminance(unpack(asset.exitant.intensity) * asset.exitant.scale * np.array(GAIN))
+    expected = luminance(
+        unpack(asset.light_field.intensity) * asset.light_field.scale * np.array(GAIN)
+    )
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
 
 
@@ -111,7 +113,7 @@ def test_flux_and_temperature_that_are_asked_for(mi, asset):
     warm = with_light(asset, 800.0, 2700.0)
     watts = asset_watts(warm)
     # Of a field the flux is an estimate.
-    exact = 1e-6 if asset.exitant is not None else 0.01
+    exact = 1e-6 if asset.light_field is not None else 0.01
     assert luminance(watts) == pytest.approx(800, rel=exact)
     assert colour_temperature(watts)[0] == pytest.approx(2700, rel=0.001 + exact)
     dim = with_light(warm, 8.0, None)

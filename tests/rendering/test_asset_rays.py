@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from lumitree.asset.asset import exitant_asset
+from lumitree.asset.asset import light_field_asset
 from lumitree.core.frames import LocalFrame
-from lumitree.rendering.asset_flux import exitant_watts
+from lumitree.rendering.asset_flux import light_field_watts
 from lumitree.rendering.asset_rays import AssetRays
-from support.exitant_fields import random_exitant
 from support.fields import uniform_asset
+from support.light_fields import random_light_field
 
 COUNT = 1 << 16
 
@@ -22,11 +22,11 @@ def test_rays_of_an_opaque_cube_leave_it_with_its_flux(mi):
     assert flux.sum(axis=0) == pytest.approx(24 * np.pi * np.array([3, 2, 1]), rel=0.02)
 
 
-def test_rays_of_an_exitant_light_field_have_its_flux(mi):
-    field = random_exitant(3, depth=3, count=64)
-    rays = AssetRays(exitant_asset(field, LocalFrame(np.ones(3), np.eye(4)), "random"))
+def test_rays_of_an_light_field_have_its_flux(mi):
+    field = random_light_field(3, depth=3, count=64)
+    rays = AssetRays(light_field_asset(field, LocalFrame(np.ones(3), np.eye(4)), "random"))
     flux, again = (rays.draw(COUNT, 1).arrays()[2] for _ in range(2))
     assert np.array_equal(flux, again)
     error = flux.std(axis=0) * np.sqrt(COUNT)
-    expected = exitant_watts(field)
+    expected = light_field_watts(field)
     assert (np.abs(flux.sum(axis=0) - expected) < 5 * error + 1e-3 * expected).all()

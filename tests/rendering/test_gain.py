@@ -7,28 +7,28 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
+from lumitree.asset.asset import light_field_asset
 from lumitree.errors import LumitreeError
 from lumitree.rendering.placement import Placement
-from support.exitant_fields import random_exitant
 from support.fields import random_asset
+from support.light_fields import random_light_field
 
 GAIN = (0.5, 2.0, 3.0)
 NAME = "lamp.emitter.gain"
 
 
 def lamps():
-    """Assets with the parts field; exitant and field; exitant."""
+    """Assets with the parts field; light_field and field; light_field."""
     field = random_asset(1)
-    exitant = random_exitant(2)
+    light_field = random_light_field(2)
     return {
         "field": field,
-        "both": dataclasses.replace(field, exitant=exitant),
-        "exitant": exitant_asset(exitant, field.frame, "test"),
+        "both": dataclasses.replace(field, light_field=light_field),
+        "light": light_field_asset(light_field, field.frame, "test"),
     }
 
 
-@pytest.fixture(params=["field", "both", "exitant"])
+@pytest.fixture(params=["field", "both", "light"])
 def asset(request):
     return lamps()[request.param]
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
-from lumitree.asset.exitant import make_exitant_field, pack
+from lumitree.asset.asset import light_field_asset
+from lumitree.asset.light_field import make_light_field, pack
 from lumitree.asset.light_inside import LightInside, parts_of_ending
 from lumitree.asset.lit_bins import by_coarse_bin
 from lumitree.core.frames import rotation, similarity
-from lumitree.fit.light_field.bake import bake_exitant
+from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.lamp.luminaire import place_shapes
 from lumitree.lamp.stored_model import stored_model
 from lumitree.octree.build import morton
@@ -38,9 +38,11 @@ def baked(folder, *shapes, paths=1 << 20):
     folder.mkdir(exist_ok=True)
     lamp = lamp_of(folder, *shapes)
     config = dataclasses.replace(
-        tiny_bakes.EXITANT, paths=paths, batch=min(paths, 1 << 20), depth=5
+        tiny_bakes.LIGHT_FIELD, paths=paths, batch=min(paths, 1 << 20), depth=5
     )
-    asset = exitant_asset(bake_exitant(lamp, config, folder / "state"), lamp.frame, lamp.name)
+    asset = light_field_asset(
+        bake_light_field(lamp, config, folder / "state"), lamp.frame, lamp.name
+    )
     return lamp, dataclasses.replace(asset, model=stored_model(lamp))
 
 
@@ -131,7 +133,7 @@ def test_points_and_rays_share_the_light(mi):
 
     from lumitree.core.octahedral import bin_of, solid_angles
     from lumitree.rendering.sampling.emitter_sampling import RayEnds
-    from lumitree.rendering.sampling.light_field import ExitantLight, smooth_bin
+    from lumitree.rendering.sampling.light_field import DeviceLightField, smooth_bin
     from lumitree.rendering.sampling.light_inside import InsideLight
 
     random = np.random.default_rng(4)
@@ -142,7 +144,7 @@ def test_points_and_rays_share_the_light(mi):
     intensity = np.repeat(random.exponential(1, (16, 64, 1)), 3, axis=2) * (
         random.random((16, 64, 1)) < 0.4
     )
-    field = make_exitant_field(cells[:16], intensity, 3)
+    field = make_light_field(cells[:16], intensity, 3)
     ending = random.random((24, 16)) * 0.8 + 0.1
     inside = LightInside(
         cells=cells.astype(np.uint8),
@@ -157,7 +159,7 @@ def test_points_and_rays_share_the_light(mi):
     )
     field = dataclasses.replace(field, inside=inside)
     gain = (1.0, 1.0, 1.0)
-    light = InsideLight(field, HALF, ExitantLight(field, HALF), gain, blocked=False)
+    light = InsideLight(field, HALF, DeviceLightField(field, HALF), gain, blocked=False)
     count, coarse, b = 1 << 20, 4, 0.3
     x = mi.Point3f(*(dr.opaque(mi.Float, each) for each in (0.31, -0.22, 0.13)))
     sample = uniform_samples(mi, count).next_2d()
@@ -187,7 +189,7 @@ def test_points_and_rays_share_the_light(mi):
     rays = np.array(plain).T[:64]
     fine = np.array(smooth_bin(-plain, 8))[:64]
     leaving = np.zeros((24, 64))
-    from lumitree.asset.exitant import unpack
+    from lumitree.asset.light_field import unpack
 
     rows = np.searchsorted(morton(cells), morton(field.cells))
     leaving[rows] = field.scale * field.dense(unpack(field.intensity)[:, 1])

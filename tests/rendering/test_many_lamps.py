@@ -7,11 +7,11 @@ import pytest
 from test_scene import empty_room
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
+from lumitree.asset.asset import light_field_asset
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from lumitree.errors import LumitreeError, LumitreeWarning
-from support.exitant_fields import random_exitant
 from support.lamps import AREA, lamp_of, sphere
+from support.light_fields import random_light_field
 
 COUNT = 60
 
@@ -19,7 +19,9 @@ COUNT = 60
 @pytest.fixture
 def asset(tmp_path):
     frame = LocalFrame(np.ones(3), np.eye(4))
-    lumitree.save(exitant_asset(random_exitant(0), frame, "lamp"), tmp_path / "lamp.lumitree")
+    lumitree.save(
+        light_field_asset(random_light_field(0), frame, "lamp"), tmp_path / "lamp.lumitree"
+    )
     return str(tmp_path / "lamp.lumitree")
 
 
@@ -27,10 +29,10 @@ def asset(tmp_path):
 def created(monkeypatch, mi):
     """How many tables were made, and how deep samplers were made within each other."""
     from lumitree.rendering.plugins import emitter
-    from lumitree.rendering.sampling import light_field as exitant_light
+    from lumitree.rendering.sampling import light_field as device_light_field
 
     found = {"tables": 0, "depth": 0, "deepest": 0}
-    table, sampler = exitant_light.ExitantLight.__init__, emitter.emitter_sampler
+    table, sampler = device_light_field.DeviceLightField.__init__, emitter.emitter_sampler
 
     def counting(*args):
         found["tables"] += 1
@@ -43,7 +45,7 @@ def created(monkeypatch, mi):
         found["depth"] -= 1
         return result
 
-    monkeypatch.setattr(exitant_light.ExitantLight, "__init__", counting)
+    monkeypatch.setattr(device_light_field.DeviceLightField, "__init__", counting)
     monkeypatch.setattr(emitter, "emitter_sampler", nested)
     return found
 

@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
+from lumitree.asset.asset import light_field_asset
 from lumitree.core.frames import rotation, similarity
-from lumitree.fit.light_field.bake import bake_exitant
+from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.lamp.luminaire import load_luminaire, place_shapes
 from lumitree.lamp.stored_model import stored_model
 from support import tiny_bakes
@@ -44,9 +44,9 @@ def make(mi, tmp_path_factory):
         path = folder / f"lamp{len(list(folder.iterdir()))}.xml"
         path.write_text(text)
         lamp = load_luminaire(path)
-        config = dataclasses.replace(tiny_bakes.EXITANT, paths=1 << 20, batch=1 << 20)
-        exitant = bake_exitant(lamp, config, tmp_path_factory.mktemp("state"))
-        asset = exitant_asset(exitant, lamp.frame, lamp.name)
+        config = dataclasses.replace(tiny_bakes.LIGHT_FIELD, paths=1 << 20, batch=1 << 20)
+        light_field = bake_light_field(lamp, config, tmp_path_factory.mktemp("state"))
+        asset = light_field_asset(light_field, lamp.frame, lamp.name)
         return lamp, dataclasses.replace(asset, model=stored_model(lamp))
 
     return made
@@ -230,7 +230,7 @@ def test_surfaces_that_lie_in_the_faces_of_the_box_are_met(make):
     ids=["diffuse", "metal", "plastic"],
 )
 @pytest.mark.parametrize("which", ["specular", "shaded"])
-def test_direct_light_is_the_exitant_light_field_once(request, which, bsdf):
+def test_direct_light_is_the_light_field_once(request, which, bsdf):
     """A floor gets the same with the model as with the field: nothing is added by the shapes."""
     _, asset = request.getfixturevalue(which)
     objects = {"sensor": camera([0.9, 1.2, 2.4], [0.4, 0, 1.2], 25), "floor": floor(bsdf)}
@@ -377,7 +377,7 @@ def test_rough_surfaces_of_the_lamp_show_its_own_light(make, rr_depth):
 
 
 def test_a_surface_gets_the_own_light_of_its_lamp_alone(make, shaded):
-    """The light of another lamp comes from its exitant light field."""
+    """The light of another lamp comes from its light field."""
     _, asset = shaded
     dark, dark_asset = make(DARK)
     above, below = (similarity(np.eye(3), 0.3, [0, y, 0]) for y in (1.6, 0.9))

@@ -17,10 +17,10 @@ from test_model_appearance import (
 )
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
+from lumitree.asset.asset import light_field_asset
 from lumitree.asset.model_media import scattering_sides
 from lumitree.core.frames import rotation, similarity
-from lumitree.fit.light_field.bake import bake_exitant
+from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.stored_model import stored_model
 from support import tiny_bakes
@@ -82,9 +82,9 @@ def make(mi, tmp_path_factory):
             path = folder / f"lamp{len(known)}.xml"
             path.write_text(text)
             lamp = load_luminaire(path)
-            config = dataclasses.replace(tiny_bakes.EXITANT, paths=1 << 18, batch=1 << 18)
-            exitant = bake_exitant(lamp, config, tmp_path_factory.mktemp("state"))
-            asset = exitant_asset(exitant, lamp.frame, lamp.name)
+            config = dataclasses.replace(tiny_bakes.LIGHT_FIELD, paths=1 << 18, batch=1 << 18)
+            light_field = bake_light_field(lamp, config, tmp_path_factory.mktemp("state"))
+            asset = light_field_asset(light_field, lamp.frame, lamp.name)
             known[text] = lamp, dataclasses.replace(asset, model=stored_model(lamp))
         return known[text]
 
@@ -146,7 +146,7 @@ def test_light_that_scatters_in_the_lamp_is_shown_at_any_depth(make):
 
 
 @pytest.mark.parametrize("name", ["smooth", "frosted and hollow"])
-def test_direct_light_is_the_exitant_light_field_once(make, name):
+def test_direct_light_is_the_light_field_once(make, name):
     """A floor gets the same with the model as with the field: nothing is added by the shapes."""
     _, asset = make(LAMPS[name])
     sensor = camera([0.9, 1.2, 2.4], [0.4, 0, 1.2], 25)
@@ -189,7 +189,7 @@ def test_a_lamp_that_is_nearly_dark_is_an_object_of_the_room(make, glass):
 
 
 def test_a_medium_gets_the_own_light_of_its_lamp_alone(make):
-    """The light of another lamp of opal glass comes from its exitant light field, once."""
+    """The light of another lamp of opal glass comes from its light field, once."""
     _, asset = make(LAMPS["frosted"])
     dark, dark_asset = make(solid(GLASS, DARK))
     above, below = (similarity(np.eye(3), 0.3, [0, y, 0]) for y in (1.65, 0.9))

@@ -51,15 +51,15 @@ def bar(frame=None):
 
 
 def test_parts_of_a_bake(capsys):
-    baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["exitant", "model"]))
-    assert baked.asset.parts == ("exitant", "model")
+    baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light", "model"]))
+    assert baked.asset.parts == ("light", "model")
     assert baked.asset.model.num_triangles == 12
     assert main(["info", "lamp.lumitree"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert "exitant, model" in shown
-    assert main(["bake", "lamp.xml", "-o", "all.lumitree", "--parts", "exitant,field,model"]) == 0
+    assert "light_field, model" in shown
+    assert main(["bake", "lamp.xml", "-o", "all.lumitree", "--parts", "light,field,model"]) == 0
     every = lumitree.load("all.lumitree")
-    assert every.parts == ("exitant", "field", "model")
+    assert every.parts == ("light", "field", "model")
     assert lumitree.bake("lamp.xml").asset.info.appearance == "model"
     refined = lumitree.refine(every, "lamp.xml", rays=1 << 14)
     assert refined.asset.model is every.model
@@ -68,13 +68,13 @@ def test_parts_of_a_bake(capsys):
 def test_a_luminaire_that_cannot_be_stored_keeps_its_field():
     with pytest.warns(LumitreeWarning, match=r"no model: .*RayleighPhaseFunction is not"):
         baked = lumitree.bake("haze.xml", config=standard(irradiance_paths=0))
-    assert baked.asset.parts == ("exitant", "field")
+    assert baked.asset.parts == ("light", "field")
     with pytest.raises(LumitreeError, match=r"part model cannot be made: .*Rayleigh"):
-        lumitree.bake("haze.xml", config=standard(parts=["exitant", "model"]))
+        lumitree.bake("haze.xml", config=standard(parts=["light", "model"]))
 
 
 def test_a_model_alone_is_refused_before_any_work():
-    with pytest.raises(LumitreeError, match="parts are model; expected exitant, field or both"):
+    with pytest.raises(LumitreeError, match="parts are model; expected light, field or both"):
         lumitree.bake("lamp.xml", config=standard(parts=["model"]))
 
 
@@ -144,4 +144,4 @@ def test_a_camera_inside_a_lamp_is_no_fault(mi, recwarn):
 
 
 def test_parts_are_plain_data():
-    assert dataclasses.asdict(bar().info)["parts"] == ("exitant", "model")
+    assert dataclasses.asdict(bar().info)["parts"] == ("light", "model")

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
+from lumitree.asset.asset import light_field_asset
 from lumitree.cli import main
 from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.errors import LumitreeError
 from support.damage import damaged, refused
-from support.exitant_fields import random_exitant
 from support.fields import random_asset
+from support.light_fields import random_light_field
 
 FIELD = random_asset(1)
-EXITANT = exitant_asset(random_exitant(2), FIELD.frame, "test")
+LIGHT_FIELD = light_field_asset(random_light_field(2), FIELD.frame, "test")
 
 FILE = """
 [lamps.kitchen]
@@ -125,8 +125,8 @@ def placed_flux(mi, placement):
 @pytest.mark.parametrize(
     ("asset", "size"),
     [
-        (EXITANT, None),
-        (EXITANT, 0.3),
+        (LIGHT_FIELD, None),
+        (LIGHT_FIELD, 0.3),
         pytest.param(FIELD, 0.3, marks=pytest.mark.slow),
         pytest.param(FIELD, None, marks=pytest.mark.slow),
     ],
@@ -150,7 +150,7 @@ def test_a_placed_lamp_has_the_lumens_and_the_colour(mi, asset, size):
 def test_temperature_alone_keeps_the_lumens_and_lumens_alone_the_colour(mi):
     from lumitree.rendering.asset_flux import asset_watts, gain_to
 
-    watts = asset_watts(EXITANT)
+    watts = asset_watts(LIGHT_FIELD)
     warm = watts * gain_to(watts, None, 2000, "lamp")
     assert luminance(warm) == pytest.approx(luminance(watts))
     bright = watts * gain_to(watts, 10.0, None, "lamp")

@@ -222,13 +222,13 @@ def test_a_scene_without_lamps_or_with_instances_is_not_divided(mi, lamps):
 
 def test_lamps_of_another_scene_with_the_same_surfaces_light_what_is_in_their_boxes(mi, tmp_path):
     """As if a scene is loaded again with a lamp elsewhere, and the integrator is kept."""
-    from lumitree.asset.asset import exitant_asset
+    from lumitree.asset.asset import light_field_asset
     from lumitree.core.frames import LocalFrame
     from lumitree.rendering.plugins.proxies import DividedScene
-    from support.exitant_fields import random_exitant
+    from support.light_fields import random_light_field
 
     frame = LocalFrame(np.array([1.0, 0.7, 0.5]), np.eye(4))
-    asset = exitant_asset(random_exitant(1), frame, "lamp")
+    asset = light_field_asset(random_light_field(1), frame, "lamp")
     surfaces = {f"room{i}": shape for i, shape in enumerate(room(mi).shapes())}
     divided = DividedScene()
     for x, holds in ((20.0, False), (0.2, True)):

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
-from support.exitant_fields import random_exitant
+from lumitree.asset.asset import light_field_asset
 from support.fields import random_asset
+from support.light_fields import random_light_field
 
 
 def lamp(seed, parts):
@@ -23,12 +23,12 @@ def lamp(seed, parts):
         max_radiance=5.0 + seed,
         density_scale=1.0 + seed,
     )
-    light = random_exitant(seed, depth=3, resolution=8, count=count)
+    light = random_light_field(seed, depth=3, resolution=8, count=count)
     light = dataclasses.replace(light, scale=light.scale * (1 + seed))
     return {
         "field": field,
-        "both": dataclasses.replace(field, exitant=light),
-        "exitant": exitant_asset(light, field.frame, "test"),
+        "both": dataclasses.replace(field, light_field=light),
+        "light": light_field_asset(light, field.frame, "test"),
     }[parts]
 
 
@@ -59,7 +59,7 @@ def compiled(mi, asset):
     return sum(not kernel["cache_hit"] for kernel in kernels)
 
 
-@pytest.mark.parametrize("parts", ["exitant", "both"])
+@pytest.mark.parametrize("parts", ["light", "both"])
 def test_another_lamp_compiles_no_kernel(tmp_path, parts):
     """Each in a process of its own, with one cache.
 

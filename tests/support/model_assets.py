@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from lumitree.asset.asset import Asset, exitant_asset
+from lumitree.asset.asset import Asset, light_field_asset
 from lumitree.asset.model import AssetModel
 from lumitree.core.frames import LocalFrame
-from support.exitant_fields import random_exitant
+from support.light_fields import random_light_field
 
 IDENTITY = np.eye(4).tolist()
 
@@ -62,7 +62,7 @@ def small_model(**changes) -> AssetModel:
 
 
 def with_model(model: AssetModel, frame: LocalFrame | None = None) -> Asset:
-    """An asset of a model and a random exitant light field."""
+    """An asset of a model and a random light field."""
     frame = LocalFrame(np.ones(3), np.eye(4)) if frame is None else frame
-    asset = exitant_asset(random_exitant(0), frame, "test")
+    asset = light_field_asset(random_light_field(0), frame, "test")
     return Asset(**{**vars(asset), "model": model})

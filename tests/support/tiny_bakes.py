@@ -16,12 +16,12 @@ from lumitree.fit.octree.config import (
     RefineConfig,
     SplitConfig,
 )
-from lumitree.trace.light_field_config import ExitantConfig, LightFieldConfig
+from lumitree.trace.light_field_config import LightFieldConfig, LightFieldFitConfig
 
-# Budget of rays of a direct bake, and rays of its first estimate.
+# Budget of rays of an octree fit, and rays of its first estimate.
 RAYS, ESTIMATE_RAYS = 1 << 19, 1 << 20
 LIGHT_FIELD = LightFieldConfig(paths=1 << 18, batch=1 << 18, depth=3, resolution=32)
-EXITANT = ExitantConfig(paths=1 << 18, batch=1 << 18, depth=3, resolution=32)
+LIGHT_FIELD = LightFieldFitConfig(paths=1 << 18, batch=1 << 18, depth=3, resolution=32)
 IRRADIANCE_PATHS = 1 << 14
 
 
@@ -54,9 +54,9 @@ def bake_config(**options):
     )
 
 
-def direct_config(**options):
+def octree_fit(**options):
     """The octree fit of `bake_config`."""
-    return bake_config(**options).direct_config
+    return bake_config(**options).octree_fit
 
 
 def standard(**options):

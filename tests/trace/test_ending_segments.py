@@ -35,7 +35,7 @@ def shaded(tmp_path):
 
 
 def test_the_paths_are_the_same(mi, shaded):
-    """To the last bit, because exitant light fields are the same with it."""
+    """To the last bit, because light fields are the same with it."""
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(1, 1 << 12)
     alone = trace_light(shaded, sampler, 1 << 12, LOOP_DEPTH, all_light=True)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.asset.checks import expect, expect_arrays
-from lumitree.asset.exitant import ExitantField
+from lumitree.asset.light_field import LightField
 from lumitree.asset.model import AssetModel
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.frames import LocalFrame
@@ -27,7 +27,7 @@ from lumitree.octree.build import MAX_TREE_DEPTH
 MIN_RADIANCE, MAX_RADIANCE = 1e-15, 1e15
 MAX_DENSITY = 1e15
 # What an asset may have: its illumination, its image without and with the luminaire itself.
-Part = Literal["exitant", "field", "model"]
+Part = Literal["light", "field", "model"]
 PARTS: tuple[Part, ...] = get_args(Part)
 NO_GAIN = (1.0, 1.0, 1.0)
 _expect = functools.partial(expect, "asset")
@@ -52,11 +52,11 @@ class Asset:
             luminaire's own scene.
         frame: the luminaire's local frame.
         luminaire: name of the luminaire, for messages; kept as a `core.reading.label`.
-        exitant: what the luminaire sends to receivers outside its box; None if the field serves
+        light_field: what the luminaire sends to receivers outside its box; None if the field serves
             for that too.
         model: the luminaire itself, which `lumitree_path` shows in place of the field; None if
             there is none.
-        gain: [3] factors on the R, G and B of all light of the asset: of the field, the exitant
+        gain: [3] factors on the R, G and B of all light of the asset: of the field, the
             light field and the model, which are stored without them. At least 0, not all 0.
 
     Raises:
@@ -72,7 +72,7 @@ class Asset:
     max_radiance: float
     frame: LocalFrame
     luminaire: str
-    exitant: ExitantField | None = None
+    light_field: LightField | None = None
     model: AssetModel | None = None
     gain: tuple[float, float, float] = NO_GAIN
 
@@ -84,7 +84,9 @@ class Asset:
         _check_tree(self.children, len(self.density), self.tree_depth)
         if self.model is not None:
             self.model.check_inside(self.frame)
-            _expect(self.num_leaves or self.exitant, "a model without anything that illuminates")
+            _expect(
+                self.num_leaves or self.light_field, "a model without anything that illuminates"
+            )
 
     def __repr__(self) -> str:
         size = " x ".join(f"{side:.4g}" for side in self.frame.size)
@@ -102,20 +104,20 @@ class Asset:
     @property
     def num_bytes(self) -> int:
         """Bytes of the octree, the densities, the coefficients and the other parts."""
-        others = sum(part.num_bytes for part in (self.exitant, self.model) if part is not None)
+        others = sum(part.num_bytes for part in (self.light_field, self.model) if part is not None)
         return self.children.nbytes + self.density.nbytes + self.coefficients.nbytes + others
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """Which of "exitant", "field" and "model" it has."""
-        present = (self.exitant is not None, self.num_leaves > 0, self.model is not None)
+        """Which of "light", "field" and "model" it has."""
+        present = (self.light_field is not None, self.num_leaves > 0, self.model is not None)
         return tuple(name for name, has in zip(PARTS, present, strict=True) if has)
 
     @property
     def appearance(self) -> Part:
         """What images show under `lumitree_path`: the model, else the field, else the light."""
         present = self.parts
-        return next(part for part in ("model", "field", "exitant") if part in present)
+        return next(part for part in ("model", "field", "light") if part in present)
 
     @property
     def without_gain(self) -> "Asset":
@@ -136,7 +138,7 @@ class Asset:
     @property
     def info(self) -> "AssetInfo":
         """Size, depth and bounds of the asset."""
-        traced = None if self.exitant is None else self.exitant.traced
+        traced = None if self.light_field is None else self.light_field.traced
         return AssetInfo(
             luminaire=self.luminaire,
             tree_depth=self.tree_depth,
@@ -147,9 +149,9 @@ class Asset:
             max_radiance=self.max_radiance,
             size=tuple(self.frame.size.tolist()),
             centre=tuple(self.frame.centre.tolist()),
-            exitant_cells=0 if self.exitant is None else len(self.exitant.cells),
-            exitant_paths=None if traced is None else traced.count,
-            exitant_noise=None if traced is None else traced.noise,
+            light_field_cells=0 if self.light_field is None else len(self.light_field.cells),
+            light_field_paths=None if traced is None else traced.count,
+            light_field_noise=None if traced is None else traced.noise,
             model_triangles=0 if self.model is None else self.model.num_triangles,
             parts=self.parts,
             appearance=self.appearance,
@@ -208,12 +210,12 @@ class AssetInfo:
         max_radiance: upper end of the emission without the gain, W/(m² sr).
         size: [3] sides of the bounding box, in the unit of the luminaire's file.
         centre: [3] centre of the bounding box, in the frame of the luminaire's file.
-        exitant_cells: number of cells of the exitant light field; 0 if there is none.
-        exitant_paths: number of light paths that it was estimated from; None if it is not known.
-        exitant_noise: relative standard error of its intensity by direction, see `TracedPaths`;
+        light_field_cells: number of cells of the light field; 0 if there is none.
+        light_field_paths: number of light paths that it was estimated from; None if not known.
+        light_field_noise: relative standard error of its intensity by direction, see `TracedPaths`;
             None if it is not known.
         model_triangles: number of triangles of the model; 0 if there is none.
-        parts: which of "exitant", "field" and "model" it has.
+        parts: which of "light", "field" and "model" it has.
         appearance: which of them images show under `lumitree_path`.
         gain: [3] factors on the R, G and B of its light, which a luminous flux or a colour
             temperature that was asked for has made other than 1.
@@ -228,16 +230,16 @@ class AssetInfo:
     max_radiance: float
     size: tuple[float, ...]
     centre: tuple[float, ...]
-    exitant_cells: int
+    light_field_cells: int
     model_triangles: int
     parts: tuple[Part, ...]
     appearance: Part
-    exitant_paths: int | None = None
-    exitant_noise: float | None = None
+    light_field_paths: int | None = None
+    light_field_noise: float | None = None
     gain: tuple[float, float, float] = NO_GAIN
 
 
-def exitant_asset(exitant: ExitantField, frame: LocalFrame, luminaire: str) -> Asset:
+def light_field_asset(light_field: LightField, frame: LocalFrame, luminaire: str) -> Asset:
     """An asset whose field is empty: it lights its surroundings, and lets all light through."""
     return Asset(
         children=np.zeros((1, 8), np.int32),
@@ -249,7 +251,7 @@ def exitant_asset(exitant: ExitantField, frame: LocalFrame, luminaire: str) -> A
         max_radiance=1.0,
         frame=frame,
         luminaire=luminaire,
-        exitant=exitant,
+        light_field=light_field,
     )
 
 
@@ -272,9 +274,11 @@ def _check_scalars(asset: Asset) -> None:
         len(gain) == 3 and all(type(each) is float and each >= 0 for each in gain) and any(gain),
         f"gain {gain!r}, expected three numbers of at least 0, not all 0",
     )
-    exitant = asset.exitant
-    scales = [] if exitant is None else [exitant.scale]
-    scales += [] if exitant is None or exitant.inside is None else [exitant.inside.scale]
+    light_field = asset.light_field
+    scales = [] if light_field is None else [light_field.scale]
+    scales += (
+        [] if light_field is None or light_field.inside is None else [light_field.inside.scale]
+    )
     brightest = max(gain) * max(asset.max_radiance, *scales, 0.0)
     _expect(brightest <= MAX_RADIANCE, f"gain {gain!r}, with which emission exceeds {MAX_RADIANCE}")
 

@@ -12,11 +12,11 @@ import safetensors.numpy
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.exitant_bytes import (
-    EXITANT_TENSORS,
-    build_exitant,
-    exitant_description,
-    exitant_tensors,
+from lumitree.asset.light_field_bytes import (
+    LIGHT_FIELD_TENSORS,
+    build_light_field,
+    light_field_description,
+    light_field_tensors,
 )
 from lumitree.asset.model_bytes import MODEL_SHAPES, MODEL_TENSORS, build_model, model_tensors
 from lumitree.core.file_kinds import ASSET, what_it_is
@@ -76,9 +76,9 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
         "gain": asset.gain,
         **asset.frame.members(),
     }
-    if asset.exitant is not None:
-        tensors |= exitant_tensors(asset.exitant)
-        description["exitant"] = exitant_description(asset.exitant)
+    if asset.light_field is not None:
+        tensors |= light_field_tensors(asset.light_field)
+        description["light"] = light_field_description(asset.light_field)
     if asset.model is not None:
         tensors |= model_tensors(asset.model)
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -124,9 +124,9 @@ def load(path: str | os.PathLike[str]) -> Asset:
 
 
 def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
-    description.expect_keys(*_KEYS, optional=("exitant",))
+    description.expect_keys(*_KEYS, optional=("light",))
     description.choice("activation", (ACTIVATION,))
-    has_exitant, has_model = description.has("exitant"), MODEL_SHAPES in tensors
+    has_light_field, has_model = description.has("light"), MODEL_SHAPES in tensors
     red, green, blue = description.array("gain", 3).tolist()
     return Asset(
         **{name: tensors[name] for name in _TENSORS},
@@ -136,7 +136,9 @@ def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
         max_radiance=description.number("max_radiance"),
         frame=LocalFrame.of_record(description),
         luminaire=description.label("luminaire"),
-        exitant=build_exitant(description.record("exitant"), tensors) if has_exitant else None,
+        light_field=build_light_field(description.record("light"), tensors)
+        if has_light_field
+        else None,
         model=build_model(tensors) if has_model else None,
         gain=(red, green, blue),
     )
@@ -174,8 +176,8 @@ def _read_header(content: bytes) -> tuple[str, str, Record]:
     description.choice("format", (FORMAT,))
     description.expect_version(VERSION)
     tensors = dict(_TENSORS)
-    if description.has("exitant"):
-        tensors |= EXITANT_TENSORS
+    if description.has("light"):
+        tensors |= LIGHT_FIELD_TENSORS
     if header.has(MODEL_SHAPES):
         tensors |= MODEL_TENSORS
     header.expect_keys("__metadata__", *tensors)

@@ -1,12 +1,12 @@
-"""Light inside the box of a luminaire: what its exitant light field lacks for receivers there.
+"""Light inside the box of a luminaire: what its light field lacks for receivers there.
 
 Light that leaves a cell and ends on the luminaire itself never gets out of the box, but it lights
 what stands in its way. How much of it gets as far as a distance r is its reach.
 
 Symbols
-    C   cells           Q   bins of direction a side, half as many as the exitant light field's
+    C   cells           Q   bins of direction a side, half as many as the light field's
     E   entries: bins of all cells in which there is any light         K   distances
-    I   radiant intensity of a cell that leaves the box, from the exitant light field
+    I   radiant intensity of a cell that leaves the box, from the light field
     J   radiant intensity of a cell that ends on the luminaire
     s   reach: part of J that gets farther than r
     V   whether the luminaire's own surfaces leave the way from a cell to a receiver free
@@ -42,11 +42,11 @@ class LightInside:
 
     Attributes:
         cells: uint8 [C, 3], coordinates of the cells that light leaves, in Morton order: those of
-            the exitant light field, and others whose light all ends on the luminaire.
+            the light field, and others whose light all ends on the luminaire.
         lit: uint8 [C, ⌈Q² / 8⌉], which bins of each cell have an entry; the first bin in the
-            highest bit. All do that contain a bin of the exitant light field that emits.
-        intensity: uint32 [E], J by cell and then by bin: RGB9_E5 numbers (`exitant.unpack`) times
-            `scale`; 0 where nothing ends. Local units, as those of the exitant light field.
+            highest bit. All do that contain a bin of the light field that emits.
+        intensity: uint32 [E], J by cell and then by bin: RGB9_E5 numbers (`light.unpack`) times
+            `scale`; 0 where nothing ends. Local units, as those of the light field.
         reach: uint8 [E], row of each entry in `reach_curves`.
         visibility: uint8 [E], row of each entry in `visibility_curves`.
         distances: float32 [K], increasing from 0, local units.
@@ -129,7 +129,7 @@ class LightInside:
     def check_beside(
         self, cells: NDArray[np.uint8], lit: NDArray[np.uint8], depth: int, resolution: int
     ) -> None:
-        """Refuse it beside an exitant light field that it does not fit; arguments as its members.
+        """Refuse it beside a light field that it does not fit; arguments as its members.
 
         Raises:
             LumitreeError: bins are of another number, a cell is outside the grid, or a bin that
@@ -145,7 +145,7 @@ class LightInside:
         rows = np.minimum(np.searchsorted(own, codes), max(len(own) - 1, 0))
         _expect(
             len(own) >= len(codes) and (own[rows] == codes).all(),
-            "a cell of the exitant light field is missing",
+            "a cell of the light field is missing",
         )
         coarse = resolution // 2
         emits = np.unpackbits(lit, axis=1).reshape(-1, coarse, 2, coarse, 2).any(axis=(2, 4))

@@ -12,8 +12,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "asset",
         metavar="ASSET",
-        help="a .lumitree file with an exitant light field, or with a field for .vdb; or a "
-        "photometric file",
+        help="a .lumitree file with a light field, or with a field for .vdb; or a photometric file",
     )
     options.add_output(
         parser,

@@ -24,14 +24,12 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--luminaire",
         metavar="LUMINAIRE",
-        help="the luminaire that the views are of; with it the asset gets the exitant light field "
+        help="the luminaire that the views are of; with it the asset gets the light field "
         f"too ({options.LUMINAIRE})",
     )
     options.add_reading(parser)
     options.add_irradiance_paths(parser, None)
-    parser.add_argument(
-        "--seed", type=int, metavar="S", default=0, help="seed of the exitant light field"
-    )
+    parser.add_argument("--seed", type=int, metavar="S", default=0, help="seed of the light field")
     options.add_variant(parser)
 
 

@@ -8,7 +8,7 @@ from lumitree.cli.output import print_result
 
 
 def add(commands: Any) -> None:
-    text = "combine exitant light fields of one luminaire that were baked with different seeds"
+    text = "combine light fields of one luminaire that were baked with different seeds"
     parser = options.command(commands, "merge", text, run, show)
     parser.add_argument(
         "assets",

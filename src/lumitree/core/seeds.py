@@ -37,10 +37,10 @@ class Purpose(enum.IntEnum):
     RENDER = 14  # images of a scene; step: samples done
     CONTINUATION = 15  # root seed of a bake that goes on with an asset; step: checksum of the asset
     IRRADIANCE = 16  # rays that leave a luminaire; step: batch, draw: 0 traced, 1 and 2 from assets
-    EXITANT = 17  # light paths of the exitant light field; step: batch
+    LIGHT_FIELD = 17  # light paths of the light field; step: batch
     PHOTOMETRY = 18  # rays that leave a luminaire, for intensities; step: batch
-    ASSET_FLUX = 19  # flux of an asset without an exitant light field
-    EXPORT = 20  # clusters of an exitant light field
+    ASSET_FLUX = 19  # flux of an asset without a light field
+    EXPORT = 20  # clusters of a light field
     LINES = 21  # total flux from camera paths; step: batch
     # Light that ends on a luminaire; draw 0: which segments, 2: places in cells, step: batch; draw
     # 1: curves.

@@ -1,10 +1,10 @@
-"""The direct bake: `bake` and `bake_views` make an asset from rays, and `refine` improves one."""
+"""The octree fit: `bake` and `bake_views` make an asset from rays, and `refine` improves one."""
 
 import dataclasses
 import warnings
 from typing import TYPE_CHECKING
 
-from lumitree.asset.asset import PARTS, Asset, exitant_asset
+from lumitree.asset.asset import PARTS, Asset, light_field_asset
 from lumitree.asset.model import AssetModel
 from lumitree.core.arguments import check_asset_output, check_light
 from lumitree.core.backend import load_mitsuba
@@ -16,8 +16,8 @@ from lumitree.core.work_folder import WorkFolder
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.finishing import finish_bake, remove_state
-from lumitree.fit.light_field.saved_field import EXITANT_STATE
-from lumitree.fit.octree.config import DirectConfig
+from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
+from lumitree.fit.octree.config import OctreeFitConfig
 from lumitree.fit.result import BakeResult
 from lumitree.fit.work import open_work_folder
 from lumitree.lamp.loading import dataset_folder, warn_of_faults
@@ -26,7 +26,7 @@ from lumitree.measure.irradiance_check import check_irradiance_paths
 from lumitree.rendering.asset_cache import open_asset
 
 if TYPE_CHECKING:
-    from lumitree.fit.octree.bake import DirectResult
+    from lumitree.fit.octree.bake import OctreeFitResult
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
 
 # What `bake` does not take, and the functions for it.
@@ -48,7 +48,7 @@ def bake(
 ) -> BakeResult:
     """Bake a luminaire into an asset with the direct method.
 
-    Light paths are traced first. Their histogram by place and direction is the exitant light
+    Light paths are traced first. Their histogram by place and direction is the light
     field: what the luminaire sends to its surroundings. Then rays and light paths are traced for
     the radiance field, which is what images show of the luminaire. A first estimate is made from
     them, and gradient descent improves it until the budget is spent. The field is stored in a
@@ -108,27 +108,29 @@ def _bake(
     work: FilePath | None,
 ) -> BakeResult:
     """`bake` of a luminaire that is loaded, with the state in a folder that is open."""
-    from lumitree.fit.light_field.bake import bake_exitant
-    from lumitree.fit.octree import bake as direct
+    from lumitree.fit.light_field.bake import bake_light_field
+    from lumitree.fit.octree import bake as octree_fit
     from lumitree.rendering.asset_flux import with_light
 
     parts = PARTS if config.parts is None else config.parts
     watch = Stopwatch()
     model = _stored_model(lamp, config.parts is not None) if "model" in parts else None
-    exitant = None
-    if "exitant" in parts:
-        with watch.stage("exitant"):
-            exitant = bake_exitant(lamp, config.exitant_config, folder.path)
+    light_field = None
+    if "light" in parts:
+        with watch.stage("light"):
+            light_field = bake_light_field(lamp, config.light_field_fit, folder.path)
         # Before the field: refuses a colour that the light of the luminaire cannot have.
-        lit = dataclasses.replace(exitant_asset(exitant, lamp.frame, lamp.name), model=model)
+        lit = dataclasses.replace(
+            light_field_asset(light_field, lamp.frame, lamp.name), model=model
+        )
         lit = with_light(lit, config.lumens, config.temperature)
         if "field" not in parts:
             result = finish_bake(lit, output, watch, lamp, config.irradiance_paths)
-            remove_state(folder, work, result, [EXITANT_STATE])
+            remove_state(folder, work, result, [LIGHT_FIELD_STATE])
             return result
     with watch.stage("bake"):
-        fit = direct.bake(lamp, config.direct_config, folder.path)
-    asset = dataclasses.replace(fit.asset, exitant=exitant, model=model)
+        fit = octree_fit.bake(lamp, config.octree_fit, folder.path)
+    asset = dataclasses.replace(fit.asset, light_field=light_field, model=model)
     asset = with_light(asset, config.lumens, config.temperature)
     return _finish_fit(fit, asset, output, watch, folder, work, lamp, config.irradiance_paths)
 
@@ -163,7 +165,7 @@ def _stored_model(lamp: "Luminaire", required: bool) -> AssetModel | None:
 def bake_views(
     dataset: FilePath,
     output: FilePath | None = None,
-    config: DirectConfig | None = None,
+    config: OctreeFitConfig | None = None,
     *,
     lumens: float | None = None,
     temperature: float | None = None,
@@ -173,13 +175,13 @@ def bake_views(
 ) -> BakeResult:
     """Bake the views of a dataset into an asset that has a radiance field only.
 
-    Views have no light paths, from which an exitant light field could be made or the irradiance be
+    Views have no light paths, from which a light field could be made or the irradiance be
     compared. An interrupted call continues as that of `bake`.
 
     Args:
         dataset: folder of the dataset, made by `capture`.
         output: path of the `.lumitree` file to write. Default: no file is written.
-        config: settings of the octree fit. Default: `BakeConfig.standard().direct_config`.
+        config: settings of the octree fit. Default: `BakeConfig.standard().octree_fit`.
         lumens: luminous flux of the asset, lm; see `BakeConfig`.
         temperature: colour temperature of the asset, K; see `BakeConfig`.
         work: folder for the state; see `bake`.
@@ -193,7 +195,7 @@ def bake_views(
         LumitreeError: the dataset cannot be read, or its views are black, too few or have nothing
             in common; or as for `bake`.
     """
-    config = BakeConfig.standard().direct_config if config is None else config
+    config = BakeConfig.standard().octree_fit if config is None else config
     check_light(lumens, temperature)
     if output is not None:
         check_asset_output(output)
@@ -201,14 +203,14 @@ def bake_views(
     if folder is None:
         raise LumitreeError(f"{shown(dataset, 300)} is not the folder of a dataset; see capture")
     load_mitsuba(variant)
-    from lumitree.fit.octree import bake as direct
+    from lumitree.fit.octree import bake as octree_fit
     from lumitree.rendering.asset_flux import with_light
 
     with reporting(progress), open_work_folder(output, work) as at:
         views = Dataset.open(folder)
         watch = Stopwatch()
         with watch.stage("bake"):
-            fit = direct.bake_stored(views, config, at.path)
+            fit = octree_fit.bake_stored(views, config, at.path)
         asset = with_light(fit.asset, lumens, temperature)
         return _finish_fit(fit, asset, output, watch, at, work)
 
@@ -259,12 +261,12 @@ def refine(
     standard = BakeConfig.standard()
     if time is None and rays is None:
         time, rays = standard.time, standard.rays
-    fit_config = dataclasses.replace(standard.direct_config, time=time, rays=rays, seed=seed)
+    fit_config = dataclasses.replace(standard.octree_fit, time=time, rays=rays, seed=seed)
     if irradiance_paths is None:
         irradiance_paths = standard.irradiance_paths
     check_irradiance_paths(irradiance_paths)
     load_mitsuba(variant)
-    from lumitree.fit.octree import bake as direct
+    from lumitree.fit.octree import bake as octree_fit
     from lumitree.lamp.luminaire import load_luminaire
 
     rough = open_asset(asset)
@@ -276,15 +278,15 @@ def refine(
         lamp = load_luminaire(luminaire)
         watch = Stopwatch()
         with watch.stage("bake"):
-            fit = direct.refine(rough, lamp, fit_config, at.path)
+            fit = octree_fit.refine(rough, lamp, fit_config, at.path)
         better = dataclasses.replace(
-            fit.asset, exitant=rough.exitant, model=rough.model, gain=rough.gain
+            fit.asset, light_field=rough.light_field, model=rough.model, gain=rough.gain
         )
         return _finish_fit(fit, better, output, watch, at, work, lamp, irradiance_paths)
 
 
 def _finish_fit(
-    fit: "DirectResult",
+    fit: "OctreeFitResult",
     asset: Asset,
     output: FilePath | None,
     watch: Stopwatch,
@@ -307,5 +309,5 @@ def _finish_fit(
         held_out_psnr_uncertainty=round(fit.score.uncertainty, 3),
         rays=fit.rays,
     )
-    remove_state(folder, work, result, [STATE, EXITANT_STATE])
+    remove_state(folder, work, result, [STATE, LIGHT_FIELD_STATE])
     return result

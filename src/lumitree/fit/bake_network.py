@@ -22,19 +22,19 @@ from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained
-from lumitree.fit.config import BakeConfig, NetworkConfig, NetworkPreset, exitant_config
+from lumitree.fit.config import BakeConfig, NetworkConfig, NetworkPreset, light_field_fit
 from lumitree.fit.finishing import finish_bake, remove_state
-from lumitree.fit.light_field.saved_field import EXITANT_STATE
+from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.fit.network.config import PRESETS, TrainConfig
 from lumitree.fit.result import BakeResult, CaptureResult, TrainResult
 from lumitree.fit.work import open_work_folder
 from lumitree.lamp.loading import warn_of_faults
 from lumitree.measure.irradiance_check import check_irradiance_paths
 from lumitree.octree.build import check_tree_depth
-from lumitree.trace.light_field_config import ExitantConfig
+from lumitree.trace.light_field_config import LightFieldFitConfig
 
 if TYPE_CHECKING:
-    from lumitree.asset.exitant import ExitantField
+    from lumitree.asset.light_field import LightField
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
 
 
@@ -50,7 +50,7 @@ def bake_network(
 ) -> BakeResult:
     """Bake a luminaire with the method of the paper: `capture`, `train` and `extract` in one call.
 
-    The exitant light field is made first, from light paths, as `bake` makes it. If the call is
+    The light field is made first, from light paths, as `bake` makes it. If the call is
     interrupted, the same call continues it.
 
     Args:
@@ -78,12 +78,12 @@ def bake_network(
     load_mitsuba(variant)
     from lumitree.lamp.luminaire import load_luminaire
 
-    watch, exitant = Stopwatch(), None
+    watch, light_field = Stopwatch(), None
     with open_work_folder(output, work) as folder:
         with reporting(progress):
             lamp = load_luminaire(luminaire)
-            if "exitant" in config.parts:
-                exitant = _bake_exitant(lamp, config.exitant_config, folder.path, watch)
+            if "light" in config.parts:
+                light_field = _bake_light_field(lamp, config.light_field_fit, folder.path, watch)
         captured = capture(
             lamp,
             folder.path / "dataset",
@@ -106,12 +106,12 @@ def bake_network(
                 output,
                 config.tree_depth,
                 config.samples_per_leaf,
-                exitant,
+                light_field,
                 lamp,
                 config.irradiance_paths,
             )
         names = [f"dataset/{name}" for name in DATASET_FILES]
-        names += [*(f"run/{name}" for name in RUN_FILES), EXITANT_STATE]
+        names += [*(f"run/{name}" for name in RUN_FILES), LIGHT_FIELD_STATE]
         remove_state(folder, work, extracted, names)
     seconds = watch.seconds | captured.seconds | trained.seconds | extracted.seconds
     return dataclasses.replace(extracted, seconds=seconds, peak_memory_bytes=peak_memory_bytes())
@@ -266,7 +266,7 @@ def extract(
     """Convert a trained network into an asset.
 
     Each leaf of the octree stores the mean of the network's output at positions inside it. The
-    exitant light field needs the luminaire, which the run does not contain.
+    light field needs the luminaire, which the run does not contain.
 
     Args:
         run: folder of the run, made by `train`.
@@ -275,10 +275,10 @@ def extract(
             divided by 2^tree_depth.
         samples_per_leaf: positions per leaf, 1 to 1,048,576.
         luminaire: the luminaire that the views are of, in any form that `bake` takes except the
-            folder of a dataset. If it is given, the asset gets the exitant light field too, and
+            folder of a dataset. If it is given, the asset gets the light field too, and
             the irradiance around it is compared with that around the luminaire.
         irradiance_paths: see `bake`. Default: 2¹⁹.
-        seed: root seed of the exitant light field, 0 to 2³¹ - 1.
+        seed: root seed of the light field, 0 to 2³¹ - 1.
         variant: Mitsuba variant; see `bake`.
         progress: function that is called with a `Progress` after each step; see `bake`.
 
@@ -317,10 +317,10 @@ def extract(
                 f"{run} one of {_sides(frame.size)}, or another place; give the luminaire that was "
                 "captured"
             )
-        config = exitant_config(standard.light_field, seed)
-        exitant = _bake_exitant(lamp, config, folder, watch)
+        config = light_field_fit(standard.light_field, seed)
+        light_field = _bake_light_field(lamp, config, folder, watch)
         result = _extract(
-            run, output, tree_depth, samples_per_leaf, exitant, lamp, irradiance_paths
+            run, output, tree_depth, samples_per_leaf, light_field, lamp, irradiance_paths
         )
     return dataclasses.replace(result, seconds=watch.seconds | result.seconds)
 
@@ -329,14 +329,14 @@ def _sides(size: Any) -> str:
     return " x ".join(f"{side:.4g}" for side in size)
 
 
-def _bake_exitant(
-    lamp: "Luminaire", config: ExitantConfig, folder: Path, watch: Stopwatch
-) -> "ExitantField":
-    """`bake_exitant`, and the time that it takes."""
-    from lumitree.fit.light_field.bake import bake_exitant
+def _bake_light_field(
+    lamp: "Luminaire", config: LightFieldFitConfig, folder: Path, watch: Stopwatch
+) -> "LightField":
+    """`bake_light_field`, and the time that it takes."""
+    from lumitree.fit.light_field.bake import bake_light_field
 
-    with watch.stage("exitant"):
-        return bake_exitant(lamp, config, folder)
+    with watch.stage("light"):
+        return bake_light_field(lamp, config, folder)
 
 
 def _extract(
@@ -344,11 +344,11 @@ def _extract(
     output: FilePath | None,
     tree_depth: int,
     samples_per_leaf: int,
-    exitant: "ExitantField | None" = None,
+    light_field: "LightField | None" = None,
     lamp: "Luminaire | None" = None,
     irradiance_paths: int = 0,
 ) -> BakeResult:
-    """As `extract`, with an exitant light field; compares the irradiance with that of a lamp."""
+    """As `extract`, with a light field; compares the irradiance with that of a lamp."""
     from lumitree.fit.network.trained_field import load_field
     from lumitree.octree.extract import extract as extract_octree
 
@@ -373,6 +373,6 @@ def _extract(
             max_radiance=field.max_radiance,
             frame=field.frame,
             luminaire=field.luminaire,
-            exitant=exitant,
+            light_field=light_field,
         )
     return finish_bake(asset, output, watch, lamp, irradiance_paths)

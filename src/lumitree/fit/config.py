@@ -21,14 +21,14 @@ from lumitree.core.seeds import check_seed
 from lumitree.core.transmittance import Law
 from lumitree.errors import LumitreeError
 from lumitree.fit.network.config import PRESETS, TrainConfig
-from lumitree.fit.octree.config import DirectConfig, EstimateConfig, OctreeConfig, RefineConfig
+from lumitree.fit.octree.config import EstimateConfig, OctreeConfig, OctreeFitConfig, RefineConfig
 from lumitree.measure.irradiance_check import check_irradiance_paths
 from lumitree.octree.build import check_tree_depth
-from lumitree.trace.light_field_config import ExitantConfig, LightFieldConfig
+from lumitree.trace.light_field_config import LightFieldConfig, LightFieldFitConfig
 
 Quality = Literal["preview", "standard", "high"]
 NetworkPreset = Literal["preview", "paper"]
-NETWORK_PARTS: tuple[Part, ...] = ("exitant", "field")
+NETWORK_PARTS: tuple[Part, ...] = ("light", "field")
 # Half as many light paths as usual.
 _FEW_PATHS = LightFieldConfig(paths=1 << 21)
 
@@ -41,9 +41,9 @@ class BakeConfig:
     `dataclasses.replace` changes some of them.
 
     Attributes:
-        parts: what the asset gets. "exitant": the exitant light field, 5 to 20 s on 2 CPU cores; it
+        parts: what the asset gets. "light": the light field, 5 to 20 s on 2 CPU cores; it
             illuminates scenes. "field": the radiance field; images show it, and it illuminates if
-            there is no exitant light field. Without it images show the exitant light field, which
+            there is no light field. Without it images show the light field, which
             is blurred and lets all light through. "model": the luminaire itself, which images under
             `lumitree_path` show in place of the field; beside one of the other two. A part that
             is asked for and cannot be made is an error. None: all that can be made; a luminaire
@@ -72,7 +72,7 @@ class BakeConfig:
             relative to the others. None: the colours of the luminaire.
         seed: root seed of all random numbers, 0 to 2³¹ - 1. With `rays` and without `time`, equal
             seeds and settings give equal files on one machine.
-        light_field: settings of the exitant light field.
+        light_field: settings of the light field.
         octree: settings of the octree fit.
 
     Raises:
@@ -98,7 +98,7 @@ class BakeConfig:
                 check_choice("part", part, PARTS)
             if not set(self.parts) - {"model"}:
                 raise LumitreeError(
-                    f"parts are {', '.join(self.parts) or 'none'}; expected exitant, field or "
+                    f"parts are {', '.join(self.parts) or 'none'}; expected light, field or "
                     "both, and model"
                 )
             # In one order, so that equal parts are equal settings.
@@ -106,19 +106,19 @@ class BakeConfig:
         check_irradiance_paths(self.irradiance_paths)
         check_light(self.lumens, self.temperature)
         # Checks what it contains.
-        _ = self.direct_config
+        _ = self.octree_fit
 
     @property
-    def exitant_config(self) -> ExitantConfig:
-        """Settings of the bake of the exitant light field."""
-        return exitant_config(self.light_field, self.seed)
+    def light_field_fit(self) -> LightFieldFitConfig:
+        """Settings of the bake of the light field."""
+        return light_field_fit(self.light_field, self.seed)
 
     @property
-    def direct_config(self) -> DirectConfig:
+    def octree_fit(self) -> OctreeFitConfig:
         """Settings of the bake of the radiance field."""
         groups = self.octree
         # Not `dataclasses.replace`: editors cannot follow its keywords to the fields.
-        return DirectConfig(
+        return OctreeFitConfig(
             tree_depth=self.tree_depth,
             l_max=self.l_max,
             law=self.law,
@@ -161,16 +161,16 @@ class NetworkConfig:
 
     Attributes:
         parts: what the asset gets, see `BakeConfig`: "field", which the network is trained for, and
-            "exitant".
+            "light".
         num_views: number of captured views, 1 to 100,000.
         resolution: pixels per side of a view, 1 to 16,384.
         samples_per_pixel: paths per pixel of a view, 1 to 1,048,576.
         tree_depth: level of the leaves, 1 to 10.
         samples_per_leaf: positions per leaf at which the network is evaluated, 1 to 1,048,576.
         irradiance_paths: see `BakeConfig`.
-        seed: root seed of the training and of the exitant light field, 0 to 2³¹ - 1. Views do not
+        seed: root seed of the training and of the light field, 0 to 2³¹ - 1. Views do not
             depend on it.
-        light_field: settings of the exitant light field.
+        light_field: settings of the light field.
         train: settings of the network and of its training; its seed is 0, since that of the
             training is `seed`.
 
@@ -209,9 +209,9 @@ class NetworkConfig:
             )
 
     @property
-    def exitant_config(self) -> ExitantConfig:
-        """Settings of the bake of the exitant light field."""
-        return exitant_config(self.light_field, self.seed)
+    def light_field_fit(self) -> LightFieldFitConfig:
+        """Settings of the bake of the light field."""
+        return light_field_fit(self.light_field, self.seed)
 
     @staticmethod
     def preview() -> "NetworkConfig":
@@ -224,9 +224,9 @@ class NetworkConfig:
         return NETWORK_BAKES["paper"]
 
 
-def exitant_config(light_field: LightFieldConfig, seed: int) -> ExitantConfig:
-    """Settings of the bake of an exitant light field with a root seed."""
-    return ExitantConfig(
+def light_field_fit(light_field: LightFieldConfig, seed: int) -> LightFieldFitConfig:
+    """Settings of the bake of a light field with a root seed."""
+    return LightFieldFitConfig(
         paths=light_field.paths,
         depth=light_field.depth,
         resolution=light_field.resolution,

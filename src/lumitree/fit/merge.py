@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.exitant import ExitantField
+from lumitree.asset.light_field import LightField
 from lumitree.core.arguments import check_asset_output
 from lumitree.core.files import FilePath
 from lumitree.core.stopwatch import Stopwatch
@@ -16,7 +16,7 @@ from lumitree.rendering.asset_cache import open_asset
 
 @explained
 def merge(assets: "Sequence[Asset | FilePath]", output: FilePath | None = None) -> BakeResult:
-    """Combine exitant light fields of one luminaire that were baked with different seeds.
+    """Combine light fields of one luminaire that were baked with different seeds.
 
     The result is what one bake with all of their light paths gives: the mean of the intensities,
     weighted by the number of paths. So a luminaire can be baked on several machines. All other
@@ -28,31 +28,32 @@ def merge(assets: "Sequence[Asset | FilePath]", output: FilePath | None = None) 
 
     Returns:
         The asset (`asset`) and its file (`path`). `asset.info` has the number of light paths
-        (`exitant_paths`) and the noise (`exitant_noise`).
+        (`light_field_paths`) and the noise (`light_field_noise`).
 
     Raises:
-        LumitreeError: there are fewer than two assets; one has no exitant light field, or does not
+        LumitreeError: there are fewer than two assets; one has no light field, or does not
             state its light paths; they are of different luminaires, or have different grids or
             numbers of bins; two have a seed in common, or different gains; or a file cannot be
             read or written.
 
     Example:
         >>> for seed in (0, 1):
-        ...     lumitree.bake("bulbs", f"{seed}.lumitree", seed=seed, parts=["exitant"])
-        >>> lumitree.merge(["0.lumitree", "1.lumitree"], "bulbs.lumitree").asset.info.exitant_paths
+        ...     lumitree.bake("bulbs", f"{seed}.lumitree", seed=seed, parts=["light"])
+        >>> result = lumitree.merge(["0.lumitree", "1.lumitree"], "bulbs.lumitree")
+        >>> result.asset.info.light_field_paths
     """
     if output is not None:
         check_asset_output(output)
     if isinstance(assets, Asset | str) or len(assets) < 2:
         raise LumitreeError("merge takes at least two assets; give another one")
-    from lumitree.fit.light_field.merge import merge_exitant
+    from lumitree.fit.light_field.merge import merge_light_fields
 
     watch = Stopwatch()
     with watch.stage("merge"):
         loaded = [open_asset(each) for each in assets]
         names = [_name(number, given) for number, given in enumerate(assets)]
-        fields = [_exitant(*each) for each in zip(loaded, names, strict=True)]
-        exitant = merge_exitant(fields, names)
+        fields = [_light_field(*each) for each in zip(loaded, names, strict=True)]
+        light_field = merge_light_fields(fields, names)
         for name, asset in zip(names, loaded, strict=True):
             if asset.frame != loaded[0].frame:
                 raise LumitreeError(
@@ -65,17 +66,15 @@ def merge(assets: "Sequence[Asset | FilePath]", output: FilePath | None = None) 
                     "flux and colour: bake them without lumens and temperature, and merge then"
                 )
         base = next((asset for asset in loaded if asset.num_leaves), loaded[0])
-        asset = dataclasses.replace(base, exitant=exitant)
+        asset = dataclasses.replace(base, light_field=light_field)
         path = save_asset(asset, output)
     return BakeResult(asset=asset, path=path, **watch.costs())
 
 
-def _exitant(asset: Asset, name: str) -> ExitantField:
-    if asset.exitant is None:
-        raise LumitreeError(
-            f"{name} has no exitant light field; bake it again with the part exitant"
-        )
-    return asset.exitant
+def _light_field(asset: Asset, name: str) -> LightField:
+    if asset.light_field is None:
+        raise LumitreeError(f"{name} has no light field; bake it again with the part light_field")
+    return asset.light_field
 
 
 def _name(number: int, asset: Asset | FilePath) -> str:

@@ -26,7 +26,7 @@ def bake_photometric(
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> BakeResult:
-    """Make an asset that has the exitant light field of a photometric file or a ray file.
+    """Make an asset that has the light field of a photometric file or a ray file.
 
     Args:
         file: an IES or EULUMDAT file (`.ies`, `.ldt`), or an IES TM-25 ray file (`.ray`,
@@ -65,7 +65,7 @@ def bake_photometric(
     with (
         reporting(progress),
         steps(f"light of {shown(Path(path).name)}", 1) as advance,
-        watch.stage("exitant"),
+        watch.stage("light"),
     ):
         asset = bake_file(path, LightFieldConfig() if light_field is None else light_field)
         asset = with_light(asset, lumens, temperature)

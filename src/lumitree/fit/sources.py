@@ -43,8 +43,8 @@ def bake_source(
     lumens, temperature = config.lumens, config.temperature
     match source_kind(source):
         case "photometric":
-            if config.parts not in (None, ("exitant",)):
-                raise _parts_error(config, source, "a photometric file", "exitant")
+            if config.parts not in (None, ("light",)):
+                raise _parts_error(config, source, "a photometric file", "light")
             return bake_photometric(
                 source,
                 output,
@@ -60,7 +60,7 @@ def bake_source(
             return bake_views(
                 source,
                 output,
-                config.direct_config,
+                config.octree_fit,
                 lumens=lumens,
                 temperature=temperature,
                 work=work,
@@ -94,7 +94,7 @@ def inapplicable(source: Any) -> tuple[str, ...]:
 
 def applicable(config: BakeConfig, source: LuminaireSource) -> BakeConfig:
     """Settings of a list of lamps for one of them: of a photometric file, the part it can have."""
-    if source_kind(source) != "photometric" or "exitant" not in (config.parts or ()):
+    if source_kind(source) != "photometric" or "light" not in (config.parts or ()):
         return config
     return dataclasses.replace(config, parts=None)
 
@@ -111,11 +111,11 @@ def warn_of_unused(sources: Iterable[LuminaireSource], config: BakeConfig) -> No
         if all(value != getattr(quality, name) for quality in QUALITIES.values())
     ]
     unused = [name for name in own if name not in (*PHOTOMETRIC_SETTINGS, "parts")]
-    unused += [f"part {part}" for part in config.parts or () if part != "exitant"]
+    unused += [f"part {part}" for part in config.parts or () if part != "light"]
     if names and unused:
         warnings.warn(
             f"{shown_names(names)}: {', '.join(unused)} not used for photometric files, from which "
-            "only the exitant light field is made",
+            "only the light field is made",
             LumitreeWarning,
             stacklevel=4,
         )

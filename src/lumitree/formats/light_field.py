@@ -1,4 +1,4 @@
-"""Assets with an exitant light field only, from photometric files and ray files.
+"""Assets with a light field only, from photometric files and ray files.
 
 A photometric file states the far field, and the luminous opening that the light comes from. Its
 asset emits the intensity of a direction ω evenly over the opening's projection along ω, to which a
@@ -15,8 +15,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.asset import Asset, exitant_asset
-from lumitree.asset.exitant import MAX_RESOLUTION, make_exitant_field
+from lumitree.asset.asset import Asset, light_field_asset
+from lumitree.asset.light_field import MAX_RESOLUTION, make_light_field
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import direction_in_bin, middle_directions, solid_angles
@@ -83,7 +83,7 @@ def bake_distribution(distribution: IntensityDistribution) -> Asset:
         depth, cells, shares = _projected_shares(opening, frame, resolution)
     watts = candela / LUMENS_PER_WATT / frame.scale**2
     intensity = np.broadcast_to((shares * watts)[..., None], (len(cells), len(watts), 3))
-    return exitant_asset(make_exitant_field(cells, intensity, depth), frame, distribution.name)
+    return light_field_asset(make_light_field(cells, intensity, depth), frame, distribution.name)
 
 
 def _flat_shares(
@@ -194,7 +194,9 @@ def bake_rays(rays: Rays, name: str, config: LightFieldConfig) -> Asset:
         on_device(mi.Point3f, origin), on_device(mi.Vector3f, rays.direction), rays.flux.T
     )
     intensity = histogram.flux / solid_angles(config.resolution)[:, None] / frame.scale**2
-    return exitant_asset(make_exitant_field(histogram.cells, intensity, config.depth), frame, name)
+    return light_field_asset(
+        make_light_field(histogram.cells, intensity, config.depth), frame, name
+    )
 
 
 def _bin_means(distribution: IntensityDistribution) -> NDArray[np.float64]:

@@ -56,7 +56,7 @@ def export(
 ) -> ExportResult:
     """Write an asset for Blender: point lights that illuminate, and the lamp's own surfaces.
 
-    The exitant light field becomes point lights, each with an intensity by direction; see
+    The light field becomes point lights, each with an intensity by direction; see
     `output.blender.lights`. The model is added so that cameras and mirrors show it, and neither
     illuminates nor casts shadows. All are children of one empty, whose transform and property
     "gain" apply to the lamp. The frame is that of the luminaire's file, with z up and lengths in
@@ -64,7 +64,7 @@ def export(
 
     Args:
         asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file. It
-            needs an exitant light field, or a field for `.vdb`.
+            needs a light field, or a field for `.vdb`.
         output: path of the file to write. A `.py` file is a script that contains the lamp and runs
             in Blender 4.2 or newer; a `.blend` file is made by running it. A `.vdb` file has the
             field as OpenVDB grids instead (`density` and `emission`, see `output.blender.volume`);

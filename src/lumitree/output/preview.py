@@ -73,11 +73,11 @@ class AssetPreviewResult(ImageResult):
 
     Attributes:
         luminaire: name of the luminaire.
-        parts: which of "exitant", "field" and "model" it has.
+        parts: which of "light", "field" and "model" it has.
         leaves: number of leaves of its field.
         size: [3] sides of the bounding box, in the unit of the luminaire's file.
-        watts: [3] flux that it emits, R, G and B, W, if lengths are in metres: exact with an
-            exitant light field, else estimated from 2²⁰ rays.
+        watts: [3] flux that it emits, R, G and B, W, if lengths are in metres: exact with a
+            light field, else estimated from 2²⁰ rays.
         lumens: the same as luminous flux, lm.
         exposure: factor on the radiance in the first row of the contact sheet.
         sheet: file of the contact sheet; None if none was written.
@@ -108,7 +108,7 @@ def preview(
 
     The contact sheet shows the radiance at two exposures and both opacities, from six sides. Warns
     of glass that Mitsuba cannot render correctly. Of an asset the sheet shows what images show
-    of it, its model, its field or else its exitant light field, and one opacity.
+    of it, its model, its field or else its light field, and one opacity.
 
     Args:
         luminaire: what to render: an asset, the path of a `.lumitree` file, of a photometric file

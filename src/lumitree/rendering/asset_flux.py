@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.exitant import ExitantField, unpack
+from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.photometry import LUMENS_PER_WATT, blackbody_colour, luminance
 from lumitree.core.seeds import Purpose, SeedStream
@@ -18,8 +18,8 @@ from lumitree.trace.emitted_rays import as_rows
 FIELD_RAYS = 1 << 20
 
 
-def exitant_watts(field: ExitantField) -> NDArray[np.float64]:
-    """Flux [3] of an exitant light field: R, G and B, local units, without the asset's gain."""
+def light_field_watts(field: LightField) -> NDArray[np.float64]:
+    """Flux [3] of a light field: R, G and B, local units, without the asset's gain."""
     colours = unpack(field.intensity)
     # Exact sums over the bins that emit, channel by channel, which bounds memory.
     by_bin = [field.dense(colours[:, channel]).sum(axis=0) for channel in range(3)]
@@ -31,11 +31,11 @@ def asset_watts(asset: Asset) -> NDArray[np.float64]:
 
     Its gain is included.
 
-    That of the exitant light field, which illuminates scenes, is exact. That of an asset without
+    That of the light field, which illuminates scenes, is exact. That of an asset without
     one is estimated from 2²⁰ rays of the field, always with the same random numbers.
     """
-    if asset.exitant is not None:
-        return exitant_watts(asset.exitant) * asset.gain * asset.frame.scale**2
+    if asset.light_field is not None:
+        return light_field_watts(asset.light_field) * asset.gain * asset.frame.scale**2
     rays = AssetRays(asset).draw(FIELD_RAYS, SeedStream(Purpose.ASSET_FLUX).seed(0))
     return as_rows(rays.flux).sum(axis=0) * asset.frame.scale**2
 

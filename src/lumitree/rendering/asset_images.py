@@ -1,4 +1,4 @@
-"""An asset as images show it, alone: its model, its field, or else its exitant light field."""
+"""An asset as images show it, alone: its model, its field, or else its light field."""
 
 from collections.abc import Sequence
 from typing import Any

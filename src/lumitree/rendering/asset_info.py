@@ -20,7 +20,7 @@ def asset_report(asset: Asset, path: str | os.PathLike[str]) -> Json:
     """What `lumitree info` states: `asset_json`, and the luminous flux, lm, for metres."""
     from lumitree.rendering.asset_flux import asset_lumens
 
-    if asset.exitant is None:
+    if asset.light_field is None:
         # Estimated by rays; else a sum that needs no variant of Mitsuba, and so no libLLVM.
         load_mitsuba()
     return {**asset_json(asset, path), "lumens": asset_lumens(asset)}

@@ -10,7 +10,7 @@ from lumitree.trace.emitted_rays import RayBatch, seeded_sampler
 
 
 class AssetRays:
-    """Rays of an asset, of its exitant light field if it has one; `EmittedRays`."""
+    """Rays of an asset, of its light field if it has one; `EmittedRays`."""
 
     def __init__(self, asset: Asset) -> None:
         box = BoxProxy(asset.frame.half_extents)

@@ -27,7 +27,7 @@ def baked_view(
 def baked_image(
     asset: Asset, local_from_camera: NDArray[np.float64], half_width: float, resolution: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Orthographic image of a baked luminaire: its field, or its exitant light field without one.
+    """Orthographic image of a baked luminaire: its field, or its light field without one.
 
     Args:
         local_from_camera: [4, 4] pose of the camera, which looks along its -z.

@@ -340,11 +340,11 @@ def _warn_unlit(
     lacking = []
     for placed in luminaires:
         asset = placed.field.asset if placed.field is not None else None
-        exitant = asset.exitant if isinstance(asset, Asset) else None
+        light_field = asset.light_field if isinstance(asset, Asset) else None
         if asset is None:
             continue
-        if exitant is None:
-            told = "is not lit: the asset has no exitant light field; bake it with --parts exitant"
+        if light_field is None:
+            told = "is not lit: the asset has no light field; bake it with --parts light"
         elif sampling == "uniform" or proxy == "sphere":
             told = 'is not lit; use the proxy "box" and the sampling "emission"'
         else:

@@ -1,8 +1,8 @@
-"""Settings of the exitant light field."""
+"""Settings of the light field."""
 
 import dataclasses
 
-from lumitree.asset.exitant import MAX_DEPTH, MAX_RESOLUTION
+from lumitree.asset.light_field import MAX_DEPTH, MAX_RESOLUTION
 from lumitree.core.arguments import check_range
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError
@@ -12,7 +12,7 @@ MAX_PATHS = 1 << 32
 
 @dataclasses.dataclass(frozen=True)
 class LightFieldConfig:
-    """Resolution of an exitant light field, and the number of light paths that it is made from.
+    """Resolution of a light field, and the number of light paths that it is made from.
 
     Attributes:
         paths: light paths, rounded up to whole batches, 1 to 2³²; 2²² take 5 to 20 s on 2 CPU
@@ -34,7 +34,7 @@ class LightFieldConfig:
 
     def __post_init__(self) -> None:
         check_range("light paths", self.paths, 1, MAX_PATHS)
-        check_range("depth of the exitant light field", self.depth, 1, MAX_DEPTH)
+        check_range("depth of the light field", self.depth, 1, MAX_DEPTH)
         check_range("bins of direction a side", self.resolution, 4, MAX_RESOLUTION)
         if self.resolution & (self.resolution - 1):
             raise LumitreeError(
@@ -44,8 +44,8 @@ class LightFieldConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class ExitantConfig(LightFieldConfig):
-    """How the exitant light field of a luminaire is estimated.
+class LightFieldFitConfig(LightFieldConfig):
+    """How the light field of a luminaire is estimated.
 
     Attributes:
         seed: root seed of all random numbers.

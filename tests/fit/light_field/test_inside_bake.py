@@ -5,22 +5,22 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lumitree.asset.exitant import unpack
+from lumitree.asset.light_field import unpack
 from lumitree.asset.light_inside import MAX_FACTOR, parts_of_ending
 from lumitree.asset.lit_bins import by_coarse_bin
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import bin_of, solid_angles
 from lumitree.core.photometry import luminance
-from lumitree.fit.light_field.bake import bake_exitant
-from lumitree.fit.light_field.merge import merge_exitant
+from lumitree.fit.light_field.bake import bake_light_field
+from lumitree.fit.light_field.merge import merge_light_fields
 from lumitree.fit.light_field.visibility import _free_length
 from lumitree.trace.ending_segments import EndingConfig
 from lumitree.trace.lamp_rays import LampRays
-from lumitree.trace.light_field_config import ExitantConfig
-from support.exitant_fields import assert_equal_fields
+from lumitree.trace.light_field_config import LightFieldFitConfig
 from support.lamps import AREA, cube, lamp_of, sphere
+from support.light_fields import assert_equal_fields
 
-CONFIG = ExitantConfig(paths=1 << 20, batch=1 << 18, depth=5, resolution=32)
+CONFIG = LightFieldFitConfig(paths=1 << 20, batch=1 << 18, depth=5, resolution=32)
 RADIANCE = np.array([3.0, 2.0, 1.0])
 RADIUS = 0.25
 BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>'
@@ -45,7 +45,7 @@ def lamp(mi, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def field(lamp, tmp_path_factory):
-    return bake_exitant(lamp, CONFIG, tmp_path_factory.mktemp("state"))
+    return bake_light_field(lamp, CONFIG, tmp_path_factory.mktemp("state"))
 
 
 def entries(inside, resolution):
@@ -185,7 +185,7 @@ def test_flux_that_ends_on_the_disc(lamp, field):
     assert ending_flux(field) == pytest.approx(share * emitted, rel=0.02)
 
 
-def test_the_exitant_light_is_as_without_it(mi, lamp, field, tmp_path, monkeypatch):
+def test_the_light_field_light_is_as_without_it(mi, lamp, field, tmp_path, monkeypatch):
     from lumitree.fit.light_field import bake as module
 
     class Alone(LampRays):
@@ -194,7 +194,7 @@ def test_the_exitant_light_is_as_without_it(mi, lamp, field, tmp_path, monkeypat
             return dataclasses.replace(super().draw(count, seed), ending=few.ending)
 
     monkeypatch.setattr(module, "LampRays", Alone)
-    plain = bake_exitant(lamp, CONFIG, tmp_path)
+    plain = bake_light_field(lamp, CONFIG, tmp_path)
     for name in ("cells", "lit", "intensity"):
         assert np.array_equal(getattr(plain, name), getattr(field, name))
     assert (plain.scale, plain.traced) == (field.scale, field.traced)
@@ -203,8 +203,8 @@ def test_the_exitant_light_is_as_without_it(mi, lamp, field, tmp_path, monkeypat
 def test_no_light_ends_on_a_bare_ball(mi, tmp_path):
     """J is 0; only the ball itself hides its light."""
     lamp = lamp_of(tmp_path, sphere("ball", 1, inside=AREA))
-    config = ExitantConfig(paths=1 << 18, batch=1 << 17, depth=2, resolution=8)
-    inside = bake_exitant(lamp, config, tmp_path).inside
+    config = LightFieldFitConfig(paths=1 << 18, batch=1 << 17, depth=2, resolution=8)
+    inside = bake_light_field(lamp, config, tmp_path).inside
     assert not inside.intensity.any()
     assert len(inside.reach_curves) == 1
     assert (inside.visibility_curves <= MAX_FACTOR).all()
@@ -213,7 +213,7 @@ def test_no_light_ends_on_a_bare_ball(mi, tmp_path):
 def test_null_surfaces_do_not_block(mi, lamp, field, tmp_path):
     """A null sphere around the ball: the exitant light begins there, so that κ is 1 beyond it."""
     other = disc_lamp(tmp_path, sphere("null", 0.9, inside=NULL))
-    found = bake_exitant(other, dataclasses.replace(CONFIG, paths=1 << 19), tmp_path)
+    found = bake_light_field(other, dataclasses.replace(CONFIG, paths=1 << 19), tmp_path)
     for distance, angles in ((0.6, (0, 180)), (1.2, (75, 180))):
         for surfaces in (False, True):
             light = mean_ratio(mi, other, found, distance, angles, surfaces=surfaces)
@@ -221,14 +221,14 @@ def test_null_surfaces_do_not_block(mi, lamp, field, tmp_path):
 
 
 def test_an_equal_bake_gives_equal_light_inside(lamp, field, tmp_path):
-    assert_equal_fields(bake_exitant(lamp, CONFIG, tmp_path), field)
+    assert_equal_fields(bake_light_field(lamp, CONFIG, tmp_path), field)
 
 
 @pytest.fixture(scope="module")
 def merged(lamp, field, tmp_path_factory):
     config = dataclasses.replace(CONFIG, seed=1)
-    other = bake_exitant(lamp, config, tmp_path_factory.mktemp("other"))
-    return merge_exitant([field, other], ["a", "b"]), other
+    other = bake_light_field(lamp, config, tmp_path_factory.mktemp("other"))
+    return merge_light_fields([field, other], ["a", "b"]), other
 
 
 def test_merged_light_inside_is_the_mean(field, merged):
@@ -252,5 +252,5 @@ def test_merged_light_inside_illuminates(mi, lamp, field, merged, x, surfaces):
 
 def test_a_field_without_light_inside_merges_into_one_without(field, merged):
     plain = dataclasses.replace(merged[1], inside=None)
-    result = merge_exitant([field, plain], ["a", "b"])
+    result = merge_light_fields([field, plain], ["a", "b"])
     assert result.inside is None

@@ -8,27 +8,27 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
-from lumitree.asset.exitant import TracedPaths, make_exitant_field, unpack
+from lumitree.asset.asset import light_field_asset
+from lumitree.asset.light_field import TracedPaths, make_light_field, unpack
 from lumitree.cli import main
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.fit.light_field import bake as module
-from lumitree.fit.light_field.bake import bake_exitant
-from lumitree.fit.light_field.merge import merge_exitant, relative_noise
+from lumitree.fit.light_field.bake import bake_light_field
+from lumitree.fit.light_field.merge import merge_light_fields, relative_noise
 from lumitree.lamp.luminaire import load_luminaire
 from lumitree.measure.irradiance import asset_irradiance, irradiance_error
-from lumitree.trace.light_field_config import ExitantConfig
+from lumitree.trace.light_field_config import LightFieldFitConfig
 from lumitree.trace.light_paths import trace_light
 from lumitree.trace.tracing import PATH_DEPTH
-from support.exitant_fields import assert_equal_fields, random_exitant
 from support.fields import random_asset
 from support.lamps import AREA, cube, scene, sphere
+from support.light_fields import assert_equal_fields, random_light_field
 
 BATCH, RESOLUTION = 1 << 15, 16
-CONFIG = ExitantConfig(paths=8 * BATCH, batch=BATCH, depth=2, resolution=RESOLUTION)
+CONFIG = LightFieldFitConfig(paths=8 * BATCH, batch=BATCH, depth=2, resolution=RESOLUTION)
 # One packed colour is off by at most this part of its largest channel.
 ROUNDING = 0.002
 
@@ -46,7 +46,7 @@ def bakes(lamp, tmp_path_factory):
     """Fields by seed; the second of more paths."""
     folder = tmp_path_factory.mktemp("state")
     return {
-        seed: bake_exitant(
+        seed: bake_light_field(
             lamp, dataclasses.replace(CONFIG, seed=seed, paths=batches * BATCH), folder
         )
         for seed, batches in ((1, 8), (2, 16), (3, 8), (9, 32))
@@ -74,13 +74,13 @@ def test_merging_is_one_histogram_of_all_paths(mi, lamp, bakes):
     for seed, batches in ((1, 8), (2, 16)):
         for step in range(batches):
             sampler = mi.load_dict({"type": "independent"})
-            sampler.seed(SeedStream(Purpose.EXITANT, step).seed(seed), BATCH)
+            sampler.seed(SeedStream(Purpose.LIGHT_FIELD, step).seed(seed), BATCH)
             paths = trace_light(lamp, sampler, BATCH, PATH_DEPTH, all_light=True)
             flux = np.array(paths.flux, np.float64).reshape(3, -1)
             histogram.add(paths.origin, paths.direction, flux / 24)
     expected = histogram.flux / solid_angles(RESOLUTION)[:, None]
-    longer = make_exitant_field(histogram.cells, expected, CONFIG.depth)
-    merged = merge_exitant([bakes[1], bakes[2]], names(2))
+    longer = make_light_field(histogram.cells, expected, CONFIG.depth)
+    merged = merge_light_fields([bakes[1], bakes[2]], names(2))
     assert np.array_equal(merged.cells, longer.cells)
     assert np.array_equal(merged.lit, longer.lit)
     found, expected = intensities(merged), intensities(longer)
@@ -91,9 +91,9 @@ def test_merging_is_one_histogram_of_all_paths(mi, lamp, bakes):
 
 
 def test_the_order_does_not_matter_but_for_rounding(bakes):
-    first = merge_exitant([bakes[1], bakes[2], bakes[3]], names(3))
-    pair = merge_exitant([bakes[3], bakes[1]], names(2))
-    second = merge_exitant([pair, bakes[2]], names(2))
+    first = merge_light_fields([bakes[1], bakes[2], bakes[3]], names(3))
+    pair = merge_light_fields([bakes[3], bakes[1]], names(2))
+    second = merge_light_fields([pair, bakes[2]], names(2))
     assert first.traced.count == second.traced.count == 32 * BATCH
     assert first.traced.seeds == second.traced.seeds == (1, 2, 3)
     assert np.array_equal(first.cells, second.cells)
@@ -103,7 +103,7 @@ def test_the_order_does_not_matter_but_for_rounding(bakes):
 
 def test_the_merged_field_has_the_statistics_of_a_longer_bake(lamp, bakes):
     """32 batches in three bakes, and as many of another seed in one."""
-    merged = merge_exitant([bakes[1], bakes[2], bakes[3]], names(3))
+    merged = merge_light_fields([bakes[1], bakes[2], bakes[3]], names(3))
     longer = bakes[9]
     assert merged.traced.count == longer.traced.count
     one, other = by_direction(merged), by_direction(longer)
@@ -121,9 +121,9 @@ def test_the_merged_field_has_the_statistics_of_a_longer_bake(lamp, bakes):
 
 
 def test_the_irradiance_is_that_of_a_longer_bake(lamp, bakes):
-    merged = merge_exitant([bakes[1], bakes[2], bakes[3]], names(3))
+    merged = merge_light_fields([bakes[1], bakes[2], bakes[3]], names(3))
     one, other = (
-        asset_irradiance(exitant_asset(field, lamp.frame, "test"), 1 << 18, seed=seed)
+        asset_irradiance(light_field_asset(field, lamp.frame, "test"), 1 << 18, seed=seed)
         for seed, field in enumerate((merged, bakes[9]))
     )
     error = irradiance_error(one, other)
@@ -134,7 +134,7 @@ def test_the_irradiance_is_that_of_a_longer_bake(lamp, bakes):
 def test_the_noise_of_a_sphere_is_known(mi, tmp_path):
     """Its paths are spread evenly: R² bins of N paths have a relative error of √(R² / N)."""
     (tmp_path / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=AREA)))
-    field = bake_exitant(load_luminaire(tmp_path / "lamp.xml"), CONFIG, tmp_path)
+    field = bake_light_field(load_luminaire(tmp_path / "lamp.xml"), CONFIG, tmp_path)
     assert field.traced.count == CONFIG.paths
     # Seven degrees of freedom a bin.
     spread = 5 / np.sqrt(2 * 7 * RESOLUTION**2)
@@ -159,7 +159,9 @@ def folder(mi, tmp_path, monkeypatch):
     frame = random_asset(0).frame
 
     def save(name, **options):
-        lumitree.save(exitant_asset(random_exitant(3, **options), frame, name), f"{name}.lumitree")
+        lumitree.save(
+            light_field_asset(random_light_field(3, **options), frame, name), f"{name}.lumitree"
+        )
 
     save("a", traced=TRACED)
     save("b", traced=OTHER)
@@ -169,10 +171,12 @@ def folder(mi, tmp_path, monkeypatch):
     save("fine", traced=OTHER, resolution=8)
     save("unknown")
     lumitree.save(random_asset(0), "field.lumitree")
-    field = random_exitant(5, traced=dataclasses.replace(TRACED, seeds=(3,)))
-    lumitree.save(dataclasses.replace(random_asset(0), exitant=field), "both.lumitree")
+    field = random_light_field(5, traced=dataclasses.replace(TRACED, seeds=(3,)))
+    lumitree.save(dataclasses.replace(random_asset(0), light_field=field), "both.lumitree")
     turned = random_asset(0, world_from_local=np.diag([2.0, 2, 2, 1])).frame
-    lumitree.save(exitant_asset(random_exitant(3, traced=OTHER), turned, "x"), "large.lumitree")
+    lumitree.save(
+        light_field_asset(random_light_field(3, traced=OTHER), turned, "x"), "large.lumitree"
+    )
     return tmp_path
 
 
@@ -184,7 +188,7 @@ REFUSED = [
     (["a", "coarse"], "a.lumitree has 4 cells and 4 bins a side, coarse.lumitree 2 cells and 4"),
     (["a", "fine"], "a.lumitree has 4 cells and 4 bins a side, fine.lumitree 4 cells and 8 bins"),
     (["a", "unknown"], "unknown.lumitree does not state the light paths"),
-    (["field", "a"], "field.lumitree has no exitant light field; bake it again with the part"),
+    (["field", "a"], "field.lumitree has no light field; bake it again with the part"),
     (["a", "large"], "a.lumitree and large.lumitree have different bounding boxes"),
     (["a", "none"], "none.lumitree does not exist"),
 ]
@@ -218,13 +222,13 @@ def test_a_command_merges(folder, capsys):
     line = ["merge", "a.lumitree", "b.lumitree", "both.lumitree", "-o", "c.lumitree"]
     assert main([*line, "--json", "report.json"]) == 0
     merged, both = lumitree.load("c.lumitree"), lumitree.load("both.lumitree")
-    # Everything but the exitant light field is that of the asset with a field.
+    # Everything but the light field is that of the asset with a field.
     assert np.array_equal(merged.children, both.children)
     assert np.array_equal(merged.coefficients, both.coefficients)
-    assert merged.exitant.traced.count == merged.info.exitant_paths == 300
-    assert merged.exitant.traced.seeds == (1, 2, 3)
+    assert merged.light_field.traced.count == merged.info.light_field_paths == 300
+    assert merged.light_field.traced.seeds == (1, 2, 3)
     with open("report.json") as file:
-        assert json.load(file)["asset"]["exitant_paths"] == 300
-    assert "exitant_paths  300" in capsys.readouterr().out
+        assert json.load(file)["asset"]["light_field_paths"] == 300
+    assert "light_field_paths  300" in capsys.readouterr().out
     again = lumitree.merge([f"{name}.lumitree" for name in ("a", "b", "both")])
-    assert_equal_fields(again.asset.exitant, merged.exitant)
+    assert_equal_fields(again.asset.light_field, merged.light_field)

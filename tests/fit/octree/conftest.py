@@ -1,4 +1,4 @@
-"""Fixtures of the direct bake's tests."""
+"""Fixtures of the octree fit's tests."""
 
 import itertools
 

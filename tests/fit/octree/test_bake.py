@@ -1,4 +1,4 @@
-"""The whole direct bake of tiny lamps: result, budget, interruption and refusals."""
+"""The whole octree fit of tiny lamps: result, budget, interruption and refusals."""
 
 import dataclasses
 import signal
@@ -9,7 +9,7 @@ import pytest
 from lumitree.errors import LumitreeError
 from support.fields import leaf_field
 from support.lamps import AREA, cube, sphere
-from support.tiny_bakes import direct_config
+from support.tiny_bakes import octree_fit
 from support.traced_lamps import stream
 
 RAYS = 1 << 19
@@ -17,7 +17,7 @@ KNOWN = 4 * np.pi**2 * np.array([3.0, 2.0, 1.0])
 
 
 def config(**options):
-    return direct_config(**{"tree_depth": 4, "rays": RAYS, **options})
+    return octree_fit(**{"tree_depth": 4, "rays": RAYS, **options})
 
 
 def small_config(**options):

@@ -1,4 +1,4 @@
-"""Settings of the direct bake: documented, and refused where they are wrong."""
+"""Settings of the octree fit: documented, and refused where they are wrong."""
 
 import inspect
 import re
@@ -10,8 +10,8 @@ from lumitree.fit.config import QUALITIES
 from lumitree.fit.octree import config
 from lumitree.fit.octree.config import (
     CalibrationConfig,
-    DirectConfig,
     EstimateConfig,
+    OctreeFitConfig,
     RefineConfig,
     ScheduleConfig,
 )
@@ -47,7 +47,7 @@ def test_qualities_are_for_bakes_of_more_and_more_time():
 )
 def test_wrong_settings_are_refused(settings, message):
     with pytest.raises(LumitreeError, match=message):
-        DirectConfig(**settings)
+        OctreeFitConfig(**settings)
 
 
 @pytest.mark.parametrize(

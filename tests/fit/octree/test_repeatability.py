@@ -43,10 +43,10 @@ def small():
 @pytest.mark.slow
 def test_no_random_numbers_are_used_twice(bulb, small, tmp_path, seeds):
     """Not by the estimate and the descent, nor by the score, nor by a bake and its refinement."""
-    from lumitree.fit.light_field.bake import bake_exitant
+    from lumitree.fit.light_field.bake import bake_light_field
     from lumitree.fit.octree.bake import bake, refine
 
-    bake_exitant(bulb, tiny_bakes.EXITANT, tmp_path / "exitant")
+    bake_light_field(bulb, tiny_bakes.LIGHT_FIELD, tmp_path / "light")
     asset = bake(bulb, small, tmp_path / "bake").asset
     refine(asset, bulb, small, tmp_path / "refine")
     purposes = {stream.purpose for (_, stream, _), _ in seeds}

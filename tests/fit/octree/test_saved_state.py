@@ -8,10 +8,10 @@ import pytest
 
 from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
-from lumitree.fit.octree.config import DirectConfig, RefineConfig, SplitConfig
+from lumitree.fit.octree.config import OctreeFitConfig, RefineConfig, SplitConfig
 from support.field_rays import FieldRays, truth_and_start
 
-CONFIG = DirectConfig(refine=RefineConfig(rays=1 << 10))
+CONFIG = OctreeFitConfig(refine=RefineConfig(rays=1 << 10))
 
 
 def state_file(folder, config=CONFIG, fingerprint="abc"):

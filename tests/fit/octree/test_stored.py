@@ -5,7 +5,7 @@ import pytest
 
 from lumitree.errors import LumitreeError
 from support.lamps import AREA, cube, sphere
-from support.tiny_bakes import direct_config
+from support.tiny_bakes import octree_fit
 from support.traced_lamps import everywhere, stream
 
 VIEWS, RESOLUTION = 17, 64
@@ -103,7 +103,7 @@ def test_bake_from_views(mi, dataset, tmp_path):
     from lumitree.fit.octree.bake import bake_stored
     from lumitree.measure.view_errors import evaluate_views
 
-    config = direct_config(tree_depth=6, rays=1 << 22, refine={"rays": 1 << 13})
+    config = octree_fit(tree_depth=6, rays=1 << 22, refine={"rays": 1 << 13})
     result = bake_stored(dataset, config, tmp_path)
     metrics = evaluate_views(result.asset, dataset).metrics
     assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 8

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lumitree.asset.asset import exitant_asset
+from lumitree.asset.asset import light_field_asset
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from lumitree.core.photometry import luminance
@@ -26,9 +26,9 @@ from lumitree.measure.photometry.figures import Estimate, plane_curve, width_at
 from lumitree.measure.photometry.near_field import DISTANCES, NearFieldTest
 from lumitree.rendering.asset_flux import asset_lumens
 from support.camera_flux import flux_by_camera_paths
-from support.exitant_fields import random_exitant
 from support.fields import uniform_asset
 from support.lamps import AREA, lamp_of, sphere
+from support.light_fields import random_light_field
 
 RADIANCE = np.array([3.0, 2.0, 1.0])
 PATHS = 1 << 18
@@ -156,11 +156,11 @@ def test_a_luminaire_that_absorbs(mi, tmp_path):
     assert figures.upward_share.value > 0.5
 
 
-def test_an_asset_emits_what_its_exitant_light_field_has(mi):
+def test_an_asset_emits_what_its_light_field_has(mi):
     """In a turned frame; the intensity is that of the cells, by bin and direction."""
     half = np.array([1.0, 0.5, 0.25])
     frame = LocalFrame(half, similarity(rotation([1, 2, 3], 50), 0.3, [1, 2, 3]))
-    asset = exitant_asset(random_exitant(3, depth=1, count=3), frame, "random")
+    asset = light_field_asset(random_light_field(3, depth=1, count=3), frame, "random")
     measurement = measure(asset_source(asset), PATHS, step=30)
     data = evaluated(measurement)
     figures = data.figures
@@ -175,10 +175,10 @@ def test_an_asset_emits_what_its_exitant_light_field_has(mi):
     directions = random.normal(size=(1 << 19, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     local = directions @ frame.rotation
-    from lumitree.asset.exitant import unpack
+    from lumitree.asset.light_field import unpack
     from lumitree.core.octahedral import bin_of
 
-    field = asset.exitant
+    field = asset.light_field
     table = field.scale * field.dense(luminance(unpack(field.intensity))).sum(axis=0)
     offset = mi.Vector2f(on_device(mi.Point2f, random.random((len(local), 2)) - 0.5))
     bins = np.array(bin_of(on_device(mi.Vector3f, local), field.resolution, offset))
@@ -191,7 +191,7 @@ def test_an_asset_emits_what_its_exitant_light_field_has(mi):
     assert (z[:, 1:-1] ** 2).mean() < 1.8
 
 
-def test_an_asset_without_an_exitant_light_field(mi):
+def test_an_asset_without_an_light_field(mi):
     """A cube of density; its flux is that of the opaque cube, 6 · 4 · π · L."""
     data = evaluated(measure(asset_source(uniform_asset(1e4, RADIANCE)), 1 << 16, step=30))
     assert data.figures.lumens.value == pytest.approx(24 * np.pi * luminance(RADIANCE), rel=0.02)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
+from lumitree.asset.asset import light_field_asset
 from lumitree.cli import main
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from lumitree.core.photometry import luminance
@@ -18,8 +18,8 @@ from lumitree.formats.ies import read_ies
 from lumitree.formats.ldt import read_ldt
 from lumitree.formats.tm25 import read_tm25
 from lumitree.rendering.asset_flux import asset_lumens
-from support.exitant_fields import random_exitant
 from support.lamps import AREA, scene, sphere
+from support.light_fields import random_light_field
 
 PATHS = 1 << 14
 
@@ -33,7 +33,7 @@ def folder(mi, tmp_path, monkeypatch):
 
 def small_asset(path=None):
     frame = LocalFrame(np.array([1.0, 1, 1]), similarity(np.eye(3), 0.2))
-    asset = exitant_asset(random_exitant(1), frame, "a <b> & $c$")
+    asset = light_field_asset(random_light_field(1), frame, "a <b> & $c$")
     if path is not None:
         lumitree.save(asset, path)
     return asset
@@ -125,7 +125,9 @@ def test_the_command(folder, capsys):
 
 def test_units_and_upward_axes(mi):
     """A lamp that emits along -z of its file, in centimetres, is one that emits down, in metres."""
-    down = exitant_asset(random_exitant(1), LocalFrame(np.ones(3), similarity(np.eye(3))), "down")
+    down = light_field_asset(
+        random_light_field(1), LocalFrame(np.ones(3), similarity(np.eye(3))), "down"
+    )
     turned = similarity(rotation([1, 0, 0], 90), 100.0, [1, 2, 3])
     other = dataclasses.replace(down, frame=LocalFrame(np.array([1.0, 1, 1]), turned))
     first = lumitree.photometry(down, "a.ray", step=15, paths=PATHS)

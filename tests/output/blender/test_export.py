@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
+from lumitree.asset.asset import light_field_asset
 from lumitree.asset.model import AssetModel
 from lumitree.cli import main
 from lumitree.core.frames import LocalFrame, rotation, similarity
-from support.exitant_fields import random_exitant
 from support.fields import random_asset
+from support.light_fields import random_light_field
 from support.model_assets import small_model, with_model
 
 FRAME = LocalFrame([1, 0.5, 1], similarity(rotation([0, 1, 0], 90), 2.0, [1.0, 2, 3]))
@@ -32,7 +32,7 @@ GAIN = (2.0, 1.0, 0.5)
 
 
 def lamp(name="lamp", gain=GAIN):
-    plain = exitant_asset(random_exitant(1, depth=3, count=20), FRAME, name)
+    plain = light_field_asset(random_light_field(1, depth=3, count=20), FRAME, name)
     return dataclasses.replace(plain, gain=gain)
 
 
@@ -58,7 +58,7 @@ def test_the_script_holds_the_flux_in_watts_and_metres_with_z_up(tmp_path, monke
     flux = np.einsum("s,shwc,h->c", watts / (4 * np.pi), tables, weight)
     # Half precision.
     np.testing.assert_allclose(flux, asset_watts(asset), rtol=1e-3)
-    local = cluster_lights(asset.exitant, FRAME.half_extents, 6).position
+    local = cluster_lights(asset.light_field, FRAME.half_extents, 6).position
     x, y, z = (local @ FRAME.rotation.T * FRAME.scale + FRAME.centre).T
     places = [light["position"] for light in description["lights"]]
     np.testing.assert_allclose(places, np.stack([x, -z, y], axis=-1), atol=1e-9)
@@ -66,14 +66,14 @@ def test_the_script_holds_the_flux_in_watts_and_metres_with_z_up(tmp_path, monke
 
 def test_the_axis_that_is_up_turns_the_light(tmp_path, monkeypatch):
     """Light along +y of the file is along +z in Blender, or along +y if z was up."""
-    from lumitree.asset.exitant import make_exitant_field
+    from lumitree.asset.light_field import make_light_field
     from lumitree.core.octahedral import bin_of
 
     mi = pytest.importorskip("mitsuba")
     intensity = np.zeros((1, 256, 3))
     intensity[0, int(np.array(bin_of(mi.Vector3f(0, 1, 1e-3), 16))[0])] = 1
-    field = make_exitant_field(np.zeros((1, 3), int), intensity, 1)
-    asset = exitant_asset(field, LocalFrame(np.ones(3), np.eye(4)), "beam")
+    field = make_light_field(np.zeros((1, 3), int), intensity, 1)
+    asset = light_field_asset(field, LocalFrame(np.ones(3), np.eye(4)), "beam")
     for up, expected in (("y", [0, 0, 1]), ("z", [0, 1, 0])):
         lumitree.export(asset, tmp_path / "beam.py", up=up)
         _, arrays = data_of(tmp_path / "beam.py", monkeypatch)
@@ -131,7 +131,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["field.lumitree", "-o", "a.py"], "no exitant light field"),
+        (["field.lumitree", "-o", "a.py"], "no light field"),
         (["lamp.lumitree", "-o", "a.glb"], "does not end in .py, .blend, .vdb"),
         (["half.lumitree", "-o", "a.py"], "half.lumitree"),
         (["none.lumitree", "-o", "a.py"], "none.lumitree"),
@@ -321,8 +321,9 @@ def test_cycles_illuminates_the_room_as_mitsuba_does(mi, tmp_path, gain):
     from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 
     half, width, height = 0.02, 64, 48
-    asset = exitant_asset(
-        random_exitant(5, depth=3, count=20), LocalFrame(np.ones(3), similarity(np.eye(3), half)),
+    asset = light_field_asset(
+        random_light_field(5, depth=3, count=20),
+        LocalFrame(np.ones(3), similarity(np.eye(3), half)),
         "lamp",
     )  # fmt: skip
     lumitree.export(asset, tmp_path / "lamp.py", lights=8)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from lumitree.asset.asset import exitant_asset
-from lumitree.asset.exitant import make_exitant_field, unpack
+from lumitree.asset.asset import light_field_asset
+from lumitree.asset.light_field import make_light_field, unpack
 from lumitree.core.frames import LocalFrame, rotation
 from lumitree.core.octahedral import solid_angles
-from support.exitant_fields import random_exitant
+from support.light_fields import random_light_field
 
 pytestmark = pytest.mark.usefixtures("mi")
 
@@ -20,7 +20,7 @@ def lights_of(field, count, half=(1, 1, 1), seed=0):
 
 @pytest.mark.parametrize("count", [1, 3, 40])
 def test_each_direction_keeps_its_intensity(count):
-    field = random_exitant(1, depth=4, resolution=8, count=30)
+    field = random_light_field(1, depth=4, resolution=8, count=30)
     lights = lights_of(field, count)
     expected = field.scale * np.stack(
         [field.dense(channel).sum(axis=0) for channel in unpack(field.intensity).T], axis=-1
@@ -33,7 +33,7 @@ def test_each_direction_keeps_its_intensity(count):
 
 def test_as_many_lights_as_cells_stand_in_them():
     half = np.array([1, 0.3, 1])
-    field = random_exitant(2, depth=2, count=20)
+    field = random_light_field(2, depth=2, count=20)
     lights = lights_of(field, 20, half)
     lower = np.clip(field.cells / 2 - 1, -half, half)
     upper = np.clip((field.cells + 1) / 2 - 1, -half, half)
@@ -43,14 +43,14 @@ def test_as_many_lights_as_cells_stand_in_them():
 def test_a_light_stands_at_the_centroid_of_flux():
     intensity = np.ones((2, 16, 3)) * np.array([3.0, 1.0])[:, None, None]
     cells = np.array([[0, 0, 0], [3, 0, 0]])
-    lights = lights_of(make_exitant_field(cells, intensity, 2), 1)
+    lights = lights_of(make_light_field(cells, intensity, 2), 1)
     expected = [[0.75 * -0.75 + 0.25 * 0.75, -0.75, -0.75]]
     # Intensities are stored to 0.2 %.
     np.testing.assert_allclose(lights.position, expected, atol=2e-3)
 
 
 def test_equal_seeds_give_equal_lights():
-    field = random_exitant(3, depth=5, count=300)
+    field = random_light_field(3, depth=5, count=300)
     first, second = (lights_of(field, 9, seed=4) for _ in range(2))
     assert np.array_equal(first.position, second.position)
     assert np.array_equal(first.intensity, second.intensity)
@@ -100,7 +100,7 @@ def two_groups():
     cells = np.concatenate([offsets + np.array(start) for start in ((2, 7, 7), (12, 7, 7))])
     intensity = random.uniform(0.5, 1.5, (16, 64, 3))
     intensity[:8] *= 3
-    return make_exitant_field(cells, intensity, 4)
+    return make_light_field(cells, intensity, 4)
 
 
 def test_irradiance_of_as_many_lights_as_groups_is_that_of_the_field():
@@ -112,7 +112,7 @@ def test_irradiance_of_as_many_lights_as_groups_is_that_of_the_field():
     )
 
     field, half = two_groups(), np.ones(3)
-    asset = exitant_asset(field, LocalFrame(half, np.eye(4)), "two")
+    asset = light_field_asset(field, LocalFrame(half, np.eye(4)), "two")
     reference = asset_irradiance(asset, 1 << 18)
     errors = {}
     for count in (1, 2):

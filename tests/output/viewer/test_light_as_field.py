@@ -1,12 +1,12 @@
-"""The field that the page shows of an exitant light field has the radiance of that light."""
+"""The field that the page shows of a light field has the radiance of that light."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from lumitree.asset.asset import exitant_asset
-from lumitree.asset.exitant import make_exitant_field
+from lumitree.asset.asset import light_field_asset
+from lumitree.asset.light_field import make_light_field
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, similarity
 from lumitree.core.harmonics import MAX_L, basis_array
@@ -19,8 +19,8 @@ from lumitree.output.viewer.light_as_field import (
     brightest_view,
     light_as_field,
 )
-from support.exitant_fields import random_exitant
 from support.fields import random_asset
+from support.light_fields import random_light_field
 
 SPOT = np.array([0.3, -0.9, 0.2]) / np.linalg.norm([0.3, -0.9, 0.2])
 
@@ -34,8 +34,10 @@ def spot_asset(half_extents=(1, 0.6, 0.8), power=3, depth=2, resolution=32, scal
     cells = cells[inside.all(axis=1)][::3]
     shape = np.maximum(middle_directions(resolution) @ SPOT, 0) ** power
     colour = random.uniform(0.2, 1, (len(cells), 1, 3))
-    exitant = make_exitant_field(cells, colour * (shape[:, None] + 0.05), depth)
-    asset = exitant_asset(exitant, LocalFrame(half_extents, similarity(np.eye(3), scale)), "spot")
+    light_field = make_light_field(cells, colour * (shape[:, None] + 0.05), depth)
+    asset = light_field_asset(
+        light_field, LocalFrame(half_extents, similarity(np.eye(3), scale)), "spot"
+    )
     return asset if gain is None else dataclasses.replace(asset, gain=gain)
 
 
@@ -53,12 +55,12 @@ def rays_of_images(half_extents, count, towards):
 
 @pytest.mark.parametrize("half_extents", [(1, 0.6, 0.8), (0.7, 1e-3, 1)])
 @pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (0.5, 2.0, 1.0)])
-def test_radiance_is_that_of_the_exitant_light_field(mi, half_extents, gain):
-    from lumitree.rendering.sampling.light_field import exitant_light
+def test_radiance_is_that_of_the_light_field(mi, half_extents, gain):
+    from lumitree.rendering.sampling.light_field import device_light_field
 
     asset = spot_asset(half_extents, gain=gain)
     origin, direction = rays_of_images(half_extents, 4000, SPOT)
-    light, many = exitant_light(asset), 64
+    light, many = device_light_field(asset), 64
     # The light of a bin at random, by the bits of the direction: the mean of directions nearby.
     near = np.repeat(direction, many, axis=0)
     near += 1e-5 * np.random.default_rng(0).normal(size=near.shape)
@@ -79,9 +81,9 @@ def test_all_else_of_the_asset_stays(mi):
     asset = spot_asset(gain=(0.5, 2.0, 1.0))
     shown = light_as_field(asset)
     cells, levels = leaf_cells(shown.children, shown.num_leaves)
-    assert np.array_equal(cells, asset.exitant.cells)
-    assert set(levels) == {asset.exitant.depth}
-    assert shown.exitant is asset.exitant
+    assert np.array_equal(cells, asset.light_field.cells)
+    assert set(levels) == {asset.light_field.depth}
+    assert shown.light_field is asset.light_field
     assert (shown.gain, shown.frame, shown.luminaire) == (asset.gain, asset.frame, "spot")
 
 
@@ -91,8 +93,8 @@ def test_light_in_single_bins_keeps_its_flux(mi, resolution):
     intensity = np.zeros((2, resolution**2, 3))
     intensity[0, 5] = [1, 0, 0.1]
     intensity[1, -1] = [0, 1e-6, 0]
-    exitant = make_exitant_field(np.array([[0, 0, 0], [1, 1, 1]]), intensity, 1)
-    shown = light_as_field(exitant_asset(exitant, LocalFrame((1, 1, 1), np.eye(4)), "lamp"))
+    light_field = make_light_field(np.array([[0, 0, 0], [1, 1, 1]]), intensity, 1)
+    shown = light_as_field(light_field_asset(light_field, LocalFrame((1, 1, 1), np.eye(4)), "lamp"))
     logit = np.einsum("mck,bk->mcb", shown.coefficients, basis_array(middle_directions(16), MAX_L))
     # Cells of a volume of 1.
     found = shown.max_radiance * DENSITY / (1 + np.exp(-logit)) @ solid_angles(16)
@@ -101,15 +103,15 @@ def test_light_in_single_bins_keeps_its_flux(mi, resolution):
 
 
 def test_noise_and_darkness_do_not_stop_it(mi):
-    asset = dataclasses.replace(random_asset(3), exitant=random_exitant(2))
+    asset = dataclasses.replace(random_asset(3), light_field=random_light_field(2))
     shown = light_as_field(asset)
     assert np.isfinite(shown.coefficients).all()
-    assert shown.num_leaves == len(asset.exitant.cells)
+    assert shown.num_leaves == len(asset.light_field.cells)
 
 
 def test_emission_beyond_all_assets_is_one_line(mi):
-    exitant = make_exitant_field(np.zeros((1, 3), int), np.full((1, 16, 3), 1e15), 1)
-    asset = exitant_asset(exitant, LocalFrame((1, 1e-3, 1), np.eye(4)), "lamp")
+    light_field = make_light_field(np.zeros((1, 3), int), np.full((1, 16, 3), 1e15), 1)
+    asset = light_field_asset(light_field, LocalFrame((1, 1e-3, 1), np.eye(4)), "lamp")
     with pytest.raises(LumitreeError, match="maximum radiance"):
         light_as_field(asset)
 
@@ -118,6 +120,6 @@ def test_the_first_view_is_one_that_light_goes_to(mi):
     yaw, pitch = brightest_view(spot_asset())
     assert yaw == pytest.approx(np.arctan2(SPOT[0], SPOT[2]), abs=0.05)
     assert pitch == -1
-    everywhere = make_exitant_field(np.zeros((1, 3), int), np.ones((1, 32**2, 3)), 1)
-    asset = exitant_asset(everywhere, LocalFrame((1, 1, 1), np.eye(4)), "lamp")
+    everywhere = make_light_field(np.zeros((1, 3), int), np.ones((1, 32**2, 3)), 1)
+    asset = light_field_asset(everywhere, LocalFrame((1, 1, 1), np.eye(4)), "lamp")
     assert brightest_view(asset) == DEFAULT_VIEW

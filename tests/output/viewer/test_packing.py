@@ -7,15 +7,15 @@ import re
 import numpy as np
 import pytest
 
-from lumitree.asset.asset import exitant_asset
-from lumitree.asset.exitant import unpack
+from lumitree.asset.asset import light_field_asset
+from lumitree.asset.light_field import unpack
 from lumitree.core.frames import LocalFrame
 from lumitree.core.photometry import luminance
 from lumitree.octree.wide_nodes import LEAF
 from lumitree.output.viewer.packing import PackedAsset, pack_asset
 from lumitree.output.viewer.page import make_page, notebook_frame
-from support.exitant_fields import random_exitant
 from support.fields import make_asset, random_asset
+from support.light_fields import random_light_field
 from support.model_assets import small_model
 from support.packed_assets import unpack_asset
 from support.reference_field import leaf_boxes
@@ -56,15 +56,15 @@ def test_field_survives_packing(tree_depth, l_max):
     assert np.array_equal(coefficients, asset.coefficients)
 
 
-def test_exitant_light_field_survives_packing():
-    exitant = random_exitant(2)
-    asset = dataclasses.replace(random_asset(3), exitant=exitant)
+def test_light_field_survives_packing():
+    light_field = random_light_field(2)
+    asset = dataclasses.replace(random_asset(3), light_field=light_field)
     arrays = unpack_asset(pack_asset(asset))
-    assert np.array_equal(arrays["cells"].reshape(-1, 3), exitant.cells)
-    assert np.array_equal(arrays["lit"].reshape(exitant.lit.shape), exitant.lit)
-    counts = np.bitwise_count(exitant.lit).sum(axis=1, dtype=np.int64)
+    assert np.array_equal(arrays["cells"].reshape(-1, 3), light_field.cells)
+    assert np.array_equal(arrays["lit"].reshape(light_field.lit.shape), light_field.lit)
+    counts = np.bitwise_count(light_field.lit).sum(axis=1, dtype=np.int64)
     found = arrays["intensity"].astype(np.float64) * np.repeat(arrays["cell_scale"], counts)
-    expected = luminance(unpack(exitant.intensity) * exitant.scale)
+    expected = luminance(unpack(light_field.intensity) * light_field.scale)
     # Half precision, relative to the largest intensity of a cell.
     largest = np.repeat(arrays["cell_scale"], counts)
     assert (np.abs(found - expected) <= expected * 2**-11 + largest * 2**-24).all()
@@ -87,16 +87,16 @@ def test_page_is_self_contained_and_holds_the_asset():
 
 def test_an_asset_without_a_field_is_shown_by_its_light():
     """And says so; it has the irradiance, and what is beside the light stays as it is."""
-    asset = exitant_asset(random_exitant(1), LocalFrame((1, 1, 1), np.eye(4)), "lamp")
+    asset = light_field_asset(random_light_field(1), LocalFrame((1, 1, 1), np.eye(4)), "lamp")
     packed = pack_asset(asset)
-    assert packed.description["shown"] == "exitant light field"
+    assert packed.description["shown"] == "light field"
     assert packed.description["bytes"] == asset.num_bytes
     arrays = unpack_asset(packed)
-    assert len(arrays["density"]) == len(asset.exitant.cells)
-    assert np.array_equal(arrays["cells"].reshape(-1, 3), asset.exitant.cells)
+    assert len(arrays["density"]) == len(asset.light_field.cells)
+    assert np.array_equal(arrays["cells"].reshape(-1, 3), asset.light_field.cells)
     model = dataclasses.replace(asset, model=small_model())
-    assert pack_asset(model).description["shown"] == "exitant light field, not the model"
-    field = dataclasses.replace(random_asset(3), exitant=asset.exitant)
+    assert pack_asset(model).description["shown"] == "light field, not the model"
+    field = dataclasses.replace(random_asset(3), light_field=asset.light_field)
     assert pack_asset(field).description["shown"] == "field"
     assert "Shown: asset.shown" in make_page(asset)
 

@@ -7,15 +7,15 @@ import json
 import numpy as np
 import pytest
 
-from lumitree.asset.asset import exitant_asset
-from lumitree.asset.exitant import make_exitant_field
+from lumitree.asset.asset import light_field_asset
+from lumitree.asset.light_field import make_light_field
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import middle_directions
 from lumitree.output.viewer.page import make_page
 from support.browser import CHROMIUM, evaluate
-from support.exitant_fields import random_exitant
 from support.fields import random_asset
+from support.light_fields import random_light_field
 
 pytestmark = [
     pytest.mark.slow,
@@ -57,26 +57,26 @@ def test_image_is_that_of_the_field(mi, tmp_path, law, l_max):
     assert floats(found["details"]).reshape(80, 120, 4)[..., 2].max() > 3
 
 
-def test_image_of_an_exitant_light_field(mi, tmp_path):
+def test_image_of_an_light_field(mi, tmp_path):
     """Without a field the page shows the light itself, and has an exposure for it."""
-    light = make_exitant_field(*_cosine_cells(), 2)
-    asset = exitant_asset(light, LocalFrame((1, 0.5, 0.5), np.eye(4)), "light")
+    light = make_light_field(*_cosine_cells(), 2)
+    asset = light_field_asset(light, LocalFrame((1, 0.5, 0.5), np.eye(4)), "light")
     view = {"eye": [0.3, -2.7, 0.5], "target": [0, 0, 0], "up": [1, 0, 0], "fov": 0.6}
     size = {"width": 60, "height": 40}
     page = make_page(asset)
     found = evaluate(page, f"await lumitree.image({json.dumps(view | size)})", tmp_path / "profile")
     pixels = floats(found["radiance"]).reshape(40, 60, 4)
     direction = camera_rays(**view, **size).reshape(-1, 3)
-    from lumitree.rendering.sampling.light_field import exitant_light
+    from lumitree.rendering.sampling.light_field import device_light_field
 
     origin = on_device(mi.Point3f, np.tile(view["eye"], (len(direction), 1)))
     rays = origin, origin, on_device(mi.Vector3f, direction), mi.Float(0)
-    expected = np.array(exitant_light(asset).eval(*rays)[0], np.float64).reshape(3, 40, 60)
+    expected = np.array(device_light_field(asset).eval(*rays)[0], np.float64).reshape(3, 40, 60)
     difference = np.abs(pixels[..., :3] - np.moveaxis(expected, 0, -1)).mean()
     assert difference < 0.05 * expected.mean()
     shown = "document.getElementById('figure-Shown').textContent"
     assert evaluate(page, f"lumitree.ready.then(() => {shown})", tmp_path / "second") == (
-        "exitant light field"
+        "light field"
     )
 
 
@@ -91,8 +91,8 @@ def _cosine_cells():
 def test_illuminance_is_the_sum_over_cells(mi, tmp_path):
     from lumitree.measure.irradiance import asset_irradiance
 
-    exitant = random_exitant(4, count=40)
-    asset = dataclasses.replace(random_asset(5), exitant=exitant, gain=(0.5, 3.0, 1.0))
+    light_field = random_light_field(4, count=40)
+    asset = dataclasses.replace(random_asset(5), light_field=light_field, gain=(0.5, 3.0, 1.0))
     call = "await lumitree.illuminance({room: [3, 3, 3], samples: 16, patches: 48})"
     found = evaluate(make_page(asset), call, tmp_path / "profile")
     patches = floats(found["lux"]).reshape(48, 6, 48)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lumitree.asset.exitant import ExitantField, TracedPaths, make_exitant_field
+from lumitree.asset.light_field import LightField, TracedPaths, make_light_field
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
@@ -16,18 +16,18 @@ from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.fit.light_field.inside import DISTANCES, make_entries
 from lumitree.fit.light_field.merge import relative_noise
-from lumitree.fit.light_field.saved_field import SavedExitantField
+from lumitree.fit.light_field.saved_field import SavedLightField
 from lumitree.fit.light_field.visibility import unoccluded
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.trace.emitted_rays import as_rows
 from lumitree.trace.ending_segments import EndingConfig
 from lumitree.trace.histograms import EndingHistogram, Histogram
 from lumitree.trace.lamp_rays import LampRays
-from lumitree.trace.light_field_config import ExitantConfig
+from lumitree.trace.light_field_config import LightFieldFitConfig
 
 
-def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> ExitantField:
-    """Estimate the exitant light field of a luminaire, and its noise from the batches' spread.
+def bake_light_field(luminaire: Luminaire, config: LightFieldFitConfig, folder: Path) -> LightField:
+    """Estimate the light field of a luminaire, and its noise from the batches' spread.
 
     With it the light that ends on the luminaire, for receivers inside its box.
 
@@ -39,7 +39,7 @@ def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> E
     Raises:
         LumitreeError: no light leaves the luminaire, or a path's flux is NaN or infinite.
     """
-    saved = SavedExitantField(folder, luminaire, config)
+    saved = SavedLightField(folder, luminaire, config)
     if (field := saved.load()) is not None:
         return field
     rays = LampRays(luminaire)
@@ -52,7 +52,7 @@ def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> E
             segments = EndingConfig(
                 config.depth, SeedStream(Purpose.ENDING, step).seed(config.seed)
             )
-            seed = SeedStream(Purpose.EXITANT, step).seed(config.seed)
+            seed = SeedStream(Purpose.LIGHT_FIELD, step).seed(config.seed)
             paths = rays.draw(config.batch, seed, ending=segments)
             assert paths.ending is not None
             flux, ends = (as_rows(each.flux).T for each in (paths, paths.ending))
@@ -73,7 +73,7 @@ def bake_exitant(luminaire: Luminaire, config: ExitantConfig, folder: Path) -> E
         noise=relative_noise(np.array(by_direction) / solid_angle, np.ones(batches)),
     )
     intensity = histogram.flux / solid_angle[:, None]
-    field = make_exitant_field(histogram.cells, intensity, config.depth, traced)
+    field = make_light_field(histogram.cells, intensity, config.depth, traced)
     entries = make_entries(field, ending.cells, ending.flux, ending.by_reach)
     reach, curves = entries.reach(config.seed)
     free, other = unoccluded(luminaire, entries, config.seed)

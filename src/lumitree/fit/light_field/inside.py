@@ -1,7 +1,7 @@
 """The light inside a luminaire's box from its bake, see `lumitree.asset.light_inside`.
 
 Symbols
-    C, Q, E, K, I, J, s, V, κ   as there        R   bins a side of the exitant light field, 2 Q
+    C, Q, E, K, I, J, s, V, κ   as there        R   bins a side of the light field, 2 Q
 """
 
 import dataclasses
@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.exitant import ExitantField, pack_lit, unpack
+from lumitree.asset.light_field import LightField, pack_lit, unpack
 from lumitree.asset.light_inside import MAX_CURVES, MAX_FACTOR, LightInside
 from lumitree.asset.lit_bins import by_coarse_bin
 from lumitree.core.octahedral import solid_angles
@@ -41,7 +41,7 @@ class Entries:
     """Bins of cells in which there is light, before their curves are put into codebooks.
 
     Attributes:
-        depth, resolution: of the exitant light field.
+        depth, resolution: of the light field.
         cells: [C, 3] coordinates, in Morton order.
         lit: [C, Q²] bins that are entries.
         rows, bins: [E] row in `cells` and bin of each entry.
@@ -123,17 +123,17 @@ class Entries:
 
 
 def make_entries(
-    field: ExitantField,
+    field: LightField,
     cells: NDArray[np.integer],
     flux: NDArray[np.floating],
     by_reach: NDArray[np.floating],
 ) -> Entries:
-    """Entries of an exitant light field and of light that ends on the luminaire.
+    """Entries of a light field and of light that ends on the luminaire.
 
     Memory: by entry 4 arrays of `DISTANCES`, here and in `encoded`; 0.4 GB for a million.
 
     Args:
-        field: the exitant light field.
+        field: the light field.
         cells: [C', 3] cells that have light that ends, each once, in any order.
         flux: [C', Q², 3] its flux.
         by_reach: [C', Q², K - 1] luminous flux of what ends between two distances.
@@ -142,15 +142,15 @@ def make_entries(
     scale = float(intensity.max(initial=0))
     scale = scale if scale > 0 else 1.0
     packed = pack_lit(intensity, scale)
-    exitant_code, ending_code = (cell_codes(each, field.depth) for each in (field.cells, cells))
-    codes = np.union1d(exitant_code, ending_code[packed.any(axis=1)])
+    light_field_code, ending_code = (cell_codes(each, field.depth) for each in (field.cells, cells))
+    codes = np.union1d(light_field_code, ending_code[packed.any(axis=1)])
     every = coded_cells(codes, field.depth)
     order = np.argsort(morton(every))
     codes, every = codes[order], every[order]
 
     exits = np.zeros((len(codes), field.resolution**2), np.float32)
     luminous = field.dense(luminance(field.scale * unpack(field.intensity)))
-    exits[_rows_of(codes, exitant_code)] = luminous
+    exits[_rows_of(codes, light_field_code)] = luminous
     # Row of each cell in `cells`, or -1.
     source = _rows_of(ending_code, codes)
     ends = np.where(source[:, None] >= 0, packed[source] if len(packed) else 0, 0)

@@ -1,4 +1,4 @@
-"""Exitant light fields of one luminaire, from different light paths, combined into one.
+"""Light fields of one luminaire, from different light paths, combined into one.
 
 Symbols
     Q, K, I, J, s, V, κ     as in `lumitree.asset.light_inside`
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lumitree.asset.exitant import ExitantField, TracedPaths, make_exitant_field, unpack
+from lumitree.asset.light_field import LightField, TracedPaths, make_light_field, unpack
 from lumitree.asset.light_inside import LightInside
 from lumitree.asset.lit_bins import by_coarse_bin, dense
 from lumitree.core.octahedral import solid_angles
@@ -21,7 +21,7 @@ from lumitree.octree.build import morton
 from lumitree.trace.histograms import cell_codes, coded_cells
 
 
-def merge_exitant(fields: Sequence[ExitantField], names: Sequence[str]) -> ExitantField:
+def merge_light_fields(fields: Sequence[LightField], names: Sequence[str]) -> LightField:
     """The estimate from all light paths of several fields: their mean, weighted by path counts.
 
     It differs from one longer bake only by the rounding of stored intensities, at most 0.2 % of
@@ -55,14 +55,14 @@ def merge_exitant(fields: Sequence[ExitantField], names: Sequence[str]) -> Exita
         luminaire=records[0].luminaire,
         noise=relative_noise(by_direction, counts),
     )
-    merged = make_exitant_field(cells, intensity, depth, traced)
+    merged = make_light_field(cells, intensity, depth, traced)
     if any(field.inside is None for field in fields):
         return merged
     return dataclasses.replace(merged, inside=_merged_inside(merged, fields, counts))
 
 
 def _merged_inside(
-    merged: ExitantField, fields: Sequence[ExitantField], counts: NDArray[np.float64]
+    merged: LightField, fields: Sequence[LightField], counts: NDArray[np.float64]
 ) -> LightInside:
     """Light inside the box of several fields, weighted by path counts.
 
@@ -107,7 +107,7 @@ class _Expanded:
     free: NDArray[np.float32]
 
 
-def _expanded(field: ExitantField) -> _Expanded:
+def _expanded(field: LightField) -> _Expanded:
     inside = field.inside
     assert inside is not None
     if not np.array_equal(inside.distances, DISTANCES):
@@ -155,14 +155,14 @@ def relative_noise(estimates: ArrayLike, counts: ArrayLike) -> float | None:
     return float(np.sqrt((solid_angle * variance).sum() / light))
 
 
-def _check(fields: Sequence[ExitantField], names: Sequence[str]) -> list[TracedPaths]:
+def _check(fields: Sequence[LightField], names: Sequence[str]) -> list[TracedPaths]:
     """Records of the light paths of fields that can be merged."""
     records: list[TracedPaths] = []
     owners: dict[int, str] = {}
     for field, name in zip(fields, names, strict=True):
         if (record := field.traced) is None:
             raise LumitreeError(
-                f"{name} does not state the light paths of its exitant light field; bake it again"
+                f"{name} does not state the light paths of its light field; bake it again"
             )
         if (field.depth, field.resolution) != (fields[0].depth, fields[0].resolution):
             raise LumitreeError(
@@ -184,5 +184,5 @@ def _check(fields: Sequence[ExitantField], names: Sequence[str]) -> list[TracedP
     return records
 
 
-def _grid(field: ExitantField) -> str:
+def _grid(field: LightField) -> str:
     return f"{1 << field.depth} cells and {field.resolution} bins a side"

@@ -1,4 +1,4 @@
-"""The exitant light field of an unfinished bake, which the same bake does not trace again."""
+"""The light field of an unfinished bake, which the same bake does not trace again."""
 
 import hashlib
 import json
@@ -6,19 +6,19 @@ import warnings
 from dataclasses import asdict
 from pathlib import Path
 
-from lumitree.asset.asset import exitant_asset
-from lumitree.asset.exitant import ExitantField
+from lumitree.asset.asset import light_field_asset
 from lumitree.asset.file import load, save
+from lumitree.asset.light_field import LightField
 from lumitree.core.files import WriteError
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.luminaire import Luminaire
-from lumitree.trace.light_field_config import ExitantConfig
+from lumitree.trace.light_field_config import LightFieldFitConfig
 
-EXITANT_STATE = "exitant.lumitree"
+LIGHT_FIELD_STATE = "light.lumitree"
 
 
-class SavedExitantField:
-    """The file in a folder that holds the exitant light field of one luminaire and one setting.
+class SavedLightField:
+    """The file in a folder that holds the light field of one luminaire and one setting.
 
     It is an asset. In place of the luminaire's name it has a digest of the luminaire and of the
     setting.
@@ -29,12 +29,12 @@ class SavedExitantField:
         config: how.
     """
 
-    def __init__(self, folder: Path, luminaire: Luminaire, config: ExitantConfig) -> None:
+    def __init__(self, folder: Path, luminaire: Luminaire, config: LightFieldFitConfig) -> None:
         record = json.dumps([luminaire.fingerprint, asdict(config)], sort_keys=True)
         self._digest = hashlib.sha256(record.encode()).hexdigest()
-        self._path, self._frame = folder / EXITANT_STATE, luminaire.frame
+        self._path, self._frame = folder / LIGHT_FIELD_STATE, luminaire.frame
 
-    def load(self) -> ExitantField | None:
+    def load(self) -> LightField | None:
         """The field; None if there is none, or it is another luminaire's or damaged."""
         if not self._path.exists():
             return None
@@ -42,18 +42,18 @@ class SavedExitantField:
             asset = load(self._path)
         except LumitreeError:
             return None
-        field = asset.exitant
+        field = asset.light_field
         if field is None or asset.luminaire != self._digest:
             return None
         return field
 
-    def save(self, field: ExitantField) -> None:
+    def save(self, field: LightField) -> None:
         """Write the field; warns where it cannot be written, since the bake does not need it."""
         try:
-            save(exitant_asset(field, self._frame, self._digest), self._path)
+            save(light_field_asset(field, self._frame, self._digest), self._path)
         except WriteError as error:
             warnings.warn(
-                f"cannot save the exitant light field in {self._path.parent}: {error.reason}; the "
+                f"cannot save the light field in {self._path.parent}: {error.reason}; the "
                 "bake goes on, and would trace it again if it were stopped",
                 LumitreeWarning,
                 stacklevel=2,

@@ -2,7 +2,7 @@
 
 Symbols
     C, Q, E, K, I, J, s, V      as in `lumitree.asset.light_inside`
-    R                           bins a side of the exitant light field, 2 Q
+    R                           bins a side of the light field, 2 Q
     fine bin                    one of R² bins; four make one of the Q²
 """
 

@@ -1,4 +1,4 @@
-"""The direct bake: a first field, gradient descent within a budget, and a closing calibration.
+"""The octree fit: a first field, gradient descent within a budget, and a closing calibration.
 
 `bake`, `bake_stored` and `refine` differ in where the rays come from and in the field that they
 start from; `_run` is the rest.
@@ -22,7 +22,7 @@ from lumitree.core.progress import progress
 from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.fit.octree.calibration import calibrate
-from lumitree.fit.octree.config import DirectConfig
+from lumitree.fit.octree.config import OctreeFitConfig
 from lumitree.fit.octree.descent import Budget, Descent
 from lumitree.fit.octree.estimate import estimate
 from lumitree.fit.octree.flux_correction import flux_correction_factor
@@ -43,7 +43,7 @@ Start = Callable[[], tuple[LeafField, float]]
 
 
 @dataclasses.dataclass(frozen=True)
-class DirectResult:
+class OctreeFitResult:
     """What a bake returns.
 
     Attributes:
@@ -61,7 +61,7 @@ class DirectResult:
     stopped_by: int | None
 
 
-def bake(luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResult:
+def bake(luminaire: Luminaire, config: OctreeFitConfig, folder: Path) -> OctreeFitResult:
     """Bake a luminaire; continues an interrupted bake whose state is in `folder`.
 
     Args:
@@ -81,7 +81,7 @@ def bake(luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResu
     return _run(source, config, folder, "bake", start)
 
 
-def bake_stored(dataset: Dataset, config: DirectConfig, folder: Path) -> DirectResult:
+def bake_stored(dataset: Dataset, config: OctreeFitConfig, folder: Path) -> OctreeFitResult:
     """Bake the views of a dataset; otherwise as `bake`.
 
     Raises:
@@ -102,7 +102,9 @@ def bake_stored(dataset: Dataset, config: DirectConfig, folder: Path) -> DirectR
     return _run(source, config, folder, "bake", start)
 
 
-def refine(asset: Asset, luminaire: Luminaire, config: DirectConfig, folder: Path) -> DirectResult:
+def refine(
+    asset: Asset, luminaire: Luminaire, config: OctreeFitConfig, folder: Path
+) -> OctreeFitResult:
     """Continue from an asset, however it was made, with rays of its luminaire.
 
     Args:
@@ -145,8 +147,8 @@ def refine(asset: Asset, luminaire: Luminaire, config: DirectConfig, folder: Pat
 
 
 def _run(
-    source: RaySource, config: DirectConfig, folder: Path, verb: str, start: Start
-) -> DirectResult:
+    source: RaySource, config: OctreeFitConfig, folder: Path, verb: str, start: Start
+) -> OctreeFitResult:
     """Start, or continue from the state in `folder`; spend the budget and make the asset."""
     name = source.subject.name
     state_file = StateFile(folder, source.subject, config)
@@ -181,7 +183,7 @@ def _run(
             advance(1)
         score = held_out.rescaled(factor).score(descent.best)
     asset = make_asset(descent.best, source.subject, factor * max_radiance)
-    return DirectResult(asset, score, budget.rays, budget.seconds, interruption.number)
+    return OctreeFitResult(asset, score, budget.rays, budget.seconds, interruption.number)
 
 
 def make_asset(field: LeafField, subject: Subject, max_radiance: float) -> Asset:
@@ -200,7 +202,7 @@ def make_asset(field: LeafField, subject: Subject, max_radiance: float) -> Asset
     )
 
 
-def _traced_rays(luminaire: Luminaire, config: DirectConfig) -> TracedRays:
+def _traced_rays(luminaire: Luminaire, config: OctreeFitConfig) -> TracedRays:
     level = min(config.tree_depth, config.ray_spacing_level)
     return TracedRays(luminaire, spacing=2 / (1 << level), seed=config.seed)
 
@@ -211,7 +213,7 @@ def _continued_seed(asset: Asset, seed: int) -> int:
     return SeedStream(Purpose.CONTINUATION, checksum).seed(seed) & MAX_SEED
 
 
-def _visible_radiance(source: TracedRays, config: DirectConfig) -> float:
+def _visible_radiance(source: TracedRays, config: OctreeFitConfig) -> float:
     """99.99th percentile of the radiance of pixels as wide as the smallest leaves.
 
     Raises:
@@ -226,7 +228,7 @@ def _visible_radiance(source: TracedRays, config: DirectConfig) -> float:
     return max_radiance
 
 
-def _first_field(source: TracedRays, config: DirectConfig, max_radiance: float) -> LeafField:
+def _first_field(source: TracedRays, config: OctreeFitConfig, max_radiance: float) -> LeafField:
     """The calibrated first estimate."""
     level = min(config.tree_depth, config.estimate.max_level)
     cells = grow(source, level, config.estimate)
@@ -237,7 +239,7 @@ def _first_field(source: TracedRays, config: DirectConfig, max_radiance: float) 
     return field
 
 
-def _hull_field(source: StoredRays, config: DirectConfig) -> LeafField:
+def _hull_field(source: StoredRays, config: OctreeFitConfig) -> LeafField:
     """The visual hull of stored views, with equal leaves."""
     views = config.views
     level = min(config.tree_depth, views.hull_level)
@@ -248,14 +250,14 @@ def _hull_field(source: StoredRays, config: DirectConfig) -> LeafField:
     return _field(config, source, cells, np.full(len(cells), level), density, coefficients)
 
 
-def _empty_field(config: DirectConfig, source: RaySource) -> LeafField:
+def _empty_field(config: OctreeFitConfig, source: RaySource) -> LeafField:
     """A field without leaves."""
     none = np.zeros((0, 3), np.int64)
     return _field(config, source, none, none[:, 0], none[:, 0], np.zeros(0))
 
 
 def _field(
-    config: DirectConfig,
+    config: OctreeFitConfig,
     source: RaySource,
     cells: NDArray[np.int64],
     levels: NDArray[np.int64],

@@ -1,4 +1,4 @@
-"""Settings of the direct bake: every number that was chosen by experience or by measurement.
+"""Settings of the octree fit: every number that was chosen by experience or by measurement.
 
 Each part of the bake takes its own group. The evidence is in docs/decisions: octree-fit.md,
 calibration.md, and field.md for the headroom. A setting that is not there was chosen during
@@ -292,7 +292,7 @@ class OctreeConfig:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class DirectConfig(OctreeConfig):
+class OctreeFitConfig(OctreeConfig):
     """An octree fit.
 
     Attributes:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lumitree.core.files import WriteError, atomic_path
 from lumitree.core.reading import read_arrays
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.fit.octree.config import DirectConfig
+from lumitree.fit.octree.config import OctreeFitConfig
 from lumitree.fit.octree.leaf_field import LEAVES, LeafField
 from lumitree.fit.octree.ray_source import Subject
 from lumitree.fit.octree.refine import Refiner
@@ -52,7 +52,7 @@ class StateFile:
             another.
     """
 
-    def __init__(self, folder: Path, subject: Subject, config: DirectConfig) -> None:
+    def __init__(self, folder: Path, subject: Subject, config: OctreeFitConfig) -> None:
         settings = dataclasses.asdict(config)
         del settings["time"], settings["rays"]
         record = {"version": _VERSION, "fingerprint": subject.fingerprint, **settings}

@@ -77,7 +77,7 @@ def luminaire_source(luminaire: Luminaire) -> Source:
 
 
 def asset_source(asset: Asset) -> Source:
-    """Rays sampled from the emission of an asset: of its exitant light field if it has one."""
+    """Rays sampled from the emission of an asset: of its light field if it has one."""
     return Source(asset.luminaire, asset.frame, AssetRays(asset))
 
 

@@ -93,7 +93,7 @@ def photometry(
     """Measure the far field of a luminaire or an asset, and write photometric files.
 
     The luminous intensity by direction, Type C, is estimated from light paths of a luminaire, or
-    from rays of an asset: of its exitant light field if it has one. All figures have standard
+    from rays of an asset: of its light field if it has one. All figures have standard
     errors.
 
     Args:

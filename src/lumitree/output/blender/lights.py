@@ -1,11 +1,11 @@
-"""An exitant light field as a few point lights, each with an intensity by direction.
+"""A light field as a few point lights, each with an intensity by direction.
 
 The cells are divided into clusters by k-means, weighted by flux. A light stands at the centroid of
 its cluster and has the sum of its cells' intensities. This is the illumination of
 Velázquez-Armendáriz et al. 2015.
 
 Symbols
-    C, R, B     cells, bins of direction a side, bins that emit, as in `asset.exitant`
+    C, R, B     cells, bins of direction a side, bins that emit, as in `asset.light_field`
     S           point lights
     H           rows of a table by direction
 """
@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.exitant import ExitantField, unpack
+from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import bin_of, solid_angles
 from lumitree.core.seeds import Purpose, SeedStream
@@ -72,7 +72,7 @@ def cluster_points(
 
 
 def cluster_lights(
-    field: ExitantField, half_extents: NDArray[np.float64], count: int, seed: int = 0
+    field: LightField, half_extents: NDArray[np.float64], count: int, seed: int = 0
 ) -> PointLights:
     """Point lights with the flux of a field, channel by channel.
 

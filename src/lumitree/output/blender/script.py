@@ -48,14 +48,14 @@ def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
         seed: root seed.
 
     Raises:
-        LumitreeError: the asset has no exitant light field.
+        LumitreeError: the asset has no light field.
     """
-    if asset.exitant is None:
+    if asset.light_field is None:
         raise LumitreeError(
-            f"the asset of {asset.luminaire} has no exitant light field, from which the lights are "
-            "made; bake its luminaire with the part exitant, which a dataset does not give"
+            f"the asset of {asset.luminaire} has no light field, from which the lights are "
+            "made; bake its luminaire with the part light, which a dataset does not give"
         )
-    points = cluster_lights(asset.exitant, asset.frame.half_extents, lights, seed)
+    points = cluster_lights(asset.light_field, asset.frame.half_extents, lights, seed)
     points = dataclasses.replace(points, intensity=points.intensity * asset.gain)
     description, arrays = _light_data(asset, points, Z_UP[up])
     lost = ["point lights illuminate the lamp's own surfaces without its shadows"]

@@ -1,6 +1,6 @@
-"""A field that shows the exitant light field of an asset, for the page.
+"""A field that shows the light field of an asset, for the page.
 
-Without a field, images show the exitant light field: the radiance along a ray is the sum over its
+Without a field, images show the light field: the radiance along a ray is the sum over its
 cells of I(ω) · length / V. The same is the emission of leaves of low density under the linear law,
 whose weights are density times length: Φ = I(ω) / (V · density). They emit, and hide almost
 nothing.
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.exitant import ExitantField, unpack
+from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.harmonics import MAX_L, Y_00, basis_array
 from lumitree.core.octahedral import middle_directions, solid_angles
 from lumitree.octree.build import build_children
@@ -38,7 +38,7 @@ _DARK, _LARGEST = 1e-3, 100.0
 
 
 def light_as_field(asset: Asset) -> Asset:
-    """The asset with a field that is made of its exitant light field, in place of its own.
+    """The asset with a field that is made of its light field, in place of its own.
 
     The emission is fitted by spherical harmonics up to l = 4, and each cell keeps its flux. Beams
     of less than about 20 degrees become as wide as that.
@@ -46,7 +46,7 @@ def light_as_field(asset: Asset) -> Asset:
     Raises:
         LumitreeError: the emission is out of the range of assets.
     """
-    light = asset.exitant
+    light = asset.light_field
     assert light is not None
     cells, levels = light.cells.astype(np.int64), np.full(len(light.cells), light.depth)
     lower, upper = grid_boxes_inside(asset.frame.half_extents, cells, light.depth)
@@ -80,7 +80,7 @@ def brightest_view(asset: Asset) -> tuple[float, float]:
 
     At most one radian above or below the horizontal; a little above it for light to all sides.
     """
-    light = asset.exitant
+    light = asset.light_field
     assert light is not None
     flux = _by_bin(light).sum(axis=(0, 2))
     flux *= solid_angles(_RESOLUTION)
@@ -93,7 +93,7 @@ def brightest_view(asset: Asset) -> tuple[float, float]:
     return yaw, pitch
 
 
-def _by_bin(light: ExitantField) -> NDArray[np.float64]:
+def _by_bin(light: LightField) -> NDArray[np.float64]:
     """Mean intensity [C, B, 3] of bins, `_RESOLUTION` a side."""
     own = light.resolution
     # Of bins that are larger, each is divided.

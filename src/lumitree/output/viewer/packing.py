@@ -1,7 +1,7 @@
 """What the page of the viewer holds of an asset: arrays of numbers in one compressed block.
 
 The field keeps its own numbers: densities in float32 and coefficients in float16. Without a field
-the exitant light field is shown, as one (`light_as_field`). The exitant light field is reduced to
+the light field is shown, as one (`light_as_field`). The light field is reduced to
 luminous intensity, as float16 relative to the largest of each cell.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.exitant import ExitantField, unpack
+from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError
 from lumitree.octree.wide_nodes import wide_levels, wide_nodes
@@ -50,7 +50,7 @@ def pack_asset(asset: Asset) -> PackedAsset:
     shown, view = "field", DEFAULT_VIEW
     if not has_field:
         asset, view = light_as_field(asset), brightest_view(asset)
-        shown = "exitant light field" + ("" if asset.model is None else ", not the model")
+        shown = "light field" + ("" if asset.model is None else ", not the model")
     levels = wide_nodes(asset.children, asset.tree_depth)
     starts = np.concatenate([[0], np.cumsum([level.size for level in levels])])
     arrays: dict[str, NDArray[Any]] = {
@@ -75,13 +75,13 @@ def pack_asset(asset: Asset) -> PackedAsset:
         "scale": float(asset.frame.scale),
         "level_bits": wide_levels(asset.tree_depth),
         "level_starts": starts[:-1].tolist(),
-        "exitant": None,
+        "light": None,
     }
     texels = [arrays["nodes"].size, arrays["coefficients"].size // 3]
-    if asset.exitant is not None:
-        field = asset.exitant
-        description["exitant"] = {"depth": field.depth, "resolution": field.resolution}
-        arrays |= _exitant_arrays(field, asset.gain)
+    if asset.light_field is not None:
+        field = asset.light_field
+        description["light"] = {"depth": field.depth, "resolution": field.resolution}
+        arrays |= _light_field_arrays(field, asset.gain)
         texels.append(field.lit.size * 8)
     if max(texels) > MAX_TEXELS:
         raise LumitreeError(
@@ -91,8 +91,8 @@ def pack_asset(asset: Asset) -> PackedAsset:
     return PackedAsset(description, _block(arrays, description))
 
 
-def _exitant_arrays(
-    field: ExitantField, gain: tuple[float, float, float]
+def _light_field_arrays(
+    field: LightField, gain: tuple[float, float, float]
 ) -> dict[str, NDArray[Any]]:
     """Luminous intensity of the bins that emit, in cd for local units of 1 m, and their cells."""
     luminous = luminance(unpack(field.intensity) * field.scale * np.array(gain))

@@ -37,7 +37,7 @@ class ViewResult(Result):
 def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
     """Make a web page that shows the field of an asset, and the illuminance around it.
 
-    Without a field it shows the exitant light field, as images do: blurred, and hiding almost
+    Without a field it shows the light field, as images do: blurred, and hiding almost
     nothing. A model is not shown.
 
     The page needs a browser with WebGL 2, and loads nothing from a network.

@@ -18,7 +18,7 @@ ray crosses a proxy as any null surface.
 Where images show the model of a lamp, its shapes are in the scene, and each path gets its light
 once. As long as all vertices since the camera are specular or on surfaces of this lamp, the path
 gets what the lamp's shapes emit (`self_emission`). A scattering in a medium of the lamp's model
-counts as a vertex on the lamp. Vertices elsewhere, inside its box too, get its exitant light field,
+counts as a vertex on the lamp. Vertices elsewhere, inside its box too, get its light field,
 which contains all light that its surfaces scatter: so these surfaces get none of it again.
 After the first vertex that is not specular, the lamp's glass bends no ray (`model_plugins`),
 and a crossing of it is a null interaction.

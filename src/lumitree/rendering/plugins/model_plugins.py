@@ -1,6 +1,6 @@
 """The emitter and the glass of a lamp's own shapes, where an image shows the model of an asset.
 
-The light of a lamp reaches a scene from its exitant light field. Its shapes therefore emit only
+The light of a lamp reaches a scene from its light field. Its shapes therefore emit only
 where a path shows the lamp, and next-event estimation of the scene does not sample them. Where a
 path shows a rough surface of the lamp, next-event estimation of the lamp's own light does. The
 integrator `lumitree_path` makes this distinction; others see shapes that do not emit.

@@ -90,8 +90,8 @@ class Placed:
 
     @property
     def shadow_field(self) -> Field:
-        """Field whose transmittance shadow rays get: of less detail beside an exitant part."""
-        return self.field if self.asset.exitant is None else self.field.coarse
+        """Field whose transmittance shadow rays get: of less detail beside a light field."""
+        return self.field if self.asset.light_field is None else self.field.coarse
 
     def in_margin(self, point: Any) -> Any:
         """Whether a point of the local frame is inside the proxy of a model."""

@@ -1,4 +1,4 @@
-"""Emission of a lamp that is divided: receivers get the exitant light field, images show the field.
+"""Emission of a lamp that is divided: receivers get the light field, images show the field.
 
 docs/decisions/light-field.md states which paths get which.
 """
@@ -23,7 +23,7 @@ from lumitree.rendering.sampling.emitter_sampling import (
     Sampling,
     Target,
 )
-from lumitree.rendering.sampling.light_field import exitant_light
+from lumitree.rendering.sampling.light_field import device_light_field
 from lumitree.rendering.sampling.light_inside import InsideLight, inside_light
 from lumitree.rendering.sampling.light_leaves import light_leaves
 from lumitree.rendering.sampling.proxy import Proxy, cone_pdf
@@ -48,7 +48,7 @@ def emitter_sampler(
     With `blocked`, the lamp's own surfaces are in the scene, and block its light.
     """
     uniform = sampling == "uniform"
-    if asset.exitant is None:
+    if asset.light_field is None:
         return EmitterSampler(proxy, field, None if uniform else light_leaves(field))
     if uniform:
         return DividedSampler(asset, field, proxy)
@@ -58,30 +58,30 @@ def emitter_sampler(
 def look(asset: Asset, field: Field, origin: Any, direction: Any, active: Any) -> tuple[Any, Any]:
     """Radiance and transmittance of a lamp in an image, as `Field.emission`.
 
-    An asset whose field is empty shows its exitant light field, which hides nothing.
+    An asset whose field is empty shows its light field, which hides nothing.
     """
-    if asset.exitant is None or asset.num_leaves:
+    if asset.light_field is None or asset.num_leaves:
         return field.emission(origin, direction, active)
-    light = exitant_light(asset)
+    light = device_light_field(asset)
     radiance, _ = light.eval(origin, origin, direction, mi.Float(0), active)
     return radiance, dr.full(mi.Float, 1, dr.width(radiance))
 
 
 class DividedSampler(DirectionSampler):
-    """As `EmitterSampler`, for a lamp with an exitant light field.
+    """As `EmitterSampler`, for a lamp with a light field.
 
-    Directions are sampled by the exitant light field. It is also the radiance that receivers get.
+    Directions are sampled by the light field. It is also the radiance that receivers get.
     Images show the field, as `look` has it.
 
     Args:
-        asset: has an exitant light field.
+        asset: has a light field.
         field: of the asset.
         uniform: proxy whose directions are sampled uniformly, instead of by emission.
     """
 
     def __init__(self, asset: Asset, field: Field, uniform: Proxy | None = None) -> None:
         self._asset, self._field, self._uniform = asset, field, uniform
-        self._light = exitant_light(asset)
+        self._light = device_light_field(asset)
 
     def sample(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
         """Unit direction for a sample in the unit square; no point is sampled (-inf)."""

@@ -1,4 +1,4 @@
-"""The exitant light field as an emitter: directions towards it are sampled, and rays that leave it.
+"""The light field as an emitter: directions towards it are sampled, and rays that leave it.
 
 A ray from a receiver crosses cells of the grid. Its radiance is the sum over them of intensity
 times length over volume. Nothing in the luminaire occludes it, because the intensities contain all
@@ -42,12 +42,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.exitant import (
+from lumitree.asset.light_field import (
     EXPONENT_OF_ONE,
     EXPONENT_SHIFT,
     MANTISSA,
     MANTISSA_SHIFTS,
-    ExitantField,
+    LightField,
     pack_lit,
     unpack,
 )
@@ -73,24 +73,24 @@ _CELLS_AT_ONCE = 1 << 10
 # Distance from the box, local units, up to which shadows of the lamp's own surfaces are sharp.
 _NEAR = 0.5
 
-_LIGHTS: "weakref.WeakKeyDictionary[ExitantField, dict[tuple[object, ...], ExitantLight]]" = (
+_LIGHTS: "weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], DeviceLightField]]" = (
     weakref.WeakKeyDictionary()
 )
 
 
-def exitant_light(asset: Asset) -> "ExitantLight":
-    """Device copy of an asset's exitant light field, shared by all instances of a lamp."""
-    assert asset.exitant is not None
-    lights, key = _LIGHTS.setdefault(asset.exitant, {}), (str(mi.variant()), asset.gain)
+def device_light_field(asset: Asset) -> "DeviceLightField":
+    """Device copy of an asset's light field, shared by all instances of a lamp."""
+    assert asset.light_field is not None
+    lights, key = _LIGHTS.setdefault(asset.light_field, {}), (str(mi.variant()), asset.gain)
     if key not in lights:
         # Mitsuba creates plugins in parallel: of two copies, the first is kept.
-        light = ExitantLight(asset.exitant, asset.frame.half_extents, asset.gain)
+        light = DeviceLightField(asset.light_field, asset.frame.half_extents, asset.gain)
         return lights.setdefault(key, light)
     return lights[key]
 
 
-class ExitantLight:
-    """Device copy of an exitant light field, in the lamp's local frame.
+class DeviceLightField:
+    """Device copy of a light field, in the lamp's local frame.
 
     Args:
         field: what is emitted.
@@ -100,7 +100,7 @@ class ExitantLight:
 
     def __init__(
         self,
-        field: ExitantField,
+        field: LightField,
         half_extents: NDArray[np.float64],
         gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> None:
@@ -329,8 +329,8 @@ class ExitantLight:
         return self._colour * (self.scale * unpacked(packed))
 
 
-def ending_by_bin(field: ExitantField) -> tuple[NDArray[np.uint32], float]:
-    """J of an exitant light field in the bins of I, as `parts_of_ending` divides it.
+def ending_by_bin(field: LightField) -> tuple[NDArray[np.uint32], float]:
+    """J of a light field in the bins of I, as `parts_of_ending` divides it.
 
     Returns:
         RGB9_E5 numbers [C', R²] of the cells of `field.inside`, and their scale.
@@ -372,7 +372,7 @@ def coarse_bin(index: Any, resolution: int) -> Any:
 
 
 def left_part(chance: Any, inverse_volume: Any, inverse: Any, near: Any, length: Any) -> Any:
-    """∫ dr / (1 + k² r²) of `ExitantLight.received` over a cell (mi.Float).
+    """∫ dr / (1 + k² r²) of `DeviceLightField.received` over a cell (mi.Float).
 
     Args:
         chance: mi.Float, p.
@@ -388,7 +388,7 @@ def left_part(chance: Any, inverse_volume: Any, inverse: Any, near: Any, length:
 
 def unpacked(packed: Any) -> Any:
     """Colours (mi.Color3f) of RGB9_E5 numbers (mi.UInt32)."""
-    # As `asset.exitant.unpack`: a power of two is a number whose mantissa's 23 bits are 0.
+    # As `asset.light_field.unpack`: a power of two is a number whose mantissa's 23 bits are 0.
     exponent = (packed >> EXPONENT_SHIFT) + (127 - EXPONENT_OF_ONE)
     unit = dr.reinterpret_array(mi.Float, exponent << 23)
     mantissas = (packed >> shift & MANTISSA for shift in MANTISSA_SHIFTS)

@@ -1,4 +1,4 @@
-"""The exitant light field for receivers inside the lamp's box.
+"""The light field for receivers inside the lamp's box.
 
 As `light_field`, whose symbols hold, for receivers among the cells. What they get of a cell
 depends on their distance (`asset.light_inside`), and where the lamp's own surfaces are in the
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.exitant import ExitantField, unpack
+from lumitree.asset.light_field import LightField, unpack
 from lumitree.asset.lit_bins import dense
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import solid_angles
@@ -28,10 +28,10 @@ from lumitree.rendering.sampling.cell_table import cell_table
 from lumitree.rendering.sampling.emitter_sampling import RayEnds
 from lumitree.rendering.sampling.light_cells import LightCells
 from lumitree.rendering.sampling.light_field import (
-    ExitantLight,
+    DeviceLightField,
     coarse_bin,
+    device_light_field,
     ending_by_bin,
-    exitant_light,
     left_part,
     smooth_bin,
     unpacked,
@@ -52,12 +52,12 @@ def inside_light(asset: Asset, *, blocked: bool) -> "InsideLight":
 
     With `blocked`, the lamp's own surfaces are in the scene.
     """
-    assert asset.exitant is not None
-    outside = exitant_light(asset)
+    assert asset.light_field is not None
+    outside = device_light_field(asset)
     if blocked not in outside.inside:
         half_extents = asset.frame.half_extents
         outside.inside[blocked] = InsideLight(
-            asset.exitant, half_extents, outside, asset.gain, blocked=blocked
+            asset.light_field, half_extents, outside, asset.gain, blocked=blocked
         )
     return outside.inside[blocked]
 
@@ -96,7 +96,7 @@ class InsideReceivers:
 
 
 class InsideLight:
-    """Device copy of what an exitant light field sends to receivers inside the box.
+    """Device copy of what a light field sends to receivers inside the box.
 
     Args:
         field: what is emitted. Without its part `inside`, receivers get what leaves the box.
@@ -108,9 +108,9 @@ class InsideLight:
 
     def __init__(
         self,
-        field: ExitantField,
+        field: LightField,
         half_extents: NDArray[np.float64],
-        outside: ExitantLight,
+        outside: DeviceLightField,
         gain: tuple[float, float, float],
         *,
         blocked: bool,
@@ -156,14 +156,14 @@ class InsideLight:
         )
 
     def sample_point(self, x: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
-        """As `ExitantLight.sample_point`."""
+        """As `DeviceLightField.sample_point`."""
         cell, chance = self._table.sample(self._receivers.index(x), sample.x, active)
         return self.cells.point(cell, scrambled(sample), active), cell, chance
 
     def contribution(
         self, direction: Any, distance: Any, cell: Any, chance: Any, other: Any, active: Any
     ) -> Any:
-        """As `ExitantLight.contribution`."""
+        """As `DeviceLightField.contribution`."""
         volume = dr.gather(mi.Float, self.cells.volume, cell, active)
         density = chance * dr.square(distance) + other * volume
         light = self._light(cell, -direction, distance, active, blocked=self.blocked)
@@ -172,7 +172,7 @@ class InsideLight:
     def received(
         self, x: Any, entry: Any, direction: Any, inverse: Any, ends: RayEnds, active: Any
     ) -> Any:
-        """As `ExitantLight.received`, for a ray from `entry` in the box on.
+        """As `DeviceLightField.received`, for a ray from `entry` in the box on.
 
         The light of a cell is that at the middle of the ray's way in it.
         """

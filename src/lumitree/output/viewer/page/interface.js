@@ -61,7 +61,7 @@ function meter() {
   field.draw(currentView(), 160, 120);
   const pixels = readTarget(field.target), lit = [];
   for (let i = 0; i < pixels.length; i += 4)
-    // An exitant light field hides almost nothing.
+    // A light field hides almost nothing.
     if (asset.has_field ? pixels[i + 3] < 0.99 : pixels[i + 3] < 1) lit.push(0.2126 * pixels[i] + 0.7152 * pixels[i + 1] + 0.0722 * pixels[i + 2]);
   lit.sort((a, b) => a - b);
   const white = lit[Math.floor(0.9 * lit.length)];
@@ -196,7 +196,7 @@ function connect() {
   $("figures").replaceChildren(...Object.entries(figures).flatMap(([name, value]) => [
     Object.assign(document.createElement("dt"), { textContent: name }),
     Object.assign(document.createElement("dd"), { textContent: value, id: name === "Frame" ? "ms" : `figure-${name}` })]));
-  $("tabs").hidden = !asset.exitant;
+  $("tabs").hidden = !asset.light_field;
   for (const id of ["mode", "exposure", "curve", "backdrop"]) $(id).addEventListener("input", () => schedule());
   $("backdrop").addEventListener("change", () => { if ($("backdrop").value === "2") $("file").click(); });
   $("file").addEventListener("change", async () => {
@@ -241,7 +241,7 @@ async function start() {
   if (typeof DecompressionStream === "undefined") fail("This browser has no DecompressionStream, which the viewer needs.");
   const arrays = await unpackArrays();
   field.load(arrays);
-  if (asset.exitant) walls.load(arrays);
+  if (asset.light_field) walls.load(arrays);
   resetView();
   connect();
   meter();
@@ -253,7 +253,7 @@ async function start() {
     if (wanted.has(name)) $(id).value = wanted.get(name);
   orbit.up = +$("up").value;
   for (const name of ["yaw", "pitch"]) if (wanted.has(name)) orbit[name] = +wanted.get(name) || 0;
-  selectTab(asset.exitant && wanted.get("tab") === "walls" ? "walls" : "lamp");
+  selectTab(asset.light_field && wanted.get("tab") === "walls" ? "walls" : "lamp");
 }
 
 // For programs: linear radiance, transmittance and counts as float32 in base64, bottom row first.

@@ -1,4 +1,4 @@
-// Illuminance of the walls of a box around the lamp, from the exitant light field.
+// Illuminance of the walls of a box around the lamp, from the light field.
 const PATCHES = 64;
 const walls = {
   target: makeTarget(1),
@@ -10,7 +10,7 @@ const walls = {
   prepare() {
     if (this.ready) return;
     const { cells, lit, cell_scale: scale, intensity } = this.arrays;
-    const { depth, resolution } = asset.exitant, bins = resolution ** 2, count = scale.length;
+    const { depth, resolution } = asset.light_field, bins = resolution ** 2, count = scale.length;
     const side = 2 / 2 ** depth, boxes = new Float32Array(8 * count);
     for (let i = 0; i < count; ++i) {
       for (let k = 0; k < 3; ++k) {
@@ -37,7 +37,7 @@ const walls = {
     bindTarget(this.target, 6 * patches, patches);
     draw(this.program, {
       cells: this.cells, intensity: this.intensity, num_cells: int(this.count),
-      bins: int(asset.exitant.resolution), samples: int(samples), patches: int(patches), room,
+      bins: int(asset.light_field.resolution), samples: int(samples), patches: int(patches), room,
     });
     return readTarget(this.target);
   },

@@ -1,4 +1,4 @@
-"""The exitant light field as an emitter: against sums over all cells, and as a part of an asset."""
+"""The light field as an emitter: against sums over all cells, and as a part of an asset."""
 
 import dataclasses
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
-from lumitree.asset.exitant import make_exitant_field, unpack
+from lumitree.asset.asset import light_field_asset
+from lumitree.asset.light_field import make_light_field, unpack
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from support.fields import make_asset, uniform_asset
@@ -26,14 +26,14 @@ def some_light(seed=1, count=24):
     cells = inside[random.choice(len(inside), count, replace=False)]
     intensity = random.exponential(1, (count, RESOLUTION**2, 3))
     intensity *= random.random((count, RESOLUTION**2, 1)) < 0.4
-    return make_exitant_field(cells, intensity, DEPTH)
+    return make_light_field(cells, intensity, DEPTH)
 
 
 @pytest.fixture(scope="module")
 def light(mi):
-    from lumitree.rendering.sampling.light_field import ExitantLight
+    from lumitree.rendering.sampling.light_field import DeviceLightField
 
-    return ExitantLight(some_light(), HALF)
+    return DeviceLightField(some_light(), HALF)
 
 
 def seen_from(mi, light, x, direction):
@@ -241,7 +241,7 @@ def test_nothing_is_sampled_in_vain_far_away_or_along_axes(mi, light):
 
 
 def test_a_field_is_copied_to_the_device_once(mi):
-    asset = exitant_asset(some_light(), LocalFrame(HALF, np.eye(4)), "test")
+    asset = light_field_asset(some_light(), LocalFrame(HALF, np.eye(4)), "test")
     first, second = (
         mi.load_dict(lumitree.shape(asset, place)).emitter() for place in (np.eye(4), TURNED)
     )
@@ -253,7 +253,7 @@ def sphere_like(radiance):
     cells = np.array([[3, 3, 3], [4, 3, 3], [3, 4, 3], [4, 4, 3]])
     cells = np.concatenate([cells, cells + np.array([0, 0, 1])])
     intensity = np.tile(np.asarray(radiance, np.float64), (8, 16, 1))
-    return make_exitant_field(cells, intensity, DEPTH)
+    return make_light_field(cells, intensity, DEPTH)
 
 
 @pytest.mark.parametrize("kind", ["lumitree_path", "path"])
@@ -264,7 +264,7 @@ def sphere_like(radiance):
 def test_a_wall_gets_the_light_of_all_points_of_the_cells(mi, kind, point, normal):
     """An asset of this part alone, turned and scaled, with either integrator."""
     field = sphere_like([4.0, 2.0, 1.0])
-    asset = exitant_asset(field, LocalFrame([1, 1, 1], np.eye(4)), "test")
+    asset = light_field_asset(field, LocalFrame([1, 1, 1], np.eye(4)), "test")
     shape = lumitree.shape(asset, TURNED)
     found, error = irradiance(mi, {"lamp": shape}, point, normal, kind=kind, samples=1 << 18)
     random = np.random.default_rng(0)
@@ -296,7 +296,7 @@ SURFACES = {
 @pytest.mark.parametrize("height", [0.01, 3.0])
 def test_each_surface_gets_the_light_once(mi, bsdf, height):
     """Against uniform sampling of the proxy, whose weights are by direction alone; two lamps."""
-    asset = exitant_asset(some_light(), LocalFrame(HALF, np.eye(4)), "test")
+    asset = light_field_asset(some_light(), LocalFrame(HALF, np.eye(4)), "test")
     to = mi.ScalarTransform4f
     # The lowest point of the first lamp's box is at 0.
     corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1) * HALF[:, None]
@@ -344,7 +344,9 @@ def test_each_surface_gets_the_light_once(mi, bsdf, height):
 
 def test_light_by_way_of_a_mirror_counts_in_full(mi):
     """A wall that gets the lamp's light by a mirror alone: next-event estimation finds none."""
-    asset = exitant_asset(sphere_like([4.0, 2.0, 1.0]), LocalFrame([1, 1, 1], np.eye(4)), "test")
+    asset = light_field_asset(
+        sphere_like([4.0, 2.0, 1.0]), LocalFrame([1, 1, 1], np.eye(4)), "test"
+    )
     to = mi.ScalarTransform4f
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
     mirror = {
@@ -376,11 +378,11 @@ def test_light_by_way_of_a_mirror_counts_in_full(mi):
     assert (np.abs(a - b) < 4 * error).all()
 
 
-def test_a_camera_sees_the_field_and_a_wall_gets_the_exitant_light(mi):
+def test_a_camera_sees_the_field_and_a_wall_gets_the_light_field_light(mi):
     """Directly and by a mirror; nothing counts twice."""
     opaque = uniform_asset(1e4, [1.0, 1.0, 1.0])
-    divided = dataclasses.replace(opaque, exitant=sphere_like([4.0, 2.0, 1.0]))
-    alone = exitant_asset(divided.exitant, divided.frame, "test")
+    divided = dataclasses.replace(opaque, light_field=sphere_like([4.0, 2.0, 1.0]))
+    alone = light_field_asset(divided.light_field, divided.frame, "test")
     place = similarity(np.eye(3), 0.3, [0, 1, 0])
     lamp = {"lamp": lumitree.shape(divided, place)}
     to = mi.ScalarTransform4f
@@ -406,7 +408,7 @@ def test_a_camera_sees_the_field_and_a_wall_gets_the_exitant_light(mi):
     agree(both, irradiance(mi, {"lamp": lumitree.shape(alone, place)}, *wall))
     uniform = {"lamp": lumitree.shape(divided, place, sampling="uniform")}
     agree(irradiance(mi, uniform, *wall, samples=1 << 22), both)
-    # Stock integrators take both from the field, and sample it by the exitant light field.
+    # Stock integrators take both from the field, and sample it by the light field.
     stock = irradiance(mi, lamp, *wall, kind="path")
     agree(stock, irradiance(mi, {"lamp": lumitree.shape(opaque, place)}, *wall))
     assert abs(stock[0][2] / both[0][2] - 1) > 0.1
@@ -417,8 +419,8 @@ def test_light_of_others_passes_the_lamp_as_its_field_lets_it(mi):
     glass = make_asset(
         np.zeros((1, 3)), [1], [0.7], np.full((1, 3, 1), -60.0), law="exponential", tree_depth=1
     )
-    weak = make_exitant_field(np.array([[1, 1, 1]]), np.full((1, 16, 3), 1e-9), 2)
-    divided = dataclasses.replace(glass, exitant=weak)
+    weak = make_light_field(np.array([[1, 1, 1]]), np.full((1, 16, 3), 1e-9), 2)
+    divided = dataclasses.replace(glass, light_field=weak)
     window = {
         "type": "rectangle",
         "to_world": mi.ScalarTransform4f().look_at([0, 0, -3], [0, 0, 0], [0, 1, 0]),

@@ -1,4 +1,4 @@
-"""The exitant light field as a tensor and a description of its file, see docs/format.md.
+"""The light field as a tensor and a description of its file, see docs/format.md.
 
 The tensor is one zlib stream of all arrays, whose sizes are in the description.
 """
@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.exitant import MAX_BINS, ExitantField, TracedPaths
+from lumitree.asset.light_field import MAX_BINS, LightField, TracedPaths
 from lumitree.asset.light_inside import LightInside
 from lumitree.core.reading import Record
 from lumitree.errors import LumitreeError
 
-EXITANT_TENSORS = {"exitant.light": "U8"}
+LIGHT_FIELD_TENSORS = {"light.stream": "U8"}
 _KEYS = ("depth", "resolution", "scale")
 _TRACED_KEYS = ("count", "seeds", "luminaire", "noise")
 # Numbers of rows of the arrays.
@@ -28,7 +28,7 @@ _MAX_BYTES = 1 << 31
 _Layout = tuple[str, Any, tuple[int, ...]]
 
 
-def exitant_tensors(field: ExitantField) -> dict[str, NDArray[Any]]:
+def light_field_tensors(field: LightField) -> dict[str, NDArray[Any]]:
     """Tensors of a field, by name."""
     outer, inner = _layouts(_counts(field), field.resolution)
     compressor, parts = zlib.compressobj(6), []
@@ -37,10 +37,10 @@ def exitant_tensors(field: ExitantField) -> dict[str, NDArray[Any]]:
             array = np.ascontiguousarray(getattr(part, name), dtype)
             parts.append(compressor.compress(array.tobytes()))
     content = b"".join([*parts, compressor.flush()])
-    return {"exitant.light": np.frombuffer(content, np.uint8)}
+    return {"light.stream": np.frombuffer(content, np.uint8)}
 
 
-def exitant_description(field: ExitantField) -> dict[str, Any]:
+def light_field_description(field: LightField) -> dict[str, Any]:
     """What the file states of a field besides its tensors."""
     counts, inside = _counts(field)
     members: dict[str, Any] = {key: getattr(field, key) for key in _KEYS} | counts
@@ -51,8 +51,8 @@ def exitant_description(field: ExitantField) -> dict[str, Any]:
     return members
 
 
-def build_exitant(description: Record, tensors: dict[str, NDArray[Any]]) -> ExitantField:
-    """The field of a file; the inverse of `exitant_tensors` and `exitant_description`.
+def build_light_field(description: Record, tensors: dict[str, NDArray[Any]]) -> LightField:
+    """The field of a file; the inverse of `light_field_tensors` and `light_field_description`.
 
     Args:
         description: what the file states of it.
@@ -69,10 +69,10 @@ def build_exitant(description: Record, tensors: dict[str, NDArray[Any]]) -> Exit
         own.expect_keys(*_INSIDE_COUNTS, "scale")
         inner = _read_counts(own, _INSIDE_COUNTS)
     layouts = _layouts((_read_counts(description, _COUNTS), inner), resolution)
-    arrays, inside_arrays = _decompressed(tensors["exitant.light"], layouts)
+    arrays, inside_arrays = _decompressed(tensors["light.stream"], layouts)
     traced = _build_traced(description.record("traced")) if description.has("traced") else None
     inside = LightInside(**inside_arrays, scale=own.number("scale")) if own is not None else None
-    return ExitantField(
+    return LightField(
         **arrays,
         depth=description.integer("depth"),
         resolution=resolution,
@@ -92,7 +92,7 @@ def _build_traced(description: Record) -> TracedPaths:
     )
 
 
-def _counts(field: ExitantField) -> tuple[dict[str, int], dict[str, int]]:
+def _counts(field: LightField) -> tuple[dict[str, int], dict[str, int]]:
     """Numbers of rows of the arrays of a field, and of its light inside the box, if it has any."""
     outer = {"cells": len(field.cells), "bins": len(field.intensity)}
     if (inside := field.inside) is None:
@@ -147,15 +147,15 @@ def _decompressed(
         math.prod(shape) * np.dtype(dtype).itemsize for part in layouts for _, dtype, shape in part
     ]
     if (size := sum(sizes)) > _MAX_BYTES:
-        raise LumitreeError(f"an exitant light field of {size} bytes (limit {_MAX_BYTES})")
+        raise LumitreeError(f"a light field of {size} bytes (limit {_MAX_BYTES})")
     decompressor = zlib.decompressobj()
     try:
         # No more than is expected, whatever the stream holds.
         content = decompressor.decompress(stream.tobytes(), size + 1)
     except zlib.error as error:
-        raise LumitreeError(f"the exitant light field cannot be decompressed: {error}") from None
+        raise LumitreeError(f"the light field cannot be decompressed: {error}") from None
     if len(content) != size or not decompressor.eof or decompressor.unused_data:
-        raise LumitreeError(f"the exitant light field does not decompress to {size} bytes")
+        raise LumitreeError(f"the light field does not decompress to {size} bytes")
     found: list[dict[str, NDArray[Any]]] = []
     start = 0
     for part in layouts:

@@ -1,4 +1,4 @@
-"""The exitant light field in memory: packed colours, and what is refused."""
+"""The light field in memory: packed colours, and what is refused."""
 
 import dataclasses
 
@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lumitree.asset.exitant import MAX_BINS, ExitantField, make_exitant_field, pack, unpack
+from lumitree.asset.light_field import MAX_BINS, LightField, make_light_field, pack, unpack
 from lumitree.errors import LumitreeError
 from lumitree.octree.build import morton
-from support.exitant_fields import random_exitant
+from support.light_fields import random_light_field
 
 # Half a step of a mantissa of 9 bits, relative to the largest channel. It is largest where rounding
 # carries: from 511.5 steps up the step is twice as large.
@@ -80,7 +80,7 @@ def test_every_packed_number_is_kept():
     assert np.array_equal(unpack(pack(colours)), colours)
 
 
-FIELD = random_exitant(0)
+FIELD = random_light_field(0)
 
 
 def changed(name, index, value):
@@ -143,7 +143,7 @@ def changed(name, index, value):
 def test_what_a_renderer_could_not_use_is_refused(change, message):
     with pytest.raises(LumitreeError, match=message) as caught:
         dataclasses.replace(FIELD, **change)
-    assert str(caught.value).startswith("invalid exitant light field: ")
+    assert str(caught.value).startswith("invalid light field: ")
     assert str(caught.value).isprintable()
 
 
@@ -162,7 +162,7 @@ def test_too_many_bins_are_refused():
     count = MAX_BINS // 128**2 + 1
     # Views of one number: the arrays themselves would be half a gigabyte.
     with pytest.raises(LumitreeError, match=f"{count} cells of 16384 bins"):
-        ExitantField(
+        LightField(
             cells=np.broadcast_to(np.uint8(0), (count, 3)),
             lit=np.broadcast_to(np.uint8(255), (count, 128**2 // 8)),
             intensity=np.zeros(0, np.uint32),
@@ -178,7 +178,7 @@ def test_the_ends_of_the_range_are_accepted(scale):
 
 
 def test_dense_puts_values_where_the_bins_are():
-    field = ExitantField(
+    field = LightField(
         cells=np.array([[0, 0, 0], [1, 1, 1]], np.uint8),
         # The first bin is in the highest bit.
         lit=np.array([[0b10000000, 0b00000001], [0b01000010, 0]], np.uint8),
@@ -204,7 +204,7 @@ def test_a_field_of_intensities():
     intensity[4] = 0
     intensity[4, 17, 2] = 1
     intensity[0, 5] = 0
-    field = make_exitant_field(cells, intensity, 2)
+    field = make_light_field(cells, intensity, 2)
     # The dark cell is left out; the others are in Morton order.
     assert field.cells.tolist() == [[0, 0, 0], [0, 1, 0], [3, 0, 1], [2, 2, 2]]
     assert (np.diff(morton(field.cells)) > 0).all()
@@ -224,34 +224,34 @@ def test_light_too_dim_for_a_packed_number_is_left_out():
     """A cell whose bins are all rounded to 0 must not stay as a cell without light."""
     intensity = np.full((2, 16, 3), 1e-13)
     intensity[0] = 1
-    field = make_exitant_field(np.array([[1, 1, 1], [0, 0, 0]]), intensity, 1)
+    field = make_light_field(np.array([[1, 1, 1], [0, 0, 0]]), intensity, 1)
     assert field.cells.tolist() == [[1, 1, 1]]
 
 
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (0.0, "largest exitant intensity is 0.0; expected light"),
-        (np.nan, "largest exitant intensity is nan"),
-        (np.inf, "largest exitant intensity is inf"),
-        (-1.0, "largest exitant intensity is 0.0"),
+        (0.0, "largest intensity is 0.0; expected light"),
+        (np.nan, "largest intensity is nan"),
+        (np.inf, "largest intensity is inf"),
+        (-1.0, "largest intensity is 0.0"),
         (1e16, "scale 1e"),
         (1e-16, "scale 1e"),
     ],
 )
 def test_intensities_out_of_range_are_refused(value, message):
     with pytest.raises(LumitreeError, match=message):
-        make_exitant_field(np.array([[0, 0, 0]]), np.full((1, 16, 3), value), 1)
+        make_light_field(np.array([[0, 0, 0]]), np.full((1, 16, 3), value), 1)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1e-3])
 def test_one_intensity_out_of_range_is_refused(value):
     intensity = np.ones((2, 16, 3))
     intensity[1, 7, 2] = value
-    with pytest.raises(LumitreeError, match=r"the (largest|smallest) exitant intensity is"):
-        make_exitant_field(np.array([[0, 0, 0], [1, 0, 0]]), intensity, 1)
+    with pytest.raises(LumitreeError, match=r"the (largest|smallest) intensity is"):
+        make_light_field(np.array([[0, 0, 0], [1, 0, 0]]), intensity, 1)
 
 
 def test_no_cells_are_refused():
     with pytest.raises(LumitreeError, match="expected light"):
-        make_exitant_field(np.zeros((0, 3), np.int64), np.zeros((0, 16, 3)), 1)
+        make_light_field(np.zeros((0, 3), np.int64), np.zeros((0, 16, 3)), 1)

@@ -1,22 +1,22 @@
-"""Small exitant light fields that several tests share."""
+"""Small light fields that several tests share."""
 
 import dataclasses
 
 import numpy as np
 
-from lumitree.asset.exitant import ExitantField, TracedPaths, make_exitant_field, pack
+from lumitree.asset.light_field import LightField, TracedPaths, make_light_field, pack
 from lumitree.asset.light_inside import LightInside
 from lumitree.octree.build import morton
 
 
-def random_exitant(
+def random_light_field(
     seed: int,
     *,
     depth: int = 2,
     resolution: int = 4,
     count: int = 5,
     traced: TracedPaths | None = None,
-) -> ExitantField:
+) -> LightField:
     """A field of `count` random cells; about half of each cell's bins emit."""
     random = np.random.default_rng(seed)
     side = 1 << depth
@@ -25,10 +25,10 @@ def random_exitant(
     intensity = random.exponential(3.0, (count, resolution**2, 3))
     intensity *= random.random((count, resolution**2, 1)) < 0.5
     intensity[:, 0] = 1
-    return make_exitant_field(cells, intensity, depth, traced)
+    return make_light_field(cells, intensity, depth, traced)
 
 
-def random_inside(seed: int, field: ExitantField) -> LightInside:
+def random_inside(seed: int, field: LightField) -> LightInside:
     """Light inside the box for a field: two more cells, light that ends in half of the entries."""
     random = np.random.default_rng(seed)
     side, coarse = 1 << field.depth, field.resolution // 2
@@ -57,12 +57,12 @@ def random_inside(seed: int, field: ExitantField) -> LightInside:
     )
 
 
-def with_inside(seed: int, field: ExitantField) -> ExitantField:
+def with_inside(seed: int, field: LightField) -> LightField:
     """A field with light inside its box."""
     return dataclasses.replace(field, inside=random_inside(seed, field))
 
 
-def assert_equal_fields(first: ExitantField, second: ExitantField) -> None:
+def assert_equal_fields(first: LightField, second: LightField) -> None:
     """Both hold the same numbers, of the same types."""
     for name in ("cells", "lit", "intensity"):
         one, other = getattr(first, name), getattr(second, name)

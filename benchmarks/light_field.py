@@ -1,10 +1,10 @@
-"""Irradiance error of exitant light fields against their bytes and the time of their bake.
+"""Irradiance error of light fields against their bytes and the time of their bake.
 
-    python -m benchmarks exitant [LUMINAIRE ...]
+    python -m benchmarks light_field [LUMINAIRE ...]
 
-Writes `exitant.md`, `exitant.json` and `exitant.png`. For each luminaire and each grid: seconds of
-the bake, bytes, and the error of the irradiance on the six faces of a cube around the lamp and on a
-plane that touches its box, against independent light paths. The baseline is the grid
+Writes `light_field.md`, `light_field.json` and `light_field.png`. For each luminaire and each grid:
+seconds of the bake, bytes, and the error of the irradiance on the six faces of a cube around the
+lamp and on a plane that touches its box, against independent light paths. The baseline is the grid
 of two cells a side, whose RMS error is the unit of the last column.
 """
 
@@ -31,28 +31,28 @@ REFERENCE_PATHS = 1 << 22
 
 def measure(name: str, options: argparse.Namespace) -> list[dict]:
     """A row for each grid."""
-    from lumitree.asset.asset import exitant_asset
-    from lumitree.fit.light_field.bake import bake_exitant
+    from lumitree.asset.asset import light_field_asset
+    from lumitree.fit.light_field.bake import bake_light_field
     from lumitree.lamp.luminaire import load_luminaire
     from lumitree.measure.irradiance import (
         asset_irradiance,
         irradiance_error,
         luminaire_irradiance,
     )
-    from lumitree.trace.light_field_config import ExitantConfig
+    from lumitree.trace.light_field_config import LightFieldFitConfig
 
     luminaire = load_luminaire(name)
     reference = luminaire_irradiance(luminaire, REFERENCE_PATHS, seed=options.seed + 1)
     rows = []
     for depth, resolution in GRIDS:
-        config = ExitantConfig(
+        config = LightFieldFitConfig(
             paths=options.paths, depth=depth, resolution=resolution, seed=options.seed
         )
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
-            field = bake_exitant(luminaire, config, Path(folder))
+            field = bake_light_field(luminaire, config, Path(folder))
             seconds = time.perf_counter() - start
-        asset = exitant_asset(field, luminaire.frame, luminaire.name)
+        asset = light_field_asset(field, luminaire.frame, luminaire.name)
         error = irradiance_error(asset_irradiance(asset, REFERENCE_PATHS), reference)
         rows.append(
             {
@@ -134,8 +134,8 @@ def run(options: argparse.Namespace) -> None:
     for name in options.luminaires:
         rows += measure(name, options)
         facts = results.setting()
-        text = f"# Exitant light fields\n\n{table(rows).markdown()}\n{notes(facts)}"
+        text = f"# Light fields\n\n{table(rows).markdown()}\n{notes(facts)}"
         results.write({"setting": facts, "rows": rows}, text)
         print(f"measured {name}", file=sys.stderr)
-    draw(rows, results.folder / "exitant.png")
+    draw(rows, results.folder / "light.png")
     print(table(rows).text())

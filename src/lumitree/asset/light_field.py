@@ -1,4 +1,4 @@
-"""The exitant light field of a luminaire: what it sends to receivers outside its box.
+"""The light field of a luminaire: what it sends to receivers outside its box.
 
 With `lumitree.asset.light_inside` it also lights receivers inside.
 
@@ -21,7 +21,7 @@ from lumitree.core.seeds import MAX_SEED
 from lumitree.errors import LumitreeError, shown
 from lumitree.octree.build import morton
 
-_WHAT = "exitant light field"
+_WHAT = "light field"
 _expect = functools.partial(expect, _WHAT)
 # A cell is named by 10 bits a coordinate, and a device array of all bins holds at most 2³¹.
 MAX_DEPTH, MAX_RESOLUTION = 7, 128
@@ -41,7 +41,7 @@ EXPONENT_OF_ONE = _MANTISSA_BITS + _EXPONENT_OFFSET - 1
 
 @dataclasses.dataclass(frozen=True)
 class TracedPaths:
-    """The light paths that an exitant light field was estimated from.
+    """The light paths that a light field was estimated from.
 
     Attributes:
         count: number of paths that were started, 1 to 2⁵⁰.
@@ -87,7 +87,7 @@ class TracedPaths:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class ExitantField:
+class LightField:
     """Radiant intensity by direction of the cells of a grid over the cube [-1, 1]³.
 
     A cell stands for all light whose last vertex inside the luminaire is in it. Occlusion,
@@ -150,7 +150,7 @@ class ExitantField:
 
     def __repr__(self) -> str:
         return (
-            f"ExitantField({len(self.cells):,} cells of {self.resolution**2:,} directions, "
+            f"LightField({len(self.cells):,} cells of {self.resolution**2:,} directions, "
             f"{self.num_bytes:,} bytes)"
         )
 
@@ -165,13 +165,13 @@ class ExitantField:
         return dense(self.lit, self.resolution**2, values)
 
 
-def make_exitant_field(
+def make_light_field(
     cells: NDArray[np.integer],
     intensity: NDArray[np.floating],
     depth: int,
     traced: TracedPaths | None = None,
-) -> ExitantField:
-    """An exitant light field from the intensities of all bins.
+) -> LightField:
+    """A light field from the intensities of all bins.
 
     Args:
         cells: [C, 3] coordinates, each once, in any order; those that emit nothing are left out.
@@ -185,15 +185,15 @@ def make_exitant_field(
     bins = intensity.shape[1]
     scale = float(intensity.max(initial=0))
     if not (np.isfinite(scale) and scale > 0):
-        raise LumitreeError(f"the largest exitant intensity is {scale}; expected light")
+        raise LumitreeError(f"the largest intensity is {scale}; expected light")
     if (least := float(intensity.min())) < 0:
-        raise LumitreeError(f"the smallest exitant intensity is {least}; expected 0 or more")
+        raise LumitreeError(f"the smallest intensity is {least}; expected 0 or more")
     packed = pack_lit(intensity, scale)
     emits = np.flatnonzero(packed.any(axis=1))
     emits = emits[np.argsort(morton(cells[emits]))]
     packed = packed[emits]
     lit = packed > 0
-    return ExitantField(
+    return LightField(
         cells=cells[emits].astype(np.uint8),
         lit=np.packbits(lit, axis=1),
         intensity=packed[lit],
@@ -241,7 +241,7 @@ def unpack(packed: NDArray[np.uint32]) -> NDArray[np.float64]:
     return np.ldexp(np.stack(mantissas, axis=-1).astype(np.float64), shift[..., None])
 
 
-def _check_scalars(field: ExitantField) -> None:
+def _check_scalars(field: LightField) -> None:
     depth, resolution = field.depth, field.resolution
     _expect(
         type(depth) is int and 1 <= depth <= MAX_DEPTH,

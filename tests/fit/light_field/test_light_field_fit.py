@@ -1,4 +1,4 @@
-"""The bake of the exitant light field against closed forms, and its saved state."""
+"""The bake of the light field against closed forms, and its saved state."""
 
 import dataclasses
 import os
@@ -7,24 +7,24 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
-from lumitree.asset.exitant import unpack
+from lumitree.asset.asset import light_field_asset
 from lumitree.asset.file import save
+from lumitree.asset.light_field import unpack
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.progress import reporting
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.light_field import bake as module
-from lumitree.fit.light_field.bake import bake_exitant
-from lumitree.fit.light_field.saved_field import EXITANT_STATE
+from lumitree.fit.light_field.bake import bake_light_field
+from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.trace.lamp_rays import LampRays
-from lumitree.trace.light_field_config import ExitantConfig
+from lumitree.trace.light_field_config import LightFieldFitConfig
 from lumitree.trace.light_paths import trace_light
 from lumitree.trace.tracing import PATH_DEPTH
-from support.exitant_fields import assert_equal_fields
 from support.lamps import AREA, cube, lamp_of, sphere
+from support.light_fields import assert_equal_fields
 
-CONFIG = ExitantConfig(paths=1 << 18, batch=1 << 17, depth=2, resolution=16)
+CONFIG = LightFieldFitConfig(paths=1 << 18, batch=1 << 17, depth=2, resolution=16)
 RADIANCE = np.array([3.0, 2.0, 1.0])
 BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>'
 
@@ -46,7 +46,7 @@ def ball(mi, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def field(ball, tmp_path_factory):
-    return bake_exitant(ball, CONFIG, tmp_path_factory.mktemp("state"))
+    return bake_light_field(ball, CONFIG, tmp_path_factory.mktemp("state"))
 
 
 def intensities(field):
@@ -86,7 +86,7 @@ def test_the_flux_of_the_paths_is_conserved(mi, ball, field):
     expected = np.zeros((3, 256))
     for step in range(2):
         sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(SeedStream(Purpose.EXITANT, step).seed(0), CONFIG.batch)
+        sampler.seed(SeedStream(Purpose.LIGHT_FIELD, step).seed(0), CONFIG.batch)
         paths = trace_light(ball, sampler, CONFIG.batch, PATH_DEPTH, all_light=True)
         bins = np.array(bin_of(paths.direction, 16))
         for channel, light in enumerate(np.array(paths.flux, np.float64)):
@@ -126,7 +126,7 @@ def test_a_sphere_emits_alike_into_all_directions(mi, field):
 def test_a_flat_emitter_follows_the_cosine(mi, tmp_path):
     """The intensity of a square of area A is L A cos θ downwards, and 0 upwards."""
     lamp = lamp_of(tmp_path, rectangle(0.1, 0.5, AREA), rectangle(1, 1, BLACK))
-    field = bake_exitant(lamp, dataclasses.replace(CONFIG, paths=1 << 19), tmp_path)
+    field = bake_light_field(lamp, dataclasses.replace(CONFIG, paths=1 << 19), tmp_path)
     found = intensities(field).sum(axis=0) * lamp.frame.scale**2
     down = -directions(mi, 16)[..., 2]
     expected = 0.2**2 * RADIANCE * np.maximum(down, 0).mean(axis=1)[:, None]
@@ -147,7 +147,7 @@ def test_an_occluder_in_the_box_leaves_no_light_behind_it(mi, tmp_path):
     plate = cube("plate", (0.5, 0.5, 0.01), (0, 0, -0.01), BLACK)
     lamp = lamp_of(tmp_path, rectangle(0.1, 0.5, AREA), plate)
     config = dataclasses.replace(CONFIG, resolution=32)
-    field = bake_exitant(lamp, config, tmp_path)
+    field = bake_light_field(lamp, config, tmp_path)
     found = intensities(field).sum(axis=0) * lamp.frame.scale**2
     towards = directions(mi, 32, fine=8)
     down = np.maximum(-towards[..., 2], 1e-9)
@@ -168,7 +168,7 @@ def test_light_through_glass_starts_at_the_glass(mi, tmp_path):
     glass = '<bsdf type="thindielectric"/>'
     lamp = lamp_of(tmp_path, sphere("bulb", 0.1, inside=AREA), cube("shade", 1, inside=glass))
     config = dataclasses.replace(CONFIG, depth=3)
-    field = bake_exitant(lamp, config, tmp_path)
+    field = bake_light_field(lamp, config, tmp_path)
     outer = ((field.cells == 0) | (field.cells == 7)).any(axis=1)
     light = flux(field).sum(axis=(1, 2))
     assert light[~outer].sum() == 0
@@ -177,13 +177,13 @@ def test_light_through_glass_starts_at_the_glass(mi, tmp_path):
 
 
 def content(field, lamp, path):
-    save(exitant_asset(field, lamp.frame, lamp.name), path)
+    save(light_field_asset(field, lamp.frame, lamp.name), path)
     return path.read_bytes()
 
 
 def test_equal_seeds_give_equal_bytes(ball, field, tmp_path):
     again, other = (
-        bake_exitant(ball, dataclasses.replace(CONFIG, seed=seed), tmp_path) for seed in (0, 1)
+        bake_light_field(ball, dataclasses.replace(CONFIG, seed=seed), tmp_path) for seed in (0, 1)
     )
     files = [content(each, ball, tmp_path / "x.lumitree") for each in (field, again, other)]
     assert files[0] == files[1]
@@ -192,7 +192,7 @@ def test_equal_seeds_give_equal_bytes(ball, field, tmp_path):
 
 def test_seeds_agree_within_their_noise(ball, field, tmp_path):
     """All paths of a bare sphere have the same flux, so that bins hold counts of paths."""
-    other = bake_exitant(ball, dataclasses.replace(CONFIG, seed=1), tmp_path)
+    other = bake_light_field(ball, dataclasses.replace(CONFIG, seed=1), tmp_path)
     assert np.array_equal(field.cells, other.cells)
     each = 4 * np.pi**2 * RADIANCE[0] / CONFIG.paths
     counts = [flux(one)[..., 0].ravel() / each for one in (field, other)]
@@ -210,8 +210,8 @@ def test_seeds_agree_within_their_noise(ball, field, tmp_path):
 @pytest.mark.parametrize("batch", [1 << 15, 1 << 20])
 def test_the_flux_does_not_depend_on_the_batches(ball, tmp_path, batch):
     """Also if the paths do not fill the last one."""
-    config = ExitantConfig(paths=(1 << 16) + 1, batch=batch, depth=2, resolution=16)
-    found = flux(bake_exitant(ball, config, tmp_path)).sum(axis=(0, 1))
+    config = LightFieldFitConfig(paths=(1 << 16) + 1, batch=batch, depth=2, resolution=16)
+    found = flux(bake_light_field(ball, config, tmp_path)).sum(axis=(0, 1))
     assert found == pytest.approx(4 * np.pi**2 * RADIANCE, rel=1e-3)
 
 
@@ -219,9 +219,9 @@ def test_a_luminaire_without_light_is_refused(mi, tmp_path):
     lamp = lamp_of(tmp_path, sphere("bulb", 0.2, inside=AREA), cube("shell", 1, inside=BLACK))
     message = r"^no light leaves .*lamp; look for emitters"
     with pytest.raises(lumitree.LumitreeError, match=message) as caught:
-        bake_exitant(lamp, CONFIG, tmp_path)
+        bake_light_field(lamp, CONFIG, tmp_path)
     assert str(caught.value).isprintable()
-    assert not (tmp_path / EXITANT_STATE).exists()
+    assert not (tmp_path / LIGHT_FIELD_STATE).exists()
 
 
 @pytest.fixture
@@ -239,11 +239,11 @@ def traced(monkeypatch):
 
 
 def test_an_equal_call_returns_the_saved_field(ball, field, tmp_path, traced):
-    first = bake_exitant(ball, CONFIG, tmp_path)
+    first = bake_light_field(ball, CONFIG, tmp_path)
     assert traced == [2]
-    assert os.listdir(tmp_path) == [EXITANT_STATE]
+    assert os.listdir(tmp_path) == [LIGHT_FIELD_STATE]
     assert_equal_fields(first, field)
-    assert_equal_fields(bake_exitant(ball, CONFIG, tmp_path), first)
+    assert_equal_fields(bake_light_field(ball, CONFIG, tmp_path), first)
     assert traced == [2]
 
 
@@ -251,41 +251,41 @@ def test_an_equal_call_returns_the_saved_field(ball, field, tmp_path, traced):
     "change", [{"seed": 1}, {"paths": 1 << 17}, {"depth": 3}, {"resolution": 8}]
 )
 def test_another_setting_is_traced(ball, tmp_path, traced, change):
-    bake_exitant(ball, CONFIG, tmp_path)
+    bake_light_field(ball, CONFIG, tmp_path)
     before, config = traced[0], dataclasses.replace(CONFIG, **change)
-    field = bake_exitant(ball, config, tmp_path)
+    field = bake_light_field(ball, config, tmp_path)
     assert traced[0] > before
     assert (field.depth, field.resolution) == (config.depth, config.resolution)
 
 
 def test_another_luminaire_is_traced(ball, field, tmp_path, traced):
-    bake_exitant(ball, CONFIG, tmp_path)
+    bake_light_field(ball, CONFIG, tmp_path)
     brighter = AREA.replace("3,2,1", "6,4,2")
     (tmp_path / "other").mkdir()
     lamp = lamp_of(tmp_path / "other", sphere("ball", 0.5, (1, 2, 3), inside=brighter))
-    found = bake_exitant(lamp, CONFIG, tmp_path)
+    found = bake_light_field(lamp, CONFIG, tmp_path)
     assert traced == [4]
     assert found.scale == pytest.approx(2 * field.scale, rel=1e-6)
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "empty", "text", "plain", "other"])
 def test_a_damaged_saved_field_is_ignored(ball, field, tmp_path, traced, damage):
-    bake_exitant(ball, CONFIG, tmp_path)
-    path = tmp_path / EXITANT_STATE
+    bake_light_field(ball, CONFIG, tmp_path)
+    path = tmp_path / LIGHT_FIELD_STATE
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 4
     if damage == "plain":
-        # An asset of that name without an exitant light field.
+        # An asset of that name without a light field.
         plain = lumitree.load(path)
-        save(dataclasses.replace(plain, exitant=None), path)
+        save(dataclasses.replace(plain, light_field=None), path)
     elif damage == "other":
-        save(exitant_asset(field, ball.frame, ball.name), path)
+        save(light_field_asset(field, ball.frame, ball.name), path)
     else:
         path.write_bytes({"flip": data, "cut": data[:-1], "empty": b"", "text": b"no"}[damage])
-    assert_equal_fields(bake_exitant(ball, CONFIG, tmp_path), field)
+    assert_equal_fields(bake_light_field(ball, CONFIG, tmp_path), field)
     assert traced == [4]
     # It has been replaced.
-    assert_equal_fields(bake_exitant(ball, CONFIG, tmp_path), field)
+    assert_equal_fields(bake_light_field(ball, CONFIG, tmp_path), field)
     assert traced == [4]
 
 
@@ -293,7 +293,7 @@ def test_progress_counts_batches(ball, tmp_path, monkeypatch):
     monkeypatch.setattr("lumitree.core.progress._QUIET_SECONDS", 0)
     seen = []
     with reporting(seen.append):
-        bake_exitant(ball, dataclasses.replace(CONFIG, batch=1 << 16), tmp_path)
+        bake_light_field(ball, dataclasses.replace(CONFIG, batch=1 << 16), tmp_path)
     assert [(entry.done, entry.total) for entry in seen][-1] == (4, 4)
     assert seen[-1].finished
 
@@ -303,8 +303,8 @@ def test_progress_counts_batches(ball, tmp_path, monkeypatch):
     [
         ({"paths": 0}, "light paths is 0"),
         ({"paths": 1 << 33}, "light paths is"),
-        ({"depth": 0}, "depth of the exitant light field is 0"),
-        ({"depth": 8}, "depth of the exitant light field is 8"),
+        ({"depth": 0}, "depth of the light field is 0"),
+        ({"depth": 8}, "depth of the light field is 8"),
         ({"resolution": 2}, "bins of direction a side is 2"),
         ({"resolution": 256}, "bins of direction a side is 256"),
         ({"resolution": 24}, "bins of direction a side is 24"),

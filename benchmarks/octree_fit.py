@@ -1,10 +1,10 @@
 """Error of bakes on held-out views, as the gain over an all-black image.
 
-    python -m benchmarks direct NAME ... --references FOLDER
+    python -m benchmarks octree_fit NAME ... --references FOLDER
 
 Bakes every luminaire by each `--method`, evaluates it on the views of its name in each folder of
-`--references` (see `lumitree capture --split test`), and puts the rows into `direct.md` and
-`direct.json`, in place of earlier rows of the same luminaire, method and resolution; all others
+`--references` (see `lumitree capture --split test`), and puts the rows into `octree_fit.md` and
+`octree_fit.json`, in place of earlier rows of the same luminaire, method and resolution; all others
 stay, with the commit they were measured at. The baseline is an all-black image on the same views.
 """
 
@@ -52,7 +52,7 @@ def measure(name: str, method: str, options: argparse.Namespace, folder: Path) -
             asset,
             dataclasses.replace(
                 QUALITIES[cast(Quality, method)],
-                parts=("exitant", "field"),
+                parts=("light", "field"),
                 irradiance_paths=0,
                 seed=options.seed,
             ),
@@ -126,7 +126,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--method",
         action="append",
         choices=["preview", "standard", "high", NETWORK],
-        help="quality of the direct bake, or the network; may be repeated (default: standard)",
+        help="quality of the octree fit, or the network; may be repeated (default: standard)",
     )
     add_seed(parser)
 

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.asset import exitant_asset
+from lumitree.asset.asset import light_field_asset
 from lumitree.asset.file import save
 from lumitree.cli import main
 from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.errors import LumitreeError
-from lumitree.fit.light_field import bake as exitant_bake
-from lumitree.fit.light_field.saved_field import EXITANT_STATE
+from lumitree.fit.light_field import bake as light_field_bake
+from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.lamp.luminaire import load_luminaire
 from support import tiny_bakes
-from support.exitant_fields import assert_equal_fields, random_exitant
 from support.fields import random_asset
 from support.lamps import AREA, cube, scene, sphere
+from support.light_fields import assert_equal_fields, random_light_field
 from support.tiny_bakes import standard
 
 # A radiance field of a second; most of the time is its first estimate.
@@ -39,30 +39,33 @@ def folder(mi, tmp_path, monkeypatch):
 
 @pytest.fixture
 def untraced(monkeypatch):
-    """Fails a test that bakes an exitant light field."""
+    """Fails a test that bakes a light field."""
 
     def refuse(*_, **__):
-        raise AssertionError("light paths of an exitant light field are traced")
+        raise AssertionError("light paths of a light field are traced")
 
-    monkeypatch.setattr(exitant_bake, "bake_exitant", refuse)
+    monkeypatch.setattr(light_field_bake, "bake_light_field", refuse)
 
 
-def test_the_exitant_light_field_alone(tmp_path):
-    baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["exitant"]))
+def test_the_light_field_alone(tmp_path):
+    baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light"]))
     asset = baked.asset
     assert (asset.info.leaves, asset.info.nodes) == (0, 1)
-    assert asset.info.exitant_cells == len(asset.exitant.cells) > 10
+    assert asset.info.light_field_cells == len(asset.light_field.cells) > 10
     config = tiny_bakes.LIGHT_FIELD
-    assert (asset.exitant.depth, asset.exitant.resolution) == (config.depth, config.resolution)
+    assert (asset.light_field.depth, asset.light_field.resolution) == (
+        config.depth,
+        config.resolution,
+    )
     assert asset.luminaire == load_luminaire("lamp.xml").name
     assert asset.frame.size == pytest.approx([2, 1, 1])
-    assert set(baked.seconds) == {"exitant", "irradiance"}
+    assert set(baked.seconds) == {"light", "irradiance"}
     assert baked.held_out_psnr is baked.rays is baked.stopped_by is None
     json.dumps(baked.to_json(), allow_nan=False)
     # Neither the folder nor the state is left.
     assert sorted(os.listdir()) == ["lamp.lumitree", "lamp.xml"]
     again = lumitree.load(baked.path)
-    assert_equal_fields(again.exitant, asset.exitant)
+    assert_equal_fields(again.light_field, asset.light_field)
     lumitree.save(again, "again.lumitree")
     assert (tmp_path / "again.lumitree").read_bytes() == baked.path.read_bytes()
     # It hides nothing and shows nothing to rays.
@@ -72,52 +75,52 @@ def test_the_exitant_light_field_alone(tmp_path):
 
 def test_equal_calls_give_equal_files(tmp_path):
     for name, seed in (("a", 3), ("b", 3), ("c", 4)):
-        lumitree.bake("lamp.xml", f"{name}.lumitree", standard(parts=["exitant"], seed=seed))
+        lumitree.bake("lamp.xml", f"{name}.lumitree", standard(parts=["light"], seed=seed))
     files = [(tmp_path / f"{name}.lumitree").read_bytes() for name in "abc"]
     assert files[0] == files[1] != files[2]
 
 
 def test_the_field_alone(untraced):
     baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["field"]))
-    assert baked.asset.exitant is None
-    assert baked.asset.info.exitant_cells == 0
+    assert baked.asset.light_field is None
+    assert baked.asset.info.light_field_cells == 0
     assert baked.asset.info.leaves > 10
     assert set(baked.seconds) == {"bake", "irradiance"}
-    assert lumitree.load("lamp.lumitree").exitant is None
+    assert lumitree.load("lamp.lumitree").light_field is None
 
 
 def test_both_parts_and_their_refinement():
-    """Each part is that of a bake of it alone, and `refine` keeps the exitant light field."""
+    """Each part is that of a bake of it alone, and `refine` keeps the light field."""
     both = lumitree.bake("lamp.xml", "both.lumitree", work="state")
-    assert set(both.seconds) == {"exitant", "bake", "irradiance"}
-    assert EXITANT_STATE in os.listdir("state")
-    alone = lumitree.bake("lamp.xml", config=standard(parts=("exitant",))).asset
-    assert_equal_fields(both.asset.exitant, alone.exitant)
+    assert set(both.seconds) == {"light", "bake", "irradiance"}
+    assert LIGHT_FIELD_STATE in os.listdir("state")
+    alone = lumitree.bake("lamp.xml", config=standard(parts=("light",))).asset
+    assert_equal_fields(both.asset.light_field, alone.light_field)
     field = lumitree.bake("lamp.xml", config=standard(parts={"field"})).asset
     for name in ("children", "density", "coefficients"):
         assert np.array_equal(getattr(both.asset, name), getattr(field, name))
     refined = lumitree.refine("both.lumitree", "lamp.xml", "refined.lumitree", rays=1 << 14)
-    assert_equal_fields(refined.asset.exitant, alone.exitant)
-    assert_equal_fields(lumitree.load("refined.lumitree").exitant, alone.exitant)
+    assert_equal_fields(refined.asset.light_field, alone.light_field)
+    assert_equal_fields(lumitree.load("refined.lumitree").light_field, alone.light_field)
     assert refined.asset.info.leaves >= field.info.leaves
     plain = lumitree.refine(field, "lamp.xml", rays=1 << 14)
-    assert plain.asset.exitant is None
+    assert plain.asset.light_field is None
 
 
 def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
-    first = lumitree.bake("lamp.xml", config=standard(parts=["exitant"]), work="state").asset
+    first = lumitree.bake("lamp.xml", config=standard(parts=["light"]), work="state").asset
 
     def refuse(*_, **__):
         raise AssertionError("light paths are traced")
 
-    monkeypatch.setattr(exitant_bake, "LampRays", refuse)
-    again = lumitree.bake("lamp.xml", config=standard(parts=["exitant"]), work="state").asset
-    assert_equal_fields(again.exitant, first.exitant)
+    monkeypatch.setattr(light_field_bake, "LampRays", refuse)
+    again = lumitree.bake("lamp.xml", config=standard(parts=["light"]), work="state").asset
+    assert_equal_fields(again.light_field, first.light_field)
     with pytest.raises(AssertionError, match="light paths are traced"):
-        lumitree.bake("lamp.xml", config=standard(parts=["exitant"], seed=1), work="state")
+        lumitree.bake("lamp.xml", config=standard(parts=["light"], seed=1), work="state")
 
 
-@pytest.mark.parametrize("parts", [("exitant", "field", "model"), ("field",)])
+@pytest.mark.parametrize("parts", [("light", "field", "model"), ("field",)])
 def test_a_bake_gets_the_flux_and_the_colour_that_are_asked_for(parts, capsys):
     """All parts are those of a bake without them, but for the gain, which later calls keep."""
     from lumitree.rendering.asset_flux import asset_watts
@@ -128,7 +131,7 @@ def test_a_bake_gets_the_flux_and_the_colour_that_are_asked_for(parts, capsys):
     assert np.array_equal(warm.asset.coefficients, plain.asset.coefficients)
     assert warm.asset.parts == plain.asset.parts
     watts = asset_watts(warm.asset)
-    exact = 1e-6 if "exitant" in parts else 0.01
+    exact = 1e-6 if "light" in parts else 0.01
     assert luminance(watts) == pytest.approx(800, rel=exact)
     assert colour_temperature(watts)[0] == pytest.approx(2700, rel=0.001 + exact)
     # The comparison with the luminaire is that of its own light.
@@ -144,7 +147,7 @@ def test_a_bake_gets_the_flux_and_the_colour_that_are_asked_for(parts, capsys):
 
 
 def test_a_colour_that_a_lamp_cannot_have_is_refused_at_once(monkeypatch):
-    from lumitree.fit.octree import bake as direct
+    from lumitree.fit.octree import bake as octree_fit
 
     red = AREA.replace("3,2,1", "3,0,0")
     with open("red.xml", "w") as file:
@@ -153,7 +156,7 @@ def test_a_colour_that_a_lamp_cannot_have_is_refused_at_once(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("a field is baked")
 
-    monkeypatch.setattr(direct, "bake", refuse)
+    monkeypatch.setattr(octree_fit, "bake", refuse)
     with pytest.raises(lumitree.LumitreeError, match="emits no green light, which 2700 K has"):
         lumitree.bake("red.xml", "red.lumitree", standard(temperature=2700.0))
     with pytest.raises(lumitree.LumitreeError, match="lumens is 0"):
@@ -165,11 +168,11 @@ def test_a_colour_that_a_lamp_cannot_have_is_refused_at_once(monkeypatch):
     ("parts", "message"),
     [
         ((), r"^parts are none; expected"),
-        (["nonsense"], "part is 'nonsense'; expected exitant, field"),
-        (["exitant", "nonsense"], "part is 'nonsense'; expected exitant, field"),
-        ("exitant", "part is 'e'; expected exitant, field"),
-        ([""], "part is ''; expected exitant, field"),
-        ([None], "part is None; expected exitant, field"),
+        (["nonsense"], "part is 'nonsense'; expected light, field"),
+        (["light", "nonsense"], "part is 'nonsense'; expected light, field"),
+        ("light", "part is 'l'; expected light, field"),
+        ([""], "part is ''; expected light, field"),
+        ([None], "part is None; expected light, field"),
     ],
 )
 def test_unknown_and_empty_parts_are_refused_before_any_work(untraced, parts, message):
@@ -182,11 +185,11 @@ def test_unknown_and_empty_parts_are_refused_before_any_work(untraced, parts, me
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ("exitant,nonsense", "part is 'nonsense'; expected exitant, field"),
+        ("light,nonsense", "part is 'nonsense'; expected light, field"),
         ("nonsense", "part is 'nonsense'"),
         ("", "part is ''"),
-        ("exitant,", "part is ''"),
-        ("exitant, field", "part is ' field'"),
+        ("light_field,", "part is ''"),
+        ("light_field, field", "part is ' field'"),
         ("\x1b[2J\n", r"part is '\x1b[2J\n'"),
     ],
 )
@@ -202,32 +205,32 @@ def test_a_command_refuses_unknown_parts(capsys, untraced, parts, message):
 
 
 def test_a_command_bakes_one_part(capsys):
-    command = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "exitant"]
+    command = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "light"]
     assert main([*command, "--json", "report.json"]) == 0
     assert capsys.readouterr().err == ""
     asset = lumitree.load("lamp.lumitree")
-    assert asset.exitant is not None
+    assert asset.light_field is not None
     assert asset.num_leaves == 0
     assert main(["info", "lamp.lumitree", "--json", "info.json"]) == 0
     with open("info.json") as file:
-        assert f'"exitant_cells": {asset.info.exitant_cells}' in file.read()
+        assert f'"light_field_cells": {asset.info.light_field_cells}' in file.read()
 
 
 def test_datasets_have_a_field_only(untraced, capsys):
     views = {"num_views": 6, "resolution": 24, "samples_per_pixel": 4}
     lumitree.capture("lamp.xml", "views", **views)
     baked = lumitree.bake_views("views", "lamp.lumitree")
-    assert baked.asset.exitant is None
+    assert baked.asset.light_field is None
     assert baked.irradiance is None
     assert baked.asset.info.leaves > 0
     with pytest.raises(lumitree.LumitreeError, match="dataset, not a luminaire"):
         lumitree.bake("views")
-    for parts in ("exitant", "exitant,field"):
+    for parts in ("light", "light,field"):
         assert main(["bake", "views", "-o", "lamp.lumitree", "--parts", parts]) == 2
         assert "is a dataset, of which only the part field" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("parts", [("exitant",), ("field",), ("exitant", "field")])
+@pytest.mark.parametrize("parts", [("light",), ("field",), ("light", "field")])
 def test_a_bake_states_the_error_of_its_irradiance(parts):
     """By the same function as `evaluate`, with the same light paths and random numbers.
 
@@ -244,12 +247,12 @@ def test_a_bake_states_the_error_of_its_irradiance(parts):
     # Where rounding moves a few rays, the ratio moves by a small part of its standard error.
     slack = 1e-4 + 0.5 * baked.irradiance["ratio_error"]
     assert ratio == pytest.approx(expected.metrics["irradiance_ratio"], abs=slack)
-    if "exitant" in parts:
+    if "light" in parts:
         assert ratio == pytest.approx(1, abs=5 * baked.irradiance["ratio_error"] + 0.005)
 
 
 def test_the_irradiance_is_compared_on_request(capsys):
-    command = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "exitant", "--json", "r.json"]
+    command = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "light", "--json", "r.json"]
     for paths, lines in ((None, 3), (4096, 3), (0, 0)):
         chosen = [] if paths is None else ["--config", "bake.toml"]
         with open("bake.toml", "w") as file:
@@ -291,26 +294,26 @@ def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch, capsys):
             raise RuntimeError("in a loop") from error
 
     monkeypatch.setattr(evaluate, "evaluate_irradiance", interrupt)
-    assert main(["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "exitant"]) == 128 + 15
+    assert main(["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "light"]) == 128 + 15
     line = "the asset in lamp.lumitree is complete, but its irradiance was not compared"
     assert capsys.readouterr().err.splitlines()[-1] == f"lumitree: error: interrupted; {line}"
-    stopped = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["exitant"]))
+    stopped = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light"]))
     assert stopped.complete
     assert (stopped.stopped_by, stopped.irradiance) == (signal.SIGTERM, None)
     kept = lumitree.load(stopped.path)
     assert os.path.exists("lamp.work")
     monkeypatch.setattr(evaluate, "evaluate_irradiance", compare)
-    monkeypatch.setattr(exitant_bake, "LampRays", None)
-    again = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["exitant"]))
+    monkeypatch.setattr(light_field_bake, "LampRays", None)
+    again = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light"]))
     assert again.stopped_by is None
     assert again.irradiance is not None
-    assert_equal_fields(again.asset.exitant, kept.exitant)
+    assert_equal_fields(again.asset.light_field, kept.light_field)
     assert sorted(os.listdir()) == ["lamp.lumitree", "lamp.xml"]
 
 
-def test_an_exitant_light_field_alone_is_evaluated():
+def test_an_light_field_alone_is_evaluated():
     """What is seen of it is measured; its irradiance is that of the luminaire."""
-    lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["exitant"]))
+    lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light"]))
     metrics = lumitree.evaluate(
         "lamp.lumitree", "lamp.xml", num_views=1, resolution=24, samples_per_pixel=16,
         irradiance_paths=1 << 16,
@@ -320,14 +323,14 @@ def test_an_exitant_light_field_alone_is_evaluated():
     assert metrics["flux_error"] < 0.05
 
 
-def test_an_exitant_light_field_alone_has_nothing_to_refine():
+def test_an_light_field_alone_has_nothing_to_refine():
     """Gradient descent cannot begin without leaves: that is refused in one line."""
-    rough = lumitree.bake("lamp.xml", config=standard(parts=["exitant"])).asset
+    rough = lumitree.bake("lamp.xml", config=standard(parts=["light"])).asset
     with pytest.raises(lumitree.LumitreeError, match="has no field"):
         lumitree.refine(rough, "lamp.xml", rays=1 << 14)
 
 
-def test_an_interrupted_bake_keeps_the_exitant_light_field(monkeypatch):
+def test_an_interrupted_bake_keeps_the_light_field(monkeypatch):
     """The same call continues it, without tracing the light paths again."""
     from lumitree.fit.octree.refine import Refiner
 
@@ -341,26 +344,26 @@ def test_an_interrupted_bake_keeps_the_exitant_light_field(monkeypatch):
     cut = lumitree.bake("lamp.xml", "lamp.lumitree")
     assert not cut.complete
     assert cut.stopped_by == signal.SIGTERM
-    assert cut.asset.exitant is not None
-    assert EXITANT_STATE in os.listdir("lamp.work")
+    assert cut.asset.light_field is not None
+    assert LIGHT_FIELD_STATE in os.listdir("lamp.work")
     monkeypatch.setattr(Refiner, "advance", advance)
-    monkeypatch.setattr(exitant_bake, "LampRays", None)
+    monkeypatch.setattr(light_field_bake, "LampRays", None)
     whole = lumitree.bake("lamp.xml", "lamp.lumitree")
     assert whole.stopped_by is None
-    assert_equal_fields(whole.asset.exitant, cut.asset.exitant)
+    assert_equal_fields(whole.asset.light_field, cut.asset.light_field)
     assert sorted(os.listdir()) == ["lamp.lumitree", "lamp.xml"]
 
 
 def test_info_of_an_asset_counts_its_cells():
-    asset = dataclasses.replace(random_asset(0), exitant=random_exitant(0, count=7))
-    assert asset.info.exitant_cells == 7
+    asset = dataclasses.replace(random_asset(0), light_field=random_light_field(0, count=7))
+    assert asset.info.light_field_cells == 7
     save(asset, "seven.lumitree")
     assert lumitree.load("seven.lumitree").info == asset.info
 
 
-def test_info_of_an_exitant_light_field_needs_no_llvm(tmp_path, monkeypatch, capsys):
+def test_info_of_an_light_field_needs_no_llvm(tmp_path, monkeypatch, capsys):
     lamp = random_asset(0)
-    light = exitant_asset(random_exitant(0), lamp.frame, "lamp")
+    light = light_field_asset(random_light_field(0), lamp.frame, "lamp")
     lumitree.save(light, tmp_path / "lamp.lumitree")
 
     def refused():
