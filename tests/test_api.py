@@ -375,7 +375,6 @@ def test_lines_of_an_asset_are_those_of_the_reference(mi):
 def test_every_public_name_is_there_and_documented():
     for name in lumitree.__all__:
         assert getattr(lumitree, name).__doc__, name
-    assert set(lumitree._HOMES) <= set(lumitree.__all__)
 
 
 FUNCTIONS = [name for name in lumitree.__all__ if inspect.isfunction(getattr(lumitree, name))]

@@ -1,0 +1,91 @@
+"""The public names of lumitree, each where it is defined. They are imported on first use."""
+
+from ._version import __version__ as __version__
+from .asset.asset import Asset as Asset
+from .asset.asset import AssetInfo as AssetInfo
+from .asset.file import save as save
+from .core.frames import LocalFrame as LocalFrame
+from .core.interrupt import Interrupted as Interrupted
+from .core.progress import Progress as Progress
+from .core.progress import show_progress as show_progress
+from .core.results import Result as Result
+from .errors import LumitreeError as LumitreeError
+from .errors import LumitreeWarning as LumitreeWarning
+from .fit.bake import bake as bake
+from .fit.bake import bake_views as bake_views
+from .fit.bake import refine as refine
+from .fit.bake_network import (
+    bake_network as bake_network,
+)
+from .fit.bake_network import (
+    capture as capture,
+)
+from .fit.bake_network import (
+    extract as extract,
+)
+from .fit.bake_network import (
+    train as train,
+)
+from .fit.catalogue.bake_many import BakeManyResult as BakeManyResult
+from .fit.catalogue.bake_many import bake_many as bake_many
+from .fit.catalogue.index import BakedLamp as BakedLamp
+from .fit.config import BakeConfig as BakeConfig
+from .fit.config import NetworkConfig as NetworkConfig
+from .fit.merge import merge as merge
+from .fit.octree.config import OctreeConfig as OctreeConfig
+from .fit.octree.config import OctreeFitConfig as OctreeFitConfig
+from .fit.photometric_files import bake_photometric as bake_photometric
+from .fit.result import (
+    BakeResult as BakeResult,
+)
+from .fit.result import (
+    CaptureResult as CaptureResult,
+)
+from .fit.result import (
+    TrainResult as TrainResult,
+)
+from .lamp.loading import builtin_luminaires as builtin_luminaires
+from .lamp.loading import load_luminaire as load_luminaire
+from .lamp.luminaire import Luminaire as Luminaire
+from .lamp.scene_shapes import SceneShape as SceneShape
+from .lamp.source import LuminaireSource as LuminaireSource
+from .measure.evaluate import EvaluateResult as EvaluateResult
+from .measure.evaluate import evaluate as evaluate
+from .measure.photometry.figures import (
+    Estimate as Estimate,
+)
+from .measure.photometry.figures import (
+    PhotometricFigures as PhotometricFigures,
+)
+from .measure.photometry.near_field import NearFieldLimit as NearFieldLimit
+from .measure.photometry.photometry import (
+    PhotometryResult as PhotometryResult,
+)
+from .measure.photometry.photometry import (
+    photometry as photometry,
+)
+from .output.export import ExportResult as ExportResult
+from .output.export import export as export
+from .output.preview import (
+    AssetPreviewResult as AssetPreviewResult,
+)
+from .output.preview import (
+    PreviewResult as PreviewResult,
+)
+from .output.preview import (
+    preview as preview,
+)
+from .output.viewer.view import ViewResult as ViewResult
+from .output.viewer.view import view as view
+from .rendering.asset_cache import load as load
+from .rendering.mixture import MixResult as MixResult
+from .rendering.mixture import mix as mix
+from .rendering.placement import Placement as Placement
+from .rendering.placement_file import read_placements as read_placements
+from .rendering.plugins.register import register as register
+from .rendering.plugins.register import shape as shape
+from .rendering.render import RenderResult as RenderResult
+from .rendering.render import render as render
+from .trace.flux_figures import Flux as Flux
+from .trace.flux_figures import MissedFlux as MissedFlux
+from .trace.light_field_config import LightFieldConfig as LightFieldConfig
