@@ -158,7 +158,7 @@ def test_a_network_bakes_the_parts_that_are_chosen(mi, tiny_network, tmp_path, m
 def test_a_network_needs_the_part_field(mi, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for parts, message in (
-        (["light"], "parts are light_field; expected field"),
+        (["light"], "parts are light; expected field"),
         ([], "parts are none; expected field"),
         (["nonsense"], "part is 'nonsense'; expected light, field"),
     ):

@@ -179,9 +179,9 @@ def test_an_asset_is_compared_with_its_file(folder, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--parts", "light,field"], "parts are light_field, field, but a.ies is a photometric"),
-        (["--parts", "field"], "of which only the part light_field can be made"),
-        (["--parts", "light,model"], "of which only the part light_field can be made"),
+        (["--parts", "light,field"], "parts are light, field, but a.ies is a photometric"),
+        (["--parts", "field"], "of which only the part light can be made"),
+        (["--parts", "light,model"], "of which only the part light can be made"),
         (["--seed", "0"], "--seed: not for a photometric file such as a.ies"),
         (["--quality", "standard"], "--quality: not for"),
         (["--time", "3s"], "--time: not for"),
@@ -223,7 +223,7 @@ def test_many_lamps_of_both_kinds(folder, monkeypatch, bakes):
     assert len(bakes) == 1
     with pytest.warns(LumitreeWarning, match="part field not used"):
         failed = lumitree.bake_many(["B.LDT"], "out", standard(parts=["field"]))
-    assert "only the part light_field can be made" in failed.failed[0].error
+    assert "only the part light can be made" in failed.failed[0].error
 
 
 @pytest.mark.parametrize("options", [["--unit", "cm"], ["--up", "z"]])

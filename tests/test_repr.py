@@ -11,7 +11,7 @@ from support.model_assets import small_model, with_model
 
 def test_assets_and_their_parts():
     field = random_asset(0, tree_depth=3, l_max=1)
-    whole = Asset(**{**vars(field), "model": small_model(), "light": random_light_field(0)})
+    whole = Asset(**{**vars(field), "model": small_model(), "light_field": random_light_field(0)})
     for asset in (whole, field, with_model(small_model())):
         text = repr(asset)
         assert text.startswith(f"Asset('{asset.luminaire}': {' + '.join(asset.parts)}, size ")

@@ -328,7 +328,7 @@ def test_a_full_work_disk_is_warned_of_once_and_the_bake_goes_on(
     assert err.count("No space left on device") == 1
     assert "the bake goes on" in err
     assert len(steps) > 5
-    kept = [f"full/{MARKER}", "full/light_field.lumitree"] if command is BAKE else []
+    kept = [f"full/{MARKER}", "full/light.lumitree"] if command is BAKE else []
     assert left() == [*kept, "out/lamp.lumitree"]
 
 
@@ -439,7 +439,7 @@ def test_a_folder_of_others_is_neither_used_nor_removed(
 
 def test_a_named_work_folder_stays(tiny, steps, capsys):
     assert main([*BAKE, *work(BAKE, "w")]) == 0
-    assert left() == ["out/lamp.lumitree", f"w/{MARKER}", "w/light_field.lumitree", "w/state.npz"]
+    assert left() == ["out/lamp.lumitree", f"w/{MARKER}", "w/light.lumitree", "w/state.npz"]
 
 
 def test_pictures_are_baked_too(tiny, capsys):

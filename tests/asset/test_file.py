@@ -399,7 +399,7 @@ def test_broken_arrays_of_the_light_field_are_refused(request, tmp_path, name, c
         ({"scale": 0}, "scale 0.0"),
         ({"scale": "1"}, 'scale of light of the description is "1"; expected a number'),
         ({"scale": 1e16}, "scale 1e"),
-        ({"extra": 1}, 'light_field of the description has the unknown key "extra"'),
+        ({"extra": 1}, 'light of the description has the unknown key "extra"'),
         (
             {"traced": None},
             "traced of light of the description is null; expected a JSON object",
@@ -432,14 +432,14 @@ def test_broken_descriptions_of_the_light_field_are_refused(
     [
         (lambda d: d.pop("light"), 'the header has the unknown key "light.stream"'),
         (
-            lambda d: d.update(light_field=None),
-            "light_field of the description is null; expected a JSON",
+            lambda d: d.update(light=None),
+            "light of the description is null; expected a JSON",
         ),
         (
-            lambda d: d.update(light_field=[2, 4, 1.0]),
-            "light_field of the description is a list of 3",
+            lambda d: d.update(light=[2, 4, 1.0]),
+            "light of the description is a list of 3",
         ),
-        (lambda d: d["light"].pop("scale"), 'light_field of the description lacks "scale"'),
+        (lambda d: d["light"].pop("scale"), 'light of the description lacks "scale"'),
     ],
 )
 def test_description_and_tensor_of_the_light_field_belong_together(

@@ -19,7 +19,9 @@ def test_without_a_name_it_lists_all(capsys):
     assert main([]) == 0
     lines = capsys.readouterr().out.splitlines()[2:]
     assert [line.split()[0] for line in lines] == names()
-    assert {"direct", "equal_quality", "luminaires", "query", "sampling", "scaling"} <= set(names())
+    assert {"octree_fit", "equal_quality", "luminaires", "query", "sampling", "scaling"} <= set(
+        names()
+    )
     assert all(len(line.split()) > 5 for line in lines)
 
 
@@ -52,7 +54,7 @@ def test_every_benchmark_explains_itself(name, capsys):
         (["query", "none.lumitree"], "none.lumitree"),
         (["query", "none.lumitree", "--variant", "scalar_rgb"], "scalar_rgb"),
         (["equal_quality", "--luminaire", "bulbs"], "give --pairs"),
-        (["direct", "bulbs", "--references", "none"], "none"),
+        (["octree_fit", "bulbs", "--references", "none"], "none"),
     ],
 )
 def test_bad_input_is_explained_in_one_line(mi, argv, message, tmp_path, monkeypatch, capsys):
@@ -88,7 +90,15 @@ def test_a_query_from_end_to_end(mi, tmp_path, monkeypatch, capsys):
 
 
 def test_commands_name_no_folders_of_the_machine():
-    argv = ["direct", "star", "--references", "/home/me/views", "--assets=../mine", "-o", "out/a"]
+    argv = [
+        "octree_fit",
+        "star",
+        "--references",
+        "/home/me/views",
+        "--assets=../mine",
+        "-o",
+        "out/a",
+    ]
     assert command_line(argv) == (
         "python -m benchmarks octree_fit star --references views --assets=mine -o out/a"
     )

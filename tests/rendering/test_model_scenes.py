@@ -56,7 +56,7 @@ def test_parts_of_a_bake(capsys):
     assert baked.asset.model.num_triangles == 12
     assert main(["info", "lamp.lumitree"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert "light_field, model" in shown
+    assert "light, model" in shown
     assert main(["bake", "lamp.xml", "-o", "all.lumitree", "--parts", "light,field,model"]) == 0
     every = lumitree.load("all.lumitree")
     assert every.parts == ("light", "field", "model")
