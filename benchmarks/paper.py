@@ -5,9 +5,9 @@
 Every cell writes its own file of `paper/SCALE/` into the results, and is not measured again while
 its parameters are the same. Captures, training runs and assets that cells share are kept in
 `--work`. An interrupted run goes on with the same command. The scale `cpu` takes about 5 hours on 2
-cores, `paper` days on a GPU, and `test` minutes; `--list` shows the cells. At the end the page is
-written, by default docs/paper.md, with its images beside it in images/paper. The baselines are the
-paper's own figures, black images, and the explicit lamp.
+cores, `paper` days on a GPU, `gpu` hours on one, and `test` minutes; `--list` shows the cells. At
+the end the page is written, by default docs/paper.md, with its images beside it in images/paper.
+The baselines are the paper's own figures, black images, and the explicit lamp.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from lumitree.errors import LumitreeError
 
 PAGE = Path(__file__).parents[1] / "docs" / "paper.md"
 # Scales that the page shows together.
-SHOWN: tuple[ScaleName, ...] = ("cpu", "paper")
+SHOWN: tuple[ScaleName, ...] = ("cpu", "gpu", "paper")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -10,6 +10,7 @@ import pytest
 from lumitree.core import progress
 from lumitree.core.extras import check_network
 from lumitree.errors import LumitreeError
+from support.variant import VARIANT
 
 TESTS = Path(__file__).parent
 # Modules of which most tests import JAX.
@@ -72,10 +73,10 @@ def _no_scenes_of_other_modules():
 
 @pytest.fixture(scope="session")
 def mi():
-    """Mitsuba with the CPU variant and the plugins registered."""
+    """Mitsuba with the plugins registered."""
     from lumitree.core.backend import load_mitsuba
     from lumitree.rendering.plugins.register import register
 
-    mitsuba = load_mitsuba("llvm_ad_rgb")
+    mitsuba = load_mitsuba(VARIANT)
     register()
     return mitsuba

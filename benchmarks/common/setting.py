@@ -24,6 +24,7 @@ def setting(command: str, **details: object) -> dict[str, object]:
         "command": command,
         "commit": commit(),
         "device": processor(),
+        "accelerator": gpu() if mi.variant().startswith("cuda") else "none",
         "variant": mi.variant(),
         "lumitree": lumitree.__version__,
         "mitsuba": mi.__version__,
@@ -68,6 +69,16 @@ def git(*command: str) -> str:
     folder = str(Path(__file__).parents[1])
     run = subprocess.run(["git", "-C", folder, *command], capture_output=True, text=True)
     return run.stdout.strip()
+
+
+def gpu() -> str:
+    """Models of the NVIDIA GPUs, by their driver's tool."""
+    command = ["nvidia-smi", "--query-gpu=name", "--format=csv,noheader"]
+    try:
+        run = subprocess.run(command, capture_output=True, text=True)
+    except FileNotFoundError:
+        return "unknown"
+    return ", ".join(run.stdout.splitlines()) or "unknown"
 
 
 def processor() -> str:

@@ -25,7 +25,7 @@ class Found:
     @property
     def missing(self) -> str:
         """What stands in place of a value that has not been measured."""
-        return "not measured on GPU" if self.scale.name == "paper" else "not measured yet"
+        return "not measured on GPU" if self.scale.name in ("gpu", "paper") else "not measured yet"
 
     def values(self, cell: str) -> dict[str, Any]:
         """Values of a cell; empty if it has not been measured."""

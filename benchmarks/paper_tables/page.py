@@ -41,6 +41,7 @@ SECTIONS: tuple[tuple[int, str, Section | str], ...] = (
 )
 _TITLES: dict[ScaleName, str] = {
     "cpu": "CPU scale",
+    "gpu": "Minutes of a GPU",
     "paper": "The paper's scale",
     "test": "Test scale",
 }
@@ -67,9 +68,8 @@ def write_page(path: Path, stores: dict[ScaleName, Store], results: Path) -> Non
         if isinstance(content, str):
             parts.append(_other(content, results, path))
         else:
-            parts += [
-                _at_scale(number, content, name, store, path) for name, store in stores.items()
-            ]
+            shown = [_at_scale(number, content, *each, path) for each in stores.items()]
+            parts += [each for each in shown if each]
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path, "\n".join(parts).encode())
 
@@ -78,6 +78,8 @@ def _at_scale(number: int, content: Section, name: ScaleName, store: Store, path
     found = Found(store, SCALES[name], path)
     records = found.records(number)
     own = number != 8  # which has no cells
+    if name == "gpu" and not records:
+        return ""
     if name == "paper" and not records:
         return f"{_TITLES[name]}: {found.missing}.\n"
     text = f"### {_TITLES[name]}, {title_of(number)}\n\n{content(found)}"

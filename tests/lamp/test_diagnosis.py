@@ -11,6 +11,7 @@ from lumitree.lamp.diagnosis import diagnose
 from lumitree.lamp.glass_crossings import trace_lines
 from lumitree.lamp.luminaire import load_luminaire
 from support.lamps import AREA, GLASS, cube, scene, sphere
+from support.variant import VARIANT
 
 LAMP = sphere("lamp", 0.1, (0, 0, 5), AREA)
 BUBBLE = GLASS.replace("int_ior", "outside").replace("ext", "int").replace("outside", "ext_ior")
@@ -19,7 +20,7 @@ MASKED = f'<bsdf type="mask">{GLASS}</bsdf>'
 
 @pytest.fixture(scope="module", autouse=True)
 def mi():
-    return load_mitsuba("llvm_ad_rgb")
+    return load_mitsuba(VARIANT)
 
 
 @pytest.fixture

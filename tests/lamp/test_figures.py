@@ -19,6 +19,7 @@ from lumitree.lamp.parts import (
     Texture,
     VertexColour,
 )
+from support.variant import VARIANT
 
 TRIANGLE = Mesh(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]]),
@@ -37,7 +38,7 @@ def lamp(radiance, surface=None):
 
 @pytest.mark.parametrize("name", BUILTIN)
 def test_builtin_lamps(name):
-    load_mitsuba("llvm_ad_rgb")
+    load_mitsuba(VARIANT)
     luminaire, found = load_luminaire(name), figures(BUILTIN[name].build())
     assert found.triangles == luminaire.num_triangles
     assert found.emitters == luminaire.num_emitters

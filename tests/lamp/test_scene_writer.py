@@ -20,6 +20,7 @@ from lumitree.lamp.parts import (
     VertexColour,
 )
 from lumitree.lamp.scene_writer import write_scene
+from support.variant import VARIANT
 
 # A square that faces +z; v = 0 at its top.
 SQUARE = Mesh(
@@ -34,7 +35,7 @@ FLAT = Texture(np.full((2, 2, 3), (128, 128, 255), np.uint8), False)
 
 @pytest.fixture(scope="module")
 def mi():
-    return load_mitsuba("llvm_ad_rgb")
+    return load_mitsuba(VARIANT)
 
 
 ONE_PLACE = (np.eye(4),)

@@ -12,6 +12,7 @@ import lumitree
 from lumitree.asset.asset import light_field_asset
 from support.fields import random_asset
 from support.light_fields import random_light_field
+from support.variant import VARIANT
 
 
 def lamp(seed, parts):
@@ -84,7 +85,7 @@ def main(seed, parts):
     from lumitree.core.backend import load_mitsuba
     from lumitree.rendering.plugins.register import register
 
-    mi = load_mitsuba("llvm_ad_rgb")
+    mi = load_mitsuba(VARIANT)
     register()
     print(compiled(mi, lamp(int(seed), parts)))
 

@@ -14,6 +14,7 @@ from lumitree.errors import LumitreeWarning
 from lumitree.lamp.importers.gltf import read_gltf
 from lumitree.lamp.parts import Glass, Texture
 from lumitree.lamp.scene_writer import write_scene
+from support.variant import VARIANT
 
 DATA = Path(os.environ.get("LUMITREE_DATA", Path(__file__).parents[4].parent / "shared" / "data"))
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no development set at {DATA}")
@@ -31,7 +32,7 @@ def read(path, approximated, **options):
 
 
 def loaded(model, folder):
-    return load_mitsuba("llvm_ad_rgb").load_file(str(write_scene(model, folder)))
+    return load_mitsuba(VARIANT).load_file(str(write_scene(model, folder)))
 
 
 def test_barn_lamp(tmp_path):
