@@ -8,7 +8,7 @@ baked twice with equal settings, by numbers of rays and not by time; the first b
 kernels. The demonstration's room is then rendered with the asset and with the explicit lamp: once
 with compilation, then in turns, medians. Random numbers are the same on all devices, so the images
 differ by rounding, and where it sends a path another way. Writes `devices.md` and `devices.json`;
-the baseline is the first variant in them.
+the baseline is `llvm_ad_rgb`, with which the files begin.
 """
 
 import argparse
@@ -146,7 +146,7 @@ def run(options: argparse.Namespace) -> None:
         if other["setting"]["variant"] != facts["variant"]
         and all(other["setting"][key] == facts[key] for key in SHARED)
     ]
-    rows = [*kept, row]
+    rows = sorted([*kept, row], key=lambda each: each["setting"]["variant"], reverse=True)
     shown = table(rows)
     print(shown.text())
     settings = "\n".join(notes(each["setting"]) for each in rows)

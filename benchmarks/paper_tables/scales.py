@@ -121,7 +121,7 @@ SCALES: dict[ScaleName, Scale] = {
         test=Views(6, 400, 512),
         large=Views(2, 800, 256),
         network=dataclasses.replace(PRESETS["paper"], num_steps=12_000),
-        network_depth=9,
+        network_depth=8,
         samples_per_leaf=64,
         direct=Direct("standard", 9, 1 << 27),
         bands=(0, 1, 2, 3, 4),
