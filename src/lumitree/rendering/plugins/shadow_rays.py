@@ -37,6 +37,7 @@ def visible(
         medium = medium_paths.behind(si, ds.d, medium, left)
     through = _passed(scene, surfaces, target, margin, ray, ds.p, medium, left)
     if dr.hint(room is not None, mode="scalar"):
+        assert room is not None
         onwards = active & (beyond > 0) & (dr.max(through) > 0)
         rest = mi.Ray3f(ray)
         rest.o = dr.select(left, ds.p, ray.o)
