@@ -27,15 +27,17 @@ from lumitree.core.photometry import luminance
 from lumitree.octree.build import morton
 from lumitree.rendering.sampling.cell_table import cell_table
 from lumitree.rendering.sampling.emitter_sampling import RayEnds
+from lumitree.rendering.sampling.light_bins import (
+    coarse_bin,
+    ending_by_bin,
+    smooth_bin,
+    unpacked,
+)
 from lumitree.rendering.sampling.light_cells import LightCells
 from lumitree.rendering.sampling.light_field import (
     DeviceLightField,
-    coarse_bin,
     device_light_field,
-    ending_by_bin,
     left_part,
-    smooth_bin,
-    unpacked,
 )
 from lumitree.rendering.sampling.samples import scrambled
 
