@@ -61,7 +61,7 @@ def chances(mi, light, x):
 
 @pytest.mark.parametrize("name", POINTS)
 def test_radiance_and_density_are_sums_over_all_cells(mi, light, name):
-    from lumitree.rendering.sampling.light_field import smooth_bin
+    from lumitree.rendering.sampling.light_bins import smooth_bin
     from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
 
     field = some_light()
@@ -189,7 +189,7 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
 
 def test_rays_carry_the_flux_of_every_bin(mi, light):
     from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
-    from lumitree.rendering.sampling.light_field import smooth_bin
+    from lumitree.rendering.sampling.light_bins import smooth_bin
 
     field, count = some_light(), 1 << 20
     sampler = uniform_samples(mi, count)
@@ -437,7 +437,7 @@ def test_light_of_others_passes_the_lamp_as_its_field_lets_it(mi):
 def test_the_mean_over_bins_is_linear_between_their_middles(mi):
     """Bins of one direction, against the bilinear weights of four bins; across the map's sides."""
     from lumitree.core.octahedral import bin_of, octahedral
-    from lumitree.rendering.sampling.light_field import smooth_bin
+    from lumitree.rendering.sampling.light_bins import smooth_bin
 
     count, resolution = 1 << 16, 8
     values = np.random.default_rng(0).random(resolution**2)

@@ -133,7 +133,8 @@ def test_points_and_rays_share_the_light(mi):
 
     from lumitree.core.octahedral import bin_of, solid_angles
     from lumitree.rendering.sampling.emitter_sampling import RayEnds
-    from lumitree.rendering.sampling.light_field import DeviceLightField, smooth_bin
+    from lumitree.rendering.sampling.light_bins import smooth_bin
+    from lumitree.rendering.sampling.light_field import DeviceLightField
     from lumitree.rendering.sampling.light_inside import InsideLight
 
     random = np.random.default_rng(4)

@@ -28,6 +28,57 @@ def add(commands: Any) -> None:
     options.add_output(
         parser, "IMAGE", "image to write, .exr (linear radiance) or .png (tone-mapped)"
     )
+    _add_placements(parser)
+    parser.add_argument(
+        "--spp",
+        type=int,
+        metavar="N",
+        help="samples per pixel (default: 64, or no limit if there is a --time or a --noise)",
+    )
+    parser.add_argument(
+        "--time",
+        type=options.duration,
+        metavar="T",
+        help="time of rendering, such as 90s, 5m or 1h",
+    )
+    parser.add_argument(
+        "--noise",
+        type=float,
+        metavar="X",
+        help="estimated relative error of the pixels, such as 0.02; the image is finished when the "
+        "first of --spp, --time and --noise is reached",
+    )
+    parser.add_argument(
+        "--denoise",
+        action="store_true",
+        help="filter the noise out with Open Image Denoise (`pip install 'lumitree[denoise]'`)",
+    )
+    parser.add_argument(
+        "--layers",
+        metavar="FILE.exr",
+        help="also write the light of each luminaire as a layer, for `lumitree mix`",
+    )
+    parser.add_argument(
+        "--aov",
+        metavar="FILE.exr",
+        help="also write the image before denoising, albedo and normal",
+    )
+    parser.add_argument(
+        "--width",
+        type=int,
+        metavar="W",
+        help="width of the image in pixels (default: the scene's)",
+    )
+    parser.add_argument(
+        "--proxy",
+        choices=("box", "sphere"),
+        default="box",
+        help="surface that carries a baked luminaire",
+    )
+    options.add_variant(parser)
+
+
+def _add_placements(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--place",
         action=_Place,
@@ -87,53 +138,6 @@ def add(commands: Any) -> None:
         help="TOML file with a table [lamps.NAME] for each lamp; its lamps come before those of "
         "--place",
     )
-    parser.add_argument(
-        "--spp",
-        type=int,
-        metavar="N",
-        help="samples per pixel (default: 64, or no limit if there is a --time or a --noise)",
-    )
-    parser.add_argument(
-        "--time",
-        type=options.duration,
-        metavar="T",
-        help="time of rendering, such as 90s, 5m or 1h",
-    )
-    parser.add_argument(
-        "--noise",
-        type=float,
-        metavar="X",
-        help="estimated relative error of the pixels, such as 0.02; the image is finished when the "
-        "first of --spp, --time and --noise is reached",
-    )
-    parser.add_argument(
-        "--denoise",
-        action="store_true",
-        help="filter the noise out with Open Image Denoise (`pip install 'lumitree[denoise]'`)",
-    )
-    parser.add_argument(
-        "--layers",
-        metavar="FILE.exr",
-        help="also write the light of each luminaire as a layer, for `lumitree mix`",
-    )
-    parser.add_argument(
-        "--aov",
-        metavar="FILE.exr",
-        help="also write the image before denoising, albedo and normal",
-    )
-    parser.add_argument(
-        "--width",
-        type=int,
-        metavar="W",
-        help="width of the image in pixels (default: the scene's)",
-    )
-    parser.add_argument(
-        "--proxy",
-        choices=("box", "sphere"),
-        default="box",
-        help="surface that carries a baked luminaire",
-    )
-    options.add_variant(parser)
 
 
 def run(args: argparse.Namespace) -> Any:

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.core.device import on_device
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
-from lumitree.rendering.plugins.integrator import entered_light, eval_target, sample_target
+from lumitree.rendering.plugins.emitter_calls import entered_light, eval_target, sample_target
+from lumitree.rendering.plugins.path_scene import PathScene
 from lumitree.rendering.plugins.proxies import NONE, DividedScene
-from lumitree.rendering.plugins.shadow_rays import has_null_surfaces, visible
-from lumitree.trace.spawning import scene_extent
+from lumitree.rendering.plugins.shadow_rays import visible
 
 # Samples that are computed at once.
 _AT_ONCE = 1 << 22
@@ -41,7 +41,7 @@ def received_irradiance(
     for emitter in scene.emitters():
         if isinstance(emitter, DeferredEmitter):
             emitter.light_inside()
-    divided = DividedScene().of(scene)
+    paths = PathScene(scene, DividedScene().of(scene))
     total = np.zeros(points.shape)
     at_once = max(1, _AT_ONCE // len(points))
     for step, first in enumerate(range(0, samples, at_once)):
@@ -49,31 +49,29 @@ def received_irradiance(
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(SeedStream(Purpose.RECEIVED, step).seed(seed), count * len(points))
         place = [np.repeat(each, count, axis=0) for each in (points, normals)]
-        light = _receive(scene, divided, on_device(mi.Point3f, place[0]), place[1], sampler)
+        light = _receive(paths, on_device(mi.Point3f, place[0]), place[1], sampler)
         total += np.array(light, np.float64).T.reshape(len(points), count, 3).sum(axis=1)
     return total / samples
 
 
 @dr.syntax
-def _receive(scene, divided, point, normal, sampler):
+def _receive(scene, point, normal, sampler):
     """Estimates (mi.Color3f) of the irradiance at points."""
-    surfaces, proxies, _, owners = divided
-    sees_null, extent = has_null_surfaces(surfaces), scene_extent(scene)
+    surfaces, proxies, _, owners = scene.divided
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(point))
     si.p, si.n = point, dr.normalize(on_device(mi.Vector3f, normal))
     si.sh_frame = mi.Frame3f(si.n)
     active = dr.full(mi.Bool, True, dr.width(point))
-    sampling_weight = sum(emitter.sampling_weight() for emitter in scene.emitters())
     none = dr.zeros(mi.MediumPtr)
 
-    index, emitter_weight, choice = scene.sample_emitter(sampler.next_1d(), active)
-    emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index, active)
+    index, emitter_weight, choice = scene.whole.sample_emitter(sampler.next_1d(), active)
+    emitter = scene.emitter(index, active)
     sample = mi.Point2f(choice, sampler.next_1d())
     sampled = dr.dispatch(emitter, sample_target, si, sample, active)
     ds, beyond = sampled.ds, sampled.beyond
     cosine = dr.maximum(dr.dot(si.n, ds.d), 0)
     found = active & sampled.valid & (cosine > 0) & dr.dispatch(emitter, is_baked, active)
-    through = visible(scene, divided, sees_null, False, extent, si, ds, beyond, index, none, found)
+    through = visible(scene, si, ds, beyond, index, none, found)
     weight, _ = dr.dispatch(
         emitter,
         eval_target,
@@ -94,9 +92,9 @@ def _receive(scene, divided, point, normal, sampler):
     entered = active & (lamp != NONE)
     ahead = owners.of(pi.shape, entered & pi.is_valid())
     while entered:
-        ends = divided.ends(ray, pi.t, lamp, ahead, entered)
-        emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), lamp, entered)
-        emitter_pmf = emitter.sampling_weight() * dr.rcp(sampling_weight)
+        ends = scene.divided.ends(ray, pi.t, lamp, ahead, entered)
+        emitter = scene.emitter(lamp, entered)
+        emitter_pmf = scene.emitter_pmf(emitter)
         pdf = local.z * (1 / math.pi)
         light, _, _ = dr.dispatch(
             emitter,

@@ -4,6 +4,8 @@ Symbols
     tau, T      optical depth and transmittance so far
 """
 
+from __future__ import annotations
+
 import functools
 import threading
 import weakref
@@ -99,25 +101,29 @@ class Field:
         dr.eval(self._density, self._coefficients)
 
     @functools.cached_property
-    def coarse(self) -> "Field":
+    def coarse(self) -> Field:
         """Field of few leaves whose transmittance is about the same (`octree.coarse`)."""
         if self.asset.tree_depth <= COARSE_DEPTH:
             return self
         return Field(coarsened(self.asset, self._min_density), max_opacity=self._max_opacity)
 
     def emission(
-        self, origin: Any, direction: Any, active: Any = True, span: Span = None
-    ) -> tuple[Any, Any]:
+        self,
+        origin: mi.Point3f,
+        direction: mi.Vector3f,
+        active: mi.Bool | bool = True,
+        span: Span = None,
+    ) -> tuple[mi.Color3f, mi.Float]:
         """Emitted radiance L_e (Eq. 3) and transmittance T (Eq. 4) of the line through the proxy.
 
         Args:
-            origin: mi.Point3f, any point of the line, local units.
-            direction: mi.Vector3f, unit direction of travel, local frame.
-            active: mi.Bool mask.
+            origin: any point of the line, local units.
+            direction: unit direction of travel, local frame.
+            active: mask.
             span: as for `Octree.traverse`.
 
         Returns:
-            mi.Color3f, radiance units of the luminaire's scene; mi.Float in [0, 1].
+            Radiance in units of the luminaire's scene; and transmittance in [0, 1].
         """
         radiance, through, _ = self.integrate(origin, direction, active, _nothing, (), span)
         return radiance, through
@@ -136,13 +142,13 @@ class Field:
 
     def integrate(
         self,
-        origin: Any,
-        direction: Any,
-        active: Any,
+        origin: mi.Point3f,
+        direction: mi.Vector3f,
+        active: mi.Bool | bool,
         record: Record,
         recorded: Any,
         span: Span = None,
-    ) -> tuple[Any, Any, Any]:
+    ) -> tuple[mi.Color3f, mi.Float, Any]:
         """As `emission`, and calls a function for every leaf that the ray reaches.
 
         Args:
@@ -178,7 +184,14 @@ class Field:
         )
         return radiance, through, recorded
 
-    def cross(self, origin: Any, direction: Any, active: Any, record: Record, recorded: Any) -> Any:
+    def cross(
+        self,
+        origin: mi.Point3f,
+        direction: mi.Vector3f,
+        active: mi.Bool | bool,
+        record: Record,
+        recorded: Any,
+    ) -> Any:
         """The recorded state of `integrate`, at a lower cost.
 
         `record` is called without the contribution to the radiance.
@@ -193,8 +206,12 @@ class Field:
         return self._octree.traverse(origin, direction, mi.Bool(active), visit, state)[1]
 
     def transmittance(
-        self, origin: Any, direction: Any, active: Any = True, span: Span = None
-    ) -> Any:
+        self,
+        origin: mi.Point3f,
+        direction: mi.Vector3f,
+        active: mi.Bool | bool = True,
+        span: Span = None,
+    ) -> mi.Float:
         """Transmittance T (Eq. 4) alone; arguments as for `emission`."""
         state, active = (mi.Float(0), mi.Float(1)), mi.Bool(active)
         return self._octree.traverse(origin, direction, active, self._visit, state, span)[1]
@@ -261,7 +278,7 @@ def _from_half(bits, unit):
 
 
 _LOCK = threading.Lock()
-_SHARED: "weakref.WeakKeyDictionary[FieldData, dict[tuple[object, ...], weakref.ref[Field]]]" = (
+_SHARED: weakref.WeakKeyDictionary[FieldData, dict[tuple[object, ...], weakref.ref[Field]]] = (
     weakref.WeakKeyDictionary()
 )
 

@@ -6,6 +6,8 @@ Symbols
     cell        integer grid coordinates of the finest cell the ray is in
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -19,10 +21,10 @@ from lumitree.octree.wide_nodes import LEAF, wide_levels, wide_nodes
 
 # visit(state, leaf, start, length, active) -> state, active; shade(state, leaf, start, length,
 # active) -> state: see `Octree.traverse`.
-Visit = Callable[[Any, Any, Any, Any, Any], tuple[Any, Any]]
-Shade = Callable[[Any, Any, Any, Any, Any], Any]
-# First and last distance (mi.Float) of a part of a line; None for all of it.
-Span = tuple[Any, Any] | None
+Visit = Callable[[Any, "mi.UInt32", "mi.Float", "mi.Float", "mi.Bool"], tuple[Any, "mi.Bool"]]
+Shade = Callable[[Any, "mi.UInt32", "mi.Float", "mi.Float", "mi.Bool"], Any]
+# First and last distance of a part of a line; None for all of it.
+Span = tuple["mi.Float", "mi.Float"] | None
 # Leaves of a ray that are shaded together.
 _DEFERRED = 8
 # A point that is so close to the proxy box's border is on it, local units.
@@ -40,13 +42,13 @@ class _Ray(NamedTuple):
         t_end: distance at which the ray leaves the proxy box.
     """
 
-    o: Any
-    d: Any
-    moving: Any
-    inverse: Any
-    rising: Any
-    octant: Any
-    t_end: Any
+    o: mi.Vector3f
+    d: mi.Vector3f
+    moving: mi.Array3b
+    inverse: mi.Vector3f
+    rising: mi.Array3b
+    octant: mi.UInt32
+    t_end: mi.Float
 
 
 class Octree:
@@ -76,9 +78,9 @@ class Octree:
     @dr.syntax
     def traverse(
         self,
-        origin: Any,
-        direction: Any,
-        active: Any,
+        origin: mi.Point3f,
+        direction: mi.Vector3f,
+        active: mi.Bool | bool,
         visit: Visit,
         state: Any,
         span: Span = None,
@@ -86,10 +88,10 @@ class Octree:
         """Visit the leaves that the line crosses inside the proxy box, front to back.
 
         Args:
-            origin: mi.Point3f, any point of the line, local units.
-            direction: mi.Vector3f, unit direction of travel, local frame.
-            active: mi.Bool mask.
-            visit: called with the state, the leaf's index (mi.UInt32), the distance from the
+            origin: any point of the line, local units.
+            direction: unit direction of travel, local frame.
+            active: mask.
+            visit: called with the state, the leaf's index, the distance from the
                 origin at which the line enters it, the length of the line in it (local units)
                 and the mask of rays that are in a leaf; returns the new state and the mask of
                 rays that go on.
@@ -114,9 +116,9 @@ class Octree:
     @dr.syntax
     def traverse_and_shade(
         self,
-        origin: Any,
-        direction: Any,
-        active: Any,
+        origin: mi.Point3f,
+        direction: mi.Vector3f,
+        active: mi.Bool,
         visit: Visit,
         state: Any,
         shade: Shade,
@@ -187,8 +189,10 @@ class Octree:
         outside = dr.any((ahead < 0) | (ahead >= 1 << self.tree_depth))
         return entry, dr.maximum(t, t_box), ahead, outside | (t_box >= ray.t_end)
 
-    def find_leaf(self, point: Any, active: Any = True) -> tuple[Any, Any]:
-        """Index (mi.UInt32) of the leaf that holds a point in the box, and whether one does."""
+    def find_leaf(
+        self, point: mi.Point3f, active: mi.Bool | bool = True
+    ) -> tuple[mi.UInt32, mi.Bool]:
+        """Index of the leaf that holds a point in the box, and whether one does."""
         size = 1 << self.tree_depth
         half = mi.Point3f(self._half)
         inside = mi.Bool(active) & dr.all(dr.abs(point) <= half + _BORDER)
@@ -196,8 +200,10 @@ class Octree:
         point = dr.clip(point, -half, half - _BORDER)
         return self.leaf_at(mi.Vector3i(dr.floor((point + 1) * (size / 2))), inside)
 
-    def leaf_at(self, cell: Any, active: Any = True) -> tuple[Any, Any]:
-        """As `find_leaf` for a cell of the grid (mi.Vector3i), which may be outside it."""
+    def leaf_at(
+        self, cell: mi.Vector3i, active: mi.Bool | bool = True
+    ) -> tuple[mi.UInt32, mi.Bool]:
+        """As `find_leaf` for a cell of the grid, which may be outside it."""
         inside = mi.Bool(active) & dr.all((cell >= 0) & (cell < 1 << self.tree_depth))
         entry, _ = self._find(cell, inside)
         return _leaf(entry), inside & (entry > 0)

@@ -1,7 +1,8 @@
 """Views of a baked luminaire, with the pixel filter of the captured ones."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -47,7 +48,7 @@ def baked_image(
 
 
 def image_of(
-    seen: Callable[[Any, Any], tuple[Any, Any]],
+    seen: Callable[[mi.Point3f, mi.Vector3f], tuple[mi.Color3f, mi.Float]],
     local_from_camera: NDArray[np.float64],
     half_width: float,
     resolution: int,
@@ -55,8 +56,8 @@ def image_of(
     """Orthographic image by rays, as `baked_image`.
 
     Args:
-        seen: radiance (mi.Color3f) and transmittance (mi.Float) of rays, by their origins on the
-            plane of the camera (mi.Point3f) and their unit directions (mi.Vector3f).
+        seen: radiance and transmittance of rays, by their origins on the
+            plane of the camera and their unit directions.
     """
     fine = resolution * RAYS_A_SIDE
     index = dr.arange(mi.UInt32, fine * fine)

@@ -32,70 +32,26 @@ def demo_room(width: int = 320, *, ball_in_box: bool = False) -> Any:
     def wall(point: list[float], rotate: tuple[list[float], float], scale: list[float]) -> Any:
         return to().translate(point).rotate(*rotate).scale([*scale, 1])
 
-    def matte(*rgb: float) -> dict[str, Any]:
-        reflectance = {"type": "rgb", "value": list(rgb)}
-        return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
-
     walls = {
-        "floor": (wall([0, 0, 0], ([1, 0, 0], -90), [2, 2]), matte(0.45, 0.34, 0.26)),
-        "ceiling": (wall([0, 2.4, 0], ([1, 0, 0], 90), [2, 2]), matte(0.75, 0.75, 0.73)),
-        "back": (wall([0, 1.2, -2], ([0, 1, 0], 0), [2, 1.2]), matte(0.62, 0.66, 0.62)),
-        "left": (wall([-2, 1.2, 0], ([0, 1, 0], 90), [2, 1.2]), matte(0.65, 0.6, 0.55)),
-        "right": (wall([2, 1.2, 0], ([0, 1, 0], -90), [2, 1.2]), matte(0.55, 0.6, 0.65)),
-        "near": (wall([0, 1.2, 2], ([0, 1, 0], 180), [2, 1.2]), matte(0.6, 0.6, 0.6)),
+        "floor": (wall([0, 0, 0], ([1, 0, 0], -90), [2, 2]), _matte(0.45, 0.34, 0.26)),
+        "ceiling": (wall([0, 2.4, 0], ([1, 0, 0], 90), [2, 2]), _matte(0.75, 0.75, 0.73)),
+        "back": (wall([0, 1.2, -2], ([0, 1, 0], 0), [2, 1.2]), _matte(0.62, 0.66, 0.62)),
+        "left": (wall([-2, 1.2, 0], ([0, 1, 0], 90), [2, 1.2]), _matte(0.65, 0.6, 0.55)),
+        "right": (wall([2, 1.2, 0], ([0, 1, 0], -90), [2, 1.2]), _matte(0.55, 0.6, 0.65)),
+        "near": (wall([0, 1.2, 2], ([0, 1, 0], 180), [2, 1.2]), _matte(0.6, 0.6, 0.6)),
     }
     scene: dict[str, Any] = {
         name: {"type": "rectangle", "to_world": place, "bsdf": bsdf}
         for name, (place, bsdf) in walls.items()
     }
-    scene["table"] = {
-        "type": "cube",
-        "to_world": to().translate([0, 0.7, 0]).scale([0.6, 0.03, 0.45]),
-        "bsdf": {
-            "type": "roughplastic",
-            "alpha": 0.12,
-            "diffuse_reflectance": {"type": "rgb", "value": [0.32, 0.16, 0.08]},
-        },
-    }
-    scene["leg"] = {
-        "type": "cylinder",
-        "p0": [0, 0, 0],
-        "p1": [0, 0.68, 0],
-        "radius": 0.06,
-        "bsdf": matte(0.1, 0.1, 0.1),
-    }
-    scene["vase"] = {
-        "type": "sphere",
-        "center": [0.25, 0.84, 0.1],
-        "radius": 0.11,
-        "bsdf": {
-            "type": "plastic",
-            "diffuse_reflectance": {"type": "rgb", "value": [0.1, 0.3, 0.5]},
-        },
-    }
+    scene |= _furniture()
     if ball_in_box:
-        x, y, z = BALL_CENTRE
-        scene["ball"] = {
-            "type": "sphere",
-            "center": [x, y, z],
-            "radius": BALL_RADIUS,
-            "bsdf": {
-                "type": "plastic",
-                "diffuse_reflectance": {"type": "rgb", "value": [0.7, 0.25, 0.15]},
-            },
-        }
-        scene["cord"] = {
-            "type": "cylinder",
-            "p0": [x, y, z],
-            "p1": [x, 2.4, z],
-            "radius": 0.004,
-            "bsdf": matte(0.1, 0.1, 0.1),
-        }
+        scene |= _hanging_ball()
     for index, x in enumerate((-0.36, 0.36)):
         scene[f"window_{index}"] = {
             "type": "rectangle",
             "to_world": wall([x, 1.5, -1.99], ([0, 1, 0], 0), [0.33, 0.5]),
-            "bsdf": matte(0.0, 0.0, 0.0),
+            "bsdf": _matte(0.0, 0.0, 0.0),
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [0.5, 0.7, 1.0]}},
         }
     scene["sensor"] = {
@@ -111,3 +67,60 @@ def demo_room(width: int = 320, *, ball_in_box: bool = False) -> Any:
         "sampler": {"type": "independent"},
     }
     return load_ordered({"type": "scene", **scene})
+
+
+def _furniture() -> dict[str, Any]:
+    return {
+        "table": {
+            "type": "cube",
+            "to_world": mi.ScalarTransform4f().translate([0, 0.7, 0]).scale([0.6, 0.03, 0.45]),
+            "bsdf": {
+                "type": "roughplastic",
+                "alpha": 0.12,
+                "diffuse_reflectance": {"type": "rgb", "value": [0.32, 0.16, 0.08]},
+            },
+        },
+        "leg": {
+            "type": "cylinder",
+            "p0": [0, 0, 0],
+            "p1": [0, 0.68, 0],
+            "radius": 0.06,
+            "bsdf": _matte(0.1, 0.1, 0.1),
+        },
+        "vase": {
+            "type": "sphere",
+            "center": [0.25, 0.84, 0.1],
+            "radius": 0.11,
+            "bsdf": {
+                "type": "plastic",
+                "diffuse_reflectance": {"type": "rgb", "value": [0.1, 0.3, 0.5]},
+            },
+        },
+    }
+
+
+def _hanging_ball() -> dict[str, Any]:
+    x, y, z = BALL_CENTRE
+    return {
+        "ball": {
+            "type": "sphere",
+            "center": [x, y, z],
+            "radius": BALL_RADIUS,
+            "bsdf": {
+                "type": "plastic",
+                "diffuse_reflectance": {"type": "rgb", "value": [0.7, 0.25, 0.15]},
+            },
+        },
+        "cord": {
+            "type": "cylinder",
+            "p0": [x, y, z],
+            "p1": [x, 2.4, z],
+            "radius": 0.004,
+            "bsdf": _matte(0.1, 0.1, 0.1),
+        },
+    }
+
+
+def _matte(*rgb: float) -> dict[str, Any]:
+    reflectance = {"type": "rgb", "value": list(rgb)}
+    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}

@@ -1,7 +1,8 @@
 """The integrator of a scene: one that sees through the null surfaces of placed luminaires."""
 
+from __future__ import annotations
+
 import warnings
-from typing import Any
 
 import mitsuba as mi
 
@@ -17,12 +18,14 @@ _PATH_TRACERS = ("path", "lumitree_path")
 _DEFAULT_PATH_DEPTH = 16
 
 
-def integrator_for(scene: Any, described: Any, title: str, *, heterogeneous: bool) -> Any:
+def integrator_for(
+    scene: mi.Scene, described: mi.Properties | None, title: str, *, heterogeneous: bool
+) -> mi.Integrator:
     """The integrator of a scene, or what replaces it.
 
     Args:
-        scene: mi.Scene.
-        described: mi.Properties of its integrator; None where it has none, or one that was created
+        scene: as it was loaded.
+        described: of its integrator; None where it has none, or one that was created
             before, whose settings cannot be read.
         title: of the scene, for messages.
         heterogeneous: whether it has heterogeneous media.
@@ -34,7 +37,7 @@ def integrator_for(scene: Any, described: Any, title: str, *, heterogeneous: boo
     if described is not None and kind in _PATH_TRACERS:
         described.set_plugin_name(tracer)
         return mi.PluginManager.instance().create_object(described)
-    if records_layers(own) and not heterogeneous:
+    if own is not None and records_layers(own) and not heterogeneous:
         return own
     found = f"integrator {kind!r}" if kind else "no integrator"
     if described is None and own is not None:
@@ -49,7 +52,7 @@ def integrator_for(scene: Any, described: Any, title: str, *, heterogeneous: boo
 
 def default_integrator(
     path_depth: int = _DEFAULT_PATH_DEPTH, *, heterogeneous: bool = False
-) -> Any:
+) -> mi.Integrator:
     """Integrator for scenes that name none."""
     register()
     return mi.load_dict({"type": _path_tracer(heterogeneous), "max_depth": path_depth})

@@ -3,6 +3,8 @@
 `lumitree_path` accumulates these along its paths, and its film stores them as further channels.
 """
 
+from __future__ import annotations
+
 import contextlib
 import dataclasses
 from collections.abc import Iterator, Sequence
@@ -49,14 +51,21 @@ class Unrecorded:
         return {}
 
     def add_light(
-        self, record: dict[str, Any], emitter: Any, radiance: Any, seen: Any, active: Any
+        self,
+        record: dict[str, Any],
+        emitter: mi.EmitterPtr,
+        radiance: mi.Color3f,
+        seen: mi.Bool,
+        active: mi.Bool,
     ) -> None:
         pass
 
-    def add_surface(self, record: dict[str, Any], si: Any, β: Any, active: Any) -> None:
+    def add_surface(
+        self, record: dict[str, Any], si: mi.SurfaceInteraction3f, β: mi.Color3f, active: mi.Bool
+    ) -> None:
         pass
 
-    def channels(self, record: dict[str, Any]) -> list[Any]:
+    def channels(self, record: dict[str, Any]) -> list[mi.Float]:
         return []
 
 
@@ -69,7 +78,7 @@ class Layers(Unrecorded):
             that are in no other belong to the first group.
     """
 
-    def __init__(self, scene: Any, shapes: Sequence[str] = ()) -> None:
+    def __init__(self, scene: mi.Scene, shapes: Sequence[str] = ()) -> None:
         self.groups = 1 + len(shapes)
         emitters = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))
         # By the number of an emitter among all those of the process.
@@ -99,16 +108,21 @@ class Layers(Unrecorded):
         }
 
     def add_light(
-        self, record: dict[str, Any], emitter: Any, radiance: Any, seen: Any, active: Any
+        self,
+        record: dict[str, Any],
+        emitter: mi.EmitterPtr,
+        radiance: mi.Color3f,
+        seen: mi.Bool,
+        active: mi.Bool,
     ) -> None:
         """Record light of an emitter.
 
         Args:
             record: what is recorded along the paths; changed.
-            emitter: mi.EmitterPtr.
-            radiance: mi.Color3f, its part of the pixel.
-            seen: mi.Bool, whether there are only specular surfaces between it and the camera.
-            active: mi.Bool mask.
+            emitter: one for each path.
+            radiance: its part of the pixel.
+            seen: whether there are only specular surfaces between it and the camera.
+            active: mask.
         """
         number = dr.reinterpret_array(mi.UInt32, emitter)
         group = dr.gather(mi.UInt32, self._group_of, number, active)
@@ -116,7 +130,9 @@ class Layers(Unrecorded):
             for index in range(self.groups):
                 record[kind][index] += radiance & (active & mask & (group == index))
 
-    def add_surface(self, record: dict[str, Any], si: Any, β: Any, active: Any) -> None:
+    def add_surface(
+        self, record: dict[str, Any], si: mi.SurfaceInteraction3f, β: mi.Color3f, active: mi.Bool
+    ) -> None:
         """Record the first surface of each path that is not specular."""
         first = active & ~record["found"]
         record["found"] |= first
@@ -124,7 +140,7 @@ class Layers(Unrecorded):
         record["albedo"] += β * bsdf.eval_diffuse_reflectance(si, first) & first
         record["normal"] += mi.Color3f(si.sh_frame.n) & first
 
-    def channels(self, record: dict[str, Any]) -> list[Any]:
+    def channels(self, record: dict[str, Any]) -> list[mi.Float]:
         """Values of the film's further channels."""
         colours = [*record["seen"], *record["lit"], *(record[buffer] for buffer in BUFFERS)]
         return [colour[i] for colour in colours for i in range(3)]
@@ -142,7 +158,7 @@ class Layers(Unrecorded):
         )
 
 
-def records_layers(integrator: Any) -> bool:
+def records_layers(integrator: mi.Integrator) -> bool:
     """Whether an integrator can record layers: whether it is `lumitree_path`."""
     return isinstance(getattr(integrator, "layers", None), Unrecorded)
 

@@ -1,5 +1,7 @@
 """The materials of an asset's model as BSDFs of Mitsuba."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,8 +21,8 @@ class Materials:
         self._images = images
         self._textures: dict[str, Any] = {}
 
-    def bsdf(self, material: Json) -> Any:
-        """The mi.BSDF of a material."""
+    def bsdf(self, material: Json) -> mi.BSDF:
+        """The BSDF of a material."""
         values = {f"nested_{i}": self.bsdf(m) for i, m in enumerate(material.get("nested", []))}
         for name in material.keys() - {"type", "nested"}:
             values[name] = self._value(material[name])
@@ -34,12 +36,12 @@ class Materials:
         # JSON writes 1.0 as 1, too; Mitsuba refuses an integer as an index of refraction.
         return float(value) if type(value) is int else value
 
-    def radiance(self, radiance: Any) -> Any:
-        """The mi.Texture of what a shape emits."""
+    def radiance(self, radiance: Any) -> mi.Texture:
+        """The texture of what a shape emits."""
         values = {"radiance": self._value(radiance)}
         return make_properties("", values).get_emissive_texture("radiance")
 
-    def _texture(self, texture: Json) -> Any:
+    def _texture(self, texture: Json) -> mi.Texture:
         key = repr(sorted(texture.items()))
         if key not in self._textures:
             self._textures[key] = load_ordered(self._description(texture))

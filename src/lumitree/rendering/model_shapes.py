@@ -1,5 +1,7 @@
 """The shapes of an asset's model in a scene."""
 
+from __future__ import annotations
+
 import weakref
 from typing import Any
 
@@ -17,13 +19,13 @@ from lumitree.rendering.model_materials import Materials
 from lumitree.rendering.plugins.model_plugins import model_emitter_class, model_glass_class
 from lumitree.rendering.plugins.objects import make_object, make_properties
 
-_SURFACES: "weakref.WeakKeyDictionary[AssetModel, dict[str, _Surfaces]]" = (
-    weakref.WeakKeyDictionary()
-)
+_SURFACES: weakref.WeakKeyDictionary[AssetModel, dict[str, _Surfaces]] = weakref.WeakKeyDictionary()
 
 
-def model_shapes(model: AssetModel, scene_from_world: NDArray[np.float64], lamp: Any) -> list[Any]:
-    """The shapes (mi.Shape) of a model.
+def model_shapes(
+    model: AssetModel, scene_from_world: NDArray[np.float64], lamp: Any
+) -> list[mi.Shape]:
+    """The shapes of a model.
 
     Args:
         model: what to place.
@@ -51,8 +53,8 @@ class _Builder:
         self._emitter = model_emitter_class()
         self._surfaces = _surfaces(model)
 
-    def shape(self, shape: Json, mesh: "dict[str, NDArray[Any]] | None") -> Any:
-        """The mi.Shape of a shape of the model, with its BSDF and its emitter."""
+    def shape(self, shape: Json, mesh: dict[str, NDArray[Any]] | None) -> mi.Shape:
+        """A shape of the model, with its BSDF and its emitter."""
         material = self._model.materials[shape["material"]]
         radiance = shape["radiance"]
         bsdf = self._surfaces.bsdf(shape)
@@ -86,7 +88,7 @@ class _Builder:
             power = np.maximum(np.array(area) * np.array(mean), 1e-30)
             self._lights.set_shapes(list(shapes), power)
 
-    def _mesh(self, mesh: dict[str, NDArray[Any]], props: Any) -> Any:
+    def _mesh(self, mesh: dict[str, NDArray[Any]], props: mi.Properties) -> mi.Mesh:
         rotation = self._matrix[:3, :3] / self._scale
         placed = {
             "vertex_positions": mesh["vertices"] @ self._matrix[:3, :3].T + self._matrix[:3, 3],
@@ -112,8 +114,8 @@ class _Builder:
         parameters.update()
         return shape
 
-    def _medium(self, described: Any) -> Any:
-        """The mi.Medium of a side of a shape, whose coefficients are per unit of the file."""
+    def _medium(self, described: Any) -> mi.Medium:
+        """The medium of a side of a shape, whose coefficients are per unit of the file."""
         key = repr(described)
         if key not in self._media:
             absorption, scattering, anisotropy = model_medium(described)
@@ -133,7 +135,7 @@ class _Builder:
         return self._media[key]
 
 
-def _surfaces(model: AssetModel) -> "_Surfaces":
+def _surfaces(model: AssetModel) -> _Surfaces:
     """BSDFs and textures of a model, made on first use."""
     known, variant = _SURFACES.setdefault(model, {}), str(mi.variant())
     if variant not in known:
@@ -151,8 +153,8 @@ class _Surfaces:
         self._bsdfs = [self._materials.bsdf(material) for material in model.materials]
         self._crossed = list(map(self._top, self._kinds, self._bsdfs))
 
-    def bsdf(self, shape: Json) -> Any:
-        """The mi.BSDF of a shape of the model.
+    def bsdf(self, shape: Json) -> mi.BSDF:
+        """The BSDF of a shape of the model.
 
         Glass around a medium that scatters is not crossed straight: light that scatters in it
         leaves it by refraction, or is reflected back totally.
@@ -161,8 +163,8 @@ class _Surfaces:
         return (self._crossed if straight else self._bsdfs)[shape["material"]]
 
     def emitted(self, radiance: Any) -> Any:
-        """Radiance as a mi.Texture."""
+        """Radiance as a texture."""
         return self._materials.radiance(radiance)
 
-    def _top(self, kind: str, bsdf: Any) -> Any:
+    def _top(self, kind: str, bsdf: mi.BSDF) -> mi.BSDF:
         return self._glass(bsdf) if kind == "dielectric" else bsdf

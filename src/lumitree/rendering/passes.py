@@ -5,6 +5,8 @@ Symbols
     N, K        samples per pixel of all passes, number of passes
 """
 
+from __future__ import annotations
+
 import dataclasses
 import time
 from typing import Any
@@ -116,7 +118,12 @@ class _Mean:
 
 
 def render_passes(
-    scene: Any, integrator: Any, budget: Budget, *, seed: int = 0, name: str = "render"
+    scene: mi.Scene,
+    integrator: mi.Integrator,
+    budget: Budget,
+    *,
+    seed: int = 0,
+    name: str = "render",
 ) -> Rendering:
     """Render the scene's first sensor until a budget is spent.
 

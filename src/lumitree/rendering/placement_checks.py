@@ -4,9 +4,10 @@ Symbols
     N   boxes       P   pairs of boxes
 """
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -20,13 +21,13 @@ _INSIDE = 0.998
 _SAME = 1e-3
 
 
-def holds_objects(shapes: Sequence[Any], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
+def holds_objects(shapes: Sequence[mi.Shape], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether one of some shapes is in each box, by more than it may touch.
 
     Meshes, rectangles and spheres are tested exactly; of other shapes, the axis-aligned box.
 
     Args:
-        shapes: mi.Shape.
+        shapes: of a scene.
         boxes: [N, 4, 4] transforms of [-1, 1]³ into the scene.
     """
     holds = np.zeros(len(boxes), bool)
@@ -44,7 +45,7 @@ def holds_objects(shapes: Sequence[Any], boxes: NDArray[np.float64]) -> NDArray[
 
 
 def _in_boxes(
-    shape: Any, lower: NDArray[np.float64], upper: NDArray[np.float64]
+    shape: mi.Shape, lower: NDArray[np.float64], upper: NDArray[np.float64]
 ) -> Callable[[NDArray[np.float64]], bool]:
     """A test of a shape with these bounds: whether it is in a box [4, 4] that the bounds meet."""
     if (triangles := _triangles(shape)) is not None:
@@ -67,9 +68,9 @@ def _in_frame(box: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[
     return (points - box[:3, 3]) @ np.linalg.inv(box[:3, :3]).T
 
 
-def _triangles(shape: Any) -> NDArray[np.float64] | None:
+def _triangles(shape: mi.Shape) -> NDArray[np.float64] | None:
     """Triangles [T, 3, 3] of a mesh or a rectangle; None for other shapes."""
-    if shape.is_mesh():
+    if isinstance(shape, mi.Mesh):
         vertices = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)
         return vertices[np.array(shape.faces_buffer()).reshape(-1, 3)]
     if shape.class_name() == "Rectangle":

@@ -23,7 +23,7 @@ from lumitree.rendering.saved_image import SavedImage
 
 if TYPE_CHECKING:
     from lumitree.rendering.layers import Recorded
-    from lumitree.rendering.passes import Rendering
+    from lumitree.rendering.passes import Budget, Rendering
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.sampling.proxy import ProxyKind
 
@@ -234,13 +234,15 @@ class _RenderJob:
         self._whole = place_luminaires(loaded, placed, proxy, appearance=appearance)
         self._placed_ids, self._title = placed_ids(placed), scene_title(scene)
 
-    def rendered(self, budget: Any, seed: int) -> "Rendering":
+    def rendered(self, budget: "Budget", seed: int) -> "Rendering":
         """The image alone."""
         from lumitree.rendering.passes import render_passes
 
         return render_passes(self._whole, self.integrator, budget, seed=seed)
 
-    def recorded(self, budget: Any, seed: int, *, by_lamp: bool) -> "tuple[Rendering, Recorded]":
+    def recorded(
+        self, budget: "Budget", seed: int, *, by_lamp: bool
+    ) -> "tuple[Rendering, Recorded]":
         """The image, and what is recorded beside it; `by_lamp`, the light of each lamp apart."""
         from lumitree.rendering.layers import Layers, recording, records_layers
 

@@ -1,5 +1,7 @@
 """Scenes with luminaires placed in them."""
 
+from __future__ import annotations
+
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -128,13 +130,13 @@ def open_placements(placements: Sequence[Placement]) -> list[PlacedLuminaire]:
 
 
 def place_luminaires(
-    scene: Any,
+    scene: mi.Scene,
     luminaires: Sequence[PlacedLuminaire],
     proxy: ProxyKind = "box",
     sampling: Sampling = "emission",
     appearance: Appearance = "field",
     thresholds: Thresholds = EXACT,
-) -> Any:
+) -> mi.Scene:
     """Scene with the objects of another one and the placed luminaires.
 
     The appearance "model" is for `lumitree_path` only (`appearance_for`). The thresholds are those
@@ -184,7 +186,7 @@ def load_scene(
     *,
     box_filter: bool = False,
     width: int | None = None,
-) -> tuple[Any, Any]:
+) -> tuple[mi.Scene, mi.Integrator]:
     """Scene and integrator of a scene; the integrator sees through null surfaces.
 
     A `path` integrator becomes `lumitree_path` with the same settings, or `volpath` where the scene
@@ -193,7 +195,7 @@ def load_scene(
     from the origin, for `volpath`.
 
     Args:
-        source: path of a scene file, dictionary as for `mitsuba.load_dict`, or mi.Scene.
+        source: path of a scene file, dictionary as for `mitsuba.load_dict`, or `mitsuba.Scene`.
         luminaires: that will be placed in the scene.
         box_filter: whether each pixel is the mean of its own samples, whatever filter the scene
             names.
@@ -242,7 +244,7 @@ def scene_title(source: Any) -> str:
     return str(source)
 
 
-def _created_sensors(source: Any) -> list[Any]:
+def _created_sensors(source: Any) -> list[mi.Sensor]:
     """The sensors of a scene, as for `load_scene`, that are created already."""
     if isinstance(source, mi.Scene):
         return source.sensors()
@@ -250,8 +252,10 @@ def _created_sensors(source: Any) -> list[Any]:
     return [value for value in values if isinstance(value, mi.Sensor)]
 
 
-def _create(source: Any, title: str, *, box_filter: bool) -> tuple[Any, Any, Sequence[SceneShape]]:
-    """Scene of a file or a dictionary, mi.Properties of its integrator, and its shapes."""
+def _create(
+    source: Any, title: str, *, box_filter: bool
+) -> tuple[mi.Scene, mi.Properties | None, Sequence[SceneShape]]:
+    """Scene of a file or a dictionary, properties of its integrator, and its shapes."""
     file = SceneFile(source)
     # Copied, since creating the scene clears the nodes.
     described: list[Any] = [mi.Properties(n.props) for n in file.nodes("Integrator")][:1]
@@ -266,12 +270,12 @@ def _create(source: Any, title: str, *, box_filter: bool) -> tuple[Any, Any, Seq
     return file.instantiate(), described[0] if described else None, shapes
 
 
-def appearance_for(integrator: Any) -> Appearance:
+def appearance_for(integrator: mi.Integrator) -> Appearance:
     """What an integrator can show of lamps whose assets have a model."""
     return "model" if getattr(integrator, "shows_models", False) else "field"
 
 
-def set_film_width(scene: Any, width: int) -> None:
+def set_film_width(scene: mi.Scene, width: int) -> None:
     """Change the film of the scene's first sensor to `width` pixels, keeping its proportions."""
     film = scene.sensors()[0].film()
     if width < 1:
@@ -322,7 +326,7 @@ def _warn_far(placed: PlacedLuminaire) -> None:
         )
 
 
-def _warn_unlit_by_volpath(scene: Any, placed: PlacedLuminaire) -> None:
+def _warn_unlit_by_volpath(scene: mi.Scene, placed: PlacedLuminaire) -> None:
     """Tell of objects in a lamp's box, which `volpath` does not light."""
     if holds_objects(scene.shapes(), placed.scene_from_box[None])[0]:
         warnings.warn(
@@ -334,7 +338,7 @@ def _warn_unlit_by_volpath(scene: Any, placed: PlacedLuminaire) -> None:
 
 
 def _warn_unlit(
-    scene: Any, luminaires: Sequence[PlacedLuminaire], proxy: ProxyKind, sampling: Sampling
+    scene: mi.Scene, luminaires: Sequence[PlacedLuminaire], proxy: ProxyKind, sampling: Sampling
 ) -> None:
     """Tell of baked luminaires that do not light what is in their boxes."""
     lacking = []

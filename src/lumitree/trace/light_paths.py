@@ -102,6 +102,19 @@ def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> Any:
     return flux * dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2))
 
 
+def _shading_correction(si, bsdf, sample, arriving, leaving):
+    """Factor on a sampled direction for shading normals, and whether light is scattered there.
+
+    Veach 1997, Eq. 5.19. Camera paths decide by the shading normal which side of a surface they are
+    on, so light paths do too.
+    """
+    cos_in, cos_out = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(sample.wo)
+    true_in, true_out = dr.dot(si.n, arriving), dr.dot(si.n, leaving)
+    crosses = ~is_transmitted(sample.sampled_type) & on_opposite_sides(si, arriving, leaving)
+    scatters = (true_in != 0) & (cos_out != 0) & ~(crosses & is_opaque(bsdf))
+    return dr.abs(cos_in * true_out / (cos_out * true_in)), scatters
+
+
 @dr.syntax
 def _trace(scene, sampler, path_depth, reservoir):
     context = mi.BSDFContext(mi.TransportMode.Importance)
@@ -149,14 +162,8 @@ def _trace(scene, sampler, path_depth, reservoir):
             # What leaves behind null surfaces begins at the last of them.
             end = dr.select(misses, ray.o, dr.select(collides, ray(flight), si.p))
             reservoir.stop(end, ray.d, arriving, (misses | active) & ~passes)
-        # Correction for shading normals, Veach 1997, Eq. 5.19. Camera paths decide by the shading
-        # normal which side of a surface they are on, so these do too.
-        cos_in, cos_out = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(sample.wo)
-        true_in, true_out = dr.dot(si.n, ray.d), dr.dot(si.n, towards)
-        hits &= (true_in != 0) & (cos_out != 0)
-        crosses = ~is_transmitted(sample.sampled_type) & on_opposite_sides(si, ray.d, towards)
-        hits &= ~(crosses & is_opaque(bsdf))
-        correction = dr.abs(cos_in * true_out / (cos_out * true_in))
+        correction, scatters = _shading_correction(si, bsdf, sample, ray.d, towards)
+        hits &= scatters
         flux = dr.select(
             collides, flux * phase_weight, dr.select(hits, flux * bsdf_weight * correction, flux)
         )

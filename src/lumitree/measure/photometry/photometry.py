@@ -31,6 +31,7 @@ from lumitree.rendering.asset_cache import asset_of
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import LuminaireLike
+    from lumitree.measure.photometry.far_field import Source
     from lumitree.measure.photometry.figures import PhotometricData
 
 # Light paths of a measurement: 15 to 30 s on 2 CPU cores.
@@ -130,19 +131,12 @@ def photometry(
         >>> print(result.lumens, "lm")
     """
     outputs = [output] if isinstance(output, str | os.PathLike) else list(output)
-    for path in outputs:
-        if Path(path).suffix.lower() not in OUTPUTS:
-            name = shown(repr(os.fspath(path)), 300)
-            raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
-        check_writable(path)
+    _check_outputs(outputs)
     check_range("light paths", paths, MIN_PATHS, MAX_PATHS)
     check_range("rays of a ray file", file_rays, 1, MAX_FILE_RAYS)
     check_seed(seed)
     check_choice("up", up, ("y", "z"))
-    metres = UNITS.get(unit, 0.0) if isinstance(unit, str) else unit
-    if not (isinstance(metres, int | float) and 1e-6 <= metres <= 1e6):
-        expected = f"{', '.join(UNITS)}, or 1e-6 to 1e6 metres"
-        raise LumitreeError(f"unit is {shown(repr(unit), 40)}; expected {expected}")
+    metres = _metres(unit)
     load_mitsuba(variant)
     from lumitree.formats.type_c import Grid
     from lumitree.lamp.luminaire import load_luminaire
@@ -169,24 +163,17 @@ def photometry(
             measured = asset_source(asset)
         else:
             measured = luminaire_source(load_luminaire(cast(Any, source)))
-        if wanted and measured.frame.is_far:
-            place = ", ".join(f"{each:.10g}" for each in measured.frame.centre)
-            warnings.warn(
-                f"{measured.name} is at ({place}) in its file, where the float32 coordinates of a "
-                "ray file are too coarse; the rays are those of the lamp at the origin",
-                LumitreeWarning,
-                stacklevel=3,
-            )
+        if wanted:
+            _warn_far(measured)
         measured = oriented(measured, metres, up)
         measurement = measure(measured, paths, step=step, kept_rays=wanted, seed=seed)
         data = evaluated(measurement)
     with watch.stage("write"):
         for path in outputs:
             _writer(_suffix(path), data, measurement.rays)(path)
-    figures = data.figures
     return PhotometryResult(
         luminaire=measurement.name,
-        **{field.name: getattr(figures, field.name) for field in dataclasses.fields(figures)},
+        **_figures(data.figures),
         near_field=data.near_field,
         ugr=data.ugr,
         step=data.step,
@@ -200,6 +187,39 @@ def photometry(
         png=plots_png(data),
         **watch.costs(),
     )
+
+
+def _check_outputs(outputs: Sequence[FilePath]) -> None:
+    for path in outputs:
+        if _suffix(path) not in OUTPUTS:
+            name = shown(repr(os.fspath(path)), 300)
+            raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
+        check_writable(path)
+
+
+def _metres(unit: float | str) -> float:
+    """Metres in a unit of length, as for `photometry`."""
+    metres = UNITS.get(unit, 0.0) if isinstance(unit, str) else unit
+    if not (isinstance(metres, int | float) and 1e-6 <= metres <= 1e6):
+        expected = f"{', '.join(UNITS)}, or 1e-6 to 1e6 metres"
+        raise LumitreeError(f"unit is {shown(repr(unit), 40)}; expected {expected}")
+    return metres
+
+
+def _warn_far(source: "Source") -> None:
+    """Warn of a ray file whose coordinates would be too coarse."""
+    if source.frame.is_far:
+        place = ", ".join(f"{each:.10g}" for each in source.frame.centre)
+        warnings.warn(
+            f"{source.name} is at ({place}) in its file, where the float32 coordinates of a "
+            "ray file are too coarse; the rays are those of the lamp at the origin",
+            LumitreeWarning,
+            stacklevel=4,
+        )
+
+
+def _figures(figures: PhotometricFigures) -> dict[str, Any]:
+    return {field.name: getattr(figures, field.name) for field in dataclasses.fields(figures)}
 
 
 def _suffix(path: FilePath) -> str:

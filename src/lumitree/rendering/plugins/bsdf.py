@@ -1,6 +1,6 @@
 """The BSDF `lumitree_null`: what stands behind a baked luminaire stays visible."""
 
-from typing import Any
+from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
@@ -18,7 +18,7 @@ def null_bsdf_class() -> type:
     """
 
     class LumitreeNull(delta_bsdf_class()):
-        def __init__(self, props: Any) -> None:
+        def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
             self.placed = Placed(props)
             flags = mi.BSDFFlags.Null | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide

@@ -1,7 +1,9 @@
 """What an integrator may ask of an emitter whose radiance is costly."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import mitsuba as mi
 
@@ -24,12 +26,12 @@ class EmitterSample:
         beyond: how far the shadow ray goes on beyond `ds.p`, through the lamp's own surfaces.
     """
 
-    ds: "mi.DirectionSample3f"
-    weight: "mi.Color3f"
-    valid: "mi.Bool"
-    includes_mis: "mi.Bool"
+    ds: mi.DirectionSample3f
+    weight: mi.Color3f
+    valid: mi.Bool
+    includes_mis: mi.Bool
     target: Target
-    beyond: "mi.Float"
+    beyond: mi.Float
 
 
 @runtime_checkable
@@ -52,82 +54,89 @@ class DeferredEmitter(Protocol):
         """Light what is in the box from now on, if it can (`placed.holds`)."""
         ...
 
-    def sample_target(self, it: Any, sample: Any, active: Any) -> EmitterSample:
+    def sample_target(
+        self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool
+    ) -> EmitterSample:
         """First half of `sample_direction`: a direction towards the proxy.
 
         Args:
-            it: mi.Interaction3f, the reference point.
-            sample: mi.Point2f in the unit square.
-            active: mi.Bool mask.
+            it: the reference point.
+            sample: point in the unit square.
+            active: mask.
         """
         ...
 
     def eval_target(
-        self, it: Any, sampled: EmitterSample, bsdf_pdf: Any, emitter_pmf: Any, active: Any
-    ) -> tuple[Any, Any]:
+        self,
+        it: mi.Interaction3f,
+        sampled: EmitterSample,
+        bsdf_pdf: mi.Float,
+        emitter_pmf: mi.Float,
+        active: mi.Bool,
+    ) -> tuple[mi.Color3f, mi.Float]:
         """Second half of `sample_direction`: what a sampled direction is worth.
 
         Args:
             it: as for `sample_target`.
             sampled: what `sample_target` returned.
-            bsdf_pdf: mi.Float, density per steradian with which the BSDF samples the direction.
-            emitter_pmf: mi.Float, probability with which this emitter was chosen.
-            active: mi.Bool mask.
+            bsdf_pdf: density per steradian with which the BSDF samples the direction.
+            emitter_pmf: probability with which this emitter was chosen.
+            active: mask.
 
         Returns:
-            mi.Color3f, radiance over density; mi.Float, density per steradian, 0 where the sampled
-            point turns out to be hidden within the luminaire.
+            Radiance over density; and density per steradian, 0 where the sampled point turns out to
+            be hidden within the luminaire.
         """
         ...
 
     def eval_entered(
         self,
-        ray: Any,
-        distance: Any,
-        it: Any,
-        specular_chain: Any,
-        bsdf_pdf: Any,
-        emitter_pmf: Any,
-        ends: tuple[Any, Any],
-        active: Any,
-    ) -> tuple[Any, Any, Any]:
+        ray: mi.Ray3f,
+        distance: mi.Float,
+        it: mi.Interaction3f,
+        specular_chain: mi.Bool,
+        bsdf_pdf: mi.Float,
+        emitter_pmf: mi.Float,
+        ends: tuple[mi.Float, mi.Float],
+        active: mi.Bool,
+    ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
         """`eval`, `eval_null_transmission` and `pdf_direction` in one traversal.
 
         Args:
-            ray: mi.Ray3f that enters the proxy.
-            distance: mi.Float, from its origin to the proxy.
-            it: mi.Interaction3f, the vertex that the ray comes from.
-            specular_chain: mi.Bool, whether all vertices between the camera and the ray are
-                specular, so that the ray belongs to an image of the emitter.
-            bsdf_pdf: mi.Float, density per steradian with which the BSDF sampled the ray.
-            emitter_pmf: mi.Float, probability with which next-event estimation chooses this
-                emitter; 0 if it could not have found the ray.
-            ends: mi.Float, distances from the ray's origin of the first surface that belongs to
-                the emitter's lamp, and of the first other one.
-            active: mi.Bool mask.
+            ray: the ray that enters the proxy.
+            distance: from its origin to the proxy.
+            it: the vertex that the ray comes from.
+            specular_chain: whether all vertices between the camera and the ray are specular, so
+                that the ray belongs to an image of the emitter.
+            bsdf_pdf: density per steradian with which the BSDF sampled the ray.
+            emitter_pmf: probability with which next-event estimation chooses this emitter; 0 if it
+                could not have found the ray.
+            ends: distances from the ray's origin of the first surface that belongs to the emitter's
+                lamp, and of the first other one.
+            active: mask.
 
         Returns:
-            mi.Color3f, radiance; mi.Float, transmittance; mi.Float, density with which
-            `sample_direction` gives this direction from `it`, 0 if the radiance includes the weight
-            of multiple importance sampling.
+            Radiance; transmittance; and density with which `sample_direction` gives this direction
+            from `it`, 0 if the radiance includes the weight of multiple importance sampling.
         """
         ...
 
-    def sample_self_emission(self, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+    def sample_self_emission(
+        self, sample: mi.Float, active: mi.Bool
+    ) -> tuple[mi.ShapePtr, mi.Float, mi.Float]:
         """A shape of the lamp's model that emits.
 
         Args:
-            sample: mi.Float in [0, 1).
-            active: mi.Bool mask.
+            sample: number in [0, 1).
+            active: mask.
 
         Returns:
-            mi.ShapePtr, null where nothing emits; its probability (mi.Float); and a new sample in
-            [0, 1).
+            The shape, null where nothing emits; its probability; and a new sample in [0, 1).
         """
         ...
 
-    def transmittance(self, ray: Any, distance: Any, active: Any) -> Any:
-        """Transmittance (mi.Float) for a shadow ray that enters the proxy.
+    def transmittance(self, ray: mi.Ray3f, distance: mi.Float, active: mi.Bool) -> mi.Float:
+        """Transmittance for a shadow ray that enters the proxy.
 
         Args:
             ray, distance, active: as for `eval_entered`.

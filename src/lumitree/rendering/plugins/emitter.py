@@ -1,7 +1,8 @@
 """The emitter `lumitree`: what a baked luminaire sends out."""
 
+from __future__ import annotations
+
 import functools
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -26,7 +27,7 @@ def emitter_class() -> type:
     """
 
     class LumitreeEmitter(mi.Emitter):
-        def __init__(self, props: Any) -> None:
+        def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
             self.placed = Placed(props)
             # Its tables are made while the scene is loaded, and not by the first image.

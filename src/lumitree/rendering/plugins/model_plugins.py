@@ -10,6 +10,8 @@ transmittance: shadow rays, and rays after a vertex that is not specular. Else n
 could not find a light behind glass, and paths would find its caustics by chance.
 """
 
+from __future__ import annotations
+
 from typing import Any, Protocol, runtime_checkable
 
 import drjit as dr
@@ -28,23 +30,29 @@ CROSSED_STRAIGHT = 1 << 24
 class ModelEmitter(Protocol):
     """Emitter of a shape of a lamp's model, which `lumitree_path` evaluates."""
 
-    def eval_self_emission(self, si: Any, it: Any, ds: Any, active: Any) -> tuple[Any, Any]:
+    def eval_self_emission(
+        self,
+        si: mi.SurfaceInteraction3f,
+        it: mi.Interaction3f,
+        ds: mi.DirectionSample3f,
+        active: mi.Bool,
+    ) -> tuple[mi.Color3f, mi.Float]:
         """Radiance of a point that a ray has hit.
 
         Args:
-            si: mi.SurfaceInteraction3f on the shape.
-            it: mi.Interaction3f, the vertex that the ray comes from.
-            ds: mi.DirectionSample3f of both.
-            active: mi.Bool mask.
+            si: the point, on the shape.
+            it: the vertex that the ray comes from.
+            ds: from `it` to the point.
+            active: mask.
 
         Returns:
-            mi.Color3f, radiance towards `si.wi`; and mi.Float, density per steradian with which a
-            point of the shape that `sample_self_emission` gave has this direction from `it`.
+            Radiance towards `si.wi`; and density per steradian with which a point of the shape that
+            `sample_self_emission` gave has this direction from `it`.
         """
         ...
 
-    def radiance_at(self, ds: Any, active: Any) -> Any:
-        """Radiance (mi.Color3f) of a point that was sampled on the shape, towards the vertex."""
+    def radiance_at(self, ds: mi.DirectionSample3f, active: mi.Bool) -> mi.Color3f:
+        """Radiance of a point that was sampled on the shape, towards the vertex."""
         ...
 
 
@@ -53,14 +61,18 @@ def model_emitter_class() -> type:
 
     class LumitreeModelEmitter(mi.Emitter):
         def __init__(
-            self, lamp: Any, lights: SelfLights, radiance: Any = None, index: int = 0
+            self,
+            lamp: Any,
+            lights: SelfLights,
+            radiance: mi.Texture | None = None,
+            index: int = 0,
         ) -> None:
             """Emitter of one shape.
 
             Args:
                 lamp: emitter `lumitree` of the proxy, which has the gain.
                 lights: what emits in the lamp.
-                radiance: mi.Texture, what the front of the surface emits; None for nothing.
+                radiance: what the front of the surface emits; None for nothing.
                 index: of the shape in `lights`, if it emits.
             """
             super().__init__(make_properties("lumitree_model", {"sampling_weight": 0.0}))
@@ -83,6 +95,7 @@ def model_emitter_class() -> type:
             return self._eval(si, active)
 
         def _eval(self, si, active):
+            assert self._radiance is not None
             front = active & (mi.Frame3f.cos_theta(si.wi) > 0)
             radiance = self._lamp.gain * self._gain * mi.Color3f(self._radiance.eval(si, front))
             return dr.select(front, radiance, 0)
@@ -113,11 +126,11 @@ def model_glass_class() -> type:
     """Class of the glass for the variant of Mitsuba that is set, whose base class it extends."""
 
     class LumitreeModelGlass(delta_bsdf_class()):
-        def __init__(self, glass: Any) -> None:
+        def __init__(self, glass: mi.BSDF) -> None:
             """A smooth dielectric that light may also cross straight.
 
             Args:
-                glass: mi.BSDF, whose second component is a specular transmission.
+                glass: whose second component is a specular transmission.
             """
             super().__init__(make_properties("lumitree_glass", {}))
             self._glass = glass

@@ -1,5 +1,7 @@
 """Objects of Mitsuba that `mitsuba.load_dict` does not make, or not always in the same order."""
 
+from __future__ import annotations
+
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -12,8 +14,8 @@ _STEPS: deque[Callable[[], object]] = deque()
 _LOCK = threading.Lock()
 
 
-def make_properties(plugin: str, values: Mapping[str, Any]) -> Any:
-    """The mi.Properties of a plugin; values may be objects."""
+def make_properties(plugin: str, values: Mapping[str, Any]) -> mi.Properties:
+    """Properties of a plugin; values may be objects."""
     properties = mi.Properties(plugin)
     for name, value in values.items():
         properties[name] = value
@@ -25,13 +27,13 @@ def make_object(plugin: str, values: Mapping[str, Any]) -> Any:
     return mi.PluginManager.instance().create_object(make_properties(plugin, values))
 
 
-def shape_number(shape: Any) -> int:
-    """The number that stands for a mi.Shape in arrays of mi.ShapePtr."""
+def shape_number(shape: mi.Shape) -> int:
+    """The number that stands for a shape in arrays of mi.ShapePtr."""
     return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
 
 
-def medium_number(medium: Any) -> int:
-    """The number that stands for a mi.Medium in arrays of mi.MediumPtr."""
+def medium_number(medium: mi.Medium) -> int:
+    """The number that stands for a medium in arrays of mi.MediumPtr."""
     return int(dr.reinterpret_array(mi.UInt32, mi.MediumPtr(medium))[0])
 
 

@@ -1,5 +1,7 @@
 """Where a baked luminaire stands in a scene: what its emitter and its BSDF share."""
 
+from __future__ import annotations
+
 from typing import Any, Literal, get_args
 
 import drjit as dr
@@ -23,7 +25,7 @@ MODEL_MARGIN = 1e-3
 _OPTIONS = ("gain", "min_density", "max_opacity", "proxy", "sampling", "appearance", "to_world")
 
 
-def plugin_options(props: Any) -> dict[str, Any]:
+def plugin_options(props: mi.Properties) -> dict[str, Any]:
     """Arguments of `describe_proxy` from plugin properties.
 
     Raises:
@@ -48,7 +50,7 @@ def shows_model(asset: FieldData, appearance: Appearance) -> bool:
 class Placed:
     """What the emitter and the BSDF share: a field, its proxy and where they stand."""
 
-    def __init__(self, props: Any) -> None:
+    def __init__(self, props: mi.Properties) -> None:
         options = plugin_options(props)
         thresholds = {n: options[n] for n in ("min_density", "max_opacity") if n in options}
         self.asset = asset = open_asset(options["asset"])
@@ -93,11 +95,11 @@ class Placed:
         """Field whose transmittance shadow rays get: of less detail beside a light field."""
         return self.field if self.asset.light_field is None else self.field.coarse
 
-    def in_margin(self, point: Any) -> Any:
+    def in_margin(self, point: mi.Point3f) -> mi.Bool:
         """Whether a point of the local frame is inside the proxy of a model."""
         return self.in_box(point) if self.shows_model else mi.Bool(False)
 
-    def in_box(self, point: Any) -> Any:
+    def in_box(self, point: mi.Point3f) -> mi.Bool:
         """Whether a point of the local frame is inside the box, with the margin of a model."""
         margin = MODEL_MARGIN if self.shows_model else 0.0
         half = mi.Vector3f(*(self.asset.frame.half_extents + margin).tolist())
@@ -111,34 +113,38 @@ class Placed:
         matrix[:3, 3] = self._origin
         return matrix
 
-    def entering_line(self, si: Any, active: Any) -> tuple[tuple[Any, Any], Any]:
+    def entering_line(
+        self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool
+    ) -> tuple[tuple[mi.Point3f, mi.Vector3f], mi.Bool]:
         """Local line of what looks at an interaction with the proxy, and where it enters there."""
         line = self.local_line(si.p, -si.to_world(si.wi))
         return line, active & (mi.Frame3f.cos_theta(si.wi) > 0)
 
-    def entry(self, ray: Any, distance: Any) -> tuple[Any, Any]:
+    def entry(self, ray: mi.Ray3f, distance: mi.Float) -> tuple[mi.Point3f, mi.Vector3f]:
         """Where a ray of the scene enters the proxy, and its direction, as `local_line`."""
         origin, direction = self.local_line(ray.o, ray.d)
         return origin + distance / self.scale * direction, direction
 
-    def local_line(self, point: Any, direction: Any) -> tuple[Any, Any]:
+    def local_line(
+        self, point: mi.Point3f, direction: mi.Vector3f
+    ) -> tuple[mi.Point3f, mi.Vector3f]:
         """A point of a scene line and its unit direction of travel, in the local frame."""
         return self.local_point(point), self.local_direction(direction)
 
-    def local_point(self, point: Any) -> Any:
-        """A scene point (mi.Point3f) in the local frame."""
+    def local_point(self, point: mi.Point3f) -> mi.Point3f:
+        """A scene point in the local frame."""
         # The centre first: the difference of two points near each other is exact, however far from
         # the origin they are. A matrix with a translation adds rounded products that cancel.
         return mi.Point3f(self._rotation.T @ (point - self._centre) / self.scale)
 
-    def local_direction(self, direction: Any) -> Any:
+    def local_direction(self, direction: mi.Vector3f) -> mi.Vector3f:
         """A direction of the scene in the local frame, unit length."""
         return dr.normalize(self._rotation.T @ direction)
 
-    def scene_point(self, point: Any) -> Any:
-        """A point of the local frame in the scene (mi.Point3f)."""
+    def scene_point(self, point: mi.Point3f) -> mi.Point3f:
+        """A point of the local frame in the scene."""
         return self._centre + mi.Point3f(self.scale * (self._rotation @ point))
 
-    def scene_direction(self, direction: Any) -> Any:
-        """A direction of the local frame in the scene (mi.Vector3f), unit length."""
+    def scene_direction(self, direction: mi.Vector3f) -> mi.Vector3f:
+        """A direction of the local frame in the scene, unit length."""
         return mi.Vector3f(dr.normalize(self._rotation @ direction))

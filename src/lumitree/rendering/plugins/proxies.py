@@ -6,6 +6,8 @@ times. So `DividedScene` divides a scene into its surfaces, which are traced, an
 are few and need no acceleration structure.
 """
 
+from __future__ import annotations
+
 import weakref
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -37,7 +39,7 @@ class Proxies:
             found here.
     """
 
-    def __init__(self, emitters: list[Any], *, traced: bool = False) -> None:
+    def __init__(self, emitters: list[mi.Emitter], *, traced: bool = False) -> None:
         rows, indices, dims = [], [], False
         for index, emitter in enumerate(emitters):
             if isinstance(emitter, DeferredEmitter):
@@ -56,38 +58,43 @@ class Proxies:
             self._indices = on_device(mi.UInt32, np.array(indices))
 
     def first(
-        self, ray: Any, end: Any, active: Any, starts: Any = False, skipped: Any = 0
-    ) -> tuple[Any, Any]:
+        self,
+        ray: mi.Ray3f,
+        end: mi.Float,
+        active: mi.Bool,
+        starts: mi.Bool | bool = False,
+        skipped: mi.UInt32 | int = 0,
+    ) -> tuple[mi.Float, mi.UInt32]:
         """As `next`, for the first proxy on a ray."""
         return self.next(ray, mi.Float(-1), mi.UInt32(NONE), end, active, starts, skipped)
 
     @dr.syntax
     def next(
         self,
-        ray: Any,
-        after: Any,
-        last: Any,
-        end: Any,
-        active: Any,
-        starts: Any = False,
-        skipped: Any = 0,
-    ) -> tuple[Any, Any]:
+        ray: mi.Ray3f,
+        after: mi.Float,
+        last: mi.UInt32,
+        end: mi.Float,
+        active: mi.Bool,
+        starts: mi.Bool | bool = False,
+        skipped: mi.UInt32 | int = 0,
+    ) -> tuple[mi.Float, mi.UInt32]:
         """The proxy that a ray enters next.
 
         A proxy in which a ray starts is entered at the origin, if it gives light to what is in it,
         or else if the ray is one of `starts`.
 
         Args:
-            ray: mi.Ray3f.
+            ray: of the scene.
             after, last: what was returned for the proxy before.
-            end: mi.Float, distance at which the ray ends.
-            active: mi.Bool mask.
-            starts: mi.Bool.
-            skipped: mi.UInt32, `bit_of` the lamps whose proxies are not entered at the origin.
+            end: distance at which the ray ends.
+            active: mask.
+            starts: mask of these rays.
+            skipped: `bit_of` the lamps whose proxies are not entered at the origin.
 
         Returns:
-            mi.Float, distance from the origin of the ray; and mi.UInt32, index of the emitter in
-            the scene, `NONE` where there is no further proxy.
+            Distance from the origin of the ray; and index of the emitter in the scene, `NONE` where
+            there is no further proxy.
         """
         distance, found = mi.Float(end), dr.full(mi.UInt32, NONE, dr.width(end))
         proxy = mi.UInt32(0)
@@ -103,8 +110,13 @@ class Proxies:
         return distance, found
 
     def _enter(
-        self, proxy: Any, ray: Any, active: Any, starts: Any, skipped: Any
-    ) -> tuple[Any, Any]:
+        self,
+        proxy: mi.UInt32,
+        ray: mi.Ray3f,
+        active: mi.Bool,
+        starts: mi.Bool | bool,
+        skipped: mi.UInt32 | int,
+    ) -> tuple[mi.Float, mi.Bool]:
         """Distance at which a ray enters a proxy, and whether it does."""
         first = proxy * _NUMBERS
         values = [dr.gather(mi.Float, self._rows, first + i, active) for i in range(_NUMBERS)]
@@ -129,26 +141,28 @@ class Divided(NamedTuple):
     """A scene as `DividedScene` divides it.
 
     Attributes:
-        surfaces: mi.Scene that rays are traced against.
+        surfaces: the scene that rays are traced against.
         proxies: those that it leaves out.
-        room: mi.Scene, the surfaces without those of lamps; None if no lamp needs it.
+        room: the surfaces without those of lamps; None if no lamp needs it.
         owners: whose surfaces are whose.
     """
 
-    surfaces: Any
+    surfaces: mi.Scene
     proxies: Proxies
-    room: Any
-    owners: "Owners"
+    room: mi.Scene | None
+    owners: Owners
 
-    def ends(self, ray: Any, distance: Any, lamp: Any, ahead: Any, active: Any) -> tuple[Any, Any]:
+    def ends(
+        self, ray: mi.Ray3f, distance: mi.Float, lamp: mi.UInt32, ahead: mi.UInt32, active: mi.Bool
+    ) -> tuple[mi.Float, mi.Float]:
         """Where a ray ends for a lamp whose proxy it enters, as `DeferredEmitter.eval_entered`.
 
         Args:
-            ray: mi.Ray3f.
-            distance: mi.Float, where it ends for the integrator.
-            lamp: mi.UInt32, index of the emitter.
-            ahead: mi.UInt32, lamp that the surface at `distance` belongs to (`Owners.of`).
-            active: mi.Bool mask.
+            ray: the ray.
+            distance: where it ends for the integrator.
+            lamp: index of the emitter.
+            ahead: lamp that the surface at `distance` belongs to (`Owners.of`).
+            active: mask.
         """
         mine = ahead == lamp
         other = mi.Float(dr.inf)
@@ -179,16 +193,16 @@ class Owners:
         self._lamps, self._lamps_of_media = _Numbers(self.owner), _Numbers(owner_of_medium)
         self._cloudy = _Numbers(cloudy)
 
-    def of(self, shape: Any, active: Any) -> Any:
-        """Index (mi.UInt32) of the emitter whose lamp a mi.ShapePtr belongs to, or `NONE`."""
+    def of(self, shape: mi.ShapePtr, active: mi.Bool) -> mi.UInt32:
+        """Index of the emitter whose lamp a shape belongs to, or `NONE`."""
         return self._lamps.look_up(dr.reinterpret_array(mi.UInt32, shape), active)
 
-    def of_medium(self, medium: Any, active: Any) -> Any:
-        """As `of`, for a mi.MediumPtr; `NONE` for a medium that only absorbs."""
+    def of_medium(self, medium: mi.MediumPtr, active: mi.Bool) -> mi.UInt32:
+        """As `of`, for a medium; `NONE` for a medium that only absorbs."""
         return self._lamps_of_media.look_up(dr.reinterpret_array(mi.UInt32, medium), active)
 
-    def scatters(self, lamp: Any, active: Any) -> Any:
-        """Whether (mi.Bool) media of the lamp with an index (mi.UInt32) scatter."""
+    def scatters(self, lamp: mi.UInt32, active: mi.Bool) -> mi.Bool:
+        """Whether media of the lamp of this index scatter."""
         return self._cloudy.look_up(lamp, active) != NONE
 
 
@@ -207,16 +221,16 @@ class _Numbers:
             self._count = dr.opaque(mi.UInt32, len(table))
             self._table = on_device(mi.UInt32, table)
 
-    def look_up(self, number: Any, active: Any) -> Any:
-        """The value (mi.UInt32) of a number, or `NONE`."""
+    def look_up(self, number: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """The value of a number, or `NONE`."""
         if not self._any:
             return mi.UInt32(NONE)
         known = active & (number < self._count)
         return dr.select(known, dr.gather(mi.UInt32, self._table, number, known), NONE)
 
 
-def bit_of(lamp: Any) -> Any:
-    """A bit (mi.UInt32) for the index of a lamp, which it shares with every 32nd lamp."""
+def bit_of(lamp: mi.UInt32) -> mi.UInt32:
+    """A bit for the index of a lamp, which it shares with every 32nd lamp."""
     return dr.select(lamp == NONE, 0, mi.UInt32(1) << (lamp & 31))
 
 
@@ -228,15 +242,15 @@ class DividedScene:
     """
 
     def __init__(self) -> None:
-        self._shapes: list[Any] | None = None
+        self._shapes: list[mi.Shape] | None = None
         self._geometry: list[list[Any]] = []
-        self._surfaces: Any = None
-        self._room: Any = None
+        self._surfaces: mi.Scene | None = None
+        self._room: mi.Scene | None = None
         # Lamps that were asked to light what is in their boxes.
         self._asked: weakref.WeakSet[Placed] = weakref.WeakSet()
 
-    def of(self, scene: Any) -> Divided:
-        """What rays of a scene (mi.Scene) are traced against, and the proxies that it leaves out.
+    def of(self, scene: mi.Scene) -> Divided:
+        """What rays of a scene are traced against, and the proxies that it leaves out.
 
         The scene itself, if it has no proxies or cannot be divided: under OptiX one kernel traces
         one scene, and instances belong to the scene that they were loaded with. Then there is no
@@ -267,11 +281,12 @@ class DividedScene:
             self._asked = weakref.WeakSet(lamp.placed for lamp in lamps.values())
         if whole:
             return Divided(scene, Proxies(emitters, traced=True), None, owners)
+        assert self._surfaces is not None
         holds = any(lamp.placed.holds for lamp in lamps.values())
         return Divided(self._surfaces, Proxies(emitters), self._room if holds else None, owners)
 
 
-def _light_insides(lamps: list[DeferredEmitter], room: list[Any]) -> None:
+def _light_insides(lamps: list[DeferredEmitter], room: list[mi.Shape]) -> None:
     """Let lamps light what is in their boxes: shapes of the room, and those of other lamps."""
     boxes = np.array([lamp.placed.scene_from_box for lamp in lamps]).reshape(-1, 4, 4)
     holds = holds_objects(room, boxes)
@@ -282,8 +297,8 @@ def _light_insides(lamps: list[DeferredEmitter], room: list[Any]) -> None:
         lamps[index].light_inside()
 
 
-def _scene_of(shapes: list[Any]) -> Any:
-    """A mi.Scene of shapes."""
+def _scene_of(shapes: list[mi.Shape]) -> mi.Scene:
+    """A scene of shapes."""
     described: dict[str, Any] = {f"shape_{i}": shape for i, shape in enumerate(shapes)}
     emitters = [shape.emitter() for shape in shapes if shape.is_emitter()]
     if emitters and not any(emitter.sampling_weight() for emitter in emitters):
@@ -293,12 +308,12 @@ def _scene_of(shapes: list[Any]) -> Any:
     return make_object("scene", described)
 
 
-def is_instance(shape: Any) -> bool:
+def is_instance(shape: mi.Shape) -> bool:
     """Whether a shape repeats others, whose BSDFs it does not tell."""
     return shape.class_name() == "Instance"
 
 
-def _geometry(shape: Any) -> list[Any]:
+def _geometry(shape: mi.Shape) -> list[Any]:
     """The parameters of a shape itself, without those of its BSDF and its emitter."""
     parameters = mi.traverse(shape)
     values = (parameters[name] for name in parameters.properties if "." not in name)

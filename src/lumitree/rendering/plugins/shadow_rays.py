@@ -1,51 +1,57 @@
 """Shadow rays of `lumitree_path`: how much light passes on the way from a receiver to a light."""
 
-from typing import Any
+from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
 
-from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
+from lumitree.rendering.plugins.emitter_calls import entered_transmittance
 from lumitree.rendering.plugins.model_plugins import CROSSED_STRAIGHT
-from lumitree.rendering.plugins.proxies import NONE, is_instance
+from lumitree.rendering.plugins.path_scene import MAX_CROSSINGS, PathScene
+from lumitree.rendering.plugins.proxies import NONE
 from lumitree.trace import medium_paths
 from lumitree.trace.spawning import offset, spawn
 
-# Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
-# ends whatever the geometry.
-MAX_CROSSINGS = 1024
-
 
 @dr.syntax
-def visible(scene, divided, sees_null, sees_media, extent, si, ds, beyond, target, medium, active):
+def visible(
+    scene: PathScene,
+    si: mi.SurfaceInteraction3f,
+    ds: mi.DirectionSample3f,
+    beyond: mi.Float,
+    target: mi.UInt32,
+    medium: mi.MediumPtr,
+    active: mi.Bool,
+) -> mi.Color3f:
     """Transmittance of the way from a surface to a sampled point: 0 behind what is not null.
 
     For a length `beyond` after the point, surfaces of the room block, but not those of the lamp
     that is sampled, whose index in the scene is `target`.
     """
-    surfaces, proxies, room, owners = divided
+    surfaces, proxies, room, _ = scene.divided
     # Like Mitsuba's, a shadow ray ends before its goal; and by no less than it starts after its
     # origin, so that rounding does not bring it to the goal.
-    margin = dr.maximum(ds.dist * mi.math.ShadowEpsilon, offset(si, extent))
-    ray, left = _spawn_to(si, ds.p, ds.d, margin, extent, active)
-    if dr.hint(sees_media, mode="scalar"):
+    margin = dr.maximum(ds.dist * mi.math.ShadowEpsilon, offset(si, scene.extent))
+    ray, left = _spawn_to(si, ds.p, ds.d, margin, scene.extent, active)
+    if dr.hint(scene.has_media, mode="scalar"):
         medium = medium_paths.behind(si, ds.d, medium, left)
-    way = owners, target, sees_null, sees_media, extent
-    through = _passed(surfaces, *way, margin, ray, ds.p, medium, left)
+    through = _passed(scene, surfaces, target, margin, ray, ds.p, medium, left)
     if dr.hint(room is not None, mode="scalar"):
+        assert room is not None
         onwards = active & (beyond > 0) & (dr.max(through) > 0)
         rest = mi.Ray3f(ray)
         rest.o = dr.select(left, ds.p, ray.o)
         rest.d, rest.maxt = ds.d, beyond
         goal = dr.fma(beyond, ds.d, rest.o)
-        through *= _passed(room, *way, mi.Float(0), rest, goal, dr.zeros(mi.MediumPtr), onwards)
+        none = dr.zeros(mi.MediumPtr)
+        through *= _passed(scene, room, target, mi.Float(0), rest, goal, none, onwards)
     if dr.hint(proxies.dim, mode="scalar"):
         crossed = left & (dr.max(through) > 0)
         distance, lamp = proxies.first(ray, ray.maxt, crossed)
         crossed &= lamp != NONE
         while crossed:
-            emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), lamp, crossed)
-            dimmed = dr.dispatch(emitter, _shadow, ray, distance, crossed)
+            emitter = scene.emitter(lamp, crossed)
+            dimmed = dr.dispatch(emitter, entered_transmittance, ray, distance, crossed)
             # Its own light is as it is seen through the lamp.
             through *= dr.select(crossed & (lamp != target), dimmed, 1)
             distance, lamp = proxies.next(ray, distance, lamp, ray.maxt, crossed)
@@ -55,23 +61,31 @@ def visible(scene, divided, sees_null, sees_media, extent, si, ds, beyond, targe
 
 @dr.syntax
 def _passed(
-    scene, owners, target, sees_null, sees_media, extent, margin, ray, goal, medium, active
-):
-    """Transmittance of a scene's surfaces, and of media, along a ray towards a sampled point.
+    scene: PathScene,
+    traced: mi.Scene,
+    target: mi.UInt32,
+    margin: mi.Float,
+    ray: mi.Ray3f,
+    goal: mi.Point3f,
+    medium: mi.MediumPtr,
+    active: mi.Bool,
+) -> mi.Color3f:
+    """Transmittance of surfaces (`traced`), and of media, along a ray towards a sampled point.
 
     Glass of the lamp `target` blocks: what passes it is contained in the lamp's light.
     """
     through, ray, direction = mi.Color3f(1), mi.Ray3f(ray), mi.Vector3f(ray.d)
-    if dr.hint(not sees_null, mode="scalar"):
-        through[scene.ray_test(ray, active)] = 0
-        if dr.hint(sees_media, mode="scalar"):
+    if dr.hint(not scene.has_null_surfaces, mode="scalar"):
+        through[traced.ray_test(ray, active)] = 0
+        if dr.hint(scene.has_media, mode="scalar"):
             through *= medium_paths.transmittance(medium, ray.maxt, active)
     else:
+        owners = scene.divided.owners
         crossings = mi.UInt32(0)
         while active:
-            pi = scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+            pi = traced.ray_intersect_preliminary(ray, coherent=False, active=active)
             hit = active & pi.is_valid()
-            if dr.hint(sees_media, mode="scalar"):
+            if dr.hint(scene.has_media, mode="scalar"):
                 length = dr.minimum(pi.t, ray.maxt)
                 through *= medium_paths.transmittance(medium, length, active)
             bsdf = pi.shape.bsdf()
@@ -85,13 +99,21 @@ def _passed(
             crossings += 1
             through[null & (crossings >= MAX_CROSSINGS)] = 0
             null &= dr.max(through) > 0
-            if dr.hint(sees_media, mode="scalar"):
+            if dr.hint(scene.has_media, mode="scalar"):
                 medium = medium_paths.behind(crossing, direction, medium, null)
+            extent = scene.extent
             ray[null], active = _spawn_to(crossing, goal, direction, margin, extent, null)
     return through
 
 
-def _spawn_to(si, goal, direction, margin, extent, active):
+def _spawn_to(
+    si: mi.SurfaceInteraction3f,
+    goal: mi.Point3f,
+    direction: mi.Vector3f,
+    margin: mi.Float,
+    extent: mi.Float,
+    active: mi.Bool,
+) -> tuple[mi.Ray3f, mi.Bool]:
     """Ray from a surface towards a point in a direction, and whether any of the way is left.
 
     Where an offset has brought it past the point, a ray that turned round would meet the same
@@ -103,18 +125,3 @@ def _spawn_to(si, goal, direction, margin, extent, active):
     left = dr.dot(way, direction) > margin
     ray = mi.Ray3f(origin, way / length, length - margin, si.time, si.wavelengths)
     return ray, active & left
-
-
-def _shadow(emitter: Any, ray: Any, distance: Any, active: Any) -> Any:
-    """Transmittance of a lamp whose proxy a shadow ray enters."""
-    if isinstance(emitter, DeferredEmitter):
-        return emitter.transmittance(ray, distance, active)
-    return mi.Float(1)
-
-
-def has_null_surfaces(scene: Any) -> bool:
-    """Whether light may pass some shape of the scene without being bent."""
-    for shape in scene.shapes():
-        if is_instance(shape) or mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null):
-            return True
-    return False

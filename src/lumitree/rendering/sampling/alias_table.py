@@ -4,9 +4,10 @@ Symbols
     N   entries of a row        q   N times the probability of an index
 """
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Iterable
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -44,14 +45,10 @@ class AliasTable:
         self._count, self._bits = parameter(mi.UInt32, count), parameter(mi.UInt32, bits)
         self._steps = parameter(mi.Float, float(steps))
 
-    def sample(self, row: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
-        """Index (mi.UInt32) for a sample in [0, 1), and its probability (mi.Float).
-
-        Args:
-            row: mi.UInt32.
-            sample: mi.Float.
-            active: mi.Bool mask.
-        """
+    def sample(
+        self, row: mi.UInt32, sample: mi.Float, active: mi.Bool | bool = True
+    ) -> tuple[mi.UInt32, mi.Float]:
+        """Index for a sample in [0, 1), and its probability."""
         scaled = sample * mi.Float(self._count)
         entry = dr.minimum(mi.UInt32(scaled), self._count - 1)
         word = dr.gather(mi.UInt32, self._words, self._place(row, entry), active)
@@ -60,8 +57,10 @@ class AliasTable:
         index = dr.select(step <= word >> self._bits, entry, alias)
         return index, self.probability(row, index, active)
 
-    def probability(self, row: Any, index: Any, active: Any = True) -> Any:
-        """Probability (mi.Float) with which `sample` returns an index; 0 where not active."""
+    def probability(
+        self, row: mi.UInt32, index: mi.UInt32, active: mi.Bool | bool = True
+    ) -> mi.Float:
+        """Probability with which `sample` returns an index; 0 where not active."""
         word = dr.gather(mi.UInt32, self._words, self._place(row, index) + 1, active)
         return dr.reinterpret_array(mi.Float, word)
 

@@ -7,8 +7,10 @@ Symbols
     C   cells that emit
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
-from typing import Any, Protocol
+from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -24,8 +26,8 @@ _FLUX_FRACTION = 0.1
 # Receivers in each of their cells that a row is made from, and rows that are made at once.
 _POINTS_PER_CELL = 16
 _ROWS_AT_ONCE = 16
-# intensity(cell, offset, distance): radiant intensity (mi.Color3f) of a cell towards a receiver.
-Intensity = Callable[[Any, Any, Any], Any]
+# intensity(cell, offset, distance): radiant intensity of a cell towards a receiver.
+Intensity = Callable[["mi.UInt32", "mi.Vector3f", "mi.Float"], "mi.Color3f"]
 
 
 class Receivers(Protocol):
@@ -33,8 +35,8 @@ class Receivers(Protocol):
 
     count: int
 
-    def point(self, cell: Any, sample: Any, shell_sample: Any) -> Any:
-        """Random point (mi.Point3f) of a cell, as `receiver_cells.ReceiverCells.point`."""
+    def point(self, cell: mi.UInt32, sample: mi.Point2f, shell_sample: mi.Float) -> mi.Point3f:
+        """Random point of a cell, as `receiver_cells.ReceiverCells.point`."""
         ...
 
 
@@ -42,7 +44,7 @@ def cell_table(
     receivers: Receivers,
     cells: LightCells,
     intensity: Intensity,
-    scale: Any,
+    scale: mi.Float,
     flux: NDArray[np.float64],
     softening: float = 0.0,
 ) -> AliasTable:
@@ -52,7 +54,7 @@ def cell_table(
         receivers: cells of receivers.
         cells: that emit.
         intensity: of these cells.
-        scale: mi.Float, the largest intensity.
+        scale: the largest intensity.
         flux: [C] of the cells.
         softening: distance that is added to that from a cell to a receiver, in square: for
             receivers among the cells. Others, at all distances, count alike with 0.
@@ -67,7 +69,7 @@ class _Maker:
         receivers: Receivers,
         cells: LightCells,
         intensity: Intensity,
-        scale: Any,
+        scale: mi.Float,
         flux: NDArray[np.float64],
         softening: float,
     ) -> None:
@@ -87,7 +89,7 @@ class _Maker:
             shares = np.where(total > 0, light / np.maximum(total, 1e-300), self._shares)
             yield (1 - _FLUX_FRACTION) * shares + _FLUX_FRACTION * self._shares
 
-    def _square(self, first: int) -> Any:
+    def _square(self, first: int) -> mi.Float:
         """`_mean_square` for random receivers in `_ROWS_AT_ONCE` cells from `first`."""
         points = _ROWS_AT_ONCE * _POINTS_PER_CELL
         rng = mi.PCG32(points, initstate=dr.opaque(mi.UInt64, first))
@@ -98,15 +100,15 @@ class _Maker:
         return square
 
     @dr.syntax
-    def _mean_square(self, points: Any, seed: int) -> Any:
+    def _mean_square(self, points: mi.Point3f, seed: int) -> mi.Float:
         """Mean square of the light that cells send to receivers, relative to `_scale`.
 
         Args:
-            points: mi.Point3f, `_POINTS_PER_CELL` receivers for each of `_ROWS_AT_ONCE` rows.
+            points: `_POINTS_PER_CELL` receivers for each of `_ROWS_AT_ONCE` rows.
             seed: of the points in the cells.
 
         Returns:
-            mi.Float, for all cells in each row.
+            One for all cells in each row.
         """
         index = dr.arange(mi.UInt32, _ROWS_AT_ONCE * self._count)
         row, cell = index // self._opaque_count, index % self._opaque_count

@@ -3,7 +3,7 @@
 docs/decisions/light-field.md states which paths get which.
 """
 
-from typing import Any
+from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
@@ -55,7 +55,9 @@ def emitter_sampler(
     return CellSampler(asset, field, blocked=blocked)
 
 
-def look(asset: Asset, field: Field, origin: Any, direction: Any, active: Any) -> tuple[Any, Any]:
+def look(
+    asset: Asset, field: Field, origin: mi.Point3f, direction: mi.Vector3f, active: mi.Bool | bool
+) -> tuple[mi.Color3f, mi.Float]:
     """Radiance and transmittance of a lamp in an image, as `Field.emission`.
 
     An asset whose field is empty shows its light field, which hides nothing.
@@ -83,26 +85,30 @@ class DividedSampler(DirectionSampler):
         self._asset, self._field, self._uniform = asset, field, uniform
         self._light = device_light_field(asset)
 
-    def sample(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
+    def sample(
+        self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool = True
+    ) -> tuple[mi.Vector3f, mi.Float]:
         """Unit direction for a sample in the unit square; no point is sampled (-inf)."""
         if self._uniform is not None:
             return self._uniform.sample(x, sample), mi.Float(-dr.inf)
         return self._light.sample(x, sample, active), mi.Float(-dr.inf)
 
-    def look(self, entry: Any, direction: Any, active: Any) -> tuple[Any, Any]:
+    def look(
+        self, entry: mi.Point3f, direction: mi.Vector3f, active: mi.Bool | bool
+    ) -> tuple[mi.Color3f, mi.Float]:
         """Radiance and transmittance along rays of an image."""
         return look(self._asset, self._field, entry, direction, active)
 
     def eval(
         self,
-        x: Any,
-        entry: Any,
-        direction: Any,
-        distance: Any,
-        active: Any,
-        target: Any = -dr.inf,
-        specular_chain: Any = False,
-    ) -> tuple[Any, Any, Any]:
+        x: mi.Point3f,
+        entry: mi.Point3f,
+        direction: mi.Vector3f,
+        distance: mi.Float,
+        active: mi.Bool,
+        target: mi.Float | float = -dr.inf,
+        specular_chain: mi.Bool | bool = False,
+    ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
         """Radiance from a direction, transmittance, and the density per steradian of `sample`."""
         radiance, density = self._eval(x, entry, direction, distance, active)
         radiance, through = self._divide(radiance, entry, direction, active, specular_chain)
@@ -110,13 +116,13 @@ class DividedSampler(DirectionSampler):
 
     def _divide(
         self,
-        radiance: Any,
-        entry: Any,
-        direction: Any,
-        active: Any,
-        specular_chain: Any,
+        radiance: mi.Color3f,
+        entry: mi.Point3f,
+        direction: mi.Vector3f,
+        active: mi.Bool,
+        specular_chain: mi.Bool | bool,
         span: Span = None,
-    ) -> tuple[Any, Any]:
+    ) -> tuple[mi.Color3f, mi.Float]:
         """What rays get of a radiance for receivers, and their transmittance."""
         if not self._asset.num_leaves:
             return radiance, mi.Float(1)
@@ -126,7 +132,14 @@ class DividedSampler(DirectionSampler):
         )
         return dr.select(specular_chain, seen, radiance), dr.select(specular_chain, through, passed)
 
-    def pdf(self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True) -> Any:
+    def pdf(
+        self,
+        x: mi.Point3f,
+        entry: mi.Point3f,
+        direction: mi.Vector3f,
+        distance: mi.Float,
+        active: mi.Bool | bool = True,
+    ) -> mi.Float:
         """Density per steradian with which `sample` returns a direction."""
         return self._eval(x, entry, direction, distance, active)[1]
 
@@ -137,8 +150,12 @@ class DividedSampler(DirectionSampler):
         return radiance, dr.select(active, density, 0)
 
     def sample_ray(
-        self, choice: Any, sample1: Any, sample2: Any, active: Any = True
-    ) -> tuple[Any, Any, Any]:
+        self,
+        choice: mi.Float,
+        sample1: mi.Point2f,
+        sample2: mi.Point2f,
+        active: mi.Bool | bool = True,
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Color3f]:
         """Point of a ray on which light leaves the lamp, its direction of travel, and its flux."""
         return self._light.sample_ray(choice, sample1, sample2, active)
 
@@ -163,7 +180,9 @@ class CellSampler(DividedSampler):
         """Make what receivers inside the box need."""
         self._inside = inside_light(self._asset, blocked=self._blocked)
 
-    def sample_target(self, x: Any, sample: Any, active: Any, inside: Any) -> tuple[Any, Target]:
+    def sample_target(
+        self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool, inside: mi.Bool
+    ) -> tuple[mi.Vector3f, Target]:
         """Direction towards a point of a cell, and that point."""
         point, cell, pmf = self._light.sample_point(x, sample, active & ~inside)
         place = mi.UInt32(OUTSIDE)
@@ -179,7 +198,9 @@ class CellSampler(DividedSampler):
         distance = dr.norm(offset)
         return offset / distance, Target(distance, cell, pmf, place)
 
-    def border(self, x: Any, direction: Any, target: Target, active: Any) -> Any:
+    def border(
+        self, x: mi.Point3f, direction: mi.Vector3f, target: Target, active: mi.Bool
+    ) -> mi.Float:
         """Distance up to which the lamp's own surfaces block; 0 where they do not."""
         cell, place = target.cell, target.place
         border = mi.Float(0)
@@ -195,14 +216,14 @@ class CellSampler(DividedSampler):
 
     def eval_target(
         self,
-        x: Any,
-        direction: Any,
-        entry_distance: Any,
+        x: mi.Point3f,
+        direction: mi.Vector3f,
+        entry_distance: mi.Float,
         target: Target,
-        bsdf_pdf: Any,
-        emitter_pmf: Any,
-        active: Any,
-    ) -> tuple[Any, Any]:
+        bsdf_pdf: mi.Float,
+        emitter_pmf: mi.Float,
+        active: mi.Bool,
+    ) -> tuple[mi.Color3f, mi.Float]:
         """Light of the sampled cell times its weight of multiple importance sampling.
 
         The density is 1 where `active`, because the weight is included.
@@ -220,17 +241,17 @@ class CellSampler(DividedSampler):
 
     def eval_hit(
         self,
-        x: Any,
-        entry: Any,
-        direction: Any,
-        distance: Any,
-        specular_chain: Any,
-        bsdf_pdf: Any,
-        emitter_pmf: Any,
-        active: Any,
-        inside: Any,
+        x: mi.Point3f,
+        entry: mi.Point3f,
+        direction: mi.Vector3f,
+        distance: mi.Float,
+        specular_chain: mi.Bool,
+        bsdf_pdf: mi.Float,
+        emitter_pmf: mi.Float,
+        active: mi.Bool,
+        inside: mi.Bool,
         ends: RayEnds,
-    ) -> tuple[Any, Any, Any]:
+    ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
         """Light of all cells on the ray times their weights, transmittance, and a density of 0."""
         gets = active & ~((emitter_pmf > 0) & self._left_out(x, bsdf_pdf))
         if self._asset.num_leaves:

@@ -7,9 +7,11 @@ The density of a direction is computed along its ray, together with its radiance
 `light_leaves` may be rejected, so the density integrates to less than 1.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Protocol, get_args
+from typing import Literal, NamedTuple, Protocol, get_args
 
 import drjit as dr
 import mitsuba as mi
@@ -49,13 +51,13 @@ class Target:
         place: where the receiver is: `OUTSIDE`, `NEAR` or `INSIDE`.
     """
 
-    distance: "mi.Float"
-    cell: "mi.UInt32"
-    pmf: "mi.Float"
-    place: "mi.UInt32"
+    distance: mi.Float
+    cell: mi.UInt32
+    pmf: mi.Float
+    place: mi.UInt32
 
     @classmethod
-    def at(cls, distance: "mi.Float") -> "Target":
+    def at(cls, distance: mi.Float) -> Target:
         """Target at a distance, of a sampler that does not sample cells."""
         return cls(distance, mi.UInt32(0), mi.Float(0), mi.UInt32(OUTSIDE))
 
@@ -64,20 +66,20 @@ class RayEnds(NamedTuple):
     """Where a ray through a lamp's box ends, from the point where it enters, local units.
 
     Attributes:
-        own: mi.Float, distance of the first of the lamp's own surfaces, if they block. The cell in
+        own: distance of the first of the lamp's own surfaces, if they block. The cell in
             which it is counts as a whole, as it does where a point of it is sampled.
-        other: mi.Float, distance of the first other surface.
+        other: distance of the first other surface.
     """
 
-    own: Any
-    other: Any
+    own: mi.Float
+    other: mi.Float
 
-    def reached(self, start: Any, blocked: Any, active: Any) -> Any:
-        """Whether the ray sees a cell that it enters at a distance `start` (mi.Float).
+    def reached(self, start: mi.Float, blocked: mi.Bool, active: mi.Bool) -> mi.Bool:
+        """Whether the ray sees a cell that it enters at a distance `start`.
 
         Args:
-            blocked: mi.Bool, whether the lamp's own surfaces block.
-            active: mi.Bool mask.
+            blocked: whether the lamp's own surfaces block.
+            active: mask.
         """
         return active & ~(blocked & (start > self.own))
 
@@ -92,37 +94,56 @@ class DirectionSampler(Protocol):
     # sampling, and not densities to compute the weight from.
     includes_mis = False
 
-    def sample(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]: ...
+    def sample(
+        self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool = True
+    ) -> tuple[mi.Vector3f, mi.Float]: ...
 
-    def look(self, entry: Any, direction: Any, active: Any) -> tuple[Any, Any]: ...
+    def look(
+        self, entry: mi.Point3f, direction: mi.Vector3f, active: mi.Bool | bool
+    ) -> tuple[mi.Color3f, mi.Float]: ...
 
     def eval(
         self,
-        x: Any,
-        entry: Any,
-        direction: Any,
-        distance: Any,
-        active: Any,
-        target: Any = -dr.inf,
-        specular_chain: Any = False,
-    ) -> tuple[Any, Any, Any]: ...
+        x: mi.Point3f,
+        entry: mi.Point3f,
+        direction: mi.Vector3f,
+        distance: mi.Float,
+        active: mi.Bool,
+        target: mi.Float | float = -dr.inf,
+        specular_chain: mi.Bool | bool = False,
+    ) -> tuple[mi.Color3f, mi.Float, mi.Float]: ...
 
-    def pdf(self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True) -> Any: ...
+    def pdf(
+        self,
+        x: mi.Point3f,
+        entry: mi.Point3f,
+        direction: mi.Vector3f,
+        distance: mi.Float,
+        active: mi.Bool | bool = True,
+    ) -> mi.Float: ...
 
     def sample_ray(
-        self, choice: Any, sample1: Any, sample2: Any, active: Any = True
-    ) -> tuple[Any, Any, Any]: ...
+        self,
+        choice: mi.Float,
+        sample1: mi.Point2f,
+        sample2: mi.Point2f,
+        active: mi.Bool | bool = True,
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Color3f]: ...
 
-    def sample_target(self, x: Any, sample: Any, active: Any, inside: Any) -> tuple[Any, Target]:
+    def sample_target(
+        self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool, inside: mi.Bool
+    ) -> tuple[mi.Vector3f, Target]:
         """Direction as `sample` returns it, and what `eval_target` needs of the sample.
 
-        `inside` (mi.Bool): whether the receiver is inside the box, and gets light there.
+        `inside`: whether the receiver is inside the box, and gets light there.
         """
         direction, distance = self.sample(x, sample, active)
         return direction, Target.at(distance)
 
-    def border(self, x: Any, direction: Any, target: Target, active: Any) -> Any:
-        """Distance (mi.Float) within which the lamp's own surfaces block; 0 where they do not."""
+    def border(
+        self, x: mi.Point3f, direction: mi.Vector3f, target: Target, active: mi.Bool
+    ) -> mi.Float:
+        """Distance within which the lamp's own surfaces block; 0 where they do not."""
         return mi.Float(0)
 
     def light_inside(self) -> None:
@@ -130,25 +151,24 @@ class DirectionSampler(Protocol):
 
     def eval_target(
         self,
-        x: Any,
-        direction: Any,
-        entry_distance: Any,
+        x: mi.Point3f,
+        direction: mi.Vector3f,
+        entry_distance: mi.Float,
         target: Target,
-        bsdf_pdf: Any,
-        emitter_pmf: Any,
-        active: Any,
-    ) -> tuple[Any, Any]:
-        """Radiance over density (mi.Color3f) of a direction of `sample_target`, and its density.
+        bsdf_pdf: mi.Float,
+        emitter_pmf: mi.Float,
+        active: mi.Bool,
+    ) -> tuple[mi.Color3f, mi.Float]:
+        """Radiance over density of a direction of `sample_target`, and its density.
 
         Args:
-            x: mi.Point3f, the shading point.
-            direction: mi.Vector3f, unit direction from it.
-            entry_distance: mi.Float, distance at which the ray enters the proxy.
+            x: the shading point.
+            direction: unit direction from it.
+            entry_distance: distance at which the ray enters the proxy.
             target: as `sample_target` returned it.
-            bsdf_pdf: mi.Float, density per steradian with which the BSDF samples the direction.
-            emitter_pmf: mi.Float, probability with which next-event estimation chooses the
-                emitter.
-            active: mi.Bool mask.
+            bsdf_pdf: density per steradian with which the BSDF samples the direction.
+            emitter_pmf: probability with which next-event estimation chooses the emitter.
+            active: mask.
         """
         entry = x + entry_distance * direction
         radiance, _, density = self.eval(
@@ -158,17 +178,17 @@ class DirectionSampler(Protocol):
 
     def eval_hit(
         self,
-        x: Any,
-        entry: Any,
-        direction: Any,
-        distance: Any,
-        specular_chain: Any,
-        bsdf_pdf: Any,
-        emitter_pmf: Any,
-        active: Any,
-        inside: Any,
+        x: mi.Point3f,
+        entry: mi.Point3f,
+        direction: mi.Vector3f,
+        distance: mi.Float,
+        specular_chain: mi.Bool,
+        bsdf_pdf: mi.Float,
+        emitter_pmf: mi.Float,
+        active: mi.Bool,
+        inside: mi.Bool,
         ends: RayEnds,
-    ) -> tuple[Any, Any, Any]:
+    ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
         """Radiance, transmittance and density of a ray that has hit the proxy.
 
         Args:
@@ -196,16 +216,18 @@ class EmitterSampler(DirectionSampler):
         self._half = parameter(mi.Vector3f, *half_extents.tolist())
         self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
 
-    def sample(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
+    def sample(
+        self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool = True
+    ) -> tuple[mi.Vector3f, mi.Float]:
         """Unit direction from `x` for a sample in the unit square, and its target's distance.
 
         Args:
-            x: mi.Point3f, local frame.
-            sample: mi.Point2f.
-            active: mi.Bool mask.
+            x: local frame.
+            sample: in the unit square.
+            active: mask.
 
         Returns:
-            mi.Vector3f; mi.Float, distance of the sampled point, for `eval`; -inf if none.
+            The direction; and the distance of the sampled point, for `eval`: -inf if none.
         """
         if self._leaves is None:
             return self._proxy.sample(x, sample), mi.Float(-dr.inf)
@@ -216,36 +238,38 @@ class EmitterSampler(DirectionSampler):
         direction = dr.select(uniform, sample_cone(x, self._radius, sample), offset / target)
         return direction, dr.select(uniform, -dr.inf, target)
 
-    def look(self, entry: Any, direction: Any, active: Any) -> tuple[Any, Any]:
+    def look(
+        self, entry: mi.Point3f, direction: mi.Vector3f, active: mi.Bool | bool
+    ) -> tuple[mi.Color3f, mi.Float]:
         """Radiance and transmittance along rays that see the lamp, as `Field.emission`."""
         return self._field.emission(entry, direction, active)
 
     def eval(
         self,
-        x: Any,
-        entry: Any,
-        direction: Any,
-        distance: Any,
-        active: Any,
-        target: Any = -dr.inf,
-        specular_chain: Any = False,
-    ) -> tuple[Any, Any, Any]:
+        x: mi.Point3f,
+        entry: mi.Point3f,
+        direction: mi.Vector3f,
+        distance: mi.Float,
+        active: mi.Bool,
+        target: mi.Float | float = -dr.inf,
+        specular_chain: mi.Bool | bool = False,
+    ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
         """Radiance from a direction, and the density with which `sample` returns it.
 
         Args:
-            x: mi.Point3f, the shading point, as `sample` was given it: on the border of what
+            x: the shading point, as `sample` was given it: on the border of what
                 densities depend on, a rounded one would have another density.
-            entry: mi.Point3f, where the ray enters the proxy.
-            direction: mi.Vector3f, unit direction from the shading point to it.
-            distance: mi.Float, from the shading point to it.
-            active: mi.Bool mask.
+            entry: where the ray enters the proxy.
+            direction: unit direction from the shading point to it.
+            distance: from the shading point to it.
+            active: mask.
             target: as `sample` returned it with this direction.
-            specular_chain: mi.Bool, whether the radiance is for an image of the lamp. Here it is
+            specular_chain: whether the radiance is for an image of the lamp. Here it is
                 the same as what the lamp sends to receivers.
 
         Returns:
-            Radiance (mi.Color3f) and transmittance of the ray; density, mi.Float per steradian, 0
-            where `active` is false and where the ray is blocked before it reaches `target`.
+            Radiance and transmittance of the ray; density per steradian, 0 where
+            `active` is false and where the ray is blocked before it reaches `target`.
         """
         if self._leaves is None:
             radiance, through = self._field.emission(entry, direction, active)
@@ -254,7 +278,14 @@ class EmitterSampler(DirectionSampler):
         radiance, through, found = self._field.integrate(entry, direction, active, *record)
         return radiance, through, self._density(x, distance, target, found, active)
 
-    def pdf(self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True) -> Any:
+    def pdf(
+        self,
+        x: mi.Point3f,
+        entry: mi.Point3f,
+        direction: mi.Vector3f,
+        distance: mi.Float,
+        active: mi.Bool | bool = True,
+    ) -> mi.Float:
         """Density of `eval` alone, at about the cost of a transmittance."""
         if self._leaves is None:
             return dr.select(active, self._proxy.pdf(x, direction), 0)
@@ -267,14 +298,18 @@ class EmitterSampler(DirectionSampler):
         return dr.select(active & is_reached(target - distance, end), density, 0)
 
     def sample_ray(
-        self, choice: Any, sample1: Any, sample2: Any, active: Any = True
-    ) -> tuple[Any, Any, Any]:
+        self,
+        choice: mi.Float,
+        sample1: mi.Point2f,
+        sample2: mi.Point2f,
+        active: mi.Bool | bool = True,
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Color3f]:
         """Ray along which light leaves the lamp, and its flux.
 
         Args:
-            choice: mi.Float in [0, 1).
-            sample1, sample2: mi.Point2f in the unit square.
-            active: mi.Bool mask.
+            choice: in [0, 1).
+            sample1, sample2: in the unit square.
+            active: mask.
 
         Returns:
             A point of the ray inside the proxy, the unit direction of travel, and its flux (local

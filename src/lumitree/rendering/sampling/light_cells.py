@@ -1,6 +1,6 @@
 """Cells of a grid from which light starts, on the device."""
 
-from typing import Any
+from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
@@ -37,20 +37,24 @@ class LightCells:
         self.corners = on_device(mi.Float, np.stack([lower, upper], axis=1))
         self.volume = on_device(mi.Float, (upper - lower).prod(axis=1))
 
-    def point(self, cell: Any, within: Any, active: Any = True) -> Any:
-        """Point (mi.Point3f) of a cell (mi.UInt32) for numbers in [0, 1)³ (mi.Point3f)."""
+    def point(
+        self, cell: mi.UInt32, within: mi.Point3f, active: mi.Bool | bool = True
+    ) -> mi.Point3f:
+        """Point of a cell for numbers in [0, 1)³."""
         lower = dr.gather(mi.Point3f, self.corners, 2 * cell, active)
         upper = dr.gather(mi.Point3f, self.corners, 2 * cell + 1, active)
         return dr.lerp(lower, upper, within)
 
-    def border(self, x: Any, direction: Any, cell: Any, active: Any = True) -> Any:
-        """Distance (mi.Float) at which a ray that meets a cell enters it; 0 if it starts in it.
+    def border(
+        self, x: mi.Point3f, direction: mi.Vector3f, cell: mi.UInt32, active: mi.Bool | bool = True
+    ) -> mi.Float:
+        """Distance at which a ray that meets a cell enters it; 0 if it starts in it.
 
         Args:
-            x: mi.Point3f, origin of the ray, local frame.
-            direction: mi.Vector3f, unit.
-            cell: mi.UInt32.
-            active: mi.Bool mask.
+            x: origin of the ray, local frame.
+            direction: unit.
+            cell: index of the cell.
+            active: mask.
         """
         lower = dr.gather(mi.Vector3f, self.corners, 2 * cell, active)
         upper = dr.gather(mi.Vector3f, self.corners, 2 * cell + 1, active)

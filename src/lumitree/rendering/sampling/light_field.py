@@ -33,6 +33,8 @@ they see past these surfaces, and nothing of others: the same on average, but wi
 From the box to `_NEAR` beyond it, a decreasing part of the samples is of this kind.
 """
 
+from __future__ import annotations
+
 import weakref
 from typing import Any
 
@@ -42,23 +44,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.light_field import (
-    EXPONENT_OF_ONE,
-    EXPONENT_SHIFT,
-    MANTISSA,
-    MANTISSA_SHIFTS,
-    LightField,
-    pack_lit,
-    unpack,
-)
-from lumitree.asset.light_inside import parts_of_ending
-from lumitree.asset.lit_bins import by_coarse_bin, by_fine_bin, dense
+from lumitree.asset.light_field import LightField, unpack
+from lumitree.asset.lit_bins import dense
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.octree.build import morton
 from lumitree.rendering.sampling.cell_table import cell_table
 from lumitree.rendering.sampling.emitter_sampling import UNIFORM_FRACTION, RayEnds
+from lumitree.rendering.sampling.light_bins import (
+    coarse_bin,
+    ending_by_bin,
+    smooth_bin,
+    unpacked,
+)
 from lumitree.rendering.sampling.light_cells import LightCells
 from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
 from lumitree.rendering.sampling.receiver_cells import ReceiverCells
@@ -68,17 +67,15 @@ from lumitree.rendering.sampling.samples import divide_sample, sample_row, scram
 _RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 16, 4, 0.3
 # Entries of the table, of 8 bytes: lamps with more cells have fewer rows.
 _MAX_ENTRIES = 1 << 24
-# Cells whose bins are computed at once, which bounds the memory.
-_CELLS_AT_ONCE = 1 << 10
 # Distance from the box, local units, up to which shadows of the lamp's own surfaces are sharp.
 _NEAR = 0.5
 
-_LIGHTS: "weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], DeviceLightField]]" = (
+_LIGHTS: weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], DeviceLightField]] = (
     weakref.WeakKeyDictionary()
 )
 
 
-def device_light_field(asset: Asset) -> "DeviceLightField":
+def device_light_field(asset: Asset) -> DeviceLightField:
     """Device copy of an asset's light field, shared by all instances of a lamp."""
     assert asset.light_field is not None
     lights, key = _LIGHTS.setdefault(asset.light_field, {}), (str(mi.variant()), asset.gain)
@@ -135,8 +132,8 @@ class DeviceLightField:
             self._ending = on_device(mi.UInt32, packed[rows])
             self._ending_scale = parameter(mi.Color3f, *(scale * each for each in gain))
 
-    def blocked_part(self, x: Any) -> Any:
-        """Part of the samples for receivers (mi.Point3f) that the lamp's own surfaces block.
+    def blocked_part(self, x: mi.Point3f) -> mi.Float:
+        """Part of the samples for receivers that the lamp's own surfaces block.
 
         0 where it is not known how much they leave.
         """
@@ -145,13 +142,15 @@ class DeviceLightField:
         beyond = dr.norm(dr.maximum(dr.abs(mi.Vector3f(x)) - self._half, 0))
         return dr.maximum(1 - beyond / _NEAR, 0)
 
-    def sample(self, x: Any, sample: Any, active: Any = True) -> Any:
-        """Unit direction (mi.Vector3f) from a receiver.
+    def sample(
+        self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool = True
+    ) -> mi.Vector3f:
+        """Unit direction from a receiver.
 
         Args:
-            x: mi.Point3f, local frame.
-            sample: mi.Point2f in the unit square.
-            active: mi.Bool mask.
+            x: local frame.
+            sample: in the unit square.
+            active: mask.
         """
         uniform, rest = divide_sample(sample.x, UNIFORM_FRACTION)
         sample = mi.Point2f(rest, sample.y)
@@ -162,19 +161,24 @@ class DeviceLightField:
         )
 
     def eval(
-        self, x: Any, entry: Any, direction: Any, distance: Any, active: Any = True
-    ) -> tuple[Any, Any]:
+        self,
+        x: mi.Point3f,
+        entry: mi.Point3f,
+        direction: mi.Vector3f,
+        distance: mi.Float,
+        active: mi.Bool | bool = True,
+    ) -> tuple[mi.Color3f, mi.Float]:
         """Radiance from a direction, and the density with which `sample` returns it.
 
         Args:
-            x: mi.Point3f, the receiver, as `sample` was given it.
-            entry: mi.Point3f, a point of the ray outside the lamp's box or on it.
-            direction: mi.Vector3f, unit direction from the receiver to it.
-            distance: mi.Float, from the receiver to it.
-            active: mi.Bool mask.
+            x: the receiver, as `sample` was given it.
+            entry: a point of the ray outside the lamp's box or on it.
+            direction: unit direction from the receiver to it.
+            distance: from the receiver to it.
+            active: mask.
 
         Returns:
-            mi.Color3f, and mi.Float per steradian; 0 where `active` is false.
+            Radiance; and density per steradian, 0 where `active` is false.
         """
         row = self._around.index(x)
         bins = smooth_bin(-direction, self._resolution)
@@ -197,36 +201,38 @@ class DeviceLightField:
         density = dr.lerp(density, cone_pdf(x, self._radius), UNIFORM_FRACTION)
         return radiance, dr.select(active, density, 0)
 
-    def sample_point(self, x: Any, sample: Any, active: Any = True) -> tuple[Any, Any, Any]:
-        """Point (mi.Point3f) of a cell, the cell (mi.UInt32), and its probability p (mi.Float).
+    def sample_point(
+        self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool = True
+    ) -> tuple[mi.Point3f, mi.UInt32, mi.Float]:
+        """Point of a cell, the cell, and its probability p.
 
         Args:
-            x: mi.Point3f, the receiver, local frame.
-            sample: mi.Point2f in the unit square.
-            active: mi.Bool mask.
+            x: the receiver, local frame.
+            sample: in the unit square.
+            active: mask.
         """
         cell, chance = self._table.sample(self._around.index(x), sample.x, active)
         return self.cells.point(cell, scrambled(sample), active), cell, chance
 
     def contribution(
         self,
-        direction: Any,
-        distance: Any,
-        cell: Any,
-        chance: Any,
-        other: Any,
-        blocked: Any,
-        active: Any = True,
-    ) -> Any:
-        """I / (V (a r² + b)) of a point of `sample_point` (mi.Color3f).
+        direction: mi.Vector3f,
+        distance: mi.Float,
+        cell: mi.UInt32,
+        chance: mi.Float,
+        other: mi.Float,
+        blocked: mi.Bool,
+        active: mi.Bool | bool = True,
+    ) -> mi.Color3f:
+        """I / (V (a r² + b)) of a point of `sample_point`.
 
         Args:
-            direction: mi.Vector3f, unit direction from the receiver to the point.
-            distance: mi.Float, r.
+            direction: unit direction from the receiver to the point.
+            distance: r.
             cell, chance: as `sample_point` returned them.
-            other: mi.Float, b.
-            blocked: mi.Bool, whether the lamp's own surfaces block: then it is (I + J) κ.
-            active: mi.Bool mask.
+            other: b.
+            blocked: whether the lamp's own surfaces block: then it is (I + J) κ.
+            active: mask.
         """
         volume = dr.gather(mi.Float, self.cells.volume, cell, active)
         density = chance * dr.square(distance) + other * volume
@@ -235,23 +241,23 @@ class DeviceLightField:
 
     def received(
         self,
-        x: Any,
-        entry: Any,
-        direction: Any,
-        distance: Any,
-        inverse: Any,
-        blocked: Any,
+        x: mi.Point3f,
+        entry: mi.Point3f,
+        direction: mi.Vector3f,
+        distance: mi.Float,
+        inverse: mi.Float,
+        blocked: mi.Bool,
         ends: RayEnds,
-        active: Any = True,
-    ) -> Any:
-        """Part of the radiance from a direction that `contribution` leaves (mi.Color3f).
+        active: mi.Bool | bool = True,
+    ) -> mi.Color3f:
+        """Part of the radiance from a direction that `contribution` leaves.
 
         In a cell from r₀ to r₁ with k² = a / b it is ∫ dr / (1 + k² r²), or atan(z) / k with
         z = k (r₁ - r₀) / (1 + k² r₀ r₁), times I / V.
 
         Args:
             x, entry, direction, distance, active: as for `eval`.
-            inverse: mi.Float, 1 / b; 0 for the whole radiance.
+            inverse: 1 / b; 0 for the whole radiance.
             blocked: as for `contribution`.
             ends: where the ray ends.
         """
@@ -284,14 +290,18 @@ class DeviceLightField:
         return dr.select(blocked, (light + self._ending_scale * ending) * factor, light)
 
     def sample_ray(
-        self, choice: Any, sample1: Any, sample2: Any, active: Any = True
-    ) -> tuple[Any, Any, Any]:
+        self,
+        choice: mi.Float,
+        sample1: mi.Point2f,
+        sample2: mi.Point2f,
+        active: mi.Bool | bool = True,
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Color3f]:
         """Ray along which light leaves the lamp.
 
         Args:
-            choice: mi.Float in [0, 1).
-            sample1, sample2: mi.Point2f in the unit square.
-            active: mi.Bool mask.
+            choice: in [0, 1).
+            sample1, sample2: in the unit square.
+            active: mask.
 
         Returns:
             A point of the ray inside the lamp's box; the unit direction of travel; and the flux of
@@ -323,73 +333,24 @@ class DeviceLightField:
         """Radiant intensity (mi.Color3f) of a cell in the direction of a mi.Vector3f."""
         return self.intensity(cell, bin_of(offset, self._resolution), True)
 
-    def intensity(self, cell: Any, index: Any, active: Any) -> Any:
-        """Radiant intensity (mi.Color3f) of a bin (mi.UInt32) of a cell (mi.UInt32)."""
+    def intensity(self, cell: mi.UInt32, index: mi.UInt32, active: mi.Bool | bool) -> mi.Color3f:
+        """Radiant intensity of a bin of a cell."""
         packed = dr.gather(mi.UInt32, self._packed, cell * self._resolution**2 + index, active)
         return self._colour * (self.scale * unpacked(packed))
 
 
-def ending_by_bin(field: LightField) -> tuple[NDArray[np.uint32], float]:
-    """J of a light field in the bins of I, as `parts_of_ending` divides it.
-
-    Returns:
-        RGB9_E5 numbers [C', R²] of the cells of `field.inside`, and their scale.
-    """
-    inside = field.inside
-    assert inside is not None
-    leaving = np.zeros((len(inside.cells), field.resolution**2), np.float32)
-    rows = np.searchsorted(morton(inside.cells), morton(field.cells))
-    leaving[rows] = field.dense(field.scale * luminance(unpack(field.intensity)))
-    packed = dense(inside.lit, (field.resolution // 2) ** 2, inside.intensity)
-    solid_angle = by_coarse_bin(solid_angles(field.resolution)[None])
-    # A part is at most about 4 times the mean.
-    scale, ending = 8 * inside.scale, np.zeros_like(leaving, np.uint32)
-    for start in range(0, len(leaving), _CELLS_AT_ONCE):
-        at = slice(start, start + _CELLS_AT_ONCE)
-        mean = inside.scale * unpack(packed[at])
-        parts = parts_of_ending(by_coarse_bin(leaving[at]), luminance(mean), solid_angle)
-        ending[at] = by_fine_bin(pack_lit(parts[..., None] * mean[:, :, None], scale))
-    return ending, scale
-
-
-def smooth_bin(direction: Any, resolution: int) -> Any:
-    """A bin at random, so that the mean over bins is linear between their middles.
+def left_part(
+    chance: mi.Float, inverse_volume: mi.Float, inverse: mi.Float, near: mi.Float, length: mi.Float
+) -> mi.Float:
+    """∫ dr / (1 + k² r²) of `DeviceLightField.received` over a cell.
 
     Args:
-        direction: mi.Vector3f of any length; the random numbers are made of its bits.
-        resolution: bins a side.
-
-    Returns:
-        mi.UInt32
-    """
-    random = scrambled(mi.Point2f(direction.x, direction.y))
-    return bin_of(direction, resolution, mi.Vector2f(random.x, random.y) - 0.5)
-
-
-def coarse_bin(index: Any, resolution: int) -> Any:
-    """The bin (mi.UInt32) of half the resolution that contains one of `resolution` a side."""
-    return index // (2 * resolution) * (resolution // 2) + index % resolution // 2
-
-
-def left_part(chance: Any, inverse_volume: Any, inverse: Any, near: Any, length: Any) -> Any:
-    """∫ dr / (1 + k² r²) of `DeviceLightField.received` over a cell (mi.Float).
-
-    Args:
-        chance: mi.Float, p.
-        inverse_volume: mi.Float, 1 / V.
-        inverse: mi.Float, 1 / b.
-        near, length: mi.Float, r₀ and r₁ - r₀.
+        chance: p.
+        inverse_volume: 1 / V.
+        inverse: 1 / b.
+        near, length: r₀ and r₁ - r₀.
     """
     k = dr.sqrt(chance * inverse_volume * inverse)
     left = length * dr.rcp(dr.fma(k * k, near * (near + length), 1))
     z = k * left
     return left * dr.select(z > 1e-3, dr.atan(z) / z, 1)
-
-
-def unpacked(packed: Any) -> Any:
-    """Colours (mi.Color3f) of RGB9_E5 numbers (mi.UInt32)."""
-    # As `asset.light_field.unpack`: a power of two is a number whose mantissa's 23 bits are 0.
-    exponent = (packed >> EXPONENT_SHIFT) + (127 - EXPONENT_OF_ONE)
-    unit = dr.reinterpret_array(mi.Float, exponent << 23)
-    mantissas = (packed >> shift & MANTISSA for shift in MANTISSA_SHIFTS)
-    return mi.Color3f(*(mi.Float(each) for each in mantissas)) * unit

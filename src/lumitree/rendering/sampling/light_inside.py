@@ -9,8 +9,9 @@ Symbols
     J, s, κ     see `asset.light_inside`
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -26,15 +27,17 @@ from lumitree.core.photometry import luminance
 from lumitree.octree.build import morton
 from lumitree.rendering.sampling.cell_table import cell_table
 from lumitree.rendering.sampling.emitter_sampling import RayEnds
+from lumitree.rendering.sampling.light_bins import (
+    coarse_bin,
+    ending_by_bin,
+    smooth_bin,
+    unpacked,
+)
 from lumitree.rendering.sampling.light_cells import LightCells
 from lumitree.rendering.sampling.light_field import (
     DeviceLightField,
-    coarse_bin,
     device_light_field,
-    ending_by_bin,
     left_part,
-    smooth_bin,
-    unpacked,
 )
 from lumitree.rendering.sampling.samples import scrambled
 
@@ -47,7 +50,7 @@ _STEPS = 64
 _NONE = 0xFFFFFFFF
 
 
-def inside_light(asset: Asset, *, blocked: bool) -> "InsideLight":
+def inside_light(asset: Asset, *, blocked: bool) -> InsideLight:
     """What an asset sends to receivers inside its box, shared by all instances of a lamp.
 
     With `blocked`, the lamp's own surfaces are in the scene.
@@ -74,20 +77,20 @@ class InsideReceivers:
         self.resolution, self.count = resolution, resolution**3
         self._half = parameter(mi.Vector3f, *half_extents.tolist())
 
-    def index(self, x: Any) -> Any:
-        """Index (mi.UInt32) of the cell of a point (mi.Point3f), or of the nearest cell."""
+    def index(self, x: mi.Point3f) -> mi.UInt32:
+        """Index of the cell of a point, or of the nearest cell."""
         side = self.resolution
         place = mi.Vector3i(dr.floor((mi.Vector3f(x) / self._half + 1) * (side / 2)))
         place = mi.Vector3u(dr.clip(place, 0, side - 1))
         return (place.z * side + place.y) * side + place.x
 
-    def point(self, cell: Any, sample: Any, shell_sample: Any) -> Any:
-        """Random point (mi.Point3f) of a cell.
+    def point(self, cell: mi.UInt32, sample: mi.Point2f, shell_sample: mi.Float) -> mi.Point3f:
+        """Random point of a cell.
 
         Args:
-            cell: mi.UInt32, its index.
-            sample: mi.Point2f in the unit square.
-            shell_sample: mi.Float in [0, 1).
+            cell: its index.
+            sample: in the unit square.
+            shell_sample: in [0, 1).
         """
         side = self.resolution
         place = mi.Vector3f(cell % side, cell // side % side, cell // side**2)
@@ -155,14 +158,22 @@ class InsideLight:
             softening=2.0**-field.depth,
         )
 
-    def sample_point(self, x: Any, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+    def sample_point(
+        self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool
+    ) -> tuple[mi.Point3f, mi.UInt32, mi.Float]:
         """As `DeviceLightField.sample_point`."""
         cell, chance = self._table.sample(self._receivers.index(x), sample.x, active)
         return self.cells.point(cell, scrambled(sample), active), cell, chance
 
     def contribution(
-        self, direction: Any, distance: Any, cell: Any, chance: Any, other: Any, active: Any
-    ) -> Any:
+        self,
+        direction: mi.Vector3f,
+        distance: mi.Float,
+        cell: mi.UInt32,
+        chance: mi.Float,
+        other: mi.Float,
+        active: mi.Bool,
+    ) -> mi.Color3f:
         """As `DeviceLightField.contribution`."""
         volume = dr.gather(mi.Float, self.cells.volume, cell, active)
         density = chance * dr.square(distance) + other * volume
@@ -170,8 +181,14 @@ class InsideLight:
         return dr.select(active & (density > 0), light / density, 0)
 
     def received(
-        self, x: Any, entry: Any, direction: Any, inverse: Any, ends: RayEnds, active: Any
-    ) -> Any:
+        self,
+        x: mi.Point3f,
+        entry: mi.Point3f,
+        direction: mi.Vector3f,
+        inverse: mi.Float,
+        ends: RayEnds,
+        active: mi.Bool,
+    ) -> mi.Color3f:
         """As `DeviceLightField.received`, for a ray from `entry` in the box on.
 
         The light of a cell is that at the middle of the ray's way in it.
@@ -223,6 +240,6 @@ class InsideLight:
 
 def _resampled(
     curves: NDArray[np.float32], distances: NDArray[np.float32], at: NDArray[np.floating]
-) -> Any:
-    """Curves [.., K] at other distances, on the device (mi.Float)."""
+) -> mi.Float:
+    """Curves [.., K] at other distances, on the device."""
     return on_device(mi.Float, np.stack([np.interp(at, distances, curve) for curve in curves]))

@@ -20,8 +20,9 @@ Symbols
             p (r₁³ - r₀³) / 3V to the density of a direction whose ray is in it from r₀ to r₁
 """
 
+from __future__ import annotations
+
 import weakref
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -30,7 +31,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_density, bin_of, direction_in_bin
-from lumitree.octree.field import Field
+from lumitree.octree.field import Field, Record
 from lumitree.octree.leaves import boxes_inside, leaf_cells
 from lumitree.rendering.sampling.proxy import point_on_box, projected_areas
 from lumitree.rendering.sampling.receiver_cells import ReceiverCells
@@ -56,10 +57,10 @@ _RAYS_PER_CELL = 1024
 # A group's light in a cell counts as no less than this part of its mean over the cell's shell.
 _FLOOR = 0.05
 
-_TABLES: "weakref.WeakKeyDictionary[Field, LightLeaves | None]" = weakref.WeakKeyDictionary()
+_TABLES: weakref.WeakKeyDictionary[Field, LightLeaves | None] = weakref.WeakKeyDictionary()
 
 
-def light_leaves(field: Field) -> "LightLeaves | None":
+def light_leaves(field: Field) -> LightLeaves | None:
     """Tables to sample directions towards a field; made on first use, shared by all instances.
 
     None if nothing emits.
@@ -149,8 +150,8 @@ class LightLeaves:
         dr.eval(field.integrate(x, direction, True, accumulate, ()), light)
         return np.array(light, np.float64).reshape(self._around.count, NUM_GROUPS)
 
-    def sample(self, x: Any, sample: Any, active: Any) -> Any:
-        """Point (mi.Point3f) inside a leaf for a sample in the unit square."""
+    def sample(self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool) -> mi.Point3f:
+        """Point inside a leaf for a sample in the unit square."""
         row = self._around.index(x) * NUM_GROUPS
         group = sample_row(self._cumulated, row, NUM_GROUPS, sample.x, active)
         return self._point_of_group(group, sample, active)
@@ -168,14 +169,16 @@ class LightLeaves:
         upper = dr.minimum((cell + 1) * side - 1, self._half)
         return dr.lerp(lower, upper, scrambled(sample))
 
-    def record(self, x: Any, offset: Any) -> tuple[Any, tuple[Any, Any]]:
+    def record(
+        self, x: mi.Point3f, offset: mi.Float | float
+    ) -> tuple[Record, tuple[mi.Float, mi.Float]]:
         """Record for `Field.integrate` or `Field.cross`, and what it starts with.
 
         Its result is the density of the ray's direction from `x`, and the distance from the
         ray's origin at which the last leaf ends that was reached.
 
         Args:
-            x: mi.Point3f, the shading point; outside the proxy.
+            x: the shading point; outside the proxy.
             offset: distance from it to the ray's origin.
         """
 
@@ -186,13 +189,15 @@ class LightLeaves:
 
         return self._record(self._share, self._around.index(x) * NUM_GROUPS, part)
 
-    def sample_ray(self, choice: Any, sample1: Any, sample2: Any) -> tuple[Any, Any]:
+    def sample_ray(
+        self, choice: mi.Float, sample1: mi.Point2f, sample2: mi.Point2f
+    ) -> tuple[mi.Point3f, mi.Vector3f]:
         """Point inside a leaf, and direction of travel, of a ray that leaves the lamp."""
         index = self._ray_choice.sample(choice)
         direction, _ = direction_in_bin(index // NUM_GROUPS, sample1, _RESOLUTION)
         return self._point_of_group(index % NUM_GROUPS, sample2, True), direction
 
-    def record_ray(self, direction: Any) -> tuple[Any, tuple[Any, Any]]:
+    def record_ray(self, direction: mi.Vector3f) -> tuple[Record, tuple[mi.Float, mi.Float]]:
         """As `record`, for the density of `sample_ray` over projected area and solid angle.
 
         Args:
@@ -219,7 +224,7 @@ class LightLeaves:
         return add, (mi.Float(0), mi.Float(-dr.inf))
 
 
-def is_reached(reach: Any, end: Any) -> Any:
+def is_reached(reach: mi.Float, end: mi.Float) -> mi.Bool:
     """Whether a point of a leaf at distance `reach` is no farther than where the ray is blocked."""
     return reach <= end + 1e-5 * (1 + dr.abs(reach))
 

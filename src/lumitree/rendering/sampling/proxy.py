@@ -8,7 +8,9 @@ Symbols
             keep angles
 """
 
-from typing import Any, Literal, get_args
+from __future__ import annotations
+
+from typing import Literal, get_args
 
 import drjit as dr
 import mitsuba as mi
@@ -31,22 +33,24 @@ class BoxProxy:
         self.shape = {"type": "cube"}
         self.shape_scale = half_extents
 
-    def _visible_areas(self, origin: Any) -> Any:
+    def _visible_areas(self, origin: mi.Point3f) -> mi.Vector3f:
         return dr.select(dr.abs(origin) > self.half, face_areas(self.half), 0)
 
-    def sample(self, origin: Any, sample: Any) -> Any:
+    def sample(self, origin: mi.Point3f, sample: mi.Point2f) -> mi.Vector3f:
         """Direction from `origin` for a sample in the unit square; valid where `pdf` is not 0."""
         p = point_on_box(self.half, self._visible_areas(origin), origin, sample)
         return dr.normalize(p - origin)
 
-    def enter(self, origin: Any, direction: Any) -> tuple[Any, Any, Any]:
+    def enter(
+        self, origin: mi.Point3f, direction: mi.Vector3f
+    ) -> tuple[mi.Float, mi.Vector3f, mi.Bool]:
         """Distance and outward normal where a line enters from outside, and whether it does."""
         near, far = slab(-mi.Vector3f(origin), self.half, safe_inverse(direction))
         distance = dr.max(near)
         normal = dr.select(near == distance, -dr.sign(direction), 0)
         return distance, dr.normalize(normal), (distance > 0) & (distance <= dr.min(far))
 
-    def pdf(self, origin: Any, direction: Any) -> Any:
+    def pdf(self, origin: mi.Point3f, direction: mi.Vector3f) -> mi.Float:
         """Density with which `sample` gives `direction` from `origin`."""
         distance, normal, hit = self.enter(origin, direction)
         cosine = -dr.dot(normal, direction)
@@ -62,11 +66,13 @@ class SphereProxy:
         self.shape = {"type": "sphere"}
         self.shape_scale = np.full(3, self.radius)
 
-    def sample(self, origin: Any, sample: Any) -> Any:
+    def sample(self, origin: mi.Point3f, sample: mi.Point2f) -> mi.Vector3f:
         """Direction from `origin` for a sample in the unit square; valid where `pdf` is not 0."""
         return sample_cone(origin, self.radius, sample)
 
-    def enter(self, origin: Any, direction: Any) -> tuple[Any, Any, Any]:
+    def enter(
+        self, origin: mi.Point3f, direction: mi.Vector3f
+    ) -> tuple[mi.Float, mi.Vector3f, mi.Bool]:
         """Distance and outward normal where a line enters from outside, and whether it does."""
         along = -dr.dot(mi.Vector3f(origin), direction)
         off_axis = dr.squared_norm(mi.Vector3f(origin) + along * direction)
@@ -74,7 +80,7 @@ class SphereProxy:
         normal = dr.normalize(mi.Vector3f(origin) + distance * direction)
         return distance, normal, (distance > 0) & (off_axis < self.radius**2)
 
-    def pdf(self, origin: Any, direction: Any) -> Any:
+    def pdf(self, origin: mi.Point3f, direction: mi.Vector3f) -> mi.Float:
         """Density with which `sample` gives `direction` from `origin`."""
         outside = dr.squared_norm(mi.Vector3f(origin)) > self.radius**2
         _, _, hit = self.enter(origin, direction)
@@ -89,7 +95,7 @@ def make_proxy(kind: ProxyKind, half_extents: NDArray[np.float64]) -> Proxy:
     return BoxProxy(half_extents) if kind == "box" else SphereProxy(half_extents)
 
 
-def sample_cone(origin: Any, radius: float, sample: Any) -> Any:
+def sample_cone(origin: mi.Point3f, radius: float, sample: mi.Point2f) -> mi.Vector3f:
     """Direction towards the sphere of this radius about the centre, uniform over its solid angle.
 
     From a point inside the sphere all directions are towards it.
@@ -102,7 +108,7 @@ def sample_cone(origin: Any, radius: float, sample: Any) -> Any:
     return frame.to_world(mi.Vector3f(sine * azimuth_cosine, sine * azimuth_sine, cosine))
 
 
-def cone_pdf(origin: Any, radius: float) -> Any:
+def cone_pdf(origin: mi.Point3f, radius: float) -> mi.Float:
     """Density of `sample_cone`, the same for all of its directions."""
     return dr.rcp(dr.two_pi * _cap(origin, radius))
 
@@ -115,17 +121,19 @@ def _cap(origin, radius):
     return dr.select(sine_squared < 1, cap, 2)
 
 
-def face_areas(half: Any) -> Any:
+def face_areas(half: mi.Vector3f) -> mi.Vector3f:
     """Area [3] of a face of a box with half extents `half`, by the axis it is perpendicular to."""
     return 4 * mi.Vector3f(half.y * half.z, half.x * half.z, half.x * half.y)
 
 
-def projected_areas(half: Any, direction: Any) -> Any:
+def projected_areas(half: mi.Vector3f, direction: mi.Vector3f) -> mi.Vector3f:
     """Areas [3] of the faces of a box as seen along a direction."""
     return face_areas(half) * dr.abs(direction)
 
 
-def point_on_box(half: Any, weights: Any, towards: Any, sample: Any) -> Any:
+def point_on_box(
+    half: mi.Vector3f, weights: mi.Vector3f, towards: mi.Vector3f | mi.Point3f, sample: mi.Point2f
+) -> mi.Vector3f:
     """Point on the faces of a box at the origin that look `towards` a direction or point.
 
     Args:
@@ -149,12 +157,14 @@ def point_on_box(half: Any, weights: Any, towards: Any, sample: Any) -> Any:
     return unit * half
 
 
-def safe_inverse(direction: Any) -> Any:
+def safe_inverse(direction: mi.Vector3f) -> mi.Vector3f:
     """1 / direction by component, finite for lines parallel to an axis."""
     return dr.rcp(dr.select(dr.abs(direction) < _PARALLEL, _PARALLEL, direction))
 
 
-def slab(delta: Any, half: Any, inverse_direction: Any) -> tuple[Any, Any]:
+def slab(
+    delta: mi.Vector3f, half: mi.Vector3f, inverse_direction: mi.Vector3f
+) -> tuple[mi.Vector3f, mi.Vector3f]:
     """Distances [3], [3] at which a line crosses the planes of a box with its centre at `delta`."""
     middle, reach = delta * inverse_direction, half * dr.abs(inverse_direction)
     return middle - reach, middle + reach

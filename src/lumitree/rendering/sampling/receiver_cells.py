@@ -5,7 +5,7 @@ A table that depends on the receiver has one row for each cell. Cells are bins o
 the radius of the lamp's bounding sphere. The innermost shell has no end.
 """
 
-from typing import Any
+from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
@@ -40,20 +40,20 @@ class ReceiverCells:
         self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
         self._half = parameter(mi.Point3f, *half_extents.tolist())
 
-    def index(self, x: Any) -> Any:
-        """Index (mi.UInt32) of the cell of a point (mi.Point3f)."""
-        x = mi.Vector3f(x)
-        nearness = self._radius * dr.rsqrt(dr.squared_norm(x)) / self._width
+    def index(self, x: mi.Point3f) -> mi.UInt32:
+        """Index of the cell of a point."""
+        offset = mi.Vector3f(x)
+        nearness = self._radius * dr.rsqrt(dr.squared_norm(offset)) / self._width
         shell = mi.UInt32(dr.minimum(nearness, self.num_shells - 1))
-        return shell * self.num_bins + bin_of(x, self.resolution)
+        return shell * self.num_bins + bin_of(offset, self.resolution)
 
-    def point(self, cell: Any, sample: Any, shell_sample: Any) -> Any:
-        """Random point (mi.Point3f) of a cell, outside the lamp's box.
+    def point(self, cell: mi.UInt32, sample: mi.Point2f, shell_sample: mi.Float) -> mi.Point3f:
+        """Random point of a cell, outside the lamp's box.
 
         Args:
-            cell: mi.UInt32, its index.
-            sample: mi.Point2f in the unit square, for the direction.
-            shell_sample: mi.Float in [0, 1), for the distance.
+            cell: its index.
+            sample: in the unit square, for the direction.
+            shell_sample: in [0, 1), for the distance.
         """
         direction, _ = direction_in_bin(cell % self.num_bins, sample, self.resolution)
         nearness = (mi.Float(cell // self.num_bins) + shell_sample) * self._width

@@ -1,35 +1,37 @@
 """Use of random samples in more than one place, and of tables of cumulated chances."""
 
-from typing import Any
+from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
 
 
-def divide_sample(sample: Any, fraction: float) -> tuple[Any, Any]:
+def divide_sample(sample: mi.Float, fraction: float) -> tuple[mi.Bool, mi.Float]:
     """Whether a sample in [0, 1) is below `fraction`, and a sample in [0, 1) for either case."""
     below = sample < fraction
     rest = dr.select(below, sample / fraction, (sample - fraction) / (1 - fraction))
     return below, dr.clip(rest, 0, dr.one_minus_epsilon(mi.Float))
 
 
-def scrambled(sample: Any) -> Any:
-    """Three numbers in [0, 1) (mi.Point3f) from all bits of a sample in the unit square."""
+def scrambled(sample: mi.Point2f) -> mi.Point3f:
+    """Three numbers in [0, 1) from all bits of a sample in the unit square."""
     x, y = (dr.reinterpret_array(mi.UInt32, each) for each in (sample.x, sample.y))
     u, v = mi.sample_tea_32(x, y)
     w, _ = mi.sample_tea_32(v, u)
     return mi.Point3f(mi.Float(u >> 8), mi.Float(v >> 8), mi.Float(w >> 8)) * 2.0**-24
 
 
-def sample_row(cumulated: Any, first: Any, count: int, sample: Any, active: Any) -> Any:
-    """Index (mi.UInt32), from 0, that a sample in [0, 1) has in one row of a table.
+def sample_row(
+    cumulated: mi.Float, first: mi.UInt32, count: int, sample: mi.Float, active: mi.Bool | bool
+) -> mi.UInt32:
+    """Index, from 0, that a sample has in one row of a table.
 
     Args:
-        cumulated: mi.Float, cumulated chances of all rows.
-        first: mi.UInt32, where the row begins.
+        cumulated: cumulated chances of all rows.
+        first: where the row begins.
         count: length of a row.
-        sample: mi.Float.
-        active: mi.Bool mask.
+        sample: in [0, 1).
+        active: mask.
     """
 
     # The search is over the next power of two, so that rows of similar lengths share a kernel.

@@ -1,6 +1,6 @@
 """Next-event estimation of self emission: from a lamp's surfaces towards its own emitters."""
 
-from typing import Any
+from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
@@ -20,8 +20,8 @@ class SelfLights:
     def __init__(self) -> None:
         self._count = 0
 
-    def set_shapes(self, shapes: list[Any], power: NDArray[np.float64]) -> None:
-        """Sample these shapes (mi.Shape) in proportion to `power` [N], positive."""
+    def set_shapes(self, shapes: list[mi.Shape], power: NDArray[np.float64]) -> None:
+        """Sample these shapes in proportion to `power` [N], positive."""
         self._count = len(shapes)
         pmf = power / power.sum()
         # Pointers do not own what they refer to: the shapes own their emitters, which own this.
@@ -29,20 +29,19 @@ class SelfLights:
         self._cumulated = on_device(mi.Float, np.cumsum(pmf))
         self._pmf = on_device(mi.Float, pmf)
 
-    def pmf(self, index: int) -> Any:
-        """Probability (mi.Float) with which a shape is sampled."""
+    def pmf(self, index: int) -> mi.Float:
+        """Probability with which a shape is sampled."""
         return dr.gather(mi.Float, self._pmf, mi.UInt32(index))
 
-    def sample(self, sample: Any, active: Any) -> tuple[Any, Any, Any]:
+    def sample(self, sample: mi.Float, active: mi.Bool) -> tuple[mi.ShapePtr, mi.Float, mi.Float]:
         """Choose one of the shapes.
 
         Args:
-            sample: mi.Float in [0, 1).
-            active: mi.Bool mask.
+            sample: in [0, 1).
+            active: mask.
 
         Returns:
-            mi.ShapePtr, null where nothing emits; its probability (mi.Float); and a new sample in
-            [0, 1).
+            The shape, null where nothing emits; its probability; and a new sample in [0, 1).
         """
         if not self._count:
             return dr.zeros(mi.ShapePtr), mi.Float(0), mi.Float(0)

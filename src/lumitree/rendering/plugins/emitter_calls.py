@@ -1,0 +1,121 @@
+"""Functions that `dr.dispatch` calls with each emitter, be it a `DeferredEmitter` or not."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter, EmitterSample
+from lumitree.rendering.plugins.model_plugins import ModelEmitter
+from lumitree.rendering.sampling.emitter_sampling import Target
+
+
+def hit_light(
+    emitter: mi.Emitter,
+    si: mi.SurfaceInteraction3f,
+    it: mi.Interaction3f,
+    ds: mi.DirectionSample3f,
+    specular_chain: mi.Bool,
+    shown: mi.Bool,
+    bsdf_pdf: mi.Float,
+    emitter_pmf: mi.Float,
+    active: mi.Bool,
+) -> tuple[mi.Color3f, mi.Float, mi.Float, mi.Bool, mi.Bool]:
+    """Light of an emitter that a ray has hit.
+
+    Args:
+        si: where.
+        it: the vertex that the ray comes from.
+        ds: of both.
+        specular_chain, bsdf_pdf, emitter_pmf: as for `DeferredEmitter.eval_entered`.
+        shown: whether the path gets what shapes of the lamp's model emit.
+        active: mask.
+
+    Returns:
+        Radiance; transmittance of a proxy; density with which emitter sampling gives this
+        direction; whether the surface is a proxy; and whether it belongs to the model of a lamp.
+    """
+    no = mi.Bool(False)
+    if isinstance(emitter, DeferredEmitter):
+        # Only where the scene is not divided.
+        ray = mi.Ray3f(si.p, -si.to_world(si.wi))
+        entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+        nowhere = mi.Float(dr.inf), mi.Float(dr.inf)
+        hit = entered_light(
+            emitter, ray, mi.Float(0), it, specular_chain, bsdf_pdf, emitter_pmf, nowhere, entering
+        )
+        return *hit, mi.Bool(True), no
+    if isinstance(emitter, ModelEmitter):
+        radiance, pdf = emitter.eval_self_emission(si, it, ds, active & shown)
+        return radiance & shown, mi.Float(1), pdf, no, mi.Bool(True)
+    pdf = emitter.pdf_direction(it, ds, active)
+    return emitter.eval(si, active), mi.Float(1), pdf, no, no
+
+
+def entered_light(
+    emitter: mi.Emitter,
+    ray: mi.Ray3f,
+    distance: mi.Float,
+    it: mi.Interaction3f,
+    specular_chain: mi.Bool,
+    bsdf_pdf: mi.Float,
+    emitter_pmf: mi.Float,
+    ends: tuple[mi.Float, mi.Float],
+    active: mi.Bool,
+) -> tuple[mi.Color3f, mi.Float, mi.Float]:
+    """Radiance, transmittance and density of a lamp whose proxy a ray enters."""
+    if isinstance(emitter, DeferredEmitter):
+        return emitter.eval_entered(
+            ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, ends, active
+        )
+    return mi.Color3f(0), mi.Float(1), mi.Float(0)
+
+
+def entered_transmittance(
+    emitter: mi.Emitter, ray: mi.Ray3f, distance: mi.Float, active: mi.Bool
+) -> mi.Float:
+    """Transmittance of a lamp whose proxy a shadow ray enters."""
+    if isinstance(emitter, DeferredEmitter):
+        return emitter.transmittance(ray, distance, active)
+    return mi.Float(1)
+
+
+def sample_target(
+    emitter: mi.Emitter, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool
+) -> EmitterSample:
+    """Direction sampled towards an emitter; weight and density are for `eval_target` to find."""
+    if isinstance(emitter, DeferredEmitter):
+        return emitter.sample_target(it, sample, active)
+    ds, weight = emitter.sample_direction(it, sample, active)
+    target = Target.at(mi.Float(0))
+    return EmitterSample(ds, weight, ds.pdf != 0, mi.Bool(False), target, mi.Float(0))
+
+
+def eval_target(
+    emitter: mi.Emitter,
+    it: mi.Interaction3f,
+    sampled: EmitterSample,
+    bsdf_pdf: mi.Float,
+    emitter_pmf: mi.Float,
+    active: mi.Bool,
+) -> tuple[mi.Color3f, mi.Float]:
+    """Weight and density of a direction of `sample_target`."""
+    if isinstance(emitter, DeferredEmitter):
+        return emitter.eval_target(it, sampled, bsdf_pdf, emitter_pmf, active)
+    return mi.Color3f(sampled.weight), mi.Float(sampled.ds.pdf)
+
+
+def sample_self_emission(
+    emitter: mi.Emitter, sample: mi.Float, active: mi.Bool
+) -> tuple[mi.ShapePtr, mi.Float, mi.Float]:
+    """A shape of a lamp that emits, its probability, and a new sample."""
+    if isinstance(emitter, DeferredEmitter):
+        return emitter.sample_self_emission(sample, active)
+    return dr.zeros(mi.ShapePtr), mi.Float(0), mi.Float(0)
+
+
+def self_radiance(emitter: mi.Emitter, ds: mi.DirectionSample3f, active: mi.Bool) -> mi.Color3f:
+    """Radiance of a sampled point of a lamp's shape."""
+    if isinstance(emitter, ModelEmitter):
+        return emitter.radiance_at(ds, active)
+    return mi.Color3f(0)

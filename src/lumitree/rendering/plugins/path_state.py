@@ -1,0 +1,156 @@
+"""The state of the paths of `lumitree_path`, and what each iteration of its loop finds.
+
+All classes are PyTrees of Dr.Jit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from lumitree.rendering.plugins.deferred_emitter import EmitterSample
+from lumitree.rendering.plugins.path_scene import PathScene
+from lumitree.rendering.plugins.proxies import NONE
+
+
+@dataclass
+class PathState:
+    """State of the loop; `si_prev` is the last interaction that was not null, or the camera."""
+
+    # fmt: off
+    ray: mi.Ray3f                      # Current ray
+    pi: mi.PreliminaryIntersection3f   # What it meets of the surfaces
+    medium: mi.MediumPtr               # Medium that it is in
+    active: mi.Bool                    # Active SIMD lanes
+
+    L: mi.Color3f                      # Radiance accumulator
+    valid_ray: mi.Bool                 # Whether the camera ray met something
+    record: dict[str, Any]             # What is recorded beside the image (`Layers`)
+
+    β: mi.Color3f                      # Path throughput weight
+    η: mi.Float                        # Product of relative indices of refraction
+    channel: mi.UInt32                 # Channel for which media that scatter are sampled
+    ρ: mi.Color3f                      # Densities of the path by channel (`medium_paths`)
+
+    depth: mi.UInt32                   # Depth of current vertex
+    depth_freed: mi.UInt32             # Part of it that does not count towards `max_depth`
+    crossings: mi.UInt32               # Null interactions so far
+
+    si_prev: mi.Interaction3f          # Previous vertex
+    bsdf_pdf_prev: mi.Float            # Density of the direction that was sampled there
+    bsdf_delta_prev: mi.Bool           # Whether emitter sampling could not have found it
+    specular_chain: mi.Bool            # Whether all vertices so far were specular
+    self_emission: mi.UInt32           # Lamp on which `si_prev` is, whose shapes' emission counts
+    self_sampled: mi.Bool              # Whether its emission was sampled at `si_prev`
+    skipped: mi.UInt32                 # Lamps without light in the box where the ray starts
+    # fmt: on
+
+    @classmethod
+    def start(cls, ray: mi.Ray3f, medium: mi.MediumPtr, active: mi.Bool) -> PathState:
+        """Paths that begin at a camera; `pi` is not found yet."""
+        return cls(
+            ray=mi.Ray3f(ray),
+            pi=dr.zeros(mi.PreliminaryIntersection3f),
+            medium=medium,
+            active=mi.Bool(active),
+            L=mi.Color3f(0),
+            valid_ray=mi.Bool(False),
+            record={},
+            β=mi.Color3f(1),
+            η=mi.Float(1),
+            channel=mi.UInt32(0),
+            ρ=mi.Color3f(1),
+            depth=mi.UInt32(0),
+            depth_freed=mi.UInt32(0),
+            crossings=mi.UInt32(0),
+            si_prev=dr.zeros(mi.Interaction3f),
+            bsdf_pdf_prev=mi.Float(1),
+            bsdf_delta_prev=mi.Bool(True),
+            specular_chain=mi.Bool(True),
+            self_emission=mi.UInt32(NONE),
+            self_sampled=mi.Bool(False),
+            skipped=mi.UInt32(0),
+        )
+
+    def add_light(
+        self,
+        scene: PathScene,
+        emitter: mi.EmitterPtr,
+        light: mi.Color3f,
+        seen: mi.Bool,
+        active: mi.Bool,
+    ) -> None:
+        """Add light of an emitter, whose image the path shows where `seen`."""
+        self.L[active] += light
+        scene.layers.add_light(self.record, emitter, light, seen, active)
+
+
+@dataclass
+class Flight:
+    """How far the medium lets a ray go."""
+
+    # fmt: off
+    distance: mi.Float   # Where the medium scatters; infinite if it does not
+    collides: mi.Bool    # Whether that is before the next surface
+    # fmt: on
+
+
+@dataclass
+class Hit:
+    """Where a ray ends."""
+
+    # fmt: off
+    si: mi.SurfaceInteraction3f   # The next surface, even if the medium scatters before it
+    bsdf: mi.BSDFPtr              # Its BSDF
+    hit_surface: mi.Bool          # Whether the ray reaches it, or the environment
+    hit_medium: mi.Bool           # Whether the medium scatters before it
+    owner: mi.UInt32              # Lamp that the surface or the medium belongs to, or `NONE`
+    shown: mi.Bool                # Whether the path gets what this lamp's shapes emit
+    # fmt: on
+
+
+@dataclass
+class Vertex:
+    """Where a path goes on: an interaction with a proxy, a surface or a medium."""
+
+    # fmt: off
+    si: mi.SurfaceInteraction3f   # The surface, or the point in the medium
+    bsdf: mi.BSDFPtr              # Its BSDF
+    owner: mi.UInt32              # As of `Hit`
+    shown: mi.Bool                # As of `Hit`
+    on_proxy: mi.Bool             # On a proxy that is traced, which does nothing more
+    active_surface: mi.Bool       # On another surface, which scatters
+    active_medium: mi.Bool        # In a medium, which scatters
+    opaque: mi.Bool               # Whether the surface lets no light through
+    straight: mi.Bool             # Whether it is glass that bends no ray (`model_plugins`)
+    behind: mi.Bool               # Whether the ray has met this glass from inside
+    # fmt: on
+
+
+@dataclass
+class EmitterChoice:
+    """A direction that emitter sampling has chosen."""
+
+    # fmt: off
+    emitter: mi.EmitterPtr
+    index: mi.UInt32         # Of the emitter in the scene
+    weight: mi.Float         # One over the probability of the emitter
+    sampled: EmitterSample
+    active: mi.Bool          # Whether there is one
+    # fmt: on
+
+
+@dataclass
+class Scattering:
+    """What the BSDF or the phase function of a vertex says."""
+
+    # fmt: off
+    value_em: mi.Color3f     # BSDF times cosine, or phase function, of the emitter's direction
+    pdf_em: mi.Float         # Density with which that direction is sampled
+    bs: mi.BSDFSample3f      # Sampled direction; in a medium its `pdf` alone
+    weight: mi.Color3f       # Value over density of it
+    phase_wo: mi.Vector3f    # Direction sampled in a medium, in the scene
+    # fmt: on

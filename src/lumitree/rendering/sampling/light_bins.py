@@ -1,0 +1,78 @@
+"""Bins of direction of a light field, and the packed numbers in them.
+
+Symbols are those of `light_field`.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.light_field import (
+    EXPONENT_OF_ONE,
+    EXPONENT_SHIFT,
+    MANTISSA,
+    MANTISSA_SHIFTS,
+    LightField,
+    pack_lit,
+    unpack,
+)
+from lumitree.asset.light_inside import parts_of_ending
+from lumitree.asset.lit_bins import by_coarse_bin, by_fine_bin, dense
+from lumitree.core.octahedral import bin_of, solid_angles
+from lumitree.core.photometry import luminance
+from lumitree.octree.build import morton
+from lumitree.rendering.sampling.samples import scrambled
+
+# Cells whose bins are computed at once, which bounds the memory.
+_CELLS_AT_ONCE = 1 << 10
+
+
+def ending_by_bin(field: LightField) -> tuple[NDArray[np.uint32], float]:
+    """J of a light field in the bins of I, as `parts_of_ending` divides it.
+
+    Returns:
+        RGB9_E5 numbers [C', R²] of the cells of `field.inside`, and their scale.
+    """
+    inside = field.inside
+    assert inside is not None
+    leaving = np.zeros((len(inside.cells), field.resolution**2), np.float32)
+    rows = np.searchsorted(morton(inside.cells), morton(field.cells))
+    leaving[rows] = field.dense(field.scale * luminance(unpack(field.intensity)))
+    packed = dense(inside.lit, (field.resolution // 2) ** 2, inside.intensity)
+    solid_angle = by_coarse_bin(solid_angles(field.resolution)[None])
+    # A part is at most about 4 times the mean.
+    scale, ending = 8 * inside.scale, np.zeros_like(leaving, np.uint32)
+    for start in range(0, len(leaving), _CELLS_AT_ONCE):
+        at = slice(start, start + _CELLS_AT_ONCE)
+        mean = inside.scale * unpack(packed[at])
+        parts = parts_of_ending(by_coarse_bin(leaving[at]), luminance(mean), solid_angle)
+        ending[at] = by_fine_bin(pack_lit(parts[..., None] * mean[:, :, None], scale))
+    return ending, scale
+
+
+def smooth_bin(direction: mi.Vector3f, resolution: int) -> mi.UInt32:
+    """A bin at random, so that the mean over bins is linear between their middles.
+
+    Args:
+        direction: of any length; the random numbers are made of its bits.
+        resolution: bins a side.
+    """
+    random = scrambled(mi.Point2f(direction.x, direction.y))
+    return bin_of(direction, resolution, mi.Vector2f(random.x, random.y) - 0.5)
+
+
+def coarse_bin(index: mi.UInt32, resolution: int) -> mi.UInt32:
+    """The bin of half the resolution that contains one of `resolution` a side."""
+    return index // (2 * resolution) * (resolution // 2) + index % resolution // 2
+
+
+def unpacked(packed: mi.UInt32) -> mi.Color3f:
+    """Colours of RGB9_E5 numbers."""
+    # As `asset.light_field.unpack`: a power of two is a number whose mantissa's 23 bits are 0.
+    exponent = (packed >> EXPONENT_SHIFT) + (127 - EXPONENT_OF_ONE)
+    unit = dr.reinterpret_array(mi.Float, exponent << 23)
+    mantissas = (packed >> shift & MANTISSA for shift in MANTISSA_SHIFTS)
+    return mi.Color3f(*(mi.Float(each) for each in mantissas)) * unit
