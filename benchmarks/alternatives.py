@@ -87,7 +87,7 @@ def thin_glass_room(source: LuminaireSource, width: int) -> Any:
     """The room with explicit geometry whose smooth glass bends no ray."""
     import mitsuba as mi
 
-    from lumitree.lamp.luminaire import open_scene_file
+    from lumitree.lamp.opening import open_scene_file
     from lumitree.rendering.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.scene import PlacedLuminaire

@@ -47,7 +47,7 @@ METHODS = ("exported", "explicit", "mitsuba")
 def irradiance_rows(name: str, asset: Any, seed: int) -> list[dict]:
     """Irradiance error of the field itself and of clusters of it."""
     from benchmarks.cycles.table_rays import TableRays
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.irradiance import (
         asset_irradiance,
         irradiance_error,

@@ -95,7 +95,11 @@ def difference(row: dict[str, Any], other: dict[str, Any], lamp: str) -> tuple[f
     here, there = (np.array(each["images"][lamp]["tiles"]) for each in (row, other))
     scale = there.mean(axis=0)
     between, seeds = here[0] - there[0], there[1] - there[0]
-    return tuple(float(np.sqrt(((each / scale) ** 2).mean())) for each in (between, seeds))
+    return _rms(between / scale), _rms(seeds / scale)
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt((values**2).mean()))
 
 
 def table(rows: list[dict[str, Any]]) -> Table:

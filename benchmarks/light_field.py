@@ -33,7 +33,7 @@ def measure(name: str, options: argparse.Namespace) -> list[dict]:
     """A row for each grid."""
     from lumitree.asset.asset import light_field_asset
     from lumitree.fit.light_field.bake import bake_light_field
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.irradiance import (
         asset_irradiance,
         irradiance_error,

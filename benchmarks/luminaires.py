@@ -41,7 +41,7 @@ def measure(
         baseline: capture of the plain cube.
     """
     from lumitree.core.images import max_radiance
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
     from lumitree.output.preview_sheet import take_preview
     from lumitree.trace.flux import estimate_flux, missed_by_depth
 
@@ -81,7 +81,7 @@ def capture(luminaire: Any, options: argparse.Namespace) -> Job:
 
 def plain_cube(options: argparse.Namespace) -> Job:
     """The same of a cube that emits the same radiance everywhere."""
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "plain_cube.xml"

@@ -181,7 +181,7 @@ def _bytes(asset: Any) -> int:
 
 def _paths_seconds(source: LuminaireSource, seed: int) -> float:
     """Seconds of the light paths of a bake and their histogram, without the light inside."""
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
     from lumitree.trace.emitted_rays import as_rows
     from lumitree.trace.histograms import Histogram
     from lumitree.trace.lamp_rays import LampRays
@@ -201,7 +201,7 @@ def reference_planes(
 ) -> tuple[list[Plane], Plane]:
     """The planes of a luminaire, and the fine one below it."""
     from benchmarks.inside_box.crossings import crossing_irradiance
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
 
     luminaire = load_luminaire(source)
     rectangles = [*PLANES, FINE]

@@ -100,7 +100,7 @@ def measure(name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
     """A row for each representation of a luminaire."""
     import lumitree
     from lumitree.core.dataset import Dataset
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
 
     luminaire = load_luminaire(name)
     with tempfile.TemporaryDirectory() as folder:

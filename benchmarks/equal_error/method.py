@@ -38,7 +38,7 @@ class Method:
     def __init__(
         self, pair: Pair, baked: bool, options: argparse.Namespace, way: Way | None = None
     ) -> None:
-        from lumitree.lamp.luminaire import load_luminaire
+        from lumitree.lamp.loading import load_luminaire
         from lumitree.lamp.scene_file import SceneFile
         from lumitree.octree.field import Thresholds
         from lumitree.rendering.passes import Budget, render_passes

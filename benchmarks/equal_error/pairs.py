@@ -67,7 +67,7 @@ def read_pairs(
     Args:
         only: the luminaire, as the file has it, whose pairs are read; None for all.
     """
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
 
     pairs = []
     for entry in tomllib.loads(path.read_text())["pair"]:

@@ -168,7 +168,7 @@ def _parts(lamp: str) -> list[Any]:
 
     No model could hold these when the cells were measured.
     """
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
 
     return ["light", "field", *([] if load_luminaire(lamp).scatters else ["model"])]
 

@@ -10,7 +10,7 @@ from benchmarks.inside_box.figures import masks, over_planes, patch_errors, shad
 from benchmarks.inside_box.patches import NORMALS, Rectangle, surroundings
 from lumitree.core.device import on_device
 from lumitree.fit.config import QUALITIES
-from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.meshes import lathe
 from lumitree.lamp.parts import Diffuse, Material, Metal, Model, Part
 from lumitree.lamp.scene_writer import write_scene

@@ -7,7 +7,7 @@ import pytest
 
 from lumitree.core.photometry import blackbody_colour, blackbody_radiance, luminance
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.lamp.luminaire import place_shapes
+from lumitree.rendering.scene import place_shapes
 from support.lamps import lamp_of, scene, sphere
 
 BODY = (

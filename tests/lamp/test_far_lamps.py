@@ -262,7 +262,7 @@ def test_instances_of_a_group_are_moved_once(mi, tmp_path):
             '<translate x="2"/></transform></shape>',
         )
     )
-    from lumitree.lamp.luminaire import place_shapes
+    from lumitree.rendering.scene import place_shapes
 
     matrix = np.diag([2.0, 2, 2, 1])
     matrix[:3, 3] = [0, 7, 0]

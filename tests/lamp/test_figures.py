@@ -7,7 +7,7 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.core.photometry import luminance
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.figures import figures
-from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import (
     Diffuse,

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from lumitree.errors import LumitreeError
-from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.source import LuminaireSource
 from support.lamps import AREA, cube, scene, sphere

@@ -7,16 +7,14 @@ import pytest
 import trimesh
 
 from lumitree.errors import LumitreeError
-from lumitree.lamp.luminaire import (
-    load_luminaire,
-    luminaire_path,
-    place_shapes,
-    read_model,
-)
+from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.meshes import Mesh
+from lumitree.lamp.model_reading import read_model
+from lumitree.lamp.opening import luminaire_path
 from lumitree.lamp.parts import Diffuse, Glass, Material, Model, Part
 from lumitree.lamp.scene_writer import write_scene
 from lumitree.lamp.source import LuminaireSource
+from lumitree.rendering.scene import place_shapes
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=5)
 STEM = trimesh.creation.box((1, 1, 20)).apply_translation([0, 0, 15])

@@ -10,7 +10,7 @@ from lumitree.asset.asset import NO_GAIN
 from lumitree.asset.file import load, save
 from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
-from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.media import absorption, stored_medium
 from lumitree.lamp.stored_model import stored_model
 from support.lamps import AREA, GLASS, cube, scene, sphere

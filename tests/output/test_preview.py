@@ -6,7 +6,7 @@ from PIL import Image
 
 from lumitree.core.images import tonemap
 from lumitree.errors import LumitreeError
-from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.loading import load_luminaire
 from support.lamps import AREA, cube, scene, sphere
 
 # A lit ball to the right, above and in front of the middle of a box of side 4.

@@ -12,9 +12,9 @@ from lumitree.asset.light_inside import LightInside, parts_of_ending
 from lumitree.asset.lit_bins import by_coarse_bin
 from lumitree.core.frames import rotation, similarity
 from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.lamp.luminaire import place_shapes
 from lumitree.lamp.stored_model import stored_model
 from lumitree.octree.build import morton
+from lumitree.rendering.scene import place_shapes
 from support import tiny_bakes
 from support.lamps import GLASS, cube, lamp_of, sphere
 from support.receivers import HALF, uniform_samples

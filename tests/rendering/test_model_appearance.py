@@ -10,8 +10,9 @@ import lumitree
 from lumitree.asset.asset import light_field_asset
 from lumitree.core.frames import rotation, similarity
 from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.lamp.luminaire import load_luminaire, place_shapes
+from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.stored_model import stored_model
+from lumitree.rendering.scene import place_shapes
 from support import tiny_bakes
 from support.lamps import GLASS, cube, scene, sphere
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from lumitree.lamp.luminaire import load_luminaire, place_shapes
+from lumitree.lamp.loading import load_luminaire
+from lumitree.rendering.scene import place_shapes
 from support.lamps import AREA, GLASS, cube, scene, sphere
 
 FRESNEL = 0.04  # ((1.5 - 1) / (1.5 + 1))²

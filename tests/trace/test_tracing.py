@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from lumitree.lamp.luminaire import load_luminaire, place_shapes
+from lumitree.lamp.loading import load_luminaire
+from lumitree.rendering.scene import place_shapes
 from lumitree.trace.tracing import path_integrator
 from support.lamps import cube, scene, sphere
 

@@ -20,8 +20,8 @@ from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.fit.octree.config import OctreeFitConfig
 from lumitree.fit.result import BakeResult
 from lumitree.fit.work import open_work_folder
-from lumitree.lamp.loading import dataset_folder, warn_of_faults
-from lumitree.lamp.source import source_kind
+from lumitree.lamp.diagnosis import warn_of_faults
+from lumitree.lamp.source import dataset_folder, source_kind
 from lumitree.measure.irradiance_check import check_irradiance_paths
 from lumitree.rendering.asset_cache import open_asset
 
@@ -92,7 +92,7 @@ def bake(
         check_asset_output(output)
     _check_kind(luminaire)
     load_mitsuba(variant)
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
 
     with reporting(progress), open_work_folder(output, work) as folder:
         lamp = load_luminaire(luminaire)
@@ -267,7 +267,7 @@ def refine(
     check_irradiance_paths(irradiance_paths)
     load_mitsuba(variant)
     from lumitree.fit.octree import bake as octree_fit
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
 
     rough = open_asset(asset)
     if not rough.num_leaves:

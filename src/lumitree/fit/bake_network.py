@@ -28,7 +28,7 @@ from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.fit.network.config import PRESETS, TrainConfig
 from lumitree.fit.result import BakeResult, CaptureResult, TrainResult
 from lumitree.fit.work import open_work_folder
-from lumitree.lamp.loading import warn_of_faults
+from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.measure.irradiance_check import check_irradiance_paths
 from lumitree.octree.build import check_tree_depth
 from lumitree.trace.light_field_config import LightFieldFitConfig
@@ -76,7 +76,7 @@ def bake_network(
     check_asset_output(output)
     check_network()
     load_mitsuba(variant)
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
 
     watch, light_field = Stopwatch(), None
     with open_work_folder(output, work) as folder:
@@ -157,7 +157,7 @@ def capture(
     check_choice("split", split, get_args(Split))
     check_writable(Path(output) / MANIFEST)
     load_mitsuba(variant)
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
     from lumitree.trace.capture import capture as capture_views
 
     watch = Stopwatch()
@@ -306,7 +306,7 @@ def extract(
             return _extract(run, output, tree_depth, samples_per_leaf)
     load_mitsuba(variant)
     from lumitree.fit.network.trained_field import load_field
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
 
     watch = Stopwatch()
     with reporting(progress), scratch_folder() as folder:

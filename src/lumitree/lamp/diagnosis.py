@@ -11,13 +11,16 @@ shapes. Definitions, for one crossing of a line with a surface:
     depth     sum of the steps so far; in correct geometry 0 outside of glass and 1 inside
 """
 
+import warnings
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.backend import load_mitsuba
+from lumitree.errors import LumitreeWarning
 from lumitree.lamp.glass_crossings import Crossings, trace_lines
+from lumitree.lamp.luminaire import Luminaire
 
 # Largest number of lines whose crossings are examined one by one.
 _MAX_EXAMINED = 2000
@@ -25,6 +28,19 @@ _MAX_EXAMINED = 2000
 _PARALLEL = 0.9
 # Two surfaces that touch in a smaller fraction of a shape's crossings only share a sharp edge.
 _MIN_SHARE = 0.01
+# Largest number of warnings per luminaire.
+_MAX_WARNED = 5
+
+
+def warn_of_faults(luminaire: Luminaire) -> list[str]:
+    """Warn of glass that cannot be rendered correctly; returns one line per fault."""
+    faults = diagnose(luminaire.scene)
+    for fault in faults[:_MAX_WARNED]:
+        warnings.warn(f"{luminaire.name}: {fault}", LumitreeWarning, stacklevel=3)
+    if len(faults) > _MAX_WARNED:
+        more = f"{luminaire.name}: {len(faults) - _MAX_WARNED} more faults of this kind"
+        warnings.warn(more, LumitreeWarning, stacklevel=3)
+    return faults
 
 
 def diagnose(scene: Any) -> list[str]:

@@ -1,6 +1,7 @@
 """Reading of Mitsuba scene files and of dictionaries that describe scenes."""
 
 import contextlib
+import copy
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -28,7 +29,7 @@ _CHOSEN_BY = "shape's id, BSDF's id or number"
 
 
 class SceneFile:
-    """A parsed Mitsuba 3 scene whose objects have not been created yet."""
+    """A parsed Mitsuba 3 scene, whose objects can be created any number of times."""
 
     def __init__(
         self,
@@ -205,23 +206,29 @@ class SceneFile:
                         del film.props[name]
                 film.props["rfilter"] = box
 
-    def move(self, matrix: NDArray[np.float64]) -> None:
-        """Move all shapes by a similarity transform [4, 4], in double precision."""
-        transform = load_mitsuba().ScalarTransform4d
-        for props in self._placed_shapes():
+    def moved(self, matrix: NDArray[np.float64]) -> "SceneFile":
+        """The scene with all shapes moved by a similarity transform [4, 4], in double precision."""
+        transform, found = load_mitsuba().ScalarTransform4d, self._copy()
+        for props in found._placed_shapes():
             # The parser keeps transforms in double precision.
             own = props.get("to_world", transform())
             props["to_world"] = transform(matrix @ np.array(own.matrix))
+        return found
 
-    def recentre(self, origin: NDArray[np.float64]) -> None:
-        """Move the origin of the scene's coordinates to [3] `origin`, in double precision.
+    def _copy(self) -> "SceneFile":
+        found = copy.copy(self)
+        found._state = load_mitsuba().parser.ParserState(self._state)
+        return found
+
+    def recentred(self, origin: NDArray[np.float64]) -> "SceneFile":
+        """The scene whose coordinates have their origin at [3] `origin`, in double precision.
 
         The points by which spheres and cylinders are placed become a part of their transform.
         Vertices of mesh files are read as float32, and stay what they are.
         """
-        mi = load_mitsuba()
+        mi, found = load_mitsuba(), self._copy()
         transform = mi.ScalarTransform4d
-        for props in self._placed_shapes():
+        for props in found._placed_shapes():
             first = next((name for name in ("center", "p0") if name in props), None)
             if first is not None:
                 place = np.array(props[first], np.float64)
@@ -229,7 +236,7 @@ class SceneFile:
                     props[name] = mi.ScalarPoint3d(np.array(props[name], np.float64) - place)
                 own = np.array(props.get("to_world", transform()).matrix)
                 props["to_world"] = transform(own @ similarity(np.eye(3), 1.0, place))
-        self.move(similarity(np.eye(3), 1.0, -np.asarray(origin)))
+        return found.moved(similarity(np.eye(3), 1.0, -np.asarray(origin)))
 
     def mesh_files(self) -> list[tuple[str, NDArray[np.float64]]]:
         """Name of each shape that a file has, and [3] where its transform puts (0, 0, 0)."""
@@ -297,19 +304,19 @@ class SceneFile:
             return sorted({Path(str(resolver.resolve(name))) for name in names})
 
     def instantiate(self) -> Any:
-        """Create the scene.
+        """Create the scene; the parsed file stays as it is.
 
         Raises:
             LumitreeError: a mesh, texture or plugin of the scene is missing or damaged.
         """
         mi = load_mitsuba()
-        # Creating the scene clears the nodes.
         has_media = bool(self.nodes("Medium"))
         # Lamps would be created within each other, by tasks that wait.
         lamps = (node.props.plugin_name() == "lumitree_proxy" for node in self._used())
         self._config.parallel = not any(lamps)
         with self._searching(), self._readable():
-            scene = mi.parser.instantiate(self._config, self._state)
+            # Creating a scene clears the nodes.
+            scene = mi.parser.instantiate(self._config, mi.parser.ParserState(self._state))
         if not isinstance(scene, mi.Scene):
             raise LumitreeError(f"{self._name} does not hold a <scene>; found {type(scene)}")
         if has_media:

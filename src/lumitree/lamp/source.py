@@ -3,7 +3,7 @@
 import dataclasses
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, cast
 
 from lumitree.asset.asset import Asset
 from lumitree.core.dataset import MANIFEST
@@ -75,3 +75,16 @@ def refuse_options(source: LuminaireSource, kind: str) -> None:
             f"{', '.join(source.options)}: not for {kind} such as {shown(source.name, 300)}; leave "
             "it out"
         )
+
+
+def dataset_folder(source: object) -> Path | None:
+    """Folder of the dataset that `source` names; None if it does not name a dataset.
+
+    Raises:
+        LumitreeError: `source` names a dataset and has options for reading a luminaire.
+    """
+    if source_kind(source) != "dataset":
+        return None
+    described = as_source(cast(Any, source))
+    refuse_options(described, "a dataset")
+    return Path(described.name)

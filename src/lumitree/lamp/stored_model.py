@@ -14,7 +14,7 @@ from lumitree.asset.model import ARRAYS, AssetModel, check_surface
 from lumitree.asset.textures import VERTEX_COLOUR, ImageFacts, Json
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError, shown
-from lumitree.lamp.luminaire import Luminaire, luminaire_source, open_scene_file
+from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.media import stored_medium
 from lumitree.lamp.scene_file import SceneFile
 
@@ -39,12 +39,12 @@ def stored_model(luminaire: Luminaire) -> AssetModel:
             emitter or medium that is not in the lists of `asset.materials` and `asset.model_media`,
             or it was made from a mi.Scene. The message is the reason.
     """
-    file = open_scene_file(luminaire_source(luminaire), luminaire.origin)
-    return _Reader(file).read(luminaire.origin)
+    shapes = luminaire.scene.shapes()
+    return _Reader(luminaire.parsed).read(shapes, luminaire.origin)
 
 
 class _Reader:
-    """Reads the nodes of a scene file, and their shapes once they are created."""
+    """Reads the nodes of a scene file, and the shapes that were created of them."""
 
     def __init__(self, file: SceneFile) -> None:
         self._file = file
@@ -53,15 +53,13 @@ class _Reader:
         self._image_of: dict[tuple[Path, bool], int] = {}
         self._materials: list[Json] = []
 
-    def read(self, origin: NDArray[np.float64]) -> AssetModel:
+    def read(self, shapes: list[Any], origin: NDArray[np.float64]) -> AssetModel:
         nodes = self._file.nodes("Shape")
         names = [shown(node.props.id() or node.props.plugin_name(), 60) for node in nodes]
         described = []
         for node, name in zip(nodes, names, strict=True):
             with _of_shape(name):
                 described.append(self._describe(node.props))
-        # Creating the scene clears the nodes.
-        shapes = self._file.instantiate().shapes()
         if len(shapes) != len(nodes):
             raise LumitreeError("instances of shapes are not stored")
         meshes: dict[str, list[tuple[Json, dict[str, NDArray[Any]]]]] = defaultdict(list)

@@ -22,7 +22,8 @@ from lumitree.core.results import ImageResult, Json
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained
-from lumitree.lamp.loading import dataset_folder, warn_of_faults
+from lumitree.lamp.diagnosis import warn_of_faults
+from lumitree.lamp.source import dataset_folder
 from lumitree.measure.irradiance_check import check_irradiance_paths
 from lumitree.rendering.asset_cache import asset_of, open_asset
 from lumitree.rendering.asset_info import asset_json
@@ -125,7 +126,7 @@ def evaluate(
     check_irradiance_paths(irradiance_paths)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     mi = load_mitsuba(variant)
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.irradiance_figure import draw_irradiance
     from lumitree.measure.view_errors import evaluate_irradiance, evaluate_views
     from lumitree.output.sheet import draw_sheet

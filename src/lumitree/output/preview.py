@@ -16,7 +16,7 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import ImageResult
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.errors import LumitreeError, explained
-from lumitree.lamp.loading import warn_of_faults
+from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.rendering.asset_cache import asset_of
 from lumitree.trace.flux_figures import Flux, MissedFlux
@@ -141,7 +141,7 @@ def preview(
         with reporting(progress):
             return _preview_asset(asset, sheet, resolution, samples_per_pixel)
     from lumitree.core.images import max_radiance
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
     from lumitree.output.preview_sheet import draw_preview, take_preview
     from lumitree.trace.flux import estimate_flux, missed_by_depth
 

@@ -9,12 +9,14 @@ from typing import Any, cast
 
 import mitsuba as mi
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain
-from lumitree.core.frames import float32_step, is_far, similarity_scale
+from lumitree.core.frames import float32_step, is_far, similarity, similarity_scale
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
-from lumitree.lamp.luminaire import Luminaire, load_luminaire, place_shapes
+from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import Luminaire, LuminaireLike
 from lumitree.lamp.media import any_heterogeneous
 from lumitree.lamp.probe import check_evaluates
 from lumitree.lamp.scene_file import SceneFile
@@ -112,6 +114,25 @@ class PlacedLuminaire:
             "max_opacity": thresholds.max_opacity,
         }
         return {"proxy": shape(source, self.scene_from_world, proxy, **options)}
+
+
+def place_shapes(luminaire: LuminaireLike, scene_from_world: ArrayLike) -> dict[str, Any]:
+    """Shapes of an explicit luminaire placed in a scene, for `mitsuba.load_dict`.
+
+    Args:
+        luminaire: as for `load_luminaire`, but no `mi.Scene`.
+        scene_from_world: [4, 4] similarity from the frame of the luminaire's file. The
+            extinction of interior media is divided by its scale, so that the appearance of the
+            luminaire does not depend on its size.
+    """
+    luminaire, matrix = load_luminaire(luminaire), np.asarray(scene_from_world, np.float64)
+    scale = similarity_scale(matrix, "placement")
+    if luminaire.origin.any():
+        matrix = matrix @ similarity(np.eye(3), 1.0, luminaire.origin)
+    file = luminaire.parsed.moved(matrix)
+    for node in file.nodes("Medium"):
+        node.props["scale"] = node.props.get("scale", 1.0) / scale
+    return {f"luminaire_{i}": shape for i, shape in enumerate(file.instantiate().shapes())}
 
 
 def open_placements(placements: Sequence[Placement]) -> list[PlacedLuminaire]:

@@ -18,7 +18,7 @@ from lumitree.errors import LumitreeError
 from lumitree.fit.light_field import bake as module
 from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.fit.light_field.merge import merge_light_fields, relative_noise
-from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.loading import load_luminaire
 from lumitree.measure.irradiance import asset_irradiance, irradiance_error
 from lumitree.trace.light_field_config import LightFieldFitConfig
 from lumitree.trace.light_paths import trace_light

@@ -10,8 +10,9 @@ from lumitree.asset.model_media import scattering_sides
 from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
 from lumitree.lamp.builtin.registry import BUILTIN
-from lumitree.lamp.luminaire import load_luminaire, luminaire_path
+from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.meshes import coil, frames, lathe, offset, smooth, sweep
+from lumitree.lamp.opening import luminaire_path
 from lumitree.lamp.parts import Glass
 from lumitree.lamp.scene_writer import SCENE_FILE, write_scene
 from lumitree.lamp.stored_model import stored_model

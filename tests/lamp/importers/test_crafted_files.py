@@ -5,7 +5,7 @@ import os
 import pytest
 
 from lumitree.errors import LumitreeError
-from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.loading import load_luminaire
 
 KINDS = (".xml", ".obj", ".gltf", ".glb")
 SHAPE = (

@@ -5,7 +5,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-from lumitree.lamp.luminaire import luminaire_path, read_model
+from lumitree.lamp.model_reading import read_model
+from lumitree.lamp.opening import luminaire_path
 from lumitree.lamp.scene_file import SceneFile
 from support.damage import damaged, refused
 from support.lamps import AREA, GLASS, scene, sphere

@@ -26,8 +26,7 @@ from lumitree.fit.catalogue.record import LampFiles, LampRecord, settings_text
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.sources import applicable, bake_source, warn_of_unused
 from lumitree.lamp.builtin.registry import BUILTIN
-from lumitree.lamp.loading import dataset_folder
-from lumitree.lamp.source import LuminaireSource, as_source, source_kind
+from lumitree.lamp.source import LuminaireSource, as_source, dataset_folder, source_kind
 
 # Interval at which a lamp is tried again that another process works on, s.
 _AGAIN_SECONDS = 0.5
@@ -247,7 +246,7 @@ class _Job:
             return _digest(path, "a photometric file"), self.source
         if (dataset := dataset_folder(self.source)) is not None:
             return _digest(dataset / MANIFEST, "a dataset"), self.source
-        from lumitree.lamp.luminaire import load_luminaire
+        from lumitree.lamp.loading import load_luminaire
 
         luminaire = load_luminaire(self.source)
         return luminaire.fingerprint, luminaire

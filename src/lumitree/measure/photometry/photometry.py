@@ -139,7 +139,7 @@ def photometry(
     metres = _metres(unit)
     load_mitsuba(variant)
     from lumitree.formats.type_c import Grid
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.photometry.far_field import (
         asset_source,
         luminaire_source,

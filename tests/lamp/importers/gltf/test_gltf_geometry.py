@@ -388,7 +388,7 @@ CONES = [
 @pytest.mark.parametrize(("inner", "outer"), CONES)
 def test_spot_lights_have_the_cone_of_the_file(mi, tmp_path, inner, outer):
     """Intensity by angle, and flux: the integral of KHR_lights_punctual's attenuation."""
-    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.loading import load_luminaire
     from lumitree.lamp.scene_writer import write_scene
     from lumitree.trace.light_paths import trace_light
 

@@ -1,0 +1,64 @@
+"""Models of built-in luminaires and of model files, with their overrides."""
+
+import importlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from lumitree.errors import LumitreeError
+from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.importers.overrides import Overrides, apply_overrides, check_emits, select_parts
+from lumitree.lamp.importers.overrides_file import read_overrides
+from lumitree.lamp.parts import Model
+from lumitree.lamp.source import LuminaireSource, as_source
+
+
+def read_model(source: str | os.PathLike[str] | LuminaireSource) -> Model:
+    """Model of a built-in luminaire or a model file with its overrides, in metres, y up.
+
+    Raises:
+        LumitreeError: the file cannot be read, its overrides are invalid, a pattern matches
+            nothing, or nothing emits.
+    """
+    source = as_source(source)
+    path = Path(source.name)
+    if source.name in BUILTIN:
+        if source.materials is not None:
+            raise LumitreeError(f"built-in luminaire {source.name!r} takes no --materials")
+        return select_parts(BUILTIN[source.name].build(), source.keep, source.drop, source.name)
+    chosen = overrides_path(source)
+    overrides = read_overrides(chosen) if chosen is not None else Overrides()
+    model = READERS[path.suffix.lower()](path, overrides)
+    model = select_parts(model, source.keep, source.drop, str(path))
+    model = apply_overrides(model, overrides)
+    named = chosen or path.with_suffix(".toml")
+    check_emits(model, str(path), named.name)
+    return model
+
+
+def _read_obj(path: Path, overrides: Overrides) -> Model:
+    if overrides.variant is not None:
+        raise LumitreeError(f"{overrides.file}: variant is only for glTF, not for {path.name}")
+    # Imported here, because most runs need no reader.
+    reader = importlib.import_module("lumitree.lamp.importers.obj.reader")
+    return reader.read_obj(path)
+
+
+def _read_gltf(path: Path, overrides: Overrides) -> Model:
+    reader = importlib.import_module("lumitree.lamp.importers.gltf.reader")
+    return reader.read_gltf(path, variant=overrides.variant)
+
+
+READERS: dict[str, Callable[[Path, Overrides], Model]] = {
+    ".obj": _read_obj,
+    ".gltf": _read_gltf,
+    ".glb": _read_gltf,
+}
+
+
+def overrides_path(source: LuminaireSource) -> Path | None:
+    """The file of overrides of a model, if there is one."""
+    if source.materials is not None:
+        return Path(source.materials)
+    beside = Path(source.name).with_suffix(".toml")
+    return beside if os.path.isfile(beside) else None

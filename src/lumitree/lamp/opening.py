@@ -1,0 +1,167 @@
+"""The parsed scene of a built-in luminaire, a model, a scene file or a dictionary."""
+
+import atexit
+import contextlib
+import functools
+import hashlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.file_kinds import what_it_is
+from lumitree.core.reading import read_bytes
+from lumitree.core.work_folder import scratch_folder
+from lumitree.errors import LumitreeError, shown, shown_names
+from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
+from lumitree.lamp.model_reading import READERS, overrides_path, read_model
+from lumitree.lamp.scene_file import SceneFile
+from lumitree.lamp.scene_writer import write_scene
+from lumitree.lamp.source import LuminaireSource, as_source, source_kind
+
+_ENVIRONMENTS = ("constant", "envmap", "sky", "sunsky", "directional")
+_MAX_FILE_BYTES = 2**40
+# Sources that have no shapes to load.
+_NOT_LUMINAIRES: dict[str, str] = {
+    "asset": "an asset, which is baked already",
+    "photometric": "a photometric file, which has no shapes and is used as an asset",
+    "dataset": "a dataset",
+}
+# Of a shape, but in one direction only.
+_INVISIBLE = ("directionalarea",)
+
+
+Opened = str | os.PathLike[str] | LuminaireSource | Mapping[str, Any]
+
+
+def luminaire_source(luminaire: Opened) -> LuminaireSource:
+    """The file or the name of a luminaire; a dictionary is written to a scene file.
+
+    Raises:
+        LumitreeError: it is none of these, or a dictionary is not a scene.
+    """
+    if isinstance(luminaire, Mapping):
+        return LuminaireSource(str(_written_dictionary(dict(luminaire))))
+    if not isinstance(luminaire, str | os.PathLike | LuminaireSource):
+        kind = type(luminaire).__name__
+        raise LumitreeError(f"a luminaire is a name, path, dictionary or scene, not of type {kind}")
+    return as_source(luminaire)
+
+
+def _stamp(path: Path) -> tuple[str, int, int]:
+    status = path.stat() if os.path.exists(path) else None
+    return (str(path), status.st_mtime_ns, status.st_size) if status else (str(path), 0, 0)
+
+
+@functools.lru_cache(maxsize=64)
+def _written(source: LuminaireSource, stamps: tuple[tuple[str, int, int], ...]) -> Path:
+    """Path of the scene written for a source; `stamps` identify the versions of its files."""
+    return write_scene(read_model(source), _until_exit.enter_context(scratch_folder()))
+
+
+_until_exit = contextlib.ExitStack()
+atexit.register(_until_exit.close)
+
+
+def open_scene_file(source: LuminaireSource) -> SceneFile:
+    """The parsed and checked scene of a source; its patterns are applied if its file is a scene."""
+    path = luminaire_path(source)
+    own = path == Path(source.name)
+    file = SceneFile(path, source.keep, source.drop) if own else SceneFile(path)
+    _check_emitters(file)
+    return file
+
+
+def _check_emitters(file: SceneFile) -> None:
+    if not file.nodes("Shape"):
+        raise LumitreeError(f"{file.path} holds no shapes; expected a luminaire's geometry")
+    kinds = [node.props.plugin_name() for node in file.nodes("Emitter")]
+    loose = file.loose_lights()
+    environments = [kind for kind in loose if kind in _ENVIRONMENTS]
+    invisible = [kind for kind in kinds if kind in loose or kind in _INVISIBLE]
+    if environments:
+        raise LumitreeError(
+            f"{file.path} holds an environment light ({environments[0]}), which does not belong "
+            "to a luminaire; remove it from the file, or --keep only the lamp's shapes: "
+            f"{shown_names(map(str, file.shapes))}"
+        )
+    if "area" in loose:
+        raise LumitreeError(
+            f"{file.path} holds an area emitter outside of a shape, which emits nothing; move it "
+            "into the <shape> that emits, or remove it"
+        )
+    if invisible:
+        raise LumitreeError(
+            f"{file.path} holds a light without a surface ({invisible[0]}), which is invisible to "
+            "cameras; replace it by a small shape with an area emitter"
+        )
+    if not kinds:
+        raise LumitreeError(
+            f"{file.path} holds no emitter, so there is nothing to bake; give a shape an "
+            '<emitter type="area">'
+        )
+
+
+def fingerprint_of(file: SceneFile, source: LuminaireSource) -> str:
+    """SHA-256 of the scene and its files, which include the overrides and selection of a model."""
+    digest = hashlib.sha256(read_bytes(file.path, "a Mitsuba scene", MAX_MODEL_BYTES))
+    if file.path == Path(source.name) and (source.keep or source.drop):
+        digest.update(repr((source.keep, source.drop)).encode())
+    for path in file.references():
+        if os.path.isfile(path):
+            digest.update(read_bytes(path, "a file of a scene", _MAX_FILE_BYTES))
+    return digest.hexdigest()
+
+
+def luminaire_path(source: Opened) -> Path:
+    """Path of the Mitsuba scene file of a luminaire.
+
+    Built-in luminaires and models are written to a temporary folder, which lasts as long as the
+    process. A model is read again when the model or its overrides have changed.
+
+    Raises:
+        LumitreeError: the name or the format is unknown, the file cannot be read, or its overrides
+            are invalid.
+    """
+    source = luminaire_source(source)
+    path = Path(source.name)
+    builtin = source.name in BUILTIN
+    if not builtin and not os.path.exists(path):
+        raise LumitreeError(
+            f"no luminaire {shown(source.name, 300)!r}: neither a file nor built in "
+            f"({', '.join(BUILTIN)}); see 'lumitree list'"
+        )
+    kind = path.suffix.lower()
+    if not builtin and kind not in (".xml", *READERS):
+        what = _NOT_LUMINAIRES.get(source_kind(source)) or what_it_is(path)
+        raise LumitreeError(
+            f"{shown(path, 300)} {f'is {what}' if what else 'has an unsupported format'}; expected "
+            f".xml (a Mitsuba 3 scene), {', '.join(READERS)}, or a built-in name"
+        )
+    if kind == ".xml" and not builtin:
+        if source.materials is not None:
+            raise LumitreeError(
+                f"{path} is a Mitsuba scene, to which --materials does not apply; edit its BSDFs"
+            )
+        return path
+    files = () if builtin else (path, overrides_path(source))
+    return _written(source, tuple(_stamp(file) for file in files if file is not None))
+
+
+def _written_dictionary(description: dict[str, Any]) -> Path:
+    """Path of a dictionary's scene file, in a temporary folder."""
+    mi = load_mitsuba()
+    path = _until_exit.enter_context(scratch_folder()) / "scene.xml"
+    config = mi.parser.ParserConfig(mi.variant())
+    config.merge_meshes = config.merge_equivalent = False
+    if description.get("type") != "scene":
+        description = {"type": "scene", "luminaire": description}
+    try:
+        state = mi.parser.parse_dict(config, description)
+        mi.parser.write_file(state, str(path))
+    except (RuntimeError, TypeError, ValueError) as error:
+        reason = shown(" ".join(str(error).split()), 300)
+        raise LumitreeError(f"the dictionary is not a Mitsuba scene: {reason}") from None
+    return path
