@@ -138,16 +138,16 @@ def _trace(scene, sampler, path_depth, reservoir):
         leaves |= misses
         active &= si.is_valid()
         # An emitter inside a medium: the medium is that behind the first border.
-        medium = medium_paths.behind(si, -ray.d, medium, active & first)
+        medium = medium_paths.medium_after(si, -ray.d, medium, active & first)
         first &= ~active
 
         arriving = mi.Color3f(flux)
-        flight = medium_paths.flight(medium, channel, sampler, active)
-        collides = active & (flight < si.t)
+        free_flight = medium_paths.free_flight(medium, channel, sampler, active)
+        collides = active & (free_flight < si.t)
         hits = active & ~collides
-        weight, densities = medium_paths.passed(medium, si.t, ρ, hits)
+        weight, densities = medium_paths.segment_weight(medium, si.t, ρ, hits)
         flux[hits], ρ[hits] = flux * weight, densities
-        weight, densities = medium_paths.scattered(medium, flight, ρ, collides)
+        weight, densities = medium_paths.scattering_weight(medium, free_flight, ρ, collides)
         flux[collides], ρ[collides] = flux * weight, densities
         scattered, phase_weight, _ = medium_paths.sample_phase(medium, ray, sampler, collides)
 
@@ -160,7 +160,7 @@ def _trace(scene, sampler, path_depth, reservoir):
         passes &= dr.max(bsdf_weight) > 0
         if dr.hint(reservoir is not None, mode="scalar"):
             # What leaves behind null surfaces begins at the last of them.
-            end = dr.select(misses, ray.o, dr.select(collides, ray(flight), si.p))
+            end = dr.select(misses, ray.o, dr.select(collides, ray(free_flight), si.p))
             reservoir.stop(end, ray.d, arriving, (misses | active) & ~passes)
         correction, scatters = _shading_correction(si, bsdf, sample, ray.d, towards)
         hits &= scatters
@@ -171,13 +171,15 @@ def _trace(scene, sampler, path_depth, reservoir):
         transmits = hits & is_transmitted(sample.sampled_type)
         smooth &= ~(active & ~(transmits & is_smooth(sample.sampled_type)))
         onwards = spawn(si, towards, extent)
-        ray = dr.select(collides, mi.Ray3f(ray(flight), scattered), dr.select(hits, onwards, ray))
+        ray = dr.select(
+            collides, mi.Ray3f(ray(free_flight), scattered), dr.select(hits, onwards, ray)
+        )
         begins = collides | (hits & ~transmits)
         start = dr.select(begins, ray.o, start)
         start_direction = dr.select(begins, ray.d, start_direction)
         if dr.hint(reservoir is not None, mode="scalar"):
             reservoir.start(ray.o, active & ~passes)
-        medium = medium_paths.behind(si, ray.d, medium, transmits)
+        medium = medium_paths.medium_after(si, ray.d, medium, transmits)
         depth += 1
         active = (collides | hits) & (depth < path_depth) & (dr.max(flux) > 0)
         survival = dr.clip(dr.max(flux) / dr.max(light), 0.05, 0.95)

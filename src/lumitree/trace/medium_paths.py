@@ -1,15 +1,16 @@
-"""Ways of paths through homogeneous media.
+"""Segments of paths in homogeneous media.
 
-A medium that scatters ends a way at a random distance, which is sampled for R, G or B: each path
-has one of them, drawn when it starts. The other two could have given the same path, so its weight
-is over the mean density of all three along the whole path (Wilkie et al. 2014, Hero Wavelength
-Spectral Sampling). A medium that only absorbs attenuates a way exactly and needs no random number.
+A medium that scatters ends a segment at a random distance, which is sampled for R, G or B: each
+path has one of them, drawn when it starts. The other two could have given the same path, so its
+weight is over the mean density of all three along the whole path (Wilkie et al. 2014, Hero
+Wavelength Spectral Sampling). A medium that only absorbs attenuates a segment exactly and needs no
+random number.
 
 All functions take the mi.MediumPtr of each path, which may be none.
 
 Symbols
     σ_s, σ_t    scattering and extinction, per scene unit
-    T           transmittance of a way: exp(-σ_t · length)
+    T           transmittance of a segment: exp(-σ_t · length)
     ρ           mi.Color3f, densities of the path so far, if sampled for R, G and B, over their mean
 """
 
@@ -33,7 +34,7 @@ def draw_channel(sampler: Any) -> Any:
     return mi.UInt32(dr.minimum(3 * sampler.next_1d(), 2))
 
 
-def flight(medium: Any, channel: Any, sampler: Any, active: Any) -> Any:
+def free_flight(medium: Any, channel: Any, sampler: Any, active: Any) -> Any:
     """Distance (mi.Float) to the next scattering in a medium; infinite where nothing scatters."""
     scattering, extinction = coefficients(medium, active)
     scatters = active & (dr.max(scattering) > 0)
@@ -44,8 +45,8 @@ def flight(medium: Any, channel: Any, sampler: Any, active: Any) -> Any:
     return dr.select(scatters & (rate > 0), distance, dr.inf)
 
 
-def passed(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[Any, Any]:
-    """A way that ends before the `flight`.
+def segment_weight(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[Any, Any]:
+    """A segment that ends before the `free_flight`.
 
     Returns:
         Its weight (mi.Color3f), T over the chance of that; and ρ after it.
@@ -55,19 +56,19 @@ def passed(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[Any, Any]:
     return _weighted(through, dr.select(dr.max(scattering) > 0, through, 1), ρ)
 
 
-def scattered(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[Any, Any]:
-    """A way that ends by scattering, as `passed`: σ_s T over its density."""
+def scattering_weight(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[Any, Any]:
+    """A segment that ends by scattering, as `segment_weight`: σ_s T over its density."""
     scattering, extinction = coefficients(medium, active)
     through = _transmittance(extinction, distance)
     return _weighted(scattering * through, extinction * through, ρ)
 
 
 def transmittance(medium: Any, distance: Any, active: Any) -> Any:
-    """T (mi.Color3f) of a way."""
+    """T (mi.Color3f) of a segment."""
     return _transmittance(coefficients(medium, active)[1], distance)
 
 
-def behind(si: Any, direction: Any, medium: Any, active: Any) -> Any:
+def medium_after(si: Any, direction: Any, medium: Any, active: Any) -> Any:
     """Medium of a ray that leaves a surface in a direction; `medium` is that before it."""
     return dr.select(active & si.is_medium_transition(), si.target_medium(direction), medium)
 

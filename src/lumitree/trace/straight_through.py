@@ -71,7 +71,7 @@ def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> tup
         throughput[active] = throughput * weight
         smooth &= is_smooth(sample.sampled_type)
         ray = dr.select(active, spawn(si, si.to_world(sample.wo), extent), ray)
-        medium = medium_paths.behind(si, ray.d, medium, active)
+        medium = medium_paths.medium_after(si, ray.d, medium, active)
         crossings += 1
         active &= (crossings < path_depth) & (dr.max(throughput) > 0)
 

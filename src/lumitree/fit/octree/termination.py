@@ -99,7 +99,7 @@ def trace_to_termination(scene, sampler, ray):
         point = dr.select(ends, end, point)
         terminated |= ends
 
-        medium = medium_paths.behind(si, onwards.d, medium, transmits)
+        medium = medium_paths.medium_after(si, onwards.d, medium, transmits)
         ray = dr.select(transmits, onwards, ray)
         crossings += 1
         active = transmits & (crossings < PATH_DEPTH) & (dr.max(throughput) > 0)

@@ -5,7 +5,7 @@ neither towards `max_depth` nor for Russian roulette, it keeps the state of mult
 sampling (the vertex before it and the density of the direction sampled there), and shadow rays
 cross it with the transmittance that its BSDF states.
 
-Homogeneous media attenuate and scatter light along each way (`medium_paths`). A scattering is a
+Homogeneous media attenuate and scatter light along each segment (`medium_paths`). A scattering is a
 vertex like one on a rough surface. Heterogeneous media need `volpath`, and are refused.
 
 Opaque BSDFs do not scatter light through the geometric surface (`geometric_normals`), as `path`
@@ -48,7 +48,7 @@ from lumitree.rendering.plugins.path_scene import PathScene
 from lumitree.rendering.plugins.path_segments import (
     add_entered_light,
     end_segment,
-    sample_flight,
+    sample_free_flight,
     skip_emitters,
 )
 from lumitree.rendering.plugins.path_state import PathState
@@ -142,26 +142,26 @@ def _trace(
     while path.active:
         # ---------------------- Media along the ray ----------------------
 
-        flight = sample_flight(scene, path, sampler)
+        free_flight = sample_free_flight(scene, path, sampler)
 
         # ---------------------- Hide area emitters ----------------------
 
         if dr.hint(scene.hide_emitters, mode="scalar"):
-            skip_emitters(scene, path, flight, sampler)
+            skip_emitters(scene, path, free_flight, sampler)
 
         # ---------------------- Proxies along the ray ----------------------
 
         if dr.hint(scene.divided.proxies.exist, mode="scalar"):
-            add_entered_light(scene, path, flight)
+            add_entered_light(scene, path, free_flight)
 
         # ---------------------- Direct emission ----------------------
 
-        hit = end_segment(scene, path, flight)
+        hit = end_segment(scene, path, free_flight)
         on_proxy = add_emission(scene, path, hit)
 
         # ---------------------- Emitter sampling ----------------------
 
-        vertex = find_vertex(scene, path, hit, flight, on_proxy, largest_depth)
+        vertex = find_vertex(scene, path, hit, free_flight, on_proxy, largest_depth)
         choice = sample_emitter(scene, path, vertex, sampler)
         # One call evaluates the BSDF for the emitter's direction and samples the next.
         scattering = sample_scattering(scene, path, vertex, choice.sampled.ds.d, sampler)

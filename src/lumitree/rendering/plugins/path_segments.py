@@ -7,26 +7,28 @@ import mitsuba as mi
 
 from lumitree.rendering.plugins.emitter_calls import entered_light
 from lumitree.rendering.plugins.path_scene import MAX_CROSSINGS, PathScene
-from lumitree.rendering.plugins.path_state import Flight, Hit, PathState
+from lumitree.rendering.plugins.path_state import FreeFlight, Hit, PathState
 from lumitree.rendering.plugins.proxies import NONE
 from lumitree.trace import medium_paths
 from lumitree.trace.spawning import spawn
 
 
-def sample_flight(scene: PathScene, path: PathState, sampler: mi.Sampler) -> Flight:
+def sample_free_flight(scene: PathScene, path: PathState, sampler: mi.Sampler) -> FreeFlight:
     """Where the medium scatters, if it does before the ray meets anything."""
     if not scene.has_scattering:
-        return Flight(mi.Float(dr.inf), mi.Bool(False))
-    distance = medium_paths.flight(path.medium, path.channel, sampler, path.active)
-    return Flight(distance, path.active & (distance < path.pi.t))
+        return FreeFlight(mi.Float(dr.inf), mi.Bool(False))
+    distance = medium_paths.free_flight(path.medium, path.channel, sampler, path.active)
+    return FreeFlight(distance, path.active & (distance < path.pi.t))
 
 
 @dr.syntax
-def skip_emitters(scene: PathScene, path: PathState, flight: Flight, sampler: mi.Sampler) -> None:
+def skip_emitters(
+    scene: PathScene, path: PathState, free_flight: FreeFlight, sampler: mi.Sampler
+) -> None:
     """Let camera rays go on behind emitters, which the camera does not see."""
     # Not Mitsuba's `skip_area_emitters`, whose distance belongs to another ray.
     surfaces = scene.divided.surfaces
-    skip = path.active & ~flight.collides & (path.depth == 0) & _emits(path.pi)
+    skip = path.active & ~free_flight.collides & (path.depth == 0) & _emits(path.pi)
     while skip:
         if dr.hint(scene.has_media, mode="scalar"):
             _attenuate(path, path.pi.t, skip)
@@ -36,9 +38,11 @@ def skip_emitters(scene: PathScene, path: PathState, flight: Flight, sampler: mi
         path.crossings[skip] += 1
         path.active &= path.crossings < MAX_CROSSINGS
         if dr.hint(scene.has_scattering, mode="scalar"):
-            flight.distance[skip] = medium_paths.flight(path.medium, path.channel, sampler, skip)
-            flight.collides |= skip & (flight.distance < path.pi.t)
-        skip &= path.active & ~flight.collides & _emits(path.pi)
+            free_flight.distance[skip] = medium_paths.free_flight(
+                path.medium, path.channel, sampler, skip
+            )
+            free_flight.collides |= skip & (free_flight.distance < path.pi.t)
+        skip &= path.active & ~free_flight.collides & _emits(path.pi)
 
 
 def _emits(pi: mi.PreliminaryIntersection3f) -> mi.Bool:
@@ -47,16 +51,16 @@ def _emits(pi: mi.PreliminaryIntersection3f) -> mi.Bool:
 
 
 @dr.syntax
-def add_entered_light(scene: PathScene, path: PathState, flight: Flight) -> None:
+def add_entered_light(scene: PathScene, path: PathState, free_flight: FreeFlight) -> None:
     """Add light of the lamps whose proxies a ray enters before it ends, and attenuate it there."""
     divided, proxies = scene.divided, scene.divided.proxies
     active = mi.Bool(path.active)
     if dr.hint(scene.hide_emitters, mode="scalar"):
         active &= path.depth > 0
-    end = dr.minimum(path.pi.t, flight.distance)
+    end = dr.minimum(path.pi.t, free_flight.distance)
     distance, lamp = proxies.first(path.ray, end, active, path.specular_chain, path.skipped)
     active &= lamp != NONE
-    ahead = divided.owners.of(path.pi.shape, active & path.pi.is_valid() & ~flight.collides)
+    ahead = divided.owners.of(path.pi.shape, active & path.pi.is_valid() & ~free_flight.collides)
     while active:
         ends = divided.ends(path.ray, end, lamp, ahead, active)
         emitter = scene.emitter(lamp, active)
@@ -75,7 +79,7 @@ def add_entered_light(scene: PathScene, path: PathState, flight: Flight) -> None
         )
         light *= path.β * mis_weight(path.bsdf_pdf_prev, emitter_pdf * emitter_pmf)
         if dr.hint(scene.has_media, mode="scalar"):
-            light *= medium_paths.passed(path.medium, distance, path.ρ, active)[0]
+            light *= medium_paths.segment_weight(path.medium, distance, path.ρ, active)[0]
         path.add_light(scene, emitter, light, path.specular_chain, active)
         path.β[active] *= through
         path.valid_ray |= active & (dr.max(light) > 0)
@@ -85,14 +89,16 @@ def add_entered_light(scene: PathScene, path: PathState, flight: Flight) -> None
         active &= lamp != NONE
 
 
-def end_segment(scene: PathScene, path: PathState, flight: Flight) -> Hit:
+def end_segment(scene: PathScene, path: PathState, free_flight: FreeFlight) -> Hit:
     """The end of the ray; the medium before it attenuates the path."""
     si = path.pi.compute_surface_interaction(path.ray, mi.RayFlags.All, path.active)
-    hit_surface, hit_medium = path.active & ~flight.collides, flight.collides
+    hit_surface, hit_medium = path.active & ~free_flight.collides, free_flight.collides
     if scene.has_media:
         _attenuate(path, si.t, hit_surface)
     if scene.has_scattering:
-        weight, densities = medium_paths.scattered(path.medium, flight.distance, path.ρ, hit_medium)
+        weight, densities = medium_paths.scattering_weight(
+            path.medium, free_flight.distance, path.ρ, hit_medium
+        )
         path.β[hit_medium] *= weight
         path.ρ[hit_medium] = densities
     # The lamp that the surface belongs to, and whether the path gets what its shapes emit.
@@ -108,7 +114,7 @@ def end_segment(scene: PathScene, path: PathState, flight: Flight) -> Hit:
 
 def _attenuate(path: PathState, distance: mi.Float, active: mi.Bool) -> None:
     """Multiply a path by the weight of a segment of its medium."""
-    weight, densities = medium_paths.passed(path.medium, distance, path.ρ, active)
+    weight, densities = medium_paths.segment_weight(path.medium, distance, path.ρ, active)
     path.β[active] *= weight
     path.ρ[active] = densities
 

@@ -89,7 +89,7 @@ class PathState:
 
 
 @dataclass
-class Flight:
+class FreeFlight:
     """How far the medium lets a ray go."""
 
     # fmt: off

@@ -7,7 +7,7 @@ import mitsuba as mi
 
 from lumitree.rendering.plugins.model_plugins import CROSSED_STRAIGHT
 from lumitree.rendering.plugins.path_scene import MAX_CROSSINGS, PathScene
-from lumitree.rendering.plugins.path_state import Flight, Hit, PathState, Scattering, Vertex
+from lumitree.rendering.plugins.path_state import FreeFlight, Hit, PathState, Scattering, Vertex
 from lumitree.rendering.plugins.proxies import ALL, NONE, bit_of
 from lumitree.trace import medium_paths
 from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
@@ -18,7 +18,7 @@ def find_vertex(
     scene: PathScene,
     path: PathState,
     hit: Hit,
-    flight: Flight,
+    free_flight: FreeFlight,
     on_proxy: mi.Bool,
     max_depth: mi.UInt32,
 ) -> Vertex:
@@ -27,7 +27,7 @@ def find_vertex(
     active = path.active & ~on_proxy & (si.is_valid() | hit.hit_medium)
     active &= path.depth - path.depth_freed + 1 < max_depth
     if scene.has_scattering:
-        si[hit.hit_medium] = medium_paths.scattering_point(path.ray, flight.distance)
+        si[hit.hit_medium] = medium_paths.scattering_point(path.ray, free_flight.distance)
     active_surface, active_medium = active & ~hit.hit_medium, active & hit.hit_medium
 
     straight, behind = mi.Bool(False), mi.Bool(False)
@@ -133,7 +133,7 @@ def _next_ray(
     path.ray = spawn(si, direction, scene.extent)
     on_surface = vertex.on_proxy | vertex.active_surface
     if scene.has_media:
-        path.medium = medium_paths.behind(si, path.ray.d, path.medium, on_surface)
+        path.medium = medium_paths.medium_after(si, path.ray.d, path.medium, on_surface)
     return (on_surface | vertex.active_medium) & ~leaks
 
 

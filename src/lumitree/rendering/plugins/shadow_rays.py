@@ -1,4 +1,4 @@
-"""Shadow rays of `lumitree_path`: how much light passes on the way from a receiver to a light."""
+"""Shadow rays of `lumitree_path`: transmittance between a receiver and a light."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def visible(
     medium: mi.MediumPtr,
     active: mi.Bool,
 ) -> mi.Color3f:
-    """Transmittance of the way from a surface to a sampled point: 0 behind what is not null.
+    """Transmittance from a surface to a sampled point: 0 behind what is not null.
 
     For a length `beyond` after the point, surfaces of the room block, but not those of the lamp
     that is sampled, whose index in the scene is `target`.
@@ -34,8 +34,8 @@ def visible(
     margin = dr.maximum(ds.dist * mi.math.ShadowEpsilon, offset(si, scene.extent))
     ray, left = _spawn_to(si, ds.p, ds.d, margin, scene.extent, active)
     if dr.hint(scene.has_media, mode="scalar"):
-        medium = medium_paths.behind(si, ds.d, medium, left)
-    through = _passed(scene, surfaces, target, margin, ray, ds.p, medium, left)
+        medium = medium_paths.medium_after(si, ds.d, medium, left)
+    through = _transmittance(scene, surfaces, target, margin, ray, ds.p, medium, left)
     if dr.hint(room is not None, mode="scalar"):
         assert room is not None
         onwards = active & (beyond > 0) & (dr.max(through) > 0)
@@ -44,7 +44,7 @@ def visible(
         rest.d, rest.maxt = ds.d, beyond
         goal = dr.fma(beyond, ds.d, rest.o)
         none = dr.zeros(mi.MediumPtr)
-        through *= _passed(scene, room, target, mi.Float(0), rest, goal, none, onwards)
+        through *= _transmittance(scene, room, target, mi.Float(0), rest, goal, none, onwards)
     if dr.hint(proxies.dim, mode="scalar"):
         crossed = left & (dr.max(through) > 0)
         distance, lamp = proxies.first(ray, ray.maxt, crossed)
@@ -60,7 +60,7 @@ def visible(
 
 
 @dr.syntax
-def _passed(
+def _transmittance(
     scene: PathScene,
     traced: mi.Scene,
     target: mi.UInt32,
@@ -100,7 +100,7 @@ def _passed(
             through[null & (crossings >= MAX_CROSSINGS)] = 0
             null &= dr.max(through) > 0
             if dr.hint(scene.has_media, mode="scalar"):
-                medium = medium_paths.behind(crossing, direction, medium, null)
+                medium = medium_paths.medium_after(crossing, direction, medium, null)
             extent = scene.extent
             ray[null], active = _spawn_to(crossing, goal, direction, margin, extent, null)
     return through
@@ -114,14 +114,14 @@ def _spawn_to(
     extent: mi.Float,
     active: mi.Bool,
 ) -> tuple[mi.Ray3f, mi.Bool]:
-    """Ray from a surface towards a point in a direction, and whether any of the way is left.
+    """Ray from a surface towards a point in a direction, and whether anything of it is left.
 
     Where an offset has brought it past the point, a ray that turned round would meet the same
     surface for ever.
     """
     origin = spawn(si, direction, extent).o
-    way = goal - origin
-    length = dr.norm(way)
-    left = dr.dot(way, direction) > margin
-    ray = mi.Ray3f(origin, way / length, length - margin, si.time, si.wavelengths)
+    segment = goal - origin
+    length = dr.norm(segment)
+    left = dr.dot(segment, direction) > margin
+    ray = mi.Ray3f(origin, segment / length, length - margin, si.time, si.wavelengths)
     return ray, active & left
