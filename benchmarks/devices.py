@@ -6,8 +6,8 @@
 A run measures one variant and keeps the rows of the others that the files hold. A built-in lamp is
 baked twice with equal settings, by numbers of rays and not by time; the first bake compiles the
 kernels. The demonstration's room is then rendered with the asset and with the explicit lamp: once
-with compilation, then in turns, medians. Random numbers are the same on all devices, so the images
-differ by rounding, and where it sends a path another way. Writes `devices.md` and `devices.json`;
+with compilation, then in turns, medians. Two variants agree if the means of an image's tiles differ
+by no more than with two seeds. Writes `devices.md` and `devices.json`;
 the baseline is `llvm_ad_rgb`, with which the files begin.
 """
 
