@@ -1,4 +1,4 @@
-"""Error of the image of a lamp at equal time: explicit, by its field, and by its model.
+"""Error of the image of a lamp at equal time: explicit, by its field, and by its geometry.
 
     python -m benchmarks appearance [--data FOLDER] [--assets FOLDER] [LUMINAIRE ...]
 
@@ -98,8 +98,8 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
 def scenes(source: LuminaireSource, asset: Any, width: int) -> dict[str, Any]:
     """Scenes by method; their films show the surroundings of the lamp's box alone."""
     made = {"explicit": placed(source, width), "field": placed(asset, width)}
-    if asset.model is not None:
-        made["model"] = placed(asset, width, appearance="model")
+    if asset.geometry is not None:
+        made["geometry"] = placed(asset, width, appearance="geometry")
     seen = shows_lamp(made["field"])[..., 0] > 0
     for scene in made.values():
         crop(scene, seen)

@@ -114,7 +114,7 @@ def _render_mitsuba(asset: Any, width: int, height: int, samples: int, seeds: li
     from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 
     lamp = PlacedLuminaire(Placement(asset, at=LAMP_CENTRE))
-    scene = place_luminaires(mitsuba_room(width, height), [lamp], appearance="model")
+    scene = place_luminaires(mitsuba_room(width, height), [lamp], appearance="geometry")
     integrator = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
     images, wall, cpu = [], [], []
     # Kernels are compiled first.
@@ -267,7 +267,7 @@ def run(options: argparse.Namespace) -> None:
             path = folder / f"{name}.lumitree"
             if not path.exists():
                 lumitree.bake(
-                    name, path, lumitree.BakeConfig(parts=("light", "model"), irradiance_paths=0)
+                    name, path, lumitree.BakeConfig(parts=("light", "geometry"), irradiance_paths=0)
                 )
             asset = lumitree.load(path)
             irradiance += irradiance_rows(name, asset, options.seed)

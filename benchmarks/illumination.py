@@ -4,7 +4,7 @@
 
 Each luminaire hangs in the demonstration's room, in turn as an emissive sphere of the same flux
 (the baseline), as explicit geometry, as an asset with a light field alone, and as one with
-a model. Writes `illumination.md` and `illumination.json`: the bake (seconds, bytes, irradiance
+geometry. Writes `illumination.md` and `illumination.json`: the bake (seconds, bytes, irradiance
 error); CPU time of a sample over the sphere's and over the explicit lamp's; variance of the pixels
 that show diffuse surfaces, relative to their squared mean and without the 0.1 % of largest, over
 the sphere's; and the product of time and variance.
@@ -33,7 +33,7 @@ from lumitree.lamp.source import LuminaireSource
 
 PATH_DEPTH = 8
 BASELINE = "sphere"
-LAMPS = ("explicit", "light", "model")
+LAMPS = ("explicit", "light", "geometry")
 
 
 def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) -> dict:
@@ -48,7 +48,7 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
     made = None
     if not path.exists():
         made = lumitree.bake(
-            source, path, lumitree.BakeConfig(parts=("light", "model"), seed=options.seed)
+            source, path, lumitree.BakeConfig(parts=("light", "geometry"), seed=options.seed)
         )
     asset = lumitree.load(path)
     scenes = rooms(source, asset, options.width)
@@ -79,8 +79,8 @@ def rooms(source: LuminaireSource, asset: Any, width: int) -> dict[str, Any]:
         "explicit": placed(source, width),
         "light": placed(asset, width),
     }
-    if asset.model is not None:
-        scenes["model"] = placed(asset, width, appearance="model")
+    if asset.geometry is not None:
+        scenes["geometry"] = placed(asset, width, appearance="geometry")
     return scenes
 
 

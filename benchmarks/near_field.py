@@ -8,7 +8,7 @@ ones. Of each plane the side with more light counts. The reference are light pat
 patches. Patches are *far* (more than a tenth of the box's longest half side from the lamp's
 surfaces) or *near*; those in closed parts of the lamp do not count. RMS differences are without the
 noise of either side, which needs two bakes. There are two ways to receive the light: with the
-lamp's surfaces in the scene (`model`), and without (`light`).
+lamp's surfaces in the scene (`geometry`), and without (`light`).
 
 *Before* is a light field without the light inside the box, which lights receivers
 outside only. Further figures: light in the shadow under a lamp, over that of the brightest patches;
@@ -54,7 +54,7 @@ GROUPS = (("horizontal", "far"), ("horizontal", "near"), ("touching", "all"), ("
 # For the shadow under a lamp.
 FINE = Rectangle(1, -0.02, 48, part=1.0)
 # Appearance of the lamp, by the name of the way to receive its light.
-WAYS: dict[str, Literal["model", "field"]] = {"model": "model", "light": "field"}
+WAYS: dict[str, Literal["geometry", "field"]] = {"geometry": "geometry", "light": "field"}
 # Receivers whose noise is measured are in patches with this part of their plane's largest
 # irradiance.
 LIT = 0.1
@@ -245,7 +245,7 @@ def _baked(
         source,
         path,
         lumitree.BakeConfig(
-            parts=("light", "model"), irradiance_paths=0, seed=options.seed + number
+            parts=("light", "geometry"), irradiance_paths=0, seed=options.seed + number
         ),
     )
     return baked.asset, baked.seconds["light"]
@@ -254,15 +254,15 @@ def _baked(
 def plane_table(rows: list[dict[str, Any]]) -> Table:
     """A line for each luminaire and plane."""
     heads = ["luminaire", "plane", "lit from", "far patches", "ratio", "RMS"]
-    heads += ["near patches", "ratio", "RMS", "without model, far: ratio", "RMS"]
+    heads += ["near patches", "ratio", "RMS", "without geometry, far: ratio", "RMS"]
     lines = []
     for row in rows:
         for plane in row["planes"]:
-            model = plane["model"]
+            geometry = plane["geometry"]
             line = [row["luminaire"], plane["plane"], plane["lit_from"]]
             for kind in ("far", "near"):
-                count = "0" if model[kind] is None else str(model[kind]["patches"])
-                line += [count, *_errors(model[kind])]
+                count = "0" if geometry[kind] is None else str(geometry[kind]["patches"])
+                line += [count, *_errors(geometry[kind])]
             lines.append([*line, *_errors(plane["light"]["far"])])
     return Table(heads, lines, left=3)
 

@@ -111,7 +111,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     asset = load(options.asset)
     results = Results(
-        options, luminaire=asset.luminaire, model_triangles=asset.info.model_triangles
+        options, luminaire=asset.luminaire, geometry_triangles=asset.info.geometry_triangles
     )
     content = Path(options.asset).read_bytes()
     rows = []

@@ -126,6 +126,6 @@ def test_settings_out_of_range_are_refused_when_they_are_made():
 
 
 def test_the_order_of_parts_is_no_setting():
-    one, other = BakeConfig(parts=["model", "field"]), BakeConfig(parts=("field", "model"))
+    one, other = BakeConfig(parts=["geometry", "field"]), BakeConfig(parts=("field", "geometry"))
     assert one == other
-    assert one.parts == ("field", "model")
+    assert one.parts == ("field", "geometry")

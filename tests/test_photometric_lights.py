@@ -181,7 +181,7 @@ def test_an_asset_is_compared_with_its_file(folder, capsys):
     [
         (["--parts", "light,field"], "parts are light, field, but a.ies is a photometric"),
         (["--parts", "field"], "of which only the part light can be made"),
-        (["--parts", "light,model"], "of which only the part light can be made"),
+        (["--parts", "light,geometry"], "of which only the part light can be made"),
         (["--seed", "0"], "--seed: not for a photometric file such as a.ies"),
         (["--quality", "standard"], "--quality: not for"),
         (["--time", "3s"], "--time: not for"),
@@ -212,11 +212,13 @@ def test_many_lamps_of_both_kinds(folder, monkeypatch, bakes):
     set_qualities(monkeypatch.setitem)
     (folder / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=AREA)))
     names = ["lamp.xml", "a.ies"]
-    settings = {"parts": ("light", "model"), "irradiance_paths": 1 << 12, "seed": 3}
-    with pytest.warns(LumitreeWarning, match="a.ies: irradiance_paths, seed, part model not used"):
+    settings = {"parts": ("light", "geometry"), "irradiance_paths": 1 << 12, "seed": 3}
+    with pytest.warns(
+        LumitreeWarning, match="a.ies: irradiance_paths, seed, part geometry not used"
+    ):
         result = lumitree.bake_many(names, "out", standard(**settings))
     assert [lamp.state for lamp in result.lamps] == ["baked", "baked"]
-    assert lumitree.load("out/lamp.lumitree").parts == ("light", "model")
+    assert lumitree.load("out/lamp.lumitree").parts == ("light", "geometry")
     # Without settings that do not apply there is no warning, and the file's lamp is kept.
     again = lumitree.bake_many(["a.ies"], "out", standard(irradiance_paths=1 << 14))
     assert [lamp.state for lamp in again.lamps] == ["kept"]

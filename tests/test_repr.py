@@ -4,22 +4,25 @@ import numpy as np
 
 from lumitree.asset.asset import Asset
 from support.fields import random_asset
+from support.geometry_assets import small_geometry, with_geometry
 from support.lamps import AREA, cube, lamp_of
 from support.light_fields import random_light_field
-from support.model_assets import small_model, with_model
 
 
 def test_assets_and_their_parts():
     field = random_asset(0, tree_depth=3, l_max=1)
-    whole = Asset(**{**vars(field), "model": small_model(), "light_field": random_light_field(0)})
-    for asset in (whole, field, with_model(small_model())):
+    whole = Asset(
+        **{**vars(field), "geometry": small_geometry(), "light_field": random_light_field(0)}
+    )
+    for asset in (whole, field, with_geometry(small_geometry())):
         text = repr(asset)
         assert text.startswith(f"Asset('{asset.luminaire}': {' + '.join(asset.parts)}, size ")
         assert f"{asset.num_bytes:,} bytes" in text
         assert len(text) < 300
     light = whole.light_field
-    assert repr(whole.model) == (
-        f"AssetModel(3 shapes, 8 triangles, 3 materials, 2 images, {whole.model.num_bytes:,} bytes)"
+    size = f"{whole.geometry.num_bytes:,} bytes"
+    assert repr(whole.geometry) == (
+        f"AssetGeometry(3 shapes, 8 triangles, 3 materials, 2 images, {size})"
     )
     assert repr(light).startswith(f"LightField({len(light.cells):,} cells of ")
     assert len(repr(light)) < 200

@@ -24,7 +24,7 @@ _SOURCES = ("rendering", "octree", "asset", "core")
 class Way:
     """How the baked lamp is rendered; members as the arguments of `place_luminaires`.
 
-    Images show the model of a lamp, if its asset has one.
+    Images show the geometry of a lamp, if its asset has one.
     """
 
     sampling: "Sampling" = "emission"
@@ -43,7 +43,7 @@ class Method:
         from lumitree.octree.field import Thresholds
         from lumitree.rendering.passes import Budget, render_passes
         from lumitree.rendering.placement import Placement
-        from lumitree.rendering.plugins.placed import shows_model
+        from lumitree.rendering.plugins.placed import shows_geometry
         from lumitree.rendering.scene import (
             PlacedLuminaire,
             load_scene,
@@ -60,11 +60,11 @@ class Method:
             room,
             [lamp],
             sampling=way.sampling,
-            appearance="model",
+            appearance="geometry",
             thresholds=Thresholds(way.min_density, way.max_opacity),
         )
         # Whether it converges to the explicit lamp's image, but for the illumination's error.
-        self.converges = lamp.field is None or shows_model(lamp.field.asset, "model")
+        self.converges = lamp.field is None or shows_geometry(lamp.field.asset, "geometry")
         mi = load_mitsuba()
         # Not `path` or `volpath`, which start rays so far from surfaces that thin glass emits too
         # much (docs/decisions/media.md), and find no light through thin glass and alpha masks by

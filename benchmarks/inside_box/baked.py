@@ -24,7 +24,7 @@ class BakedLamp:
 
     Args:
         asset: the lamp.
-        appearance: "model" has its surfaces in the scene, "field" has not.
+        appearance: "geometry" has its surfaces in the scene, "field" has not.
     """
 
     def __init__(self, asset: Asset, appearance: Appearance) -> None:

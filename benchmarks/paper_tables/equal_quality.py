@@ -6,7 +6,7 @@ Methods, each with all of what the one before it has:
 * proxy: as the paper: an octree of density and harmonics, directions sampled uniformly over the
   proxy, thresholds σ_min = 0.1 and α_max = 0.9;
 * leaves: directions sampled in proportion to the emission, exact traversal;
-* divided: illumination by the light field, appearance by the lamp's model (by the field
+* divided: illumination by the light field, appearance by the lamp's geometry (by the field
   for lamps with media).
 
 All are compared with the reference at the RMSE that the paper's method has for this lamp, and at
@@ -46,7 +46,7 @@ PAPER = {
 METHODS = {
     "proxy": "the paper: uniform over the proxy, thresholds",
     "leaves": "importance sampling of leaves, exact traversal",
-    "divided": "light field, model as appearance",
+    "divided": "light field, geometry as appearance",
 }
 COARSER = (12.0, 25.0)
 # Methods whose long run is the reference, and what the page calls it.
@@ -86,7 +86,7 @@ def measure(work: Work, lamp: str) -> Measured:
     asset = work.direct_asset(lamp, work.scale.direct)
     field_only = asset.path.with_name("field.lumitree")
     if not field_only.is_file():
-        save(dataclasses.replace(load(asset.path), light_field=None, model=None), field_only)
+        save(dataclasses.replace(load(asset.path), light_field=None, geometry=None), field_only)
     (pair,) = read_pairs(PAIRS, work.rooms, asset.path.parent, Path(), only=lamp)
     methods = _methods(pair, field_only, asset, work)
     seconds = work.scale.equal.seconds
@@ -107,7 +107,7 @@ def measure(work: Work, lamp: str) -> Measured:
         "parts": parts,
         "seconds_per_sample": {name: pace(method) for name, method in methods.items()},
         "integrators": {name: method.kind for name, method in methods.items()},
-        "has_model": load(asset.path).model is not None,
+        "has_geometry": load(asset.path).geometry is not None,
         "costs": costs(asset),
     }
     images = {

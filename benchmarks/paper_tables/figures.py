@@ -68,9 +68,11 @@ def measure_overview(work: Work, lamp: str) -> Measured:
 
 
 def measure_room(work: Work, lamp: str) -> Measured:
-    """A converged image by the light field and the model."""
+    """A converged image by the light field and the geometry."""
     asset = load(work.direct_asset(lamp, work.scale.direct).path)
-    return Measured({"has_model": asset.model is not None}, {"room": _room(asset, work.scale)})
+    return Measured(
+        {"has_geometry": asset.geometry is not None}, {"room": _room(asset, work.scale)}
+    )
 
 
 def _room(asset: Asset, scale: Scale) -> NDArray[np.uint8]:
@@ -80,7 +82,7 @@ def _room(asset: Asset, scale: Scale) -> NDArray[np.uint8]:
     from lumitree.rendering.passes import Budget, render_passes
 
     width, samples = scale.figure
-    scene = placed(asset, width, appearance="model")
+    scene = placed(asset, width, appearance="geometry")
     integrator = mi.load_dict({"type": "lumitree_path", "max_depth": _PATH_DEPTH})
     radiance: Any = render_passes(scene, integrator, Budget(samples), seed=0).radiance
     brightness = radiance.mean(-1)
@@ -101,5 +103,5 @@ def section(found: Found) -> str:
     )
     rooms = [found.image(f"room-{lamp}", "room", lamp) for lamp in LAMPS]
     if any(rooms):
-        images += "In the demonstration's room, by light field and model:\n\n"
+        images += "In the demonstration's room, by light field and geometry:\n\n"
     return "".join([images, *rooms]) or f"{found.missing.capitalize()}.\n"

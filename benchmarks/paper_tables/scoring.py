@@ -78,5 +78,5 @@ def costs(*built: Built) -> dict[str, Any]:
 def bytes_of(asset: Built) -> int:
     """Size of an asset's field alone, as a file holds it."""
     found = load(asset.path)
-    alone = dataclasses.replace(found, light_field=None, model=None)
+    alone = dataclasses.replace(found, light_field=None, geometry=None)
     return alone.children.nbytes + alone.density.nbytes + alone.coefficients.nbytes

@@ -164,13 +164,13 @@ class Work:
 
 
 def _parts(lamp: str) -> list[Any]:
-    """All parts; without the model for lamps with media that scatter light.
+    """All parts; without the geometry for lamps with media that scatter light.
 
-    No model could hold these when the cells were measured.
+    No geometry could hold these when the cells were measured.
     """
     from lumitree.lamp.loading import load_luminaire
 
-    return ["light", "field", *([] if load_luminaire(lamp).scatters else ["model"])]
+    return ["light", "field", *([] if load_luminaire(lamp).scatters else ["geometry"])]
 
 
 @contextlib.contextmanager

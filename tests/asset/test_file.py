@@ -17,8 +17,8 @@ from lumitree.asset.light_field import TracedPaths, make_light_field
 from lumitree.errors import LumitreeError
 from support import damage
 from support.fields import random_asset
+from support.geometry_assets import small_geometry, with_geometry
 from support.light_fields import assert_equal_fields, random_light_field, with_inside
-from support.model_assets import small_model, with_model
 
 
 @pytest.fixture(scope="module")
@@ -46,17 +46,17 @@ def light_field_only(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def with_gain(tmp_path_factory):
-    """An asset with a model and a gain."""
+    """An asset with geometry and a gain."""
     path = tmp_path_factory.mktemp("gain") / "lamp.lumitree"
-    save(replace(with_model(small_model()), gain=(0.5, 0.0, 2e3)), path)
+    save(replace(with_geometry(small_geometry()), gain=(0.5, 0.0, 2e3)), path)
     return path
 
 
 @pytest.fixture(scope="module")
 def lit_inside(tmp_path_factory):
-    """An asset with a light field, light inside its box and a model."""
+    """An asset with a light field, light inside its box and geometry."""
     path = tmp_path_factory.mktemp("inside") / "lamp.lumitree"
-    save(replace(with_model(small_model()), light_field=INSIDE), path)
+    save(replace(with_geometry(small_geometry()), light_field=INSIDE), path)
     return path
 
 
@@ -115,7 +115,7 @@ def test_loaded_light_field_equals_saved(with_light_field):
 def test_loaded_light_inside_equals_saved(lit_inside):
     found = load(lit_inside)
     assert_equal_fields(found.light_field, INSIDE)
-    plain = with_model(small_model())
+    plain = with_geometry(small_geometry())
     assert found.num_bytes == plain.num_bytes - plain.light_field.num_bytes + INSIDE.num_bytes
 
 
@@ -356,7 +356,7 @@ def test_broken_gains_are_refused(with_gain, tmp_path, value, message):
 def test_a_gain_is_kept(original, with_gain):
     asset = load(with_gain)
     assert asset.gain == asset.info.gain == (0.5, 0.0, 2e3)
-    assert asset.parts == ("light", "model")
+    assert asset.parts == ("light", "geometry")
     assert asset.without_gain.gain == load(original).gain == (1.0, 1.0, 1.0)
 
 

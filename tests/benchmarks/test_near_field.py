@@ -12,7 +12,7 @@ from lumitree.core.device import on_device
 from lumitree.fit.config import QUALITIES
 from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.meshes import lathe
-from lumitree.lamp.parts import Diffuse, Material, Metal, Model, Part
+from lumitree.lamp.parts import Diffuse, Geometry, Material, Metal, Part
 from lumitree.lamp.scene_writer import write_scene
 from lumitree.trace.light_field_config import LightFieldConfig
 from support import tiny_bakes
@@ -38,7 +38,7 @@ def open_lamp(mi, tmp_path_factory):
     ball[[0, -1], 0] = 0.0
     emits = Material("bulb", Diffuse((0.4, 0.4, 0.4)), radiance=(3.0, 2.0, 1.0))
     shade = Material("shade", Diffuse((0.8, 0.6, 0.5)), two_sided=True)
-    model = Model(
+    model = Geometry(
         (
             Part("bulb", lathe(ball, 10, crease=90), "bulb", (np.eye(4),)),
             Part("shade", lathe([[0.9, -0.3], [0.7, 0.2], [0.3, 0.6]], 12, crease=90), "shade"),

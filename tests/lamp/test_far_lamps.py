@@ -11,8 +11,8 @@ from lumitree.asset.file import load, save
 from lumitree.core.frames import float32_step, is_far
 from lumitree.errors import LumitreeWarning
 from support import tiny_bakes
+from support.geometry_assets import small_geometry, with_geometry
 from support.lamps import AREA, cube, scene, sphere
-from support.model_assets import small_model, with_model
 from support.tiny_bakes import standard
 
 FAR = (5e5, 4.2e6, 300.0)
@@ -159,9 +159,9 @@ def assert_similar(first, second):
 @pytest.mark.parametrize(
     ("kind", "parts"),
     [
-        ("obj", ("light", "model")),
-        pytest.param("glb", ("light", "model"), marks=pytest.mark.slow),
-        ("xml", ("light", "model")),
+        ("obj", ("light", "geometry")),
+        pytest.param("glb", ("light", "geometry"), marks=pytest.mark.slow),
+        ("xml", ("light", "geometry")),
         pytest.param("obj", ("field",), marks=pytest.mark.slow),
         pytest.param("xml", ("field",), marks=pytest.mark.slow),
     ],
@@ -178,10 +178,10 @@ def test_a_far_lamp_renders_as_the_near_one(mi, lamps, tmp_path, monkeypatch, ki
     )
     assert near.parts == parts
     assert_similar(*images(tmp_path, near, far))
-    if near.model is not None:
-        assert np.abs(far.model.vertices).max(initial=0) < 1
-        assert not any(near.model.origin)
-        assert np.allclose(far.model.origin, FAR, atol=1)
+    if near.geometry is not None:
+        assert np.abs(far.geometry.vertices).max(initial=0) < 1
+        assert not any(near.geometry.origin)
+        assert np.allclose(far.geometry.origin, FAR, atol=1)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -189,12 +189,12 @@ def test_a_far_explicit_lamp_renders_as_the_near_one(mi, lamps, tmp_path, kind):
     assert_similar(*images(tmp_path, *lamps(kind)))
 
 
-def test_a_far_model_is_stored_with_its_origin(mi, tmp_path):
-    frame = with_model(small_model()).frame.moved(FAR)
-    asset = with_model(small_model(origin=FAR), frame)
+def test_a_far_geometry_is_stored_with_its_origin(mi, tmp_path):
+    frame = with_geometry(small_geometry()).frame.moved(FAR)
+    asset = with_geometry(small_geometry(origin=FAR), frame)
     save(asset, tmp_path / "far.lumitree")
-    assert load(tmp_path / "far.lumitree").model.origin == FAR
-    save(with_model(small_model()), tmp_path / "near.lumitree")
+    assert load(tmp_path / "far.lumitree").geometry.origin == FAR
+    save(with_geometry(small_geometry()), tmp_path / "near.lumitree")
     near = (tmp_path / "near.lumitree").read_bytes()
     assert b"origin" not in near
 
@@ -202,12 +202,14 @@ def test_a_far_model_is_stored_with_its_origin(mi, tmp_path):
 def test_an_asset_is_exported_near_the_origin(mi):
     from lumitree.output.blender.meshes import blender_meshes
 
-    near = with_model(small_model())
+    near = with_geometry(small_geometry())
     assert near.near_origin is near
-    far = with_model(small_model(origin=FAR), near.frame.moved(FAR)).near_origin
+    far = with_geometry(small_geometry(origin=FAR), near.frame.moved(FAR)).near_origin
     assert np.allclose(far.frame.world_from_local, near.frame.world_from_local)
     for mesh, other in zip(
-        blender_meshes(near.model, np.eye(3)), blender_meshes(far.model, np.eye(3)), strict=True
+        blender_meshes(near.geometry, np.eye(3)),
+        blender_meshes(far.geometry, np.eye(3)),
+        strict=True,
     ):
         assert np.allclose(mesh["vertices"], other["vertices"], atol=1e-6)
 

@@ -11,10 +11,10 @@ from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import (
     Diffuse,
+    Geometry,
     Glass,
     Material,
     Medium,
-    Model,
     Part,
     Texture,
     VertexColour,
@@ -33,7 +33,7 @@ def lamp(radiance, surface=None):
     material = Material("m", surface or Diffuse(), radiance)
     moved = np.eye(4)
     moved[:3, 3] = [3, 0, 1]
-    return Model((Part("p", TRIANGLE, "m", (np.eye(4), moved)),), (material,))
+    return Geometry((Part("p", TRIANGLE, "m", (np.eye(4), moved)),), (material,))
 
 
 @pytest.mark.parametrize("name", BUILTIN)

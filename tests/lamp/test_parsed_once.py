@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lumitree.lamp.loading import load_luminaire
-from lumitree.lamp.stored_model import stored_model
+from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.rendering.scene import place_shapes
 
 LAMP = """<scene version="3.0.0">
@@ -38,17 +38,17 @@ def write(folder, place):
     return path
 
 
-def test_a_lamp_and_its_model(calls, tmp_path):
+def test_a_lamp_and_its_geometry(calls, tmp_path):
     lamp = load_luminaire(write(tmp_path, "1,0,0"))
-    model = stored_model(lamp)
-    assert [shape["type"] for shape in model.shapes] == ["sphere"]
+    geometry = stored_geometry(lamp)
+    assert [shape["type"] for shape in geometry.shapes] == ["sphere"]
     assert calls == {"parse_file": 1, "instantiate": 1}
 
 
 def test_a_far_lamp(calls, tmp_path):
     lamp = load_luminaire(write(tmp_path, "1e6,1,0"))
     np.testing.assert_allclose(lamp.origin, [1e6, 1, 0])
-    stored_model(lamp)
+    stored_geometry(lamp)
     assert calls == {"parse_file": 1, "instantiate": 1}
 
 

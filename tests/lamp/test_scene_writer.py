@@ -9,11 +9,11 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import (
     Diffuse,
+    Geometry,
     Glass,
     Material,
     Medium,
     Metal,
-    Model,
     Part,
     Principled,
     Texture,
@@ -43,7 +43,7 @@ ONE_PLACE = (np.eye(4),)
 
 def written(mi, folder, surface, places=ONE_PLACE, **fields):
     material = Material("coat", surface, **fields)
-    model = Model((Part("square", SQUARE, "coat", places),), (material,))
+    model = Geometry((Part("square", SQUARE, "coat", places),), (material,))
     return mi.load_file(str(write_scene(model, folder)))
 
 

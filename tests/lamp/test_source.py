@@ -11,7 +11,7 @@ from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.model_reading import read_model
 from lumitree.lamp.opening import luminaire_path
-from lumitree.lamp.parts import Diffuse, Glass, Material, Model, Part
+from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Part
 from lumitree.lamp.scene_writer import write_scene
 from lumitree.lamp.source import LuminaireSource
 from lumitree.rendering.scene import place_shapes
@@ -59,7 +59,7 @@ def test_obj_and_the_same_model_built_here_give_the_same_views(lamp, tmp_path):
         flat /= np.linalg.norm(flat, axis=1, keepdims=True)
         return Mesh(corners, np.repeat(flat, 3, axis=0), np.arange(len(corners)).reshape(-1, 3))
 
-    built = Model(
+    built = Geometry(
         (Part("bulb", mesh(BALL), "bulb"), Part("stem", mesh(STEM), "stem")),
         (
             Material("bulb", Diffuse((0, 0, 0)), (6, 4, 2), two_sided=True),
@@ -184,7 +184,7 @@ def test_gltf_reader_gets_path_and_variant(mi, tmp_path, monkeypatch):
         calls.append((path, variant))
         normals = np.asarray(BALL.vertex_normals)
         mesh = Mesh(np.asarray(BALL.vertices), normals, np.asarray(BALL.faces))
-        return Model((Part("ball", mesh, "glow"),), (Material("glow", Glass(), (1, 1, 1)),))
+        return Geometry((Part("ball", mesh, "glow"),), (Material("glow", Glass(), (1, 1, 1)),))
 
     module = types.ModuleType("lumitree.lamp.importers.gltf.reader")
     module.read_gltf = read_gltf

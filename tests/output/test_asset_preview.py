@@ -9,11 +9,11 @@ from PIL import Image
 import lumitree
 from lumitree.asset.asset import light_field_asset
 from lumitree.cli import main
-from lumitree.lamp.stored_model import stored_model
+from lumitree.lamp.stored_geometry import stored_geometry
 from support.fields import uniform_asset
+from support.geometry_assets import with_geometry
 from support.lamps import AREA, cube, lamp_of
 from support.light_fields import random_light_field
-from support.model_assets import with_model
 
 
 def test_every_view_shows_the_side_it_names(mi):
@@ -71,7 +71,7 @@ def test_figures_and_sheet_of_an_asset(tmp_path, monkeypatch, mi, capsys):
     assert "an asset has no paths" in capsys.readouterr().err
 
 
-def test_a_model_is_shown_as_the_luminaire_is(mi, tmp_path):
+def test_geometry_is_shown_as_the_luminaire_is(mi, tmp_path):
     """Each view is that of the luminaire's own preview, and its opacity the geometric one."""
     from lumitree.output.preview_sheet import take_asset_preview, take_preview
 
@@ -81,7 +81,7 @@ def test_a_model_is_shown_as_the_luminaire_is(mi, tmp_path):
     )
     lamp = lamp_of(tmp_path, *shapes)
     # The light of the asset is another one, and is not seen.
-    asset = with_model(stored_model(lamp), lamp.frame)
+    asset = with_geometry(stored_geometry(lamp), lamp.frame)
     ours, theirs = take_asset_preview(asset, 24, 256), take_preview(lamp, 24, 256)
     assert list(ours.images) == list(theirs.images)
     for name, image in ours.images.items():

@@ -10,7 +10,7 @@ import lumitree
 from lumitree.asset.asset import light_field_asset
 from lumitree.asset.light_field import unpack
 from lumitree.core.photometry import colour_temperature, luminance
-from lumitree.lamp.stored_model import stored_model
+from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.measure.irradiance import asset_irradiance
 from lumitree.measure.photometry.far_field import asset_source, measure
 from lumitree.output.viewer.packing import pack_asset
@@ -71,17 +71,20 @@ def test_it_multiplies_the_gain_of_a_placed_lamp(mi, asset, kind):
     assert here.mean(axis=(0, 1)) == pytest.approx(there.mean(axis=(0, 1)), rel=0.02)
 
 
-def test_it_applies_to_the_model(mi, tmp_path):
+def test_it_applies_to_the_geometry(mi, tmp_path):
     lumitree.register()
     lamp = lamp_of(tmp_path, sphere("ball", 1, inside=AREA))
     asset = light_field_asset(random_light_field(2), lamp.frame, "test")
-    asset = dataclasses.replace(asset, model=stored_model(lamp))
+    asset = dataclasses.replace(asset, geometry=stored_geometry(lamp))
     # Emission that the camera sees, which takes no random choice of a light.
     seen = mi.load_dict({"type": "lumitree_path", "max_depth": 1})
     images = [
         np.array(
             mi.render(
-                scene_with(mi, each, appearance="model", gain=gain), integrator=seen, spp=4, seed=1
+                scene_with(mi, each, appearance="geometry", gain=gain),
+                integrator=seen,
+                spp=4,
+                seed=1,
             )
         )
         for each, gain in ((asset, GAIN), (brighter(asset), 1))

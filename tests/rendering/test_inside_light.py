@@ -12,7 +12,7 @@ from lumitree.asset.light_inside import LightInside, parts_of_ending
 from lumitree.asset.lit_bins import by_coarse_bin
 from lumitree.core.frames import rotation, similarity
 from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.lamp.stored_model import stored_model
+from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.octree.build import morton
 from lumitree.rendering.scene import place_shapes
 from support import tiny_bakes
@@ -34,7 +34,7 @@ PLACE = similarity(rotation([0, 1, 1], 20), 0.4, [0, 1, 0])
 
 
 def baked(folder, *shapes, paths=1 << 20):
-    """The luminaire of some shapes, and its asset with a model."""
+    """The luminaire of some shapes, and its asset with geometry."""
     folder.mkdir(exist_ok=True)
     lamp = lamp_of(folder, *shapes)
     config = dataclasses.replace(
@@ -43,7 +43,7 @@ def baked(folder, *shapes, paths=1 << 20):
     asset = light_field_asset(
         bake_light_field(lamp, config, folder / "state"), lamp.frame, lamp.name
     )
-    return lamp, dataclasses.replace(asset, model=stored_model(lamp))
+    return lamp, dataclasses.replace(asset, geometry=stored_geometry(lamp))
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def plate(mi, tmp_path_factory):
     return baked(tmp_path_factory.mktemp("plate"), *LAMP, *CORNERS)
 
 
-def placed(mi, asset, place, appearance="model", **things):
+def placed(mi, asset, place, appearance="geometry", **things):
     """A scene with an asset, and with something in its box that is not near the receivers."""
     speck = {"type": "sphere", "radius": 0.01 * np.linalg.norm(place[:3, 0])}
     speck["center"] = (place @ [0.9, -0.9, 0.9, 1])[:3].tolist()
@@ -66,7 +66,7 @@ def received(scene, place, points, normals, samples=1 << 15):
     return received_irradiance(scene, points, np.asarray(normals) @ place[:3, :3].T, samples)
 
 
-@pytest.mark.parametrize("appearance", ["model", "field"])
+@pytest.mark.parametrize("appearance", ["geometry", "field"])
 @pytest.mark.parametrize("place", [np.eye(4), PLACE], ids=["at home", "placed"])
 def test_light_of_a_sphere_beside_a_plate(mi, plate, place, appearance):
     """E = π L a² cos θ / d² where the plate leaves the way free, else none."""
@@ -78,7 +78,7 @@ def test_light_of_a_sphere_beside_a_plate(mi, plate, place, appearance):
     expected = np.pi * BULB**2 * cosine / distance**2
     expected[4] = 0
     found = received(placed(mi, plate[1], place, appearance), place, points, normals)
-    shadow = expected.max() * (0.002 if appearance == "model" else 0.02)
+    shadow = expected.max() * (0.002 if appearance == "geometry" else 0.02)
     near = found / RADIANCE / np.maximum(expected, shadow)[:, None]
     assert near[:4] == pytest.approx(1, rel=0.08)
     assert near[4].max() < 1
@@ -264,7 +264,7 @@ def test_a_ball_in_the_box_looks_as_under_the_explicit_lamp(mi, plate, view):
     things = still_life(mi)
     explicit = blocks(mi, things | place_shapes(lamp, np.eye(4)), sensor, spp=512)
     found = blocks(
-        mi, things | {"lamp": lumitree.shape(asset, appearance="model")}, sensor, spp=256
+        mi, things | {"lamp": lumitree.shape(asset, appearance="geometry")}, sensor, spp=256
     )
     # Near things see the blur of cells.
     assert_alike(found, explicit, 0.1 if view == "ball" else 0.05)
@@ -283,7 +283,7 @@ def test_lamps_whose_boxes_overlap(mi, plate):
         for name, each in place_shapes(lamp, place).items()
     }
     lamps = {
-        f"lamp{i}": lumitree.shape(asset, place, appearance="model")
+        f"lamp{i}": lumitree.shape(asset, place, appearance="geometry")
         for i, place in enumerate((np.eye(4), other))
     }
     assert_alike(

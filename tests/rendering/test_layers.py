@@ -8,7 +8,7 @@ from lumitree.cli import main
 from lumitree.core.images import read_exr
 from lumitree.errors import LumitreeError
 from support.fields import random_asset
-from support.model_assets import small_model, with_model
+from support.geometry_assets import small_geometry, with_geometry
 
 ROOM = """<scene version="3.0.0">
 <integrator type="path"><integer name="max_depth" value="3"/></integrator>
@@ -79,10 +79,10 @@ def test_a_layer_has_the_light_of_its_lamp_only(room, lamps):
     assert layers["room_2"].mean() > 0.01
 
 
-def test_layers_of_models(mi, room, tmp_path):
+def test_layers_of_geometries(mi, room, tmp_path):
     """Of a lamp without gain nothing is seen, and of the other its own shapes."""
-    path = str(tmp_path / "model.lumitree")
-    lumitree.save(with_model(small_model()), path)
+    path = str(tmp_path / "geometry.lumitree")
+    lumitree.save(with_geometry(small_geometry()), path)
     lamps = [
         lumitree.Placement(path, at=(-1.2, 0, 1), size=1.5, label="on"),
         lumitree.Placement(path, at=(0.8, 0, 1), size=1.5, gain=0, label="off"),

@@ -98,7 +98,7 @@ def test_a_step_that_fails_leaves_none_behind(mi):
     assert done == ["next"]
 
 
-def test_too_many_models_within_each_other_are_explained(mi, monkeypatch, asset):
+def test_too_many_geometries_within_each_other_are_explained(mi, monkeypatch, asset):
     from lumitree.rendering.plugins import register as plugins
     from lumitree.rendering.plugins import shape as proxy_shape
 

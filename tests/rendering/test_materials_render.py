@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lumitree.asset.model import AssetModel
+from lumitree.asset.geometry import AssetGeometry
 from lumitree.rendering.integrators import default_integrator
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
+from support.geometry_assets import with_geometry
 from support.material_combinations import IMAGES, RANDOM, accepted, materials
-from support.model_assets import with_model
 
 
 def faults(count):
@@ -43,7 +43,7 @@ def test_all_pairs_of_parameters_can_be_rendered():
 
 
 @pytest.mark.slow
-def test_a_model_of_many_materials_renders(mi):
+def test_geometry_of_many_materials_renders(mi):
     """100 of them, each on a square, half of which are seen from behind."""
     usable = [material for material in materials(3000) if accepted(material)]
     chosen = [usable[index] for index in RANDOM.permutation(len(usable))[:100]]
@@ -52,7 +52,7 @@ def test_a_model_of_many_materials_renders(mi):
     shape = {"type": "mesh", "vertices": 4, "faces": 2, "normals": False}
     shape |= {"texcoords": True, "colours": True}
     count = len(chosen)
-    model = AssetModel(
+    geometry = AssetGeometry(
         vertices=np.concatenate([square + place for place in at]).astype(np.float32),
         normals=np.zeros((0, 3), np.float32),
         texcoords=np.tile(np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32), (count, 1)),
@@ -71,8 +71,8 @@ def test_a_model_of_many_materials_renders(mi):
         "film": {"type": "hdrfilm", "width": 80, "height": 80},
     }
     room = mi.load_dict({"type": "scene", "sensor": sensor, "sky": {"type": "constant"}})
-    lamp = PlacedLuminaire(Placement(with_model(model)))
-    whole = place_luminaires(room, [lamp], appearance="model")
+    lamp = PlacedLuminaire(Placement(with_geometry(geometry)))
+    whole = place_luminaires(room, [lamp], appearance="geometry")
     pixels = np.array(mi.render(whole, integrator=default_integrator(), spp=8))
     assert np.isfinite(pixels).all()
     assert pixels.min() >= 0

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.asset.checks import expect, expect_arrays
+from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.light_field import LightField
-from lumitree.asset.model import AssetModel
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import MAX_L, num_coefficients
@@ -27,7 +27,7 @@ from lumitree.octree.build import MAX_TREE_DEPTH
 MIN_RADIANCE, MAX_RADIANCE = 1e-15, 1e15
 MAX_DENSITY = 1e15
 # What an asset may have: its illumination, its image without and with the luminaire itself.
-Part = Literal["light", "field", "model"]
+Part = Literal["light", "field", "geometry"]
 PARTS: tuple[Part, ...] = get_args(Part)
 NO_GAIN = (1.0, 1.0, 1.0)
 _expect = functools.partial(expect, "asset")
@@ -54,10 +54,10 @@ class Asset:
         luminaire: name of the luminaire, for messages; kept as a `core.reading.label`.
         light_field: what the luminaire sends to receivers outside its box; None if the field serves
             for that too.
-        model: the luminaire itself, which `lumitree_path` shows in place of the field; None if
+        geometry: the luminaire itself, which `lumitree_path` shows in place of the field; None if
             there is none.
         gain: [3] factors on the R, G and B of all light of the asset: of the field, the
-            light field and the model, which are stored without them. At least 0, not all 0.
+            light field and the geometry, which are stored without them. At least 0, not all 0.
 
     Raises:
         LumitreeError: a member has a wrong type, shape or range, or the tree is inconsistent.
@@ -73,7 +73,7 @@ class Asset:
     frame: LocalFrame
     luminaire: str
     light_field: LightField | None = None
-    model: AssetModel | None = None
+    geometry: AssetGeometry | None = None
     gain: tuple[float, float, float] = NO_GAIN
 
     def __post_init__(self) -> None:
@@ -82,10 +82,10 @@ class Asset:
         _check_scalars(self)
         _check_payload(self)
         _check_tree(self.children, len(self.density), self.tree_depth)
-        if self.model is not None:
-            self.model.check_inside(self.frame)
+        if self.geometry is not None:
+            self.geometry.check_inside(self.frame)
             _expect(
-                self.num_leaves or self.light_field, "a model without anything that illuminates"
+                self.num_leaves or self.light_field, "geometry without anything that illuminates"
             )
 
     def __repr__(self) -> str:
@@ -104,20 +104,22 @@ class Asset:
     @property
     def num_bytes(self) -> int:
         """Bytes of the octree, the densities, the coefficients and the other parts."""
-        others = sum(part.num_bytes for part in (self.light_field, self.model) if part is not None)
+        others = sum(
+            part.num_bytes for part in (self.light_field, self.geometry) if part is not None
+        )
         return self.children.nbytes + self.density.nbytes + self.coefficients.nbytes + others
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """Which of "light", "field" and "model" it has."""
-        present = (self.light_field is not None, self.num_leaves > 0, self.model is not None)
+        """Which of "light", "field" and "geometry" it has."""
+        present = (self.light_field is not None, self.num_leaves > 0, self.geometry is not None)
         return tuple(name for name, has in zip(PARTS, present, strict=True) if has)
 
     @property
     def appearance(self) -> Part:
-        """What images show under `lumitree_path`: the model, else the field, else the light."""
+        """What images show under `lumitree_path`: the geometry, else the field, else the light."""
         present = self.parts
-        return next(part for part in ("model", "field", "light") if part in present)
+        return next(part for part in ("geometry", "field", "light") if part in present)
 
     @property
     def without_gain(self) -> "Asset":
@@ -129,11 +131,11 @@ class Asset:
         """The asset, moved to the origin of its file if its coordinates are too coarse there."""
         if not self.frame.is_far:
             return self
-        offset, model = -self.frame.centre, self.model
-        if model is not None:
-            x, y, z = (np.array(model.origin) + offset).tolist()
-            model = dataclasses.replace(model, origin=(x, y, z))
-        return dataclasses.replace(self, frame=self.frame.moved(offset), model=model)
+        offset, geometry = -self.frame.centre, self.geometry
+        if geometry is not None:
+            x, y, z = (np.array(geometry.origin) + offset).tolist()
+            geometry = dataclasses.replace(geometry, origin=(x, y, z))
+        return dataclasses.replace(self, frame=self.frame.moved(offset), geometry=geometry)
 
     @property
     def info(self) -> "AssetInfo":
@@ -152,7 +154,7 @@ class Asset:
             light_field_cells=0 if self.light_field is None else len(self.light_field.cells),
             light_field_paths=None if traced is None else traced.count,
             light_field_noise=None if traced is None else traced.noise,
-            model_triangles=0 if self.model is None else self.model.num_triangles,
+            geometry_triangles=0 if self.geometry is None else self.geometry.num_triangles,
             parts=self.parts,
             appearance=self.appearance,
             gain=self.gain,
@@ -214,8 +216,8 @@ class AssetInfo:
         light_field_paths: number of light paths that it was estimated from; None if not known.
         light_field_noise: relative standard error of its intensity by direction, see `TracedPaths`;
             None if it is not known.
-        model_triangles: number of triangles of the model; 0 if there is none.
-        parts: which of "light", "field" and "model" it has.
+        geometry_triangles: number of triangles of the geometry; 0 if there is none.
+        parts: which of "light", "field" and "geometry" it has.
         appearance: which of them images show under `lumitree_path`.
         gain: [3] factors on the R, G and B of its light, which a luminous flux or a colour
             temperature that was asked for has made other than 1.
@@ -231,7 +233,7 @@ class AssetInfo:
     size: tuple[float, ...]
     centre: tuple[float, ...]
     light_field_cells: int
-    model_triangles: int
+    geometry_triangles: int
     parts: tuple[Part, ...]
     appearance: Part
     light_field_paths: int | None = None

@@ -12,13 +12,18 @@ import safetensors.numpy
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
+from lumitree.asset.geometry_bytes import (
+    GEOMETRY_SHAPES,
+    GEOMETRY_TENSORS,
+    build_geometry,
+    geometry_tensors,
+)
 from lumitree.asset.light_field_bytes import (
     LIGHT_FIELD_TENSORS,
     build_light_field,
     light_field_description,
     light_field_tensors,
 )
-from lumitree.asset.model_bytes import MODEL_SHAPES, MODEL_TENSORS, build_model, model_tensors
 from lumitree.core.file_kinds import ASSET, what_it_is
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import FRAME_KEYS, LocalFrame
@@ -79,8 +84,8 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
     if asset.light_field is not None:
         tensors |= light_field_tensors(asset.light_field)
         description["light"] = light_field_description(asset.light_field)
-    if asset.model is not None:
-        tensors |= model_tensors(asset.model)
+    if asset.geometry is not None:
+        tensors |= geometry_tensors(asset.geometry)
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     # One key only: safetensors does not keep the order of several keys.
     metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
@@ -126,7 +131,7 @@ def load(path: str | os.PathLike[str]) -> Asset:
 def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
     description.expect_keys(*_KEYS, optional=("light",))
     description.choice("activation", (ACTIVATION,))
-    has_light_field, has_model = description.has("light"), MODEL_SHAPES in tensors
+    has_light_field, has_geometry = description.has("light"), GEOMETRY_SHAPES in tensors
     red, green, blue = description.array("gain", 3).tolist()
     return Asset(
         **{name: tensors[name] for name in _TENSORS},
@@ -139,7 +144,7 @@ def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
         light_field=build_light_field(description.record("light"), tensors)
         if has_light_field
         else None,
-        model=build_model(tensors) if has_model else None,
+        geometry=build_geometry(tensors) if has_geometry else None,
         gain=(red, green, blue),
     )
 
@@ -178,8 +183,8 @@ def _read_header(content: bytes) -> tuple[str, str, Record]:
     tensors = dict(_TENSORS)
     if description.has("light"):
         tensors |= LIGHT_FIELD_TENSORS
-    if header.has(MODEL_SHAPES):
-        tensors |= MODEL_TENSORS
+    if header.has(GEOMETRY_SHAPES):
+        tensors |= GEOMETRY_TENSORS
     header.expect_keys("__metadata__", *tensors)
     for name, dtype in tensors.items():
         tensor = header.record(name)

@@ -1,4 +1,4 @@
-"""The materials that the model of an asset may have: BSDF plugins of Mitsuba by an allow-list.
+"""The materials that the geometry of an asset may have: BSDF plugins of Mitsuba by an allow-list.
 
 A material is a JSON object: `type` names a plugin, `nested` holds the materials that it modifies,
 and all other members are parameters of the plugin. A parameter is a number, true or false, a name

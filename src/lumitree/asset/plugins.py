@@ -1,4 +1,4 @@
-"""The BSDF plugins of Mitsuba that the materials of a model may be, and what each takes.
+"""The BSDF plugins of Mitsuba that the materials of an asset may be, and what each takes.
 
 Ranges, and which parameters go together, are those with which Mitsuba makes the BSDF and its values
 are finite and not negative. docs/format.md has the same rules in words.

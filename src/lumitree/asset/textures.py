@@ -1,4 +1,4 @@
-"""Textures of a model's materials: images over texture coordinates, and colours of vertices."""
+"""Textures of an asset's materials: images over texture coordinates, and colours of vertices."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
@@ -26,7 +26,7 @@ _ROUNDING = 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class ImageFacts:
-    """What the textures of a model need to know of an image.
+    """What textures need to know of an image.
 
     Attributes:
         sides: height and width.

@@ -83,7 +83,7 @@ def add(commands: Any) -> None:
         type=lambda text: tuple(text.split(",")),
         metavar="PARTS",
         help="what the asset gets, separated by commas. light: what the luminaire "
-        "sends to its surroundings; field: what images show of it; model: the luminaire itself, "
+        "sends to its surroundings; field: what images show of it; geometry: the luminaire itself, "
         "which images show in place of the field, not for --method network (default: all that the "
         "method and the luminaire allow)",
     )

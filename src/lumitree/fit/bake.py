@@ -5,7 +5,7 @@ import warnings
 from typing import TYPE_CHECKING
 
 from lumitree.asset.asset import PARTS, Asset, light_field_asset
-from lumitree.asset.model import AssetModel
+from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.arguments import check_asset_output, check_light
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import Dataset
@@ -114,14 +114,14 @@ def _bake(
 
     parts = PARTS if config.parts is None else config.parts
     watch = Stopwatch()
-    model = _stored_model(lamp, config.parts is not None) if "model" in parts else None
+    geometry = _stored_geometry(lamp, config.parts is not None) if "geometry" in parts else None
     light_field = None
     if "light" in parts:
         with watch.stage("light"):
             light_field = bake_light_field(lamp, config.light_field_fit, folder.path)
         # Before the field: refuses a colour that the light of the luminaire cannot have.
         lit = dataclasses.replace(
-            light_field_asset(light_field, lamp.frame, lamp.name), model=model
+            light_field_asset(light_field, lamp.frame, lamp.name), geometry=geometry
         )
         lit = with_light(lit, config.lumens, config.temperature)
         if "field" not in parts:
@@ -130,7 +130,7 @@ def _bake(
             return result
     with watch.stage("bake"):
         fit = octree_fit.bake(lamp, config.octree_fit, folder.path)
-    asset = dataclasses.replace(fit.asset, light_field=light_field, model=model)
+    asset = dataclasses.replace(fit.asset, light_field=light_field, geometry=geometry)
     asset = with_light(asset, config.lumens, config.temperature)
     return _finish_fit(fit, asset, output, watch, folder, work, lamp, config.irradiance_paths)
 
@@ -144,17 +144,19 @@ def _check_kind(source: object) -> None:
         raise LumitreeError(f"{name} is {what}, not a luminaire; bake it by lumitree.{function}")
 
 
-def _stored_model(lamp: "Luminaire", required: bool) -> AssetModel | None:
-    """The model of a luminaire; if it cannot be stored, an error or None with a warning."""
-    from lumitree.lamp.stored_model import stored_model
+def _stored_geometry(lamp: "Luminaire", required: bool) -> AssetGeometry | None:
+    """The geometry of a luminaire; if it cannot be stored, an error or None with a warning."""
+    from lumitree.lamp.stored_geometry import stored_geometry
 
     try:
-        return stored_model(lamp)
+        return stored_geometry(lamp)
     except LumitreeError as error:
         if required:
-            raise LumitreeError(f"the part model cannot be made: {error}; leave it out") from None
+            raise LumitreeError(
+                f"the part geometry cannot be made: {error}; leave it out"
+            ) from None
         warnings.warn(
-            f"the asset gets no model: {error}; images show its field",
+            f"the asset gets no geometry: {error}; images show its field",
             LumitreeWarning,
             stacklevel=3,
         )
@@ -280,7 +282,7 @@ def refine(
         with watch.stage("bake"):
             fit = octree_fit.refine(rough, lamp, fit_config, at.path)
         better = dataclasses.replace(
-            fit.asset, light_field=rough.light_field, model=rough.model, gain=rough.gain
+            fit.asset, light_field=rough.light_field, geometry=rough.geometry, gain=rough.gain
         )
         return _finish_fit(fit, better, output, watch, at, work, lamp, irradiance_paths)
 

@@ -44,11 +44,11 @@ class BakeConfig:
         parts: what the asset gets. "light": the light field, 5 to 20 s on 2 CPU cores; it
             illuminates scenes. "field": the radiance field; images show it, and it illuminates if
             there is no light field. Without it images show the light field, which
-            is blurred and lets all light through. "model": the luminaire itself, which images under
-            `lumitree_path` show in place of the field; beside one of the other two. A part that
-            is asked for and cannot be made is an error. None: all that can be made; a luminaire
-            that cannot be stored, because it has what is not listed in docs/format.md, gets no
-            model, with a warning.
+            is blurred and lets all light through. "geometry": the luminaire itself, which images
+            under `lumitree_path` show in place of the field; beside one of the other two. A part
+            that is asked for and cannot be made is an error. None: all that can be made; a
+            luminaire that cannot be stored, because it has what is not listed in docs/format.md,
+            gets no geometry, with a warning.
         time: budget of the radiance field in seconds, 0.001 to 31,536,000 (one year). The first
             estimate, about 20 s on 2 CPU cores, is always completed. None: no limit; `rays` is
             then needed.
@@ -96,10 +96,10 @@ class BakeConfig:
         if self.parts is not None:
             for part in self.parts:
                 check_choice("part", part, PARTS)
-            if not set(self.parts) - {"model"}:
+            if not set(self.parts) - {"geometry"}:
                 raise LumitreeError(
                     f"parts are {', '.join(self.parts) or 'none'}; expected light, field or "
-                    "both, and model"
+                    "both, and geometry"
                 )
             # In one order, so that equal parts are equal settings.
             object.__setattr__(self, "parts", tuple(each for each in PARTS if each in self.parts))

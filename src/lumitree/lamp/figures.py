@@ -6,7 +6,7 @@ import numpy as np
 
 from lumitree.core.images import linear_from_srgb
 from lumitree.lamp.meshes import Floats
-from lumitree.lamp.parts import Colour, Glass, Material, Model, Part, Texture, VertexColour
+from lumitree.lamp.parts import Colour, Geometry, Glass, Material, Part, Texture, VertexColour
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Figures:
     has_media: bool
 
 
-def figures(model: Model) -> Figures:
+def figures(model: Geometry) -> Figures:
     """The figures of a lamp."""
     materials = {material.name: material for material in model.materials}
     emitting = [part for part in model.parts if materials[part.material].radiance is not None]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from lumitree.asset.model_media import MAX_ANISOTROPY, ModelMedium, described_medium
+from lumitree.asset.geometry_media import MAX_ANISOTROPY, SideMedium, described_medium
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError
 
@@ -53,7 +53,7 @@ def absorption(medium: Any) -> list[float] | None:
 
 
 def stored_medium(medium: Any) -> Any:
-    """What the model of an asset stores of a homogeneous mi.Medium (`asset.model_media`).
+    """What the model of an asset stores of a homogeneous mi.Medium (`asset.geometry_media`).
 
     Raises:
         LumitreeError: it scatters by a phase function that is not stored.
@@ -62,7 +62,7 @@ def stored_medium(medium: Any) -> Any:
     scattering, extinction = found[0], found[2]
     anisotropy = _anisotropy(medium.phase_function()) if scattering.any() else 0.0
     absorption = np.maximum(extinction - scattering, 0)
-    return described_medium(ModelMedium(absorption, scattering, anisotropy))
+    return described_medium(SideMedium(absorption, scattering, anisotropy))
 
 
 def _anisotropy(phase: Any) -> float:

@@ -9,12 +9,12 @@ from lumitree.errors import LumitreeError
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.importers.overrides import Overrides, apply_overrides, check_emits, select_parts
 from lumitree.lamp.importers.overrides_file import read_overrides
-from lumitree.lamp.parts import Model
+from lumitree.lamp.parts import Geometry
 from lumitree.lamp.source import LuminaireSource, as_source
 
 
-def read_model(source: str | os.PathLike[str] | LuminaireSource) -> Model:
-    """Model of a built-in luminaire or a model file with its overrides, in metres, y up.
+def read_model(source: str | os.PathLike[str] | LuminaireSource) -> Geometry:
+    """Geometry of a built-in luminaire or a model file with its overrides, in metres, y up.
 
     Raises:
         LumitreeError: the file cannot be read, its overrides are invalid, a pattern matches
@@ -36,7 +36,7 @@ def read_model(source: str | os.PathLike[str] | LuminaireSource) -> Model:
     return model
 
 
-def _read_obj(path: Path, overrides: Overrides) -> Model:
+def _read_obj(path: Path, overrides: Overrides) -> Geometry:
     if overrides.variant is not None:
         raise LumitreeError(f"{overrides.file}: variant is only for glTF, not for {path.name}")
     # Imported here, because most runs need no reader.
@@ -44,12 +44,12 @@ def _read_obj(path: Path, overrides: Overrides) -> Model:
     return reader.read_obj(path)
 
 
-def _read_gltf(path: Path, overrides: Overrides) -> Model:
+def _read_gltf(path: Path, overrides: Overrides) -> Geometry:
     reader = importlib.import_module("lumitree.lamp.importers.gltf.reader")
     return reader.read_gltf(path, variant=overrides.variant)
 
 
-READERS: dict[str, Callable[[Path, Overrides], Model]] = {
+READERS: dict[str, Callable[[Path, Overrides], Geometry]] = {
     ".obj": _read_obj,
     ".gltf": _read_gltf,
     ".glb": _read_gltf,

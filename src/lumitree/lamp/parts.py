@@ -187,7 +187,7 @@ def check_shapes(count: int, where: str) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class Model:
+class Geometry:
     """A lamp: its parts, and the materials they name."""
 
     parts: tuple[Part, ...]

@@ -20,11 +20,11 @@ from lumitree.lamp.parts import (
     WHITE,
     Colour,
     Diffuse,
+    Geometry,
     Glass,
     Material,
     Medium,
     Metal,
-    Model,
     Part,
     Principled,
     Surface,
@@ -39,7 +39,7 @@ SCENE_FILE = "luminaire.xml"
 _PREFIX = "material_"
 
 
-def write_scene(model: Model, folder: str | os.PathLike[str]) -> Path:
+def write_scene(model: Geometry, folder: str | os.PathLike[str]) -> Path:
     """Write `luminaire.xml`, `meshes/` and `textures/`; equal models give equal bytes.
 
     Copies of a part share one mesh file.
@@ -55,7 +55,7 @@ def write_scene(model: Model, folder: str | os.PathLike[str]) -> Path:
 
 
 class _Writer:
-    def __init__(self, model: Model, folder: Path) -> None:
+    def __init__(self, model: Geometry, folder: Path) -> None:
         self._far = _is_far(model)
         self._model, self._folder = _recentred(model) if self._far else model, folder
         self._materials = {material.name: material for material in model.materials}
@@ -205,7 +205,7 @@ def model_shapes(shapes: Sequence[SceneShape]) -> tuple[SceneShape, ...]:
     )
 
 
-def _is_far(model: Model) -> bool:
+def _is_far(model: Geometry) -> bool:
     """Whether coordinates of the model, or of a mesh in its frame, are too coarse in float32."""
     boxes = {id(part.mesh): _box(part.mesh) for part in model.parts}
     corners, reach = [np.zeros((0, 3))], [0.0]
@@ -224,7 +224,7 @@ def _box(mesh: Mesh) -> Floats:
     return np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
 
 
-def _recentred(model: Model) -> Model:
+def _recentred(model: Geometry) -> Geometry:
     """The model with the centre of each mesh in the origin of its own frame."""
     parts = []
     for part in model.parts:

@@ -57,7 +57,7 @@ def export(
     """Write an asset for Blender: point lights that illuminate, and the lamp's own surfaces.
 
     The light field becomes point lights, each with an intensity by direction; see
-    `output.blender.lights`. The model is added so that cameras and mirrors show it, and neither
+    `output.blender.lights`. The geometry is added so that cameras and mirrors show it, and neither
     illuminates nor casts shadows. All are children of one empty, whose transform and property
     "gain" apply to the lamp. The frame is that of the luminaire's file, with z up and lengths in
     metres.
@@ -138,7 +138,7 @@ def _lamp(asset: Asset, lights: int, up: Literal["y", "z"], seed: int) -> _Made:
     from lumitree.output.blender.script import make_script
 
     made = make_script(asset, lights, up, seed)
-    triangles = 0 if asset.model is None else asset.model.num_triangles
+    triangles = 0 if asset.geometry is None else asset.geometry.num_triangles
     return _Made(made.text.encode(), made.lost, made.lights, triangles)
 
 

@@ -73,7 +73,7 @@ class AssetPreviewResult(ImageResult):
 
     Attributes:
         luminaire: name of the luminaire.
-        parts: which of "light", "field" and "model" it has.
+        parts: which of "light", "field" and "geometry" it has.
         leaves: number of leaves of its field.
         size: [3] sides of the bounding box, in the unit of the luminaire's file.
         watts: [3] flux that it emits, R, G and B, W, if lengths are in metres: exact with a
@@ -108,7 +108,7 @@ def preview(
 
     The contact sheet shows the radiance at two exposures and both opacities, from six sides. Warns
     of glass that Mitsuba cannot render correctly. Of an asset the sheet shows what images show
-    of it, its model, its field or else its light field, and one opacity.
+    of it, its geometry, its field or else its light field, and one opacity.
 
     Args:
         luminaire: what to render: an asset, the path of a `.lumitree` file, of a photometric file
@@ -117,7 +117,7 @@ def preview(
         sheet: path of the PNG file to write. Default: no file is written.
         resolution: pixels per side of each view, 1 to 16,384.
         samples_per_pixel: paths per pixel, 1 to 1,048,576. It does not apply to an asset without
-            a model, whose pixels have 16 rays.
+            geometry, whose pixels have 16 rays.
         bounces: whether to measure the share of the flux that paths of at most 32, 64 and 128
             bounces miss. Not for an asset.
         variant: Mitsuba variant; see `bake`.
@@ -214,7 +214,7 @@ def _preview_asset(
         "preview",
         asset=asset.luminaire,
         resolution=resolution,
-        samples_per_pixel=None if asset.model is None else samples_per_pixel,
+        samples_per_pixel=None if asset.geometry is None else samples_per_pixel,
         exposure=views.exposure,
     )
     png = draw_preview(views, asset.luminaire, facts, baked=True).png(settings)

@@ -99,7 +99,7 @@ def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) ->
 
     Args:
         resolution: pixels per side.
-        samples_per_pixel: paths per pixel, if the asset has a model.
+        samples_per_pixel: paths per pixel, if the asset has geometry.
     """
     radius = float(np.linalg.norm(asset.frame.half_extents))
     poses = [pose_towards(backward, up, 2 * radius) for backward, up in VIEWS.values()]

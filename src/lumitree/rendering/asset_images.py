@@ -1,4 +1,4 @@
-"""An asset as images show it, alone: its model, its field, or else its light field."""
+"""An asset as images show it, alone: its geometry, its field, or else its light field."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -36,15 +36,15 @@ def shown_images(
         poses: [4, 4] `local_from_camera` of cameras, which look along their -z.
         half_width: half the side of the images, local units.
         resolution: pixels per side.
-        samples_per_pixel: paths per pixel, of a model. The others have 16 rays.
+        samples_per_pixel: paths per pixel, where the geometry is shown. The others have 16 rays.
 
     Returns:
-        For each pose radiance [H, W, 3], W/(m² sr), and opacity [H, W]: of a model the share of the
-        camera rays that hit a surface, else the straight-through opacity.
+        For each pose radiance [H, W, 3], W/(m² sr), and opacity [H, W]: where the geometry is
+        shown, the share of the camera rays that hit a surface, else the straight-through opacity.
     """
     name = f"preview {asset.luminaire}"
-    if asset.model is not None:
-        camera = _ModelCamera(asset, half_width, resolution)
+    if asset.geometry is not None:
+        camera = _GeometryCamera(asset, half_width, resolution)
         return [
             camera.take(pose, samples_per_pixel, index, name) for index, pose in enumerate(poses)
         ]
@@ -56,14 +56,14 @@ def shown_images(
     return images
 
 
-class _ModelCamera:
-    """A camera before the model of an asset; the scene is loaded once."""
+class _GeometryCamera:
+    """A camera before the geometry of an asset; the scene is loaded once."""
 
     def __init__(self, asset: Asset, half_width: float, resolution: int) -> None:
         self._half_width = half_width
         film: dict[str, Any] = {"type": "hdrfilm", "width": resolution, "height": resolution}
         film |= {"pixel_format": "rgba", "rfilter": {"type": "box"}}
-        lamp = shape(asset, asset.frame.local_from_world, appearance="model")
+        lamp = shape(asset, asset.frame.local_from_world, appearance="geometry")
         sensor = {"type": "orthographic", "film": film, "near_clip": _NEAR}
         self._scene = mi.load_dict({"type": "scene", "sensor": sensor, "lamp": lamp})
         self._integrator = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})

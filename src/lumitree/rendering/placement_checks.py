@@ -130,7 +130,7 @@ def warn_of_overlaps(
     if wrong.any():
         warnings.warn(
             f"{_listed(pairs[wrong], boxes, names)} lamps whose boxes overlap; what is shown by a "
-            "radiance field is not lit by the other: move them apart, or use the models of both",
+            "radiance field is not lit by the other: move them apart, or use the geometry of both",
             LumitreeWarning,
             stacklevel=3,
         )

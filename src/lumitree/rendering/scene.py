@@ -30,7 +30,7 @@ from lumitree.rendering.layers import records_layers
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.placement_checks import holds_objects, warn_of_overlaps
 from lumitree.rendering.plugins.objects import load_ordered
-from lumitree.rendering.plugins.placed import Appearance, shows_model
+from lumitree.rendering.plugins.placed import Appearance, shows_geometry
 from lumitree.rendering.plugins.register import register, shape
 from lumitree.rendering.sampling.emitter_sampling import Sampling
 from lumitree.rendering.sampling.proxy import ProxyKind
@@ -93,7 +93,7 @@ class PlacedLuminaire:
 
     def is_shown_by_field(self, appearance: Appearance) -> bool:
         """Whether images show its radiance field."""
-        return self.field is not None and not shows_model(self.field.asset, appearance)
+        return self.field is not None and not shows_geometry(self.field.asset, appearance)
 
     def shapes(
         self,
@@ -160,8 +160,8 @@ def place_luminaires(
 ) -> mi.Scene:
     """Scene with the objects of another one and the placed luminaires.
 
-    The appearance "model" is for `lumitree_path` only (`appearance_for`). The thresholds are those
-    of all baked luminaires.
+    The appearance "geometry" is for `lumitree_path` only (`appearance_for`). The thresholds are
+    those of all baked luminaires.
 
     Warns on standard error of objects in the box of a luminaire that does not light them there.
     """
@@ -292,8 +292,8 @@ def _create(
 
 
 def appearance_for(integrator: mi.Integrator) -> Appearance:
-    """What an integrator can show of lamps whose assets have a model."""
-    return "model" if getattr(integrator, "shows_models", False) else "field"
+    """What an integrator can show of lamps whose assets have geometry."""
+    return "geometry" if getattr(integrator, "shows_geometry", False) else "field"
 
 
 def set_film_width(scene: mi.Scene, width: int) -> None:

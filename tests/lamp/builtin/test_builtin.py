@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lumitree.asset.model_media import scattering_sides
+from lumitree.asset.geometry_media import scattering_sides
 from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
 from lumitree.lamp.builtin.registry import BUILTIN
@@ -15,7 +15,7 @@ from lumitree.lamp.meshes import coil, frames, lathe, offset, smooth, sweep
 from lumitree.lamp.opening import luminaire_path
 from lumitree.lamp.parts import Glass
 from lumitree.lamp.scene_writer import SCENE_FILE, write_scene
-from lumitree.lamp.stored_model import stored_model
+from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.trace.capture import capture
 from lumitree.trace.tracing import PATH_DEPTH
 
@@ -226,7 +226,7 @@ def test_media_are_where_they_are_promised(models):
 def test_tiny_capture(mi, name, tmp_path):
     lamp = load_luminaire(name)
     assert lamp.has_media == (name in ("cluster", "star"))
-    model = stored_model(lamp)
+    model = stored_geometry(lamp)
     assert (model.has_media, any(map(scattering_sides, model.shapes))) == (
         lamp.has_media,
         lamp.scatters,
@@ -256,7 +256,7 @@ def test_star_is_seen_at_radiance_of_about_four_and_a_half(mi):
 
 def test_the_arc_lamp_is_stored_and_leaves_its_box_empty(mi):
     lamp = load_luminaire("arc")
-    assert stored_model(lamp).shapes
+    assert stored_geometry(lamp).shapes
     x, y, z = np.random.default_rng(0).uniform(-1, 1, (3, 4096)) * lamp.frame.half_extents[:, None]
     points = np.stack([x, y, z], axis=1) * lamp.frame.scale + lamp.frame.centre
     scene = lamp.scene

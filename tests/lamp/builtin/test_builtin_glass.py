@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from lumitree.core.device import on_device
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.meshes import join, moved
-from lumitree.lamp.parts import Glass, Model, Part
+from lumitree.lamp.parts import Geometry, Glass, Part
 from lumitree.lamp.scene_writer import write_scene
 
 CLEARANCE = 2e-4  # metres
@@ -153,7 +153,7 @@ def alone(model, name, **changes):
     part = next(part for part in model.parts if part.name == name)
     material = {material.name: material for material in model.materials}[part.material]
     surface = dataclasses.replace(material.surface, **changes)
-    return Model(
+    return Geometry(
         (Part(name, part.mesh, part.material),), (dataclasses.replace(material, surface=surface),)
     )
 

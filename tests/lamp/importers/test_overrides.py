@@ -22,11 +22,11 @@ from lumitree.lamp.importers.overrides_file import read_overrides
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import (
     Diffuse,
+    Geometry,
     Glass,
     Material,
     Medium,
     Metal,
-    Model,
     Part,
     Principled,
 )
@@ -42,7 +42,7 @@ HERE = (np.eye(4),)
 
 
 def lamp(mesh=None, places=HERE):
-    return Model(
+    return Geometry(
         (Part("shade", box(), "steel"), Part("bulb", mesh or box(), "bulb glass", places)),
         (Material("steel", Diffuse()), Material("bulb glass", Diffuse(), opacity=0.3)),
     )

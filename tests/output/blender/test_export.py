@@ -14,12 +14,12 @@ import pytest
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.model import AssetModel
+from lumitree.asset.geometry import AssetGeometry
 from lumitree.cli import main
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from support.fields import random_asset
+from support.geometry_assets import small_geometry, with_geometry
 from support.light_fields import random_light_field
-from support.model_assets import small_model, with_model
 
 FRAME = LocalFrame([1, 0.5, 1], similarity(rotation([0, 1, 0], 90), 2.0, [1.0, 2, 3]))
 blender = os.environ.get("LUMITREE_BLENDER_PYTHON")
@@ -50,7 +50,7 @@ def test_the_script_holds_the_flux_in_watts_and_metres_with_z_up(tmp_path, monke
     result = lumitree.export(asset, tmp_path / "lamp.py", lights=6)
     assert (result.lights, result.triangles) == (6, 0)
     assert result.file_bytes == (tmp_path / "lamp.py").stat().st_size
-    assert any("no model" in line for line in result.not_carried_over)
+    assert any("no geometry" in line for line in result.not_carried_over)
     description, arrays = data_of(tmp_path / "lamp.py", monkeypatch)
     watts = np.array([light["watts"] for light in description["lights"]])
     tables = arrays["tables"].astype(np.float64)
@@ -85,17 +85,17 @@ def test_the_axis_that_is_up_turns_the_light(tmp_path, monkeypatch):
         assert mean @ expected > 0.98
 
 
-def test_the_script_holds_the_model(tmp_path, monkeypatch):
-    model = small_model()
-    result = lumitree.export(with_model(model), tmp_path / "lamp.py")
-    assert result.triangles == len(model.faces)
+def test_the_script_holds_the_geometry(tmp_path, monkeypatch):
+    geometry = small_geometry()
+    result = lumitree.export(with_geometry(geometry), tmp_path / "lamp.py")
+    assert result.triangles == len(geometry.faces)
     compile((tmp_path / "lamp.py").read_text(), "lamp.py", "exec")
     description, arrays = data_of(tmp_path / "lamp.py", monkeypatch)
-    assert len(description["surfaces"]) == len(model.shapes)
-    for index, image in enumerate(model.images):
+    assert len(description["surfaces"]) == len(geometry.shapes)
+    for index, image in enumerate(geometry.images):
         assert np.array_equal(arrays[f"image {index}"], image)
         assert arrays[f"image {index}"].dtype == image.dtype
-    assert np.array_equal(arrays["0.faces"], model.faces[:4])
+    assert np.array_equal(arrays["0.faces"], geometry.faces[:4])
 
 
 def test_a_hostile_name_is_data(tmp_path, monkeypatch):
@@ -161,7 +161,7 @@ def test_bad_input_is_explained_in_one_line(folder, arguments, message, capsys, 
 def test_the_command_prints_what_is_lost_and_writes_json(folder, capsys):
     assert main(["export", "lamp.lumitree", "-o", "lamp.py", "--json", "r.json"]) == 0
     out = capsys.readouterr().out
-    assert "note: the asset has no model" in out
+    assert "note: the asset has no geometry" in out
     with open("r.json", encoding="utf-8") as file:
         assert json.load(file)["lights"] == 16
 
@@ -171,7 +171,7 @@ def test_the_command_prints_what_is_lost_and_writes_json(folder, capsys):
 def test_blender_makes_nodes_of_every_material(tmp_path):
     from test_surfaces import every_material
 
-    asset = dataclasses.replace(with_model(every_material()), luminaire="every material, ö")
+    asset = dataclasses.replace(with_geometry(every_material()), luminaire="every material, ö")
     path = tmp_path / "every.blend"
     lumitree.export(asset, path, blender=blender)
     code = (
@@ -191,7 +191,7 @@ def test_blender_makes_nodes_of_every_material(tmp_path):
     meshes, lights, images = map(int, counts)
     # Flux is proportional to gain and area.
     assert float(energy) == pytest.approx(0.5 * 9, rel=1e-5)
-    assert (meshes, lights) == (len(asset.model.shapes), 5)
+    assert (meshes, lights) == (len(asset.geometry.shapes), 5)
     assert images >= lights + 1
     assert sorted(os.listdir(tmp_path)) == ["every.blend"]
 
@@ -235,12 +235,12 @@ def test_glass_absorbs_as_the_medium_in_it(tmp_path, mi, scale):
     none = np.zeros((0, 3), np.float32)
     block = {"type": "mesh", "vertices": 8, "faces": 12, "flipped": False, "material": 0}
     block |= {"normals": False, "texcoords": False, "colours": False, "radiance": None}
-    model = AssetModel(
+    geometry = AssetGeometry(
         vertices=0.5 * corners, normals=none, texcoords=none[:, :2], colours=none,
         faces=np.array(faces, np.uint32), images=(), shapes=(block | {"interior": absorption},),
         materials=({"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.0},),
     )  # fmt: skip
-    lumitree.export(with_model(model), tmp_path / "block.py")
+    lumitree.export(with_geometry(geometry), tmp_path / "block.py")
     image = tmp_path / "seen.exr"
     script = ["-c", LOOK, str(tmp_path / "block.py"), str(image), str(scale)]
     subprocess.run([str(blender), *script], capture_output=True, check=True)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from support.model_assets import IDENTITY, small_model
+from support.geometry_assets import IDENTITY, small_geometry
 
 pytestmark = pytest.mark.usefixtures("mi")
 TEXTURE = {
@@ -40,26 +40,26 @@ MATERIALS = (
 
 
 def every_material():
-    """A model with a shape of each material, the first mesh of `small_model` each time."""
-    model = small_model()
-    mesh = {**model.shapes[0], "radiance": TEXTURE}
+    """Geometry with a shape of each material, the first mesh of `small_geometry` each time."""
+    geometry = small_geometry()
+    mesh = {**geometry.shapes[0], "radiance": TEXTURE}
     count = len(MATERIALS)
-    return small_model(
-        vertices=np.tile(model.vertices[:4], (count, 1)),
-        normals=np.tile(model.normals, (count, 1)),
-        texcoords=np.tile(model.texcoords, (count, 1)),
-        colours=np.tile(model.colours, (count, 1)),
-        faces=np.tile(model.faces[:4], (count, 1)),
+    return small_geometry(
+        vertices=np.tile(geometry.vertices[:4], (count, 1)),
+        normals=np.tile(geometry.normals, (count, 1)),
+        texcoords=np.tile(geometry.texcoords, (count, 1)),
+        colours=np.tile(geometry.colours, (count, 1)),
+        faces=np.tile(geometry.faces[:4], (count, 1)),
         materials=MATERIALS,
         shapes=tuple({**mesh, "material": i, "exterior": [1.0, 0, 0]} for i in range(count)),
     )
 
 
-def trees(model):
+def trees(geometry):
     from lumitree.output.blender.surfaces import Surfaces
 
-    surfaces = Surfaces(model)
-    return [surfaces.tree(shape) for shape in model.shapes], surfaces.lost
+    surfaces = Surfaces(geometry)
+    return [surfaces.tree(shape) for shape in geometry.shapes], surfaces.lost
 
 
 def nodes_of(tree):
@@ -73,13 +73,13 @@ def test_emission_has_the_gain_of_the_asset():
     """As numbers, and as a node where a texture emits."""
     from lumitree.output.blender.surfaces import Surfaces
 
-    model = small_model()
-    shapes = [*model.shapes[1:], {**model.shapes[0], "radiance": TEXTURE}]
+    geometry = small_geometry()
+    shapes = [*geometry.shapes[1:], {**geometry.shapes[0], "radiance": TEXTURE}]
     colours = []
     for shape in shapes:
         (emission,) = (
             each
-            for each in nodes_of(Surfaces(model, (2.0, 1.0, 0.5)).tree(shape))
+            for each in nodes_of(Surfaces(geometry, (2.0, 1.0, 0.5)).tree(shape))
             if each["node"] == "ShaderNodeEmission"
         )
         colours.append(emission["inputs"]["Color"])
@@ -110,18 +110,18 @@ def test_media_that_scatter_absorb():
     from lumitree.output.blender.surfaces import absorption_inside
 
     milk = {"absorption": [0.25, 1.0, 0.5], "scattering": [8.0, 8, 8], "anisotropy": 0.0}
-    shapes = [dict(shape) for shape in small_model().shapes]
+    shapes = [dict(shape) for shape in small_geometry().shapes]
     shapes[0]["interior"], shapes[1]["interior"] = milk, [2.0, 0, 0]
     assert list(map(absorption_inside, shapes)) == [[0.25, 1, 0.5], [2, 0, 0], None]
-    _, lost = trees(small_model(shapes=tuple(shapes)))
+    _, lost = trees(small_geometry(shapes=tuple(shapes)))
     assert any("media absorb light and do not scatter it" in line for line in lost)
 
 
 def test_metals_reflect_at_normal_incidence_as_in_mitsuba(mi):
     (tree,), _ = trees(
-        small_model(
+        small_geometry(
             materials=({"type": "conductor", "material": "Cu", "specular_reflectance": 0.5},),
-            shapes=({**small_model().shapes[2], "material": 0, "radiance": None},),
+            shapes=({**small_geometry().shapes[2], "material": 0, "radiance": None},),
             vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.uint32),
             normals=np.zeros((0, 3), np.float32), texcoords=np.zeros((0, 2), np.float32),
             colours=np.zeros((0, 3), np.float32),
@@ -139,7 +139,7 @@ def test_metals_reflect_at_normal_incidence_as_in_mitsuba(mi):
 def test_roughness_and_index_are_numbers_of_blender():
     from lumitree.output.blender.surfaces import Surfaces
 
-    surfaces = Surfaces(small_model())
+    surfaces = Surfaces(small_geometry())
     glass = surfaces._surface({"type": "roughdielectric", "alpha": 0.04, "int_ior": "bk7"}, None)
     assert glass["inputs"]["Roughness"] == pytest.approx(0.2)
     assert glass["inputs"]["IOR"] == pytest.approx(1.5046 / 1.000277, rel=1e-5)
@@ -175,7 +175,7 @@ def test_analytic_shapes_become_meshes_whose_faces_turn_as_the_normals(
         "flipped": flipped,
     }  # fmt: skip
     (mesh,) = blender_meshes(
-        small_model(
+        small_geometry(
             shapes=(shape,), materials=(DIFFUSE,),
             vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.uint32),
             normals=np.zeros((0, 3), np.float32), texcoords=np.zeros((0, 2), np.float32),
@@ -196,10 +196,10 @@ def test_analytic_shapes_become_meshes_whose_faces_turn_as_the_normals(
 def test_meshes_are_turned_to_the_frame_of_blender():
     from lumitree.output.blender.meshes import blender_meshes
 
-    model = small_model()
+    geometry = small_geometry()
     turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-    mesh = blender_meshes(model, turn)[0]
-    x, y, z = model.vertices[:4].T
+    mesh = blender_meshes(geometry, turn)[0]
+    x, y, z = geometry.vertices[:4].T
     np.testing.assert_array_equal(mesh["vertices"], np.stack([x, -z, y], axis=-1))
-    assert np.array_equal(mesh["faces"], model.faces[:4])
+    assert np.array_equal(mesh["faces"], geometry.faces[:4])
     assert {"normals", "texcoords", "colours"} <= set(mesh)

@@ -15,8 +15,8 @@ from lumitree.octree.wide_nodes import LEAF
 from lumitree.output.viewer.packing import PackedAsset, pack_asset
 from lumitree.output.viewer.page import make_page, notebook_frame
 from support.fields import make_asset, random_asset
+from support.geometry_assets import small_geometry
 from support.light_fields import random_light_field
-from support.model_assets import small_model
 from support.packed_assets import unpack_asset
 from support.reference_field import leaf_boxes
 
@@ -94,8 +94,8 @@ def test_an_asset_without_a_field_is_shown_by_its_light():
     arrays = unpack_asset(packed)
     assert len(arrays["density"]) == len(asset.light_field.cells)
     assert np.array_equal(arrays["cells"].reshape(-1, 3), asset.light_field.cells)
-    model = dataclasses.replace(asset, model=small_model())
-    assert pack_asset(model).description["shown"] == "light field, not the model"
+    geometry = dataclasses.replace(asset, geometry=small_geometry())
+    assert pack_asset(geometry).description["shown"] == "light field, not the geometry"
     field = dataclasses.replace(random_asset(3), light_field=asset.light_field)
     assert pack_asset(field).description["shown"] == "field"
     assert "Shown: asset.shown" in make_page(asset)

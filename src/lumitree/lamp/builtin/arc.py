@@ -16,7 +16,7 @@ from lumitree.lamp.builtin.materials import (
     emitting,
 )
 from lumitree.lamp.meshes import Floats, Mesh, join, lathe, moved, resample, smooth, sweep
-from lumitree.lamp.parts import Material, Metal, Model, Part, Principled
+from lumitree.lamp.parts import Geometry, Material, Metal, Part, Principled
 
 _RADIANCE = (150.0, 102.0, 55.0)
 _REACH = 1.2  # from the axis of the foot to that of the globe, metres
@@ -34,7 +34,7 @@ _MARBLE = Material("marble", Principled((0.74, 0.72, 0.69), roughness=0.35))
 _BRUSHED_STEEL = Material("brushed_steel", Metal((1.0, 1.0, 1.0), 0.4, "Cr"))
 
 
-def build() -> Model:
+def build() -> Geometry:
     """The lamp's parts and materials."""
     bulb, whole = (at(_REACH, _BULB_HEIGHT),), (np.eye(4),)
     parts = (
@@ -48,7 +48,7 @@ def build() -> Model:
     )
     filament = emitting(TUNGSTEN, "filament", _RADIANCE)
     materials = (_MARBLE, _BRUSHED_STEEL, BRASS, STEEL, OPAL_SHEET, GLASS, filament)
-    return Model(parts, materials)
+    return Geometry(parts, materials)
 
 
 def _foot() -> Mesh:

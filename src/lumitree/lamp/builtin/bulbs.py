@@ -20,7 +20,7 @@ from lumitree.lamp.meshes import (
     smooth,
     sweep,
 )
-from lumitree.lamp.parts import Model, Part
+from lumitree.lamp.parts import Geometry, Part
 
 _NUM_BULBS = 5
 _ARM_RADIUS = 0.125  # from the lamp's axis to a bulb's, metres
@@ -30,7 +30,7 @@ _PEAR = ((0, -0.122), (0.024, -0.122), (0.038, -0.104), (0.0375, -0.072), (0.026
 _BULB = HangingBulb(_PEAR, Filament(4, cage=0.0155, spacing=0.0155, top=-0.054, bottom=-0.09))
 
 
-def build() -> Model:
+def build() -> Geometry:
     """The lamp's parts and materials."""
     turns = tuple(around(_NUM_BULBS))
     sites = tuple(turn @ at(_ARM_RADIUS, _BULB_HEIGHT) for turn in turns)
@@ -41,7 +41,7 @@ def build() -> Model:
         *_BULB.parts("bulb", sites, "glass", "filament"),
     )
     filament = emitting(TUNGSTEN, "filament", _RADIANCE)
-    return Model(parts, (BRASS, BLACK_STEEL, STEEL, GLASS, filament))
+    return Geometry(parts, (BRASS, BLACK_STEEL, STEEL, GLASS, filament))
 
 
 def _body() -> Mesh:

@@ -17,7 +17,7 @@ from lumitree.lamp.builtin.materials import (
     emitting,
 )
 from lumitree.lamp.meshes import Floats, resample, smooth
-from lumitree.lamp.parts import Glass, Material, Medium, Model, Part
+from lumitree.lamp.parts import Geometry, Glass, Material, Medium, Part
 
 _RADIANCE = (40.0, 27.0, 14.0)
 _SPACING = 0.08  # of neighbouring cables, metres
@@ -35,7 +35,7 @@ _TINTS = {
 }
 
 
-def build() -> Model:
+def build() -> Geometry:
     """The lamp's parts and materials."""
     groups = _sites()
     everywhere = tuple(site for sites in groups.values() for site in sites)
@@ -51,7 +51,7 @@ def build() -> Model:
         parts += _globe().parts(tint, sites, f"glass_{tint}", "filament")
     glasses = [Material(f"glass_{tint}", Glass(medium=_TINTS[tint])) for tint in _TINTS]
     filament = emitting(TUNGSTEN, "filament", _RADIANCE)
-    return Model(tuple(parts), (BRASS, BLACK_STEEL, STEEL, *glasses, filament))
+    return Geometry(tuple(parts), (BRASS, BLACK_STEEL, STEEL, *glasses, filament))
 
 
 def _sites() -> dict[str, list[Floats]]:

@@ -18,7 +18,7 @@ from lumitree.lamp.builtin.materials import (
     emitting,
 )
 from lumitree.lamp.meshes import Mesh, join, lathe, moved, smooth
-from lumitree.lamp.parts import Model, Part
+from lumitree.lamp.parts import Geometry, Part
 
 _NUM_BULBS = 8
 _HOOP = 0.29  # radius, metres
@@ -32,7 +32,7 @@ _CAGE = Filament(
 _BULB = HangingBulb(_DROP, _CAGE)
 
 
-def build() -> Model:
+def build() -> Geometry:
     """The lamp's parts and materials."""
     sites = [place @ at(0, _HOOP_TOP - 0.088) for place in around(_NUM_BULBS, _HOOP)]
     whole = (np.eye(4),)
@@ -43,7 +43,7 @@ def build() -> Model:
         *_BULB.parts("bulb", sites, "glass", "filament"),
     )
     filament = emitting(TUNGSTEN, "filament", _RADIANCE)
-    return Model(parts, (BRASS, BLACK_STEEL, STEEL, GLASS, filament))
+    return Geometry(parts, (BRASS, BLACK_STEEL, STEEL, GLASS, filament))
 
 
 def _hoop() -> Mesh:

@@ -28,7 +28,7 @@ from lumitree.lamp.builtin.materials import (
     emitting,
 )
 from lumitree.lamp.meshes import Mesh, join, lathe, moved, resample, smooth, sweep
-from lumitree.lamp.parts import Model, Part
+from lumitree.lamp.parts import Geometry, Part
 
 _RADIANCE = (24.0, 16.0, 8.6)
 _LOWER = (12, 0.36, -0.62)  # arms, radius and height of the foot of their candles, metres
@@ -38,7 +38,7 @@ _CANDLE = 0.085  # height, metres
 _CROWN = (0.1, -0.3)  # radius and height of the hoop that the long strings hang from, metres
 
 
-def build() -> Model:
+def build() -> Geometry:
     """The lamp's parts and materials."""
     whole = (np.eye(4),)
     glass, pins = _centre_crystals()
@@ -63,7 +63,7 @@ def build() -> Model:
     ]
     parts += flame_bulb("flame", flames, "glass", "filament")
     filament = emitting(TUNGSTEN, "filament", _RADIANCE)
-    return Model(tuple(parts), (BRASS, STEEL, WAX, GLASS, CRYSTAL, filament))
+    return Geometry(tuple(parts), (BRASS, STEEL, WAX, GLASS, CRYSTAL, filament))
 
 
 def _column() -> Mesh:

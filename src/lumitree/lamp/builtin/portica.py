@@ -21,7 +21,7 @@ from lumitree.lamp.builtin.materials import (
 )
 from lumitree.lamp.builtin.panels import arch, pane, pierced, sheet
 from lumitree.lamp.meshes import Floats, Mesh, join, lathe, moved, resample, smooth, sweep
-from lumitree.lamp.parts import Model, Part
+from lumitree.lamp.parts import Geometry, Part
 
 _SIDES = 6
 _CORNER = 0.19  # distance of the corners from the axis, metres
@@ -35,7 +35,7 @@ _FLOOR = -0.745  # y of the foot of the candles, metres
 _CANDLE = 0.075  # height, metres
 
 
-def build() -> Model:
+def build() -> Geometry:
     """The lamp's parts and materials."""
     whole = (np.eye(4),)
     # A side's frame: x along it, z outwards, the origin on the lamp's axis.
@@ -57,7 +57,7 @@ def build() -> Model:
     )
     filament = emitting(TUNGSTEN, "filament", _RADIANCE)
     materials = (BRASS, BRONZE, STEEL, WAX, OPAL_SHEET, GLASS, filament)
-    return Model(parts, materials)
+    return Geometry(parts, materials)
 
 
 def _opening() -> Floats:

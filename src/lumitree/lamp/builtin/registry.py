@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Callable
 
 from lumitree.lamp.builtin import arc, bulbs, cluster, dallas, neoclassical, portica, star
-from lumitree.lamp.parts import Model
+from lumitree.lamp.parts import Geometry
 
 
 @dataclasses.dataclass(frozen=True)
@@ -13,7 +13,7 @@ class Builtin:
 
     name: str
     description: str
-    build: Callable[[], Model]
+    build: Callable[[], Geometry]
 
 
 _ALL = (

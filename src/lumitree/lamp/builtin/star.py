@@ -14,7 +14,7 @@ from lumitree.lamp.builtin.fittings import canopy, chain, strut
 from lumitree.lamp.builtin.layout import aimed, at
 from lumitree.lamp.builtin.materials import BRASS, emitting
 from lumitree.lamp.meshes import Floats, Mesh, facets, join, lathe, moved
-from lumitree.lamp.parts import Diffuse, Glass, Material, Medium, Model, Part
+from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Medium, Part
 
 _RADIANCE = (10.0, 7.2, 4.3)
 _CORE = 0.105  # distance of the core's square faces from the centre, metres
@@ -44,7 +44,7 @@ class _Point:
     base: Floats
 
 
-def build() -> Model:
+def build() -> Geometry:
     """The lamp's parts and materials."""
     points = _points()
     centre = at(0, _CENTRE)
@@ -59,7 +59,7 @@ def build() -> Model:
         Part("long_lamp", _lamp(_LONG_LAMP), "lamp", long),
         Part("short_lamp", _lamp(_SHORT_LAMP), "lamp", short),
     )
-    return Model(parts, (BRASS, _OPAL, emitting(_LAMP, "lamp", _RADIANCE)))
+    return Geometry(parts, (BRASS, _OPAL, emitting(_LAMP, "lamp", _RADIANCE)))
 
 
 def _points() -> list[_Point]:

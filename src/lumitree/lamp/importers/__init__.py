@@ -1,1 +1,1 @@
-"""Model files (OBJ, glTF) and overrides of their materials: to a `Model`."""
+"""Geometry files (OBJ, glTF) and overrides of their materials: to a `Geometry`."""

@@ -13,7 +13,7 @@ from lumitree.core.photometry import radiance_from_flux
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.meshes import Floats, area_normals
-from lumitree.lamp.parts import RGB, WHITE, Glass, Material, Model, Part, Surface
+from lumitree.lamp.parts import RGB, WHITE, Geometry, Glass, Material, Part, Surface
 
 # A pattern of digits alone; a name of this form is matched by "[#]3".
 _NUMBER = re.compile(r"#[0-9]{1,9}")
@@ -67,7 +67,7 @@ class Overrides:
     materials: Mapping[str, MaterialOverride] = dataclasses.field(default_factory=dict)
 
 
-def apply_overrides(model: Model, overrides: Overrides) -> Model:
+def apply_overrides(model: Geometry, overrides: Overrides) -> Geometry:
     """The model in metres, y up, with its materials changed.
 
     Raises:
@@ -91,7 +91,7 @@ def apply_overrides(model: Model, overrides: Overrides) -> Model:
     return dataclasses.replace(model, materials=tuple(materials))
 
 
-def select_parts(model: Model, keep: Sequence[str], drop: Sequence[str], file: str) -> Model:
+def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file: str) -> Geometry:
     """The parts whose own name or material's name matches a `keep` pattern and no `drop` pattern.
 
     Args:
@@ -161,7 +161,7 @@ def _known(names: Sequence[Sequence[str]], listed: Sequence[str] | None, file: s
     return shown_names(listed) + how
 
 
-def check_emits(model: Model, file: str, overrides_name: str) -> None:
+def check_emits(model: Geometry, file: str, overrides_name: str) -> None:
     """Refuse a model that does not emit.
 
     Args:
@@ -179,7 +179,7 @@ def check_emits(model: Model, file: str, overrides_name: str) -> None:
         )
 
 
-def material_area(model: Model, material: str) -> float:
+def material_area(model: Geometry, material: str) -> float:
     """Area of all surfaces with a material, every copy counted, in the model's unit squared."""
     total = 0.0
     for part in model.parts:
@@ -193,14 +193,14 @@ def material_area(model: Model, material: str) -> float:
     return total
 
 
-def _in_metres(model: Model, overrides: Overrides) -> Model:
+def _in_metres(model: Geometry, overrides: Overrides) -> Geometry:
     scale = overrides.metres_per_unit
     if scale == 1 and overrides.up == "y":
         return model
     upright = np.eye(3) if overrides.up == "y" else np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
     matrix = np.eye(4)
     matrix[:3, :3] = scale * upright
-    return Model(
+    return Geometry(
         tuple(_moved(part, matrix) for part in model.parts),
         tuple(_rescaled(material, scale) for material in model.materials),
     )
@@ -227,7 +227,9 @@ def _divided(colour: RGB, divisor: float) -> RGB:
     return (colour[0] / divisor, colour[1] / divisor, colour[2] / divisor)
 
 
-def _overridden(model: Model, material: Material, change: MaterialOverride, file: str) -> Material:
+def _overridden(
+    model: Geometry, material: Material, change: MaterialOverride, file: str
+) -> Material:
     if change.surface is not None:
         # Opacity and normal map belong to the surface that is replaced.
         material = Material(
@@ -244,7 +246,7 @@ def _overridden(model: Model, material: Material, change: MaterialOverride, file
     return material
 
 
-def _settled(model: Model, material: str, change: MaterialOverride) -> Surface:
+def _settled(model: Geometry, material: str, change: MaterialOverride) -> Surface:
     """The surface; glass is a thin sheet if `guess_thin` is set and the meshes are not closed."""
     surface = change.surface
     assert surface is not None
@@ -272,7 +274,7 @@ def _settled(model: Model, material: str, change: MaterialOverride) -> Surface:
     return dataclasses.replace(surface, thin=True)
 
 
-def _radiance(model: Model, material: str, emission: Emission, file: str) -> RGB | None:
+def _radiance(model: Geometry, material: str, emission: Emission, file: str) -> RGB | None:
     if emission.radiance is not None:
         return emission.radiance if max(emission.radiance) > 0 else None
     if all(part.material != material for part in model.parts):

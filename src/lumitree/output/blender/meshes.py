@@ -1,11 +1,11 @@
-"""The shapes of a model as meshes in Blender's frame."""
+"""The shapes of an asset's geometry as meshes in Blender's frame."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.model import AssetModel
+from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.textures import Json
 
 # Segments of a circle in place of an analytic shape.
@@ -14,17 +14,19 @@ _SEGMENTS = 96
 Arrays = dict[str, NDArray[Any]]
 
 
-def blender_meshes(model: AssetModel, blender_from_world: NDArray[np.float64]) -> list[Arrays]:
+def blender_meshes(
+    geometry: AssetGeometry, blender_from_world: NDArray[np.float64]
+) -> list[Arrays]:
     """Arrays of each shape: `vertices`, `faces`, and `normals`, `texcoords` and `colours` if any.
 
     Args:
         blender_from_world: [3, 3] rotation.
     """
     found = []
-    for shape, stored in zip(model.shapes, model.meshes(), strict=True):
+    for shape, stored in zip(geometry.shapes, geometry.meshes(), strict=True):
         mesh = _analytic(shape) if stored is None else {k: v for k, v in stored.items() if len(v)}
         faces = mesh["faces"]
-        offset = np.asarray(model.origin, mesh["vertices"].dtype)
+        offset = np.asarray(geometry.origin, mesh["vertices"].dtype)
         placed: Arrays = {"vertices": (mesh["vertices"] + offset) @ blender_from_world.T}
         sign = -1 if shape["flipped"] else 1
         placed["faces"] = faces[:, ::-1] if shape["flipped"] else faces

@@ -59,17 +59,17 @@ def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
     points = dataclasses.replace(points, intensity=points.intensity * asset.gain)
     description, arrays = _light_data(asset, points, Z_UP[up])
     lost = ["point lights illuminate the lamp's own surfaces without its shadows"]
-    if asset.model is None:
-        lost = ["the asset has no model: the lamp itself is not shown"]
+    if asset.geometry is None:
+        lost = ["the asset has no geometry: the lamp itself is not shown"]
         description |= {"surfaces": [], "absorption": []}
     else:
-        surfaces = Surfaces(asset.model, asset.gain)
-        description["surfaces"] = [surfaces.tree(shape) for shape in asset.model.shapes]
-        description["absorption"] = [absorption_inside(shape) for shape in asset.model.shapes]
+        surfaces = Surfaces(asset.geometry, asset.gain)
+        description["surfaces"] = [surfaces.tree(shape) for shape in asset.geometry.shapes]
+        description["absorption"] = [absorption_inside(shape) for shape in asset.geometry.shapes]
         lost += sorted(surfaces.lost)
-        for index, mesh in enumerate(blender_meshes(asset.model, Z_UP[up])):
+        for index, mesh in enumerate(blender_meshes(asset.geometry, Z_UP[up])):
             arrays |= {f"{index}.{name}": values for name, values in mesh.items()}
-        arrays |= {f"image {i}": image for i, image in enumerate(asset.model.images)}
+        arrays |= {f"image {i}": image for i, image in enumerate(asset.geometry.images)}
     template = (resources.files("lumitree.output.blender") / "lamp_script.py").read_text("utf-8")
     head, tail = template.split("@@DATA@@")
     return LampScript(head + _block(description, arrays) + tail, len(points.position), lost)

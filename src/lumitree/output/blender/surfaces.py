@@ -1,4 +1,4 @@
-"""Materials of a model as trees of Blender's shader nodes.
+"""Materials of an asset's geometry as trees of Blender's shader nodes.
 
 A tree is a JSON object, which the script in `lamp_script` turns into nodes:
 
@@ -15,8 +15,8 @@ import mitsuba as mi
 import numpy as np
 
 from lumitree.asset.asset import NO_GAIN
-from lumitree.asset.model import AssetModel
-from lumitree.asset.model_media import model_medium, scattering_sides
+from lumitree.asset.geometry import AssetGeometry
+from lumitree.asset.geometry_media import scattering_sides, side_medium
 from lumitree.asset.textures import Json
 from lumitree.output.blender.nodes import (
     SCALED_GAIN,
@@ -40,22 +40,22 @@ _LOST = {
 
 def absorption_inside(shape: Json) -> list[float] | None:
     """Absorption [3] of the medium inside of a shape, per unit of its file; None for no medium."""
-    return model_medium(shape["interior"]).absorption.tolist() if "interior" in shape else None
+    return side_medium(shape["interior"]).absorption.tolist() if "interior" in shape else None
 
 
 class Surfaces:
-    """Trees for the shapes of a model.
+    """Trees for the shapes of an asset's geometry.
 
     Args:
-        model: the model of an asset.
+        geometry: the geometry of an asset.
         gain: [3] factors on the R, G and B of what it emits.
 
     Attributes:
         lost: one line for each property that is not carried over.
     """
 
-    def __init__(self, model: AssetModel, gain: tuple[float, float, float] = NO_GAIN) -> None:
-        self._model, self._gain = model, gain
+    def __init__(self, geometry: AssetGeometry, gain: tuple[float, float, float] = NO_GAIN) -> None:
+        self._geometry, self._gain = geometry, gain
         self.lost: set[str] = set()
 
     def tree(self, shape: Json) -> Json:
@@ -67,7 +67,7 @@ class Surfaces:
             self.lost.add("media outside of a shape are left out")
         if scattering_sides(shape):
             self.lost.add("media absorb light and do not scatter it: opal glass is clear")
-        surface = self._surface(self._model.materials[shape["material"]], None)
+        surface = self._surface(self._geometry.materials[shape["material"]], None)
         if shape["radiance"] is None:
             return surface
         front = math("SUBTRACT", 1.0, node("ShaderNodeNewGeometry", output="Backfacing"))

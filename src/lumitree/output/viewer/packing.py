@@ -50,7 +50,7 @@ def pack_asset(asset: Asset) -> PackedAsset:
     shown, view = "field", DEFAULT_VIEW
     if not has_field:
         asset, view = light_as_field(asset), brightest_view(asset)
-        shown = "light field" + ("" if asset.model is None else ", not the model")
+        shown = "light field" + ("" if asset.geometry is None else ", not the geometry")
     levels = wide_nodes(asset.children, asset.tree_depth)
     starts = np.concatenate([[0], np.cumsum([level.size for level in levels])])
     arrays: dict[str, NDArray[Any]] = {

@@ -38,7 +38,7 @@ def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
     """Make a web page that shows the field of an asset, and the illuminance around it.
 
     Without a field it shows the light field, as images do: blurred, and hiding almost
-    nothing. A model is not shown.
+    nothing. Geometry is not shown.
 
     The page needs a browser with WebGL 2, and loads nothing from a network.
 

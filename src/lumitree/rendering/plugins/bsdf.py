@@ -13,7 +13,7 @@ def null_bsdf_class() -> type:
     """Class of the BSDF for the variant of Mitsuba that is set, whose base class it extends.
 
     Light crosses it unbent, with the transmittance of the whole line through the proxy on the face
-    where the line enters, and 1 on the face where it leaves. Where the model is shown, its own
+    where the line enters, and 1 on the face where it leaves. Where the geometry is shown, its own
     shapes take away light, and the transmittance is 1.
     """
 
@@ -36,7 +36,7 @@ def null_bsdf_class() -> type:
             return bs, self.eval_null_transmission(si, enabled) & enabled
 
         def eval_null_transmission(self, si, active=True):
-            if self.placed.shows_model:
+            if self.placed.shows_geometry:
                 return mi.Color3f(1) & active
             line, entering = self.placed.entering_line(si, active)
             through = self.placed.field.transmittance(*line, entering)

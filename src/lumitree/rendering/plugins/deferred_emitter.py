@@ -124,7 +124,7 @@ class DeferredEmitter(Protocol):
     def sample_self_emission(
         self, sample: mi.Float, active: mi.Bool
     ) -> tuple[mi.ShapePtr, mi.Float, mi.Float]:
-        """A shape of the lamp's model that emits.
+        """A shape of the lamp's geometry that emits.
 
         Args:
             sample: number in [0, 1).

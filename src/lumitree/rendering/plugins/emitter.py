@@ -39,7 +39,7 @@ def emitter_class() -> type:
         @functools.cached_property
         def sampler(self):
             placed = self.placed
-            blocked = placed.shows_model
+            blocked = placed.shows_geometry
             return emitter_sampler(
                 placed.asset, placed.field, placed.proxy, placed.sampling, blocked=blocked
             )
@@ -81,8 +81,8 @@ def emitter_class() -> type:
         ):
             placed = self.placed
             x, (entry, direction) = placed.local_point(it.p), placed.entry(ray, distance)
-            if placed.shows_model:
-                # Images show the model's own shapes, which also hide what is behind them.
+            if placed.shows_geometry:
+                # Images show the geometry's own shapes, which also hide what is behind them.
                 active &= ~specular_chain
             inside = mi.Bool(False)
             if placed.holds:
@@ -140,14 +140,14 @@ def emitter_class() -> type:
             direction, target = self.sampler.sample_target(x, sample, active, inside)
             ds, valid = self._towards(it, x, direction, active)
             end, beyond = ds.dist, mi.Float(0)
-            if placed.shows_model:
+            if placed.shows_geometry:
                 # The lamp's own surfaces block up to the box, or within it up to the cell.
                 border = self.sampler.border(x, direction, target, active) * placed.scale
                 end = dr.maximum(dr.select(inside, 0, end), border)
             if placed.holds:
                 valid |= active & inside
                 point = target.distance * placed.scale
-                if placed.shows_model:
+                if placed.shows_geometry:
                     beyond = dr.maximum(point - end, 0)
                 else:
                     end = point

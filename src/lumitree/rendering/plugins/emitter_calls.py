@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter, EmitterSample
-from lumitree.rendering.plugins.model_plugins import ModelEmitter
+from lumitree.rendering.plugins.geometry_plugins import GeometryEmitter
 from lumitree.rendering.sampling.emitter_sampling import Target
 
 
@@ -28,12 +28,12 @@ def hit_light(
         it: the vertex that the ray comes from.
         ds: of both.
         specular_chain, bsdf_pdf, emitter_pmf: as for `DeferredEmitter.eval_entered`.
-        shown: whether the path gets what shapes of the lamp's model emit.
+        shown: whether the path gets what shapes of the lamp's geometry emit.
         active: mask.
 
     Returns:
         Radiance; transmittance of a proxy; density with which emitter sampling gives this
-        direction; whether the surface is a proxy; and whether it belongs to the model of a lamp.
+        direction; whether the surface is a proxy; and whether it belongs to the geometry of a lamp.
     """
     no = mi.Bool(False)
     if isinstance(emitter, DeferredEmitter):
@@ -45,7 +45,7 @@ def hit_light(
             emitter, ray, mi.Float(0), it, specular_chain, bsdf_pdf, emitter_pmf, nowhere, entering
         )
         return *hit, mi.Bool(True), no
-    if isinstance(emitter, ModelEmitter):
+    if isinstance(emitter, GeometryEmitter):
         radiance, pdf = emitter.eval_self_emission(si, it, ds, active & shown)
         return radiance & shown, mi.Float(1), pdf, no, mi.Bool(True)
     pdf = emitter.pdf_direction(it, ds, active)
@@ -116,6 +116,6 @@ def sample_self_emission(
 
 def self_radiance(emitter: mi.Emitter, ds: mi.DirectionSample3f, active: mi.Bool) -> mi.Color3f:
     """Radiance of a sampled point of a lamp's shape."""
-    if isinstance(emitter, ModelEmitter):
+    if isinstance(emitter, GeometryEmitter):
         return emitter.radiance_at(ds, active)
     return mi.Color3f(0)

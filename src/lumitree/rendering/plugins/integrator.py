@@ -15,12 +15,12 @@ Proxies are not traced. The integrator traces the other shapes as a scene of the
 the proxies that a ray enters by itself (`proxies.DividedScene`). Where a scene cannot be divided, a
 ray crosses a proxy as any null surface.
 
-Where images show the model of a lamp, its shapes are in the scene, and each path gets its light
+Where images show the geometry of a lamp, its shapes are in the scene, and each path gets its light
 once. As long as all vertices since the camera are specular or on surfaces of this lamp, the path
-gets what the lamp's shapes emit (`self_emission`). A scattering in a medium of the lamp's model
+gets what the lamp's shapes emit (`self_emission`). A scattering in a medium of the lamp's geometry
 counts as a vertex on the lamp. Vertices elsewhere, inside its box too, get its light field,
 which contains all light that its surfaces scatter: so these surfaces get none of it again.
-After the first vertex that is not specular, the lamp's glass bends no ray (`model_plugins`),
+After the first vertex that is not specular, the lamp's glass bends no ray (`geometry_plugins`),
 and a crossing of it is a null interaction.
 
 `_trace` is the loop. Its blocks are functions of `path_segments` (media and proxies along a ray),
@@ -72,8 +72,8 @@ def integrator_class() -> type:
     """
 
     class LumitreePath(mi.SamplingIntegrator):
-        # Other integrators cannot divide the light of a lamp whose model is in the scene.
-        shows_models = True
+        # Other integrators cannot divide the light of a lamp whose geometry is in the scene.
+        shows_geometry = True
 
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)

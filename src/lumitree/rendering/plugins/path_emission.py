@@ -32,7 +32,7 @@ def add_emission(scene: PathScene, path: PathState, hit: Hit) -> mi.Bool:
         seen &= path.depth > 0
     ds = mi.DirectionSample3f(scene.whole, hit.si, path.si_prev)
     emitter_pmf = dr.select(path.bsdf_delta_prev, 0, scene.emitter_pmf(ds.emitter))
-    light, through, emitter_pdf, on_proxy, on_model = dr.dispatch(
+    light, through, emitter_pdf, on_proxy, on_geometry = dr.dispatch(
         ds.emitter,
         hit_light,
         hit.si,
@@ -45,7 +45,7 @@ def add_emission(scene: PathScene, path: PathState, hit: Hit) -> mi.Bool:
         hit.hit_surface,
     )
     self_pmf = dr.select(path.self_sampled & ~path.bsdf_delta_prev, 1, 0)
-    emitter_pdf *= dr.select(on_model, self_pmf, emitter_pmf)
+    emitter_pdf *= dr.select(on_geometry, self_pmf, emitter_pmf)
     contribution = path.β * mis_weight(path.bsdf_pdf_prev, emitter_pdf) * light
     path.add_light(scene, ds.emitter, contribution, path.specular_chain, seen)
 
@@ -108,7 +108,7 @@ def add_self_emission(
     Returns:
         Where it was sampled.
     """
-    if not scene.shows_models:
+    if not scene.shows_geometry:
         return mi.Bool(False)
     si, bsdf = vertex.si, vertex.bsdf
     shows = vertex.active_surface & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)

@@ -9,7 +9,7 @@ import mitsuba as mi
 
 from lumitree.lamp.media import absorption
 from lumitree.rendering.layers import Unrecorded
-from lumitree.rendering.plugins.model_plugins import ModelEmitter
+from lumitree.rendering.plugins.geometry_plugins import GeometryEmitter
 from lumitree.rendering.plugins.proxies import Divided, is_instance
 from lumitree.trace.spawning import scene_extent
 
@@ -48,7 +48,9 @@ class PathScene:
         self.has_null_surfaces = _has_null_surfaces(divided.surfaces)
         self.has_media = bool(media)
         self.has_scattering = any(absorption(medium) is None for medium in media)
-        self.shows_models = any(isinstance(emitter, ModelEmitter) for emitter in scene.emitters())
+        self.shows_geometry = any(
+            isinstance(emitter, GeometryEmitter) for emitter in scene.emitters()
+        )
         self._sampling_weight = sum(emitter.sampling_weight() for emitter in scene.emitters())
 
     def emitter(self, index: mi.UInt32, active: mi.Bool) -> mi.EmitterPtr:

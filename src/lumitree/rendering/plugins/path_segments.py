@@ -103,7 +103,7 @@ def end_segment(scene: PathScene, path: PathState, free_flight: FreeFlight) -> H
         path.ρ[hit_medium] = densities
     # The lamp that the surface belongs to, and whether the path gets what its shapes emit.
     owner, shown = mi.UInt32(NONE), mi.Bool(path.specular_chain)
-    if scene.shows_models:
+    if scene.shows_geometry:
         owners = scene.divided.owners
         owner = owners.of(si.shape, hit_surface & si.is_valid())
         if owners.scatter:

@@ -125,7 +125,7 @@ class Vertex:
     active_surface: mi.Bool       # On another surface, which scatters
     active_medium: mi.Bool        # In a medium, which scatters
     opaque: mi.Bool               # Whether the surface lets no light through
-    straight: mi.Bool             # Whether it is glass that bends no ray (`model_plugins`)
+    straight: mi.Bool             # Whether it is glass that bends no ray (`geometry_plugins`)
     behind: mi.Bool               # Whether the ray has met this glass from inside
     # fmt: on
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from lumitree.rendering.plugins.model_plugins import CROSSED_STRAIGHT
+from lumitree.rendering.plugins.geometry_plugins import CROSSED_STRAIGHT
 from lumitree.rendering.plugins.path_scene import MAX_CROSSINGS, PathScene
 from lumitree.rendering.plugins.path_state import FreeFlight, Hit, PathState, Scattering, Vertex
 from lumitree.rendering.plugins.proxies import ALL, NONE, bit_of
@@ -31,7 +31,7 @@ def find_vertex(
     active_surface, active_medium = active & ~hit.hit_medium, active & hit.hit_medium
 
     straight, behind = mi.Bool(False), mi.Bool(False)
-    if scene.shows_models:
+    if scene.shows_geometry:
         # Glass that light crosses straight is seen from outside on both sides.
         straight = active_surface & ~path.specular_chain & ((bsdf.flags() & CROSSED_STRAIGHT) != 0)
         behind = straight & (si.wi.z < 0)
@@ -85,7 +85,7 @@ def scatter(
     active = vertex.active_surface | vertex.active_medium
     null = vertex.active_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
     null |= vertex.on_proxy
-    if scene.shows_models:
+    if scene.shows_geometry:
         crossed = vertex.straight & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaTransmission)
         null |= crossed
         # Radiance is not compressed, as it would be in a denser medium.
@@ -105,7 +105,7 @@ def scatter(
     # A ray that goes on behind a proxy, or behind a surface of a lamp, has its light already.
     path.skipped[bounces] = 0
     path.skipped[vertex.on_proxy] = ALL
-    if scene.shows_models:
+    if scene.shows_geometry:
         path.self_emission[bounces] = dr.select(vertex.shown, vertex.owner, NONE)
         path.skipped[bounces | null] |= bit_of(vertex.owner)
     path.depth[bounces] += 1

@@ -17,11 +17,11 @@ from lumitree.rendering.asset_cache import open_asset, open_field
 from lumitree.rendering.sampling.proxy import make_proxy
 from lumitree.rendering.sampling.self_lights import SelfLights
 
-Appearance = Literal["field", "model"]
+Appearance = Literal["field", "geometry"]
 APPEARANCES: tuple[Appearance, ...] = get_args(Appearance)
-# A proxy around a model is larger than its box by this part of the box's longest half-side. Else
+# A proxy around geometry is larger than its box by this part of the box's longest half-side. Else
 # rays that pass the proxy would also pass surfaces that lie in its faces, as of a canopy.
-MODEL_MARGIN = 1e-3
+GEOMETRY_MARGIN = 1e-3
 _OPTIONS = ("gain", "min_density", "max_opacity", "proxy", "sampling", "appearance", "to_world")
 
 
@@ -42,9 +42,9 @@ def plugin_options(props: mi.Properties) -> dict[str, Any]:
     return {"asset": str(mi.file_resolver().resolve(props["filename"])), **options}
 
 
-def shows_model(asset: FieldData, appearance: Appearance) -> bool:
+def shows_geometry(asset: FieldData, appearance: Appearance) -> bool:
     """Whether images show the luminaire itself."""
-    return appearance == "model" and isinstance(asset, Asset) and asset.model is not None
+    return appearance == "geometry" and isinstance(asset, Asset) and asset.geometry is not None
 
 
 class Placed:
@@ -57,10 +57,10 @@ class Placed:
         self.field = open_field(asset, **thresholds)
         self.proxy = make_proxy(options.get("proxy", "box"), asset.frame.half_extents)
         self.sampling = options.get("sampling", "emission")
-        self.shows_model = shows_model(asset, options.get("appearance", "field"))
+        self.shows_geometry = shows_geometry(asset, options.get("appearance", "field"))
         # Whether something else of the scene is in the box, and gets light there.
         self.holds = False
-        # Of the model: what emits, and numbers of the shapes and of the media that scatter
+        # Of the geometry: what emits, and numbers of the shapes and of the media that scatter
         # (`objects.shape_number` and `medium_number`).
         self.self_lights = SelfLights()
         self.own_shapes: list[int] = []
@@ -81,14 +81,14 @@ class Placed:
         Returns:
             [3, 3] and [3], M and c, which take a point p of the scene to M (p - c).
         """
-        margin = MODEL_MARGIN if self.shows_model else 0.0
+        margin = GEOMETRY_MARGIN if self.shows_geometry else 0.0
         side = self._scale * (np.asarray(self.proxy.shape_scale) + margin)
         return self._axes.T / side[:, None], self._origin
 
     @property
     def dims(self) -> bool:
         """Whether its field takes away light of what is behind it."""
-        return not self.shows_model and self.asset.num_leaves > 0
+        return not self.shows_geometry and self.asset.num_leaves > 0
 
     @property
     def shadow_field(self) -> Field:
@@ -96,12 +96,12 @@ class Placed:
         return self.field if self.asset.light_field is None else self.field.coarse
 
     def in_margin(self, point: mi.Point3f) -> mi.Bool:
-        """Whether a point of the local frame is inside the proxy of a model."""
-        return self.in_box(point) if self.shows_model else mi.Bool(False)
+        """Whether a point of the local frame is inside the proxy around its geometry."""
+        return self.in_box(point) if self.shows_geometry else mi.Bool(False)
 
     def in_box(self, point: mi.Point3f) -> mi.Bool:
-        """Whether a point of the local frame is inside the box, with the margin of a model."""
-        margin = MODEL_MARGIN if self.shows_model else 0.0
+        """Whether a point of the local frame is inside the box, with the margin of its geometry."""
+        margin = GEOMETRY_MARGIN if self.shows_geometry else 0.0
         half = mi.Vector3f(*(self.asset.frame.half_extents + margin).tolist())
         return dr.all(dr.abs(point) <= half)
 

@@ -291,7 +291,7 @@ def _light_insides(lamps: list[DeferredEmitter], room: list[mi.Shape]) -> None:
     boxes = np.array([lamp.placed.scene_from_box for lamp in lamps]).reshape(-1, 4, 4)
     holds = holds_objects(room, boxes)
     for pair in overlapping(boxes):
-        if any(lamps[i].placed.shows_model for i in pair):
+        if any(lamps[i].placed.shows_geometry for i in pair):
             holds[pair] = True
     for index in np.flatnonzero(holds):
         lamps[index].light_inside()

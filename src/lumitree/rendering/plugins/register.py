@@ -9,11 +9,11 @@ first three take the same properties:
     min_density, max_opacity    see `lumitree.octree.field.Field`; exact by default
     sampling      "emission" (default), or "uniform" over the proxy
     gain          factor on the emitted light, a number or R, G, B; default 1. The BSDF ignores it
-    appearance    "field" (default), or "model": images show the luminaire itself, if the asset has
-                  it; for the integrator `lumitree_path` only
+    appearance    "field" (default), or "geometry": images show the luminaire itself, if the asset
+                  has it; for the integrator `lumitree_path` only
 
 `lumitree_proxy` is the proxy shape with the emitter and the BSDF attached: what a scene XML names.
-With the appearance "model" it is several shapes: the proxy and those of the luminaire.
+With the appearance "geometry" it is several shapes: the proxy and those of the luminaire.
 L_o = gain · L_e + T · L_i (Eq. 2): the emitter returns gain · L_e, the BSDF T. The gain is
 a differentiable parameter of `mitsuba.traverse`, `<name of the shape>.emitter.gain`.
 """
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 _registered: set[str] = set()
 _TOO_MANY = (
-    "Mitsuba loads this scene in parallel, and creates more lamps with the appearance 'model' "
+    "Mitsuba loads this scene in parallel, and creates more lamps with the appearance 'geometry' "
     "within each other than Python's limit of recursion allows; load it with parallel=False"
 )
 
@@ -93,7 +93,7 @@ def shape(
         max_opacity: rays end at this opacity (the paper: 0.9).
         sampling: of directions: "emission", about in proportion to it, or "uniform" over the proxy.
         gain: [3] factors on the R, G and B of the emitted light, or one number for all; 0 to 10⁶.
-        appearance: what images show. "field": the radiance field. "model": the luminaire itself,
+        appearance: what images show. "field": the radiance field. "geometry": the luminaire itself,
             if the asset has it; only for the integrator `lumitree_path`.
 
     Returns:

@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.rendering.plugins.emitter_calls import entered_transmittance
-from lumitree.rendering.plugins.model_plugins import CROSSED_STRAIGHT
+from lumitree.rendering.plugins.geometry_plugins import CROSSED_STRAIGHT
 from lumitree.rendering.plugins.path_scene import MAX_CROSSINGS, PathScene
 from lumitree.rendering.plugins.proxies import NONE
 from lumitree.trace import medium_paths

@@ -13,7 +13,7 @@ from lumitree.core.frames import similarity_scale
 from lumitree.lamp.media import media_of, scatters
 from lumitree.octree.field import Field
 from lumitree.rendering.asset_cache import file_name, open_asset, open_field
-from lumitree.rendering.model_shapes import model_shapes
+from lumitree.rendering.geometry_shapes import geometry_shapes
 from lumitree.rendering.plugins.objects import (
     load_ordered,
     make_object,
@@ -23,10 +23,10 @@ from lumitree.rendering.plugins.objects import (
 )
 from lumitree.rendering.plugins.placed import (
     APPEARANCES,
-    MODEL_MARGIN,
+    GEOMETRY_MARGIN,
     Appearance,
     Placed,
-    shows_model,
+    shows_geometry,
 )
 from lumitree.rendering.sampling.emitter_sampling import SAMPLING_KINDS, Sampling
 from lumitree.rendering.sampling.proxy import PROXY_KINDS, ProxyKind, make_proxy
@@ -70,7 +70,7 @@ def describe_proxy(
         "sampling": sampling,
         "appearance": appearance,
     }
-    if shows_model(opened, appearance):
+    if shows_geometry(opened, appearance):
         # One dictionary cannot describe several shapes; the plugin calls `make_shapes`.
         description = _Shape(type="lumitree_proxy", gain=list(factors), **options)
     else:
@@ -80,9 +80,9 @@ def describe_proxy(
 
 
 def make_shapes(name: str, **options: Any) -> Any:
-    """The mi.Shape of a proxy; or the shapes of a model and its proxy, as one that holds them.
+    """The mi.Shape of a proxy; or the shapes of the geometry and its proxy, as one that holds them.
 
-    The ids of a model's shapes begin with `name`, which is that of its proxy.
+    The ids of the geometry's shapes begin with `name`, which is that of its proxy.
     """
     description = describe_proxy(**options)
     if description["type"] != "lumitree_proxy":
@@ -95,18 +95,18 @@ def make_shapes(name: str, **options: Any) -> Any:
             placed.asset,
             matrix,
             properties["proxy"],
-            MODEL_MARGIN,
+            GEOMETRY_MARGIN,
             description["gain"],
             properties,
         )
     )
     # The plugin `merge` expands into the shapes that it is given.
-    assert placed.asset.model is not None
-    shapes = model_shapes(placed.asset.model, matrix, proxy.emitter())
+    assert placed.asset.geometry is not None
+    shapes = geometry_shapes(placed.asset.geometry, matrix, proxy.emitter())
     own = proxy.emitter().placed
     own.own_shapes += map(shape_number, shapes)
     own.own_media += {medium_number(each) for each in media_of(shapes) if scatters(each)}
-    together = {f"model_{index}": shape for index, shape in enumerate(shapes)}
+    together = {f"geometry_{index}": shape for index, shape in enumerate(shapes)}
     proxy.set_id(name)
     for key, shape in together.items():
         shape.set_id(f"{name}_{key}")

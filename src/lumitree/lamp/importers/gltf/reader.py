@@ -27,10 +27,10 @@ from lumitree.lamp.importers.mesh_normals import turned_with_normals
 from lumitree.lamp.importers.topology import Pieces, faces_to_turn, is_solid, weld
 from lumitree.lamp.meshes import Floats, Mesh
 from lumitree.lamp.names import Names
-from lumitree.lamp.parts import Material, Model, Part, check_shapes
+from lumitree.lamp.parts import Geometry, Material, Part, check_shapes
 
 
-def read_gltf(path: str | os.PathLike[str], *, variant: str | None = None) -> Model:
+def read_gltf(path: str | os.PathLike[str], *, variant: str | None = None) -> Geometry:
     """A lamp from a `.gltf` or `.glb` file.
 
     What Mitsuba cannot represent is approximated, with one LumitreeWarning for each material and
@@ -66,7 +66,7 @@ class _Reader:
         self._light_materials: list[Material] = []
         self._triangles = self._shapes = self._instances = 0
 
-    def read(self) -> Model:
+    def read(self) -> Geometry:
         if unknown := self._document.unknown_extensions:
             self._notes.file(f"extension {shown_names(unknown)}")
         if self._document.root.items("animations"):
@@ -89,7 +89,7 @@ class _Reader:
             self._mesh(index, nodes)
         if not self._parts:
             raise LumitreeError(f"{self._document.name} holds no triangles in its scene")
-        return Model(tuple(self._parts), (*self._materials.all, *self._light_materials))
+        return Geometry(tuple(self._parts), (*self._materials.all, *self._light_materials))
 
     def _light(self, node: Node, index: int) -> None:
         if index >= len(self._lights):

@@ -16,13 +16,13 @@ from lumitree.lamp.importers.obj.parse import ObjFile, parse_obj
 from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.names import Names
-from lumitree.lamp.parts import RGB, Material, Model, Part
+from lumitree.lamp.parts import RGB, Geometry, Material, Part
 
 _UNNAMED = "default"
 _MAX_NAME = 60
 
 
-def read_obj(path: str | os.PathLike[str]) -> Model:
+def read_obj(path: str | os.PathLike[str]) -> Geometry:
     """Read a Wavefront OBJ model: one part for each material, in the file's frame and unit.
 
     Raises:
@@ -54,7 +54,7 @@ def read_obj(path: str | os.PathLike[str]) -> Model:
         colours = None if mesh.colours is None or factor is None else mesh.colours * factor
         materials.append(made)
         parts.append(Part(name, dataclasses.replace(mesh, colours=colours), title))
-    return Model(tuple(parts), tuple(materials))
+    return Geometry(tuple(parts), tuple(materials))
 
 
 def _material(

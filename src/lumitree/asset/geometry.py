@@ -1,4 +1,4 @@
-"""The model of an asset: the luminaire itself, which images show in place of the field.
+"""The geometry of an asset: the luminaire itself, which images show in place of the field.
 
 It is plain data. Meshes and images are arrays; shapes and materials are JSON objects whose members
 are checked one by one (`asset.materials`). Nothing in it names a file or is executed.
@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.checks import expect, expect_arrays, naming, require
+from lumitree.asset.geometry_media import MEDIA_SIDES, check_medium
 from lumitree.asset.materials import check_material, check_radiance
-from lumitree.asset.model_media import MEDIA_SIDES, check_medium
 from lumitree.asset.textures import (
     VERTEX_RANGE,
     ImageFacts,
@@ -31,14 +31,14 @@ from lumitree.core.frames import LocalFrame, similarity
 from lumitree.core.reading import Record
 from lumitree.errors import LumitreeError, shown
 
-_WHAT = "model"
+_WHAT = "geometry"
 _expect = functools.partial(expect, _WHAT)
 MAX_SHAPES, MAX_MATERIALS, MAX_IMAGES = 5000, 5000, 1000
 MAX_IMAGE_SIDE = 16384
 # Bytes of all images together.
 MAX_IMAGE_BYTES = 5 << 28
 _MAX_COORDINATE = 1e15
-# How far the model may be outside the luminaire's box, local units: rounding alone.
+# How far the geometry may be outside the luminaire's box, local units: rounding alone.
 _OUTSIDE = 1e-4
 # Shapes without a mesh: each is the plugin's unit shape, moved by `to_world`.
 _ANALYTIC = ("sphere", "disk", "cylinder", "rectangle")
@@ -48,7 +48,7 @@ NO_ORIGIN = (0.0, 0.0, 0.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class AssetModel:
+class AssetGeometry:
     """Shapes, materials and images of a luminaire, in the axes and unit of its file.
 
     Attributes:
@@ -63,7 +63,7 @@ class AssetModel:
             a colour or a texture, W/(m² sr). A "mesh" has the counts `vertices` and `faces`, and
             `normals`, `texcoords` and `colours`, whether it has these. A "sphere", "disk",
             "cylinder" or "rectangle" has `to_world` [4][4]. A shape between media has `interior` or
-            `exterior`, the medium behind or before it, see `asset.model_media`.
+            `exterior`, the medium behind or before it, see `asset.geometry_media`.
         materials: JSON objects, see `asset.materials`.
         origin: [3] origin of the coordinates of vertices and of `to_world`, in the frame of the
             luminaire's file; see `Luminaire.origin`.
@@ -89,14 +89,14 @@ class AssetModel:
         _expect(0 < len(self.materials) <= MAX_MATERIALS, f"{len(self.materials)} materials")
         _expect(0 < len(self.shapes) <= MAX_SHAPES, f"{len(self.shapes)} shapes")
         for index, material in enumerate(self.materials):
-            with naming(lambda index=index: f"invalid model: material {_used(index, self)}"):
+            with naming(lambda index=index: f"invalid geometry: material {_used(index, self)}"):
                 check_material(material, facts)
         for index, shape in enumerate(self.shapes):
-            with naming(lambda index=index: f"invalid model: shape {index}"):
+            with naming(lambda index=index: f"invalid geometry: shape {index}"):
                 _check_shape(shape, len(self.materials), facts)
         _check_arrays(self)
         for index, (shape, mesh) in enumerate(zip(self.shapes, self.meshes(), strict=True)):
-            with naming(lambda index=index: f"invalid model: shape {index}"):
+            with naming(lambda index=index: f"invalid geometry: shape {index}"):
                 check_surface(
                     self.materials[shape["material"]], shape["radiance"], mesh or {}, facts
                 )
@@ -107,13 +107,13 @@ class AssetModel:
 
     def __repr__(self) -> str:
         return (
-            f"AssetModel({len(self.shapes):,} shapes, {self.num_triangles:,} triangles, "
+            f"AssetGeometry({len(self.shapes):,} shapes, {self.num_triangles:,} triangles, "
             f"{len(self.materials):,} materials, {len(self.images):,} images, "
             f"{self.num_bytes:,} bytes)"
         )
 
     @property
-    def file_from_model(self) -> NDArray[np.float64]:
+    def file_from_geometry(self) -> NDArray[np.float64]:
         """[4, 4] translation from its coordinates to the frame of the luminaire's file."""
         return similarity(np.eye(3), 1.0, self.origin)
 
@@ -151,7 +151,7 @@ class AssetModel:
         return found
 
     def check_inside(self, frame: LocalFrame) -> None:
-        """Refuse a model of which a part is outside the luminaire's box."""
+        """Refuse geometry of which a part is outside the luminaire's box."""
         for index, (shape, mesh) in enumerate(zip(self.shapes, self.meshes(), strict=True)):
             points = _bounds(shape) if mesh is None else mesh["vertices"].astype(np.float64)
             # The differences of far points are taken first, as they are exact.
@@ -189,7 +189,7 @@ def check_surface(
     Args:
         material, radiance: that `asset.materials` accepts.
         mesh: arrays of the shape by the names of `ARRAYS`, without those that it lacks.
-        images: of the model.
+        images: of the geometry.
     """
     used = [material, radiance]
     if uses_vertex_colours(used):
@@ -209,13 +209,13 @@ def check_surface(
         check_coordinates(texture, images, largest)
 
 
-def _used(index: int, model: AssetModel) -> str:
+def _used(index: int, geometry: AssetGeometry) -> str:
     """A material by its index, its plugin and the first shape that has it, for messages."""
-    material = model.materials[index]
+    material = geometry.materials[index]
     kind = material.get("type") if isinstance(material, dict) else None
     found = (
         number
-        for number, shape in enumerate(model.shapes)
+        for number, shape in enumerate(geometry.shapes)
         if isinstance(shape, dict) and shape.get("material") == index
     )
     first = next(found, None)
@@ -271,25 +271,25 @@ def _check_images(images: tuple[NDArray[Any], ...]) -> None:
         )
 
 
-def _check_arrays(model: AssetModel) -> None:
+def _check_arrays(geometry: AssetGeometry) -> None:
     counts = dict.fromkeys(ARRAYS, 0)
-    for shape in model.shapes:
+    for shape in geometry.shapes:
         if shape["type"] == "mesh":
             for name, count in _counts(shape).items():
                 counts[name] += count
     expect_arrays(
         _WHAT,
         {
-            name: (getattr(model, name), dtype, (counts[name], width))
+            name: (getattr(geometry, name), dtype, (counts[name], width))
             for name, (dtype, width) in ARRAYS.items()
         },
     )
     for name in ("vertices", "normals", "texcoords", "colours"):
         _expect(
-            (np.abs(getattr(model, name)) <= _MAX_COORDINATE).all(),
+            (np.abs(getattr(geometry, name)) <= _MAX_COORDINATE).all(),
             f"{name} hold NaN or values above {_MAX_COORDINATE:g}",
         )
-    for index, (shape, mesh) in enumerate(zip(model.shapes, model.meshes(), strict=True)):
+    for index, (shape, mesh) in enumerate(zip(geometry.shapes, geometry.meshes(), strict=True)):
         if mesh is not None:
             known = mesh["faces"].max() < shape["vertices"]
             _expect(known, f"shape {index}: a face has an unknown vertex")

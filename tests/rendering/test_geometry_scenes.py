@@ -1,4 +1,4 @@
-"""How the model of an asset comes into an asset, and from there into scenes."""
+"""How the geometry of an asset comes into an asset, and from there into scenes."""
 
 import dataclasses
 import json
@@ -12,11 +12,11 @@ from lumitree.cli import main
 from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.loading import load_luminaire
-from lumitree.lamp.stored_model import stored_model
+from lumitree.lamp.stored_geometry import stored_geometry
 from support import tiny_bakes
 from support.fields import random_asset
+from support.geometry_assets import small_geometry, with_geometry
 from support.lamps import AREA, GLASS, cube, scene, sphere
-from support.model_assets import small_model, with_model
 from support.tiny_bakes import standard
 
 FEW = {"estimate": {"rays": 1 << 17, "growth_rays": 1 << 16}, "rays": 1 << 14}
@@ -32,7 +32,7 @@ ROOM = """<scene version="3.0.0"><integrator type="{integrator}"/>
 <film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>
 </sensor><shape type="rectangle"><transform name="to_world"><translate z="-3"/></transform></shape>
 {lamp}</scene>"""
-MODEL = '<shape type="lumitree_proxy"><string name="filename" value="lamp.lumitree"/>{}</shape>'
+GEOMETRY = '<shape type="lumitree_proxy"><string name="filename" value="lamp.lumitree"/>{}</shape>'
 
 
 @pytest.fixture(autouse=True)
@@ -45,61 +45,61 @@ def folder(mi, tmp_path, monkeypatch):
 
 
 def bar(frame=None):
-    """An asset with the model of the lamp and some light."""
+    """An asset with the geometry of the lamp and some light."""
     lamp = load_luminaire("lamp.xml")
-    return with_model(stored_model(lamp), lamp.frame)
+    return with_geometry(stored_geometry(lamp), lamp.frame)
 
 
 def test_parts_of_a_bake(capsys):
-    baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light", "model"]))
-    assert baked.asset.parts == ("light", "model")
-    assert baked.asset.model.num_triangles == 12
+    baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light", "geometry"]))
+    assert baked.asset.parts == ("light", "geometry")
+    assert baked.asset.geometry.num_triangles == 12
     assert main(["info", "lamp.lumitree"]) == 0
     shown = " ".join(capsys.readouterr().out.split())
-    assert "light, model" in shown
-    assert main(["bake", "lamp.xml", "-o", "all.lumitree", "--parts", "light,field,model"]) == 0
+    assert "light, geometry" in shown
+    assert main(["bake", "lamp.xml", "-o", "all.lumitree", "--parts", "light,field,geometry"]) == 0
     every = lumitree.load("all.lumitree")
-    assert every.parts == ("light", "field", "model")
-    assert lumitree.bake("lamp.xml").asset.info.appearance == "model"
+    assert every.parts == ("light", "field", "geometry")
+    assert lumitree.bake("lamp.xml").asset.info.appearance == "geometry"
     refined = lumitree.refine(every, "lamp.xml", rays=1 << 14)
-    assert refined.asset.model is every.model
+    assert refined.asset.geometry is every.geometry
 
 
 def test_a_luminaire_that_cannot_be_stored_keeps_its_field():
-    with pytest.warns(LumitreeWarning, match=r"no model: .*RayleighPhaseFunction is not"):
+    with pytest.warns(LumitreeWarning, match=r"no geometry: .*RayleighPhaseFunction is not"):
         baked = lumitree.bake("haze.xml", config=standard(irradiance_paths=0))
     assert baked.asset.parts == ("light", "field")
-    with pytest.raises(LumitreeError, match=r"part model cannot be made: .*Rayleigh"):
-        lumitree.bake("haze.xml", config=standard(parts=["light", "model"]))
+    with pytest.raises(LumitreeError, match=r"part geometry cannot be made: .*Rayleigh"):
+        lumitree.bake("haze.xml", config=standard(parts=["light", "geometry"]))
 
 
-def test_a_model_alone_is_refused_before_any_work():
-    with pytest.raises(LumitreeError, match="parts are model; expected light, field or both"):
-        lumitree.bake("lamp.xml", config=standard(parts=["model"]))
+def test_geometry_alone_is_refused_before_any_work():
+    with pytest.raises(LumitreeError, match="parts are geometry; expected light, field or both"):
+        lumitree.bake("lamp.xml", config=standard(parts=["geometry"]))
 
 
 def test_one_dictionary_and_one_element_expand_into_all_shapes(mi):
     asset = bar()
-    described = lumitree.shape(asset, appearance="model")
+    described = lumitree.shape(asset, appearance="geometry")
     loaded = mi.load_dict({"type": "scene", "lamp": described})
-    assert len(loaded.shapes()) == 1 + len(asset.model.shapes)
+    assert len(loaded.shapes()) == 1 + len(asset.geometry.shapes)
     save(asset, "lamp.lumitree")
-    appearance = '<string name="appearance" value="model"/>'
-    for lamp, count in ((MODEL.format(appearance), 3), (MODEL.format(""), 1)):
+    appearance = '<string name="appearance" value="geometry"/>'
+    for lamp, count in ((GEOMETRY.format(appearance), 3), (GEOMETRY.format(""), 1)):
         loaded = mi.load_string(f'<scene version="3.0.0"><path value="."/>{lamp}</scene>')
         assert len(loaded.shapes()) == count
-    with pytest.raises(LumitreeError, match="appearance is 'x'; expected field, model"):
+    with pytest.raises(LumitreeError, match="appearance is 'x'; expected field, geometry"):
         lumitree.shape(asset, appearance="x")
 
 
-def test_an_asset_without_a_model_shows_its_field(mi):
-    described = lumitree.shape(random_asset(0), appearance="model")
+def test_an_asset_without_geometry_shows_its_field(mi):
+    described = lumitree.shape(random_asset(0), appearance="geometry")
     assert len(mi.load_dict({"type": "scene", "lamp": described}).shapes()) == 1
 
 
 def test_every_kind_of_shape_and_material_can_be_placed(mi):
-    asset = with_model(small_model(), LocalFrame(np.ones(3), np.eye(4)))
-    loaded = mi.load_dict({"type": "scene", "lamp": lumitree.shape(asset, appearance="model")})
+    asset = with_geometry(small_geometry(), LocalFrame(np.ones(3), np.eye(4)))
+    loaded = mi.load_dict({"type": "scene", "lamp": lumitree.shape(asset, appearance="geometry")})
     sensor = {"type": "perspective", "to_world": mi.ScalarTransform4f().translate([0, 0, -4])}
     sensor["film"] = {"type": "hdrfilm", "width": 16, "height": 16}
     integrator = mi.load_dict({"type": "lumitree_path"})
@@ -111,7 +111,7 @@ def test_every_kind_of_shape_and_material_can_be_placed(mi):
 @pytest.mark.parametrize(
     ("integrator", "shows"), [("path", True), ("lumitree_path", True), ("volpath", False)]
 )
-def test_render_shows_the_model_where_the_integrator_can(monkeypatch, integrator, shows):
+def test_render_shows_the_geometry_where_the_integrator_can(monkeypatch, integrator, shows):
     from lumitree.rendering import scene as scenes
 
     placed = []
@@ -138,10 +138,10 @@ def test_a_camera_inside_a_lamp_is_no_fault(mi, recwarn):
 
     film = {"type": "hdrfilm", "width": 4, "height": 4}
     room = mi.load_dict({"type": "scene", "sensor": {"type": "perspective", "film": film}})
-    for appearance in ("model", "field"):
+    for appearance in ("geometry", "field"):
         place_luminaires(room, [PlacedLuminaire(Placement(bar()))], appearance=appearance)
     assert not [each for each in recwarn if issubclass(each.category, LumitreeWarning)]
 
 
 def test_parts_are_plain_data():
-    assert dataclasses.asdict(bar().info)["parts"] == ("light", "model")
+    assert dataclasses.asdict(bar().info)["parts"] == ("light", "geometry")

@@ -1,4 +1,4 @@
-"""The emitter and the glass of a lamp's own shapes, where an image shows the model of an asset.
+"""The emitter and the glass of a lamp's own shapes, where an image shows the geometry of an asset.
 
 The light of a lamp reaches a scene from its light field. Its shapes therefore emit only
 where a path shows the lamp, and next-event estimation of the scene does not sample them. Where a
@@ -27,8 +27,8 @@ CROSSED_STRAIGHT = 1 << 24
 
 
 @runtime_checkable
-class ModelEmitter(Protocol):
-    """Emitter of a shape of a lamp's model, which `lumitree_path` evaluates."""
+class GeometryEmitter(Protocol):
+    """Emitter of a shape of a lamp's geometry, which `lumitree_path` evaluates."""
 
     def eval_self_emission(
         self,
@@ -56,10 +56,10 @@ class ModelEmitter(Protocol):
         ...
 
 
-def model_emitter_class() -> type:
+def geometry_emitter_class() -> type:
     """Class of the emitter for the variant of Mitsuba that is set, whose base class it extends."""
 
-    class LumitreeModelEmitter(mi.Emitter):
+    class LumitreeGeometryEmitter(mi.Emitter):
         def __init__(
             self,
             lamp: Any,
@@ -75,7 +75,7 @@ def model_emitter_class() -> type:
                 radiance: what the front of the surface emits; None for nothing.
                 index: of the shape in `lights`, if it emits.
             """
-            super().__init__(make_properties("lumitree_model", {"sampling_weight": 0.0}))
+            super().__init__(make_properties("lumitree_geometry", {"sampling_weight": 0.0}))
             self._lamp, self._lights = lamp, lights
             self._gain = parameter(mi.Color3f, *lamp.placed.asset.gain)
             self._radiance, self._index = radiance, index
@@ -117,15 +117,15 @@ def model_emitter_class() -> type:
             return dr.zeros(mi.Ray3f), mi.Color3f(0)
 
         def to_string(self) -> str:
-            return "LumitreeModelEmitter[]"
+            return "LumitreeGeometryEmitter[]"
 
-    return LumitreeModelEmitter
+    return LumitreeGeometryEmitter
 
 
-def model_glass_class() -> type:
+def geometry_glass_class() -> type:
     """Class of the glass for the variant of Mitsuba that is set, whose base class it extends."""
 
-    class LumitreeModelGlass(delta_bsdf_class()):
+    class LumitreeGeometryGlass(delta_bsdf_class()):
         def __init__(self, glass: mi.BSDF) -> None:
             """A smooth dielectric that light may also cross straight.
 
@@ -154,6 +154,6 @@ def model_glass_class() -> type:
             return mi.Color3f(weight * dr.square(bs.eta)) & active
 
         def to_string(self) -> str:
-            return f"LumitreeModelGlass[{self._glass}]"
+            return f"LumitreeGeometryGlass[{self._glass}]"
 
-    return LumitreeModelGlass
+    return LumitreeGeometryGlass

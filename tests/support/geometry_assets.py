@@ -1,16 +1,16 @@
-"""Small models of assets that several tests share."""
+"""Small geometries of assets that several tests share."""
 
 import numpy as np
 
 from lumitree.asset.asset import Asset, light_field_asset
-from lumitree.asset.model import AssetModel
+from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.frames import LocalFrame
 from support.light_fields import random_light_field
 
 IDENTITY = np.eye(4).tolist()
 
 
-def small_model(**changes) -> AssetModel:
+def small_geometry(**changes) -> AssetGeometry:
     """A textured tetrahedron with colours of vertices, an emissive one and an emissive sphere."""
     random = np.random.default_rng(2)
     texture = {
@@ -58,11 +58,11 @@ def small_model(**changes) -> AssetModel:
         ),
         **changes,
     }
-    return AssetModel(**members)
+    return AssetGeometry(**members)
 
 
-def with_model(model: AssetModel, frame: LocalFrame | None = None) -> Asset:
-    """An asset of a model and a random light field."""
+def with_geometry(geometry: AssetGeometry, frame: LocalFrame | None = None) -> Asset:
+    """An asset of geometry and a random light field."""
     frame = LocalFrame(np.ones(3), np.eye(4)) if frame is None else frame
     asset = light_field_asset(random_light_field(0), frame, "test")
-    return Asset(**{**vars(asset), "model": model})
+    return Asset(**{**vars(asset), "geometry": geometry})

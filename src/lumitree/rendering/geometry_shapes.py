@@ -1,4 +1,4 @@
-"""The shapes of an asset's model in a scene."""
+"""The shapes of an asset's geometry in a scene."""
 
 from __future__ import annotations
 
@@ -9,53 +9,58 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.geometry import AssetGeometry
+from lumitree.asset.geometry_media import MEDIA_SIDES, scattering_sides, side_medium
 from lumitree.asset.materials import is_specular
-from lumitree.asset.model import AssetModel
-from lumitree.asset.model_media import MEDIA_SIDES, model_medium, scattering_sides
 from lumitree.asset.textures import VERTEX_COLOUR, Json
 from lumitree.core.device import on_device
 from lumitree.core.frames import similarity_scale
-from lumitree.rendering.model_materials import Materials
-from lumitree.rendering.plugins.model_plugins import model_emitter_class, model_glass_class
+from lumitree.rendering.geometry_materials import Materials
+from lumitree.rendering.plugins.geometry_plugins import geometry_emitter_class, geometry_glass_class
 from lumitree.rendering.plugins.objects import make_object, make_properties
 
-_SURFACES: weakref.WeakKeyDictionary[AssetModel, dict[str, _Surfaces]] = weakref.WeakKeyDictionary()
+_SURFACES: weakref.WeakKeyDictionary[AssetGeometry, dict[str, _Surfaces]] = (
+    weakref.WeakKeyDictionary()
+)
 
 
-def model_shapes(
-    model: AssetModel, scene_from_world: NDArray[np.float64], lamp: Any
+def geometry_shapes(
+    geometry: AssetGeometry, scene_from_world: NDArray[np.float64], lamp: Any
 ) -> list[mi.Shape]:
-    """The shapes of a model.
+    """The shapes of an asset's geometry.
 
     Args:
-        model: what to place.
+        geometry: what to place.
         scene_from_world: [4, 4] similarity, from the frame of the luminaire's file to the scene.
         lamp: emitter `lumitree` of the proxy, whose gain applies to the shapes too, and whose
             `self_lights` are made.
     """
-    builder = _Builder(model, scene_from_world, lamp)
+    builder = _Builder(geometry, scene_from_world, lamp)
     shapes = [
-        builder.shape(shape, mesh) for shape, mesh in zip(model.shapes, model.meshes(), strict=True)
+        builder.shape(shape, mesh)
+        for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True)
     ]
     builder.complete()
     return shapes
 
 
 class _Builder:
-    def __init__(self, model: AssetModel, scene_from_world: NDArray[np.float64], lamp: Any) -> None:
-        self._model, self._lamp = model, lamp
-        # From the coordinates of the model, in double precision: they may be far from the file's.
-        self._matrix = scene_from_world @ model.file_from_model
+    def __init__(
+        self, geometry: AssetGeometry, scene_from_world: NDArray[np.float64], lamp: Any
+    ) -> None:
+        self._geometry, self._lamp = geometry, lamp
+        # From the geometry's coordinates, in double precision: they may be far from the file's.
+        self._matrix = scene_from_world @ geometry.file_from_geometry
         self._lights, self._emitting = lamp.placed.self_lights, []
         # By their descriptions: all shapes of one medium share an object.
         self._media: dict[str, Any] = {}
         self._scale = similarity_scale(scene_from_world, "to_world")
-        self._emitter = model_emitter_class()
-        self._surfaces = _surfaces(model)
+        self._emitter = geometry_emitter_class()
+        self._surfaces = _surfaces(geometry)
 
     def shape(self, shape: Json, mesh: dict[str, NDArray[Any]] | None) -> mi.Shape:
-        """A shape of the model, with its BSDF and its emitter."""
-        material = self._model.materials[shape["material"]]
+        """A shape of the geometry, with its BSDF and its emitter."""
+        material = self._geometry.materials[shape["material"]]
         radiance = shape["radiance"]
         bsdf = self._surfaces.bsdf(shape)
         values = {"flip_normals": shape["flipped"], "bsdf": bsdf}
@@ -99,7 +104,7 @@ class _Builder:
         if len(mesh["texcoords"]):
             placed["vertex_texcoords"] = mesh["texcoords"]
         shape = mi.Mesh(
-            "model",
+            "geometry",
             len(mesh["vertices"]),
             len(mesh["faces"]),
             has_vertex_normals="vertex_normals" in placed,
@@ -118,7 +123,7 @@ class _Builder:
         """The medium of a side of a shape, whose coefficients are per unit of the file."""
         key = repr(described)
         if key not in self._media:
-            absorption, scattering, anisotropy = model_medium(described)
+            absorption, scattering, anisotropy = side_medium(described)
             extinction = absorption + scattering
             densest = max(*extinction, 1e-30)
             albedo = scattering / np.maximum(extinction, 1e-30)
@@ -135,26 +140,26 @@ class _Builder:
         return self._media[key]
 
 
-def _surfaces(model: AssetModel) -> _Surfaces:
-    """BSDFs and textures of a model, made on first use."""
-    known, variant = _SURFACES.setdefault(model, {}), str(mi.variant())
+def _surfaces(geometry: AssetGeometry) -> _Surfaces:
+    """BSDFs and textures of an asset's geometry, made on first use."""
+    known, variant = _SURFACES.setdefault(geometry, {}), str(mi.variant())
     if variant not in known:
         # Mitsuba creates plugins in parallel: of two, the first is kept.
-        return known.setdefault(variant, _Surfaces(model))
+        return known.setdefault(variant, _Surfaces(geometry))
     return known[variant]
 
 
 class _Surfaces:
-    """The BSDFs and textures of a model, which its instances share."""
+    """The BSDFs and textures of an asset's geometry, which its instances share."""
 
-    def __init__(self, model: AssetModel) -> None:
-        self._materials, self._glass = Materials(model.images), model_glass_class()
-        self._kinds = [material["type"] for material in model.materials]
-        self._bsdfs = [self._materials.bsdf(material) for material in model.materials]
+    def __init__(self, geometry: AssetGeometry) -> None:
+        self._materials, self._glass = Materials(geometry.images), geometry_glass_class()
+        self._kinds = [material["type"] for material in geometry.materials]
+        self._bsdfs = [self._materials.bsdf(material) for material in geometry.materials]
         self._crossed = list(map(self._top, self._kinds, self._bsdfs))
 
     def bsdf(self, shape: Json) -> mi.BSDF:
-        """The BSDF of a shape of the model.
+        """The BSDF of a shape of the geometry.
 
         Glass around a medium that scatters is not crossed straight: light that scatters in it
         leaves it by refraction, or is reflected back totally.

@@ -1,4 +1,4 @@
-"""Homogeneous media of a model: three numbers, or an object if they scatter light.
+"""Homogeneous media of an asset's geometry: three numbers, or an object if they scatter light.
 
 A medium that only absorbs is its absorption [3]. One that scatters is an object with exactly the
 keys `absorption` [3], `scattering` [3] and `anisotropy`, the mean cosine of the scattering angle
@@ -24,8 +24,8 @@ _MAX_COEFFICIENT = 1e15
 MAX_ANISOTROPY = 0.999
 
 
-class ModelMedium(NamedTuple):
-    """A medium of a model.
+class SideMedium(NamedTuple):
+    """The medium on one side of a shape.
 
     Attributes:
         absorption, scattering: float64 [3], per unit of length of the luminaire's file.
@@ -37,16 +37,16 @@ class ModelMedium(NamedTuple):
     anisotropy: float
 
 
-def model_medium(value: Any) -> ModelMedium:
+def side_medium(value: Any) -> SideMedium:
     """The medium that a member `interior` or `exterior` of a shape describes."""
     if not isinstance(value, dict):
-        return ModelMedium(np.array(value, np.float64), np.zeros(3), 0.0)
+        return SideMedium(np.array(value, np.float64), np.zeros(3), 0.0)
     absorption, scattering = (np.array(value[key], np.float64) for key in _KEYS[:2])
-    return ModelMedium(absorption, scattering, float(value["anisotropy"]))
+    return SideMedium(absorption, scattering, float(value["anisotropy"]))
 
 
-def described_medium(medium: ModelMedium) -> Any:
-    """The member of a shape for a medium; the inverse of `model_medium`."""
+def described_medium(medium: SideMedium) -> Any:
+    """The member of a shape for a medium; the inverse of `side_medium`."""
     absorption, scattering, anisotropy = medium
     if not scattering.any():
         return absorption.tolist()

@@ -1,10 +1,10 @@
-"""Lamps of opal glass shown by their models, against the explicit lamps."""
+"""Lamps of opal glass shown by their geometries, against the explicit lamps."""
 
 import dataclasses
 
 import numpy as np
 import pytest
-from test_model_appearance import (
+from test_geometry_appearance import (
     GREY,
     PASSES,
     ROUGH,
@@ -18,11 +18,11 @@ from test_model_appearance import (
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.model_media import scattering_sides
+from lumitree.asset.geometry_media import scattering_sides
 from lumitree.core.frames import rotation, similarity
 from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.lamp.loading import load_luminaire
-from lumitree.lamp.stored_model import stored_model
+from lumitree.lamp.stored_geometry import stored_geometry
 from support import tiny_bakes
 from support.lamps import GLASS, cube, scene, sphere
 
@@ -73,7 +73,7 @@ LAMPS = {
 
 @pytest.fixture(scope="module")
 def make(mi, tmp_path_factory):
-    """A function: the luminaire of a scene's text, and its asset with a model."""
+    """A function: the luminaire of a scene's text, and its asset with geometry."""
     folder = tmp_path_factory.mktemp("lamps")
     known = {}
 
@@ -85,13 +85,13 @@ def make(mi, tmp_path_factory):
             config = dataclasses.replace(tiny_bakes.LIGHT_FIELD, paths=1 << 18, batch=1 << 18)
             light_field = bake_light_field(lamp, config, tmp_path_factory.mktemp("state"))
             asset = light_field_asset(light_field, lamp.frame, lamp.name)
-            known[text] = lamp, dataclasses.replace(asset, model=stored_model(lamp))
+            known[text] = lamp, dataclasses.replace(asset, geometry=stored_geometry(lamp))
         return known[text]
 
     return made
 
 
-def baked(asset, place=PLACE, appearance="model"):
+def baked(asset, place=PLACE, appearance="geometry"):
     return {"lamp": lumitree.shape(asset, place, appearance=appearance)}
 
 
@@ -104,7 +104,7 @@ def seen_alone():
 def test_opal_glass_is_seen_as_it_is(make, name):
     """Pixel by pixel and as a whole: by what the lamp's shapes emit, and by nothing else."""
     lamp, asset = make(LAMPS[name])
-    assert any(map(scattering_sides, asset.model.shapes))
+    assert any(map(scattering_sides, asset.geometry.shapes))
     ours = passes(seen_alone() | baked(asset), spp=1024, **DEEP)
     theirs = passes(seen_alone() | explicit(lamp), spp=1024, seed=500, **DEEP)
     assert theirs.mean() > 0.1
@@ -147,7 +147,7 @@ def test_light_that_scatters_in_the_lamp_is_shown_at_any_depth(make):
 
 @pytest.mark.parametrize("name", ["smooth", "frosted and hollow"])
 def test_direct_light_is_the_light_field_once(make, name):
-    """A floor gets the same with the model as with the field: nothing is added by the shapes."""
+    """A floor gets the same with the geometry as with the field: nothing is added by the shapes."""
     _, asset = make(LAMPS[name])
     sensor = camera([0.9, 1.2, 2.4], [0.4, 0, 1.2], 25)
     objects = {"sensor": sensor, "floor": floor({"type": "diffuse"})}
@@ -196,7 +196,7 @@ def test_a_medium_gets_the_own_light_of_its_lamp_alone(make):
     objects = {
         "sensor": camera([0.3, 1.2, 1.9], [0.1, 0.6, 0], 50),
         "floor": floor({"type": "diffuse"}),
-        "other": lumitree.shape(asset, above, appearance="model"),
+        "other": lumitree.shape(asset, above, appearance="geometry"),
     }
     ours = passes(objects | baked(dark_asset, below), spp=2048, **DEEP)
     theirs = passes(objects | explicit(dark, below), spp=2048, seed=500, **DEEP)

@@ -1,4 +1,4 @@
-"""The materials of an asset's model as BSDFs of Mitsuba."""
+"""The materials of an asset's geometry as BSDFs of Mitsuba."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Materials:
     """Makes BSDFs; equal textures are made once."""
 
     def __init__(self, images: Sequence[NDArray[Any]]) -> None:
-        """Materials whose textures are of these images, see `AssetModel.images`."""
+        """Materials whose textures are of these images, see `AssetGeometry.images`."""
         self._images = images
         self._textures: dict[str, Any] = {}
 

@@ -1,4 +1,4 @@
-"""The model of an asset in images: against the explicit lamp, and what it must not change."""
+"""The geometry of an asset in images: against the explicit lamp, and what it must not change."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from lumitree.asset.asset import light_field_asset
 from lumitree.core.frames import rotation, similarity
 from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.lamp.loading import load_luminaire
-from lumitree.lamp.stored_model import stored_model
+from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.rendering.scene import place_shapes
 from support import tiny_bakes
 from support.lamps import GLASS, cube, scene, sphere
@@ -38,7 +38,7 @@ PLACE = similarity(rotation([0, 1, 1], 20), 0.4, [0, 1, 0])
 
 @pytest.fixture(scope="module")
 def make(mi, tmp_path_factory):
-    """A function: the luminaire of a scene's text, and its asset with a model."""
+    """A function: the luminaire of a scene's text, and its asset with geometry."""
     folder = tmp_path_factory.mktemp("lamps")
 
     def made(text):
@@ -48,7 +48,7 @@ def make(mi, tmp_path_factory):
         config = dataclasses.replace(tiny_bakes.LIGHT_FIELD, paths=1 << 20, batch=1 << 20)
         light_field = bake_light_field(lamp, config, tmp_path_factory.mktemp("state"))
         asset = light_field_asset(light_field, lamp.frame, lamp.name)
-        return lamp, dataclasses.replace(asset, model=stored_model(lamp))
+        return lamp, dataclasses.replace(asset, geometry=stored_geometry(lamp))
 
     return made
 
@@ -63,7 +63,7 @@ def shaded(make):
     return make(SHADED)
 
 
-def baked(asset, appearance="model", place=PLACE, **options):
+def baked(asset, appearance="geometry", place=PLACE, **options):
     return {"lamp": lumitree.shape(asset, place, appearance=appearance, **options)}
 
 
@@ -180,9 +180,9 @@ TINTED = GLASS + (
 
 
 def test_tinted_glass_is_seen_as_it_is(make):
-    """Media of the model absorb by the size of the lamp, at any place and scale."""
+    """Media of the geometry absorb by the size of the lamp, at any place and scale."""
     lamp, asset = make(SPECULAR.replace(GLASS, TINTED, 1))
-    assert asset.model.has_media
+    assert asset.geometry.has_media
     objects = before_a_panel("outside")
     ours = passes(objects | baked(asset), **DEEP)
     theirs = passes(objects | explicit(lamp), "volpathmis", seed=500, **DEEP)
@@ -232,7 +232,7 @@ def test_surfaces_that_lie_in_the_faces_of_the_box_are_met(make):
 )
 @pytest.mark.parametrize("which", ["specular", "shaded"])
 def test_direct_light_is_the_light_field_once(request, which, bsdf):
-    """A floor gets the same with the model as with the field: nothing is added by the shapes."""
+    """A floor gets the same with the geometry as with the field: nothing is added by the shapes."""
     _, asset = request.getfixturevalue(which)
     objects = {"sensor": camera([0.9, 1.2, 2.4], [0.4, 0, 1.2], 25), "floor": floor(bsdf)}
     options = {"max_depth": 2}
@@ -330,7 +330,7 @@ def test_other_lights_pass_glass_with_its_fresnel_transmittance(make):
 
 @pytest.mark.parametrize("place_at", [2.0, 1.0], ids=["beside", "above"])
 def test_the_light_of_another_lamp_is_blocked_by_opaque_parts_alone(make, shaded, place_at):
-    """Two models: as one with the shapes of the other as objects of the room."""
+    """Two geometries: as one with the shapes of the other as objects of the room."""
     dark, dark_asset = make(DARK)
     _, asset = shaded
     above = similarity(np.eye(3), 0.3, [0, place_at, 0])
@@ -339,7 +339,7 @@ def test_the_light_of_another_lamp_is_blocked_by_opaque_parts_alone(make, shaded
         "sensor": camera([0.6, 0.9, 2.4], [0.2, 0, 0.6], 40),
         "floor": floor({"type": "diffuse"}),
     }
-    other = {"other": lumitree.shape(asset, above, appearance="model")}
+    other = {"other": lumitree.shape(asset, above, appearance="geometry")}
     options = {"max_depth": 4}
     ours = passes(objects | other | baked(dark_asset, place=below), spp=2048, **options)
     theirs = passes(objects | other | explicit(dark, below), spp=2048, seed=500, **options)
@@ -383,7 +383,7 @@ def test_a_surface_gets_the_own_light_of_its_lamp_alone(make, shaded):
     dark, dark_asset = make(DARK)
     above, below = (similarity(np.eye(3), 0.3, [0, y, 0]) for y in (1.6, 0.9))
     objects = {"sensor": camera([0, 1.2, 1.6], [0, 0.95, 0], 25)}
-    objects["other"] = lumitree.shape(asset, above, appearance="model")
+    objects["other"] = lumitree.shape(asset, above, appearance="geometry")
     options = {"max_depth": 3}
     ours = passes(objects | baked(dark_asset, place=below), spp=2048, **options)
     theirs = passes(objects | explicit(dark, below), spp=2048, seed=500, **options)
@@ -420,8 +420,8 @@ def test_the_gain_applies_to_the_lamp_and_to_its_light(shaded, changed):
     np.testing.assert_allclose(render(), plain * gain, rtol=1e-3, atol=1e-6)
 
 
-def test_light_paths_start_at_the_box_of_a_lamp_with_a_model(shaded):
-    """Particle tracing compiles the emitters of the model's shapes too, which start none."""
+def test_light_paths_start_at_the_box_of_a_lamp_with_geometry(shaded):
+    """Particle tracing compiles the emitters of the geometry's shapes too, which start none."""
     _, asset = shaded
     view = camera([1.3, 0.6, 0], [1.1, 0, 0], 20)
     room = {"sensor": view, "floor": floor({"type": "diffuse"})}
@@ -431,10 +431,10 @@ def test_light_paths_start_at_the_box_of_a_lamp_with_a_model(shaded):
         ).mean()
         # Few light paths meet what the camera sees: the error of the first mean is 3 %.
         for appearance, kind, samples in (
-            ("model", "ptracer", 1 << 14),
+            ("geometry", "ptracer", 1 << 14),
             ("field", "lumitree_path", 1 << 10),
         )
     ]
     assert images[1] > 0.01
-    # The model's shapes stand in the way of some of the light paths.
+    # The geometry's shapes stand in the way of some of the light paths.
     assert 0.1 * images[1] < images[0] < 1.1 * images[1]

@@ -1,4 +1,4 @@
-"""A luminaire as the model of an asset: its meshes and images as arrays, its BSDFs by name."""
+"""A luminaire as the geometry of an asset: its meshes and images as arrays, its BSDFs by name."""
 
 from collections import defaultdict
 from contextlib import AbstractContextManager
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.checks import naming
+from lumitree.asset.geometry import ARRAYS, AssetGeometry, check_surface
 from lumitree.asset.materials import MAX_NESTING, check_material, check_radiance
-from lumitree.asset.model import ARRAYS, AssetModel, check_surface
 from lumitree.asset.textures import VERTEX_COLOUR, ImageFacts, Json
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError, shown
@@ -29,15 +29,15 @@ _TRAVERSED = {
 _BITMAP = ("filename", "raw", "filter_type", "wrap_mode", "to_uv")
 
 
-def stored_model(luminaire: Luminaire) -> AssetModel:
-    """The model of a luminaire, for its asset.
+def stored_geometry(luminaire: Luminaire) -> AssetGeometry:
+    """The geometry of a luminaire, for its asset.
 
     Meshes of one material and radiance are joined, which renders faster.
 
     Raises:
         LumitreeError: the luminaire cannot be stored: it has instances, a shape, BSDF, texture,
-            emitter or medium that is not in the lists of `asset.materials` and `asset.model_media`,
-            or it was made from a mi.Scene. The message is the reason.
+            emitter or medium that is not in the lists of `asset.materials` and
+            `asset.geometry_media`, or it was made from a mi.Scene. The message is the reason.
     """
     shapes = luminaire.scene.shapes()
     return _Reader(luminaire.parsed).read(shapes, luminaire.origin)
@@ -53,7 +53,7 @@ class _Reader:
         self._image_of: dict[tuple[Path, bool], int] = {}
         self._materials: list[Json] = []
 
-    def read(self, shapes: list[Any], origin: NDArray[np.float64]) -> AssetModel:
+    def read(self, shapes: list[Any], origin: NDArray[np.float64]) -> AssetGeometry:
         nodes = self._file.nodes("Shape")
         names = [shown(node.props.id() or node.props.plugin_name(), 60) for node in nodes]
         described = []
@@ -193,13 +193,13 @@ def _plain(name: str, value: Any) -> Any:
 
 
 def _media(shape: Any) -> Json:
-    """Media inside and outside of a shape, by the names of `AssetModel`."""
+    """Media inside and outside of a shape, by the names of `AssetGeometry`."""
     found = {"interior": shape.interior_medium(), "exterior": shape.exterior_medium()}
     return {side: stored_medium(medium) for side, medium in found.items() if medium is not None}
 
 
 def _arrays(shape: Any) -> dict[str, NDArray[Any]]:
-    """Arrays of a mesh that it has, by the names of `AssetModel`."""
+    """Arrays of a mesh that it has, by the names of `AssetGeometry`."""
     parameters = load_mitsuba().traverse(shape)
     found = {}
     for name, (dtype, width) in ARRAYS.items():
@@ -223,7 +223,7 @@ def _joined(
     images: list[NDArray[Any]],
     materials: list[Json],
     origin: NDArray[np.float64],
-) -> AssetModel:
+) -> AssetGeometry:
     shapes = []
     arrays: dict[str, list[NDArray[Any]]] = {name: [] for name in ARRAYS}
     for group in meshes.values():
@@ -247,7 +247,7 @@ def _joined(
         name: np.concatenate([np.zeros((0, width), dtype), *arrays[name]])
         for name, (dtype, width) in ARRAYS.items()
     }
-    return AssetModel(
+    return AssetGeometry(
         **joined,
         images=tuple(images),
         shapes=(*shapes, *others),

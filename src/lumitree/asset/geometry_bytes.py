@@ -1,4 +1,4 @@
-"""The model of an asset as tensors of its file, see docs/format.md.
+"""The geometry of an asset as tensors of its file, see docs/format.md.
 
 Shapes, materials and the sizes of images are one JSON text. Images follow each other as bytes,
 which are compressed: each byte of a row minus the one a pixel before it, as PNG's filter "Sub",
@@ -13,63 +13,63 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.model import (
+from lumitree.asset.geometry import (
     ARRAYS,
     MAX_IMAGE_BYTES,
     MAX_IMAGE_SIDE,
     MAX_IMAGES,
     MAX_SHAPES,
     NO_ORIGIN,
-    AssetModel,
+    AssetGeometry,
 )
 from lumitree.asset.textures import Json
 from lumitree.core.reading import Record, parse_json
 from lumitree.errors import LumitreeError
 
 _DTYPES = {np.float32: "F32", np.uint32: "U32"}
-MODEL_SHAPES = "model.shapes"
-MODEL_TENSORS = {
-    MODEL_SHAPES: "U8",
-    "model.images": "U8",
-    **{f"model.{name}": _DTYPES[dtype] for name, (dtype, _) in ARRAYS.items()},  # type: ignore[index]
+GEOMETRY_SHAPES = "geometry.shapes"
+GEOMETRY_TENSORS = {
+    GEOMETRY_SHAPES: "U8",
+    "geometry.images": "U8",
+    **{f"geometry.{name}": _DTYPES[dtype] for name, (dtype, _) in ARRAYS.items()},  # type: ignore[index]
 }
 # Largest JSON text; a shape takes about 200 bytes.
 _MAX_TEXT = 1 << 24
 _PIXELS: dict[str, Any] = {"uint8": np.uint8, "float32": np.dtype("<f4")}
 
 
-def model_tensors(model: AssetModel) -> dict[str, NDArray[Any]]:
-    """Tensors of a model, by name."""
+def geometry_tensors(geometry: AssetGeometry) -> dict[str, NDArray[Any]]:
+    """Tensors of an asset's geometry, by name."""
     description = {
-        "images": [{"shape": list(i.shape), "dtype": str(i.dtype)} for i in model.images],
-        "materials": list(model.materials),
-        "shapes": list(model.shapes),
-        **({} if model.origin == NO_ORIGIN else {"origin": list(model.origin)}),
+        "images": [{"shape": list(i.shape), "dtype": str(i.dtype)} for i in geometry.images],
+        "materials": list(geometry.materials),
+        "shapes": list(geometry.shapes),
+        **({} if geometry.origin == NO_ORIGIN else {"origin": list(geometry.origin)}),
     }
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return {
-        MODEL_SHAPES: np.frombuffer(text.encode(), np.uint8),
-        "model.images": np.frombuffer(_compressed(model.images), np.uint8),
-        **{f"model.{name}": array for name, array in model.arrays.items()},
+        GEOMETRY_SHAPES: np.frombuffer(text.encode(), np.uint8),
+        "geometry.images": np.frombuffer(_compressed(geometry.images), np.uint8),
+        **{f"geometry.{name}": array for name, array in geometry.arrays.items()},
     }
 
 
-def build_model(tensors: dict[str, NDArray[Any]]) -> AssetModel:
-    """The model of a file's tensors; the inverse of `model_tensors`.
+def build_geometry(tensors: dict[str, NDArray[Any]]) -> AssetGeometry:
+    """The geometry of a file's tensors; the inverse of `geometry_tensors`.
 
     Raises:
-        LumitreeError: the model is invalid.
+        LumitreeError: the geometry is invalid.
     """
-    text = tensors[MODEL_SHAPES].tobytes()
+    text = tensors[GEOMETRY_SHAPES].tobytes()
     if len(text) > _MAX_TEXT:
-        raise LumitreeError(f"the model's description has {len(text)} bytes (limit {_MAX_TEXT})")
-    description = Record(parse_json(text), "the model")
+        raise LumitreeError(f"the geometry's description has {len(text)} bytes (limit {_MAX_TEXT})")
+    description = Record(parse_json(text), "the geometry")
     description.expect_keys("images", "materials", "shapes", optional=("origin",))
     has_origin = description.has("origin")
     x, y, z = description.array("origin", 3).tolist() if has_origin else NO_ORIGIN
-    return AssetModel(
-        **{name: tensors[f"model.{name}"] for name in ARRAYS},
-        images=_images(description.items("images"), tensors["model.images"].tobytes()),
+    return AssetGeometry(
+        **{name: tensors[f"geometry.{name}"] for name in ARRAYS},
+        images=_images(description.items("images"), tensors["geometry.images"].tobytes()),
         shapes=tuple(description.items("shapes")[: MAX_SHAPES + 1]),
         materials=tuple(description.items("materials")),
         origin=(x, y, z),
@@ -96,9 +96,9 @@ def _decompressed(content: bytes, size: int) -> bytes:
         # No more than is expected, whatever the stream holds.
         found = decompressor.decompress(content, size + 1)
     except zlib.error as error:
-        raise LumitreeError(f"the images of the model cannot be decompressed: {error}") from None
+        raise LumitreeError(f"the images of the geometry cannot be decompressed: {error}") from None
     if len(found) != size or not decompressor.eof or decompressor.unused_data:
-        raise LumitreeError(f"the images of the model do not decompress to {size} bytes")
+        raise LumitreeError(f"the images of the geometry do not decompress to {size} bytes")
     return found
 
 
@@ -109,11 +109,11 @@ def _rows(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 def _images(descriptions: list[Json], content: bytes) -> tuple[NDArray[Any], ...]:
     if len(descriptions) > MAX_IMAGES:
-        raise LumitreeError(f"the model has {len(descriptions)} images (limit {MAX_IMAGES})")
+        raise LumitreeError(f"the geometry has {len(descriptions)} images (limit {MAX_IMAGES})")
     layouts = [_layout(each) for each in descriptions]
     sizes = [math.prod(shape) * dtype.itemsize for shape, dtype in layouts]
     if (total := sum(sizes)) > MAX_IMAGE_BYTES:
-        raise LumitreeError(f"the images of the model have {total} bytes (limit {MAX_IMAGE_BYTES})")
+        raise LumitreeError(f"images of the geometry have {total} bytes (limit {MAX_IMAGE_BYTES})")
     content = _decompressed(content, total)
     images, start = [], 0
     for (shape, dtype), size in zip(layouts, sizes, strict=True):
@@ -132,5 +132,5 @@ def _layout(description: Json) -> tuple[tuple[int, ...], Any]:
     dtype = np.dtype(_PIXELS[record.choice("dtype", tuple(_PIXELS))])
     shape = tuple(record.integers("shape"))
     if len(shape) != 3 or not all(0 < side <= MAX_IMAGE_SIDE for side in shape):
-        raise LumitreeError(f"an image of the model has the shape {str(shape)[:60]}")
+        raise LumitreeError(f"an image of the geometry has the shape {str(shape)[:60]}")
     return shape, dtype

@@ -1,4 +1,4 @@
-"""The model of an asset: it renders as the luminaire that it was made from, or is refused."""
+"""The geometry of an asset: it renders as the luminaire that it was made from, or is refused."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -12,9 +12,9 @@ from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
 from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.media import absorption, stored_medium
-from lumitree.lamp.stored_model import stored_model
+from lumitree.lamp.stored_geometry import stored_geometry
+from support.geometry_assets import with_geometry
 from support.lamps import AREA, GLASS, cube, scene, sphere
-from support.model_assets import with_model
 
 ID = '<transform name="to_world"><rotate y="1" angle="30"/><translate x="2"/></transform>'
 TEXTURE = (
@@ -96,16 +96,16 @@ def seen(mi, loaded):
     return [np.nan_to_num(np.array(each, np.float64), posinf=0) for each in values]
 
 
-def placed_shapes(mi, model, scale=1.0):
-    """The shapes of a model in a scene, where it is `scale` times as large."""
-    from lumitree.rendering.model_shapes import model_shapes
+def placed_shapes(mi, geometry, scale=1.0):
+    """The shapes of geometry in a scene, where it is `scale` times as large."""
+    from lumitree.rendering.geometry_shapes import geometry_shapes
     from lumitree.rendering.sampling.self_lights import SelfLights
 
     lamp = SimpleNamespace(
         gain=mi.Color3f(1),
         placed=SimpleNamespace(asset=SimpleNamespace(gain=NO_GAIN), self_lights=SelfLights()),
     )
-    return model_shapes(model, np.diag([scale, scale, scale, 1]), lamp)
+    return geometry_shapes(geometry, np.diag([scale, scale, scale, 1]), lamp)
 
 
 @pytest.mark.parametrize(
@@ -114,8 +114,8 @@ def placed_shapes(mi, model, scale=1.0):
 )
 def test_it_is_the_luminaire(mi, luminaire, tmp_path, shape, surface):
     lamp = luminaire(SHAPES[shape](SURFACES[surface]))
-    save(with_model(stored_model(lamp), lamp.frame), tmp_path / "lamp.lumitree")
-    shapes = placed_shapes(mi, load(tmp_path / "lamp.lumitree").model)
+    save(with_geometry(stored_geometry(lamp), lamp.frame), tmp_path / "lamp.lumitree")
+    shapes = placed_shapes(mi, load(tmp_path / "lamp.lumitree").geometry)
     background = {"type": "scene", "light": {"type": "constant"}}
     names = {f"s{index}": each for index, each in enumerate(shapes)}
     again = mi.load_dict(background | names)
@@ -128,10 +128,10 @@ def test_it_is_the_luminaire(mi, luminaire, tmp_path, shape, surface):
 def test_radiance_is_stored(luminaire):
     texture = TEXTURE.replace("reflectance", "radiance")
     image = AREA.replace('<rgb name="radiance" value="3,2,1"/>', texture)
-    model = stored_model(luminaire(cube("other", 0.2, (2, 0, 0), image)))
-    assert sorted(str(shape["radiance"])[:4] for shape in model.shapes) == ["[3.0", "{'im"]
-    assert model.images[0].shape == (5, 3, 3)
-    assert model.images[0].dtype == np.uint8
+    geometry = stored_geometry(luminaire(cube("other", 0.2, (2, 0, 0), image)))
+    assert sorted(str(shape["radiance"])[:4] for shape in geometry.shapes) == ["[3.0", "{'im"]
+    assert geometry.images[0].shape == (5, 3, 3)
+    assert geometry.images[0].dtype == np.uint8
 
 
 def test_meshes_of_one_material_are_joined(luminaire):
@@ -141,10 +141,10 @@ def test_meshes_of_one_material_are_joined(luminaire):
         cube("b", 0.1, (2, 0, 0), other),
         cube("c", 0.1, (3, 0, 0), metal),
     )
-    model = stored_model(lamp)
-    assert [shape["type"] for shape in model.shapes] == ["mesh", "mesh", "sphere"]
-    assert [shape.get("faces") for shape in model.shapes] == [24, 12, None]
-    assert model.num_triangles == 36
+    geometry = stored_geometry(lamp)
+    assert [shape["type"] for shape in geometry.shapes] == ["mesh", "mesh", "sphere"]
+    assert [shape.get("faces") for shape in geometry.shapes] == [24, 12, None]
+    assert geometry.num_triangles == 36
 
 
 MEDIUM = (
@@ -162,16 +162,16 @@ def test_media_that_absorb_are_stored(mi, luminaire, tmp_path):
         cube("c", 0.1, (3, 0, 0), GLASS),
         sphere("d", 0.1, (4, 0, 0), GLASS + inside + outside),
     )
-    save(with_model(stored_model(lamp), lamp.frame), tmp_path / "lamp.lumitree")
-    model = load(tmp_path / "lamp.lumitree").model
-    assert [sorted({"interior", "exterior"} & shape.keys()) for shape in model.shapes] == [
+    save(with_geometry(stored_geometry(lamp), lamp.frame), tmp_path / "lamp.lumitree")
+    geometry = load(tmp_path / "lamp.lumitree").geometry
+    assert [sorted({"interior", "exterior"} & shape.keys()) for shape in geometry.shapes] == [
         ["interior"],
         [],
         [],
         ["exterior", "interior"],
     ]
-    assert model.shapes[3]["exterior"] == pytest.approx([0.05, 0.1, 0.025], rel=1e-6)
-    shapes = placed_shapes(mi, model, 0.5)
+    assert geometry.shapes[3]["exterior"] == pytest.approx([0.05, 0.1, 0.025], rel=1e-6)
+    shapes = placed_shapes(mi, geometry, 0.5)
     assert absorption(shapes[0].interior_medium()) == pytest.approx([4, 8, 2], rel=1e-6)
     assert shapes[1].interior_medium() is None
     assert absorption(shapes[3].exterior_medium()) == pytest.approx([0.1, 0.2, 0.05], rel=1e-6)
@@ -192,14 +192,14 @@ def test_media_that_scatter_are_stored(mi, luminaire, tmp_path):
         sphere("b", 0.1, (2, 0, 0), GLASS + forwards),
         sphere("c", 0.1, (3, 0, 0), GLASS + forwards, flip=True),
     )
-    save(with_model(stored_model(lamp), lamp.frame), tmp_path / "lamp.lumitree")
-    model = load(tmp_path / "lamp.lumitree").model
-    even, narrow, again = (shape["interior"] for shape in model.shapes if "interior" in shape)
+    save(with_geometry(stored_geometry(lamp), lamp.frame), tmp_path / "lamp.lumitree")
+    geometry = load(tmp_path / "lamp.lumitree").geometry
+    even, narrow, again = (shape["interior"] for shape in geometry.shapes if "interior" in shape)
     assert even["absorption"] == pytest.approx([1.5, 3, 0.75], rel=1e-6)
     assert even["scattering"] == pytest.approx([0.5, 1, 0.25], rel=1e-6)
     assert (even["anisotropy"], narrow["anisotropy"]) == (0, pytest.approx(0.6))
     assert again == narrow
-    shapes = placed_shapes(mi, model, 0.5)
+    shapes = placed_shapes(mi, geometry, 0.5)
     first, *others = (s.interior_medium() for s in shapes if s.interior_medium() is not None)
     assert others[0] is others[1]
     for medium, g in ((first, 0), (others[0], 0.6)):
@@ -290,12 +290,12 @@ REFUSED = {
 def test_what_cannot_be_stored_is_refused_in_a_line(luminaire, name):
     shape, reason = REFUSED[name]
     with pytest.raises(LumitreeError, match=reason) as caught:
-        stored_model(luminaire(shape))
+        stored_geometry(luminaire(shape))
     assert str(caught.value).isprintable()
 
 
 def test_a_scene_without_a_file_is_refused(mi, luminaire):
     lamp = load_luminaire(luminaire().scene)
     with pytest.raises(LumitreeError, match=r"mi\.Scene"):
-        stored_model(lamp)
+        stored_geometry(lamp)
     assert dataclasses.is_dataclass(lamp)

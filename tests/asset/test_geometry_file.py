@@ -1,4 +1,4 @@
-"""The model in a file: it comes back as it was, and nothing damaged gets in."""
+"""The geometry in a file: it comes back as it was, and nothing damaged gets in."""
 
 import json
 import struct
@@ -11,16 +11,16 @@ import safetensors.numpy
 
 from lumitree.asset.asset import light_field_asset
 from lumitree.asset.file import _digest, load, save
+from lumitree.asset.geometry import AssetGeometry
+from lumitree.asset.geometry_bytes import geometry_tensors
 from lumitree.asset.materials import check_material
 from lumitree.asset.measured import CONDUCTORS, INDICES
-from lumitree.asset.model import AssetModel
-from lumitree.asset.model_bytes import model_tensors
 from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
 from support.damage import refused
 from support.fields import random_asset
+from support.geometry_assets import small_geometry, with_geometry
 from support.light_fields import random_light_field, with_inside
-from support.model_assets import small_model, with_model
 
 ROUNDS = 300
 WORDS = (
@@ -64,61 +64,61 @@ def rewrite(source, path, change, change_header=str):
 
 
 def change_text(tensors, change):
-    description = json.loads(tensors["model.shapes"].tobytes())
+    description = json.loads(tensors["geometry.shapes"].tobytes())
     change(description)
-    tensors["model.shapes"] = np.frombuffer(json.dumps(description).encode(), np.uint8)
+    tensors["geometry.shapes"] = np.frombuffer(json.dumps(description).encode(), np.uint8)
 
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory):
-    path = tmp_path_factory.mktemp("model") / "lamp.lumitree"
-    save(with_model(small_model()), path)
+    path = tmp_path_factory.mktemp("geometry") / "lamp.lumitree"
+    save(with_geometry(small_geometry()), path)
     return path
 
 
 def test_it_comes_back_byte_for_byte(original, tmp_path):
     found = load(original)
-    equal(found.model, small_model())
+    equal(found.geometry, small_geometry())
     save(found, tmp_path / "again.lumitree")
     assert (tmp_path / "again.lumitree").read_bytes() == original.read_bytes()
 
 
 def test_parts_in_all_combinations(tmp_path):
     field = random_asset(0, tree_depth=3, l_max=1)
-    light, model = random_light_field(0), small_model()
+    light, geometry = random_light_field(0), small_geometry()
     cases = {
         ("field",): field,
         ("light",): light_field_asset(light, field.frame, "test"),
         ("light", "field"): replace(field, light_field=light),
-        ("field", "model"): replace(field, model=model),
-        ("light", "model"): with_model(model),
-        ("light", "field", "model"): replace(field, light_field=light, model=model),
+        ("field", "geometry"): replace(field, geometry=geometry),
+        ("light", "geometry"): with_geometry(geometry),
+        ("light", "field", "geometry"): replace(field, light_field=light, geometry=geometry),
     }
     for parts, asset in cases.items():
         path = tmp_path / f"{'-'.join(parts)}.lumitree"
         save(asset, path)
         found = load(path)
         assert found.parts == found.info.parts == parts
-        assert found.info.model_triangles == (8 if "model" in parts else 0)
+        assert found.info.geometry_triangles == (8 if "geometry" in parts else 0)
         assert found.num_bytes == asset.num_bytes
 
 
-def test_a_model_without_images(tmp_path):
+def test_geometry_without_images(tmp_path):
     plain = {"type": "diffuse", "reflectance": 0.5}
-    model = small_model(images=(), materials=(plain, *small_model().materials[1:]))
+    geometry = small_geometry(images=(), materials=(plain, *small_geometry().materials[1:]))
     path = tmp_path / "plain.lumitree"
-    save(with_model(model), path)
-    equal(load(path).model, model)
+    save(with_geometry(geometry), path)
+    equal(load(path).geometry, geometry)
 
 
 def test_media_that_absorb(tmp_path):
-    shapes = [dict(shape) for shape in small_model().shapes]
+    shapes = [dict(shape) for shape in small_geometry().shapes]
     shapes[1]["exterior"], shapes[2]["interior"] = [0.0, 1, 2], [0.5, 0.25, 1e6]
-    model = small_model(shapes=tuple(shapes))
+    geometry = small_geometry(shapes=tuple(shapes))
     path = tmp_path / "media.lumitree"
-    save(with_model(model), path)
-    assert model.has_media
-    equal(load(path).model, model)
+    save(with_geometry(geometry), path)
+    assert geometry.has_media
+    equal(load(path).geometry, geometry)
 
 
 MILK = {"absorption": [0.0, 1, 2], "scattering": [4.0, 0, 1e3], "anisotropy": -0.25}
@@ -127,23 +127,26 @@ MILK = {"absorption": [0.0, 1, 2], "scattering": [4.0, 0, 1e3], "anisotropy": -0
 @pytest.mark.parametrize("inside", [False, True])
 def test_media_that_scatter(tmp_path, inside):
     """With light inside the box and without it."""
-    shapes = [dict(shape) for shape in small_model().shapes]
+    shapes = [dict(shape) for shape in small_geometry().shapes]
     shapes[1]["exterior"], shapes[2]["interior"] = [0.0, 1, 2], MILK
-    asset = with_model(small_model(shapes=tuple(shapes)))
+    asset = with_geometry(small_geometry(shapes=tuple(shapes)))
     if inside:
         asset = replace(asset, light_field=with_inside(0, asset.light_field))
     path = tmp_path / "milk.lumitree"
     save(asset, path)
-    assert asset.model.has_media
-    equal(load(path).model, asset.model)
+    assert asset.geometry.has_media
+    equal(load(path).geometry, asset.geometry)
     assert (load(path).light_field.inside is not None) == inside
 
 
 def test_smooth_images_are_compressed():
     y, x = np.mgrid[:64, :64]
     image = np.stack([2 * x + y, 255 - x, y], axis=-1).astype(np.uint8)
-    model = replace(small_model(), images=(image,) * len(small_model().images))
-    assert len(model_tensors(model)["model.images"]) < sum(i.nbytes for i in model.images) / 5
+    geometry = replace(small_geometry(), images=(image,) * len(small_geometry().images))
+    assert (
+        len(geometry_tensors(geometry)["geometry.images"])
+        < sum(i.nbytes for i in geometry.images) / 5
+    )
 
 
 @pytest.mark.parametrize(
@@ -151,33 +154,33 @@ def test_smooth_images_are_compressed():
 )
 def test_wrong_streams_of_images_are_refused(original, tmp_path, images):
     def change(tensors):
-        tensors["model.images"] = np.frombuffer(images, np.uint8)
+        tensors["geometry.images"] = np.frombuffer(images, np.uint8)
 
     path = tmp_path / "bad.lumitree"
     rewrite(original, path, change)
-    with pytest.raises(LumitreeError, match="images of the model"):
+    with pytest.raises(LumitreeError, match="images of the geometry"):
         load(path)
 
 
-def test_a_model_that_could_not_be_read_again_is_not_made(monkeypatch):
-    monkeypatch.setattr("lumitree.asset.model.MAX_IMAGE_BYTES", 40)
+def test_geometry_that_could_not_be_read_again_is_not_made(monkeypatch):
+    monkeypatch.setattr("lumitree.asset.geometry.MAX_IMAGE_BYTES", 40)
     with pytest.raises(LumitreeError, match="images of 42 bytes, at most 40"):
-        small_model()
+        small_geometry()
 
 
-def test_a_model_alone_illuminates_nothing_and_is_refused():
-    with pytest.raises(LumitreeError, match="a model without anything that illuminates"):
-        replace(with_model(small_model()), light_field=None)
+def test_geometry_alone_illuminates_nothing_and_is_refused():
+    with pytest.raises(LumitreeError, match="geometry without anything that illuminates"):
+        replace(with_geometry(small_geometry()), light_field=None)
 
 
-def test_a_model_outside_the_box_is_refused():
+def test_geometry_outside_the_box_is_refused():
     frame = LocalFrame(np.array([1.0, 0.3, 1.0]), np.eye(4))
     with pytest.raises(LumitreeError, match="outside the box"):
-        with_model(small_model(), frame)
-    far = [*small_model().shapes]
+        with_geometry(small_geometry(), frame)
+    far = [*small_geometry().shapes]
     far[2] = {**far[2], "to_world": (np.eye(4) * [1, 1, 1, 1] + np.eye(4, k=3)).tolist()}
     with pytest.raises(LumitreeError, match="outside the box"):
-        with_model(small_model(shapes=tuple(far)))
+        with_geometry(small_geometry(shapes=tuple(far)))
 
 
 def test_the_names_of_conductors_are_mitsubas(mi):
@@ -264,7 +267,10 @@ BROKEN = {
         "not affine",
     ),
     "an image's size": (lambda d: d["images"][0].update(shape=[1 << 40, 1, 1]), "has the shape"),
-    "an image's bytes": (lambda d: d["images"][0].update(shape=[4, 4, 1]), "images of the model"),
+    "an image's bytes": (
+        lambda d: d["images"][0].update(shape=[4, 4, 1]),
+        "images of the geometry",
+    ),
 }
 
 
@@ -288,16 +294,16 @@ def set_to(name, index, value):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (set_to("model.faces", (0, 0), 4), "a face has an unknown vertex"),
-        (set_to("model.vertices", (0, 0), np.nan), "vertices hold NaN"),
-        (set_to("model.vertices", (0, 0), 1.2), "outside the box"),
-        (set_to("model.normals", (0, 0), np.inf), "normals hold NaN"),
+        (set_to("geometry.faces", (0, 0), 4), "a face has an unknown vertex"),
+        (set_to("geometry.vertices", (0, 0), np.nan), "vertices hold NaN"),
+        (set_to("geometry.vertices", (0, 0), 1.2), "outside the box"),
+        (set_to("geometry.normals", (0, 0), np.inf), "normals hold NaN"),
         (
-            set_to("model.texcoords", (0, 1), 1e12),
+            set_to("geometry.texcoords", (0, 1), 1e12),
             r"shape 0: texture coordinates reach 3e\+12 pixels .* expected at most 1073741824",
         ),
-        (lambda t: t.pop("model.faces"), "lacks"),
-        (lambda t: t.pop("model.shapes"), "unknown key"),
+        (lambda t: t.pop("geometry.faces"), "lacks"),
+        (lambda t: t.pop("geometry.shapes"), "unknown key"),
     ],
 )
 def test_broken_tensors_are_refused(original, tmp_path, change, message):
@@ -306,22 +312,22 @@ def test_broken_tensors_are_refused(original, tmp_path, change, message):
         load(tmp_path / "bad.lumitree")
 
 
-def test_mutated_models_load_soundly_or_are_refused_in_a_line(original, tmp_path):
+def test_mutated_geometries_load_soundly_or_are_refused_in_a_line(original, tmp_path):
     random = np.random.default_rng(4)
     path, refusals = tmp_path / "bad.lumitree", 0
     source = dict(safetensors.numpy.load(original.read_bytes()))
-    text = source["model.shapes"].tobytes().decode()
+    text = source["geometry.shapes"].tobytes().decode()
     starts = [i for i, char in enumerate(text) if char in ":,["]
     for _ in range(ROUNDS):
 
         def mutate(tensors):
-            name = random.choice([n for n in tensors if n.startswith("model.")])
+            name = random.choice([n for n in tensors if n.startswith("geometry.")])
             if random.random() < 0.7 or not tensors[name].size:
                 at = int(random.choice(starts)) + 1
                 end = at + min(text[at:].find(char) % (1 << 30) for char in ",]}")
                 word = WORDS[random.integers(len(WORDS))]
                 changed = (text[:at] + word + text[end:]).encode()
-                tensors["model.shapes"] = np.frombuffer(changed, np.uint8)
+                tensors["geometry.shapes"] = np.frombuffer(changed, np.uint8)
             else:
                 data = bytearray(tensors[name].tobytes())
                 data[random.integers(len(data))] ^= 1 << random.integers(8)
@@ -333,24 +339,27 @@ def test_mutated_models_load_soundly_or_are_refused_in_a_line(original, tmp_path
             refusals += 1
         else:
             # What is accepted can be made again.
-            model = load(path).model
-            equal(AssetModel(**{name: getattr(model, name) for name in vars(model)}), model)
+            geometry = load(path).geometry
+            equal(
+                AssetGeometry(**{name: getattr(geometry, name) for name in vars(geometry)}),
+                geometry,
+            )
     assert refusals > ROUNDS / 3
 
 
 def float_image(value):
-    """A model whose float image, the opacity of material 0, holds a value."""
+    """Geometry whose float image, the opacity of material 0, holds a value."""
     image = np.full((2, 3, 1), 0.5, np.float32)
     image[1, 1] = value
-    return small_model(images=(image, small_model().images[1]))
+    return small_geometry(images=(image, small_geometry().images[1]))
 
 
 def coloured(value):
-    """A model whose shape 0 reflects the colours of its vertices, one of which is a value."""
-    colours = small_model().colours.copy()
+    """Geometry whose shape 0 reflects the colours of its vertices, one of which is a value."""
+    colours = small_geometry().colours.copy()
     colours[2, 1] = value
     reflects = {"type": "diffuse", "reflectance": {"attribute": "vertex_color"}}
-    return small_model(colours=colours, materials=(reflects, *small_model().materials[1:]))
+    return small_geometry(colours=colours, materials=(reflects, *small_geometry().materials[1:]))
 
 
 @pytest.mark.parametrize("value", [-1e-3, 1.01, 1e12])
@@ -365,22 +374,22 @@ def test_values_of_images_and_of_vertices_have_the_range_of_their_parameter(valu
     # Rounding to 16 bits is not refused, and colours that no material uses are not looked at.
     assert float_image(1.0005).images
     assert coloured(1.0005).materials
-    assert small_model(colours=np.full((4, 3), value, np.float32)).num_triangles == 8
+    assert small_geometry(colours=np.full((4, 3), value, np.float32)).num_triangles == 8
 
 
 def test_radiance_is_no_colour_of_vertices_and_not_negative():
     """Mitsuba cannot sample an emitter by the colours of its vertices."""
-    shapes = list(small_model().shapes)
-    texture = small_model().materials[0]["opacity"]
+    shapes = list(small_geometry().shapes)
+    texture = small_geometry().materials[0]["opacity"]
     for radiance, found in (
         ({"attribute": "vertex_color"}, "radiance: the colours of the vertices"),
         (texture, "radiance: an image of values from -2 to"),
     ):
         changed = ({**shapes[0], "radiance": radiance}, *shapes[1:])
         image = np.array([[[-2], [1], [0]]] * 2, np.float32)
-        plain = ({"type": "diffuse"}, *small_model().materials[1:])
+        plain = ({"type": "diffuse"}, *small_geometry().materials[1:])
         with pytest.raises(LumitreeError, match=f"shape 0: {found}"):
-            small_model(shapes=changed, materials=plain, images=(image, image))
+            small_geometry(shapes=changed, materials=plain, images=(image, image))
 
 
 def test_deep_materials_are_refused():
