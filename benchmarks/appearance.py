@@ -29,6 +29,7 @@ from benchmarks.common.tables import Table
 from benchmarks.common.timing import Job, interleaved
 from benchmarks.equal_error.error_against_time import display_rmse, ratio_of_means
 from benchmarks.equal_error.pairs import shows_lamp
+from lumitree.asset.asset import PARTS
 from lumitree.lamp.source import LuminaireSource
 
 BASELINE = "field"
@@ -51,7 +52,9 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
         lumitree.bake(
             source,
             path,
-            lumitree.BakeConfig(time=options.bake_seconds, irradiance_paths=0, seed=options.seed),
+            lumitree.BakeConfig(
+                parts=PARTS, time=options.bake_seconds, irradiance_paths=0, seed=options.seed
+            ),
         )
     asset = lumitree.load(path)
     methods = scenes(source, asset, options.width)

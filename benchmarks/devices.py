@@ -28,6 +28,7 @@ from benchmarks.common.options import add_pixels, add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.common.timing import interleaved
+from lumitree.asset.asset import PARTS
 from lumitree.fit.bake import bake
 from lumitree.fit.config import BakeConfig
 
@@ -41,7 +42,7 @@ SHARED = ("luminaire", "width", "spp", "rays", "seed")
 def measure_bake(lamp: str, rays: int, seed: int, path: Path) -> dict[str, Any]:
     """Seconds of two bakes by stage, and the second one's error; writes its asset."""
     config = dataclasses.replace(
-        BakeConfig.standard(), time=None, rays=rays, irradiance_paths=0, seed=seed
+        BakeConfig.standard(), parts=PARTS, time=None, rays=rays, irradiance_paths=0, seed=seed
     )
     first, again = (bake(lamp, config=config) for _ in range(2))
     lumitree.save(again.asset, path)

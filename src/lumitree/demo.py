@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.asset import PARTS
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import write_json
 from lumitree.core.image_settings import image_settings
@@ -33,7 +34,9 @@ def run(folder: str = "demo-output", variant: str | None = None) -> dict[str, An
     baked = bake(
         LUMINAIRE,
         asset,
-        dataclasses.replace(BakeConfig.standard(), time=BAKE_SECONDS, irradiance_paths=0),
+        dataclasses.replace(
+            BakeConfig.standard(), parts=PARTS, time=BAKE_SECONDS, irradiance_paths=0
+        ),
         variant=variant,
     )
     if baked.stopped_by is not None:

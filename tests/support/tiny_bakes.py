@@ -3,6 +3,7 @@
 import dataclasses
 import sys
 
+from lumitree.asset.asset import PARTS
 from lumitree.cli import main
 from lumitree.fit.config import NETWORK_BAKES, QUALITIES, BakeConfig, NetworkConfig
 from lumitree.fit.network.config import PRESETS
@@ -37,7 +38,7 @@ GROUPS = OctreeConfig(
 
 
 def bake_config(**options):
-    """Settings of a bake of seconds, about four million rays and paths in all.
+    """Settings of a bake of all parts in seconds, about four million rays and paths in all.
 
     Args:
         options: other settings; those of a group of the octree fit, as `refine`, are a dictionary
@@ -47,7 +48,7 @@ def bake_config(**options):
         name: dataclasses.replace(getattr(GROUPS, name), **options.pop(name))
         for name in [each for each in options if isinstance(options[each], dict)]
     }
-    few = {"tree_depth": 5, "l_max": 1, "time": None, "rays": RAYS, **options}
+    few = {"parts": PARTS, "tree_depth": 5, "l_max": 1, "time": None, "rays": RAYS, **options}
     octree = dataclasses.replace(GROUPS, **groups)
     return BakeConfig(
         irradiance_paths=IRRADIANCE_PATHS, light_field=LIGHT_FIELD, octree=octree, **few

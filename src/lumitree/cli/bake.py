@@ -7,14 +7,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lumitree.cli import options
-from lumitree.cli.output import print_lamps, print_open, print_result
+from lumitree.cli.output import print_lamps, print_open, print_report
 from lumitree.errors import LumitreeError, shown
 
 if TYPE_CHECKING:
+    from lumitree.asset.asset import Asset
     from lumitree.fit.config import BakeConfig, NetworkConfig
 
 # Options that are fields of the settings.
 _FIELDS = ("time", "seed", "parts", "lumens", "temperature")
+# Of these and of the group `octree` only the radiance field depends.
+_OF_FIELD = ("time", "rays", "tree_depth", "l_max", "law", "octree")
+_SHOWN = {
+    "geometry": "Images show the lamp's own geometry.",
+    "field": "Images show the radiance field.",
+    "light": "Images show the light field, blurred: --parts light,geometry adds what they need.",
+}
 _QUALITIES = {"octree": ("preview", "standard", "high"), "network": ("preview", "paper")}
 _HEAD = """# Settings of 'lumitree bake --config FILE'. Remove the # before a setting to change it.
 # "..." stands for None: the setting has no value unless it is given.
@@ -43,6 +51,14 @@ class _Settings:
     work: str | None
     variant: str | None
 
+    def given_of(self, fields: tuple[str, ...]) -> list[str]:
+        """Names of what is given of these fields and groups."""
+        return [
+            name
+            for field, name in self.given.items()
+            if any(field == each or field.startswith(f"{each}.") for each in fields)
+        ]
+
 
 def add(commands: Any) -> None:
     parser = options.command(commands, "bake", "convert a luminaire into an asset", run, show)
@@ -65,27 +81,29 @@ def add(commands: Any) -> None:
         "--method",
         choices=tuple(_QUALITIES),
         default="octree",
-        help="octree: from traced rays, in minutes; network: by a network, as in the paper; needs "
+        help="octree: from traced rays; network: by a network, as in the paper; needs "
         "the extra 'network'",
     )
     parser.add_argument(
         "--quality",
         choices=("preview", "standard", "high", "paper"),
-        help="preview: depth 7, 1 minute on 2 CPU cores; standard (default): depth 8, 5 minutes; "
-        "high: depth 10, 30 minutes. With --method network, preview (default): minutes on 2 CPU "
-        "cores; paper: days on a GPU",
+        help="preview, standard (default) or high: 2, 4 or 16 million light paths, 5 to 30 s on 2 "
+        "CPU cores; and, if one is made, a radiance field of depth 7 in 1 minute, of depth 8 in 5 "
+        "minutes, or of depth 10 in 30 minutes. With --method network, preview (default): minutes "
+        "on 2 CPU cores; paper: hours on a GPU",
     )
     # There are no defaults here, so that `run` can refuse options that do not apply.
     options.add_time(parser)
     options.add_seed(parser, default=None)
     parser.add_argument(
         "--parts",
-        type=lambda text: tuple(text.split(",")),
+        type=_parts,
         metavar="PARTS",
-        help="what the asset gets, separated by commas. light: what the luminaire "
-        "sends to its surroundings; field: what images show of it; geometry: the luminaire itself, "
-        "which images show in place of the field, not for --method network (default: all that the "
-        "method and the luminaire allow)",
+        help="what the asset gets, separated by commas. light: what the luminaire sends to its "
+        "surroundings; geometry: the luminaire itself, which images show, in seconds, not for "
+        "--method network; field: a radiance field, which images show in place of geometry, in "
+        "minutes; all: these three (default: light and geometry; light and field where the "
+        "geometry cannot be stored or the method is network)",
     )
     parser.add_argument(
         "--lumens",
@@ -116,6 +134,12 @@ def add(commands: Any) -> None:
         help="write the settings of the quality, with comments, to FILE or to the terminal, and "
         "end",
     )
+
+
+def _parts(text: str) -> tuple[str, ...]:
+    from lumitree.asset.asset import PARTS
+
+    return PARTS if text == "all" else tuple(text.split(","))
 
 
 def run(args: argparse.Namespace) -> Any:
@@ -165,7 +189,17 @@ def show(args: argparse.Namespace, result: Any) -> None:
         print_lamps(result.lamps)
         print_open(result.index)
     else:
-        print_result(result, result.path)
+        print_report(result.to_json())
+        print(_shown(result.asset))
+        print_open(result.path)
+
+
+def _shown(asset: "Asset") -> str:
+    """What images show of an asset, and what it lacks for integrators that cannot show geometry."""
+    line = _SHOWN[asset.info.appearance]
+    if asset.info.appearance == "geometry" and asset.num_leaves == 0:
+        line += " Other integrators than lumitree_path need a radiance field: --parts all adds it."
+    return line
 
 
 def _base(args: argparse.Namespace) -> "BakeConfig | NetworkConfig":
@@ -213,20 +247,28 @@ def _refuse_inapplicable(luminaire: Any, settings: _Settings) -> None:
     from lumitree.lamp.source import source_kind
 
     kind = source_kind(luminaire)
+    if kind == "luminaire":
+        _refuse_without_field(settings)
     unused = inapplicable(luminaire)
     if kind == "photometric":
         unused += ("work",) if "light_field" not in unused else ("work", "quality")
-    names = [
-        name
-        for field, name in settings.given.items()
-        if any(field == each or field.startswith(f"{each}.") for each in unused)
-    ]
+    names = settings.given_of(unused)
     if names:
         what = {"photometric": "a photometric file", "dataset": "a dataset"}.get(
             kind, "a luminaire"
         )
         raise LumitreeError(
             f"{', '.join(names)}: not for {what} such as {shown(luminaire, 300)}; leave it out"
+        )
+
+
+def _refuse_without_field(settings: _Settings) -> None:
+    """Refuse settings of the radiance field that are given where none is made."""
+    names = settings.given_of(_OF_FIELD)
+    if names and "field" not in (settings.config.parts or ()):
+        raise LumitreeError(
+            f"{', '.join(names)}: for the radiance field, which is not made; add --parts all, or "
+            "leave it out"
         )
 
 
@@ -242,6 +284,7 @@ def _run_many(args: argparse.Namespace, luminaires: list[Any], settings: _Settin
             f"{shown(args.output, 300)} is the name of one asset, but there are "
             f"{len(args.luminaires)} luminaires; give a folder"
         )
+    _refuse_without_field(settings)
     return lumitree.bake_many(luminaires, args.output, settings.config, variant=settings.variant)
 
 

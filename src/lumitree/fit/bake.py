@@ -2,9 +2,10 @@
 
 import dataclasses
 import warnings
+from collections.abc import Collection
 from typing import TYPE_CHECKING
 
-from lumitree.asset.asset import PARTS, Asset, light_field_asset
+from lumitree.asset.asset import Asset, Part, light_field_asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.arguments import check_asset_output, check_light
 from lumitree.core.backend import load_mitsuba
@@ -46,13 +47,13 @@ def bake(
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> BakeResult:
-    """Bake a luminaire into an asset with the direct method.
+    """Bake a luminaire into an asset.
 
-    Light paths are traced first. Their histogram by place and direction is the light
-    field: what the luminaire sends to its surroundings. Then rays and light paths are traced for
-    the radiance field, which is what images show of the luminaire. A first estimate is made from
-    them, and gradient descent improves it until the budget is spent. The field is stored in a
-    sparse octree.
+    Light paths are traced. Their histogram by place and direction is the light field: what the
+    luminaire sends to its surroundings. The geometry of the luminaire is stored beside it, and
+    images show it. Where it cannot be stored, or if `config.parts` has "field", rays and light
+    paths are traced for the radiance field too. A first estimate is made from them, and gradient
+    descent improves it until the budget is spent. The field is stored in a sparse octree.
 
     The state of the bake is kept in a work folder. If SIGINT (Ctrl-C), SIGTERM or SIGHUP
     interrupts the bake, the best asset so far is written and returned. If `output` or `work` is
@@ -112,9 +113,8 @@ def _bake(
     from lumitree.fit.octree import bake as octree_fit
     from lumitree.rendering.asset_flux import with_light
 
-    parts = PARTS if config.parts is None else config.parts
     watch = Stopwatch()
-    geometry = _stored_geometry(lamp, config.parts is not None) if "geometry" in parts else None
+    parts, geometry = _parts_and_geometry(lamp, config.parts)
     light_field = None
     if "light" in parts:
         with watch.stage("light"):
@@ -144,23 +144,26 @@ def _check_kind(source: object) -> None:
         raise LumitreeError(f"{name} is {what}, not a luminaire; bake it by lumitree.{function}")
 
 
-def _stored_geometry(lamp: "Luminaire", required: bool) -> AssetGeometry | None:
-    """The geometry of a luminaire; if it cannot be stored, an error or None with a warning."""
+def _parts_and_geometry(
+    lamp: "Luminaire", parts: Collection[Part] | None
+) -> tuple[Collection[Part], AssetGeometry | None]:
+    """The parts to make, by default those that images need, and the geometry if it is one."""
     from lumitree.lamp.stored_geometry import stored_geometry
 
+    if parts is not None and "geometry" not in parts:
+        return parts, None
     try:
-        return stored_geometry(lamp)
+        return parts or ("light", "geometry"), stored_geometry(lamp)
     except LumitreeError as error:
-        if required:
-            raise LumitreeError(
-                f"the part geometry cannot be made: {error}; leave it out"
-            ) from None
+        if parts is not None:
+            reason = f"the part geometry cannot be made: {error}; leave it out"
+            raise LumitreeError(reason) from None
         warnings.warn(
-            f"the asset gets no geometry: {error}; images show its field",
+            f"the asset gets no geometry: {error}; it gets a radiance field, which images show",
             LumitreeWarning,
             stacklevel=3,
         )
-        return None
+        return ("light", "field"), None
 
 
 @explained

@@ -46,9 +46,10 @@ class BakeConfig:
             there is no light field. Without it images show the light field, which
             is blurred and lets all light through. "geometry": the luminaire itself, which images
             under `lumitree_path` show in place of the field; beside one of the other two. A part
-            that is asked for and cannot be made is an error. None: all that can be made; a
-            luminaire that cannot be stored, because it has what is not listed in docs/format.md,
-            gets no geometry, with a warning.
+            that is asked for and cannot be made is an error. None: what images under
+            `lumitree_path` need, "light" and "geometry"; of a luminaire that cannot be stored,
+            because it has what is not listed in docs/format.md, "light" and "field", with a
+            warning.
         time: budget of the radiance field in seconds, 0.001 to 31,536,000 (one year). The first
             estimate, about 20 s on 2 CPU cores, is always completed. None: no limit; `rays` is
             then needed.
@@ -139,17 +140,17 @@ class BakeConfig:
 
     @staticmethod
     def preview() -> "BakeConfig":
-        """A bake of 1 minute on 2 CPU cores, with a tree depth of 7."""
+        """Half as many light paths; a field in 1 minute on 2 CPU cores, of tree depth 7."""
         return QUALITIES["preview"]
 
     @staticmethod
     def standard() -> "BakeConfig":
-        """A bake of 5 minutes on 2 CPU cores, with a tree depth of 8."""
+        """The defaults; a field in 5 minutes on 2 CPU cores, of tree depth 8."""
         return QUALITIES["standard"]
 
     @staticmethod
     def high() -> "BakeConfig":
-        """A bake of 30 minutes on 2 CPU cores, with a tree depth of 10."""
+        """Four times as many light paths; a field in 30 minutes, of tree depth 10."""
         return QUALITIES["high"]
 
 

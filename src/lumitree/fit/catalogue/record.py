@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from lumitree.asset.asset import PARTS, Asset
+from lumitree.asset.asset import Asset
 from lumitree.core.files import write_bytes, write_json
 from lumitree.core.image_settings import image_settings
 from lumitree.core.images import encode_png
@@ -145,7 +145,7 @@ class LampFiles:
 
 def settings_text(config: BakeConfig, source: LuminaireSource) -> str:
     """The settings that apply to a source, as JSON; equal settings have equal text."""
-    settings = dataclasses.asdict(config) | {"parts": config.parts or PARTS}
+    settings = dataclasses.asdict(config)
     if source_kind(source) == "photometric":
         settings = {name: settings[name] for name in PHOTOMETRIC_SETTINGS}
     return json.dumps(settings, sort_keys=True)
