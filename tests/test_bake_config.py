@@ -88,7 +88,11 @@ def test_a_budget_of_rays_replaces_that_of_time(tmp_path):
         ("tree_deep = 1", "unknown key 'tree_deep'"),
         ("[octree.refine]\nray = 1", "unknown key 'octree.refine.ray'"),
         ("[octree.refine]\nrays = 1", "rays is 1; expected a multiple of 16"),
-        ("[octree.views]\nhull_level = 3", "octree.views.hull_level: not for a luminaire such as"),
+        (
+            'parts = ["field"]\n[octree.views]\nhull_level = 3',
+            "octree.views.hull_level: not for a luminaire such as",
+        ),
+        ("rays = 5", "rays: for the radiance field, which is not made; add --parts all"),
         ("octree = 3", "octree is '3'; expected a table"),
     ],
 )

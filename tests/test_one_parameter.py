@@ -53,7 +53,7 @@ def test_the_command_line_passes_it_on(monkeypatch, tmp_path):
         raise lumitree.LumitreeError("recorded")
 
     monkeypatch.setattr("lumitree.fit.sources.bake_source", record)
-    (tmp_path / "bake.toml").write_text("l_max = 3")
+    (tmp_path / "bake.toml").write_text("parts = ['field']\nl_max = 3")
     command = ["bake", "bulbs", "-o", "a.lumitree", "--config", str(tmp_path / "bake.toml")]
     assert main(command) == 2
-    assert passed == [BakeConfig(l_max=3)]
+    assert passed == [BakeConfig(parts=("field",), l_max=3)]

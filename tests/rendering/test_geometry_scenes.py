@@ -65,9 +65,14 @@ def test_parts_of_a_bake(capsys):
     assert refined.asset.geometry is every.geometry
 
 
-def test_a_luminaire_that_cannot_be_stored_keeps_its_field():
+def test_images_show_the_geometry_by_default():
+    baked = lumitree.bake("lamp.xml", config=standard(parts=None, irradiance_paths=0))
+    assert baked.asset.parts == ("light", "geometry")
+
+
+def test_a_luminaire_that_cannot_be_stored_gets_a_field():
     with pytest.warns(LumitreeWarning, match=r"no geometry: .*RayleighPhaseFunction is not"):
-        baked = lumitree.bake("haze.xml", config=standard(irradiance_paths=0))
+        baked = lumitree.bake("haze.xml", config=standard(parts=None, irradiance_paths=0))
     assert baked.asset.parts == ("light", "field")
     with pytest.raises(LumitreeError, match=r"part geometry cannot be made: .*Rayleigh"):
         lumitree.bake("haze.xml", config=standard(parts=["light", "geometry"]))

@@ -86,6 +86,9 @@ def evaluate(
 ) -> EvaluateResult:
     """Compare an asset with its luminaire: held-out views, and the irradiance around it.
 
+    The views show the radiance field of the asset. Of an asset without one they show its geometry,
+    rendered with as many paths per pixel, so that what differs is mostly the noise of both.
+
     The irradiance is compared on the six faces of a cube of three times the size of the bounding
     box, and on a plane that touches the box from below. It is not compared for a dataset, whose
     views hold no light paths. An asset that has a gain, because it was baked with `lumens` or

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.dataset import Dataset, Frame
+from lumitree.core.dataset import Dataset, Frame, OpacityKind
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError
 from lumitree.lamp.luminaire import Luminaire
@@ -28,6 +28,7 @@ from lumitree.measure.metrics import (
     view_metrics,
 )
 from lumitree.output.sheet import MAX_ROWS, SheetRow
+from lumitree.rendering.asset_images import GeometryCamera
 from lumitree.rendering.asset_views import baked_view
 
 Predict = Callable[[Frame], tuple[NDArray[np.floating], NDArray[np.floating]]]
@@ -53,6 +54,9 @@ class Evaluation:
 def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
     """Compare an asset with every view of `dataset`.
 
+    What is compared is the radiance field. Of an asset without one it is the geometry, by as many
+    paths a pixel as the views have, and its `geometric` opacity; or else the light field.
+
     Raises:
         LumitreeError: the dataset shows a luminaire of other proportions, or nothing.
     """
@@ -62,17 +66,26 @@ def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
             f"the asset ({asset.luminaire}) and {dataset.folder} ({manifest.luminaire}) have "
             "bounding boxes of different proportions; evaluate an asset on its own luminaire"
         )
-    return compare_views(lambda frame: baked_view(asset, manifest, frame), dataset)
+    if asset.num_leaves or asset.geometry is None:
+        return compare_views(lambda frame: baked_view(asset, manifest, frame), dataset)
+    camera = GeometryCamera(asset, manifest.half_width, manifest.resolution)
+    samples = manifest.samples_per_pixel
+    return compare_views(
+        lambda frame: camera.take(frame.pose, samples, frame.halton_index, "view"),
+        dataset,
+        "geometric",
+    )
 
 
-def compare_views(predict: Predict, dataset: Dataset) -> Evaluation:
+def compare_views(
+    predict: Predict, dataset: Dataset, opacity_kind: OpacityKind = "straight_through"
+) -> Evaluation:
     """Compare images with every view of `dataset`.
-
-    The opacity that is compared is `straight_through`: the renderer multiplies the light behind
-    the luminaire by 1 minus this opacity.
 
     Args:
         predict: returns radiance [H, W, 3] and opacity [H, W] of a view.
+        opacity_kind: the opacity that is compared. By default that of a field: the renderer
+            multiplies the light behind the luminaire by 1 minus this opacity.
 
     Raises:
         LumitreeError: the dataset shows nothing.
@@ -83,14 +96,11 @@ def compare_views(predict: Predict, dataset: Dataset) -> Evaluation:
     with progress("evaluate", len(dataset.manifest.frames)) as advance:
         for view in dataset.views():
             radiance, opacity = predict(view.frame)
-            metrics = view_metrics(
-                radiance, view.radiance, opacity, view.straight_through, max_radiance
-            )
+            expected = view.opacity(opacity_kind)
+            metrics = view_metrics(radiance, view.radiance, opacity, expected, max_radiance)
             views.append({"halton_index": view.frame.halton_index, **metrics})
             name = f"view {view.frame.halton_index}"
-            rows.append(
-                SheetRow(name, view.radiance, radiance, view.straight_through, opacity, metrics)
-            )
+            rows.append(SheetRow(name, view.radiance, radiance, expected, opacity, metrics))
             advance(1)
     metrics = mean_metrics([row.metrics for row in rows])
     metrics["flux_error"] = flux_error([row.baked for row in rows], [row.reference for row in rows])

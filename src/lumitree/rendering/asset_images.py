@@ -44,7 +44,7 @@ def shown_images(
     """
     name = f"preview {asset.luminaire}"
     if asset.geometry is not None:
-        camera = _GeometryCamera(asset, half_width, resolution)
+        camera = GeometryCamera(asset, half_width, resolution)
         return [
             camera.take(pose, samples_per_pixel, index, name) for index, pose in enumerate(poses)
         ]
@@ -56,7 +56,7 @@ def shown_images(
     return images
 
 
-class _GeometryCamera:
+class GeometryCamera:
     """A camera before the geometry of an asset; the scene is loaded once."""
 
     def __init__(self, asset: Asset, half_width: float, resolution: int) -> None:
@@ -71,7 +71,13 @@ class _GeometryCamera:
     def take(
         self, pose: NDArray[np.float64], samples_per_pixel: int, index: int, name: str
     ) -> Images:
-        """Radiance and opacity of the view with this index."""
+        """Radiance and opacity of a view, as `shown_images`.
+
+        Args:
+            pose: [4, 4] `local_from_camera`.
+            index: of the view, for its random numbers.
+            name: of the view, for its progress.
+        """
         # Mitsuba's cameras look along +z, with x to the left.
         axes = np.diag([-self._half_width, self._half_width, -1, 1])
         parameters = mi.traverse(self._scene.sensors()[0])
