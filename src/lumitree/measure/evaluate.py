@@ -29,7 +29,7 @@ from lumitree.rendering.asset_cache import asset_of, open_asset
 from lumitree.rendering.asset_info import asset_json
 
 if TYPE_CHECKING:
-    from lumitree.lamp.luminaire import LuminaireLike
+    from lumitree.lamp.luminaire import Luminaire, LuminaireLike
 
 # Light paths, and rays of the asset, of an evaluation's irradiance: 4 to 9 s each on 2 CPU cores,
 # for a standard error of about 0.5 % of the mean of a face.
@@ -129,11 +129,9 @@ def evaluate(
     check_irradiance_paths(irradiance_paths)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     mi = load_mitsuba(variant)
-    from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.irradiance_figure import draw_irradiance
     from lumitree.measure.view_errors import evaluate_irradiance, evaluate_views
     from lumitree.output.sheet import draw_sheet
-    from lumitree.trace.capture import capture as capture_views
 
     path = None if isinstance(asset, Asset) else asset
     baked = open_asset(asset)
@@ -152,25 +150,12 @@ def evaluate(
         }
     )
     settings = image_settings("evaluate", asset=title, **views, variant=mi.variant())
-    lamp, irradiance, irradiance_png = None, None, None
+    irradiance, irradiance_png = None, None
     watch = Stopwatch()
     with contextlib.ExitStack() as stack:
         stack.enter_context(reporting(progress))
-        if (stored := dataset_folder(target)) is not None:
-            dataset = Dataset.open(stored)
-        else:
-            folder = stack.enter_context(scratch_folder())
-            with watch.stage("references"):
-                lamp = load_luminaire(cast(Any, target))
-                warn_of_faults(lamp)
-                dataset = capture_views(
-                    lamp,
-                    folder,
-                    num_views=num_views,
-                    resolution=resolution,
-                    samples_per_pixel=samples_per_pixel,
-                    split="test",
-                )
+        sizes = (num_views, resolution, samples_per_pixel)
+        lamp, dataset = _references(cast(Any, target), watch, stack, sizes)
         with watch.stage("evaluate"):
             result = evaluate_views(baked.without_gain, dataset)
             png = draw_sheet(result.rows, result.max_radiance, title).png(settings)
@@ -194,6 +179,39 @@ def evaluate(
         irradiance_png=irradiance_png,
         **watch.costs(),
     )
+
+
+def _references(
+    target: "LuminaireLike",
+    watch: Stopwatch,
+    stack: contextlib.ExitStack,
+    sizes: tuple[int, int, int],
+) -> tuple["Luminaire | None", Dataset]:
+    """The views to compare with: those of a dataset, or new ones of the luminaire, which is first.
+
+    Args:
+        stack: removes the folder of new views when it is closed.
+        sizes: number, resolution and samples per pixel of new views.
+    """
+    from lumitree.lamp.loading import load_luminaire
+    from lumitree.trace.capture import capture
+
+    if (stored := dataset_folder(target)) is not None:
+        return None, Dataset.open(stored)
+    folder = stack.enter_context(scratch_folder())
+    count, resolution, samples = sizes
+    with watch.stage("references"):
+        lamp = load_luminaire(target)
+        warn_of_faults(lamp)
+        dataset = capture(
+            lamp,
+            folder,
+            num_views=count,
+            resolution=resolution,
+            samples_per_pixel=samples,
+            split="test",
+        )
+    return lamp, dataset
 
 
 def compare_assets(
