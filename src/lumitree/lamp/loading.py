@@ -110,7 +110,7 @@ def _luminaire_of_source(luminaire: Opened) -> Luminaire:
         origin += offset
         placed = file.recentred(origin)
         scene = placed.instantiate()
-    loaded = _luminaire(name, source, fingerprint, scene, bool(media), shapes, placed, origin)
+    loaded = _luminaire(name, fingerprint, scene, bool(media), shapes, placed, origin)
     centre = loaded.scene_frame.centre
     warn_of_far_meshes(name, float(loaded.size.max()), centre, placed.mesh_files())
     return loaded
@@ -118,7 +118,6 @@ def _luminaire_of_source(luminaire: Opened) -> Luminaire:
 
 def _luminaire(
     name: str,
-    source: LuminaireSource | None,
     fingerprint: str,
     scene: Any,
     has_media: bool,
@@ -131,7 +130,6 @@ def _luminaire(
     frame = LocalFrame.of_box(np.ravel(scene.bbox().min), np.ravel(scene.bbox().max))
     return Luminaire(
         name=name,
-        source=source,
         fingerprint=fingerprint,
         scene=scene,
         has_media=has_media,
@@ -168,7 +166,7 @@ def _luminaire_of_scene(scene: Any) -> Luminaire:
         digest.update(key.encode())
         digest.update(repr(value).encode() if not hasattr(value, "numpy") else _bytes_of(value))
     shapes = tuple(shape_of_object(*item) for item in enumerate(scene.shapes()))
-    luminaire = _luminaire("scene", None, digest.hexdigest(), scene, bool(media), shapes)
+    luminaire = _luminaire("scene", digest.hexdigest(), scene, bool(media), shapes)
     if luminaire.frame.is_far:
         step, size = float32_step(luminaire.frame.centre), luminaire.size.max()
         warnings.warn(

@@ -21,7 +21,6 @@ class Luminaire:
 
     Attributes:
         name: built-in name, or the file's folder and name.
-        source: name or file that it was loaded from; None for a `mi.Scene`.
         fingerprint: SHA-256 of the scene file and of every file that it refers to.
         scene: the Mitsuba scene, in the axes and units of the luminaire's file.
         has_media: whether there are participating media.
@@ -37,7 +36,6 @@ class Luminaire:
     """
 
     name: str
-    source: LuminaireSource | None
     fingerprint: str
     scene: Any
     has_media: bool
