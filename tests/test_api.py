@@ -227,7 +227,8 @@ def test_demo(mi, tiny, tmp_path, monkeypatch):
     monkeypatch.setattr(demo, "LUMINAIRE", "lamp.xml")
     monkeypatch.setattr(demo, "BAKE_SECONDS", 2)
     monkeypatch.setattr(demo, "WIDTH", 40)
-    monkeypatch.setattr(demo, "SAMPLES", 8)
+    monkeypatch.setattr(demo, "FULL_SAMPLES", 8)
+    monkeypatch.setattr(demo, "SAMPLES", 4)
     monkeypatch.setattr(demo, "PILOT_SAMPLES", 2)
     monkeypatch.setattr(demo, "IRRADIANCE_PATHS", 1 << 14)
     budgets = []
@@ -237,8 +238,13 @@ def test_demo(mi, tiny, tmp_path, monkeypatch):
         return lumitree.bake(luminaire, output, config, **options)
 
     monkeypatch.setattr(demo, "bake", bake)
-    demo.run("out")
-    assert budgets == [2]
+    quick = demo.run("quick")
+    assert set(quick["room"]) == {"baked", "explicit"}
+    assert "evaluate" not in quick
+    assert quick["room"]["baked"]["samples"] == 4
+    assert (tmp_path / "quick" / "comparison.png").stat().st_size > 10_000
+    demo.run("out", full=True)
+    assert budgets[1:] == [2]
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert set(report["evaluate"]) >= {"metrics", "views", "seconds", "asset"}
     seconds = report["seconds"]
