@@ -9,17 +9,15 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common.setting import setting
+from benchmarks.paper_tables.work import Work, plain
 from lumitree.core.files import write_json
 from lumitree.core.stopwatch import peak_memory_bytes
-
-if TYPE_CHECKING:
-    from benchmarks.paper_tables.work import Work
 
 State = Literal["done", "missing", "outdated"]
 
@@ -54,10 +52,6 @@ class Cell:
     parameters: Mapping[str, Any]
     minutes: float
     measure: "Callable[[Work], Measured]"
-
-
-class OutOfTimeError(Exception):
-    """The time is spent; what is done is kept, and the next run goes on with it."""
 
 
 class Store:
@@ -121,16 +115,3 @@ def accelerator() -> str:
 
     device = jax.devices()[0]
     return "none" if device.platform == "cpu" else device.device_kind
-
-
-def plain(value: Any) -> Any:
-    """A value as JSON returns it: dataclasses become objects, tuples lists, NaN null."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        value = dataclasses.asdict(value)
-    if isinstance(value, Mapping):
-        return {str(key): plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(each) for each in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return int(value) if isinstance(value, np.integer) else value

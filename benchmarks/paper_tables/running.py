@@ -9,10 +9,10 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-from benchmarks.paper_tables.cells import Cell, OutOfTimeError, Store
+from benchmarks.paper_tables.cells import Cell, Store
 from benchmarks.paper_tables.page import all_cells
 from benchmarks.paper_tables.scales import SCALES, ScaleName
-from benchmarks.paper_tables.work import Work
+from benchmarks.paper_tables.work import OutOfTimeError, Work
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError
 

@@ -9,13 +9,14 @@ import contextlib
 import dataclasses
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import lumitree
 from benchmarks.equal_error.batches import digest
-from benchmarks.paper_tables.cells import OutOfTimeError, plain
 from benchmarks.paper_tables.scales import Direct, Scale, Views
 from lumitree.core.dataset import Split
 from lumitree.core.files import write_json
@@ -27,6 +28,10 @@ from lumitree.fit.network.config import TrainConfig
 COSTS = "costs.json"
 # Steps of training that tell its speed, and the least that is worth starting.
 _FIRST_STEPS, _LEAST_STEPS = 500, 200
+
+
+class OutOfTimeError(Exception):
+    """The time is spent; what is done is kept, and the next run goes on with it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -205,3 +210,16 @@ def _finish(at: Path, name: str, details: dict[str, Any]) -> Built:
 
 def _built(path: Path, costs: dict[str, Any]) -> Built:
     return Built(path, costs["seconds"], costs["peak_memory_bytes"], costs["details"])
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON returns it: dataclasses become objects, tuples lists, NaN null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = dataclasses.asdict(value)
+    if isinstance(value, Mapping):
+        return {str(key): plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return int(value) if isinstance(value, np.integer) else value

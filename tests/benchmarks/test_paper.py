@@ -11,12 +11,12 @@ import pytest
 
 from benchmarks.__main__ import main
 from benchmarks.paper_tables import display_times, losses, step
-from benchmarks.paper_tables.cells import Cell, Measured, OutOfTimeError, Store, plain
+from benchmarks.paper_tables.cells import Cell, Measured, Store
 from benchmarks.paper_tables.found import Found
 from benchmarks.paper_tables.page import all_cells, write_page
 from benchmarks.paper_tables.running import Setting, run_cells
 from benchmarks.paper_tables.scales import SCALES
-from benchmarks.paper_tables.work import Work
+from benchmarks.paper_tables.work import OutOfTimeError, Work, plain
 from lumitree.core.interrupt import Interrupted
 from lumitree.errors import LumitreeError
 from lumitree.fit.network.config import PRESETS

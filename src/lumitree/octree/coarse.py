@@ -17,7 +17,7 @@ from lumitree.octree.build import build_children
 from lumitree.octree.leaves import leaf_cells
 
 if TYPE_CHECKING:
-    from lumitree.octree.field import FieldData
+    from lumitree.octree.field_data import FieldData
 
 # Depth of the coarse field, and levels below it whose detail is averaged.
 COARSE_DEPTH, _FINE_LEVELS = 5, 3

@@ -10,7 +10,7 @@ import functools
 import threading
 import weakref
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -18,10 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import on_device, parameter
-from lumitree.core.frames import LocalFrame, towards_viewer
+from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
-from lumitree.core.transmittance import BLOCKED, Law, transmittance
+from lumitree.core.transmittance import BLOCKED, transmittance
 from lumitree.octree.coarse import COARSE_DEPTH, coarsened
+from lumitree.octree.field_data import FieldData
 from lumitree.octree.traversal import Octree, Span
 
 # record(recorded, leaf, start, length, active[, emission]) -> recorded: see `Field.integrate`.
@@ -39,33 +40,6 @@ class Thresholds(NamedTuple):
 
 
 EXACT = Thresholds()
-
-
-class FieldData(Protocol):
-    """The data of a field, such as an `Asset`, which documents the members."""
-
-    @property
-    def children(self) -> NDArray[np.int32]: ...
-    @property
-    def density(self) -> NDArray[np.float32]: ...
-    @property
-    def coefficients(self) -> NDArray[np.float16]: ...
-    @property
-    def tree_depth(self) -> int: ...
-    @property
-    def l_max(self) -> int: ...
-    @property
-    def law(self) -> Law: ...
-    @property
-    def max_radiance(self) -> float: ...
-    @property
-    def gain(self) -> tuple[float, float, float]: ...
-    @property
-    def frame(self) -> LocalFrame: ...
-    @property
-    def num_leaves(self) -> int: ...
-    @property
-    def luminaire(self) -> str: ...
 
 
 class Field:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from lumitree.asset.asset import Asset
 from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError
-from lumitree.octree.field import Field, FieldData
+from lumitree.octree.field import Field
+from lumitree.octree.field_data import FieldData
 from lumitree.rendering.asset_cache import open_asset, open_field
 from lumitree.rendering.sampling.proxy import make_proxy
 from lumitree.rendering.sampling.self_lights import SelfLights

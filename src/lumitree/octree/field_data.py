@@ -1,0 +1,36 @@
+"""What a field is made of, on the host."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.frames import LocalFrame
+from lumitree.core.transmittance import Law
+
+
+class FieldData(Protocol):
+    """The data of a field, such as an `Asset`, which documents the members."""
+
+    @property
+    def children(self) -> NDArray[np.int32]: ...
+    @property
+    def density(self) -> NDArray[np.float32]: ...
+    @property
+    def coefficients(self) -> NDArray[np.float16]: ...
+    @property
+    def tree_depth(self) -> int: ...
+    @property
+    def l_max(self) -> int: ...
+    @property
+    def law(self) -> Law: ...
+    @property
+    def max_radiance(self) -> float: ...
+    @property
+    def gain(self) -> tuple[float, float, float]: ...
+    @property
+    def frame(self) -> LocalFrame: ...
+    @property
+    def num_leaves(self) -> int: ...
+    @property
+    def luminaire(self) -> str: ...
