@@ -98,7 +98,7 @@ def seen(mi, loaded):
 
 def placed_shapes(mi, geometry, scale=1.0):
     """The shapes of geometry in a scene, where it is `scale` times as large."""
-    from lumitree.rendering.geometry_shapes import geometry_shapes
+    from lumitree.rendering.plugins.geometry_shapes import geometry_shapes
     from lumitree.rendering.sampling.self_lights import SelfLights
 
     lamp = SimpleNamespace(

@@ -13,7 +13,7 @@ from lumitree.core.frames import similarity_scale
 from lumitree.lamp.media import media_of, scatters
 from lumitree.octree.field import Field
 from lumitree.rendering.asset_cache import file_name, open_asset, open_field
-from lumitree.rendering.geometry_shapes import geometry_shapes
+from lumitree.rendering.plugins.geometry_shapes import geometry_shapes
 from lumitree.rendering.plugins.objects import (
     load_ordered,
     make_object,

@@ -15,7 +15,7 @@ from lumitree.asset.materials import is_specular
 from lumitree.asset.textures import VERTEX_COLOUR, Json
 from lumitree.core.device import on_device
 from lumitree.core.frames import similarity_scale
-from lumitree.rendering.geometry_materials import Materials
+from lumitree.rendering.plugins.geometry_materials import Materials
 from lumitree.rendering.plugins.geometry_plugins import geometry_emitter_class, geometry_glass_class
 from lumitree.rendering.plugins.objects import make_object, make_properties
 
