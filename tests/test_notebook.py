@@ -34,4 +34,4 @@ def test_the_notebook_runs(tmp_path, monkeypatch):
     # The preview, and the baked and the explicit lamp in the room.
     assert len(images) >= 3
     files = {path.name for path in folder.iterdir()}
-    assert files == {"lamp.lumitree", "copy.lumitree", "room.xml", "baked.png", "explicit.png"}
+    assert files == {"lamp.lumitree", "copy.lumitree", "room.xml", "baked.png"}

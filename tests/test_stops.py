@@ -446,7 +446,7 @@ def test_pictures_are_baked_too(tiny, capsys):
     assert main(["capture", "lamp.xml", "-o", "d", "--views", "12", "--resolution", "32",
                  "--spp", "16"]) == 0  # fmt: skip
     before = left()
-    assert main(["bake", "d", "-o", "out/lamp.lumitree"]) == 0
+    assert main(["bake", "d", "-o", "out/lamp.lumitree", "--parts", "field"]) == 0
     assert left() == [*before, "out/lamp.lumitree"]
     assert lumitree.load("out/lamp.lumitree").num_leaves > 50
 
