@@ -175,7 +175,7 @@ CHANDELIER = str(DATA / "luminaires" / "megeon_chandelier" / "luminaire.xml")
 @pytest.fixture(scope="module")
 def baked(mi, tmp_path_factory):
     asset = str(tmp_path_factory.mktemp("bake") / "lamp.lumitree")
-    lumitree.bake(CHANDELIER, asset)
+    lumitree.bake(CHANDELIER, asset, lumitree.BakeConfig(parts=("light", "field", "geometry")))
     return asset
 
 
