@@ -190,14 +190,14 @@ def test_a_lamp_from_end_to_end(mi, tmp_path, monkeypatch, capsys):
     report = json.loads((tmp_path / "out" / "near_field.json").read_text())
     (row,) = report["luminaires"]
     assert [plane["lit_from"] for plane in row["planes"]][:5] == ["+y", "+y", "+y", "-y", "+y"]
-    for way in ("model", "light"):
+    for way in ("geometry", "light"):
         found = row[way]
         assert found["horizontal"]["far"]["ratio"] == pytest.approx(1, abs=0.06)
         assert found["horizontal"]["far"]["rms"] < 0.1
         assert found["noise"]["inside"]["product"] > 0
     # The disc's shadow has a sharp border only where the disc is in the scene.
-    assert row["model"]["shadow"]["reference"] < 0.01
-    assert row["model"]["shadow"]["baked"] < row["light"]["shadow"]["baked"]
+    assert row["geometry"]["shadow"]["reference"] < 0.01
+    assert row["geometry"]["shadow"]["baked"] < row["light"]["shadow"]["baked"]
     assert row["before"]["touching"]["rms"] > 0
     assert len(row["bake_seconds"]) == 2
     text = (tmp_path / "out" / "near_field.md").read_text()
