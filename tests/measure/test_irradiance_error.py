@@ -12,10 +12,10 @@ from lumitree.measure.irradiance import (
     PATCHES,
     Irradiance,
     asset_irradiance,
+    evaluate_irradiance,
     irradiance_error,
     luminaire_irradiance,
 )
-from lumitree.measure.view_errors import evaluate_irradiance
 from lumitree.octree.field import Field
 from support.fields import random_asset, uniform_asset
 from support.lamps import AREA, cube, scene, sphere

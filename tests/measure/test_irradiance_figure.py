@@ -15,10 +15,10 @@ from lumitree.measure.irradiance import (
     FACES,
     PATCHES,
     Irradiance,
+    IrradianceEvaluation,
     irradiance_error,
 )
 from lumitree.measure.irradiance_figure import draw_irradiance, irradiance_layout
-from lumitree.measure.view_errors import IrradianceEvaluation
 
 # Direction of each face from the lamp, and what is up in its image.
 UP = {

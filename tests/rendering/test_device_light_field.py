@@ -193,7 +193,7 @@ def test_rays_carry_the_flux_of_every_bin(mi, light):
 
     field, count = some_light(), 1 << 20
     sampler = uniform_samples(mi, count)
-    point, direction, flux = light.sample_ray(
+    point, direction, flux = light.emitted.sample_ray(
         sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
     )
     flux = np.array(flux, np.float64).T

@@ -129,8 +129,9 @@ def evaluate(
     check_irradiance_paths(irradiance_paths)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     mi = load_mitsuba(variant)
+    from lumitree.measure.irradiance import evaluate_irradiance
     from lumitree.measure.irradiance_figure import draw_irradiance
-    from lumitree.measure.view_errors import evaluate_irradiance, evaluate_views
+    from lumitree.measure.view_errors import evaluate_views
     from lumitree.output.sheet import draw_sheet
 
     path = None if isinstance(asset, Asset) else asset
@@ -230,8 +231,8 @@ def compare_assets(
     Raises:
         LumitreeError: the bounding boxes have different sizes, or there are 0 paths.
     """
+    from lumitree.measure.irradiance import evaluate_irradiance
     from lumitree.measure.irradiance_figure import draw_irradiance
-    from lumitree.measure.view_errors import evaluate_irradiance
 
     if irradiance_paths == 0:
         raise LumitreeError(

@@ -33,7 +33,7 @@ def measure_irradiance(
     """
     if num_paths == 0:
         return None
-    from lumitree.measure.view_errors import evaluate_irradiance
+    from lumitree.measure.irradiance import evaluate_irradiance
 
     with watch.stage("irradiance"):
         found = evaluate_irradiance(asset.without_gain, luminaire, num_paths)

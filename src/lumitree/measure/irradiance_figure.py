@@ -5,8 +5,7 @@ from matplotlib import colormaps
 from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
-from lumitree.measure.irradiance import FACES, NUM_CUBE_FACES, PATCHES
-from lumitree.measure.view_errors import IrradianceEvaluation
+from lumitree.measure.irradiance import FACES, NUM_CUBE_FACES, PATCHES, IrradianceEvaluation
 from lumitree.output.tiles import Layout, TileSheet
 
 ROWS = ("explicit", "baked", "difference")

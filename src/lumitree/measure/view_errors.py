@@ -1,7 +1,6 @@
-"""All metrics of a baked luminaire: on held-out views, and of the irradiance around it."""
+"""Metrics of a baked luminaire on held-out views."""
 
 import dataclasses
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -12,15 +11,6 @@ from lumitree.asset.asset import Asset
 from lumitree.core.dataset import Dataset, Frame, OpacityKind
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError
-from lumitree.lamp.luminaire import Luminaire
-from lumitree.measure.irradiance import (
-    FACES,
-    Irradiance,
-    IrradianceError,
-    asset_irradiance,
-    irradiance_error,
-    luminaire_irradiance,
-)
 from lumitree.measure.metrics import (
     flux_error,
     gain_over_black,
@@ -106,85 +96,3 @@ def compare_views(
     metrics["flux_error"] = flux_error([row.baked for row in rows], [row.reference for row in rows])
     metrics |= gain_over_black(metrics)
     return Evaluation(max_radiance, metrics, views, rows[:MAX_ROWS])
-
-
-@dataclasses.dataclass(frozen=True)
-class IrradianceEvaluation:
-    """Irradiance around an asset, compared with that around its luminaire.
-
-    Attributes:
-        num_paths: light paths of the luminaire, and rays of the asset.
-        explicit, baked: estimates for what is compared with, and for the asset.
-        error: of `baked`.
-    """
-
-    num_paths: int
-    explicit: Irradiance
-    baked: Irradiance
-    error: IrradianceError
-
-    @property
-    def metrics(self) -> dict[str, float]:
-        """`irradiance_ratio`, `irradiance_rms` and `irradiance_rms_touching`.
-
-        One that is not defined (see `IrradianceError`) is omitted.
-        """
-        values = {
-            "irradiance_ratio": self.error.total_ratio,
-            "irradiance_rms": self.error.mean_rms,
-            "irradiance_rms_touching": float(self.error.rms[FACES.index("touching")]),
-        }
-        return {name: value for name, value in values.items() if math.isfinite(value)}
-
-    def report(self) -> dict[str, Any]:
-        """Values for JSON.
-
-        Returns:
-            `paths`; `ratio_error`, the standard error of `irradiance_ratio`; and `faces`: for each
-            of `FACES` the means `explicit_lux` and `baked_lux`, `ratio`, `ratio_error`, `rms` and
-            `rms_error`. What is not defined (see `IrradianceError`) is None.
-        """
-        columns = {
-            "explicit_lux": self.explicit.lux.mean(axis=(1, 2)),
-            "baked_lux": self.baked.lux.mean(axis=(1, 2)),
-            "ratio": self.error.ratio,
-            "ratio_error": self.error.ratio_error,
-            "rms": self.error.rms,
-            "rms_error": self.error.rms_error,
-        }
-        faces = {
-            face: {name: _finite(values[index]) for name, values in columns.items()}
-            for index, face in enumerate(FACES)
-        }
-        return {
-            "paths": self.num_paths,
-            "ratio_error": _finite(self.error.total_ratio_error),
-            "faces": faces,
-        }
-
-
-def evaluate_irradiance(
-    asset: Asset, reference: Luminaire | Asset, num_paths: int
-) -> IrradianceEvaluation:
-    """Compare the irradiance around an asset with that around its luminaire.
-
-    Args:
-        reference: the luminaire, or another asset. It must have a bounding box of the asset's
-            proportions, which `evaluate_views` checks.
-        num_paths: light paths of the luminaire, and as many rays of the asset.
-
-    Raises:
-        LumitreeError: a path's flux is NaN or infinite.
-    """
-    if isinstance(reference, Asset):
-        # Another seed than that of `asset`: the two estimates are independent.
-        explicit = asset_irradiance(reference, num_paths, seed=1)
-    else:
-        explicit = luminaire_irradiance(reference, num_paths)
-    baked = asset_irradiance(asset, num_paths)
-    return IrradianceEvaluation(num_paths, explicit, baked, irradiance_error(baked, explicit))
-
-
-def _finite(value: float) -> float | None:
-    """The value; None if it is NaN or infinite, which JSON does not have."""
-    return float(value) if math.isfinite(value) else None

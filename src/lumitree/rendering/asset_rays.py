@@ -5,6 +5,7 @@ import drjit as dr
 from lumitree.asset.asset import Asset
 from lumitree.octree.field import shared_field
 from lumitree.rendering.sampling.divided_sampling import emitter_sampler
+from lumitree.rendering.sampling.emitted_light import emitted_light
 from lumitree.rendering.sampling.proxy import BoxProxy
 from lumitree.trace.emitted_rays import RayBatch, seeded_sampler
 
@@ -13,8 +14,12 @@ class AssetRays:
     """Rays of an asset, of its light field if it has one; `EmittedRays`."""
 
     def __init__(self, asset: Asset) -> None:
-        box = BoxProxy(asset.frame.half_extents)
-        self._emitter = emitter_sampler(asset, shared_field(asset), box)
+        # Not `emitter_sampler` of both: it makes the tables of receivers too.
+        if asset.light_field is not None:
+            self._emitter = emitted_light(asset)
+        else:
+            box = BoxProxy(asset.frame.half_extents)
+            self._emitter = emitter_sampler(asset, shared_field(asset), box)
 
     def draw(self, count: int, seed: int) -> RayBatch:
         """As `EmittedRays.draw`; each sample is a ray."""

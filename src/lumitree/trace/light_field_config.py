@@ -15,7 +15,7 @@ class LightFieldConfig:
     """Resolution of a light field, and the number of light paths that it is made from.
 
     Attributes:
-        paths: light paths, rounded up to whole batches, 1 to 2³²; 2²² take 5 to 20 s on 2 CPU
+        paths: light paths, rounded up to whole batches, 1 to 2³²; 2²¹ take 2 to 7 s on 2 CPU
             cores. More sharpen little: the error of irradiance is then mostly that of the
             resolution.
         depth: the grid has 2**depth cells a side. Cells blur the light of what is near: with 16
@@ -27,10 +27,10 @@ class LightFieldConfig:
         LumitreeError: a setting is out of range.
     """
 
-    paths: int = 1 << 22
+    paths: int = 1 << 21
     depth: int = 5
     resolution: int = 32
-    batch: int = 1 << 20
+    batch: int = 1 << 19
 
     def __post_init__(self) -> None:
         check_range("light paths", self.paths, 1, MAX_PATHS)

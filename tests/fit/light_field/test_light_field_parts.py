@@ -236,7 +236,7 @@ def test_a_bake_states_the_error_of_its_irradiance(parts):
 
     The tables from which rays of a field are sampled are sums in any order, and differ by rounding.
     """
-    from lumitree.measure.view_errors import evaluate_irradiance
+    from lumitree.measure.irradiance import evaluate_irradiance
 
     baked = lumitree.bake("lamp.xml", config=standard(parts=parts))
     lamp = load_luminaire("lamp.xml")
@@ -282,7 +282,7 @@ def test_irradiance_paths_out_of_range_are_refused_before_any_work(untraced, pat
 
 def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch, capsys):
     """The asset is written before its irradiance is compared; the same call continues."""
-    from lumitree.measure import view_errors as evaluate
+    from lumitree.measure import irradiance as evaluate
 
     compare = evaluate.evaluate_irradiance
 

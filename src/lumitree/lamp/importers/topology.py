@@ -21,7 +21,6 @@ The notions, which are the same for all file formats:
 import warnings
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeWarning
@@ -65,6 +64,9 @@ def weld(positions: Floats, tolerance: float = _WELD) -> Indices:
 
 def connected(links: Indices, count: int) -> Indices:
     """Index [count] of the connected component of each node; `links` [L, 2] join nodes."""
+    # Imported where it is used: it takes half a second.
+    import trimesh
+
     labels = trimesh.graph.connected_component_labels(links, node_count=count)
     return np.asarray(labels).astype(np.int64)
 
@@ -133,6 +135,8 @@ def faces_to_turn(
         pieces: of the faces.
         where: what the surface belongs to, for a warning.
     """
+    import trimesh
+
     wound = faces.copy()
     for piece in np.flatnonzero(pieces.closed & ~pieces.consistent):
         chosen = pieces.label == piece

@@ -157,7 +157,7 @@ class DividedSampler(DirectionSampler):
         active: mi.Bool | bool = True,
     ) -> tuple[mi.Point3f, mi.Vector3f, mi.Color3f]:
         """Point of a ray on which light leaves the lamp, its direction of travel, and its flux."""
-        return self._light.sample_ray(choice, sample1, sample2, active)
+        return self._light.emitted.sample_ray(choice, sample1, sample2, active)
 
 
 class CellSampler(DividedSampler):

@@ -1,4 +1,4 @@
-"""The light field as an emitter: directions towards it are sampled, and rays that leave it.
+"""The light field as an emitter: directions towards it are sampled.
 
 A ray from a receiver crosses cells of the grid. Its radiance is the sum over them of intensity
 times length over volume. Nothing in the luminaire occludes it, because the intensities contain all
@@ -44,13 +44,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.light_field import LightField, unpack
+from lumitree.asset.light_field import LightField
 from lumitree.asset.lit_bins import dense
 from lumitree.core.device import on_device, parameter
-from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
-from lumitree.core.photometry import luminance
+from lumitree.core.octahedral import bin_of
 from lumitree.octree.build import morton
 from lumitree.rendering.sampling.cell_table import cell_table
+from lumitree.rendering.sampling.emitted_light import EmittedLight, emitted_light
 from lumitree.rendering.sampling.emitter_sampling import UNIFORM_FRACTION, RayEnds
 from lumitree.rendering.sampling.light_bins import (
     coarse_bin,
@@ -58,10 +58,9 @@ from lumitree.rendering.sampling.light_bins import (
     smooth_bin,
     unpacked,
 )
-from lumitree.rendering.sampling.light_cells import LightCells
 from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
 from lumitree.rendering.sampling.receiver_cells import ReceiverCells
-from lumitree.rendering.sampling.samples import divide_sample, sample_row, scrambled
+from lumitree.rendering.sampling.samples import divide_sample, scrambled
 
 # Cells of receivers, see `receiver_cells`.
 _RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 16, 4, 0.3
@@ -81,7 +80,9 @@ def device_light_field(asset: Asset) -> DeviceLightField:
     lights, key = _LIGHTS.setdefault(asset.light_field, {}), (str(mi.variant()), asset.gain)
     if key not in lights:
         # Mitsuba creates plugins in parallel: of two copies, the first is kept.
-        light = DeviceLightField(asset.light_field, asset.frame.half_extents, asset.gain)
+        light = DeviceLightField(
+            asset.light_field, asset.frame.half_extents, asset.gain, emitted_light(asset)
+        )
         return lights.setdefault(key, light)
     return lights[key]
 
@@ -93,6 +94,7 @@ class DeviceLightField:
         field: what is emitted.
         half_extents: [3] of the lamp's box.
         gain: [3] factors on R, G and B, not all 0.
+        emitted: what it emits, if it is on the device already.
     """
 
     def __init__(
@@ -100,26 +102,20 @@ class DeviceLightField:
         field: LightField,
         half_extents: NDArray[np.float64],
         gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        emitted: EmittedLight | None = None,
     ) -> None:
         # What receivers inside the box get, by whether the lamp's surfaces block (`light_inside`).
         self.inside: dict[bool, Any] = {}
-        count = len(field.cells)
-        self._count, self._resolution = count, field.resolution
+        self.emitted = emitted or EmittedLight(field, half_extents, gain)
+        self.cells, self.scale = self.emitted.cells, self.emitted.scale
+        count, self._resolution = len(field.cells), field.resolution
         self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
         resolution = _RESOLUTION
         while resolution > 2 and resolution**2 * _NUM_SHELLS * count > _MAX_ENTRIES:
             resolution //= 2
         self._around = ReceiverCells(half_extents, resolution, _NUM_SHELLS, _SHELL_WIDTH)
-        self.cells = LightCells(half_extents, field.cells, field.depth)
         self._half = parameter(mi.Vector3f, *half_extents.tolist())
-        self._packed = on_device(mi.UInt32, field.dense(field.intensity))
-        self.scale = dr.opaque(mi.Float, field.scale * max(gain))
-        self._colour = parameter(mi.Color3f, *(factor / max(gain) for factor in gain))
-        flux = field.dense(luminance(unpack(field.intensity))) * solid_angles(field.resolution)
-        by_cell = flux.sum(axis=1)
-        cumulated = np.cumsum(flux, axis=1)
-        self._bin_chances = on_device(mi.Float, cumulated / cumulated[:, -1:])
-        self._cell_chances = on_device(mi.Float, np.cumsum(by_cell / by_cell.sum()))
+        by_cell = self.emitted.by_cell
         self._table = cell_table(self._around, self.cells, self._towards, self.scale, by_cell)
         # J and κ of all bins, for receivers outside the box.
         self._factors = None
@@ -190,7 +186,7 @@ class DeviceLightField:
             per_volume = length * dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
             third = self._table.probability(row, cell, active) * per_volume / 3
             part = third * (near * near + near * far + far * far)
-            light = self.intensity(cell, bins, active) * per_volume
+            light = self.emitted.intensity(cell, bins, active) * per_volume
             return (
                 radiance + dr.select(active, light, 0),
                 density + dr.select(active, part, 0),
@@ -279,7 +275,7 @@ class DeviceLightField:
     def _light(self, cell, direction, blocked, active):
         """I of a cell towards where a ray comes from; where its surfaces block, (I + J) κ."""
         bins = smooth_bin(-direction, self._resolution)
-        light = self.intensity(cell, bins, active)
+        light = self.emitted.intensity(cell, bins, active)
         if self._factors is None:
             return light
         blocked &= active
@@ -289,54 +285,9 @@ class DeviceLightField:
         factor = dr.gather(mi.Float, self._factors, index, blocked)
         return dr.select(blocked, (light + self._ending_scale * ending) * factor, light)
 
-    def sample_ray(
-        self,
-        choice: mi.Float,
-        sample1: mi.Point2f,
-        sample2: mi.Point2f,
-        active: mi.Bool | bool = True,
-    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Color3f]:
-        """Ray along which light leaves the lamp.
-
-        Args:
-            choice: in [0, 1).
-            sample1, sample2: in the unit square.
-            active: mask.
-
-        Returns:
-            A point of the ray inside the lamp's box; the unit direction of travel; and the flux of
-            the ray, local units, whose mean over all samples is the lamp's flux.
-        """
-        bins = self._resolution**2
-        cell = sample_row(self._cell_chances, mi.UInt32(0), self._count, choice, active)
-        index = sample_row(self._bin_chances, cell * bins, bins, sample1.x, active)
-        within = scrambled(sample2)
-        point = self.cells.point(cell, within, active)
-        # Other bits of the same samples, which the point does not depend on.
-        jitter = scrambled(mi.Point2f(sample2.y, sample1.y))
-        spread = scrambled(mi.Point2f(sample1.y, sample2.y)) - 0.5
-        # As of `smooth_bin`: a bin has a part of the light of directions in its neighbours.
-        sample = mi.Point2f(jitter.x + spread.x, jitter.y + spread.y)
-        direction, density = direction_in_bin(index, sample, self._resolution)
-        chance = self._chance(self._cell_chances, mi.UInt32(0), cell, active)
-        chance *= self._chance(self._bin_chances, cell * bins, index, active)
-        flux = self.intensity(cell, index, active) / (chance * density)
-        return point, direction, dr.select(active & (chance > 0), flux, 0)
-
-    def _chance(self, cumulated, first, index, active):
-        """Chance with which `sample_row` returns an index."""
-        upper = dr.gather(mi.Float, cumulated, first + index, active)
-        inner = active & (index > 0)
-        return upper - dr.gather(mi.Float, cumulated, first + index - 1, inner)
-
     def _towards(self, cell, offset, _distance):
         """Radiant intensity (mi.Color3f) of a cell in the direction of a mi.Vector3f."""
-        return self.intensity(cell, bin_of(offset, self._resolution), True)
-
-    def intensity(self, cell: mi.UInt32, index: mi.UInt32, active: mi.Bool | bool) -> mi.Color3f:
-        """Radiant intensity of a bin of a cell."""
-        packed = dr.gather(mi.UInt32, self._packed, cell * self._resolution**2 + index, active)
-        return self._colour * (self.scale * unpacked(packed))
+        return self.emitted.intensity(cell, bin_of(offset, self._resolution), True)
 
 
 def left_part(

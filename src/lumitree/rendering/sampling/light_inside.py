@@ -218,7 +218,7 @@ class InsideLight:
         row = dr.gather(mi.UInt32, self._rows, cell, active)
         index = smooth_bin(direction, self._resolution)
         leaves = active & (row != _NONE)
-        light = dr.select(leaves, self._outside.intensity(row, index, leaves), 0)
+        light = dr.select(leaves, self._outside.emitted.intensity(row, index, leaves), 0)
         if not self._has_curves:
             return light
         packed = dr.gather(mi.UInt32, self._packed, cell * self._resolution**2 + index, active)

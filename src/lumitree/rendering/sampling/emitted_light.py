@@ -1,0 +1,115 @@
+"""The light field on the device: the radiant intensity of its cells, and rays that leave it.
+
+Symbols
+    C   cells        R   bins of direction a side
+"""
+
+from __future__ import annotations
+
+import weakref
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.asset.light_field import LightField, unpack
+from lumitree.core.device import on_device, parameter
+from lumitree.core.octahedral import direction_in_bin, solid_angles
+from lumitree.core.photometry import luminance
+from lumitree.rendering.sampling.light_bins import unpacked
+from lumitree.rendering.sampling.light_cells import LightCells
+from lumitree.rendering.sampling.samples import sample_row, scrambled
+
+_LIGHTS: weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], EmittedLight]] = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def emitted_light(asset: Asset) -> EmittedLight:
+    """Device copy of what an asset's light field emits, shared by all that use the asset."""
+    assert asset.light_field is not None
+    lights, key = _LIGHTS.setdefault(asset.light_field, {}), (str(mi.variant()), asset.gain)
+    if key not in lights:
+        # Mitsuba creates plugins in parallel: of two copies, the first is kept.
+        light = EmittedLight(asset.light_field, asset.frame.half_extents, asset.gain)
+        return lights.setdefault(key, light)
+    return lights[key]
+
+
+class EmittedLight:
+    """Device copy of the intensities of a light field, in the lamp's local frame.
+
+    Args:
+        field: what is emitted.
+        half_extents: [3] of the lamp's box.
+        gain: [3] factors on R, G and B, not all 0.
+
+    Attributes:
+        cells: the cells.
+        scale: mi.Float, unit of intensities.
+        by_cell: [C] luminous flux of cells over `scale`.
+    """
+
+    def __init__(
+        self,
+        field: LightField,
+        half_extents: NDArray[np.float64],
+        gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    ) -> None:
+        self._count, self._resolution = len(field.cells), field.resolution
+        self.cells = LightCells(half_extents, field.cells, field.depth)
+        self._packed = on_device(mi.UInt32, field.dense(field.intensity))
+        self.scale = dr.opaque(mi.Float, field.scale * max(gain))
+        self._colour = parameter(mi.Color3f, *(factor / max(gain) for factor in gain))
+        flux = field.dense(luminance(unpack(field.intensity))) * solid_angles(field.resolution)
+        self.by_cell: NDArray[np.floating] = flux.sum(axis=1)
+        cumulated = np.cumsum(flux, axis=1)
+        self._bin_chances = on_device(mi.Float, cumulated / cumulated[:, -1:])
+        self._cell_chances = on_device(mi.Float, np.cumsum(self.by_cell / self.by_cell.sum()))
+
+    def intensity(self, cell: mi.UInt32, index: mi.UInt32, active: mi.Bool | bool) -> mi.Color3f:
+        """Radiant intensity of a bin of a cell."""
+        packed = dr.gather(mi.UInt32, self._packed, cell * self._resolution**2 + index, active)
+        return self._colour * (self.scale * unpacked(packed))
+
+    def sample_ray(
+        self,
+        choice: mi.Float,
+        sample1: mi.Point2f,
+        sample2: mi.Point2f,
+        active: mi.Bool | bool = True,
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Color3f]:
+        """Ray along which light leaves the lamp.
+
+        Args:
+            choice: in [0, 1).
+            sample1, sample2: in the unit square.
+            active: mask.
+
+        Returns:
+            A point of the ray inside the lamp's box; the unit direction of travel; and the flux of
+            the ray, local units, whose mean over all samples is the lamp's flux.
+        """
+        bins = self._resolution**2
+        cell = sample_row(self._cell_chances, mi.UInt32(0), self._count, choice, active)
+        index = sample_row(self._bin_chances, cell * bins, bins, sample1.x, active)
+        within = scrambled(sample2)
+        point = self.cells.point(cell, within, active)
+        # Other bits of the same samples, which the point does not depend on.
+        jitter = scrambled(mi.Point2f(sample2.y, sample1.y))
+        spread = scrambled(mi.Point2f(sample1.y, sample2.y)) - 0.5
+        # As of `smooth_bin`: a bin has a part of the light of directions in its neighbours.
+        sample = mi.Point2f(jitter.x + spread.x, jitter.y + spread.y)
+        direction, density = direction_in_bin(index, sample, self._resolution)
+        chance = self._chance(self._cell_chances, mi.UInt32(0), cell, active)
+        chance *= self._chance(self._bin_chances, cell * bins, index, active)
+        flux = self.intensity(cell, index, active) / (chance * density)
+        return point, direction, dr.select(active & (chance > 0), flux, 0)
+
+    def _chance(self, cumulated, first, index, active):
+        """Chance with which `sample_row` returns an index."""
+        upper = dr.gather(mi.Float, cumulated, first + index, active)
+        inner = active & (index > 0)
+        return upper - dr.gather(mi.Float, cumulated, first + index - 1, inner)
