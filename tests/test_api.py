@@ -227,9 +227,8 @@ def test_demo(mi, tiny, tmp_path, monkeypatch):
     monkeypatch.setattr(demo, "LUMINAIRE", "lamp.xml")
     monkeypatch.setattr(demo, "BAKE_SECONDS", 2)
     monkeypatch.setattr(demo, "WIDTH", 40)
-    monkeypatch.setattr(demo, "FULL_SAMPLES", 8)
-    monkeypatch.setattr(demo, "SAMPLES", 4)
-    monkeypatch.setattr(demo, "PILOT_SAMPLES", 2)
+    monkeypatch.setattr(demo, "FULL_ROOM_SECONDS", 0.2)
+    monkeypatch.setattr(demo, "ROOM_SECONDS", 0.1)
     monkeypatch.setattr(demo, "IRRADIANCE_PATHS", 1 << 14)
     budgets = []
 
@@ -241,7 +240,7 @@ def test_demo(mi, tiny, tmp_path, monkeypatch):
     quick = demo.run("quick")
     assert set(quick["room"]) == {"baked", "explicit"}
     assert "evaluate" not in quick
-    assert quick["room"]["baked"]["samples"] == 4
+    assert quick["room"]["baked"]["samples_per_pixel"] >= 16
     assert (tmp_path / "quick" / "comparison.png").stat().st_size > 10_000
     demo.run("out", full=True)
     assert budgets[1:] == [2]
@@ -249,11 +248,10 @@ def test_demo(mi, tiny, tmp_path, monkeypatch):
     assert set(report["evaluate"]) >= {"metrics", "views", "seconds", "asset"}
     seconds = report["seconds"]
     total = seconds.pop("total")
-    assert set(seconds) >= {"light", "bake", "evaluate", "room baked", "room explicit"}
+    assert set(seconds) >= {"light", "bake", "evaluate", "room baked, render"}
     assert total == pytest.approx(sum(seconds.values()), abs=1e-2)
     assert set(report["room"]) == {"baked", "explicit"}
-    assert report["room"]["baked"]["samples"] == 8
-    assert all(0 < each["noise"] < 10 and each["samples"] >= 2 for each in report["room"].values())
+    assert report["room"]["baked"]["mean_radiance"] > 0.01
     assert report["peak_memory_bytes"] > 1e8
     assert (tmp_path / "out" / "lamp.lumitree").exists()
     for name in ("evaluation", "evaluation-irradiance", "comparison"):

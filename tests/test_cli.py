@@ -13,6 +13,7 @@ import warnings
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import lumitree
 from lumitree.cli import main
@@ -423,6 +424,26 @@ def test_render_places_several(capsys, folder):
     with open("report.json") as file:
         assert json.load(file)["resolution"] == [60, 40]
     assert capsys.readouterr().err == ""
+
+
+def test_render_writes_the_image_while_it_is_rendered(capsys, folder, monkeypatch):
+    """A signal that stops the command leaves the image so far."""
+    from lumitree.core.interrupt import Interrupted
+    from lumitree.rendering import render
+
+    save = render.RenderResult.save
+
+    def interrupted(image, path):
+        save(image, path)
+        raise Interrupted
+
+    line = ["render", "room.xml", "-o", "image.png", "--width", "30", "--place", "lamp.lumitree"]
+    with monkeypatch.context() as patch:
+        patch.setattr(render.RenderResult, "save", interrupted)
+        assert main([*line, "--time", "1h", "--progressive"]) == 128 + 2
+    assert json.loads(Image.open("image.png").text["Comment"])["samples_per_pixel"] == 16
+    assert main([*line, "--spp", "3", "--progressive", "--view", "standard"]) == 0
+    assert json.loads(Image.open("image.png").text["Comment"])["samples_per_pixel"] == 3
 
 
 def test_render_with_gains(capsys, folder):

@@ -1,6 +1,7 @@
 """The demonstration: bakes a built-in lamp and compares it with the explicit lamp in a room."""
 
 import dataclasses
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +12,20 @@ from lumitree.asset.asset import PARTS
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import write_json
 from lumitree.core.image_settings import image_settings
-from lumitree.core.images import write_exr
 from lumitree.core.interrupt import Interrupted
-from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
+from lumitree.core.stopwatch import peak_memory_bytes
+from lumitree.errors import LumitreeError
 from lumitree.fit.bake import bake
 from lumitree.fit.config import BakeConfig
 from lumitree.measure.evaluate import IRRADIANCE_PATHS, evaluate
+from lumitree.rendering.render import RenderResult, render
 
 LUMINAIRE = "bulbs"
 # Budget of the radiance field of the full demonstration.
 BAKE_SECONDS = 150
-WIDTH = 480
-# Samples a pixel of the baked lamp, and in the full demonstration.
-SAMPLES, FULL_SAMPLES = 64, 128
-# Samples of the explicit lamp that tell how long one takes.
-PILOT_SAMPLES = 16
+WIDTH = 640
+# Time of rendering of each image, and in the full demonstration.
+ROOM_SECONDS, FULL_ROOM_SECONDS = 20.0, 60.0
 
 
 def run(
@@ -57,11 +57,11 @@ def run(
             irradiance_paths=IRRADIANCE_PATHS,
         )
         seconds, report = seconds | evaluation.seconds, {"evaluate": evaluation.to_json()}
-    watch = Stopwatch()
-    room = _render_room(output, str(asset), FULL_SAMPLES if full else SAMPLES, watch)
-    seconds = seconds | watch.seconds
+    room = _render_room(output, str(asset), FULL_ROOM_SECONDS if full else ROOM_SECONDS)
+    for name, image in room.items():
+        seconds = seconds | {f"room {name}, {stage}": s for stage, s in image.seconds.items()}
     report |= {
-        "room": room,
+        "room": {name: image.to_json() for name, image in room.items()},
         "seconds": seconds | {"total": round(sum(seconds.values()), 3)},
         "peak_memory_bytes": peak_memory_bytes(),
     }
@@ -70,62 +70,50 @@ def run(
     return report | {"files": files}
 
 
-def _render_room(output: Path, asset: str, baked_samples: int, watch: Stopwatch) -> dict[str, Any]:
-    """Render the room with both lamps in equal time, and write the images.
-
-    Returns:
-        By lamp, the samples per pixel and the noise: the relative variance of a pixel, by the
-        difference of two halves of the samples.
-    """
+def _render_room(output: Path, asset: str, seconds: float) -> dict[str, RenderResult]:
+    """Render the room with both lamps in equal time, and write the images."""
     load_mitsuba()
-    from lumitree.measure.metrics import rel_mse
+    from lumitree.core.view_transform import room_exposure
     from lumitree.output.strip import write_strip
     from lumitree.rendering.demo_room import demo_room, lamp
-    from lumitree.rendering.integrators import default_integrator
-    from lumitree.rendering.passes import Budget, render_passes
-    from lumitree.rendering.scene import PlacedLuminaire, appearance_for, place_luminaires
+    from lumitree.rendering.denoise import check_denoiser
 
-    integrator = default_integrator(12)
-    images: dict[str, NDArray[np.float32]] = {}
-    report: dict[str, Any] = {}
-    for name, source in (("baked", asset), ("explicit", LUMINAIRE)):
-        scene = place_luminaires(
+    try:
+        check_denoiser()
+        filters = True
+    except LumitreeError as error:
+        print(f"lumitree: {error}", file=sys.stderr)
+        filters = False
+    found = {
+        name: render(
             demo_room(WIDTH, ball_in_box=True),
-            [PlacedLuminaire(lamp(source))],
-            appearance=appearance_for(integrator),
+            [lamp(source)],
+            time=seconds,
+            denoise=filters,
+            aov=True,
         )
-        samples = baked_samples
-        if name == "explicit":
-            # Twice, because the first compiles the kernels.
-            for stage in ("compile", "pilot"):
-                with watch.stage(stage):
-                    render_passes(
-                        scene, integrator, Budget(PILOT_SAMPLES), seed=2, name="room, pilot"
-                    )
-            rate = PILOT_SAMPLES / watch.seconds["pilot"]
-            samples = max(2, round(watch.seconds["room baked"] * rate))
-        half = samples // 2
-        with watch.stage(f"room {name}"):
-            first, second = (
-                render_passes(
-                    scene, integrator, Budget(half), seed=seed, name=f"room, {name} lamp"
-                ).radiance
-                for seed in (0, 1)
-            )
-        images[name] = (first + second) / np.float32(2)
-        settings = image_settings("demo", lamp=name, samples_per_pixel=2 * half, width=WIDTH)
-        write_exr(output / f"room-{name}.exr", {"RGB": images[name]}, settings)
-        report[name] = {"samples": 2 * half, "noise": float(rel_mse(first, images[name]))}
-    captions = {
-        name: f"{name} lamp, {values['samples']} samples per pixel\n"
-        f"{watch.seconds[f'room {name}']:.0f} s, noise (relMSE) {values['noise']:.3f}"
-        for name, values in report.items()
+        for name, source in (("baked", asset), ("explicit", LUMINAIRE))
     }
+    images: list[tuple[str, NDArray[np.float32]]] = []
+    for name, image in found.items():
+        assert image.noisy is not None
+        images.append((_caption(name, image), image.noisy))
+        image.save(output / f"room-{name}.exr")
+    if filters:
+        images += [(f"{name} lamp, denoised", image.pixels) for name, image in found.items()]
     write_strip(
         output / "comparison.png",
-        [(captions[name], images[name]) for name in images],
-        # The median of the room is well below middle grey, so that window and lamp are not clipped.
-        0.07 / float(np.median(images["baked"])),
-        image_settings("demo", lamps=report, width=WIDTH),
+        images,
+        room_exposure(images[0][1]),
+        image_settings("demo", lamps=list(found), time=seconds, width=WIDTH),
+        columns=2,
     )
-    return report
+    return found
+
+
+def _caption(name: str, image: RenderResult) -> str:
+    noise = "" if image.noise is None else f", noise {image.noise:.0%}"
+    return (
+        f"{name} lamp, {image.seconds['render']:.0f} s\n"
+        f"{image.samples_per_pixel} samples per pixel{noise}"
+    )

@@ -99,3 +99,42 @@ def test_scenes_that_cannot_be_rendered_are_refused(mi, room):
             render(scene)
     with pytest.raises(LumitreeError, match="the scene's dictionary cannot be loaded"):
         render({"type": "scene", "wall": {"type": "no_such_plugin"}})
+
+
+def test_the_image_so_far_is_shown_while_it_is_rendered(mi, room, monkeypatch):
+    """After the first pass, then not more often than every two seconds; never the last one."""
+    from lumitree.rendering import passes
+
+    monkeypatch.setattr(passes, "_SAMPLES_PER_PASS", dict.fromkeys(passes._SAMPLES_PER_PASS, 768))
+    images = []
+    final = render(room, so_far=images.append)
+    assert [image.samples_per_pixel for image in images] == [2]
+    assert final.samples_per_pixel == 8
+    assert images[0].png != final.png
+    monkeypatch.setattr(passes, "_SECONDS_BETWEEN_IMAGES", 0.0)
+    monkeypatch.setattr(passes, "_MOST_TIME_OF_IMAGES", 1.0)
+    images.clear()
+    again = render(room, so_far=images.append, denoise=False, aov=True)
+    assert [image.samples_per_pixel for image in images] == [2, 4, 6]
+    assert_similar(again.pixels, final.pixels)
+    assert images[0].albedo is None
+
+
+def test_images_state_exposure_and_view(mi, room, tmp_path):
+    import io
+    import json
+
+    from PIL import Image
+
+    found = render(room, view="standard")
+    settings = json.loads(found.settings)
+    assert settings["view"] == "standard"
+    assert settings["exposure"] == pytest.approx(found.exposure)
+    found.save(tmp_path / "a.png")
+    with Image.open(tmp_path / "a.png") as image:
+        assert json.loads(image.info["Comment"])["exposure"] == settings["exposure"]
+    pytest.importorskip("PyOpenColorIO", reason="the optional dependency filmic is not installed")
+    filmic = render(room, view="filmic")
+    assert_similar(filmic.pixels, found.pixels)
+    shown, clipped = (np.asarray(Image.open(io.BytesIO(each.png)), int) for each in (filmic, found))
+    assert (shown != clipped).any()

@@ -21,7 +21,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--full",
         action="store_true",
-        help="make a radiance field too, and compare views of it: 4 minutes on 2 CPU cores in "
+        help="make a radiance field too, and compare views of it: 6 minutes on 2 CPU cores in "
         "place of 1",
     )
     options.add_variant(parser)

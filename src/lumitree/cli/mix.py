@@ -12,7 +12,7 @@ def add(commands: Any) -> None:
     parser = options.command(commands, "mix", text, run, show)
     parser.add_argument("layers", metavar="LAYERS.exr", help="a file of `render --layers`")
     options.add_output(
-        parser, "IMAGE", "image to write, .exr (linear radiance) or .png (tone-mapped)"
+        parser, "IMAGE", "image to write, .exr (linear radiance) or .png (as --view shows it)"
     )
     parser.add_argument(
         "--gain",
@@ -23,13 +23,14 @@ def add(commands: Any) -> None:
         help="factors on the red, green and blue light of a layer, or one number for all; may be "
         "repeated",
     )
+    options.add_view(parser)
 
 
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
     check_outputs(args.output)
-    result = lumitree.mix(args.layers, dict(args.gain))
+    result = lumitree.mix(args.layers, dict(args.gain), view=args.view)
     result.save(args.output)
     return image_report(result, args.output)
 

@@ -110,6 +110,17 @@ def add_variant(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_view(parser: argparse.ArgumentParser) -> None:
+    """Add `--view`, the view transform of an image."""
+    parser.add_argument(
+        "--view",
+        choices=("standard", "filmic"),
+        default="standard",
+        help="view transform of a .png: standard, clipped sRGB; or filmic, the transform of ACES "
+        "2.0 (`pip install 'lumitree[filmic]'`) (default: standard)",
+    )
+
+
 def add_views(parser: argparse.ArgumentParser, views: int, resolution: int, samples: int) -> None:
     """Add `--views`, `--resolution` and `--spp`, with their defaults."""
     parser.add_argument("--views", type=int, metavar="N", default=views, help="number of views")

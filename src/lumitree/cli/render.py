@@ -26,7 +26,7 @@ def add(commands: Any) -> None:
     parser = options.command(commands, "render", text, run, show)
     parser.add_argument("scene", metavar="SCENE.xml", help="a Mitsuba 3 scene with a camera")
     options.add_output(
-        parser, "IMAGE", "image to write, .exr (linear radiance) or .png (tone-mapped)"
+        parser, "IMAGE", "image to write, .exr (linear radiance) or .png (as --view shows it)"
     )
     _add_placements(parser)
     parser.add_argument(
@@ -53,6 +53,12 @@ def add(commands: Any) -> None:
         action="store_true",
         help="filter the noise out with Open Image Denoise (`pip install 'lumitree[denoise]'`)",
     )
+    parser.add_argument(
+        "--progressive",
+        action="store_true",
+        help="write the image again and again while it is rendered, before denoising",
+    )
+    options.add_view(parser)
     parser.add_argument(
         "--layers",
         metavar="FILE.exr",
@@ -156,6 +162,8 @@ def run(args: argparse.Namespace) -> Any:
         layers=args.layers is not None,
         aov=args.aov is not None,
         width=args.width,
+        view=args.view,
+        so_far=(lambda image: image.save(args.output)) if args.progressive else None,
         proxy=args.proxy,
         variant=args.variant,
     )

@@ -13,7 +13,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from lumitree.core.file_kinds import EXR, what_it_is
-from lumitree.core.files import atomic_path, write_bytes
+from lumitree.core.files import atomic_path
 from lumitree.errors import LumitreeError, shown
 
 # Largest side of an image that is read, pixels.
@@ -114,42 +114,20 @@ def max_radiance(images: Iterable[NDArray[np.floating]]) -> float:
     return float(np.percentile(largest, 99.99, overwrite_input=True))
 
 
-def encode_png(
-    radiance: NDArray[np.floating], exposure: float | None = None, settings: str = ""
-) -> bytes:
-    """A PNG file of linear radiance [H, W, 3], tone-mapped; arguments as for `write_image`."""
+def encode_png(pixels: NDArray[np.uint8], settings: str = "") -> bytes:
+    """A PNG file of sRGB bytes [H, W, 3], with the comment `settings` if there are any."""
     stream, text = io.BytesIO(), PngInfo()
     if settings:
         text.add_itxt("Comment", settings)
-    pixels = tonemap(radiance, exposure or auto_exposure(radiance))
     Image.fromarray(pixels).save(stream, format="PNG", optimize=True, pnginfo=text)
     return stream.getvalue()
 
 
-def write_image(
-    path: str | os.PathLike[str],
-    radiance: NDArray[np.floating],
-    exposure: float | None = None,
-    settings: str = "",
-) -> None:
-    """Write linear radiance [H, W, 3] as `.exr`, or tone-mapped as `.png`.
-
-    Args:
-        exposure: factor before the sRGB curve of a PNG; by default `auto_exposure`.
-        settings: what made the image, stored as the comment of the file; may be empty.
-    """
-    check_image_name(path)
-    if Path(path).suffix.lower() == ".exr":
-        write_exr(path, {"RGB": np.asarray(radiance, np.float32)}, settings)
-    else:
-        write_bytes(path, encode_png(radiance, exposure, settings))
-
-
 def check_image_name(path: str | os.PathLike[str]) -> None:
-    """Refuse an image name that `write_image` cannot write, before any work is done."""
+    """Refuse a name of an image whose format is not known by it, before any work is done."""
     if Path(path).suffix.lower() not in (".exr", ".png"):
         raise LumitreeError(
-            f"image name {str(path)!r} ends in neither .exr (linear) nor .png (tone-mapped)"
+            f"image name {str(path)!r} ends in neither .exr (linear) nor .png (for displays)"
         )
 
 

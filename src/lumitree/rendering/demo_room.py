@@ -6,6 +6,7 @@ import mitsuba as mi
 
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.plugins.objects import load_ordered
+from lumitree.rendering.plugins.register import register
 
 LAMP_CENTRE = (0.0, 1.72, 0.0)
 LAMP_SIZE = 0.9
@@ -66,6 +67,8 @@ def demo_room(width: int = 320, *, ball_in_box: bool = False) -> Any:
         },
         "sampler": {"type": "independent"},
     }
+    register()
+    scene["integrator"] = {"type": "lumitree_path", "max_depth": 12}
     return load_ordered({"type": "scene", **scene})
 
 

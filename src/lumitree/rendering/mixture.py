@@ -12,6 +12,7 @@ from lumitree.core.files import FilePath
 from lumitree.core.image_settings import image_settings
 from lumitree.core.images import encode_png, read_comment, read_exr
 from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.view_transform import View, check_view, displayed, room_exposure
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.rendering.saved_image import SavedImage
 
@@ -23,6 +24,7 @@ class MixResult(SavedImage):
     Attributes:
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
+        exposure: factor on the radiance before the view transform of `png`.
         layers: names of the layers.
         resolution: width and height in pixels.
         mean_radiance: mean over pixels and channels, W/(m² sr).
@@ -37,6 +39,8 @@ class MixResult(SavedImage):
 def mix(
     layers: FilePath | Mapping[str, NDArray[np.float32]],
     gains: Mapping[str, float | tuple[float, float, float]] | None = None,
+    *,
+    view: View = "standard",
 ) -> MixResult:
     """Change the brightness and the colour of lamps in an image, without rendering it again.
 
@@ -45,15 +49,17 @@ def mix(
             path of a file that `RenderResult.save_layers` has written.
         gains: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
             0 to 10⁶. Default: 1.
+        view: view transform of `png`, as for `render`.
 
     Returns:
         The image as `pixels`, float32 [height, width, 3], linear radiance in W/(m² sr), and
-        tone-mapped as `png`. `MixResult.save` writes it.
+        as `png`. `MixResult.save` writes it.
 
     Raises:
-        LumitreeError: the file is missing, damaged or has no layers; or a gain is out of range or
-            of a layer that there is not.
+        LumitreeError: the file is missing, damaged or has no layers; a gain is out of range or
+            of a layer that there is not; or `view` is "filmic" without OpenColorIO.
     """
+    check_view(view)
     factors = {name: check_gain(gain) for name, gain in (gains or {}).items()}
     watch = Stopwatch()
     with watch.stage("mix"):
@@ -78,13 +84,17 @@ def mix(
             for name, colour in colours.items()
         ]
         pixels = np.sum(scaled, axis=0)
-    settings = image_settings("mix", layers=file, gains=factors, rendered=rendered)
+    exposure = room_exposure(pixels)
+    settings = image_settings(
+        "mix", layers=file, gains=factors, view=view, exposure=exposure, rendered=rendered
+    )
     return MixResult(
         pixels=pixels,
         settings=settings,
         layers=sorted(colours),
         resolution=(pixels.shape[1], pixels.shape[0]),
         mean_radiance=float(pixels.mean()),
-        png=encode_png(pixels, settings=settings),
+        exposure=exposure,
+        png=encode_png(displayed(pixels, exposure, view), settings),
         **watch.costs(),
     )

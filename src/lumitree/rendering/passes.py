@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -26,6 +27,9 @@ from lumitree.errors import LumitreeError
 _SAMPLES_PER_PASS = {dr.JitBackend.LLVM: 1 << 19, dr.JitBackend.CUDA: 1 << 23}
 # Passes after which noise is known well enough to stop.
 _MIN_PASSES = 8
+# Least time between two images that are shown while they are rendered, s, and the largest part of
+# the time that showing them takes.
+_SECONDS_BETWEEN_IMAGES, _MOST_TIME_OF_IMAGES = 2.0, 0.1
 # Samples per pixel of a pass at most, where it is not known how many there will be.
 _MAX_SAMPLES_PER_PIXEL = 16
 
@@ -124,11 +128,20 @@ def render_passes(
     *,
     seed: int = 0,
     name: str = "render",
+    so_far: Callable[[Rendering], None] | None = None,
 ) -> Rendering:
     """Render the scene's first sensor until a budget is spent.
 
     Equal seeds and numbers of samples give equal images if the budget is a number of samples. With
     others the number depends on how fast the machine is.
+
+    Args:
+        scene, integrator: what is rendered, and how.
+        budget: when it ends.
+        seed: root seed.
+        name: for the display of progress.
+        so_far: called with the image so far after the first pass and then every two seconds or
+            more, so that it takes no more than a tenth of the time.
     """
     sensor = scene.sensors()[0]
     pixels = int(dr.prod(sensor.film().crop_size()))
@@ -139,6 +152,7 @@ def render_passes(
     batch = max(1, batch)
     mean, start = _Mean(), time.perf_counter()
     spent, seconds, noise, ended = 0.0, 0.0, None, False
+    next_time = 0.0
     with progress(name, 1.0) as advance:
         while not ended:
             count = min(batch, limit - mean.samples)
@@ -161,4 +175,8 @@ def render_passes(
             ended = late or share >= 1
             advance(max(0.0, share - spent), "" if noise is None else f"noise {noise:.1%}")
             spent = max(spent, share)
+            if so_far is not None and not ended and now >= next_time:
+                so_far(Rendering(mean.image(), mean.samples, noise, seconds))
+                taken = time.perf_counter() - now
+                next_time = now + max(_SECONDS_BETWEEN_IMAGES, taken / _MOST_TIME_OF_IMAGES)
     return Rendering(mean.image(), mean.samples, noise, seconds)

@@ -3,7 +3,7 @@
 import dataclasses
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from lumitree.core.images import check_exr_name, encode_png, write_exr
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.view_transform import View, check_view, displayed, room_exposure
 from lumitree.errors import LumitreeError, explained
 from lumitree.rendering.saved_image import SavedImage
 
@@ -40,6 +41,8 @@ class RenderResult(SavedImage):
     Attributes:
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
+        exposure: factor on the radiance before the view transform of `png`: with it the log-average
+            luminance of the image is 0.15 of that of white.
         resolution: width and height in pixels.
         samples_per_pixel: samples per pixel.
         mean_radiance: mean over pixels and channels, W/(m² sr).
@@ -112,6 +115,8 @@ def render(
     aov: bool = False,
     width: int | None = None,
     proxy: "ProxyKind" = "box",
+    view: View = "standard",
+    so_far: "Callable[[RenderResult], None] | None" = None,
     seed: int = 0,
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
@@ -143,23 +148,29 @@ def render(
         width: width of the image in pixels, 1 to 16,384; the aspect ratio stays. Default: the
             scene's.
         proxy: surface that carries a baked luminaire, "box" or "sphere".
+        view: view transform of `png`: "standard", clipped sRGB; or "filmic", the output transform
+            of ACES 2.0 for displays of 100 cd/m², which needs the optional dependency `filmic`.
+        so_far: function that is called with the image so far, without layers and before denoising,
+            after the first pass and then every two seconds or more.
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
         variant: Mitsuba variant; see `bake`.
         progress: function that is called with a `Progress` after each pass; see `bake`.
 
     Returns:
-        The image as `pixels`, float32 [height, width, 3], linear radiance in W/(m² sr), and
-        tone-mapped as `png`. `RenderResult.save` and others write files.
+        The image as `pixels`, float32 [height, width, 3], linear radiance in W/(m² sr), and as
+        `png`. `RenderResult.save` and others write files.
 
     Raises:
         LumitreeError: an argument is out of range; the scene, an asset or a luminaire cannot be
-            read; the scene has no camera; two placements are equal; or `denoise`, `layers` or
-            `aov` is asked for in a scene with heterogeneous media, or without the denoiser.
+            read; the scene has no camera; two placements are equal; `denoise`, `layers` or `aov`
+            is asked for in a scene with heterogeneous media; or what `denoise` or `view`
+            needs is not installed.
     """
     if (samples_per_pixel, time, noise) == (None, None, None):
         samples_per_pixel = _SAMPLES_PER_PIXEL
     _check(samples_per_pixel, time, noise, width)
     check_seed(seed)
+    check_view(view)
     mi = load_mitsuba(variant)
     from lumitree.rendering.denoise import check_denoiser, denoised
     from lumitree.rendering.passes import Budget
@@ -167,44 +178,59 @@ def render(
     if denoise:
         check_denoiser()
     recorded, names, watch = None, _names(placements), Stopwatch()
+
+    def result(
+        rendering: "Rendering", pixels: NDArray[np.float32], filtered: bool, **parts: Any
+    ) -> RenderResult:
+        exposure = room_exposure(pixels)
+        settings = image_settings(
+            "render",
+            scene=Path(scene).name if isinstance(scene, str | os.PathLike) else None,
+            lamps=dict(zip(names[1:], map(_described, placements), strict=True)),
+            integrator=type(job.integrator).__name__,
+            samples_per_pixel=rendering.samples_per_pixel,
+            time=time,
+            noise=rendering.noise,
+            denoise=filtered,
+            proxy=proxy,
+            view=view,
+            exposure=exposure,
+            seed=seed,
+            variant=mi.variant(),
+        )
+        return RenderResult(
+            pixels=pixels,
+            settings=settings,
+            exposure=exposure,
+            resolution=(pixels.shape[1], pixels.shape[0]),
+            samples_per_pixel=rendering.samples_per_pixel,
+            noise=rendering.noise,
+            mean_radiance=float(pixels.mean()),
+            png=encode_png(displayed(pixels, exposure, view), settings),
+            **parts,
+            **watch.costs(),
+        )
+
+    def show(rendering: "Rendering") -> None:
+        assert so_far is not None
+        so_far(result(rendering, rendering.radiance, False))
+
     with reporting(progress):
         with watch.stage("load"):
             job = _RenderJob(scene, placements, proxy, width, box_filter=denoise)
         with watch.stage("render"):
             budget = Budget(samples_per_pixel, time, noise)
+            shown = None if so_far is None else show
             if denoise or layers or aov:
-                rendering, recorded = job.recorded(budget, seed, by_lamp=layers)
+                rendering, recorded = job.recorded(budget, seed, shown, by_lamp=layers)
             else:
-                rendering = job.rendered(budget, seed)
+                rendering = job.rendered(budget, seed, shown)
     pixels = noisy = rendering.radiance
-    settings = image_settings(
-        "render",
-        scene=Path(scene).name if isinstance(scene, str | os.PathLike) else None,
-        lamps=dict(zip(names[1:], map(_described, placements), strict=True)),
-        integrator=type(job.integrator).__name__,
-        samples_per_pixel=rendering.samples_per_pixel,
-        time=time,
-        noise=rendering.noise,
-        denoise=denoise,
-        proxy=proxy,
-        seed=seed,
-        variant=mi.variant(),
-    )
     if recorded is not None and denoise:
         with watch.stage("denoise"):
             recorded = denoised(recorded)
         pixels = (recorded.seen + recorded.lit).sum(axis=0)
-    return RenderResult(
-        pixels=pixels,
-        settings=settings,
-        resolution=(pixels.shape[1], pixels.shape[0]),
-        samples_per_pixel=rendering.samples_per_pixel,
-        noise=rendering.noise,
-        mean_radiance=float(pixels.mean()),
-        png=encode_png(pixels, settings=settings),
-        **_parts(recorded, noisy, names if layers else ()),
-        **watch.costs(),
-    )
+    return result(rendering, pixels, denoise, **_parts(recorded, noisy, names if layers else ()))
 
 
 class _RenderJob:
@@ -234,14 +260,21 @@ class _RenderJob:
         self._whole = place_luminaires(loaded, placed, proxy, appearance=appearance)
         self._placed_ids, self._title = placed_ids(placed), scene_title(scene)
 
-    def rendered(self, budget: "Budget", seed: int) -> "Rendering":
-        """The image alone."""
+    def rendered(
+        self, budget: "Budget", seed: int, so_far: "Callable[[Rendering], None] | None"
+    ) -> "Rendering":
+        """The image alone; `so_far` as for `render_passes`."""
         from lumitree.rendering.passes import render_passes
 
-        return render_passes(self._whole, self.integrator, budget, seed=seed)
+        return render_passes(self._whole, self.integrator, budget, seed=seed, so_far=so_far)
 
     def recorded(
-        self, budget: "Budget", seed: int, *, by_lamp: bool
+        self,
+        budget: "Budget",
+        seed: int,
+        so_far: "Callable[[Rendering], None] | None",
+        *,
+        by_lamp: bool,
     ) -> "tuple[Rendering, Recorded]":
         """The image, and what is recorded beside it; `by_lamp`, the light of each lamp apart."""
         from lumitree.rendering.layers import Layers, recording, records_layers
@@ -254,7 +287,7 @@ class _RenderJob:
             )
         layers = Layers(self._whole, self._placed_ids if by_lamp else ())
         with recording(self.integrator, layers):
-            rendering = self.rendered(budget, seed)
+            rendering = self.rendered(budget, seed, so_far)
         return rendering, layers.divide(rendering.channels[..., 3:])
 
 

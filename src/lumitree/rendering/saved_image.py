@@ -1,12 +1,13 @@
 """Base class of results whose image can be written to a file."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.files import FilePath
-from lumitree.core.images import write_image
+from lumitree.core.files import FilePath, write_bytes
+from lumitree.core.images import check_image_name, write_exr
 from lumitree.core.results import ImageResult
 from lumitree.errors import explained
 
@@ -18,19 +19,25 @@ class SavedImage(ImageResult):
     Attributes:
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
+        exposure: factor on the radiance before the view transform of `png`.
     """
 
     pixels: NDArray[np.float32] = dataclasses.field(repr=False)
     settings: str = dataclasses.field(repr=False)
+    exposure: float
 
     @explained
     def save(self, path: FilePath) -> None:
         """Write the image.
 
         Args:
-            path: path of the file, `.exr` (linear radiance) or `.png` (tone-mapped).
+            path: path of the file, `.exr` (linear radiance) or `.png` (`png`).
 
         Raises:
             LumitreeError: the name has another ending, or the file cannot be written.
         """
-        write_image(path, self.pixels, settings=self.settings)
+        check_image_name(path)
+        if Path(path).suffix.lower() == ".exr":
+            write_exr(path, {"RGB": self.pixels}, self.settings)
+        else:
+            write_bytes(path, self.png)

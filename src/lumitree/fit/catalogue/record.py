@@ -9,7 +9,7 @@ from typing import Any
 from lumitree.asset.asset import Asset
 from lumitree.core.files import write_bytes, write_json
 from lumitree.core.image_settings import image_settings
-from lumitree.core.images import encode_png
+from lumitree.core.images import auto_exposure, encode_png, tonemap
 from lumitree.core.reading import Record, parse_json, read_bytes
 from lumitree.errors import LumitreeError
 from lumitree.fit.config import BakeConfig
@@ -115,7 +115,9 @@ class LampFiles:
         described = image_settings("bake", lamp=asset.luminaire, settings=json.loads(settings))
         pose = pose_towards(_FROM, (0, 1, 0), 4.0)
         ((radiance, _),) = shown_images(asset, [pose], 1.75, _PIXELS, _SAMPLES)
-        write_bytes(self.thumbnail, encode_png(radiance, settings=described))
+        write_bytes(
+            self.thumbnail, encode_png(tonemap(radiance, auto_exposure(radiance)), described)
+        )
         figures: dict[str, Any] = {
             "lumens": asset_lumens(asset),
             "file_bytes": self.asset.stat().st_size,

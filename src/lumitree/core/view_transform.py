@@ -1,0 +1,83 @@
+"""View transforms: what a display shows of the linear radiance of a room.
+
+"standard" clips at 1 and encodes sRGB. "filmic" is the output transform of ACES 2.0 for displays of
+100 cd/m², by OpenColorIO: highlights lose colour and approach white slowly.
+"""
+
+import functools
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.arguments import check_choice
+from lumitree.core.images import tonemap
+from lumitree.core.photometry import LUMA
+from lumitree.errors import LumitreeError
+
+View = Literal["standard", "filmic"]
+VIEWS: tuple[View, ...] = get_args(View)
+# What the log-average luminance of a room becomes, relative to white, and the side in pixels of
+# the blocks that it is taken over: the logarithm of single pixels would measure their noise.
+_KEY, _BLOCK = 0.15, 8
+# The configuration is part of OpenColorIO 2.5 and later.
+_CONFIG = "cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
+_LINEAR, _DISPLAY = "Linear Rec.709 (sRGB)", "sRGB - Display"
+_FILMIC = "ACES 2.0 - SDR 100 nits (Rec.709)"
+
+
+def check_view(view: View) -> None:
+    """Refuse a view transform that there is not, or whose package is missing, before any work.
+
+    Raises:
+        LumitreeError: there is no such view, or "filmic" is asked for without OpenColorIO.
+    """
+    check_choice("view", view, VIEWS)
+    if view == "filmic":
+        _filmic()
+
+
+def displayed(
+    radiance: NDArray[np.floating], exposure: float, view: View = "standard"
+) -> NDArray[np.uint8]:
+    """sRGB bytes [H, W, 3] of linear radiance [H, W, 3] after `exposure`."""
+    if view == "standard":
+        return tonemap(radiance, exposure)
+    import PyOpenColorIO
+
+    height, width, channels = radiance.shape
+    image = np.ascontiguousarray(np.nan_to_num(radiance * exposure), np.float32)
+    _filmic().apply(PyOpenColorIO.PackedImageDesc(image, width, height, channels))
+    return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+
+
+def room_exposure(radiance: NDArray[np.floating]) -> float:
+    """Exposure factor for the image [H, W, 3] of a room: by its log-average luminance.
+
+    A lamp that is seen is thousands of times brighter than its room, and covers little of it: a
+    mean of logarithms hardly depends on it. Blocks that are black are left out.
+    """
+    means = np.nan_to_num(np.asarray(radiance, np.float64)) @ np.array(LUMA)
+    for axis, side in enumerate(means.shape):
+        starts = range(0, side, _BLOCK)
+        sizes = np.diff([*starts, side])
+        means = np.add.reduceat(means, starts, axis=axis) / np.expand_dims(sizes, 1 - axis)
+    lit = means[means > 0]
+    return float(_KEY / np.exp(np.log(lit).mean())) if lit.size else 1.0
+
+
+@functools.cache
+def _filmic() -> Any:
+    """The processor of "filmic"."""
+    try:
+        import PyOpenColorIO
+
+        config = PyOpenColorIO.Config.CreateFromBuiltinConfig(_CONFIG)
+    except Exception as error:
+        # Older versions raise their own exception: they do not have the configuration.
+        raise LumitreeError(
+            f"the filmic view needs the package opencolorio, 2.5 or newer ({error}); install it "
+            "with `pip install 'lumitree[filmic]'`, or use the standard view"
+        ) from None
+    forward = PyOpenColorIO.TRANSFORM_DIR_FORWARD
+    return config.getProcessor(_LINEAR, _DISPLAY, _FILMIC, forward).getDefaultCPUProcessor()
