@@ -5,6 +5,7 @@
 """
 
 import functools
+import importlib
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -43,11 +44,10 @@ def displayed(
     """sRGB bytes [H, W, 3] of linear radiance [H, W, 3] after `exposure`."""
     if view == "standard":
         return tonemap(radiance, exposure)
-    import PyOpenColorIO
-
     height, width, channels = radiance.shape
     image = np.ascontiguousarray(np.nan_to_num(radiance * exposure), np.float32)
-    _filmic().apply(PyOpenColorIO.PackedImageDesc(image, width, height, channels))
+    library, processor = _filmic()
+    processor.apply(library.PackedImageDesc(image, width, height, channels))
     return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
@@ -67,17 +67,16 @@ def room_exposure(radiance: NDArray[np.floating]) -> float:
 
 
 @functools.cache
-def _filmic() -> Any:
-    """The processor of "filmic"."""
+def _filmic() -> tuple[Any, Any]:
+    """OpenColorIO, whose module states no types, and its processor of "filmic"."""
     try:
-        import PyOpenColorIO
-
-        config = PyOpenColorIO.Config.CreateFromBuiltinConfig(_CONFIG)
+        library: Any = importlib.import_module("PyOpenColorIO")
+        config = library.Config.CreateFromBuiltinConfig(_CONFIG)
     except Exception as error:
         # Older versions raise their own exception: they do not have the configuration.
         raise LumitreeError(
             f"the filmic view needs the package opencolorio, 2.5 or newer ({error}); install it "
             "with `pip install 'lumitree[filmic]'`, or use the standard view"
         ) from None
-    forward = PyOpenColorIO.TRANSFORM_DIR_FORWARD
-    return config.getProcessor(_LINEAR, _DISPLAY, _FILMIC, forward).getDefaultCPUProcessor()
+    processor = config.getProcessor(_LINEAR, _DISPLAY, _FILMIC, library.TRANSFORM_DIR_FORWARD)
+    return library, processor.getDefaultCPUProcessor()
