@@ -1,4 +1,4 @@
-"""The file format: byte-exact, and nothing damaged gets in."""
+"""The file format: nothing changes but by stated rounding, and nothing damaged gets in."""
 
 import json
 import struct
@@ -12,13 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.file import load, save
+from lumitree.asset.file import as_stored, load, save
 from lumitree.asset.light_field import TracedPaths, make_light_field
 from lumitree.errors import LumitreeError
 from support import damage
 from support.fields import random_asset
 from support.geometry_assets import small_geometry, with_geometry
 from support.light_fields import assert_equal_fields, random_light_field, with_inside
+from support.stored_arrays import change_field_arrays
 
 
 @pytest.fixture(scope="module")
@@ -159,8 +160,11 @@ def append(tensors):
         (lambda t: t.update({"light.stream": np.zeros(9, np.uint8)}), "cannot be decompressed"),
         (lambda t: t.update({"light.stream": np.zeros((), np.uint8)}), "decompress"),
         (lambda t: t.pop("light.stream"), 'the header lacks "light.stream"'),
-        (lambda t: t.update({"light.cells": t["density"]}), 'unknown key "light.cells"'),
-        (lambda t: t.update({"light.stream": t["density"]}), 'dtype of light.stream .* "F32"'),
+        (lambda t: t.update({"light.cells": t["field.stream"]}), 'unknown key "light.cells"'),
+        (
+            lambda t: t.update({"light.stream": np.zeros(3, np.float32)}),
+            'dtype of light.stream .* "F32"',
+        ),
     ],
 )
 def test_broken_streams_are_refused(lit_inside, tmp_path, change, message):
@@ -276,29 +280,91 @@ def rewrite(path, target, change_tensors=lambda t: None, change_text=lambda d: N
     safetensors.numpy.save_file(tensors, target, {"lumitree": f"{_digest(text, tensors)} {text}"})
 
 
-def put(name, index, value):
-    def change(tensors):
-        tensors[name][index(tensors) if callable(index) else index] = value
+def changed(array, index, value):
+    array = array.copy()
+    array[index] = value
+    return array
 
-    return change
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("density", lambda a: changed(a, 0, np.nan), "density holds NaN"),
+        ("density", lambda a: changed(a, 0, -1), "negative"),
+        ("coefficients", lambda a: changed(a, (0, 0, 0), np.inf), "hold NaN or infinity"),
+        ("children", lambda a: changed(a, (0, 0), 10**6), "node index is out of range"),
+        ("children", lambda a: changed(a, a < 0, -(10**6)), "leaf index is out of range"),
+        ("children", lambda a: changed(a, (-1, slice(None)), 0), "referenced exactly once"),
+        ("density", lambda a: a.astype(np.float64), "density is float64"),
+        ("density", lambda a: a[:-1], "coefficients is"),
+        ("children", lambda a: a.reshape(-1, 4), "children is"),
+        ("density", lambda a: np.array(1, np.float32), r"density is float32 \(\)"),
+        ("children", lambda a: np.array(0, np.int32), r"children is int32 \(\)"),
+    ],
+)
+def test_broken_arrays_are_refused(name, change, message):
+    asset = random_asset(0, tree_depth=3, l_max=1)
+    with pytest.raises(LumitreeError, match=message):
+        replace(asset, **{name: change(getattr(asset, name))})
+
+
+def put(name, index, value):
+    return lambda arrays: arrays[name].__setitem__(index, value)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (put("density", 0, np.nan), "density holds NaN"),
-        (put("density", 0, -1), "negative"),
-        (put("coefficients", (0, 0, 0), np.inf), "coefficients hold NaN or infinity"),
-        (put("children", (0, 0), 10**6), "node index is out of range"),
-        (put("children", lambda t: t["children"] < 0, -(10**6)), "leaf index is out of range"),
-        (put("children", (-1, slice(None)), 0), "referenced exactly once"),
-        (lambda t: t.pop("density"), "tensors"),
-        (lambda t: t.update(density=t["density"].astype(np.float64)), "tensors"),
-        (lambda t: t.update(density=t["density"][:-1]), "coefficients is"),
-        (lambda t: t.update(children=t["children"].reshape(-1, 4)), "children is"),
-        (lambda t: t.update(extra=t["density"]), "tensors"),
-        (lambda t: t.update(density=np.float32(1)), r"density is float32 \(\)"),
-        (lambda t: t.update(children=np.int32(0)), r"children is int32 \(\)"),
+        (put("density", 0, 255 << 4 | 1), "density holds NaN"),
+        (put("density", 0, 255 << 4), "values above"),
+        (put("density", 0, 1 << 12 | 127 << 4), "negative"),
+        (put("density", 0, 1 << 13), "a density of more than 13 bits"),
+        (put("occupied", 0, 0), "a tree of"),
+        (put("occupied", slice(None), 255), "a tree of"),
+        (put("ends", slice(None), 0), "a tree of"),
+        (put("ends", slice(None), 255), "a tree of"),
+    ],
+)
+def test_broken_arrays_of_the_field_are_refused(original, tmp_path, change, message):
+    asset = load(original)
+    rewrite(
+        original,
+        tmp_path / "bad.lumitree",
+        change_tensors=lambda tensors: change_field_arrays(tensors, asset, change),
+    )
+    with pytest.raises(LumitreeError, match=message) as caught:
+        load(tmp_path / "bad.lumitree")
+    assert "bad.lumitree" in str(caught.value)
+
+
+def test_a_node_that_is_not_reached_is_refused(tmp_path):
+    """Nodes 1 and 2 are one below the other, but never below the root."""
+    path = tmp_path / "lamp.lumitree"
+    asset = random_asset(0, tree_depth=3, l_max=1)
+    save(asset, path)
+
+    def change(arrays):
+        interior = arrays["occupied"] ^ arrays["ends"]
+        rows, last = np.flatnonzero(interior), len(interior) - 1
+        # All interior entries of the root become those of the last node.
+        moved = interior[rows[0]]
+        arrays["occupied"][rows[0]] ^= moved
+        arrays["ends"][last] &= ~moved
+        arrays["occupied"][last] |= moved
+
+    rewrite(path, path, change_tensors=lambda t: change_field_arrays(t, asset, change))
+    with pytest.raises(LumitreeError, match=r"a tree of|not connected"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.pop("field.stream"), 'lacks "field.stream"'),
+        (lambda t: t.update(extra=t["field.stream"]), 'unknown key "extra"'),
+        (lambda t: t.update({"field.stream": np.zeros(3, np.float32)}), 'dtype .* "F32"'),
+        (lambda t: t.update({"field.stream": np.zeros(3, np.uint8)}), "cannot be decompressed"),
+        (lambda t: t.update({"field.stream": t["field.stream"][:-1]}), "does not decompress to"),
     ],
 )
 def test_broken_tensors_are_refused(original, tmp_path, change, message):
@@ -307,12 +373,69 @@ def test_broken_tensors_are_refused(original, tmp_path, change, message):
         load(tmp_path / "bad.lumitree")
 
 
+@pytest.mark.parametrize("l_max", [0, 2, 4])
+@pytest.mark.parametrize("scale", [0.3, 30.0, 3e4])
+def test_a_field_is_rounded_by_no_more_than_is_stated(l_max, scale):
+    random = np.random.default_rng(l_max)
+    asset = random_asset(1, l_max=l_max)
+    size = asset.coefficients.shape
+    asset = replace(
+        asset,
+        coefficients=np.clip(random.normal(0, scale, size), -4000, 4000).astype(np.float16),
+        density=(10 ** random.uniform(-30, 15, size[0])).astype(np.float32),
+    )
+    asset.density[:2] = 0, 1e15
+    stored = as_stored(asset)
+    # Leaves of `random_asset` are in the order of the file.
+    assert np.array_equal(stored.children, asset.children)
+    error = np.abs(stored.coefficients.astype(float) - asset.coefficients)
+    # Halves have a precision of their own.
+    largest = np.abs(asset.coefficients).astype(np.float16) + np.float16(0.25)
+    steps = np.array([0.25, *[0.5] * (size[2] - 1)])
+    assert (error <= steps / 2 + np.spacing(largest)).all()
+    assert (np.abs(stored.density / np.maximum(asset.density, 1e-37) - 1) <= 1 / 32)[1:].all()
+    assert stored.density[0] == 0
+
+
+def test_what_is_rounded_is_not_rounded_again(tmp_path):
+    random = np.random.default_rng(0)
+    asset = random_asset(2, l_max=3)
+    coefficients = random.normal(0, 10.0 ** random.integers(-2, 5, asset.num_leaves)[:, None, None],
+                                 asset.coefficients.shape)  # fmt: skip
+    finite = np.clip(coefficients, -65504, 65504).astype(np.float16)
+    once = as_stored(replace(asset, coefficients=finite))
+    save(once, tmp_path / "a.lumitree")
+    twice = load(tmp_path / "a.lumitree")
+    for name in ("children", "density", "coefficients"):
+        assert np.array_equal(getattr(once, name), getattr(twice, name))
+
+
+def test_nodes_and_leaves_in_any_order_are_stored_as_the_same_field():
+    asset = random_asset(4)
+    random = np.random.default_rng(0)
+    nodes = np.append(0, 1 + random.permutation(len(asset.children) - 1))
+    leaves = random.permutation(asset.num_leaves)
+    children = np.zeros_like(asset.children)
+    children[nodes] = asset.children
+    children[children > 0] = nodes[children[children > 0]]
+    children[children < 0] = ~leaves[~children[children < 0]]
+    shuffled = replace(
+        asset,
+        children=children,
+        density=asset.density[np.argsort(leaves)],
+        coefficients=asset.coefficients[np.argsort(leaves)],
+    )
+    stored = as_stored(shuffled)
+    for name in ("children", "density", "coefficients"):
+        assert np.array_equal(getattr(stored, name), getattr(asset, name))
+
+
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("version", 2, "version 2, this lumitree reads 1; bake it again"),
+        ("version", 1, "version 1, this lumitree reads 2; bake it again"),
         ("version", 0, "version 0, this"),
-        ("version", 1.0, "version 1.0, this"),
+        ("version", 2.0, "version 2.0, this"),
         ("version", True, "version true, this"),
         ("light", {"depth": 1, "resolution": 4, "scale": 1.0}, 'lacks "light.stream"'),
         ("gain", None, "gain of the description is null; expected 3 numbers"),
@@ -321,7 +444,13 @@ def test_broken_tensors_are_refused(original, tmp_path, change, message):
         ("tree_depth", 11, "tree depth 11"),
         ("tree_depth", 1, "deeper than 1 levels"),
         ("tree_depth", "3", 'tree_depth of the description is "3"; expected an integer'),
-        ("l_max", 2, "coefficients is"),
+        ("l_max", 2, "the field does not decompress to"),
+        ("l_max", 5, "l_max 5, expected 0 to 4"),
+        ("l_max", -1, "l_max -1, expected 0 to 4"),
+        ("field", {"nodes": 0, "leaves": 0}, "0 nodes and 0 leaves, expected"),
+        ("field", {"nodes": 1, "leaves": 1 << 40}, "leaves, expected"),
+        ("field", {"nodes": 1, "leaves": 1 << 27}, "limit 2147483648"),
+        ("field", {"nodes": 1}, 'lacks "leaves"'),
         ("law", "cubic", "law of the description"),
         ("max_radiance", -1, "maximum radiance"),
         ("half_extents", [1, 1], "half_extents of the description is a list"),

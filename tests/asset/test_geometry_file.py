@@ -21,6 +21,7 @@ from support.damage import refused
 from support.fields import random_asset
 from support.geometry_assets import small_geometry, with_geometry
 from support.light_fields import random_light_field, with_inside
+from support.stored_arrays import change_geometry_arrays
 
 ROUNDS = 300
 WORDS = (
@@ -284,25 +285,25 @@ def test_broken_descriptions_are_refused(original, tmp_path, name):
 
 
 def set_to(name, index, value):
-    def change(tensors):
-        tensors[name] = tensors[name].copy()
-        tensors[name][index] = value
+    def change(arrays):
+        arrays[name][index] = value
 
-    return change
+    return lambda tensors: change_geometry_arrays(tensors, change)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (set_to("geometry.faces", (0, 0), 4), "a face has an unknown vertex"),
-        (set_to("geometry.vertices", (0, 0), np.nan), "vertices hold NaN"),
-        (set_to("geometry.vertices", (0, 0), 1.2), "outside the box"),
-        (set_to("geometry.normals", (0, 0), np.inf), "normals hold NaN"),
+        (set_to("faces", (0, 0), 4), "a face has an unknown vertex"),
+        (set_to("vertices", (0, 0), np.nan), "vertices hold NaN"),
+        (set_to("vertices", (0, 0), 1.2), "outside the box"),
+        (set_to("normals", (0, 0), np.inf), "normals hold NaN"),
         (
-            set_to("geometry.texcoords", (0, 1), 1e12),
+            set_to("texcoords", (0, 1), 1e12),
             r"shape 0: texture coordinates reach 3e\+12 pixels .* expected at most 1073741824",
         ),
-        (lambda t: t.pop("geometry.faces"), "lacks"),
+        (lambda t: t.pop("geometry.stream"), "lacks"),
+        (lambda t: t.update({"geometry.stream": np.zeros(2, np.uint8)}), "cannot be decompressed"),
         (lambda t: t.pop("geometry.shapes"), "unknown key"),
     ],
 )

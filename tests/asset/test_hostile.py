@@ -14,6 +14,7 @@ from lumitree.asset.asset import (
     MIN_RADIANCE,
     light_field_asset,
 )
+from lumitree.asset.field_bytes import field_description, field_tensors
 from lumitree.asset.file import _digest, load, save
 from lumitree.asset.light_field import MAX_BINS, MAX_DEPTH, MAX_RESOLUTION, TracedPaths, unpack
 from lumitree.asset.light_field_bytes import light_field_description, light_field_tensors
@@ -25,6 +26,7 @@ from lumitree.errors import LumitreeError
 from support.fields import random_asset
 from support.light_fields import assert_equal_fields, random_light_field
 from support.reference_field import leaf_boxes
+from support.stored_arrays import change_field_arrays
 
 ROUNDS = 100
 TRACED = TracedPaths(1 << 20, (0, 7), 64 * "a", 0.02)
@@ -50,10 +52,11 @@ class Draft:
     """An asset about to be written: its description as JSON texts by key, and its tensors."""
 
     def __init__(self, asset):
-        self.tensors = {name: np.array(getattr(asset, name)) for name in DTYPES}
+        self.asset = asset
+        self.tensors = {name: each.copy() for name, each in field_tensors(asset).items()}
         self.members = [
             ("format", '"lumitree"'),
-            ("version", "1"),
+            ("version", "2"),
             ("luminaire", '"test"'),
             ("tree_depth", str(asset.tree_depth)),
             ("l_max", str(asset.l_max)),
@@ -61,6 +64,7 @@ class Draft:
             ("activation", '"sigmoid"'),
             ("max_radiance", str(asset.max_radiance)),
             ("gain", str(list(asset.gain))),
+            ("field", json.dumps(field_description(asset))),
             ("half_extents", str(asset.frame.half_extents.tolist())),
             ("world_from_proxy", str(asset.frame.world_from_local.tolist())),
         ]
@@ -113,6 +117,18 @@ def flip_tensor_bits(draft, random):
     return draft.file()
 
 
+def flip_bits_of_the_field(draft, random):
+    """Within its stream, whose own checksum is right."""
+
+    def change(arrays):
+        array = arrays[random.choice([name for name, each in arrays.items() if each.size])]
+        for _ in range(random.integers(1, 4)):
+            array.flat[random.integers(array.size)] ^= 1 << random.integers(15)
+
+    change_field_arrays(draft.tensors, draft.asset, change)
+    return draft.file()
+
+
 def flip_description_bits(draft, random):
     text = bytearray(draft.description().encode())
     for _ in range(random.integers(1, 4)):
@@ -138,10 +154,11 @@ def replace_values(draft, random):
 def replace_numbers(draft, random):
     """A number within the lists, or within the light field, of the description."""
     keys = [name for name, _ in draft.members]
-    key = random.choice(["half_extents", "world_from_proxy", "light"][: 2 + ("light" in keys)])
+    lists = ["half_extents", "world_from_proxy", "field", "light"]
+    key = random.choice(lists[: 3 + ("light" in keys)])
     index = keys.index(key)
     values = json.loads(draft.members[index][1])
-    if key == "light":
+    if key in ("field", "light"):
         values[random.choice(list(values))] = "@"
     else:
         values = np.array(values).astype(object)
@@ -288,6 +305,7 @@ def test_the_draft_is_the_file(asset, tmp_path):
     "mutate",
     [
         flip_tensor_bits,
+        flip_bits_of_the_field,
         flip_description_bits,
         flip_header_bits,
         replace_values,

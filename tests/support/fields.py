@@ -3,6 +3,7 @@
 import numpy as np
 
 from lumitree.asset.asset import Asset
+from lumitree.asset.file import as_stored
 from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import num_coefficients
 from lumitree.octree.build import build_children, child_cells
@@ -43,7 +44,10 @@ def make_asset(
 
 
 def random_asset(seed, *, tree_depth=4, l_max=2, law="linear", density_scale=2.0, **fields):
-    """Asset with leaves of several levels, about a third of the volume filled."""
+    """Asset with leaves of several levels, about a third of the volume filled.
+
+    It is as a file holds it, so that saving does not change it.
+    """
     random = np.random.default_rng(seed)
     cells, levels = [], []
     stack = [((0, 0, 0), 0)]
@@ -57,8 +61,8 @@ def random_asset(seed, *, tree_depth=4, l_max=2, law="linear", density_scale=2.0
             stack += [(child, level + 1) for child in child_cells(np.array(cell))]
     density = random.exponential(density_scale, len(cells))
     coefficients = random.normal(0, 1, (len(cells), 3, num_coefficients(l_max)))
-    return make_asset(
-        cells, levels, density, coefficients, tree_depth=tree_depth, law=law, **fields
+    return as_stored(
+        make_asset(cells, levels, density, coefficients, tree_depth=tree_depth, law=law, **fields)
     )
 
 

@@ -1,19 +1,28 @@
 """Reader of what the viewer's page reads."""
 
 import base64
-import zlib
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.array_stream import Layout, decompressed
+from lumitree.asset.field_bytes import coefficients_of, densities
 from lumitree.output.viewer.packing import PackedAsset
 
 
 def unpack_asset(packed: PackedAsset) -> dict[str, NDArray[Any]]:
-    """Arrays by name, as the page reads them."""
-    content = zlib.decompress(base64.b64decode(packed.block))
-    return {
-        name: np.frombuffer(content, np.dtype(kind), count, start)
-        for name, (kind, start, count) in packed.description["arrays"].items()
+    """Arrays by name, as the page uses them: densities [M], and coefficients [M, 3, K]."""
+    stream = np.frombuffer(base64.b64decode(packed.block), np.uint8)
+    layouts = [
+        Layout(name, np.dtype(kind), (rows, columns), planes)
+        for name, kind, rows, columns, planes in packed.description["arrays"]
+    ]
+    arrays = decompressed(stream, layouts, "the page")
+    arrays = {name: each[:, 0] if each.shape[1] == 1 else each for name, each in arrays.items()}
+    leaves, l_max = packed.description["leaves"], packed.description["l_max"]
+    codes = arrays["coefficients"].reshape(leaves, -1, 3)
+    return arrays | {
+        "density": densities(arrays["density"]),
+        "coefficients": coefficients_of(codes, l_max),
     }

@@ -1,8 +1,8 @@
 """The geometry of an asset as tensors of its file, see docs/format.md.
 
-Shapes, materials and the sizes of images are one JSON text. Images follow each other as bytes,
-which are compressed: each byte of a row minus the one a pixel before it, as PNG's filter "Sub",
-then by zlib.
+Shapes, materials and the sizes of arrays and images are one JSON text. Arrays are one stream, in
+planes (`array_stream`). Images follow each other as bytes, which are compressed: each byte of a row
+minus the one a pixel before it, as PNG's filter "Sub", then by zlib.
 """
 
 import json
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.array_stream import Layout, compressed, decompressed, inflated
 from lumitree.asset.geometry import (
     ARRAYS,
     MAX_IMAGE_BYTES,
@@ -26,13 +27,9 @@ from lumitree.asset.textures import Json
 from lumitree.core.reading import Record, parse_json
 from lumitree.errors import LumitreeError
 
-_DTYPES = {np.float32: "F32", np.uint32: "U32"}
 GEOMETRY_SHAPES = "geometry.shapes"
-GEOMETRY_TENSORS = {
-    GEOMETRY_SHAPES: "U8",
-    "geometry.images": "U8",
-    **{f"geometry.{name}": _DTYPES[dtype] for name, (dtype, _) in ARRAYS.items()},  # type: ignore[index]
-}
+GEOMETRY_TENSORS = {GEOMETRY_SHAPES: "U8", "geometry.stream": "U8", "geometry.images": "U8"}
+_MAX_ROWS = 1 << 28
 # Largest JSON text; a shape takes about 200 bytes.
 _MAX_TEXT = 1 << 24
 _PIXELS: dict[str, Any] = {"uint8": np.uint8, "float32": np.dtype("<f4")}
@@ -40,7 +37,9 @@ _PIXELS: dict[str, Any] = {"uint8": np.uint8, "float32": np.dtype("<f4")}
 
 def geometry_tensors(geometry: AssetGeometry) -> dict[str, NDArray[Any]]:
     """Tensors of an asset's geometry, by name."""
+    arrays = geometry.arrays
     description = {
+        "arrays": {name: len(array) for name, array in arrays.items()},
         "images": [{"shape": list(i.shape), "dtype": str(i.dtype)} for i in geometry.images],
         "materials": list(geometry.materials),
         "shapes": list(geometry.shapes),
@@ -50,7 +49,7 @@ def geometry_tensors(geometry: AssetGeometry) -> dict[str, NDArray[Any]]:
     return {
         GEOMETRY_SHAPES: np.frombuffer(text.encode(), np.uint8),
         "geometry.images": np.frombuffer(_compressed(geometry.images), np.uint8),
-        **{f"geometry.{name}": array for name, array in geometry.arrays.items()},
+        "geometry.stream": compressed(arrays, _layouts({n: len(a) for n, a in arrays.items()})),
     }
 
 
@@ -64,16 +63,30 @@ def build_geometry(tensors: dict[str, NDArray[Any]]) -> AssetGeometry:
     if len(text) > _MAX_TEXT:
         raise LumitreeError(f"the geometry's description has {len(text)} bytes (limit {_MAX_TEXT})")
     description = Record(parse_json(text), "the geometry")
-    description.expect_keys("images", "materials", "shapes", optional=("origin",))
+    description.expect_keys("arrays", "images", "materials", "shapes", optional=("origin",))
+    rows = description.record("arrays")
+    rows.expect_keys(*ARRAYS)
+    layouts = _layouts({name: rows.integer(name) for name in ARRAYS})
     has_origin = description.has("origin")
     x, y, z = description.array("origin", 3).tolist() if has_origin else NO_ORIGIN
     return AssetGeometry(
-        **{name: tensors[f"geometry.{name}"] for name in ARRAYS},
+        **decompressed(tensors["geometry.stream"], layouts, "the geometry"),
         images=_images(description.items("images"), tensors["geometry.images"].tobytes()),
         shapes=tuple(description.items("shapes")[: MAX_SHAPES + 1]),
         materials=tuple(description.items("materials")),
         origin=(x, y, z),
     )
+
+
+def _layouts(rows: dict[str, int]) -> list[Layout]:
+    """Arrays of the stream, of these numbers of rows."""
+    for name, count in rows.items():
+        if not 0 <= count <= _MAX_ROWS:
+            raise LumitreeError(f"the geometry has {count} {name} (limit {_MAX_ROWS})")
+    return [
+        Layout(name, dtype, (rows[name], width), planes=True)
+        for name, (dtype, width) in ARRAYS.items()
+    ]
 
 
 def _compressed(images: tuple[NDArray[Any], ...]) -> bytes:
@@ -85,21 +98,6 @@ def _compressed(images: tuple[NDArray[Any], ...]) -> bytes:
         differences[:, 1:] -= _rows(content)[:, :-1]
         parts.append(compressor.compress(differences.tobytes()))
     return b"".join([*parts, compressor.flush()]) if images else b""
-
-
-def _decompressed(content: bytes, size: int) -> bytes:
-    """The bytes of all images, of which there are `size`."""
-    if not size and not content:
-        return b""
-    decompressor = zlib.decompressobj()
-    try:
-        # No more than is expected, whatever the stream holds.
-        found = decompressor.decompress(content, size + 1)
-    except zlib.error as error:
-        raise LumitreeError(f"the images of the geometry cannot be decompressed: {error}") from None
-    if len(found) != size or not decompressor.eof or decompressor.unused_data:
-        raise LumitreeError(f"the images of the geometry do not decompress to {size} bytes")
-    return found
 
 
 def _rows(image: NDArray[Any]) -> NDArray[np.uint8]:
@@ -114,7 +112,7 @@ def _images(descriptions: list[Json], content: bytes) -> tuple[NDArray[Any], ...
     sizes = [math.prod(shape) * dtype.itemsize for shape, dtype in layouts]
     if (total := sum(sizes)) > MAX_IMAGE_BYTES:
         raise LumitreeError(f"images of the geometry have {total} bytes (limit {MAX_IMAGE_BYTES})")
-    content = _decompressed(content, total)
+    content = inflated(content, total, "the images of the geometry") if layouts or content else b""
     images, start = [], 0
     for (shape, dtype), size in zip(layouts, sizes, strict=True):
         differences = np.frombuffer(content, dtype, math.prod(shape), start).reshape(shape)

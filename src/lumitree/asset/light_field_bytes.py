@@ -4,13 +4,12 @@ The tensor is one zlib stream of all arrays, whose sizes are in the description.
 """
 
 import dataclasses
-import math
-import zlib
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.array_stream import Layout, compressed, decompressed
 from lumitree.asset.light_field import MAX_BINS, LightField, TracedPaths
 from lumitree.asset.light_inside import LightInside
 from lumitree.core.reading import Record
@@ -22,22 +21,17 @@ _TRACED_KEYS = ("count", "seeds", "luminaire", "noise")
 # Numbers of rows of the arrays.
 _COUNTS = ("cells", "bins")
 _INSIDE_COUNTS = ("cells", "entries", "distances", "reach_curves", "visibility_curves")
-# Of the arrays of a stream together.
-_MAX_BYTES = 1 << 31
-# Name, type and shape of an array of a stream.
-_Layout = tuple[str, Any, tuple[int, ...]]
+# Before the names of arrays of the light inside.
+_INSIDE = "inside."
 
 
 def light_field_tensors(field: LightField) -> dict[str, NDArray[Any]]:
     """Tensors of a field, by name."""
     outer, inner = _layouts(_counts(field), field.resolution)
-    compressor, parts = zlib.compressobj(6), []
-    for part, layouts in ((field, outer), (field.inside, inner)):
-        for name, dtype, _ in layouts:
-            array = np.ascontiguousarray(getattr(part, name), dtype)
-            parts.append(compressor.compress(array.tobytes()))
-    content = b"".join([*parts, compressor.flush()])
-    return {"light.stream": np.frombuffer(content, np.uint8)}
+    arrays = {each.name: getattr(field, each.name) for each in outer}
+    for each in inner:
+        arrays[each.name] = getattr(field.inside, each.name.removeprefix(_INSIDE))
+    return {"light.stream": compressed(arrays, outer + inner)}
 
 
 def light_field_description(field: LightField) -> dict[str, Any]:
@@ -63,13 +57,14 @@ def build_light_field(description: Record, tensors: dict[str, NDArray[Any]]) -> 
     """
     description.expect_keys(*_KEYS, *_COUNTS, optional=("traced", "inside"))
     resolution = description.integer("resolution")
-    own, inner = None, {}
+    own, inside_counts = None, {}
     if description.has("inside"):
         own = description.record("inside")
         own.expect_keys(*_INSIDE_COUNTS, "scale")
-        inner = _read_counts(own, _INSIDE_COUNTS)
-    layouts = _layouts((_read_counts(description, _COUNTS), inner), resolution)
-    arrays, inside_arrays = _decompressed(tensors["light.stream"], layouts)
+        inside_counts = _read_counts(own, _INSIDE_COUNTS)
+    outer, inner = _layouts((_read_counts(description, _COUNTS), inside_counts), resolution)
+    arrays = decompressed(tensors["light.stream"], outer + inner, "the light field")
+    inside_arrays = {each.name.removeprefix(_INSIDE): arrays.pop(each.name) for each in inner}
     traced = _build_traced(description.record("traced")) if description.has("traced") else None
     inside = LightInside(**inside_arrays, scale=own.number("scale")) if own is not None else None
     return LightField(
@@ -116,54 +111,25 @@ def _read_counts(description: Record, keys: tuple[str, ...]) -> dict[str, int]:
 
 def _layouts(
     counts: tuple[dict[str, int], dict[str, int]], resolution: int
-) -> tuple[list[_Layout], list[_Layout]]:
+) -> tuple[list[Layout], list[Layout]]:
     """Arrays of a stream, in its order: those of a field, and those of the light inside."""
     counts_outer, counts_inner = counts
     outer = [
-        ("cells", np.uint8, (counts_outer["cells"], 3)),
-        ("lit", np.uint8, (counts_outer["cells"], resolution**2 // 8)),
-        ("intensity", np.dtype("<u4"), (counts_outer["bins"],)),
+        Layout("cells", np.uint8, (counts_outer["cells"], 3)),
+        Layout("lit", np.uint8, (counts_outer["cells"], resolution**2 // 8)),
+        Layout("intensity", np.uint32, (counts_outer["bins"],)),
     ]
     if not counts_inner:
         return outer, []
     cells, entries, distances, reach, visibility = (counts_inner[key] for key in _INSIDE_COUNTS)
-    return outer, [
+    inner: list[tuple[str, Any, tuple[int, ...]]] = [
         ("cells", np.uint8, (cells, 3)),
         ("lit", np.uint8, (cells, -(-((resolution // 2) ** 2) // 8))),
-        ("intensity", np.dtype("<u4"), (entries,)),
+        ("intensity", np.uint32, (entries,)),
         ("reach", np.uint8, (entries,)),
         ("visibility", np.uint8, (entries,)),
-        ("distances", np.dtype("<f4"), (distances,)),
-        ("reach_curves", np.dtype("<f4"), (reach, distances)),
-        ("visibility_curves", np.dtype("<f4"), (visibility, distances)),
+        ("distances", np.float32, (distances,)),
+        ("reach_curves", np.float32, (reach, distances)),
+        ("visibility_curves", np.float32, (visibility, distances)),
     ]
-
-
-def _decompressed(
-    stream: NDArray[np.uint8], layouts: tuple[list[_Layout], list[_Layout]]
-) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
-    """Arrays of a stream, by name."""
-    sizes = [
-        math.prod(shape) * np.dtype(dtype).itemsize for part in layouts for _, dtype, shape in part
-    ]
-    if (size := sum(sizes)) > _MAX_BYTES:
-        raise LumitreeError(f"a light field of {size} bytes (limit {_MAX_BYTES})")
-    decompressor = zlib.decompressobj()
-    try:
-        # No more than is expected, whatever the stream holds.
-        content = decompressor.decompress(stream.tobytes(), size + 1)
-    except zlib.error as error:
-        raise LumitreeError(f"the light field cannot be decompressed: {error}") from None
-    if len(content) != size or not decompressor.eof or decompressor.unused_data:
-        raise LumitreeError(f"the light field does not decompress to {size} bytes")
-    found: list[dict[str, NDArray[Any]]] = []
-    start = 0
-    for part in layouts:
-        arrays = {}
-        for name, dtype, shape in part:
-            array = np.frombuffer(content, dtype, math.prod(shape), start).reshape(shape)
-            # A copy: parts of the stream are not aligned.
-            arrays[name] = array.astype(array.dtype.newbyteorder("="))
-            start += array.nbytes
-        found.append(arrays)
-    return found[0], found[1]
+    return outer, [Layout(_INSIDE + name, dtype, shape) for name, dtype, shape in inner]

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from lumitree.asset.asset import Asset
+from lumitree.asset.file import as_stored
 from lumitree.core.files import FilePath
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.stopwatch import Stopwatch
@@ -40,6 +41,7 @@ def finish_bake(
         The result. `stopped_by` is set if a signal arrived here, too: the asset is written then,
         but its irradiance is not known.
     """
+    asset = as_stored(asset)
     irradiance, complete = None, stopped_by is None
     with deferred_interrupt() as interruption:
         path = save_asset(asset, output)

@@ -52,8 +52,7 @@ def test_field_survives_packing(tree_depth, l_max):
         expected = inside[0] if len(inside) else -1
         assert leaf_at(packed, arrays["nodes"], point) == expected
     assert np.array_equal(arrays["density"], asset.density)
-    coefficients = arrays["coefficients"].reshape(asset.num_leaves, -1, 3).transpose(0, 2, 1)
-    assert np.array_equal(coefficients, asset.coefficients)
+    assert np.array_equal(arrays["coefficients"], asset.coefficients)
 
 
 def test_light_field_survives_packing():
@@ -103,4 +102,4 @@ def test_an_asset_without_a_field_is_shown_by_its_light():
 
 def test_extreme_densities_are_packed():
     asset = make_asset([(0, 0, 0)], [1], [1e15], np.full((1, 3, 1), 65504.0))
-    assert unpack_asset(pack_asset(asset))["density"][0] == np.float32(1e15)
+    assert unpack_asset(pack_asset(asset))["density"][0] == pytest.approx(1e15, rel=1 / 16)

@@ -1,19 +1,25 @@
-"""What the page of the viewer holds of an asset: arrays of numbers in one compressed block.
+"""What the page of the viewer holds of an asset: arrays of numbers in one compressed stream.
 
-The field keeps its own numbers: densities in float32 and coefficients in float16. Without a field
-the light field is shown, as one (`light_as_field`). The light field is reduced to
+The field is rounded as in a file, and its numbers are those of the file's stream (`field_bytes`).
+Without a field the light field is shown, as one (`light_as_field`). The light field is reduced to
 luminous intensity, as float16 relative to the largest of each cell.
 """
 
 import base64
 import dataclasses
-import zlib
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.array_stream import Layout, compressed
 from lumitree.asset.asset import Asset
+from lumitree.asset.field_bytes import (
+    DENSITY_SHIFT,
+    STEPS,
+    coefficient_codes,
+    density_codes,
+)
 from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError
@@ -22,8 +28,8 @@ from lumitree.output.viewer.light_as_field import DEFAULT_VIEW, brightest_view, 
 
 # WebGL 2 textures of 4096 texels a row; GPUs in use have at least 8192 rows.
 MAX_TEXELS = 4096 * 8192
-# Typed arrays of JavaScript start at multiples of their item's size.
-_ALIGNMENT = 4
+# Steps of the coefficients of a light field shown as a field: its few leaves do not average errors.
+_FINE_STEPS = (1 / 16, 1 / 8)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,9 +37,9 @@ class PackedAsset:
     """An asset for the page.
 
     Attributes:
-        description: numbers and names, for JSON; the key "arrays" has the type, the first byte and
-            the number of items of each array.
-        block: zlib-compressed bytes of all arrays, little-endian, in base64.
+        description: numbers and names, for JSON; the key "arrays" has the name, type, rows and
+            columns of each array of the stream, and whether it is in planes.
+        block: the stream (`array_stream`), in base64.
     """
 
     description: dict[str, Any]
@@ -47,18 +53,20 @@ def pack_asset(asset: Asset) -> PackedAsset:
         LumitreeError: it is too large for textures of WebGL 2.
     """
     num_bytes, has_field = asset.num_bytes, asset.num_leaves > 0
-    shown, view = "field", DEFAULT_VIEW
+    shown, view, steps = "field", DEFAULT_VIEW, STEPS
     if not has_field:
         asset, view = light_as_field(asset), brightest_view(asset)
+        steps = _FINE_STEPS
         shown = "light field" + ("" if asset.geometry is None else ", not the geometry")
     levels = wide_nodes(asset.children, asset.tree_depth)
     starts = np.concatenate([[0], np.cumsum([level.size for level in levels])])
     arrays: dict[str, NDArray[Any]] = {
         "nodes": np.concatenate(levels),
-        "density": asset.density,
+        "density": density_codes(asset.density),
         # One texel of R, G and B for each coefficient.
-        "coefficients": np.ascontiguousarray(asset.coefficients.transpose(0, 2, 1)).ravel(),
+        "coefficients": coefficient_codes(asset.coefficients, steps).reshape(asset.num_leaves, -1),
     }
+    in_planes = set(arrays)
     description = {
         "luminaire": asset.luminaire,
         "law": asset.law,
@@ -75,12 +83,14 @@ def pack_asset(asset: Asset) -> PackedAsset:
         "scale": float(asset.frame.scale),
         "level_bits": wide_levels(asset.tree_depth),
         "level_starts": starts[:-1].tolist(),
-        "light": None,
+        "density_shift": DENSITY_SHIFT,
+        "steps": steps,
+        "light_field": None,
     }
     texels = [arrays["nodes"].size, arrays["coefficients"].size // 3]
     if asset.light_field is not None:
         field = asset.light_field
-        description["light"] = {"depth": field.depth, "resolution": field.resolution}
+        description["light_field"] = {"depth": field.depth, "resolution": field.resolution}
         arrays |= _light_field_arrays(field, asset.gain)
         texels.append(field.lit.size * 8)
     if max(texels) > MAX_TEXELS:
@@ -88,7 +98,16 @@ def pack_asset(asset: Asset) -> PackedAsset:
             f"the asset of {asset.luminaire} has {max(texels):,} texels; the viewer shows at most "
             f"{MAX_TEXELS:,}; bake it with a lower quality"
         )
-    return PackedAsset(description, _block(arrays, description))
+    layouts = [
+        Layout(name, array.dtype, array.shape, planes=name in in_planes)
+        for name, array in arrays.items()
+    ]
+    description["arrays"] = [
+        [each.name, each.dtype.str.lstrip("<|"), len(array), array[:1].size, each.planes]
+        for each, array in zip(layouts, arrays.values(), strict=True)
+    ]
+    block = base64.b64encode(compressed(arrays, layouts).tobytes()).decode()
+    return PackedAsset(description, block)
 
 
 def _light_field_arrays(
@@ -106,15 +125,3 @@ def _light_field_arrays(
         "cell_scale": largest.astype(np.float32),
         "intensity": (luminous / divisor).astype(np.float16),
     }
-
-
-def _block(arrays: dict[str, NDArray[Any]], description: dict[str, Any]) -> str:
-    """Bytes of the arrays; notes in the description where each is."""
-    content, places = bytearray(), {}
-    for name, array in arrays.items():
-        little = array.astype(array.dtype.newbyteorder("<"), copy=False)
-        places[name] = (little.dtype.str.lstrip("<|"), len(content), little.size)
-        content += little.tobytes()
-        content += bytes(-len(content) % _ALIGNMENT)
-    description["arrays"] = places
-    return base64.b64encode(zlib.compress(bytes(content), 9)).decode()

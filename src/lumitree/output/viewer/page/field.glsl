@@ -1,8 +1,9 @@
 // Radiance and transmittance of the field along the ray of each pixel (Eq. 3 and 4).
 // The traversal is that of lumitree.octree.traversal: cells are integer coordinates of the last
 // level, and every step crosses a plane, so that it ends.
-uniform isampler2D nodes;
-uniform sampler2D coefficients, density;
+uniform isampler2D nodes, coefficients;
+uniform sampler2D density;
+uniform vec2 steps;        // of the coefficients of band 0 and of the others
 uniform int tree_depth, num_levels;
 uniform int level_bits[4], level_starts[4];
 uniform vec3 half_extents, eye, colour;
@@ -53,8 +54,10 @@ void basis(vec3 v, out float y[NUM_COEFFICIENTS]) {
 
 vec3 emission(int leaf, float y[NUM_COEFFICIENTS]) {
   vec3 logit = vec3(0);
-  for (int k = 0; k < NUM_COEFFICIENTS; ++k)
-    logit += y[k] * texelFetch(coefficients, texel(leaf * NUM_COEFFICIENTS + k), 0).rgb;
+  for (int k = 0; k < NUM_COEFFICIENTS; ++k) {
+    ivec3 code = texelFetch(coefficients, texel(leaf * NUM_COEFFICIENTS + k), 0).rgb;
+    logit += y[k] * (k == 0 ? steps.x : steps.y) * vec3(code.r + code.g, code.g, code.b + code.g);
+  }
   return colour / (1.0 + exp(-clamp(logit, -80.0, 80.0)));
 }
 

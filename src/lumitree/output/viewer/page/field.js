@@ -4,9 +4,10 @@ const field = {
   load(arrays) {
     const K = (asset.l_max + 1) ** 2;
     this.nodes = longTexture(arrays.nodes, 1, gl.R32I, gl.RED_INTEGER, gl.INT);
-    this.density = longTexture(arrays.density, 1, gl.R32F, gl.RED, gl.FLOAT);
-    this.coefficients = longTexture(arrays.coefficients, 3, gl.RGB16F, gl.RGB, gl.HALF_FLOAT);
-    this.maxDensity = arrays.density.reduce((a, b) => Math.max(a, b), 1e-9);
+    const density = new Float32Array(Uint32Array.from(arrays.density, code => code << asset.density_shift).buffer);
+    this.density = longTexture(density, 1, gl.R32F, gl.RED, gl.FLOAT);
+    this.coefficients = longTexture(arrays.coefficients, 3, gl.RGB16I, gl.RGB_INTEGER, gl.SHORT);
+    this.maxDensity = density.reduce((a, b) => Math.max(a, b), 1e-9);
     const law = asset.law === "linear" ? "#define LINEAR\n" : "";
     this.program = makeProgram("field", `#define L_MAX ${asset.l_max}\n#define NUM_COEFFICIENTS ${K}\n${law}`);
   },
@@ -19,7 +20,7 @@ const field = {
       nodes: this.nodes, density: this.density, coefficients: this.coefficients,
       tree_depth: int(asset.tree_depth), num_levels: int(asset.level_bits.length),
       level_bits: int(...asset.level_bits, 0, 0, 0).slice(0, 4), level_starts: int(...asset.level_starts, 0, 0, 0).slice(0, 4),
-      half_extents: asset.half_extents, colour: asset.colour, eye, camera, half_field: [t * width / height, t], resolution: [width, height],
+      steps: asset.steps, half_extents: asset.half_extents, colour: asset.colour, eye, camera, half_field: [t * width / height, t], resolution: [width, height],
     });
     readTarget(target, 0, 1, 1);
     return performance.now() - begin;

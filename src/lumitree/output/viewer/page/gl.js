@@ -15,15 +15,34 @@ if (!gl.getExtension("EXT_color_buffer_float")) fail("This GPU cannot draw to fl
 canvas.addEventListener("webglcontextlost", () => fail("The GPU stopped. Reload the page."));
 
 async function unpackArrays() {
-  const bytes = Uint8Array.from(atob(asset.block), c => c.charCodeAt(0));
+  const packed = Uint8Array.from(atob(asset.block), c => c.charCodeAt(0));
   asset.block = null;
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
-  const buffer = await new Response(stream).arrayBuffer();
-  const types = { i4: Int32Array, f4: Float32Array, f2: Uint16Array, u1: Uint8Array };
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
+  const types = { i4: Int32Array, i2: Int16Array, u2: Uint16Array, f4: Float32Array, f2: Uint16Array, u1: Uint8Array };
   const arrays = {};
-  for (const [name, [type, start, count]] of Object.entries(asset.arrays))
-    arrays[name] = new types[type](buffer, start, count);
+  let start = 0;
+  for (const [name, type, rows, columns, planes] of asset.arrays) {
+    const size = rows * columns * types[type].BYTES_PER_ELEMENT, part = bytes.slice(start, start + size);
+    arrays[name] = planes ? fromPlanes(part, types[type], rows, columns) : new types[type](part.buffer);
+    start += size;
+  }
   return arrays;
+}
+
+// Integers of planes of bytes of the differences between rows (lumitree.asset.array_stream).
+function fromPlanes(bytes, type, rows, columns) {
+  const found = new type(rows * columns), size = type.BYTES_PER_ELEMENT;
+  for (let column = 0; column < columns; ++column) {
+    const first = column * size * rows;
+    for (let row = 0, value = 0; row < rows; ++row) {
+      let code = 0;
+      for (let k = 0; k < size; ++k) code |= bytes[first + k * rows + row] << 8 * k;
+      value += code >>> 1 ^ -(code & 1);
+      found[row * columns + column] = value |= 0;
+    }
+  }
+  return found;
 }
 
 function halfToFloat(h) {

@@ -7,11 +7,21 @@ out vec4 lux;
 
 ivec2 texel(int i) { return ivec2(i & 4095, i >> 12); }
 
-int bin_of(vec3 v) {
+// Place beyond the map: each side meets its own other half.
+vec2 on_map(vec2 u) {
+  if (abs(u.x) > 1.0) u = vec2((u.x < 0.0 ? -2.0 : 2.0) - u.x, -u.y);
+  if (abs(u.y) > 1.0) u = vec2(-u.x, (u.y < 0.0 ? -2.0 : 2.0) - u.y);
+  return u;
+}
+
+// Bin of a direction, moved on the map by an offset from -1/2 to 1/2 bins: over all offsets, the
+// mean intensity is linear between the middles of bins.
+int bin_of(vec3 v, vec2 offset) {
   vec3 n = v / (abs(v.x) + abs(v.y) + abs(v.z));
   vec2 u = n.xy;
   if (n.z < 0.0)
     u = vec2(n.x < 0.0 ? abs(n.y) - 1.0 : 1.0 - abs(n.y), n.y < 0.0 ? abs(n.x) - 1.0 : 1.0 - abs(n.x));
+  u = on_map(u + offset * (2.0 / float(bins)));
   ivec2 b = clamp(ivec2((u + 1.0) * (0.5 * float(bins))), 0, bins - 1);
   return b.y * bins + b.x;
 }
@@ -29,13 +39,14 @@ void main() {
     vec3 upper = texelFetch(cells, texel(2 * i + 1), 0).xyz;
     float sum = 0.0;
     for (int k = 0; k < samples; ++k) {
-      // Points of the R3 sequence, rotated for each cell; one sample: the centre.
-      vec3 f = samples == 1 ? vec3(0.5)
-        : fract(vec3(0.8191725, 0.6710436, 0.5497005) * float(k + 1 + (i & 1023) * samples));
+      // Points of the R3 and R2 sequences, rotated for each cell; one sample: the centre.
+      float number = float(k + 1 + (i & 1023) * samples);
+      vec3 f = samples == 1 ? vec3(0.5) : fract(vec3(0.8191725, 0.6710436, 0.5497005) * number);
+      vec2 offset = samples == 1 ? vec2(0) : fract(vec2(0.7548777, 0.5698403) * number) - 0.5;
       vec3 v = x - mix(lower.xyz, upper, f);
       float r2 = dot(v, v);
       float cosine = abs(v[axis]) * inversesqrt(r2);
-      sum += texelFetch(intensity, texel(i * bins * bins + bin_of(v)), 0).r * cosine / r2;
+      sum += texelFetch(intensity, texel(i * bins * bins + bin_of(v, offset)), 0).r * cosine / r2;
     }
     total += sum * lower.w;
   }

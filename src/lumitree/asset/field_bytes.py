@@ -1,0 +1,185 @@
+"""The octree and the radiance field of an asset as a tensor of its file, see docs/format.md.
+
+The field is rounded. A density keeps 4 bits after its leading one, and a coefficient is a multiple
+of one of two `STEPS`; R and B are stored as differences to the rounded G. What is rounded once is
+not changed by rounding it again.
+
+Symbols
+    N   interior nodes          M   leaves          K   (l_max + 1)² coefficients per channel
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.array_stream import Layout, compressed, decompressed
+from lumitree.asset.asset import MAX_DENSITY, Asset
+from lumitree.asset.checks import expect
+from lumitree.core.harmonics import MAX_L, num_coefficients
+from lumitree.core.reading import Record
+from lumitree.errors import LumitreeError
+
+FIELD_TENSORS = {"field.stream": "U8"}
+# Steps of the coefficients, of band 0 and of the others. In the first a logit changes by at most
+# 0.035, which is 3.5 % of a small emission.
+STEPS = (0.25, 0.5)
+# Bits of a float32 that a density drops; 4 of its mantissa stay.
+DENSITY_SHIFT = 19
+_KEYS = ("nodes", "leaves")
+_MAX_ROWS = 1 << 27
+_LARGEST_CODE = (1 << 15) - 1
+
+
+def rounded_field(asset: Asset) -> dict[str, NDArray[Any]]:
+    """`children`, `density` and `coefficients` as a file of the asset gives them back."""
+    codes = _codes(asset)
+    return _field_of(codes, asset.num_leaves, asset.l_max)
+
+
+def field_tensors(asset: Asset) -> dict[str, NDArray[Any]]:
+    """Tensors of an asset's octree and field, by name."""
+    layouts = _layouts(len(asset.children), asset.num_leaves, asset.l_max)
+    return {"field.stream": compressed(_codes(asset), layouts)}
+
+
+def field_description(asset: Asset) -> dict[str, int]:
+    """What the file states of a field besides its tensor."""
+    return {"nodes": len(asset.children), "leaves": asset.num_leaves}
+
+
+def build_field(
+    description: Record, l_max: int, tensors: dict[str, NDArray[Any]]
+) -> dict[str, NDArray[Any]]:
+    """`children`, `density` and `coefficients` of a file; the inverse of `field_tensors`.
+
+    Args:
+        description: what the file states of the field.
+        l_max: its highest band.
+        tensors: all tensors of the file.
+
+    Raises:
+        LumitreeError: the field is invalid.
+    """
+    expect("asset", 0 <= l_max <= MAX_L, f"l_max {l_max!r}, expected 0 to {MAX_L}")
+    description.expect_keys(*_KEYS)
+    nodes, leaves = (description.integer(key) for key in _KEYS)
+    if not (1 <= nodes <= _MAX_ROWS and 0 <= leaves <= _MAX_ROWS):
+        raise LumitreeError(f"{nodes} nodes and {leaves} leaves, expected 1 and 0 to {_MAX_ROWS}")
+    layouts = _layouts(nodes, leaves, l_max)
+    codes = decompressed(tensors["field.stream"], layouts, "the field")
+    return _field_of(codes, leaves, l_max)
+
+
+def _codes(asset: Asset) -> dict[str, NDArray[Any]]:
+    """Arrays of the stream, by name; nodes and leaves in the order of the file."""
+    children, leaves = _breadth_first(asset.children)
+    return {
+        "occupied": np.packbits(children != 0, axis=1, bitorder="little")[:, 0],
+        "ends": np.packbits(children < 0, axis=1, bitorder="little")[:, 0],
+        "density": density_codes(asset.density[leaves]),
+        "coefficients": coefficient_codes(asset.coefficients[leaves]),
+    }
+
+
+def _field_of(codes: dict[str, NDArray[Any]], leaves: int, l_max: int) -> dict[str, NDArray[Any]]:
+    """The field of the arrays of a stream; the inverse of `_codes`."""
+    return {
+        "children": _children(codes["occupied"], codes["ends"], leaves),
+        "density": densities(codes["density"]),
+        "coefficients": coefficients_of(codes["coefficients"], l_max),
+    }
+
+
+def density_codes(density: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Codes [M] of densities [M]: the upper bits of their float32, rounded."""
+    half = np.uint32(1 << (DENSITY_SHIFT - 1))
+    largest = np.float32(MAX_DENSITY).view(np.uint32) >> DENSITY_SHIFT
+    return np.minimum((density.view(np.uint32) + half) >> DENSITY_SHIFT, largest).astype(np.uint16)
+
+
+def densities(codes: NDArray[np.uint16]) -> NDArray[np.float32]:
+    """Densities [M] of codes [M].
+
+    Raises:
+        LumitreeError: a code has too many bits.
+    """
+    if (codes >> (32 - DENSITY_SHIFT)).any():
+        raise LumitreeError(f"a density of more than {32 - DENSITY_SHIFT} bits")
+    return (codes.astype(np.uint32) << DENSITY_SHIFT).view(np.float32)
+
+
+def coefficient_codes(
+    coefficients: NDArray[np.float16], steps: tuple[float, float] = STEPS
+) -> NDArray[np.int16]:
+    """Codes [M, K, 3] of coefficients [M, 3, K], as multiples of steps: R - G, G and B - G."""
+    values = coefficients.transpose(0, 2, 1) / _steps(coefficients.shape[2], steps)
+    green = _limited(values[..., 1])
+    codes = [_limited(values[..., 0] - green), green, _limited(values[..., 2] - green)]
+    return np.stack(codes, axis=-1).astype(np.int16)
+
+
+def coefficients_of(codes: NDArray[np.int16], l_max: int) -> NDArray[np.float16]:
+    """Coefficients [M, 3, K] of codes [M, K, 3]."""
+    values = codes * _steps(num_coefficients(l_max), STEPS)
+    values[..., ::2] += values[..., 1:2]
+    return np.ascontiguousarray(values.transpose(0, 2, 1), np.float16)
+
+
+def _steps(count: int, steps: tuple[float, float]) -> NDArray[np.float32]:
+    """Steps [K, 1] of the coefficients of a channel."""
+    each = np.full((count, 1), steps[1], np.float32)
+    each[0] = steps[0]
+    return each
+
+
+def _limited(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.clip(np.rint(values), -_LARGEST_CODE, _LARGEST_CODE)
+
+
+def _layouts(nodes: int, leaves: int, l_max: int) -> list[Layout]:
+    return [
+        Layout("occupied", np.uint8, (nodes,)),
+        Layout("ends", np.uint8, (nodes,)),
+        Layout("density", np.uint16, (leaves,), planes=True),
+        Layout("coefficients", np.int16, (leaves, num_coefficients(l_max), 3), planes=True),
+    ]
+
+
+def _breadth_first(
+    children: NDArray[np.int32],
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """The node table in the order of the file, and the old indices [M] of its leaves.
+
+    Nodes are breadth first, by octant within a node, and leaves in the order of their entries.
+    """
+    levels = [np.zeros(1, np.int64)]
+    while len(levels[-1]):
+        entries = children[levels[-1]]
+        levels.append(entries[entries > 0].astype(np.int64))
+    ordered = children[np.concatenate(levels)]
+    leaves = ~ordered[ordered < 0].astype(np.int64)
+    return _numbered(ordered > 0, ordered < 0), leaves
+
+
+def _children(
+    occupied: NDArray[np.uint8], ends: NDArray[np.uint8], leaves: int
+) -> NDArray[np.int32]:
+    """Node table [N, 8] of the bits of its entries."""
+    leaf = np.unpackbits(ends[:, None], axis=1, bitorder="little").astype(bool)
+    interior = np.unpackbits((occupied ^ ends)[:, None], axis=1, bitorder="little").astype(bool)
+    found = int(interior.sum()) + 1, int(leaf.sum())
+    if (ends & ~occupied).any() or found != (len(occupied), leaves):
+        raise LumitreeError(
+            f"a tree of {found[0]} nodes and {found[1]} leaves, expected {len(occupied)} and "
+            f"{leaves}"
+        )
+    return _numbered(interior, leaf)
+
+
+def _numbered(interior: NDArray[np.bool_], leaf: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Node table [N, 8] in which nodes and leaves are numbered in the order of their entries."""
+    children = np.zeros(interior.shape, np.int32)
+    children[interior] = np.arange(1, interior.sum() + 1)
+    children[leaf] = ~np.arange(leaf.sum())
+    return children

@@ -1,0 +1,30 @@
+"""Changes of the arrays within the streams of a file's tensors."""
+
+import json
+
+from lumitree.asset import field_bytes, geometry_bytes
+from lumitree.asset.array_stream import compressed, decompressed
+
+
+def change_field_arrays(tensors, asset, change):
+    """Change the arrays of `field.stream`: occupied, ends, density and coefficients.
+
+    Args:
+        tensors: of the file, by name.
+        asset: that the file holds.
+        change: takes the arrays by name, and changes them; not their shapes.
+    """
+    layouts = field_bytes._layouts(len(asset.children), asset.num_leaves, asset.l_max)
+    _change(tensors, "field.stream", layouts, change)
+
+
+def change_geometry_arrays(tensors, change):
+    """Change the arrays of `geometry.stream`, as `change_field_arrays` does."""
+    rows = json.loads(tensors["geometry.shapes"].tobytes())["arrays"]
+    _change(tensors, "geometry.stream", geometry_bytes._layouts(rows), change)
+
+
+def _change(tensors, name, layouts, change):
+    arrays = decompressed(tensors[name], layouts, name)
+    change(arrays)
+    tensors[name] = compressed(arrays, layouts)
