@@ -14,7 +14,7 @@ def change_field_arrays(tensors, asset, change):
         asset: that the file holds.
         change: takes the arrays by name, and changes them; not their shapes.
     """
-    layouts = field_bytes._layouts(len(asset.children), asset.num_leaves, asset.l_max)
+    layouts = field_bytes.field_layouts(len(asset.children), asset.num_leaves, asset.l_max)
     _change(tensors, "field.stream", layouts, change)
 
 

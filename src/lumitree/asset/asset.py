@@ -141,6 +141,7 @@ class Asset:
     def info(self) -> "AssetInfo":
         """Size, depth and bounds of the asset."""
         traced = None if self.light_field is None else self.light_field.traced
+        inside = None if self.light_field is None else self.light_field.inside
         return AssetInfo(
             luminaire=self.luminaire,
             tree_depth=self.tree_depth,
@@ -152,6 +153,7 @@ class Asset:
             size=tuple(self.frame.size.tolist()),
             centre=tuple(self.frame.centre.tolist()),
             light_field_cells=0 if self.light_field is None else len(self.light_field.cells),
+            light_inside_cells=0 if inside is None else len(inside.cells),
             light_field_paths=None if traced is None else traced.count,
             light_field_noise=None if traced is None else traced.noise,
             geometry_triangles=0 if self.geometry is None else self.geometry.num_triangles,
@@ -213,6 +215,8 @@ class AssetInfo:
         size: [3] sides of the bounding box, in the unit of the luminaire's file.
         centre: [3] centre of the bounding box, in the frame of the luminaire's file.
         light_field_cells: number of cells of the light field; 0 if there is none.
+        light_inside_cells: number of cells that light receivers inside the box; 0 if the light
+            field lights only those outside.
         light_field_paths: number of light paths that it was estimated from; None if not known.
         light_field_noise: relative standard error of its intensity by direction, see `TracedPaths`;
             None if it is not known.
@@ -236,6 +240,7 @@ class AssetInfo:
     geometry_triangles: int
     parts: tuple[Part, ...]
     appearance: Part
+    light_inside_cells: int = 0
     light_field_paths: int | None = None
     light_field_noise: float | None = None
     gain: tuple[float, float, float] = NO_GAIN

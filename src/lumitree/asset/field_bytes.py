@@ -1,14 +1,14 @@
 """The octree and the radiance field of an asset as a tensor of its file, see docs/format.md.
 
 The field is rounded. A density keeps 4 bits after its leading one, and a coefficient is a multiple
-of one of two `STEPS`; R and B are stored as differences to the rounded G. What is rounded once is
-not changed by rounding it again.
+of a step, which is smaller for leaves that emit much: their errors would not average out. R and B
+are stored as differences to G. What is rounded once is not changed by rounding it again.
 
 Symbols
     N   interior nodes          M   leaves          K   (l_max + 1)² coefficients per channel
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,26 +21,43 @@ from lumitree.core.reading import Record
 from lumitree.errors import LumitreeError
 
 FIELD_TENSORS = {"field.stream": "U8"}
-# Steps of the coefficients, of band 0 and of the others. In the first a logit changes by at most
-# 0.035, which is 3.5 % of a small emission.
-STEPS = (0.25, 0.5)
+
+
+class Steps(NamedTuple):
+    """Steps of the coefficients.
+
+    Attributes:
+        constant: of band 0.
+        bright, medium, dark: of the others, where the largest of the three coefficients of band 0
+            is at least `BRIGHT`, at least `MEDIUM`, or less.
+    """
+
+    constant: float
+    bright: float
+    medium: float
+    dark: float
+
+
+STEPS = Steps(1 / 4, 1 / 8, 1 / 4, 1 / 2)
+# A constant emission of about 1/10 and 1/100 of L_max.
+BRIGHT, MEDIUM = -8.0, -16.0
 # Bits of a float32 that a density drops; 4 of its mantissa stay.
 DENSITY_SHIFT = 19
 _KEYS = ("nodes", "leaves")
 _MAX_ROWS = 1 << 27
-_LARGEST_CODE = (1 << 15) - 1
+# The largest int16 that is a float16 at any step.
+_LARGEST_CODE = (1 << 15) - (1 << 4)
 
 
 def rounded_field(asset: Asset) -> dict[str, NDArray[Any]]:
     """`children`, `density` and `coefficients` as a file of the asset gives them back."""
-    codes = _codes(asset)
-    return _field_of(codes, asset.num_leaves, asset.l_max)
+    return field_of_codes(field_codes(asset), asset.num_leaves, asset.l_max)
 
 
 def field_tensors(asset: Asset) -> dict[str, NDArray[Any]]:
     """Tensors of an asset's octree and field, by name."""
-    layouts = _layouts(len(asset.children), asset.num_leaves, asset.l_max)
-    return {"field.stream": compressed(_codes(asset), layouts)}
+    layouts = field_layouts(len(asset.children), asset.num_leaves, asset.l_max)
+    return {"field.stream": compressed(field_codes(asset), layouts)}
 
 
 def field_description(asset: Asset) -> dict[str, int]:
@@ -66,28 +83,37 @@ def build_field(
     nodes, leaves = (description.integer(key) for key in _KEYS)
     if not (1 <= nodes <= _MAX_ROWS and 0 <= leaves <= _MAX_ROWS):
         raise LumitreeError(f"{nodes} nodes and {leaves} leaves, expected 1 and 0 to {_MAX_ROWS}")
-    layouts = _layouts(nodes, leaves, l_max)
+    layouts = field_layouts(nodes, leaves, l_max)
     codes = decompressed(tensors["field.stream"], layouts, "the field")
-    return _field_of(codes, leaves, l_max)
+    return field_of_codes(codes, leaves, l_max)
 
 
-def _codes(asset: Asset) -> dict[str, NDArray[Any]]:
+def field_codes(asset: Asset, steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
     """Arrays of the stream, by name; nodes and leaves in the order of the file."""
     children, leaves = _breadth_first(asset.children)
     return {
         "occupied": np.packbits(children != 0, axis=1, bitorder="little")[:, 0],
         "ends": np.packbits(children < 0, axis=1, bitorder="little")[:, 0],
         "density": density_codes(asset.density[leaves]),
-        "coefficients": coefficient_codes(asset.coefficients[leaves]),
+        "coefficients": coefficient_codes(asset.coefficients[leaves], steps),
     }
 
 
-def _field_of(codes: dict[str, NDArray[Any]], leaves: int, l_max: int) -> dict[str, NDArray[Any]]:
-    """The field of the arrays of a stream; the inverse of `_codes`."""
+def field_of_codes(
+    codes: dict[str, NDArray[Any]],
+    leaves: int,
+    l_max: int,
+    steps: Steps = STEPS,
+) -> dict[str, NDArray[Any]]:
+    """The field of the arrays of a stream; the inverse of `field_codes`.
+
+    Raises:
+        LumitreeError: the arrays are no field.
+    """
     return {
         "children": _children(codes["occupied"], codes["ends"], leaves),
         "density": densities(codes["density"]),
-        "coefficients": coefficients_of(codes["coefficients"], l_max),
+        "coefficients": coefficients_of(codes["coefficients"], l_max, steps),
     }
 
 
@@ -109,35 +135,42 @@ def densities(codes: NDArray[np.uint16]) -> NDArray[np.float32]:
     return (codes.astype(np.uint32) << DENSITY_SHIFT).view(np.float32)
 
 
-def coefficient_codes(
-    coefficients: NDArray[np.float16], steps: tuple[float, float] = STEPS
-) -> NDArray[np.int16]:
+def coefficient_codes(coefficients: NDArray[np.float16], steps: Steps = STEPS) -> NDArray[np.int16]:
     """Codes [M, K, 3] of coefficients [M, 3, K], as multiples of steps: R - G, G and B - G."""
-    values = coefficients.transpose(0, 2, 1) / _steps(coefficients.shape[2], steps)
-    green = _limited(values[..., 1])
-    codes = [_limited(values[..., 0] - green), green, _limited(values[..., 2] - green)]
-    return np.stack(codes, axis=-1).astype(np.int16)
+    values = coefficients.transpose(0, 2, 1).astype(np.float32)
+    # Differences before rounding: those of grey leaves are all 0.
+    values[..., ::2] -= values[..., 1:2]
+    codes = np.empty(values.shape, np.int16)
+    codes[:, :1] = _limited(values[:, :1] / steps.constant)
+    codes[:, 1:] = _limited(values[:, 1:] / _step_of_leaves(codes, steps))
+    return codes
 
 
-def coefficients_of(codes: NDArray[np.int16], l_max: int) -> NDArray[np.float16]:
+def coefficients_of(
+    codes: NDArray[np.int16], l_max: int, steps: Steps = STEPS
+) -> NDArray[np.float16]:
     """Coefficients [M, 3, K] of codes [M, K, 3]."""
-    values = codes * _steps(num_coefficients(l_max), STEPS)
+    values = codes.astype(np.float32)
     values[..., ::2] += values[..., 1:2]
+    values[:, :1] *= steps.constant
+    values[:, 1:] *= _step_of_leaves(codes, steps)
     return np.ascontiguousarray(values.transpose(0, 2, 1), np.float16)
 
 
-def _steps(count: int, steps: tuple[float, float]) -> NDArray[np.float32]:
-    """Steps [K, 1] of the coefficients of a channel."""
-    each = np.full((count, 1), steps[1], np.float32)
-    each[0] = steps[0]
-    return each
+def _step_of_leaves(codes: NDArray[np.int16], steps: Steps) -> NDArray[np.float32]:
+    """Steps [M, 1, 1] of all bands but 0, for codes [M, K, 3]."""
+    red, green, blue = codes[:, 0].astype(np.float32).T * steps.constant
+    largest = green + np.maximum(np.maximum(red, blue), 0)
+    chosen = np.select([largest >= BRIGHT, largest >= MEDIUM], steps[1:3], steps.dark)
+    return chosen.astype(np.float32)[:, None, None]
 
 
 def _limited(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.clip(np.rint(values), -_LARGEST_CODE, _LARGEST_CODE)
 
 
-def _layouts(nodes: int, leaves: int, l_max: int) -> list[Layout]:
+def field_layouts(nodes: int, leaves: int, l_max: int) -> list[Layout]:
+    """Arrays of the stream, in its order."""
     return [
         Layout("occupied", np.uint8, (nodes,)),
         Layout("ends", np.uint8, (nodes,)),

@@ -15,8 +15,11 @@ from numpy.typing import NDArray
 from lumitree.asset.array_stream import Layout, compressed
 from lumitree.asset.asset import Asset
 from lumitree.asset.field_bytes import (
+    BRIGHT,
     DENSITY_SHIFT,
+    MEDIUM,
     STEPS,
+    Steps,
     coefficient_codes,
     density_codes,
 )
@@ -29,7 +32,7 @@ from lumitree.output.viewer.light_as_field import DEFAULT_VIEW, brightest_view, 
 # WebGL 2 textures of 4096 texels a row; GPUs in use have at least 8192 rows.
 MAX_TEXELS = 4096 * 8192
 # Steps of the coefficients of a light field shown as a field: its few leaves do not average errors.
-_FINE_STEPS = (1 / 16, 1 / 8)
+_FINE_STEPS = Steps(1 / 16, 1 / 8, 1 / 8, 1 / 8)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +87,7 @@ def pack_asset(asset: Asset) -> PackedAsset:
         "level_bits": wide_levels(asset.tree_depth),
         "level_starts": starts[:-1].tolist(),
         "density_shift": DENSITY_SHIFT,
-        "steps": steps,
+        "steps": [*steps, BRIGHT, MEDIUM],
         "light_field": None,
     }
     texels = [arrays["nodes"].size, arrays["coefficients"].size // 3]

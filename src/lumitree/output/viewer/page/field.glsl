@@ -3,7 +3,8 @@
 // level, and every step crosses a plane, so that it ends.
 uniform isampler2D nodes, coefficients;
 uniform sampler2D density;
-uniform vec2 steps;        // of the coefficients of band 0 and of the others
+uniform vec4 steps;        // of the coefficients of band 0; of the others, by brightness
+uniform vec2 brightness;   // from which a leaf is bright, and medium
 uniform int tree_depth, num_levels;
 uniform int level_bits[4], level_starts[4];
 uniform vec3 half_extents, eye, colour;
@@ -54,9 +55,14 @@ void basis(vec3 v, out float y[NUM_COEFFICIENTS]) {
 
 vec3 emission(int leaf, float y[NUM_COEFFICIENTS]) {
   vec3 logit = vec3(0);
+  float step_ = steps.x;
   for (int k = 0; k < NUM_COEFFICIENTS; ++k) {
     ivec3 code = texelFetch(coefficients, texel(leaf * NUM_COEFFICIENTS + k), 0).rgb;
-    logit += y[k] * (k == 0 ? steps.x : steps.y) * vec3(code.r + code.g, code.g, code.b + code.g);
+    logit += y[k] * step_ * vec3(code.r + code.g, code.g, code.b + code.g);
+    if (k == 0) {
+      float largest = float(code.g + max(max(code.r, code.b), 0)) * steps.x;
+      step_ = largest >= brightness.x ? steps.y : largest >= brightness.y ? steps.z : steps.w;
+    }
   }
   return colour / (1.0 + exp(-clamp(logit, -80.0, 80.0)));
 }
