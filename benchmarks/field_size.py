@@ -34,7 +34,7 @@ from lumitree.fit.config import QUALITIES
 
 Code = Callable[[bytes], bytes]
 Floats = NDArray[np.float32]
-BASELINE, OURS = "as fitted", "steps 1/4; 1/8, 1/4, 1/2 (the file)"
+BASELINE, OURS = "as fitted", "steps 1/64; 1/8, 1/2, 1 (the file)"
 ROUNDS = 5
 _ARRAYS = ("children", "density", "coefficients")
 # Of vector quantization: codes, iterations, and leaves that the codes are fitted to.
@@ -153,8 +153,8 @@ WAYS: dict[str, Callable[[Asset, int], Stored]] = {
     "steps 1/4; 1/2": lambda asset, _: in_steps(asset, steps(1 / 4, 1 / 2)),
     OURS: lambda asset, _: in_steps(asset, field_bytes.STEPS),
     "the same by LZMA": lambda asset, _: in_steps(asset, field_bytes.STEPS, lzma.compress),
-    "steps 1/4; 1/8, 1/2, 1": lambda asset, _: in_steps(
-        asset, field_bytes.Steps(1 / 4, 1 / 8, 1 / 2, 1)
+    "steps 1/4; 1/8, 1/4, 1/2": lambda asset, _: in_steps(
+        asset, field_bytes.Steps(1 / 4, 1 / 8, 1 / 4, 1 / 2)
     ),
     "4096 vectors": lambda asset, seed: by_vectors(asset, 1, seed),
     "4096 vectors, 2 stages": lambda asset, seed: by_vectors(asset, 2, seed),

@@ -38,15 +38,15 @@ class Steps(NamedTuple):
     dark: float
 
 
-STEPS = Steps(1 / 4, 1 / 8, 1 / 4, 1 / 2)
+STEPS = Steps(1 / 64, 1 / 8, 1 / 2, 1.0)
 # A constant emission of about 1/10 and 1/100 of L_max.
 BRIGHT, MEDIUM = -8.0, -16.0
 # Bits of a float32 that a density drops; 4 of its mantissa stay.
 DENSITY_SHIFT = 19
 _KEYS = ("nodes", "leaves")
 _MAX_ROWS = 1 << 27
-# The largest int16 that is a float16 at any step.
-_LARGEST_CODE = (1 << 15) - (1 << 4)
+# The largest int16 that is a float16 at any step, as is its half.
+_LARGEST_CODE = (1 << 15) - (1 << 5)
 
 
 def rounded_field(asset: Asset) -> dict[str, NDArray[Any]]:
@@ -138,6 +138,9 @@ def densities(codes: NDArray[np.uint16]) -> NDArray[np.float32]:
 def coefficient_codes(coefficients: NDArray[np.float16], steps: Steps = STEPS) -> NDArray[np.int16]:
     """Codes [M, K, 3] of coefficients [M, 3, K], as multiples of steps: R - G, G and B - G."""
     values = coefficients.transpose(0, 2, 1).astype(np.float32)
+    # In differences to G there is room for twice as much.
+    largest = _LARGEST_CODE // 2 * steps.constant
+    values[:, :1] = np.clip(values[:, :1], -largest, largest)
     # Differences before rounding: those of grey leaves are all 0.
     values[..., ::2] -= values[..., 1:2]
     codes = np.empty(values.shape, np.int16)

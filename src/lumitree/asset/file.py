@@ -62,9 +62,9 @@ _KEYS = (
 def save(asset: Asset, path: str | os.PathLike[str]) -> None:
     """Write an asset to a file; equal assets give equal bytes.
 
-    The field is rounded: densities by at most 3.2 %, and coefficients by at most 1/4 in band 0 and
-    1/2 in the others, 1/8 where leaves are bright. The light field and the geometry are stored as
-    they are.
+    The field is rounded: densities by at most 3.2 %, and coefficients by at most 1/64 in band 0 and
+    by 1/8 to 1 in the others, less the brighter a leaf is. The light field and the geometry are
+    stored as they are.
 
     The file appears, or replaces another one, only when it is complete.
 
