@@ -60,6 +60,7 @@ def test_no_random_numbers_are_used_twice(bulb, small, tmp_path, seeds):
         Purpose.LINES,
         Purpose.LONG_PATHS,
         Purpose.PHOTOMETRY,
+        Purpose.RECEIVED,
         Purpose.RENDER,
     }
     keys, values = zip(*seeds, strict=True)
