@@ -78,7 +78,7 @@ def in_steps(asset: Asset, steps: field_bytes.Steps, code: Code | None = None) -
 
     def read() -> Asset:
         codes = array_stream.decompressed(stream, layouts, "the field")
-        field = field_bytes.field_of_codes(codes, asset.num_leaves, asset.l_max, steps)
+        field = field_bytes.field_of_codes(codes, steps)
         return dataclasses.replace(asset, **field)
 
     return Stored(size, read)
@@ -270,11 +270,9 @@ def run(options: argparse.Namespace) -> None:
     for name in options.luminaires:
         Dataset.open(str(options.references / name))  # before the fits, not after
     results = Results(options)
-    rows = results.stored({"rows": []})["rows"]
+    rows = []
     for name in options.luminaires:
-        new = measure(name, options)
-        kept = [r for r in rows if (r["luminaire"], r["quality"]) != (name, options.quality)]
-        rows = kept + new
+        rows += measure(name, options)
         setting = results.setting()
         text = (
             "# Bytes of a stored field, and what rounding costs\n\n"

@@ -122,8 +122,10 @@ def flip_bits_of_the_field(draft, random):
 
     def change(arrays):
         array = arrays[random.choice([name for name, each in arrays.items() if each.size])]
+        bits = array.view(f"u{array.itemsize}")
         for _ in range(random.integers(1, 4)):
-            array.flat[random.integers(array.size)] ^= 1 << random.integers(15)
+            bit = bits.dtype.type(1 << random.integers(8 * array.itemsize))
+            bits.flat[random.integers(array.size)] ^= bit
 
     change_field_arrays(draft.tensors, draft.asset, change)
     return draft.file()

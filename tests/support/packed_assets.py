@@ -20,9 +20,8 @@ def unpack_asset(packed: PackedAsset) -> dict[str, NDArray[Any]]:
     ]
     arrays = decompressed(stream, layouts, "the page")
     arrays = {name: each[:, 0] if each.shape[1] == 1 else each for name, each in arrays.items()}
-    leaves, l_max = packed.description["leaves"], packed.description["l_max"]
-    codes = arrays["coefficients"].reshape(leaves, -1, 3)
+    codes = arrays["coefficients"].reshape(packed.description["leaves"], -1, 3)
     return arrays | {
         "density": densities(arrays["density"]),
-        "coefficients": coefficients_of(codes, l_max),
+        "coefficients": coefficients_of(codes),
     }

@@ -291,7 +291,7 @@ def _check_scalars(asset: Asset) -> None:
 
 
 def _check_payload(asset: Asset) -> None:
-    # An array of a file may have no dimensions, and so no length.
+    # An array may have no dimensions, and so no length.
     leaves = asset.density.size
     arrays = {
         "children": (asset.children, np.int32, (*asset.children.shape[:1], 8)),

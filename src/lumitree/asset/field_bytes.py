@@ -51,7 +51,7 @@ _LARGEST_CODE = (1 << 15) - (1 << 5)
 
 def rounded_field(asset: Asset) -> dict[str, NDArray[Any]]:
     """`children`, `density` and `coefficients` as a file of the asset gives them back."""
-    return field_of_codes(field_codes(asset), asset.num_leaves, asset.l_max)
+    return field_of_codes(field_codes(asset))
 
 
 def field_tensors(asset: Asset) -> dict[str, NDArray[Any]]:
@@ -82,10 +82,12 @@ def build_field(
     description.expect_keys(*_KEYS)
     nodes, leaves = (description.integer(key) for key in _KEYS)
     if not (1 <= nodes <= _MAX_ROWS and 0 <= leaves <= _MAX_ROWS):
-        raise LumitreeError(f"{nodes} nodes and {leaves} leaves, expected 1 and 0 to {_MAX_ROWS}")
+        raise LumitreeError(
+            f"{nodes} nodes and {leaves} leaves, expected 1 to {_MAX_ROWS} and 0 to {_MAX_ROWS}"
+        )
     layouts = field_layouts(nodes, leaves, l_max)
     codes = decompressed(tensors["field.stream"], layouts, "the field")
-    return field_of_codes(codes, leaves, l_max)
+    return field_of_codes(codes)
 
 
 def field_codes(asset: Asset, steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
@@ -99,21 +101,16 @@ def field_codes(asset: Asset, steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
     }
 
 
-def field_of_codes(
-    codes: dict[str, NDArray[Any]],
-    leaves: int,
-    l_max: int,
-    steps: Steps = STEPS,
-) -> dict[str, NDArray[Any]]:
+def field_of_codes(codes: dict[str, NDArray[Any]], steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
     """The field of the arrays of a stream; the inverse of `field_codes`.
 
     Raises:
         LumitreeError: the arrays are no field.
     """
     return {
-        "children": _children(codes["occupied"], codes["ends"], leaves),
+        "children": _children(codes["occupied"], codes["ends"], len(codes["density"])),
         "density": densities(codes["density"]),
-        "coefficients": coefficients_of(codes["coefficients"], l_max, steps),
+        "coefficients": coefficients_of(codes["coefficients"], steps),
     }
 
 
@@ -149,9 +146,7 @@ def coefficient_codes(coefficients: NDArray[np.float16], steps: Steps = STEPS) -
     return codes
 
 
-def coefficients_of(
-    codes: NDArray[np.int16], l_max: int, steps: Steps = STEPS
-) -> NDArray[np.float16]:
+def coefficients_of(codes: NDArray[np.int16], steps: Steps = STEPS) -> NDArray[np.float16]:
     """Coefficients [M, 3, K] of codes [M, K, 3]."""
     values = codes.astype(np.float32)
     values[..., ::2] += values[..., 1:2]

@@ -20,7 +20,8 @@ const field = {
       nodes: this.nodes, density: this.density, coefficients: this.coefficients,
       tree_depth: int(asset.tree_depth), num_levels: int(asset.level_bits.length),
       level_bits: int(...asset.level_bits, 0, 0, 0).slice(0, 4), level_starts: int(...asset.level_starts, 0, 0, 0).slice(0, 4),
-      steps: asset.steps.slice(0, 4), brightness: asset.steps.slice(4), half_extents: asset.half_extents, colour: asset.colour, eye, camera, half_field: [t * width / height, t], resolution: [width, height],
+      steps: asset.steps.slice(0, 4), brightness: asset.steps.slice(4),
+      half_extents: asset.half_extents, colour: asset.colour, eye, camera, half_field: [t * width / height, t], resolution: [width, height],
     });
     readTarget(target, 0, 1, 1);
     return performance.now() - begin;
