@@ -200,15 +200,15 @@ def test_a_far_geometry_is_stored_with_its_origin(mi, tmp_path):
 
 
 def test_an_asset_is_exported_near_the_origin(mi):
-    from lumitree.output.blender.meshes import blender_meshes
+    from lumitree.output.geometry_meshes import geometry_meshes
 
     near = with_geometry(small_geometry())
     assert near.near_origin is near
     far = with_geometry(small_geometry(origin=FAR), near.frame.moved(FAR)).near_origin
     assert np.allclose(far.frame.world_from_local, near.frame.world_from_local)
     for mesh, other in zip(
-        blender_meshes(near.geometry, np.eye(3)),
-        blender_meshes(far.geometry, np.eye(3)),
+        geometry_meshes(near.geometry, np.eye(4)),
+        geometry_meshes(far.geometry, np.eye(4)),
         strict=True,
     ):
         assert np.allclose(mesh["vertices"], other["vertices"], atol=1e-6)

@@ -12,7 +12,7 @@ from lumitree.output.viewer.packing import PackedAsset
 
 
 def unpack_asset(packed: PackedAsset) -> dict[str, NDArray[Any]]:
-    """Arrays by name, as the page uses them: densities [M], and coefficients [M, 3, K]."""
+    """Arrays by name; of a field the densities [M] and coefficients [M, 3, K] of the page."""
     stream = np.frombuffer(base64.b64decode(packed.block), np.uint8)
     layouts = [
         Layout(name, np.dtype(kind), (rows, columns), planes)
@@ -20,7 +20,9 @@ def unpack_asset(packed: PackedAsset) -> dict[str, NDArray[Any]]:
     ]
     arrays = decompressed(stream, layouts, "the page")
     arrays = {name: each[:, 0] if each.shape[1] == 1 else each for name, each in arrays.items()}
-    codes = arrays["coefficients"].reshape(packed.description["leaves"], -1, 3)
+    if packed.description["field"] is None:
+        return arrays
+    codes = arrays["coefficients"].reshape(packed.description["field"]["leaves"], -1, 3)
     return arrays | {
         "density": densities(arrays["density"]),
         "coefficients": coefficients_of(codes),

@@ -56,7 +56,7 @@ def check_material(material: Any, images: Sequence[ImageFacts], nesting: int = 1
         raise LumitreeError(f"{name} holds {len(inner)} materials, expected {plugin.nested[0]}")
     for each in inner:
         check_material(each, images, nesting + 1)
-    if name == "twosided" and any(map(_transmits, inner)):
+    if name == "twosided" and any(map(transmits, inner)):
         raise LumitreeError(
             "twosided holds a material that light crosses, such as glass or a mask; put the mask "
             "around it, and leave it out around glass"
@@ -81,6 +81,15 @@ def is_specular(material: Json) -> bool:
         return True
     inner = material.get("nested", [])
     return bool(inner) and material["type"] != "bumpmap" and all(map(is_specular, inner))
+
+
+def transmits(material: Json) -> bool:
+    """Whether Mitsuba says that light crosses a surface of a material."""
+    stated = PLUGINS[material["type"]].transmits
+    if stated is not None:
+        return stated
+    inner = material.get("nested", [])
+    return material.get("spec_trans", 0) != 0 or any(map(transmits, inner))
 
 
 def _check_value(what: str, kind: Kind, value: Any, images: Sequence[ImageFacts]) -> None:
@@ -146,12 +155,3 @@ def _bounds(
         return np.full(3, least), np.full(3, largest)
     channels = np.broadcast_to(np.asarray(value, np.float64), 3)
     return channels, channels
-
-
-def _transmits(material: Json) -> bool:
-    """Whether Mitsuba says that light crosses a surface of a material."""
-    transmits = PLUGINS[material["type"]].transmits
-    if transmits is not None:
-        return transmits
-    inner = material.get("nested", [])
-    return material.get("spec_trans", 0) != 0 or any(map(_transmits, inner))

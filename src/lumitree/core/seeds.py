@@ -47,6 +47,7 @@ class Purpose(enum.IntEnum):
     ENDING = 22
     VISIBILITY = 23  # its surfaces in its box; draw 0: rays, step: rays at once; draw 1: curves
     RECEIVED = 24  # irradiance at points of a scene; step: samples at once
+    SURFACES = 25  # radiance of the surfaces of an asset; step: faces at once
 
 
 @dataclasses.dataclass(frozen=True)

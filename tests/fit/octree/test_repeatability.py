@@ -62,6 +62,7 @@ def test_no_random_numbers_are_used_twice(bulb, small, tmp_path, seeds):
         Purpose.PHOTOMETRY,
         Purpose.RECEIVED,
         Purpose.RENDER,
+        Purpose.SURFACES,
     }
     keys, values = zip(*seeds, strict=True)
     assert len(set(keys)) == len(keys)

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from lumitree.core.frames import similarity
 from support.geometry_assets import IDENTITY, small_geometry
 
 pytestmark = pytest.mark.usefixtures("mi")
@@ -166,7 +167,7 @@ def test_coordinates_of_a_texture_are_mapped():
 def test_analytic_shapes_become_meshes_whose_faces_turn_as_the_normals(
     kind, area, flipped, mirrored
 ):
-    from lumitree.output.blender.meshes import blender_meshes
+    from lumitree.output.geometry_meshes import geometry_meshes
 
     matrix = np.diag([2.0, 2, 2 * mirrored, 1])
     matrix[:3, 3] = [0.1, 0.2, 0.3]
@@ -174,14 +175,14 @@ def test_analytic_shapes_become_meshes_whose_faces_turn_as_the_normals(
         "type": kind, "to_world": matrix.tolist(), "material": 0, "radiance": None,
         "flipped": flipped,
     }  # fmt: skip
-    (mesh,) = blender_meshes(
+    (mesh,) = geometry_meshes(
         small_geometry(
             shapes=(shape,), materials=(DIFFUSE,),
             vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.uint32),
             normals=np.zeros((0, 3), np.float32), texcoords=np.zeros((0, 2), np.float32),
             colours=np.zeros((0, 3), np.float32),
         ),
-        np.eye(3),
+        np.eye(4),
     )  # fmt: skip
     corners = mesh["vertices"][mesh["faces"]].astype(np.float64)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -194,11 +195,11 @@ def test_analytic_shapes_become_meshes_whose_faces_turn_as_the_normals(
 
 
 def test_meshes_are_turned_to_the_frame_of_blender():
-    from lumitree.output.blender.meshes import blender_meshes
+    from lumitree.output.geometry_meshes import geometry_meshes
 
     geometry = small_geometry()
     turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-    mesh = blender_meshes(geometry, turn)[0]
+    mesh = geometry_meshes(geometry, similarity(turn))[0]
     x, y, z = geometry.vertices[:4].T
     np.testing.assert_array_equal(mesh["vertices"], np.stack([x, -z, y], axis=-1))
     assert np.array_equal(mesh["faces"], geometry.faces[:4])

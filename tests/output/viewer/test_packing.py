@@ -23,7 +23,7 @@ from support.reference_field import leaf_boxes
 
 def leaf_at(packed, nodes, point):
     """Index of the leaf at a point, -1 for none, as the shader finds it."""
-    description = packed.description
+    description = packed.description["field"]
     below, node = description["tree_depth"], 0
     cell = np.floor((point + 1) / 2 * (1 << below)).astype(int)
     entry = 0
@@ -94,9 +94,15 @@ def test_an_asset_without_a_field_is_shown_by_its_light():
     assert len(arrays["density"]) == len(asset.light_field.cells)
     assert np.array_equal(arrays["cells"].reshape(-1, 3), asset.light_field.cells)
     geometry = dataclasses.replace(asset, geometry=small_geometry())
-    assert pack_asset(geometry).description["shown"] == "light field, not the geometry"
+    packed = pack_asset(geometry)
+    assert packed.description["shown"] == "model"
+    assert packed.description["field"] is None
+    assert "nodes" not in unpack_asset(packed)
     field = dataclasses.replace(random_asset(3), light_field=asset.light_field)
     assert pack_asset(field).description["shown"] == "field"
+    both = pack_asset(dataclasses.replace(field, geometry=small_geometry()))
+    assert both.description["shown"] == "model and field"
+    assert {"nodes", "triangles", "cells"} <= set(unpack_asset(both))
     assert "Shown: asset.shown" in make_page(asset)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lumitree.asset.asset import light_field_asset
+from lumitree.asset.geometry import ARRAYS, AssetGeometry
 from lumitree.asset.light_field import make_light_field
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
@@ -15,6 +16,7 @@ from lumitree.core.octahedral import middle_directions
 from lumitree.output.viewer.page import make_page
 from support.browser import CHROMIUM, evaluate
 from support.fields import random_asset
+from support.geometry_assets import with_geometry
 from support.light_fields import random_light_field
 
 pytestmark = [
@@ -37,6 +39,68 @@ def camera_rays(eye, target, up, fov, width, height):
     y = (2 * (np.arange(height) + 0.5) / height - 1) * tangent
     direction = forward + x[None, :, None] * right + y[:, None, None] * np.cross(right, forward)
     return direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+
+
+def model_shapes():
+    """A bulb of absorbing glass, a mirror, a rough and a diffuse ball, and a pane, by materials."""
+
+    def placed(kind, material, scale, at, radiance=None, **media):
+        matrix = np.diag([*np.broadcast_to(scale, 3), 1.0])
+        matrix[:3, 3] = at
+        shape = {"type": kind, "to_world": matrix.tolist(), "material": material}
+        return {**shape, "radiance": radiance, "flipped": False, **media}
+
+    materials = (
+        {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0},
+        {"type": "diffuse", "reflectance": 0.2},
+        {"type": "twosided", "nested": [{"type": "conductor", "material": "Cu"}]},
+        {"type": "roughconductor", "material": "Al", "alpha": 0.3},
+        {"type": "thindielectric", "int_ior": 1.5, "ext_ior": 1.0},
+        {"type": "diffuse", "reflectance": [0.8, 0.4, 0.2]},
+        {"type": "roughdielectric", "int_ior": 1.4, "ext_ior": 1.0, "alpha": 0.15},
+    )
+    shapes = (
+        placed("sphere", 0, 0.3, (-0.2, 0.2, 0.1), interior=[0.2, 1.0, 2.0]),
+        placed("sphere", 1, 0.12, (-0.2, 0.2, 0.1), [6.0, 5.0, 4.0]),
+        placed("rectangle", 2, 0.6, (0.1, 0, -0.7)),
+        placed("sphere", 3, 0.25, (0.4, -0.3, 0.1)),
+        placed("rectangle", 4, 0.2, (0.5, 0.4, 0.4)),
+        placed("sphere", 5, 0.2, (-0.5, -0.5, 0.2)),
+        placed("sphere", 6, 0.15, (0.0, -0.4, 0.5)),
+    )
+    return shapes, materials
+
+
+def test_image_is_that_of_the_model(mi, tmp_path):
+    """Of all kinds of surfaces, as `lumitree_path` shows it; what is beside it is not hidden."""
+    from lumitree.rendering.plugins.register import shape
+
+    shapes, materials = model_shapes()
+    empty = {name: np.zeros((0, width), kind) for name, (kind, width) in ARRAYS.items()}
+    geometry = AssetGeometry(**empty, images=(), shapes=shapes, materials=materials)
+    asset = with_geometry(geometry, LocalFrame(np.ones(3), np.eye(4)))
+    view = {"eye": [0.6, 0.5, 3.4], "target": [0, 0, 0], "up": [0, 1, 0], "fov": 0.6}
+    size = {"width": 48, "height": 48}
+    call = f"await lumitree.image({json.dumps(view | size | {'samples': 512})})"
+    found = evaluate(make_page(asset), call, tmp_path / "profile")
+    pixels = floats(found["radiance"]).reshape(48, 48, 4)[::-1]
+    film = {"type": "hdrfilm", **size, "pixel_format": "rgba", "rfilter": {"type": "box"}}
+    to_world = mi.ScalarTransform4f().look_at(view["eye"], view["target"], view["up"])
+    sensor = {"type": "perspective", "fov": np.degrees(0.6), "film": film, "to_world": to_world}
+    lamp = shape(asset, np.eye(4), appearance="geometry")
+    scene = mi.load_dict({"type": "scene", "sensor": sensor, "lamp": lamp})
+    integrator = mi.load_dict({"type": "lumitree_path", "max_depth": 64})
+    expected = np.array(mi.render(scene, integrator=integrator, spp=2048))
+    # By blocks of pixels, because both are noisy.
+    blocks = [each.reshape(12, 4, 12, 4, 4).mean(axis=(1, 3)) for each in (pixels, expected)]
+    shown, wanted = (each[..., :3] for each in blocks)
+    assert shown.mean(axis=(0, 1)) == pytest.approx(wanted.mean(axis=(0, 1)), rel=0.03)
+    assert np.abs(shown - wanted).mean() < 0.08 * wanted.mean()
+    # Rays that meet nothing pass; glass lets through what it does not reflect.
+    nothing = expected[..., 3] == 0
+    assert nothing.any()
+    assert (pixels[..., 3][nothing] > 0.98).all()
+    assert pixels[..., 3][expected[..., 3] == 1].mean() < 0.5
 
 
 @pytest.mark.parametrize(("law", "l_max"), [("linear", 2), ("exponential", 4)])

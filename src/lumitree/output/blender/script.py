@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
+from lumitree.core.frames import similarity
 from lumitree.errors import LumitreeError, shown
 from lumitree.output.blender.lights import PointLights, cluster_lights, direction_tables
-from lumitree.output.blender.meshes import blender_meshes
 from lumitree.output.blender.surfaces import Surfaces, absorption_inside
+from lumitree.output.geometry_meshes import geometry_meshes
 
 Up = Literal["y", "z"]
 # From a frame with this axis up to Blender's, with z up.
@@ -67,7 +68,7 @@ def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
         description["surfaces"] = [surfaces.tree(shape) for shape in asset.geometry.shapes]
         description["absorption"] = [absorption_inside(shape) for shape in asset.geometry.shapes]
         lost += sorted(surfaces.lost)
-        for index, mesh in enumerate(blender_meshes(asset.geometry, Z_UP[up])):
+        for index, mesh in enumerate(geometry_meshes(asset.geometry, similarity(Z_UP[up]))):
             arrays |= {f"{index}.{name}": values for name, values in mesh.items()}
         arrays |= {f"image {i}": image for i, image in enumerate(asset.geometry.images)}
     template = (resources.files("lumitree.output.blender") / "lamp_script.py").read_text("utf-8")

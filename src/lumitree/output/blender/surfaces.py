@@ -11,7 +11,6 @@ are names of sockets, or indices where names repeat. `output` names the socket t
 from collections.abc import Sequence
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
 from lumitree.asset.asset import NO_GAIN
@@ -27,6 +26,7 @@ from lumitree.output.blender.nodes import (
     node,
     texture,
 )
+from lumitree.output.optics import normal_reflectance, relative_index
 
 # What Cycles has no equal for, by plugin.
 _LOST = {
@@ -121,11 +121,11 @@ class Surfaces:
 
     def _glass(self, material: Json, roughness: Any) -> Json:
         colour = self._value(material.get("specular_transmittance", 1.0))
-        inputs = {"Color": colour, "Roughness": roughness, "IOR": _index(material)}
+        inputs = {"Color": colour, "Roughness": roughness, "IOR": relative_index(material)}
         return node("ShaderNodeBsdfGlass", inputs)
 
     def _thindielectric(self, material: Json) -> Json:
-        fresnel = node("ShaderNodeFresnel", {"IOR": _index(material)})
+        fresnel = node("ShaderNodeFresnel", {"IOR": relative_index(material)})
         colour = self._value(material.get("specular_transmittance", 1.0))
         clear = node("ShaderNodeBsdfTransparent", {"Color": colour})
         return mix_shaders(fresnel, clear, self._glossy(1.0, 0.0))
@@ -137,7 +137,7 @@ class Surfaces:
         return self._metal(material, self._roughness(material))
 
     def _metal(self, material: Json, roughness: Any) -> Json:
-        reflectance = _normal_reflectance(material)
+        reflectance = normal_reflectance(material)
         tint = self._value(material.get("specular_reflectance", 1.0))
         return self._glossy(_product(tint, reflectance), roughness)
 
@@ -154,7 +154,7 @@ class Surfaces:
         inputs = {
             "Base Color": self._value(material.get("diffuse_reflectance", 0.5)),
             "Roughness": roughness,
-            "IOR": _index(material, default=1.49),
+            "IOR": relative_index(material, default=1.49),
         }
         return node("ShaderNodeBsdfPrincipled", inputs)
 
@@ -229,34 +229,9 @@ def _product(colour: Any, factors: Sequence[float]) -> Any:
     return node("ShaderNodeMix", inputs, attributes, output=2)
 
 
-def _index(material: Json, default: float | None = None) -> float:
-    """Index of refraction inside over that outside, of numbers or names."""
-    inside, outside = material.get("int_ior", default), material.get("ext_ior")
-    given = {"int_ior": inside, "ext_ior": outside}
-    plugin = {name: value for name, value in given.items() if value is not None}
-    return float(mi.traverse(mi.load_dict({"type": "dielectric", **plugin}))["eta"])
-
-
 def _principled_index(material: Json) -> float:
     if "eta" in material:
         return float(material["eta"])
     # As Mitsuba has it: the reflectance at normal incidence is 8 % of `specular`.
     root = np.sqrt(0.08 * material.get("specular", 0.5))
     return max(float((1 + root) / (1 - root)), 1.0)
-
-
-def _normal_reflectance(material: Json) -> list[float]:
-    """Reflectance [3] of a conductor at normal incidence, by Fresnel's equations."""
-    given = {name: material[name] for name in ("material", "eta", "k") if name in material}
-    if any(isinstance(value, dict) for value in given.values()):
-        return [1.0, 1.0, 1.0]
-    colours = {
-        name: {"type": "rgb", "value": value} if isinstance(value, list) else value
-        for name, value in given.items()
-    }
-    parameters = mi.traverse(mi.load_dict({"type": "conductor", **colours}))
-    eta, k = (
-        np.broadcast_to(np.array(parameters[f"{name}.value"], np.float64).ravel(), 3)
-        for name in ("eta", "k")
-    )
-    return (((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)).tolist()

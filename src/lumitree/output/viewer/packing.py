@@ -1,8 +1,9 @@
 """What the page of the viewer holds of an asset: arrays of numbers in one compressed stream.
 
-The field is rounded as in a file, and its numbers are those of the file's stream (`field_bytes`).
-Without a field the light field is shown, as one (`light_as_field`). The light field is reduced to
-luminous intensity, as float16 relative to the largest of each cell.
+The geometry is shown, if there is one (`model`), and the field. The field is rounded as in a
+file, and its numbers are those of the file's stream (`field_bytes`). Without both the light field
+is shown, as a field (`light_as_field`). The light field is reduced to luminous intensity, as
+float16 relative to the largest of each cell.
 """
 
 import base64
@@ -28,6 +29,7 @@ from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError
 from lumitree.octree.wide_nodes import wide_levels, wide_nodes
 from lumitree.output.viewer.light_as_field import DEFAULT_VIEW, brightest_view, light_as_field
+from lumitree.output.viewer.model import page_model
 
 # WebGL 2 textures of 4096 texels a row; GPUs in use have at least 8192 rows.
 MAX_TEXELS = 4096 * 8192
@@ -55,47 +57,26 @@ def pack_asset(asset: Asset) -> PackedAsset:
     Raises:
         LumitreeError: it is too large for textures of WebGL 2.
     """
-    num_bytes, has_field = asset.num_bytes, asset.num_leaves > 0
-    shown, view, steps = "field", DEFAULT_VIEW, STEPS
-    if not has_field:
-        asset, view = light_as_field(asset), brightest_view(asset)
-        steps = _FINE_STEPS
-        shown = "light field" + ("" if asset.geometry is None else ", not the geometry")
-    levels = wide_nodes(asset.children, asset.tree_depth)
-    starts = np.concatenate([[0], np.cumsum([level.size for level in levels])])
-    arrays: dict[str, NDArray[Any]] = {
-        "nodes": np.concatenate(levels),
-        "density": density_codes(asset.density),
-        # One texel of R, G and B for each coefficient.
-        "coefficients": coefficient_codes(asset.coefficients, steps).reshape(asset.num_leaves, -1),
-    }
+    arrays: dict[str, NDArray[Any]] = {}
+    has_field, view = asset.num_leaves > 0, DEFAULT_VIEW
+    model = field = light = None
+    texels = [0]
+    if asset.geometry is not None:
+        made = page_model(asset)
+        model, arrays = made.description, made.arrays
+        texels += [2 * len(arrays["positions"]), len(arrays["triangles"])]
+    if has_field or model is None:
+        steps, whole = STEPS, asset
+        if not has_field:
+            steps, whole, view = _FINE_STEPS, light_as_field(asset), brightest_view(asset)
+        field, of_field = _field(whole, steps)
+        arrays |= of_field
+        texels += [of_field["nodes"].size, of_field["coefficients"].size // 3]
     in_planes = set(arrays)
-    description = {
-        "luminaire": asset.luminaire,
-        "law": asset.law,
-        "l_max": asset.l_max,
-        "tree_depth": asset.tree_depth,
-        "leaves": asset.num_leaves,
-        "bytes": num_bytes,
-        "shown": shown,
-        "has_field": has_field,
-        "view": view,
-        "max_radiance": asset.max_radiance * max(asset.gain),
-        "colour": [factor / max(asset.gain) for factor in asset.gain],
-        "half_extents": asset.frame.half_extents.tolist(),
-        "scale": float(asset.frame.scale),
-        "level_bits": wide_levels(asset.tree_depth),
-        "level_starts": starts[:-1].tolist(),
-        "density_shift": DENSITY_SHIFT,
-        "steps": [*steps, BRIGHT, MEDIUM],
-        "light_field": None,
-    }
-    texels = [arrays["nodes"].size, arrays["coefficients"].size // 3]
     if asset.light_field is not None:
-        field = asset.light_field
-        description["light_field"] = {"depth": field.depth, "resolution": field.resolution}
-        arrays |= _light_field_arrays(field, asset.gain)
-        texels.append(field.lit.size * 8)
+        light = {"depth": asset.light_field.depth, "resolution": asset.light_field.resolution}
+        arrays |= _light_field_arrays(asset.light_field, asset.gain)
+        texels.append(asset.light_field.lit.size * 8)
     if max(texels) > MAX_TEXELS:
         raise LumitreeError(
             f"the asset of {asset.luminaire} has {max(texels):,} texels; the viewer shows at most "
@@ -105,12 +86,55 @@ def pack_asset(asset: Asset) -> PackedAsset:
         Layout(name, array.dtype, array.shape, planes=name in in_planes)
         for name, array in arrays.items()
     ]
-    description["arrays"] = [
-        [each.name, each.dtype.str.lstrip("<|"), len(array), array[:1].size, each.planes]
-        for each, array in zip(layouts, arrays.values(), strict=True)
-    ]
+    description = {
+        "luminaire": asset.luminaire,
+        "bytes": asset.num_bytes,
+        "shown": " and ".join(_shown(model is not None, has_field)),
+        "has_field": has_field,
+        "view": view,
+        "half_extents": asset.frame.half_extents.tolist(),
+        "scale": float(asset.frame.scale),
+        "field": field,
+        "model": model,
+        "light_field": light,
+        "arrays": [
+            [each.name, each.dtype.str.lstrip("<|"), len(array), array[:1].size, each.planes]
+            for each, array in zip(layouts, arrays.values(), strict=True)
+        ],
+    }
     block = base64.b64encode(compressed(arrays, layouts).tobytes()).decode()
     return PackedAsset(description, block)
+
+
+def _shown(has_model: bool, has_field: bool) -> list[str]:
+    """What images of the page show."""
+    names = ["model"] * has_model + ["field"] * has_field
+    return names or ["light field"]
+
+
+def _field(asset: Asset, steps: Steps) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Numbers and arrays of a field."""
+    levels = wide_nodes(asset.children, asset.tree_depth)
+    starts = np.concatenate([[0], np.cumsum([level.size for level in levels])])
+    arrays: dict[str, NDArray[Any]] = {
+        "nodes": np.concatenate(levels),
+        "density": density_codes(asset.density),
+        # One texel of R, G and B for each coefficient.
+        "coefficients": coefficient_codes(asset.coefficients, steps).reshape(asset.num_leaves, -1),
+    }
+    description = {
+        "law": asset.law,
+        "l_max": asset.l_max,
+        "tree_depth": asset.tree_depth,
+        "leaves": asset.num_leaves,
+        "max_radiance": asset.max_radiance * max(asset.gain),
+        "colour": [factor / max(asset.gain) for factor in asset.gain],
+        "level_bits": wide_levels(asset.tree_depth),
+        "level_starts": starts[:-1].tolist(),
+        "density_shift": DENSITY_SHIFT,
+        "steps": [*steps, BRIGHT, MEDIUM],
+    }
+    return description, arrays
 
 
 def _light_field_arrays(

@@ -11,8 +11,8 @@ from lumitree.asset.asset import Asset
 from lumitree.output.viewer.packing import pack_asset
 
 # In the order in which they are run; all share one scope.
-_SCRIPTS = ("gl.js", "field.js", "irradiance.js", "camera.js", "interface.js")
-_SHADERS = ("field", "display", "irradiance", "walls")
+_SCRIPTS = ("gl.js", "field.js", "model.js", "irradiance.js", "camera.js", "interface.js")
+_SHADERS = ("field", "model", "display", "irradiance", "walls")
 
 
 def make_page(asset: Asset) -> str:

@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 from lumitree.asset.asset import Asset
+from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import FilePath, check_writable, write_bytes
 from lumitree.core.results import Result
 from lumitree.core.stopwatch import Stopwatch
@@ -35,10 +36,13 @@ class ViewResult(Result):
 
 @explained
 def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
-    """Make a web page that shows the field of an asset, and the illuminance around it.
+    """Make a web page that shows an asset, and the illuminance around it.
 
-    Without a field it shows the light field, as images do: blurred, and hiding almost
-    nothing. Geometry is not shown.
+    It shows what images show: the geometry; or the field; or the light field of an asset that has
+    neither, blurred and hiding almost nothing. With geometry and a field it shows either.
+
+    Rays are followed through glass and from smooth metals. Other surfaces have the mean radiance
+    that they send out, which is traced first: highlights on them do not move with the viewer.
 
     The page needs a browser with WebGL 2, and loads nothing from a network.
 
@@ -55,6 +59,8 @@ def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
     """
     if output is not None:
         check_writable(output)
+    # The surfaces of geometry are traced, and directions go through Dr.Jit.
+    load_mitsuba()
     from lumitree.output.viewer.page import make_page
 
     watch = Stopwatch()

@@ -8,7 +8,7 @@ gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new
 const display = makeProgram("display"), wallDisplay = makeProgram("walls");
 // An image takes at most this long while the view moves; it is then drawn with fewer pixels.
 const MOVING_MS = 33, STILL_AFTER_MS = 180;
-const state = { tab: "lamp", key: 1, scale: 1, moving: 0, timer: 0, dirty: true, shown: true, room: [], lux: null, places: [] };
+const state = { tab: "lamp", keys: new Map(), scale: 1, moving: 0, timer: 0, dirty: true, shown: true, room: [], lux: null, places: [] };
 const WALLS = ["−x", "+x", "−y", "+y", "−z", "+z"];
 const number = x => x === 0 ? "0" : Math.abs(x) >= 1e5 || Math.abs(x) < 1e-3 ? x.toExponential(1) : String(+x.toPrecision(3));
 
@@ -30,42 +30,50 @@ function resize() {
   if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
 }
 
+// The last mode shows the geometry, the others the field.
+const MODEL = 4, source = () => +$("mode").value === MODEL ? model : field;
 function drawLamp() {
   resize();
-  if (state.dirty) {
+  const shown = source();
+  if (state.dirty) shown.restart();
+  if (!shown.complete) {
     const scale = state.moving ? state.scale : 1;
     const width = Math.max(1, Math.round(canvas.width * scale)), height = Math.max(1, Math.round(canvas.height * scale));
-    const ms = field.draw(currentView(), width, height);
+    const ms = shown.draw(currentView(), width, height);
     // Pixels in proportion to the time that there is.
     state.scale = Math.min(1, Math.max(0.1, Math.sqrt(MOVING_MS / Math.max(ms, 0.5)) * scale));
     $("ms").textContent = `${ms.toFixed(1)} ms, ${width} × ${height}`;
     state.dirty = false;
+    if (!shown.complete && !state.moving) schedule();
   }
   gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   gl.viewport(0, 0, canvas.width, canvas.height);
   const mode = +$("mode").value, stops = +$("exposure").value;
   draw(display, {
-    radiance: field.target.textures[0], details: field.target.textures[1], background, colours,
-    resolution: [canvas.width, canvas.height], gain: state.key * 2 ** stops, max_density: field.maxDensity,
-    tree_depth: asset.tree_depth, mode: int(mode), curve: int(+$("curve").value), backdrop: int(+$("backdrop").value),
+    radiance: shown.target.textures[0], details: field.target.textures[1], background, colours,
+    resolution: [canvas.width, canvas.height], gain: state.keys.get(shown) * 2 ** stops, max_density: field.maxDensity,
+    tree_depth: asset.field?.tree_depth ?? 0, mode: int(mode === MODEL ? 0 : mode), curve: int(+$("curve").value), backdrop: int(+$("backdrop").value),
   });
   $("exposure-text").textContent = `${stops > 0 ? "+" : ""}${stops} stops`;
   $("marks").replaceChildren();
   if (mode === 2) legend([0, 1, 2, 3, 4].map(i => [i / 4, number(field.maxDensity * 10 ** (i - 4))]), "mean density of the leaves on the ray, per half of the longest side");
-  else if (mode === 3) legend(Array.from({ length: asset.tree_depth + 1 }, (_, i) => [i / asset.tree_depth, String(i)]), "depth of the first leaf");
+  else if (mode === 3) legend(Array.from({ length: asset.field.tree_depth + 1 }, (_, i) => [i / asset.field.tree_depth, String(i)]), "depth of the first leaf");
   else $("legend").hidden = true;
 }
 
+// Samples of the image from which the exposure is taken.
+const METERED = 8;
 // The scale of radiance at 0 stops: nine tenths of the pixels of the lamp are below 0.8.
-function meter() {
-  field.draw(currentView(), 160, 120);
-  const pixels = readTarget(field.target), lit = [];
+function meter(shown) {
+  shown.restart();
+  for (let i = 0; i < METERED && !shown.complete; ++i) shown.draw(currentView(), 160, 120);
+  const pixels = readTarget(shown.target), lit = [];
   for (let i = 0; i < pixels.length; i += 4)
     // A light field hides almost nothing.
-    if (asset.has_field ? pixels[i + 3] < 0.99 : pixels[i + 3] < 1) lit.push(0.2126 * pixels[i] + 0.7152 * pixels[i + 1] + 0.0722 * pixels[i + 2]);
+    if (shown === model || asset.has_field ? pixels[i + 3] < 0.99 : pixels[i + 3] < 1) lit.push(0.2126 * pixels[i] + 0.7152 * pixels[i + 1] + 0.0722 * pixels[i + 2]);
   lit.sort((a, b) => a - b);
   const white = lit[Math.floor(0.9 * lit.length)];
-  state.key = white > 0 ? 0.8 / white : 1;
+  return white > 0 ? 0.8 / white : 1;
 }
 
 function legend(ticks, title) {
@@ -190,14 +198,17 @@ function selectTab(tab) {
 
 function connect() {
   $("name").textContent = asset.luminaire;
-  const count = asset.leaves.toLocaleString("en");
-  const kind = asset.has_field ? { Law: asset.law, "l_max": asset.l_max, Leaves: count } : { Cells: count };
-  const figures = { Shown: asset.shown, ...kind, Depth: asset.tree_depth, Size: `${(asset.bytes / 1e6).toFixed(2)} MB`, Frame: "" };
+  const count = x => x.toLocaleString("en"), { field: shown } = asset;
+  const figures = { Shown: asset.shown,
+    ...(asset.model ? { Triangles: count(asset.model.triangles) } : {}),
+    ...(!shown ? {} : asset.has_field ? { Law: shown.law, "l_max": shown.l_max, Leaves: count(shown.leaves) } : { Cells: count(shown.leaves) }),
+    ...(shown ? { Depth: shown.tree_depth } : {}), Size: `${(asset.bytes / 1e6).toFixed(2)} MB`, Frame: "" };
   $("figures").replaceChildren(...Object.entries(figures).flatMap(([name, value]) => [
     Object.assign(document.createElement("dt"), { textContent: name }),
     Object.assign(document.createElement("dd"), { textContent: value, id: name === "Frame" ? "ms" : `figure-${name}` })]));
   $("tabs").hidden = !asset.light_field;
-  for (const id of ["mode", "exposure", "curve", "backdrop"]) $(id).addEventListener("input", () => schedule());
+  for (const id of ["exposure", "curve", "backdrop"]) $(id).addEventListener("input", () => schedule());
+  $("mode").addEventListener("input", () => schedule({ field: true }));
   $("backdrop").addEventListener("change", () => { if ($("backdrop").value === "2") $("file").click(); });
   $("file").addEventListener("change", async () => {
     const file = $("file").files[0];
@@ -240,11 +251,15 @@ const toBase64 = array => {
 async function start() {
   if (typeof DecompressionStream === "undefined") fail("This browser has no DecompressionStream, which the viewer needs.");
   const arrays = await unpackArrays();
-  field.load(arrays);
+  if (asset.field) field.load(arrays);
+  if (asset.model) model.load(arrays);
   if (asset.light_field) walls.load(arrays);
   resetView();
   connect();
-  meter();
+  for (const [mode, available] of [[MODEL, asset.model], [0, asset.field], [1, asset.field], [2, asset.field], [3, asset.field]])
+    if (!available) $("mode").querySelector(`[value="${mode}"]`).remove();
+  for (const [each, available] of [[model, asset.model], [field, asset.field]])
+    if (available) state.keys.set(each, meter(each));
   state.loaded = true;
   readSides(false);
   // The part of the address after # opens the page in a state, as #tab=walls&mode=3&stops=2.
@@ -259,12 +274,15 @@ async function start() {
 // For programs: linear radiance, transmittance and counts as float32 in base64, bottom row first.
 window.lumitree = {
   ready: start().catch(error => { fail(error.message); }),
-  async image({ eye, target, up, fov, width, height }) {
+  async image({ eye, target, up, fov, width, height, samples = 64 }) {
     await this.ready;
-    const own = makeTarget(2);
-    const ms = field.draw({ eye, camera: lookAt(eye, target, up), fov }, width, height, own);
-    const radiance = readTarget(own, 0).map((x, i) => i % 4 === 3 ? x : x * asset.max_radiance);
-    return { ms, radiance: toBase64(radiance), details: toBase64(readTarget(own, 1)) };
+    const view = { eye, camera: lookAt(eye, target, up), fov }, shown = asset.model ? model : field;
+    let ms = 0;
+    shown.restart();
+    for (let i = 0; i < samples && !shown.complete; ++i) ms += shown.draw(view, width, height);
+    const { max_radiance } = asset.model ?? asset.field;
+    const radiance = readTarget(shown.target, 0).map((x, i) => i % 4 === 3 ? x : x * max_radiance);
+    return { ms, radiance: toBase64(radiance), details: asset.model ? null : toBase64(readTarget(shown.target, 1)) };
   },
   async illuminance({ room, samples, patches }) {
     await this.ready;

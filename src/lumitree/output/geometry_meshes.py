@@ -1,12 +1,14 @@
-"""The shapes of an asset's geometry as meshes in Blender's frame."""
+"""The shapes of an asset's geometry as triangle meshes, for programs without other shapes."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.geometry import AssetGeometry
+from lumitree.asset.geometry import ARRAYS, AssetGeometry
 from lumitree.asset.textures import Json
+from lumitree.core.frames import similarity_scale
 
 # Segments of a circle in place of an analytic shape.
 _SEGMENTS = 96
@@ -14,24 +16,24 @@ _SEGMENTS = 96
 Arrays = dict[str, NDArray[Any]]
 
 
-def blender_meshes(
-    geometry: AssetGeometry, blender_from_world: NDArray[np.float64]
-) -> list[Arrays]:
+def geometry_meshes(geometry: AssetGeometry, to_frame: NDArray[np.float64]) -> list[Arrays]:
     """Arrays of each shape: `vertices`, `faces`, and `normals`, `texcoords` and `colours` if any.
 
     Args:
-        blender_from_world: [3, 3] rotation.
+        to_frame: [4, 4] similarity, from the frame of the luminaire's file to another one.
     """
+    # From the geometry's coordinates, in double precision: they may be far from the file's.
+    matrix = to_frame @ geometry.file_from_geometry
+    rotation = matrix[:3, :3] / similarity_scale(to_frame, "to_frame")
     found = []
     for shape, stored in zip(geometry.shapes, geometry.meshes(), strict=True):
         mesh = _analytic(shape) if stored is None else {k: v for k, v in stored.items() if len(v)}
         faces = mesh["faces"]
-        offset = np.asarray(geometry.origin, mesh["vertices"].dtype)
-        placed: Arrays = {"vertices": (mesh["vertices"] + offset) @ blender_from_world.T}
+        placed: Arrays = {"vertices": mesh["vertices"] @ matrix[:3, :3].T + matrix[:3, 3]}
         sign = -1 if shape["flipped"] else 1
         placed["faces"] = faces[:, ::-1] if shape["flipped"] else faces
         if "normals" in mesh:
-            placed["normals"] = sign * mesh["normals"] @ blender_from_world.T
+            placed["normals"] = sign * mesh["normals"] @ rotation.T
         placed |= {name: mesh[name] for name in ("texcoords", "colours") if name in mesh}
         found.append(
             {
@@ -42,8 +44,30 @@ def blender_meshes(
     return found
 
 
+def meshed(geometry: AssetGeometry) -> AssetGeometry:
+    """The geometry with meshes in place of its analytic shapes."""
+    stored = geometry.meshes()
+    shapes: list[Json] = []
+    arrays: dict[str, list[NDArray[Any]]] = {name: [] for name in ARRAYS}
+    for shape, known in zip(geometry.shapes, stored, strict=True):
+        mesh = _analytic(shape) if known is None else known
+        if known is None:
+            counts = {"vertices": len(mesh["vertices"]), "faces": len(mesh["faces"])}
+            has = {"normals": True, "texcoords": True, "colours": False}
+            shape = {**shape, "type": "mesh", **counts, **has}
+            del shape["to_world"]
+        shapes.append(shape)
+        for name in mesh:
+            arrays[name].append(mesh[name])
+    joined: dict[str, NDArray[Any]] = {
+        name: np.concatenate([np.zeros((0, width)), *arrays[name]]).astype(kind)
+        for name, (kind, width) in ARRAYS.items()
+    }
+    return dataclasses.replace(geometry, shapes=tuple(shapes), **joined)
+
+
 def _analytic(shape: Json) -> Arrays:
-    """Mesh of a sphere, disk, cylinder or rectangle, in the frame of the file."""
+    """Mesh of a sphere, disk, cylinder or rectangle, in the geometry's coordinates."""
     mesh = _UNIT[shape["type"]]()
     matrix = np.array(shape["to_world"], np.float64)
     linear = matrix[:3, :3]

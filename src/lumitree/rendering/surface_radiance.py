@@ -1,0 +1,82 @@
+"""Mean radiance that the surfaces of an asset's geometry send out, as images show it."""
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.core.device import on_device
+from lumitree.core.progress import progress
+from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.rendering.plugins.register import shape
+from lumitree.trace.emitted_rays import seeded_sampler
+from lumitree.trace.tracing import PATH_DEPTH
+
+# Equal assets give equal radiance: there is no option for the seed.
+_ROOT_SEED = 0
+_SAMPLES_AT_ONCE = 1 << 19
+# Distance from a surface at which rays towards it begin, local units.
+_ABOVE = 1e-5
+
+
+def vertex_radiance(
+    asset: Asset,
+    vertices: NDArray[np.float32],
+    faces: NDArray[np.uint32],
+    samples_per_face: int,
+    name: str = "surfaces",
+) -> NDArray[np.float32]:
+    """Mean radiance at the vertices of surfaces, over all directions of the front's hemisphere.
+
+    The mean is weighted by the cosine, so that a surface that sent out the same radiance to all
+    sides would have the same radiosity. Places on a face count for its vertices by their
+    barycentric coordinates.
+
+    Args:
+        asset: has geometry.
+        vertices: [V, 3] of surfaces of the geometry, local frame.
+        faces: [F, 3] triangles, whose fronts are those of the geometry.
+        samples_per_face: paths for each face.
+        name: for the display of progress.
+
+    Returns:
+        [V, 3], W/(m² sr); 0 for a vertex of no face.
+    """
+    lamp = shape(asset, asset.frame.local_from_world, appearance="geometry")
+    scene = mi.load_dict({"type": "scene", "lamp": lamp})
+    integrator: Any = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
+    points = on_device(mi.Float, vertices)
+    corners = on_device(mi.UInt32, faces)
+    sums = [dr.zeros(mi.Float, len(vertices)) for _ in range(4)]
+    at_once = max(1, _SAMPLES_AT_ONCE // samples_per_face)
+    with progress(name, len(faces)) as advance:
+        for step, first in enumerate(range(0, len(faces), at_once)):
+            count = min(at_once, len(faces) - first)
+            samples = count * samples_per_face
+            sampler = seeded_sampler(SeedStream(Purpose.SURFACES, step).seed(_ROOT_SEED), samples)
+            start = dr.opaque(mi.UInt32, first)
+            face = start + dr.arange(mi.UInt32, samples) // samples_per_face
+            index = dr.gather(mi.Vector3u, corners, face)
+            a, b, c = (dr.gather(mi.Point3f, points, each) for each in index)
+            u, v = mi.warp.square_to_uniform_triangle(sampler.next_2d())
+            weights = (1 - u - v, u, v)
+            normal = dr.normalize(dr.cross(b - a, c - a))
+            away = mi.Frame3f(normal).to_world(
+                mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+            )
+            # A face without area has no normal.
+            seen = dr.all(dr.isfinite(away))
+            point = weights[0] * a + weights[1] * b + weights[2] * c
+            ray = mi.RayDifferential3f(mi.Ray3f(point + _ABOVE * away, -away))
+            radiance, _, _ = integrator.sample(scene, sampler, ray, None, seen)
+            for weight, vertex in zip(weights, index, strict=True):
+                for total, value in zip(sums, (*mi.Color3f(radiance), 1.0), strict=True):
+                    dr.scatter_add(total, weight * value, vertex, seen)
+            dr.eval(sums)
+            advance(count)
+    *colours, weight = (np.array(each, np.float32) for each in sums)
+    means = np.stack(colours, axis=-1) / np.maximum(weight, 1e-20)[:, None]
+    return means.astype(np.float32)
