@@ -48,8 +48,8 @@ FAMILIES = {
     "table": "table on the box",
     "harmonics": "harmonics on the box",
     "flow": "normalizing flow (PureLight)",
-    "light": "light field",
-    "field, direct": "field (octree fit)",
+    "light field": "light field",
+    FIELD: "field (octree fit)",
 }
 
 
@@ -89,7 +89,7 @@ def fits(name: str, options: argparse.Namespace) -> Mapping[str, Callable[[Any],
             lambda rays, patches=patches, l_max=l_max: box_harmonics(rays, patches, l_max)
         )
     for depth, resolution in ((3, 32), (4, 32), (5, 32)):
-        chosen[f"light_field {1 << depth}³ x {resolution}²"] = (
+        chosen[f"light field {1 << depth}³ x {resolution}²"] = (
             lambda rays, depth=depth, resolution=resolution: light_field(rays, depth, resolution)
         )
     chosen[FIELD] = lambda _: baked_field(name, seed)
