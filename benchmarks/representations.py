@@ -47,6 +47,7 @@ FAMILIES = {
     "point lights": "anisotropic point lights (Velázquez-Armendáriz)",
     "table": "table on the box",
     "harmonics": "harmonics on the box",
+    "wavelets": "wavelets on the box (Atanasov & Koylazov)",
     "flow": "normalizing flow (PureLight)",
     "light field": "light field",
     FIELD: "field (octree fit)",
@@ -64,6 +65,7 @@ def fits(name: str, options: argparse.Namespace) -> Mapping[str, Callable[[Any],
         far_field_sphere,
         light_field,
         point_lights,
+        wavelet_light,
     )
     from benchmarks.baselines.light_flow import LightFlow
 
@@ -87,6 +89,10 @@ def fits(name: str, options: argparse.Namespace) -> Mapping[str, Callable[[Any],
     for patches, l_max in ((16, 2), (16, 4), (64, 4)):
         chosen[f"box {patches}², harmonics to {l_max}"] = (
             lambda rays, patches=patches, l_max=l_max: box_harmonics(rays, patches, l_max)
+        )
+    for kilobytes in (100, 400, 1600):
+        chosen[f"wavelets 16² x 32², {kilobytes / 1000:.1f} MB"] = (
+            lambda rays, kilobytes=kilobytes: wavelet_light(rays, 16, 32, 1000 * kilobytes)
         )
     for depth, resolution in ((3, 32), (4, 32), (5, 32)):
         chosen[f"light field {1 << depth}³ x {resolution}²"] = (
