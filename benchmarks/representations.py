@@ -90,9 +90,11 @@ def fits(name: str, options: argparse.Namespace) -> Mapping[str, Callable[[Any],
         chosen[f"box {patches}², harmonics to {l_max}"] = (
             lambda rays, patches=patches, l_max=l_max: box_harmonics(rays, patches, l_max)
         )
-    for kilobytes in (100, 400, 1600):
-        chosen[f"wavelets 16² x 32², {kilobytes / 1000:.1f} MB"] = (
-            lambda rays, kilobytes=kilobytes: wavelet_light(rays, 16, 32, 1000 * kilobytes)
+    for positions, megabytes in ((16, 0.1), (16, 0.4), (16, 1.6), (32, 1.6)):
+        chosen[f"wavelets {positions}² x 32², {megabytes} MB"] = (
+            lambda rays, positions=positions, megabytes=megabytes: wavelet_light(
+                rays, positions, 32, megabytes * 1e6
+            )
         )
     for depth, resolution in ((3, 32), (4, 32), (5, 32)):
         chosen[f"light field {1 << depth}³ x {resolution}²"] = (
