@@ -30,7 +30,7 @@ _WAVELETS = ["".join("ad"[k >> bit & 1] for bit in (3, 2, 1, 0)) for k in range(
 _COEFFICIENT_BYTES, _MANTISSA, _EXPONENTS = 4, 8, 32
 # Of a node: a bit for each of its 15 wavelets and for each of its 16 children.
 _NODE_BYTES = 4
-# Of a part at the coarsest level: three floats.
+# Of a part at the coarsest level: three floats, of which a sign says whether its node is stored.
 _COARSE_BYTES = 12
 
 
