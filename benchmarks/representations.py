@@ -47,9 +47,10 @@ FAMILIES = {
     "point lights": "anisotropic point lights (Velázquez-Armendáriz)",
     "table": "table on the box",
     "harmonics": "harmonics on the box",
+    "wavelets": "wavelets on the box (Atanasov & Koylazov)",
     "flow": "normalizing flow (PureLight)",
-    "light": "light field",
-    "field, direct": "field (octree fit)",
+    "light field": "light field",
+    FIELD: "field (octree fit)",
 }
 
 
@@ -64,6 +65,7 @@ def fits(name: str, options: argparse.Namespace) -> Mapping[str, Callable[[Any],
         far_field_sphere,
         light_field,
         point_lights,
+        wavelet_light,
     )
     from benchmarks.baselines.light_flow import LightFlow
 
@@ -88,8 +90,14 @@ def fits(name: str, options: argparse.Namespace) -> Mapping[str, Callable[[Any],
         chosen[f"box {patches}², harmonics to {l_max}"] = (
             lambda rays, patches=patches, l_max=l_max: box_harmonics(rays, patches, l_max)
         )
+    for positions, megabytes in ((16, 0.1), (16, 0.4), (16, 1.6), (32, 1.6)):
+        chosen[f"wavelets {positions}² x 32², {megabytes} MB"] = (
+            lambda rays, positions=positions, megabytes=megabytes: wavelet_light(
+                rays, positions, 32, megabytes * 1e6
+            )
+        )
     for depth, resolution in ((3, 32), (4, 32), (5, 32)):
-        chosen[f"light_field {1 << depth}³ x {resolution}²"] = (
+        chosen[f"light field {1 << depth}³ x {resolution}²"] = (
             lambda rays, depth=depth, resolution=resolution: light_field(rays, depth, resolution)
         )
     chosen[FIELD] = lambda _: baked_field(name, seed)

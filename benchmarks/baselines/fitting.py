@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from benchmarks.baselines.places import Patches, Points
 from benchmarks.baselines.sources import Sources, SphereSource, projected, tabulated
 from benchmarks.baselines.traced_rays import TracedRays
+from benchmarks.baselines.wavelets import FILTER_WIDTH, BoxCells, WaveletLight, binned, filtered
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.seeds import Purpose, SeedStream
@@ -67,6 +68,20 @@ def box_harmonics(rays: TracedRays, patches: int, l_max: int) -> Sources:
     """Light field on the box: spherical harmonics of direction, by position on a face."""
     places, index = _patches(rays, patches)
     return Sources(places, projected(rays, index, l_max, places.normals))
+
+
+def wavelet_light(
+    rays: TracedRays, positions: int, directions: int, num_bytes: float
+) -> WaveletLight:
+    """Light field on the box, compressed by wavelets: Atanasov and Koylazov 2025, rebuilt.
+
+    Args:
+        positions: cells of position along a side of a face.
+        directions: cells of direction along a side of the square of a hemisphere.
+        num_bytes: of the compressed light field; it holds as many coefficients as fit.
+    """
+    cells = BoxCells(rays.half_extents, positions, directions)
+    return WaveletLight(filtered(binned(rays, cells), FILTER_WIDTH), cells, num_bytes)
 
 
 def _patches(rays: TracedRays, count: int) -> tuple[Patches, NDArray[np.int64]]:

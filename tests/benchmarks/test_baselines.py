@@ -39,6 +39,13 @@ def harmonics(rays):
     return box_harmonics(rays, 8, 4)
 
 
+def wavelets(rays):
+    pytest.importorskip("pywt", reason="PyWavelets is not installed; the extra `dev` has it")
+    from benchmarks.baselines.fitting import wavelet_light
+
+    return wavelet_light(rays, 8, 16, 100_000)
+
+
 def light_field(rays):
     from benchmarks.baselines.fitting import light_field
 
@@ -101,7 +108,9 @@ def test_patches_are_where_light_leaves_the_box(mi):
     assert not dr.any(patches.seen(mi.Point3f(0, 2, 0), mi.Vector3f(1, 0, 0))[2])
 
 
-@pytest.mark.parametrize("fit", [far_field, sphere, points, table, harmonics, light_field, ray_set])
+@pytest.mark.parametrize(
+    "fit", [far_field, sphere, points, table, harmonics, wavelets, light_field, ray_set]
+)
 def test_flux_is_that_of_the_rays(mi, rays, fit):
     flux = fit(rays).draw(PATHS, 0).flux
     expected = rays.flux.sum(axis=0, dtype=np.float64)
@@ -113,7 +122,9 @@ def test_flux_is_that_of_the_rays(mi, rays, fit):
     assert (np.abs(flux.sum(axis=1) - expected) <= 5 * error + slack * expected.max()).all()
 
 
-@pytest.mark.parametrize("fit", [far_field, sphere, points, table, harmonics, light_field])
+@pytest.mark.parametrize(
+    "fit", [far_field, sphere, points, table, harmonics, wavelets, light_field]
+)
 @pytest.mark.parametrize("place", [(0.4, 4, 0.3), (1.5, 0.9, -0.8)])
 def test_directions_bring_what_rays_do(mi, rays, fit, place):
     """Irradiance on a small disk, by directions towards the lamp and by rays that hit it."""
@@ -144,7 +155,7 @@ def test_directions_bring_what_rays_do(mi, rays, fit, place):
     assert (np.abs(found - expected) < 4.5 * error + 1e-9).all()
 
 
-@pytest.mark.parametrize("fit", [sphere, table, harmonics, light_field])
+@pytest.mark.parametrize("fit", [sphere, table, harmonics, wavelets, light_field])
 @pytest.mark.parametrize("place", [(0.4, 4, 0.3), (1.5, 0.9, -0.8)])
 def test_lines_show_what_directions_bring(mi, rays, fit, place):
     """Irradiance by directions of their own, and by uniform ones towards the box's corners."""
