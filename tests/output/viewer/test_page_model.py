@@ -1,0 +1,118 @@
+"""What the page holds of the geometry of an asset."""
+
+import numpy as np
+import pytest
+
+from lumitree.asset.geometry import ARRAYS, AssetGeometry
+from lumitree.core.frames import LocalFrame
+from support.geometry_assets import IDENTITY, small_geometry, with_geometry
+
+pytestmark = pytest.mark.usefixtures("mi")
+TEXTURE = {
+    "image": 0, "raw": True, "filter_type": "bilinear", "wrap_mode": "repeat", "to_uv": IDENTITY,
+}  # fmt: skip
+EMPTY = {name: np.zeros((0, width), kind) for name, (kind, width) in ARRAYS.items()}
+
+
+def surface(material, radiance=None, scale=1.0, **media):
+    from lumitree.output.viewer.surfaces import page_surface
+
+    shape = {"type": "sphere", "to_world": IDENTITY, "material": 0, "radiance": radiance}
+    shape |= {"flipped": False, **media}
+    image = np.ones((2, 2, 1), np.float32)
+    geometry = AssetGeometry(**EMPTY, images=(image,), shapes=(shape,), materials=(material,))
+    return page_surface(geometry, shape, scale)
+
+
+@pytest.mark.parametrize(
+    ("material", "kind"),
+    [
+        ({"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}, "GLASS"),
+        ({"type": "roughdielectric", "int_ior": 1.5, "ext_ior": 1.0, "alpha": 0.2}, "GLASS"),
+        ({"type": "thindielectric", "int_ior": 1.5, "ext_ior": 1.0}, "THIN_GLASS"),
+        ({"type": "conductor", "material": "Cu"}, "METAL"),
+        ({"type": "roughconductor", "material": "Cu"}, "METAL"),
+        ({"type": "roughconductor", "material": "Cu", "alpha_u": 0.1, "alpha_v": 0.3}, "ENDS"),
+        ({"type": "roughconductor", "material": "Cu", "alpha": TEXTURE}, "ENDS"),
+        ({"type": "diffuse", "reflectance": 0.5}, "ENDS"),
+        ({"type": "principled", "metallic": 1.0}, "ENDS"),
+    ],
+)
+def test_rays_are_followed_through_glass_and_from_metals(material, kind):
+    found = surface(material)
+    assert found.kind.name == kind
+    assert len(found.numbers()) == 20
+    assert found.has_back == (kind in ("GLASS", "THIN_GLASS"))
+    # What emits ends rays, and so does glass around a medium that scatters.
+    emitting = surface(material, radiance=[1.0, 2, 3])
+    assert (emitting.kind.name, emitting.emits, found.emits) == ("ENDS", True, False)
+    opal = {"absorption": [0.0] * 3, "scattering": [1.0] * 3, "anisotropy": 0.0}
+    assert surface(material, interior=opal).kind.name == "ENDS"
+
+
+def test_numbers_are_those_of_the_material():
+    metal = surface({"type": "twosided", "nested": [{"type": "roughconductor", "alpha": 0.3,
+        "material": "none", "specular_reflectance": [0.2, 0.4, 0.6]}]})  # fmt: skip
+    assert (metal.has_back, metal.alpha) == (True, 0.3)
+    np.testing.assert_allclose(metal.reflected, [0.2, 0.4, 0.6], rtol=1e-6)
+    glass = surface(
+        {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.2, "specular_transmittance": 0.9},
+        scale=2.0, interior=[0.1, 0.2, 0.3],
+    )  # fmt: skip
+    assert glass.index == pytest.approx(1.25)
+    assert glass.transmitted == (0.9, 0.9, 0.9)
+    assert glass.between_media
+    # Per local unit, of which each has two units of the file.
+    np.testing.assert_allclose(glass.inside, [0.2, 0.4, 0.6])
+    np.testing.assert_allclose(glass.outside, 0)
+    assert not surface({"type": "dielectric"}).between_media
+
+
+def test_codes_are_those_of_the_triangles():
+    from lumitree.output.geometry_meshes import geometry_meshes, meshed
+    from lumitree.output.viewer.model import page_model
+
+    asset = with_geometry(small_geometry(), LocalFrame(np.ones(3), np.eye(4)))
+    model = page_model(asset)
+    triangles, surfaces = model.arrays["triangles"], model.arrays["surfaces"]
+    rows = np.reshape(model.description["surfaces"], (-1, 20))
+    count, normal_count, a_stop, zero = model.description["codes"]
+    positions = 2 * model.arrays["positions"] / (count - 1) - 1
+    assert model.description["triangles"] == len(triangles) == len(surfaces)
+    # Divided triangles have the area of the meshes, on the plane of each.
+    corners = positions[triangles]
+    area = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    meshes = geometry_meshes(meshed(asset.geometry), np.eye(4))
+    # Each shape of this geometry has a surface of its own.
+    for shape, mesh in enumerate(meshes):
+        whole = mesh["vertices"][mesh["faces"]].astype(np.float64)
+        expected = np.linalg.norm(
+            np.cross(whole[:, 1] - whole[:, 0], whole[:, 2] - whole[:, 0]), axis=1
+        ).sum()
+        assert area[surfaces == shape].sum() == pytest.approx(expected, rel=1e-3)
+    ends = rows[surfaces, 0] == 0
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    assert sides[ends].max() < 1 / 16 + 1e-3
+    light = model.arrays["light"].astype(np.float64).reshape(-1, 2, 3)
+    light[..., ::2] += light[..., 1:2]
+    radiance = np.where(light > 0, 2 ** ((light - zero) / a_stop), 0)
+    radiance *= model.description["max_radiance"]
+    assert radiance.max() == pytest.approx(model.description["max_radiance"])
+    # The second mesh emits, and its metal reflects the sphere, too.
+    assert np.array_equal(rows[:, 1].astype(int) & 8 != 0, [False, True, True])
+    emitting = np.unique(triangles[surfaces == 1])
+    assert (radiance[emitting, 0] > np.array([3, 2, 1]) * 0.95).all()
+    assert not radiance[emitting, 1].any()
+    assert normal_count > 255
+
+
+def test_an_asset_without_light_is_dark():
+    from lumitree.output.viewer.model import page_model
+
+    dark = tuple({**shape, "radiance": None} for shape in small_geometry().shapes)
+    asset = with_geometry(small_geometry(shapes=dark), LocalFrame(np.ones(3), np.eye(4)))
+    model = page_model(asset)
+    assert not model.arrays["light"].any()
+    assert model.description["max_radiance"] == 1
