@@ -38,13 +38,14 @@ class Surface:
         kind: what happens to a ray.
         has_back: whether its back is seen; else it is black.
         smooth: whether normals are interpolated.
-        alpha: of microfacets of Beckmann's distribution; 0 for smooth surfaces.
+        alpha: of microfacets; 0 for smooth surfaces.
         index: of refraction, behind over before the surface.
         reflected: [3] factor on reflected light: of a metal its reflectance at normal incidence, of
             glass one beside Fresnel's.
         transmitted: [3] factor on light that crosses glass.
         between_media: whether the surface is a border of media.
         emits: whether it emits, so that the page samples it.
+        ggx: whether they have the distribution of Trowbridge and Reitz, else Beckmann's.
         inside, outside: [3] absorption behind and before it, per local unit.
     """
 
@@ -57,12 +58,19 @@ class Surface:
     transmitted: tuple[float, ...] = _WHITE
     between_media: bool = False
     emits: bool = False
+    ggx: bool = False
     inside: tuple[float, ...] = (0.0, 0.0, 0.0)
     outside: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     def numbers(self) -> list[float]:
         """[20], five texels."""
-        flags = self.has_back + 2 * self.smooth + 4 * self.between_media + 8 * self.emits
+        flags = (
+            self.has_back
+            + 2 * self.smooth
+            + 4 * self.between_media
+            + 8 * self.emits
+            + 16 * self.ggx
+        )
         colours = (self.reflected, self.transmitted, self.inside, self.outside)
         padded = [number for colour in colours for number in (*colour, 0.0)]
         return [float(self.kind), float(flags), self.alpha, self.index, *padded]
@@ -81,7 +89,11 @@ def page_surface(geometry: AssetGeometry, shape: Json, scale: float) -> Surface:
     ends = Surface(Kind.ENDS, has_back=two_sided or _has_back(material), emits=emits)
     if emits or scattering_sides(shape):
         return ends
-    common = {"smooth": shape.get("normals", shape["type"] != "mesh"), **_media(shape, scale)}
+    common = {
+        "smooth": shape.get("normals", shape["type"] != "mesh"),
+        "ggx": material.get("distribution") == "ggx",
+        **_media(shape, scale),
+    }
     name, alpha = material["type"], _alpha(material)
     if name in ("dielectric", "thindielectric", "roughdielectric") and alpha is not None:
         return Surface(

@@ -18,7 +18,7 @@ uniform vec2 half_field;        // tangents of half the field of view
 uniform vec2 resolution;
 layout(location = 0) out vec4 radiance;   // radiance / largest; share of the light behind that is seen
 
-const int GLASS = 1, THIN_GLASS = 2, METAL = 3, HAS_BACK = 1, SMOOTH = 2, BETWEEN_MEDIA = 4, EMITS = 8;
+const int GLASS = 1, THIN_GLASS = 2, METAL = 3, HAS_BACK = 1, SMOOTH = 2, BETWEEN_MEDIA = 4, EMITS = 8, GGX = 16;
 const int MAX_VERTICES = 64, ROULETTE_FROM = 8, MAX_CROSSINGS = 32;
 // Distance from a surface at which rays begin, local units.
 const float ABOVE = 2e-5;
@@ -83,27 +83,35 @@ Hit intersect(vec3 o, vec3 d) {
   }
 }
 
-// Normal of a microfacet of Beckmann's distribution; the normal itself for a smooth surface.
-vec3 facet(vec3 n, float alpha) {
-  if (alpha == 0.0) return n;
-  float tan2 = -alpha * alpha * log(1.0 - random()), angle = 6.283185307 * random();
+// Microfacets of Beckmann's distribution, or of that of Trowbridge and Reitz (`ggx`); Walter et al. 2007.
+struct Rough { float alpha; bool ggx; };
+// Normal of a microfacet; the normal itself for a smooth surface.
+vec3 facet(vec3 n, Rough r) {
+  if (r.alpha == 0.0) return n;
+  float u = random(), tan2 = r.alpha * r.alpha * (r.ggx ? u / (1.0 - u) : -log(1.0 - u)), angle = 6.283185307 * random();
   vec3 s = normalize(abs(n.x) > 0.5 ? cross(n, vec3(0, 1, 0)) : cross(n, vec3(1, 0, 0)));
   vec2 side = sqrt(tan2) * vec2(cos(angle), sin(angle));
   return normalize(n + side.x * s + side.y * cross(n, s));
 }
-float hidden(float c, float alpha) {   // Smith's masking by the fit of Walter et al. 2007
-  float a = abs(c) / (alpha * sqrt(max(1.0 - c * c, 1e-12)));
+float hidden(float c, Rough r) {   // Smith's masking
+  float tan_ = sqrt(max(1.0 - c * c, 1e-12)) / abs(c);
+  if (r.ggx) return 2.0 / (1.0 + sqrt(1.0 + r.alpha * r.alpha * tan_ * tan_));
+  float a = 1.0 / (r.alpha * tan_);
   return a < 1.6 ? (3.535 * a + 2.181 * a * a) / (1.0 + 2.276 * a + 2.577 * a * a) : 1.0;
 }
-// Density per solid angle of facets.
-float facet_density(vec3 n, vec3 m, float alpha) {
-  float c2 = dot(n, m) * dot(n, m), a2 = alpha * alpha;
-  return exp((1.0 - 1.0 / c2) / a2) / (3.14159265 * a2 * c2 * sqrt(c2));
+// Area of facets per area and solid angle; `facet` has this times dot(n, m) as its density.
+float facets_towards(vec3 n, vec3 m, Rough r) {
+  float c2 = dot(n, m) * dot(n, m), a2 = r.alpha * r.alpha;
+  if (r.ggx) {
+    float k = c2 * (a2 - 1.0) + 1.0;
+    return a2 / (3.14159265 * k * k);
+  }
+  return exp((1.0 - 1.0 / c2) / a2) / (3.14159265 * a2 * c2 * c2);
 }
 // Weight of a direction `o` that a sampled facet `m` gives for the direction `i`.
-float weight(vec3 n, vec3 m, vec3 i, vec3 o, float alpha) {
-  if (alpha == 0.0) return 1.0;
-  return abs(dot(i, m)) * hidden(dot(i, n), alpha) * hidden(dot(o, n), alpha) / max(abs(dot(i, n) * dot(m, n)), 1e-6);
+float weight(vec3 n, vec3 m, vec3 i, vec3 o, Rough r) {
+  if (r.alpha == 0.0) return 1.0;
+  return abs(dot(i, m)) * hidden(dot(i, n), r) * hidden(dot(o, n), r) / max(abs(dot(i, n) * dot(m, n)), 1e-6);
 }
 
 float fresnel(float c, float index, out float c_t) {   // index: beyond over before
@@ -135,7 +143,7 @@ vec3 face_of(ivec4 t) {
 }
 
 // Light of one sampled point of an emitter that a rough metal at `p` reflects.
-vec3 sampled_light(vec3 p, vec3 i, vec3 n, vec3 face, vec3 reflected, float alpha, vec3 absorption) {
+vec3 sampled_light(vec3 p, vec3 i, vec3 n, vec3 face, vec3 reflected, Rough rough, vec3 absorption) {
   if (num_lights == 0) return vec3(0);
   float u = random();
   int low = 0, high = num_lights - 1;
@@ -172,10 +180,10 @@ vec3 sampled_light(vec3 p, vec3 i, vec3 n, vec3 face, vec3 reflected, float alph
     o += (hit.t + ABOVE) * d;
   }
   float by_light = brightness(t.xyz) / power * far * far / c_y;
-  float facets = facet_density(n, m, alpha), by_facets = facets * dot(n, m) / (4.0 * c_m);
+  float facets = facets_towards(n, m, rough), by_facets = facets * dot(n, m) / (4.0 * c_m);
   vec3 sent = at.x * texelFetch(light, texel(2 * t.x), 0).rgb + at.y * texelFetch(light, texel(2 * t.y), 0).rgb + at.z * texelFetch(light, texel(2 * t.z), 0).rgb;
   // Balance heuristic: value / (sum of both densities).
-  return share * sent * schlick(reflected, c_m) * facets * hidden(dot(i, n), alpha) * hidden(c_o, alpha) / (4.0 * dot(i, n)) / (by_light + by_facets);
+  return share * sent * schlick(reflected, c_m) * facets * hidden(dot(i, n), rough) * hidden(c_o, rough) / (4.0 * dot(i, n)) / (by_light + by_facets);
 }
 
 // Radiance along a ray, and the share of the light behind the lamp that it shows.
@@ -215,7 +223,8 @@ vec4 follow(vec3 o, vec3 d) {
     }
     bool entering = dot(d, normal) < 0.0;
     if (!entering) normal = -normal;
-    vec3 m = facet(normal, s.z);
+    Rough rough = Rough(s.z, (flags & GGX) != 0);
+    vec3 m = facet(normal, rough);
     float cosine = -dot(d, m);
     if (cosine <= 0.0) return vec4(sum, 0);
     vec3 towards = d + 2.0 * cosine * m;
@@ -225,10 +234,10 @@ vec4 follow(vec3 o, vec3 d) {
     if (kind == METAL) {
       if (s.z > 0.0) {
         vec3 outer = dot(d, face) < 0.0 ? face : -face;
-        sum += share * sampled_light(p, -d, normal, outer, reflected, s.z, absorption);
+        sum += share * sampled_light(p, -d, normal, outer, reflected, rough, absorption);
         straight = true;
         rough_at = p;
-        by_facets = facet_density(normal, m, s.z) * dot(normal, m) / (4.0 * cosine);
+        by_facets = facets_towards(normal, m, rough) * dot(normal, m) / (4.0 * cosine);
       }
       share *= schlick(reflected, cosine);
     }
@@ -246,7 +255,7 @@ vec4 follow(vec3 o, vec3 d) {
         share *= texelFetch(surfaces, texel(5 * t.w + 2), 0).rgb;
       } else share *= reflected;
     }
-    share *= weight(normal, m, d, towards, s.z);
+    share *= weight(normal, m, d, towards, rough);
     // A facet may send a ray to the wrong side of the surface.
     if (dot(towards, normal) * (crosses ? -1.0 : 1.0) <= 0.0) return vec4(sum, 0);
     if (crosses && (flags & BETWEEN_MEDIA) != 0) absorption = texelFetch(surfaces, texel(5 * t.w + (entering ? 3 : 4)), 0).rgb;
