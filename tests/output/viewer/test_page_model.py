@@ -76,7 +76,7 @@ def test_codes_are_those_of_the_triangles():
     model = page_model(asset)
     triangles, surfaces = model.arrays["triangles"], model.arrays["surfaces"]
     rows = np.reshape(model.description["surfaces"], (-1, 20))
-    count, normal_count, a_stop, zero = model.description["codes"]
+    count, normal_count, a_stop, zero, place_count = model.description["codes"]
     positions = 2 * model.arrays["positions"] / (count - 1) - 1
     assert model.description["triangles"] == len(triangles) == len(surfaces)
     # Divided triangles have the area of the meshes, on the plane of each.
@@ -106,6 +106,11 @@ def test_codes_are_those_of_the_triangles():
     assert (radiance[emitting, 0] > np.array([3, 2, 1]) * 0.95).all()
     assert not radiance[emitting, 1].any()
     assert normal_count > 255
+    # The first mesh has an image, of its colour, and the coordinates of its corners on it.
+    assert np.array_equal(rows[:, 7], [1, 0, 0])
+    places = model.arrays["places"][: len(meshes[0]["vertices"])] / place_count
+    np.testing.assert_allclose(places, meshes[0]["texcoords"], atol=1 / place_count)
+    assert not model.arrays["places"][emitting].any()
 
 
 def test_an_asset_without_light_is_dark():
@@ -116,3 +121,40 @@ def test_an_asset_without_light_is_dark():
     model = page_model(asset)
     assert not model.arrays["light"].any()
     assert model.description["max_radiance"] == 1
+
+
+def test_a_pattern_is_the_image_relative_to_its_largest_value():
+    import base64
+    import io
+
+    from PIL import Image
+
+    from lumitree.output.viewer.patterns import SIDE, Patterns, transformed
+
+    geometry = small_geometry()
+    shape = geometry.shapes[0]
+    patterns = Patterns(geometry)
+    assert patterns.of(geometry.shapes[1]) is None
+    number, texture = patterns.of(shape)
+    assert (number, texture["image"]) == (0, 1)
+    assert patterns.of(shape)[0] == 0
+    # What emits by an image has that as its pattern, what emits alike everywhere has none.
+    assert patterns.of({**shape, "radiance": {**TEXTURE, "image": 0}})[0] == 1
+    assert patterns.of({**shape, "radiance": [1.0, 1, 1]}) is None
+    image = geometry.images[1].astype(np.float64)
+    shown = Image.open(io.BytesIO(base64.b64decode(patterns.encoded()[0])))
+    assert shown.size == (SIDE, SIDE)
+    # In the middles of pixels, which cubic interpolation of sRGB leaves as they are.
+    rows, columns = image.shape[:2]
+    v, u = np.meshgrid(np.arange(rows) + 0.5, np.arange(columns) + 0.5, indexing="ij")
+    places = np.stack([u / columns, v / rows], axis=-1).reshape(-1, 2)
+    from lumitree.core.images import linear_from_srgb
+
+    expected = linear_from_srgb(image / 255).reshape(-1, 3)
+    expected /= expected.max()
+    found = patterns.values(0, places + [1, -2])
+    np.testing.assert_allclose(found, np.maximum(expected, 0.02), atol=0.03)
+    turned = transformed(
+        {**TEXTURE, "to_uv": [[0, 2, 0, 0.5], [1, 0, 0, 0], *IDENTITY[2:]]}, places
+    )
+    np.testing.assert_allclose(turned, np.stack([2 * places[:, 1] + 0.5, places[:, 0]], axis=1))

@@ -41,6 +41,12 @@ def camera_rays(eye, target, up, fov, width, height):
     return direction / np.linalg.norm(direction, axis=-1, keepdims=True)
 
 
+CHECKED = {
+    "image": 0, "raw": False, "filter_type": "bilinear", "wrap_mode": "repeat",
+    "to_uv": np.diag([3.0, 3, 1, 1]).tolist(),
+}  # fmt: skip
+
+
 def model_shapes():
     """A bulb of absorbing glass, a mirror, a rough and a diffuse ball, and a pane, by materials."""
 
@@ -56,7 +62,7 @@ def model_shapes():
         {"type": "twosided", "nested": [{"type": "conductor", "material": "Cu"}]},
         {"type": "roughconductor", "material": "Al", "alpha": 0.3},
         {"type": "thindielectric", "int_ior": 1.5, "ext_ior": 1.0},
-        {"type": "diffuse", "reflectance": [0.8, 0.4, 0.2]},
+        {"type": "diffuse", "reflectance": CHECKED},
         {"type": "roughdielectric", "int_ior": 1.4, "ext_ior": 1.0, "alpha": 0.15},
         {"type": "roughconductor", "material": "Au", "alpha": 0.2, "distribution": "ggx"},
     )
@@ -78,8 +84,10 @@ def test_image_is_that_of_the_model(mi, tmp_path):
     from lumitree.rendering.plugins.register import shape
 
     shapes, materials = model_shapes()
+    checks = np.where((np.indices((64, 64)) // 32).sum(axis=0) % 2, 230, 60).astype(np.uint8)
+    checks = (checks[..., None] * [1, 0.6, 0.3]).astype(np.uint8)
     empty = {name: np.zeros((0, width), kind) for name, (kind, width) in ARRAYS.items()}
-    geometry = AssetGeometry(**empty, images=(), shapes=shapes, materials=materials)
+    geometry = AssetGeometry(**empty, images=(checks,), shapes=shapes, materials=materials)
     asset = with_geometry(geometry, LocalFrame(np.ones(3), np.eye(4)))
     view = {"eye": [0.6, 0.5, 3.4], "target": [0, 0, 0], "up": [0, 1, 0], "fov": 0.6}
     size = {"width": 48, "height": 48}

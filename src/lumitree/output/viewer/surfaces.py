@@ -46,6 +46,7 @@ class Surface:
         between_media: whether the surface is a border of media.
         emits: whether it emits, so that the page samples it.
         ggx: whether they have the distribution of Trowbridge and Reitz, else Beckmann's.
+        pattern: number of the image that its radiance is in proportion to, from 1; 0 for none.
         inside, outside: [3] absorption behind and before it, per local unit.
     """
 
@@ -59,6 +60,7 @@ class Surface:
     between_media: bool = False
     emits: bool = False
     ggx: bool = False
+    pattern: int = 0
     inside: tuple[float, ...] = (0.0, 0.0, 0.0)
     outside: tuple[float, ...] = (0.0, 0.0, 0.0)
 
@@ -73,6 +75,7 @@ class Surface:
         )
         colours = (self.reflected, self.transmitted, self.inside, self.outside)
         padded = [number for colour in colours for number in (*colour, 0.0)]
+        padded[3] = float(self.pattern)
         return [float(self.kind), float(flags), self.alpha, self.index, *padded]
 
 

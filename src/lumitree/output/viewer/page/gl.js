@@ -67,15 +67,20 @@ function makeProgram(fragment, defines = "") {
   return { program, place: name => places[name] ??= gl.getUniformLocation(program, name) };
 }
 
+// A texture of several layers, as a value for `draw`.
+class Layers { constructor(texture) { this.texture = texture; } }
+const layers = texture => new Layers(texture);
+
 // Draws one triangle over the viewport. Values: numbers, [1i|f, number], arrays, or textures.
 function draw({ program, place }, values) {
   gl.useProgram(program);
   let unit = 0;
   for (const [name, value] of Object.entries(values)) {
     const at = place(name);
-    if (value instanceof WebGLTexture) {
+    if (value instanceof WebGLTexture || value instanceof Layers) {
       gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(gl.TEXTURE_2D, value);
+      if (value instanceof Layers) gl.bindTexture(gl.TEXTURE_2D_ARRAY, value.texture);
+      else gl.bindTexture(gl.TEXTURE_2D, value);
       gl.uniform1i(at, unit++);
     } else if (typeof value === "number") gl.uniform1f(at, value);
     else if (value instanceof Int32Array) gl.uniform1iv(at, value);

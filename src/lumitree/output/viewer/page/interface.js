@@ -62,8 +62,10 @@ function drawLamp() {
 }
 
 // Samples of the image from which the exposure is taken.
-const METERED = 8;
-// The scale of radiance at 0 stops: nine tenths of the pixels of the lamp are below 0.8.
+const METERED = 16;
+// Radiance that counts as black, relative to the largest.
+const DARK = 1e-4;
+// The scale of radiance at 0 stops: the log-average of the pixels of the lamp is middle grey.
 function meter(shown) {
   shown.restart();
   for (let i = 0; i < METERED && !shown.complete; ++i) shown.draw(currentView(), 160, 120);
@@ -71,9 +73,8 @@ function meter(shown) {
   for (let i = 0; i < pixels.length; i += 4)
     // A light field hides almost nothing.
     if (shown === model || asset.has_field ? pixels[i + 3] < 0.99 : pixels[i + 3] < 1) lit.push(0.2126 * pixels[i] + 0.7152 * pixels[i + 1] + 0.0722 * pixels[i + 2]);
-  lit.sort((a, b) => a - b);
-  const white = lit[Math.floor(0.9 * lit.length)];
-  return white > 0 ? 0.8 / white : 1;
+  const dark = DARK * lit.reduce((a, b) => Math.max(a, b), 0);
+  return dark > 0 ? 0.18 / Math.exp(lit.reduce((sum, x) => sum + Math.log(x + dark), 0) / lit.length) : 1;
 }
 
 function legend(ticks, title) {
@@ -252,7 +253,7 @@ async function start() {
   if (typeof DecompressionStream === "undefined") fail("This browser has no DecompressionStream, which the viewer needs.");
   const arrays = await unpackArrays();
   if (asset.field) field.load(arrays);
-  if (asset.model) model.load(arrays);
+  if (asset.model) await model.load(arrays);
   if (asset.light_field) walls.load(arrays);
   resetView();
   connect();

@@ -3,11 +3,12 @@
 // surface sends out (lumitree.output.viewer.surfaces). After a rough metal glass bends no ray, so that
 // emitters behind it can be sampled, as in the integrator `lumitree_path`.
 uniform isampler2D triangles;   // vertices and surface
-uniform sampler2D vertices;     // position; normal
+uniform sampler2D vertices;     // position; normal; and in w the place on the image of the pattern
 uniform sampler2D light;        // radiance of the front; of the back; relative to the largest
 uniform sampler2D boxes;        // lower corner; upper corner; of leaves the first triangle, and the next one's
 uniform sampler2D surfaces;     // five texels, see Surface.numbers
 uniform sampler2D lights;       // of triangles that emit: sum of the power up to it, relative; number
+uniform mediump sampler2DArray patterns;
 uniform sampler2D previous;     // the image so far
 uniform int num_lights;
 uniform float power;            // of these triangles: luminance times area
@@ -124,6 +125,18 @@ float fresnel(float c, float index, out float c_t) {   // index: beyond over bef
 
 vec3 schlick(vec3 r, float c) { return r + (1.0 - r) * pow(1.0 - c, 5.0); }
 
+// Radiance of a point of a triangle, by barycentric coordinates, at its front (0) or back (1).
+vec3 sent_out(ivec4 t, vec3 at, int back) {
+  vec3 sent = at.x * texelFetch(light, texel(2 * t.x + back), 0).rgb + at.y * texelFetch(light, texel(2 * t.y + back), 0).rgb
+    + at.z * texelFetch(light, texel(2 * t.z + back), 0).rgb;
+  float number = texelFetch(surfaces, texel(5 * t.w + 1), 0).w;
+  if (number == 0.0) return sent;
+  vec2 place = vec2(0);
+  for (int k = 0; k < 3; ++k)
+    place += at[k] * vec2(texelFetch(vertices, texel(2 * t[k]), 0).w, texelFetch(vertices, texel(2 * t[k] + 1), 0).w);
+  return sent * textureLod(patterns, vec3(place, number - 1.0), 0.0).rgb;
+}
+
 float luminance(vec3 c) { return dot(c, vec3(0.2126, 0.7152, 0.0722)); }
 // Mean luminance of a triangle's front: the density of sampled points per area is this over `power`.
 float brightness(ivec3 t) {
@@ -181,7 +194,7 @@ vec3 sampled_light(vec3 p, vec3 i, vec3 n, vec3 face, vec3 reflected, Rough roug
   }
   float by_light = brightness(t.xyz) / power * far * far / c_y;
   float facets = facets_towards(n, m, rough), by_facets = facets * dot(n, m) / (4.0 * c_m);
-  vec3 sent = at.x * texelFetch(light, texel(2 * t.x), 0).rgb + at.y * texelFetch(light, texel(2 * t.y), 0).rgb + at.z * texelFetch(light, texel(2 * t.z), 0).rgb;
+  vec3 sent = sent_out(t, at, 0);
   // Balance heuristic: value / (sum of both densities).
   return share * sent * schlick(reflected, c_m) * facets * hidden(dot(i, n), rough) * hidden(c_o, rough) / (4.0 * dot(i, n)) / (by_light + by_facets);
 }
@@ -210,8 +223,7 @@ vec4 follow(vec3 o, vec3 d) {
         vec3 from = p - rough_at;
         share *= by_facets / (by_facets + brightness(t.xyz) / power * dot(from, from) / max(-dot(d, face), 1e-6));
       }
-      return vec4(sum + share * (at.x * texelFetch(light, texel(2 * t.x + back), 0).rgb + at.y * texelFetch(light, texel(2 * t.y + back), 0).rgb
-        + at.z * texelFetch(light, texel(2 * t.z + back), 0).rgb), 0);
+      return vec4(sum + share * sent_out(t, at, back), 0);
     }
     if ((flags & SMOOTH) != 0) normal = normalize(at.x * texelFetch(vertices, texel(2 * t.x + 1), 0).xyz
       + at.y * texelFetch(vertices, texel(2 * t.y + 1), 0).xyz + at.z * texelFetch(vertices, texel(2 * t.z + 1), 0).xyz);

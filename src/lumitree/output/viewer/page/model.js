@@ -26,9 +26,9 @@ const model = {
   targets: [makeTarget(1), makeTarget(1)],
   samples: 0,
   maxSamples: 1024,
-  load(arrays) {
+  async load(arrays) {
     const { triangles: count, surfaces, codes } = asset.model;
-    const [positionCodes, normalCodes, codesAStop, zero] = codes;
+    const [positionCodes, normalCodes, codesAStop, zero, placeCodes] = codes;
     const place = (code, count) => 2 * code / (count - 1) - 1;
     const vertices = arrays.positions.length / 3, points = new Float32Array(8 * vertices);
     for (let i = 0; i < vertices; ++i) {
@@ -37,6 +37,7 @@ const model = {
       // The lower half of the octahedron is folded out.
       const fold = Math.max(-z, 0), n = [x - (x < 0 ? -fold : fold), y - (y < 0 ? -fold : fold), z], length = Math.hypot(...n);
       for (let k = 0; k < 3; ++k) points[8 * i + 4 + k] = n[k] / length;
+      for (let k = 0; k < 2; ++k) points[8 * i + 3 + 4 * k] = arrays.places[2 * i + k] / placeCodes;
     }
     const triangles = new Int32Array(4 * count), order = this.order(arrays.triangles, points);
     for (let i = 0; i < count; ++i) {
@@ -57,7 +58,22 @@ const model = {
       lights: longTexture(this.lights(triangles, points, light), 2, gl.RG32F, gl.RG, gl.FLOAT),
       surfaces: longTexture(new Float32Array(surfaces), 4, gl.RGBA32F, gl.RGBA, gl.FLOAT),
     };
+    this.patterns = await this.images();
     this.program = makeProgram("model");
+  },
+  // The images of patterns, as layers of a texture.
+  async images() {
+    const { patterns, pattern_side: side } = asset.model, kind = gl.TEXTURE_2D_ARRAY, texture = gl.createTexture();
+    gl.bindTexture(kind, texture);
+    gl.texStorage3D(kind, 1, gl.SRGB8_ALPHA8, side, side, Math.max(1, patterns.length));
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(kind, name, gl.LINEAR);
+    for (const [layer, file] of patterns.entries()) {
+      const bytes = Uint8Array.from(atob(file), c => c.charCodeAt(0));
+      const image = await createImageBitmap(new Blob([bytes], { type: "image/jpeg" }), { colorSpaceConversion: "none" });
+      gl.bindTexture(kind, texture);
+      gl.texSubImage3D(kind, 0, 0, 0, layer, side, side, 1, gl.RGBA, gl.UNSIGNED_BYTE, image);
+    }
+    return texture;
   },
   // Triangles that emit, and the sum of their power, luminance times area, up to each.
   lights(triangles, points, light) {
@@ -134,7 +150,7 @@ const model = {
     const begin = performance.now(), previous = this.target.textures[0], t = Math.tan(fov / 2);
     bindTarget(this.targets[~this.samples & 1], width, height);
     draw(this.program, {
-      ...this.textures, previous, depth: int(this.depth), num_lights: int(this.numLights), power: this.power, sample_: int(this.samples),
+      ...this.textures, patterns: layers(this.patterns), previous, depth: int(this.depth), num_lights: int(this.numLights), power: this.power, sample_: int(this.samples),
       eye, camera, half_field: [t * width / height, t], resolution: [width, height],
     });
     this.samples += 1;
