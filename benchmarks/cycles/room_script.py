@@ -13,8 +13,6 @@ import bpy  # type: ignore[import-not-found]
 import numpy as np
 from mathutils import Matrix, Vector  # type: ignore[import-not-found]
 
-DIFFUSE_BOUNCES, OTHER_BOUNCES = 4, 32
-
 
 def z_up(point):
     x, y, z = point
@@ -78,10 +76,12 @@ def set_up(scene, job, node_tree):
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = cycles.blur_glossy = 0.0
     cycles.light_sampling_threshold = 0.0
     cycles.pixel_filter_type = "BOX"
-    cycles.max_bounces = OTHER_BOUNCES
-    cycles.glossy_bounces = cycles.transmission_bounces = OTHER_BOUNCES
-    cycles.transparent_max_bounces = OTHER_BOUNCES
-    cycles.diffuse_bounces = DIFFUSE_BOUNCES
+    cycles.max_bounces = job["bounces"]
+    cycles.glossy_bounces = cycles.transmission_bounces = job["bounces"]
+    cycles.transparent_max_bounces = cycles.volume_bounces = job["bounces"]
+    cycles.diffuse_bounces = job["diffuse_bounces"]
+    cycles.use_guiding = job["guiding"]
+    scene.render.use_persistent_data = job["warm_up"]
     scene.world = bpy.data.worlds.new("black")
     scene.world.color = (0.0, 0.0, 0.0)
     node_tree(scene.world).nodes.clear()
@@ -110,13 +110,19 @@ def main(path):
     collection = lamp["add_lamp"](scene)
     (empty,) = (thing for thing in collection.objects if thing.type == "EMPTY")
     empty.location = z_up(job["at"])
+    empty.scale = [job["scale"]] * 3
     empty["gain"] = job["gain"]
     empty.update_tag()
     if job["explicit"]:
         make_explicit(collection)
-    add_walls(scene, job["walls"], lamp["node_tree"])
+    if job["room"] is None:
+        add_walls(scene, job["walls"], lamp["node_tree"])
+    else:
+        make_explicit(runpy.run_path(job["room"], run_name="room")["add_lamp"](scene))
     add_camera(scene, job["camera"])
     images, seconds, cpu_seconds = [], [], []
+    if job["warm_up"]:
+        render(scene, os.path.join(job["folder"], "image.exr"))
     for seed in job["seeds"]:
         scene.cycles.seed = seed
         start, start_cpu = time.perf_counter(), time.process_time()

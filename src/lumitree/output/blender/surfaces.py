@@ -121,11 +121,11 @@ class Surfaces:
 
     def _glass(self, material: Json, roughness: Any) -> Json:
         colour = self._value(material.get("specular_transmittance", 1.0))
-        inputs = {"Color": colour, "Roughness": roughness, "IOR": _index(material)}
+        inputs = {"Color": colour, "Roughness": roughness, "IOR": relative_index(material)}
         return node("ShaderNodeBsdfGlass", inputs)
 
     def _thindielectric(self, material: Json) -> Json:
-        fresnel = node("ShaderNodeFresnel", {"IOR": _index(material)})
+        fresnel = node("ShaderNodeFresnel", {"IOR": relative_index(material)})
         colour = self._value(material.get("specular_transmittance", 1.0))
         clear = node("ShaderNodeBsdfTransparent", {"Color": colour})
         return mix_shaders(fresnel, clear, self._glossy(1.0, 0.0))
@@ -137,7 +137,7 @@ class Surfaces:
         return self._metal(material, self._roughness(material))
 
     def _metal(self, material: Json, roughness: Any) -> Json:
-        reflectance = _normal_reflectance(material)
+        reflectance = normal_reflectance(material)
         tint = self._value(material.get("specular_reflectance", 1.0))
         return self._glossy(_product(tint, reflectance), roughness)
 
@@ -154,7 +154,7 @@ class Surfaces:
         inputs = {
             "Base Color": self._value(material.get("diffuse_reflectance", 0.5)),
             "Roughness": roughness,
-            "IOR": _index(material, default=1.49),
+            "IOR": relative_index(material, default=1.49),
         }
         return node("ShaderNodeBsdfPrincipled", inputs)
 
@@ -229,7 +229,7 @@ def _product(colour: Any, factors: Sequence[float]) -> Any:
     return node("ShaderNodeMix", inputs, attributes, output=2)
 
 
-def _index(material: Json, default: float | None = None) -> float:
+def relative_index(material: Json, default: float | None = None) -> float:
     """Index of refraction inside over that outside, of numbers or names."""
     inside, outside = material.get("int_ior", default), material.get("ext_ior")
     given = {"int_ior": inside, "ext_ior": outside}
@@ -245,7 +245,7 @@ def _principled_index(material: Json) -> float:
     return max(float((1 + root) / (1 - root)), 1.0)
 
 
-def _normal_reflectance(material: Json) -> list[float]:
+def normal_reflectance(material: Json) -> list[float]:
     """Reflectance [3] of a conductor at normal incidence, by Fresnel's equations."""
     given = {name: material[name] for name in ("material", "eta", "k") if name in material}
     if any(isinstance(value, dict) for value in given.values()):
