@@ -2,12 +2,12 @@
 
     python -m benchmarks rivals --work FOLDER [--luxcore PYTHON] [--blender PYTHON] [LUMINAIRE ...]
 
-Each luminaire hangs in the demonstration's room, whose plastics are replaced by mixtures that all
-renderers have alike. Each method makes independent images until they have cost `--seconds` CPU
-seconds, without the preparation. They are kept in the folder `--work`: the same command again goes
-on where the last one ended, and `--seconds 0` makes the tables of the images that are there.
-Without `--luxcore`, a Python with the module pyluxcore, and `--blender`, a Python with bpy or
-Blender, their methods are left out.
+Each luminaire hangs in the demonstration's room, whose plastics are replaced by diffuse surfaces,
+which all renderers have alike. Each method makes independent images until they have cost
+`--seconds` CPU seconds, without the preparation. They are kept in the folder `--work`: the same
+command again goes on where the last one ended, and `--seconds 0` makes the tables of the images
+that are there. Without `--luxcore`, a Python with the module pyluxcore, and `--blender`, a Python
+with bpy or Blender, their methods are left out.
 
 Figures of each method: CPU time of a sample a pixel; variance of a sample relative to the squared
 mean, in the mean over the pixels that show diffuse surfaces of the room, without the 0.1 % of
@@ -31,7 +31,7 @@ from benchmarks.common.tables import Table
 from benchmarks.equal_error.batches import LongRun, digest
 from benchmarks.equal_error.readings import DISPLAY_LEVELS
 from benchmarks.rival_methods.cycles_methods import cycles_methods
-from benchmarks.rival_methods.figures import TOLERANCE, Figures, figures, time_text
+from benchmarks.rival_methods.figures import TOLERANCE, figures, time_text
 from benchmarks.rival_methods.luxcore import find_luxcore, luxcore_methods
 from benchmarks.rival_methods.method import PATH_DEPTH, Method, extend, opened_run
 from benchmarks.rival_methods.mitsuba_methods import mitsuba_methods
@@ -56,9 +56,7 @@ def methods(name: str, asset_path: Path, options: argparse.Namespace) -> list[Me
     found = mitsuba_methods(name, asset, options.width)
     luminaire = load_luminaire(name)
     others = {
-        "luxcore": lambda program: luxcore_methods(
-            luminaire, options.width, find_luxcore(program)
-        ),
+        "luxcore": lambda program: luxcore_methods(luminaire, options.width, find_luxcore(program)),
         "blender": lambda program: cycles_methods(luminaire, asset, options.width, program),
     }
     for option, make in others.items():
@@ -185,9 +183,7 @@ def table(row: dict[str, Any]) -> Table:
     return Table(heads, lines)
 
 
-def draw(
-    path: Path, found: dict[str, Method], runs: dict[str, LongRun], seconds: float
-) -> None:
+def draw(path: Path, found: dict[str, Method], runs: dict[str, LongRun], seconds: float) -> None:
     """The images of all methods after about equally much CPU time, as one PNG."""
     from lumitree.output.strip import write_strip
 

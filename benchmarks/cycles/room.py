@@ -49,7 +49,8 @@ class CyclesJob:
         camera: `origin`, `target` and `fov` (horizontal, degrees).
         diffuse_bounces, bounces: largest numbers of diffuse bounces, and of all together.
         guiding: whether Cycles guides paths.
-        warm_up: whether an image that is not timed comes first; the others keep its scene.
+        warm_up: whether the scene is prepared first, and seconds are those of the samples alone:
+            the time of an image of one sample is subtracted. There are 2 samples at least.
     """
 
     lamp: str

@@ -100,6 +100,13 @@ def render(scene, path):
     return pixels.reshape(shape)[::-1, :, :3]
 
 
+def timed(scene, path):
+    """Image [H, W, 3], and its wall and CPU seconds."""
+    start, start_cpu = time.perf_counter(), time.process_time()
+    image = render(scene, path)
+    return image, time.perf_counter() - start, time.process_time() - start_cpu
+
+
 def main(path):
     with open(path, encoding="utf-8") as file:
         job = json.load(file)
@@ -120,15 +127,20 @@ def main(path):
     else:
         make_explicit(runpy.run_path(job["room"], run_name="room")["add_lamp"](scene))
     add_camera(scene, job["camera"])
-    images, seconds, cpu_seconds = [], [], []
+    path = os.path.join(job["folder"], "image.exr")
+    samples, fixed, share = job["samples"], (0.0, 0.0), 1.0
     if job["warm_up"]:
-        render(scene, os.path.join(job["folder"], "image.exr"))
+        scene.cycles.samples = 1
+        render(scene, path)
+        _, *fixed = timed(scene, path)
+        scene.cycles.samples, share = samples, samples / (samples - 1)
+    images, seconds, cpu_seconds = [], [], []
     for seed in job["seeds"]:
         scene.cycles.seed = seed
-        start, start_cpu = time.perf_counter(), time.process_time()
-        images.append(render(scene, os.path.join(job["folder"], "image.exr")))
-        seconds.append(time.perf_counter() - start)
-        cpu_seconds.append(time.process_time() - start_cpu)
+        image, wall, cpu = timed(scene, path)
+        images.append(image)
+        seconds.append((wall - fixed[0]) * share)
+        cpu_seconds.append((cpu - fixed[1]) * share)
     np.savez(
         os.path.join(job["folder"], "result.npz"),
         images=images,

@@ -14,7 +14,7 @@ from benchmarks.rival_methods.room import camera, lamp_from_file, room_geometry
 from lumitree.core.frames import similarity_scale
 
 # Path guiding learns in each image anew.
-_SAMPLES, _GUIDED_SAMPLES = 16, 64
+_SAMPLES, _GUIDED_SAMPLES = 16, 32
 
 
 class CyclesRenderer:

@@ -26,8 +26,9 @@ from lumitree.errors import LumitreeError, shown
 _SCRIPT = Path(__file__).with_name("luxcore_script.py")
 # Seconds after which the program is ended.
 _LIMIT = 1800.0
-# Largest number of samples that is never reached.
-_ENDLESS = 1 << 30
+# Depth from which on paths end by Russian roulette, by default; and one at which they carry so
+# little that its bias in bidirectional path tracing does not count.
+_ROULETTE, _LATE_ROULETTE = 3, 12
 Properties = dict[str, Any]
 
 
@@ -75,13 +76,15 @@ def luxcore_scene(
     from lumitree.output.blender.meshes import blender_meshes
 
     height = view["height"] / view["width"]
+    # LuxCore counts rows from the bottom, and shows each a pixel too low.
+    pixel = 2 / view["width"]
     properties: Properties = {
         "scene.camera.type": "perspective",
         "scene.camera.lookat.orig": view["origin"],
         "scene.camera.lookat.target": view["target"],
         "scene.camera.up": [0, 1, 0],
         "scene.camera.fieldofview": view["fov"],
-        "scene.camera.screenwindow": [-1, 1, -height, height],
+        "scene.camera.screenwindow": [-1, 1, -height - pixel, height - pixel],
         "scene.camera.autofocus.enable": 0,
         "scene.camera.cliphither": 1e-3,
     }
@@ -101,9 +104,7 @@ def luxcore_scene(
     return LuxCoreScene(properties, meshes)
 
 
-def shape_properties(
-    name: str, shape: Json, materials: Sequence[Json], scale: float
-) -> Properties:
+def shape_properties(name: str, shape: Json, materials: Sequence[Json], scale: float) -> Properties:
     """Properties of a shape: its material, what it emits, and the medium inside.
 
     Args:
@@ -213,13 +214,13 @@ class Engine:
     Attributes:
         kind: of the render engine.
         sampler: random numbers.
-        roulette: whether Russian roulette ends paths.
+        roulette: depth from which on Russian roulette ends paths.
         hybrid: whether caustics come from light paths.
     """
 
     kind: str
     sampler: str = "SOBOL"
-    roulette: bool = True
+    roulette: int = _ROULETTE
     hybrid: bool = False
 
     def properties(self, view: dict[str, Any], samples: int, seed: int) -> Properties:
@@ -230,7 +231,6 @@ class Engine:
             samples: per pixel.
             seed: of all random numbers.
         """
-        start = 3 if self.roulette else _ENDLESS
         found: Properties = {
             "renderengine.type": self.kind,
             "renderengine.seed": seed,
@@ -251,7 +251,7 @@ class Engine:
         }
         for path in ("path", "light"):
             found[f"{path}.maxdepth"] = PATH_DEPTH
-            found[f"{path}.russianroulette.depth"] = start
+            found[f"{path}.russianroulette.depth"] = self.roulette
         for kind in ("total", "diffuse", "glossy", "specular"):
             found[f"path.pathdepth.{kind}"] = PATH_DEPTH
         return found
@@ -261,13 +261,13 @@ ENGINES = {
     "luxcore-path": ("LuxCore PATHCPU", Engine("PATHCPU")),
     "luxcore-hybrid": ("LuxCore PATHCPU, hybrid", Engine("PATHCPU", hybrid=True)),
     "luxcore-bidir": ("LuxCore BIDIRCPU, Sobol", Engine("BIDIRCPU")),
-    "luxcore-bidir-exact": (
-        "LuxCore BIDIRCPU, Sobol, no roulette",
-        Engine("BIDIRCPU", roulette=False),
+    "luxcore-bidir-late": (
+        "LuxCore BIDIRCPU, Sobol, late roulette",
+        Engine("BIDIRCPU", roulette=_LATE_ROULETTE),
     ),
     "luxcore-metropolis": (
-        "LuxCore BIDIRCPU, Metropolis, no roulette",
-        Engine("BIDIRCPU", "METROPOLIS", roulette=False),
+        "LuxCore BIDIRCPU, Metropolis, late roulette",
+        Engine("BIDIRCPU", "METROPOLIS", roulette=_LATE_ROULETTE),
     ),
     "luxcore-light": ("LuxCore LIGHTCPU", Engine("LIGHTCPU")),
     "luxcore-light-random": ("LuxCore LIGHTCPU, random", Engine("LIGHTCPU", "RANDOM")),

@@ -1,6 +1,7 @@
 """What all methods of rendering have in common, and the images that they have made so far."""
 
 import dataclasses
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -89,9 +90,8 @@ def extend(run: LongRun, method: Method, seconds: float) -> None:
     while seconds and (len(run.batches) < MIN_BATCHES or run.seconds["cpu"] < seconds):
         count = MIN_BATCHES - len(run.batches)
         if count <= 0:
-            # Of the last averaging, which doubled the samples of an image, `run` knows only sums.
             cost = run.seconds["cpu"] / len(run.batches)
-            count = max(1, round((seconds - run.seconds["cpu"]) / cost))
+            count = math.ceil((seconds - run.seconds["cpu"]) / cost)
         seeds = run.next_seeds[:count]
         for image in method.renderer.images(run.samples, seeds):
             run.append(image.radiance, image.seconds)

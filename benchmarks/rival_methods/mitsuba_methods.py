@@ -102,9 +102,7 @@ def mitsuba_methods(source: Any, asset: Any, width: int) -> list[Method]:
         method("baked-ptracer", "baked, light tracer", light, "ptracer", whole_image=False),
         method("path", f"Mitsuba `{tracer}`", explicit, tracer),
         method("lumitree-path", "Mitsuba with `lumitree_path`", explicit, "lumitree_path"),
-        method(
-            "ptracer", "Mitsuba `ptracer`", explicit, "ptracer", whole_image=False, lost=lost
-        ),
+        method("ptracer", "Mitsuba `ptracer`", explicit, "ptracer", whole_image=False, lost=lost),
         method(
             "thin-glass",
             "thin glass, `lumitree_path`",

@@ -7,16 +7,13 @@ from numpy.typing import NDArray
 
 from lumitree.asset.geometry import AssetGeometry
 
-# Share of the polish of plastics, which mirrors, in place of their Fresnel reflectance.
-_POLISH = 0.04
 _PLASTICS = ("plastic", "roughplastic")
 
 
 def room_description(width: int) -> dict[str, Any]:
     """The room for `mitsuba.load_dict`.
 
-    Models of plastics differ between renderers. A mixture of a diffuse reflection and a mirror
-    takes their place, in the same proportion at all angles.
+    Models of plastics differ between renderers: diffuse surfaces take their place.
 
     Args:
         width: of the image, pixels.
@@ -26,20 +23,9 @@ def room_description(width: int) -> dict[str, Any]:
     description = demo_room_description(width)
     for value in description.values():
         if isinstance(value, dict) and value.get("bsdf", {}).get("type") in _PLASTICS:
-            value["bsdf"] = _polished(value["bsdf"]["diffuse_reflectance"])
+            diffuse = {"type": "diffuse", "reflectance": value["bsdf"]["diffuse_reflectance"]}
+            value["bsdf"] = {"type": "twosided", "bsdf": diffuse}
     return description
-
-
-def _polished(reflectance: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "type": "twosided",
-        "bsdf": {
-            "type": "blendbsdf",
-            "weight": _POLISH,
-            "diffuse": {"type": "diffuse", "reflectance": reflectance},
-            "mirror": {"type": "conductor", "material": "none"},
-        },
-    }
 
 
 def mitsuba_room(width: int) -> Any:
