@@ -13,7 +13,9 @@ Figures of each method: CPU time of a sample a pixel; variance of a sample relat
 mean, in the mean over the pixels that show diffuse surfaces of the room, without the 0.1 % of
 largest; the product of both over that of the baked lamp; the mean brightness of these surfaces over
 the reference; and the CPU time of a whole image to an `rmse_display` of 8, 5 and 2.7 by noise
-alone. Writes `rivals.md`, `rivals.json`, and the images at equal time in the folder `rivals`.
+alone; and the noise of diffuse surfaces in images that are denoised (optional extra `denoise`).
+Writes `rivals.md`, `rivals.json` and, for each luminaire, `rivals-LUMINAIRE.png`: the images of all
+methods at equal time.
 """
 
 import argparse
@@ -24,13 +26,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common.demo_lamps import shows_diffuse
+from benchmarks.common.demo_lamps import placed, shows_diffuse
 from benchmarks.common.lamps import file_name
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.equal_error.batches import LongRun, digest
 from benchmarks.equal_error.readings import DISPLAY_LEVELS
 from benchmarks.rival_methods.cycles_methods import cycles_methods
+from benchmarks.rival_methods.denoising import Guides, denoised_noise
 from benchmarks.rival_methods.figures import TOLERANCE, figures, time_text
 from benchmarks.rival_methods.luxcore import find_luxcore, luxcore_methods
 from benchmarks.rival_methods.method import PATH_DEPTH, Method, extend, opened_run
@@ -106,7 +109,16 @@ def measure(name: str, options: argparse.Namespace, output: Path) -> dict[str, A
         return None
     mask = shows_diffuse(lumitree.load(asset_path), options.width, mitsuba_room(options.width))
     row = compare(name, found, runs, mask, has_media=luminaire.has_media)
-    row["images"] = f"rivals/{folder.name}.png"
+    guides = Guides.of(placed(luminaire, options.width, mitsuba_room(options.width)))
+    try:
+        for each, run in runs.items():
+            noise = denoised_noise(
+                run, guides, mask, runs[BASELINES[0]].mean, options.image_seconds
+            )
+            row["methods"][each]["denoised"] = dataclasses.asdict(noise)
+    except LumitreeError as error:
+        print(f"{name}: nothing is denoised: {error}", file=sys.stderr)
+    row["images"] = f"rivals-{folder.name}.png"
     draw(output / row["images"], found, runs, options.image_seconds)
     return row
 
@@ -165,6 +177,7 @@ def table(row: dict[str, Any]) -> Table:
     heads = ["method", "CPU ms a sample", "variance", "product over ours", "over light field alone"]
     heads += ["mean over reference", "verdict"]
     heads += [f"CPU s to {level:g}" for level in DISPLAY_LEVELS]
+    heads += ["denoised: noise", "CPU s", "samples", "CPU s of all"]
     lines = []
     for name, method in row["methods"].items():
         mean = method["mean"]
@@ -179,6 +192,11 @@ def table(row: dict[str, Any]) -> Table:
             "; ".join([verdict, *method["lost"]]),
         ]
         cells += [time_text(each) for each in method["display"]] or ["-"] * len(DISPLAY_LEVELS)
+        noise = method.get("denoised")
+        cells += (
+            ["-"] * 2 if noise is None else [f"{noise['error']:.1%}", f"{noise['seconds']:.1f}"]
+        )
+        cells += [str(method["samples"]), f"{method['seconds']:.0f}"]
         lines.append(cells)
     return Table(heads, lines)
 
@@ -204,7 +222,8 @@ def report(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
     text += "Product: CPU time of a sample times its relative variance on diffuse surfaces. "
     text += f"Verdict: whether the mean of these is within {TOLERANCE:.0%} of the reference. "
     text += "CPU s: of a whole image to an `rmse_display` by noise alone; ~ is extrapolated, < is "
-    text += "a bound from the cheapest image.\n\n"
+    text += "a bound from the cheapest image. Denoised: relative RMS error by noise on diffuse "
+    text += "surfaces of images that cost about as many CPU s as stated.\n\n"
     for row in rows:
         text += f"## {row['luminaire']}\n\n{table(row).markdown()}\n"
         text += f"![Images at equal time]({row['images']})\n\n"
@@ -218,7 +237,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--blender", metavar="PROGRAM", help="Blender, or a Python with bpy")
     parser.add_argument("--only", metavar="METHOD", nargs="+", help="to render; others as they are")
     parser.add_argument("--seconds", type=float, default=40, help="CPU seconds of a method")
-    parser.add_argument("--image-seconds", type=float, default=5, help="of images side by side")
+    parser.add_argument(
+        "--image-seconds",
+        type=float,
+        default=5,
+        help="CPU seconds of images that are shown, and denoised",
+    )
     parser.add_argument("--width", type=int, default=160, help="of images, pixels")
 
 
@@ -226,7 +250,6 @@ def run(options: argparse.Namespace) -> None:
     results = Results(
         options,
         width=options.width,
-        seconds_a_method=options.seconds,
         path_depth=PATH_DEPTH,
         clock="cpu",
         baseline="baked lamp",
