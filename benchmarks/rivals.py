@@ -12,10 +12,10 @@ with bpy or Blender, their methods are left out.
 Figures of each method: CPU time of a sample a pixel; variance of a sample relative to the squared
 mean, in the mean over the pixels that show diffuse surfaces of the room, without the 0.1 % of
 largest; the product of both over that of the baked lamp; the mean brightness of these surfaces over
-the reference; and the CPU time of a whole image to an `rmse_display` of 8, 5 and 2.7 by noise
-alone; and the noise of diffuse surfaces in images that are denoised (optional extra `denoise`).
-Writes `rivals.md`, `rivals.json` and, for each luminaire, `rivals-LUMINAIRE.png`: the images of all
-methods at equal time.
+that of the explicit lamp by `lumitree_path`; the CPU time of a whole image to an `rmse_display` of
+8, 5 and 2.7 by noise alone; and the noise of diffuse surfaces in images that are denoised (optional
+extra `denoise`). Writes `rivals.md`, `rivals.json` and, for each luminaire,
+`rivals-LUMINAIRE.png`: the images of all methods at equal time.
 """
 
 import argparse
@@ -44,9 +44,10 @@ from lumitree.lamp.source import LuminaireSource
 
 LUMINAIRES = ("bulbs", "dallas", "neoclassical", "star")
 BASELINES = ("baked", "light")
-# Images of which methods decide what the mean brightness of diffuse surfaces is, the first that
-# there is: for a lamp without media, and for one with them.
-_REFERENCES = (("ptracer", "lumitree-path"), ("lumitree-path", "path"))
+# What the mean brightness of diffuse surfaces is compared with: of Mitsuba's integrators the one
+# that starts rays so near to surfaces that thin glass emits what it should, see
+# docs/decisions/media.md. It is noisy, and needs more time than the others: `--only`.
+REFERENCE = "lumitree-path"
 _COLUMNS = 4
 
 
@@ -108,7 +109,7 @@ def measure(name: str, options: argparse.Namespace, output: Path) -> dict[str, A
         print(f"{name}: no images of {' and '.join(BASELINES)} yet", file=sys.stderr)
         return None
     mask = shows_diffuse(lumitree.load(asset_path), options.width, mitsuba_room(options.width))
-    row = compare(name, found, runs, mask, has_media=luminaire.has_media)
+    row = compare(name, found, runs, mask)
     guides = Guides.of(placed(luminaire, options.width, mitsuba_room(options.width)))
     try:
         for each, run in runs.items():
@@ -128,8 +129,6 @@ def compare(
     found: dict[str, Method],
     runs: dict[str, LongRun],
     mask: Any,
-    *,
-    has_media: bool,
 ) -> dict[str, Any]:
     """Figures of all methods of a lamp.
 
@@ -138,9 +137,8 @@ def compare(
         found: methods by name.
         runs: images by method.
         mask: [H, W] pixels that show diffuse surfaces alone.
-        has_media: whether the lamp has participating media, which light tracers ignore.
     """
-    reference = next((each for each in _REFERENCES[has_media] if each in runs), BASELINES[0])
+    reference = REFERENCE if REFERENCE in runs else BASELINES[0]
     clean = runs[BASELINES[0]].mean
     rows = {
         each: figures(

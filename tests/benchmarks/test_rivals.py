@@ -329,14 +329,14 @@ def measured(lamp: Path, *options: str):
 
 
 def test_the_harness_from_end_to_end(lamp, capsys):
-    names = ["baked", "light", "ptracer", "sphere"]
+    names = ["baked", "light", "lumitree-path", "ptracer", "sphere"]
     found = measured(lamp, "--only", *names)
     said = capsys.readouterr().err
     assert "methods of luxcore are left out: --luxcore is not given" in said
     assert "methods of blender are left out: --blender is not given" in said
     assert list(found) == names
     assert found["baked"]["over"]["baked"] == found["light"]["over"]["light"] == 1
-    assert found["ptracer"]["mean"]["value"] == 1
+    assert found["lumitree-path"]["mean"]["value"] == 1
     assert len(found["baked"]["display"]) == 3
     assert found["ptracer"]["display"] == []
     if find_spec("mitsuba_oidn"):
