@@ -214,6 +214,21 @@ def draw(path: Path, found: dict[str, Method], runs: dict[str, LongRun], seconds
     write_strip(path, panels, 0.3 / float(np.median(clean)), columns=_COLUMNS)
 
 
+# Of renderers, for the tables.
+_NOTES = """\
+* All renderers have the same meshes, camera and longest path, no clamping and no reconstruction
+  filter. Glass, diffuse surfaces and emitters are the same; rough metals are microfacets of
+  Beckmann in Mitsuba, and of Trowbridge and Reitz with an approximate Fresnel reflectance in the
+  others.
+* Mitsuba's `path` and `ptracer` start rays so far from surfaces that thin glass emits too much.
+* Russian roulette of LuxCore's BIDIRCPU is biased; late roulette starts at a depth of 12.
+* Path guiding of Cycles learns anew in each image of 32 samples.
+* Far field and point lights are small cells of a light field, which `lumitree_path` samples.
+* Variances above 100 are those of rare bright samples, and known to about a factor of 1.5.
+
+"""
+
+
 def report(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
     """Text of the Markdown file."""
     text = "# Rivals\n\n"
@@ -225,7 +240,7 @@ def report(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
     for row in rows:
         text += f"## {row['luminaire']}\n\n{table(row).markdown()}\n"
         text += f"![Images at equal time]({row['images']})\n\n"
-    return text + notes(facts)
+    return text + _NOTES + notes(facts)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
