@@ -219,7 +219,7 @@ _NOTES = """\
 * All renderers have the same meshes, camera and longest path, no clamping and no reconstruction
   filter. Glass, diffuse surfaces and emitters are the same; rough metals are microfacets of
   Beckmann in Mitsuba, and of Trowbridge and Reitz with an approximate Fresnel reflectance in the
-  others.
+  others. In Mitsuba these make the light of `bulbs` 2.0 % less.
 * Mitsuba's `path` and `ptracer` start rays so far from surfaces that thin glass emits too much.
 * Russian roulette of LuxCore's BIDIRCPU is biased; late roulette starts at a depth of 12.
 * Path guiding of Cycles learns anew in each image of 32 samples.
@@ -234,9 +234,10 @@ def report(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
     text = "# Rivals\n\n"
     text += "Product: CPU time of a sample times its relative variance on diffuse surfaces. "
     text += f"Verdict: whether the mean of these is within {TOLERANCE:.0%} of the reference. "
-    text += "CPU s: of a whole image to an `rmse_display` by noise alone; ~ is extrapolated, < is "
-    text += "a bound from the cheapest image. Denoised: relative RMS error by noise on diffuse "
-    text += "surfaces of images that cost about as many CPU s as stated.\n\n"
+    text += "CPU s: of a whole image to an `rmse_display` by noise alone; ~ is extrapolated as "
+    text += "error² ∝ 1 / time, too short where most pixels are clipped or black, and < is a bound "
+    text += "from the cheapest image. Denoised: relative RMS error by noise on diffuse surfaces of "
+    text += "images that cost about as many CPU s as stated.\n\n"
     for row in rows:
         text += f"## {row['luminaire']}\n\n{table(row).markdown()}\n"
         text += f"![Images at equal time]({row['images']})\n\n"
