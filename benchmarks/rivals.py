@@ -234,10 +234,9 @@ def report(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
     text = "# Rivals\n\n"
     text += "Product: CPU time of a sample times its relative variance on diffuse surfaces. "
     text += f"Verdict: whether the mean of these is within {TOLERANCE:.0%} of the reference. "
-    text += "CPU s: of a whole image to an `rmse_display` by noise alone; ~ is extrapolated as "
-    text += "error² ∝ 1 / time, too short where most pixels are clipped or black, and < is a bound "
-    text += "from the cheapest image. Denoised: relative RMS error by noise on diffuse surfaces of "
-    text += "images that cost about as many CPU s as stated.\n\n"
+    text += "CPU s: of a whole image to an `rmse_display` by noise alone; ~ is extrapolated by "
+    text += "the variance, and < is a bound from the cheapest image. Denoised: relative RMS error "
+    text += "by noise on diffuse surfaces of images that cost as many CPU s as stated.\n\n"
     for row in rows:
         text += f"## {row['luminaire']}\n\n{table(row).markdown()}\n"
         text += f"![Images at equal time]({row['images']})\n\n"

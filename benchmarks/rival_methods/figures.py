@@ -12,12 +12,14 @@ from benchmarks.equal_error.batches import LongRun
 from benchmarks.equal_error.error_against_time import (
     Estimate,
     Kind,
+    display_exposure,
     display_rmse,
     ratio_of_means,
     time_to_reach,
     trimmed_mean,
 )
 from benchmarks.equal_error.readings import DISPLAY_LEVELS
+from lumitree.core.images import srgb_from_linear
 
 # Largest relative difference of the mean brightness of two renderers that agree.
 TOLERANCE = 0.02
@@ -32,8 +34,8 @@ class Reached:
     Attributes:
         level: `rmse_display`.
         seconds: CPU time.
-        kind: "measured" between images that were made; "extrapolated" beyond them; "below" where
-            the cheapest image already has less error.
+        kind: "measured" between images that were made; "extrapolated" beyond them, by the variance;
+            "below" where the cheapest image already has less error.
     """
 
     level: float
@@ -152,13 +154,31 @@ def display_times(run: LongRun, whole: NDArray[np.floating]) -> tuple[Reached, .
     """CPU seconds of an image at each of `DISPLAY_LEVELS`."""
     seconds, errors = display_ladder(run, whole)
     found = []
+    square_seconds = display_variance(run, whole) * run.seconds["cpu"] / run.samples_per_pixel
     for level in DISPLAY_LEVELS:
         if errors[0] <= level:
             # In proportion to the variance: an upper bound, where tones saturate.
             found.append(Reached(level, seconds[0] * (errors[0] / level) ** 2, "below"))
-        else:
+        elif errors[-1] <= level:
             found.append(Reached(level, *time_to_reach(level, seconds, errors)))
+        else:
+            beyond = max(seconds[-1], square_seconds / level**2)
+            found.append(Reached(level, float(beyond), "extrapolated"))
     return tuple(found)
+
+
+def display_variance(run: LongRun, whole: NDArray[np.floating]) -> float:
+    """Variance of a sample on the scale of `rmse_display`, in the mean over pixels.
+
+    It is that of small noise, as images have it at `DISPLAY_LEVELS`: the variance of the radiance
+    times the squared slope of the exposed and encoded tones at the image `whole` [H, W, 3].
+    Clipped pixels have none.
+    """
+    exposed, step = display_exposure(whole) * whole, 0.01
+    upper, lower = (srgb_from_linear(exposed * (1 + sign * step)) for sign in (1, -1))
+    relative = run.batches.var(0, ddof=1, dtype=np.float64) / np.maximum(whole, 1e-9) ** 2
+    slope = 255 * (upper - lower) / (2 * step)
+    return float((slope**2 * relative).mean() * run.samples)
 
 
 def time_text(reached: Mapping[str, Any]) -> str:

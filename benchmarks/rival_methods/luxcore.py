@@ -122,7 +122,8 @@ def shape_properties(name: str, shape: Json, materials: Sequence[Json], scale: f
     if shape["radiance"] is not None:
         found[f"scene.materials.{name}.emission"] = _colour(shape["radiance"])
     if "interior" in shape:
-        medium, volume = side_medium(shape["interior"]), f"scene.volumes.{name}"
+        # Volumes and materials share their names.
+        medium, volume = side_medium(shape["interior"]), f"scene.volumes.{name}_medium"
         scatters = bool(medium.scattering.any())
         found[f"{volume}.type"] = "homogeneous" if scatters else "clear"
         found[f"{volume}.absorption"] = (medium.absorption / scale).tolist()
@@ -131,7 +132,7 @@ def shape_properties(name: str, shape: Json, materials: Sequence[Json], scale: f
             found[f"{volume}.scattering"] = (medium.scattering / scale).tolist()
             found[f"{volume}.asymmetry"] = [medium.anisotropy] * 3
             found[f"{volume}.multiscattering"] = 1
-        found[f"scene.materials.{name}.volume.interior"] = name
+        found[f"scene.materials.{name}.volume.interior"] = f"{name}_medium"
     found[f"scene.objects.{name}.shape"] = name
     found[f"scene.objects.{name}.material"] = name
     return found
