@@ -221,7 +221,8 @@ _NOTES = """\
   Beckmann in Mitsuba, and of Trowbridge and Reitz with an approximate Fresnel reflectance in the
   others. In Mitsuba these make the light of `bulbs` 2.0 % less.
 * Mitsuba's `path` and `ptracer` start rays so far from surfaces that thin glass emits too much.
-* Russian roulette of LuxCore's BIDIRCPU is biased; late roulette starts at a depth of 12.
+* Russian roulette of LuxCore's BIDIRCPU is biased; late roulette starts at a depth of 12. Its
+  Markov chains (Metropolis) start anew in each image of a few samples, which darkens.
 * Path guiding of Cycles learns anew in each image of 32 samples.
 * Far field and point lights are small cells of a light field, which `lumitree_path` samples.
 * Variances above 100 are those of rare bright samples, and known to about a factor of 1.5.
