@@ -223,6 +223,8 @@ _NOTES = """\
 * Mitsuba's `path` and `ptracer` start rays so far from surfaces that thin glass emits too much.
 * Russian roulette of LuxCore's BIDIRCPU is biased; late roulette starts at a depth of 12. Its
   Markov chains (Metropolis) start anew in each image of a few samples, which darkens.
+* LuxCore's media that scatter let no light out of `star`, so that its methods are left out there;
+  Cycles has none, so that its opal glass is clear.
 * Path guiding of Cycles learns anew in each image of 32 samples.
 * Far field and point lights are small cells of a light field, which `lumitree_path` samples.
 * Variances above 100 are those of rare bright samples, and known to about a factor of 1.5.

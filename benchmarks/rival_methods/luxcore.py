@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from benchmarks.rival_methods.method import PATH_DEPTH, Method, TimedImage
 from benchmarks.rival_methods.room import camera, lamp_from_file, room_geometry
 from lumitree.asset.geometry import AssetGeometry
-from lumitree.asset.geometry_media import side_medium
+from lumitree.asset.geometry_media import scattering_sides, side_medium
 from lumitree.asset.textures import Json
 from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError, shown
@@ -118,20 +118,18 @@ def shape_properties(name: str, shape: Json, materials: Sequence[Json], scale: f
     """
     if "exterior" in shape:
         raise LumitreeError("LuxCore: media outside of a shape are not written")
+    if scattering_sides(shape):
+        # With its homogeneous media, `star` does not light the room.
+        raise LumitreeError("LuxCore: media that scatter are not written")
     found = material_properties(name, materials[shape["material"]])
     if shape["radiance"] is not None:
         found[f"scene.materials.{name}.emission"] = _colour(shape["radiance"])
     if "interior" in shape:
         # Volumes and materials share their names.
         medium, volume = side_medium(shape["interior"]), f"scene.volumes.{name}_medium"
-        scatters = bool(medium.scattering.any())
-        found[f"{volume}.type"] = "homogeneous" if scatters else "clear"
+        found[f"{volume}.type"] = "clear"
         found[f"{volume}.absorption"] = (medium.absorption / scale).tolist()
         found[f"{volume}.ior"] = found.get(f"scene.materials.{name}.interiorior", 1.0)
-        if scatters:
-            found[f"{volume}.scattering"] = (medium.scattering / scale).tolist()
-            found[f"{volume}.asymmetry"] = [medium.anisotropy] * 3
-            found[f"{volume}.multiscattering"] = 1
         found[f"scene.materials.{name}.volume.interior"] = f"{name}_medium"
     found[f"scene.objects.{name}.shape"] = name
     found[f"scene.objects.{name}.material"] = name
