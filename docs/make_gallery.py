@@ -40,7 +40,9 @@ def main() -> None:
         with Image.open(BAKES / "index-files" / f"{lamp.name}.png") as image:
             image.convert("RGB").save(stream, "JPEG", quality=85)
         write_bytes(THUMBNAILS / f"{lamp.name}.jpg", stream.getvalue())
-        print(f"{lamp.name}: asset {lamp.path.stat().st_size / 1e6:.2f} MB, page {size / 1e6:.2f} MB")
+        print(
+            f"{lamp.name}: asset {lamp.path.stat().st_size / 1e6:.2f} MB, page {size / 1e6:.2f} MB"
+        )
 
 
 if __name__ == "__main__":

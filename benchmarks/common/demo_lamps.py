@@ -10,20 +10,22 @@ from numpy.typing import NDArray
 STRATA = 4
 
 
-def placed(what: Any, width: int, **options: Any) -> Any:
+def placed(what: Any, width: int, room: Any = None, **options: Any) -> Any:
     """The room (mi.Scene) with a luminaire or an asset in it.
 
     Args:
         what: source of a `Placement`.
         width: of the image, pixels.
+        room: mi.Scene in place of the demonstration's room; its image keeps its own width.
         options: of `place_luminaires`.
     """
     from lumitree.rendering.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 
+    room = demo_room(width) if room is None else room
     lamp = Placement(what, at=LAMP_CENTRE, size=LAMP_SIZE)
-    return place_luminaires(demo_room(width), [PlacedLuminaire(lamp)], **options)
+    return place_luminaires(room, [PlacedLuminaire(lamp)], **options)
 
 
 def flux_in_room(asset: Any) -> NDArray[np.float64]:
@@ -35,8 +37,8 @@ def flux_in_room(asset: Any) -> NDArray[np.float64]:
     return light_field_watts(asset.light_field) * asset.gain * scale**2
 
 
-def sphere_room(asset: Any, width: int) -> Any:
-    """The room with a sphere that emits the same flux, evenly.
+def sphere_room(asset: Any, width: int, room: Any = None) -> Any:
+    """The room with a sphere that emits the same flux, evenly; `room` as for `placed`.
 
     Its radius is the geometric mean of the half extents of the lamp's box.
     """
@@ -47,7 +49,7 @@ def sphere_room(asset: Any, width: int) -> Any:
     half = asset.frame.half_extents
     radius = float(half.prod() ** (1 / 3)) * LAMP_SIZE / (2 * float(half.max()))
     radiance = flux_in_room(asset) / (4 * math.pi**2 * radius**2)
-    room = demo_room(width)
+    room = demo_room(width) if room is None else room
     objects: dict[str, Any] = {f"shape_{i}": shape for i, shape in enumerate(room.shapes())}
     objects |= {
         "sensor": room.sensors()[0],
@@ -62,8 +64,8 @@ def sphere_room(asset: Any, width: int) -> Any:
     return mi.load_dict({"type": "scene", **objects})
 
 
-def shows_diffuse(asset: Any, width: int) -> NDArray[np.bool_]:
-    """Mask [H, W] of the pixels that show diffuse surfaces of the room alone."""
+def shows_diffuse(asset: Any, width: int, room: Any = None) -> NDArray[np.bool_]:
+    """Mask [H, W] of the pixels that show diffuse surfaces alone; `room` as for `placed`."""
     import drjit as dr
     import mitsuba as mi
 
@@ -71,7 +73,7 @@ def shows_diffuse(asset: Any, width: int) -> NDArray[np.bool_]:
     from lumitree.rendering.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
     from lumitree.rendering.sampling.proxy import safe_inverse, slab
 
-    room = demo_room(width)
+    room = demo_room(width) if room is None else room
     sensor = room.sensors()[0]
     width, height = sensor.film().size()
     steps = [np.arange(n * STRATA) for n in (height, width)]

@@ -26,8 +26,9 @@ WALLS: dict[str, dict[str, Any]] = {
 REGIONS = ("floor", "ceiling", "back", "left", "right")
 CAMERA: dict[str, Any] = {"origin": [0.0, 1.35, 1.9], "target": [0, 1.3, 0], "fov": 70.0}
 LAMP_CENTRE = (0.0, 1.5, 0.0)
-# Of a path: the first surface, four diffuse bounces as in `room_script`, and the light.
-PATH_DEPTH = 6
+DIFFUSE_BOUNCES, OTHER_BOUNCES = 4, 32
+# Of a path: the first surface, the diffuse bounces, and the light.
+PATH_DEPTH = DIFFUSE_BOUNCES + 2
 _LIMIT = 1800.0
 
 
@@ -43,6 +44,13 @@ class CyclesJob:
         samples: a pixel.
         seeds: one image each.
         gain: of the lamp.
+        scale: of the lamp, scene units in one of its file.
+        room: script of another room, by `geometry_script`, in place of this one.
+        camera: `origin`, `target` and `fov` (horizontal, degrees).
+        diffuse_bounces, bounces: largest numbers of diffuse bounces, and of all together.
+        guiding: whether Cycles guides paths.
+        warm_up: whether the scene is prepared first, and seconds are those of the samples alone:
+            the time of an image of one sample is subtracted. There are 2 samples at least.
     """
 
     lamp: str
@@ -53,6 +61,13 @@ class CyclesJob:
     samples: int
     seeds: list[int]
     gain: float = 1.0
+    scale: float = 1.0
+    room: str | None = None
+    camera: dict[str, Any] = dataclasses.field(default_factory=lambda: CAMERA)
+    diffuse_bounces: int = DIFFUSE_BOUNCES
+    bounces: int = OTHER_BOUNCES
+    guiding: bool = False
+    warm_up: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,7 +93,7 @@ def render_cycles(program: str, job: CyclesJob) -> Images:
     script = Path(__file__).with_name("room_script.py")
     with tempfile.TemporaryDirectory() as folder:
         members = dataclasses.asdict(job)
-        facts = {**members, "walls": WALLS, "camera": CAMERA, "folder": folder}
+        facts = {**members, "walls": WALLS, "folder": folder}
         path = Path(folder) / "job.json"
         path.write_text(json.dumps(facts), encoding="utf-8")
         run_script(program, script, [str(path)], _LIMIT)

@@ -13,8 +13,6 @@ import bpy  # type: ignore[import-not-found]
 import numpy as np
 from mathutils import Matrix, Vector  # type: ignore[import-not-found]
 
-DIFFUSE_BOUNCES, OTHER_BOUNCES = 4, 32
-
 
 def z_up(point):
     x, y, z = point
@@ -78,10 +76,12 @@ def set_up(scene, job, node_tree):
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = cycles.blur_glossy = 0.0
     cycles.light_sampling_threshold = 0.0
     cycles.pixel_filter_type = "BOX"
-    cycles.max_bounces = OTHER_BOUNCES
-    cycles.glossy_bounces = cycles.transmission_bounces = OTHER_BOUNCES
-    cycles.transparent_max_bounces = OTHER_BOUNCES
-    cycles.diffuse_bounces = DIFFUSE_BOUNCES
+    cycles.max_bounces = job["bounces"]
+    cycles.glossy_bounces = cycles.transmission_bounces = job["bounces"]
+    cycles.transparent_max_bounces = cycles.volume_bounces = job["bounces"]
+    cycles.diffuse_bounces = job["diffuse_bounces"]
+    cycles.use_guiding = job["guiding"]
+    scene.render.use_persistent_data = job["warm_up"]
     scene.world = bpy.data.worlds.new("black")
     scene.world.color = (0.0, 0.0, 0.0)
     node_tree(scene.world).nodes.clear()
@@ -100,6 +100,13 @@ def render(scene, path):
     return pixels.reshape(shape)[::-1, :, :3]
 
 
+def timed(scene, path):
+    """Image [H, W, 3], and its wall and CPU seconds."""
+    start, start_cpu = time.perf_counter(), time.process_time()
+    image = render(scene, path)
+    return image, time.perf_counter() - start, time.process_time() - start_cpu
+
+
 def main(path):
     with open(path, encoding="utf-8") as file:
         job = json.load(file)
@@ -110,19 +117,30 @@ def main(path):
     collection = lamp["add_lamp"](scene)
     (empty,) = (thing for thing in collection.objects if thing.type == "EMPTY")
     empty.location = z_up(job["at"])
+    empty.scale = [job["scale"]] * 3
     empty["gain"] = job["gain"]
     empty.update_tag()
     if job["explicit"]:
         make_explicit(collection)
-    add_walls(scene, job["walls"], lamp["node_tree"])
+    if job["room"] is None:
+        add_walls(scene, job["walls"], lamp["node_tree"])
+    else:
+        make_explicit(runpy.run_path(job["room"], run_name="room")["add_lamp"](scene))
     add_camera(scene, job["camera"])
+    path = os.path.join(job["folder"], "image.exr")
+    samples, fixed, share = job["samples"], (0.0, 0.0), 1.0
+    if job["warm_up"]:
+        scene.cycles.samples = 1
+        render(scene, path)
+        _, *fixed = timed(scene, path)
+        scene.cycles.samples, share = samples, samples / (samples - 1)
     images, seconds, cpu_seconds = [], [], []
     for seed in job["seeds"]:
         scene.cycles.seed = seed
-        start, start_cpu = time.perf_counter(), time.process_time()
-        images.append(render(scene, os.path.join(job["folder"], "image.exr")))
-        seconds.append(time.perf_counter() - start)
-        cpu_seconds.append(time.process_time() - start_cpu)
+        image, wall, cpu = timed(scene, path)
+        images.append(image)
+        seconds.append((wall - fixed[0]) * share)
+        cpu_seconds.append((cpu - fixed[1]) * share)
     np.savez(
         os.path.join(job["folder"], "result.npz"),
         images=images,

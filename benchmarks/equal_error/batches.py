@@ -3,14 +3,14 @@
 import hashlib
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common.timing import Clock
+from benchmarks.common.timing import Clock, ClockName
 from lumitree.core.files import atomic_path, write_json
 
 Floats = NDArray[np.float32]
@@ -47,7 +47,7 @@ class LongRun:
         self._path = path
         self.batches: Floats = np.zeros((0, 0, 0, 3), np.float32)
         self.samples, self._next = first_samples, 0
-        self.seconds = {"wall": 0.0, "cpu": 0.0}
+        self.seconds: dict[ClockName, float] = {"wall": 0.0, "cpu": 0.0}
         if path.exists():
             with np.load(path) as saved:
                 self.batches = saved["batches"]
@@ -64,6 +64,12 @@ class LongRun:
         """[H, W, 3] the best picture there is."""
         return self.batches.mean(0)
 
+    @property
+    def next_seeds(self) -> range:
+        """Seeds of the images that may follow until neighbours are averaged."""
+        first = _LONG_SEEDS + self._next
+        return range(first, first + MAX_BATCHES - len(self.batches))
+
     def extend(self, render: Render, budget: float) -> None:
         """Render until `budget` seconds by the wall are spent and there are 8 batches."""
         start = saved = time.perf_counter()
@@ -77,9 +83,14 @@ class LongRun:
     def add(self, render: Render) -> None:
         """Render one more batch."""
         clock = Clock()
-        image = render(self.samples, _LONG_SEEDS + self._next)[None]
-        self.seconds = {k: self.seconds[k] + v for k, v in clock.read().items()}
-        self.batches = np.concatenate([self.batches, image]) if len(self.batches) else image
+        image = render(self.samples, self.next_seeds[0])
+        self.append(image, clock.read())
+
+    def append(self, image: Floats, seconds: Mapping[ClockName, float]) -> None:
+        """Append the image [H, W, 3] of the first of `next_seeds`, and the seconds it took."""
+        self.seconds = {name: self.seconds[name] + seconds[name] for name in self.seconds}
+        one = image[None]
+        self.batches = np.concatenate([self.batches, one]) if len(self.batches) else one
         self._next += 1
         if len(self.batches) == MAX_BATCHES:
             self.batches = (self.batches[::2] + self.batches[1::2]) * np.float32(0.5)

@@ -84,10 +84,15 @@ def display_rmse(images: Floats, reference: Floats, weights: Floats | float = 1.
     Returns:
         [R]
     """
-    seen = luminance(reference)
-    exposure = 0.18 * LUMENS_PER_WATT / float(np.median(seen[seen > 0]))
+    exposure = display_exposure(reference)
     encoded, goal = (srgb_from_linear(exposure * each) for each in (images, reference))
     return 255 * np.sqrt(((encoded - goal) ** 2 * weights).mean(axis=(1, 2, 3)))
+
+
+def display_exposure(reference: Floats) -> float:
+    """Factor on the radiance of a reference [H, W, 3] with which `display_rmse` exposes it."""
+    seen = luminance(reference)
+    return 0.18 * LUMENS_PER_WATT / float(np.median(seen[seen > 0]))
 
 
 def noise(batches: Floats, weights: Floats | float = 1.0) -> Estimate:

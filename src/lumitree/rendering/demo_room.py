@@ -20,6 +20,12 @@ def lamp(source: str) -> Placement:
 
 
 def demo_room(width: int = 320, *, ball_in_box: bool = False) -> Any:
+    """The scene (mi.Scene) of `demo_room_description`; arguments as there."""
+    register()
+    return load_ordered(demo_room_description(width, ball_in_box=ball_in_box))
+
+
+def demo_room_description(width: int = 320, *, ball_in_box: bool = False) -> dict[str, Any]:
     """Room of 4 x 2.4 x 4 metres, y up, with a lit window behind the lamp (an area light).
 
     Through the gaps of the lamp the window shows; its light throws the lamp's shadow.
@@ -27,6 +33,9 @@ def demo_room(width: int = 320, *, ball_in_box: bool = False) -> Any:
     Args:
         width: of the image, pixels.
         ball_in_box: a ball hangs from the ceiling into the lamp's bounding box.
+
+    Returns:
+        Dictionary as for `mitsuba.load_dict`.
     """
     to = mi.ScalarTransform4f
 
@@ -67,9 +76,8 @@ def demo_room(width: int = 320, *, ball_in_box: bool = False) -> Any:
         },
         "sampler": {"type": "independent"},
     }
-    register()
     scene["integrator"] = {"type": "lumitree_path", "max_depth": 12}
-    return load_ordered({"type": "scene", **scene})
+    return {"type": "scene", **scene}
 
 
 def _furniture() -> dict[str, Any]:

@@ -152,7 +152,7 @@ def test_a_pattern_is_the_image_relative_to_its_largest_value():
 
     expected = linear_from_srgb(image / 255).reshape(-1, 3)
     expected /= expected.max()
-    found = patterns.values(0, places + [1, -2])
+    found = patterns.values(0, places + np.array([1, -2]))
     np.testing.assert_allclose(found, np.maximum(expected, 0.02), atol=0.03)
     turned = transformed(
         {**TEXTURE, "to_uv": [[0, 2, 0, 0.5], [1, 0, 0, 0], *IDENTITY[2:]]}, places

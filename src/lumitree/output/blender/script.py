@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
+from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.frames import similarity
 from lumitree.errors import LumitreeError, shown
 from lumitree.output.blender.lights import PointLights, cluster_lights, direction_tables
@@ -65,15 +66,46 @@ def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
         description |= {"surfaces": [], "absorption": []}
     else:
         surfaces = Surfaces(asset.geometry, asset.gain)
-        description["surfaces"] = [surfaces.tree(shape) for shape in asset.geometry.shapes]
-        description["absorption"] = [absorption_inside(shape) for shape in asset.geometry.shapes]
+        more, meshes = _surface_data(asset.geometry, surfaces, Z_UP[up])
+        description, arrays = description | more, arrays | meshes
         lost += sorted(surfaces.lost)
-        for index, mesh in enumerate(geometry_meshes(asset.geometry, similarity(Z_UP[up]))):
-            arrays |= {f"{index}.{name}": values for name, values in mesh.items()}
-        arrays |= {f"image {i}": image for i, image in enumerate(asset.geometry.images)}
+    return LampScript(_filled(description, arrays), len(points.position), lost)
+
+
+def geometry_script(geometry: AssetGeometry, name: str, up: Up) -> LampScript:
+    """The script of surfaces alone, without point lights.
+
+    Args:
+        geometry: of the surfaces.
+        name: of the collection.
+        up: the axis of the geometry that points up.
+    """
+    surfaces = Surfaces(geometry)
+    description, arrays = _surface_data(geometry, surfaces, Z_UP[up])
+    description |= {"name": shown(name, _NAME_CHARACTERS), "radius": 1.0, "lights": []}
+    return LampScript(_filled(description, arrays), 0, sorted(surfaces.lost))
+
+
+def _surface_data(
+    geometry: AssetGeometry, surfaces: Surfaces, z_up: NDArray[np.float64]
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Materials and meshes of a geometry, in Blender's frame."""
+    description = {
+        "surfaces": [surfaces.tree(shape) for shape in geometry.shapes],
+        "absorption": [absorption_inside(shape) for shape in geometry.shapes],
+    }
+    arrays: dict[str, NDArray[Any]] = {}
+    for index, mesh in enumerate(geometry_meshes(geometry, similarity(z_up))):
+        arrays |= {f"{index}.{name}": values for name, values in mesh.items()}
+    arrays |= {f"image {i}": image for i, image in enumerate(geometry.images)}
+    return description, arrays
+
+
+def _filled(description: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> str:
+    """The template with the data in it."""
     template = (resources.files("lumitree.output.blender") / "lamp_script.py").read_text("utf-8")
     head, tail = template.split("@@DATA@@")
-    return LampScript(head + _block(description, arrays) + tail, len(points.position), lost)
+    return head + _block(description, arrays) + tail
 
 
 def _light_data(
