@@ -100,6 +100,7 @@ def add_emitter_light(
     path.add_light(scene, choice.emitter, light, mi.Bool(False), active)
 
 
+@dr.syntax
 def add_self_emission(
     scene: PathScene, path: PathState, vertex: Vertex, sampler: mi.Sampler
 ) -> mi.Bool:
@@ -108,12 +109,24 @@ def add_self_emission(
     Returns:
         Where it was sampled.
     """
-    if not scene.shows_geometry:
+    if dr.hint(not scene.shows_geometry, mode="scalar"):
         return mi.Bool(False)
-    si, bsdf = vertex.si, vertex.bsdf
-    shows = vertex.active_surface & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+    shows = vertex.active_surface & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Smooth)
     shows = (shows | vertex.active_medium) & vertex.shown & (vertex.owner != NONE)
     sample = sampler.next_2d()
+    light, emitter = mi.Color3f(0), dr.zeros(mi.EmitterPtr)
+    # A branch: most packets of rays have no such vertex, and skip the code.
+    if shows:
+        light, emitter = _self_emission(scene, path, vertex, sample, shows)
+    path.add_light(scene, emitter, light, mi.Bool(False), shows)
+    return shows
+
+
+def _self_emission(
+    scene: PathScene, path: PathState, vertex: Vertex, sample: mi.Point2f, shows: mi.Bool
+) -> tuple[mi.Color3f, mi.EmitterPtr]:
+    """Light of a sampled point of a lamp's emitting shapes, and their emitter."""
+    si, bsdf = vertex.si, vertex.bsdf
     shape, pmf, sample.x = dr.dispatch(
         scene.emitter(vertex.owner, shows), sample_self_emission, sample.x, shows
     )
@@ -132,5 +145,4 @@ def add_self_emission(
     active &= dr.max(light) > 0
     light *= dr.dispatch(shape.emitter(), self_radiance, ds, active)
     light *= mis_weight(ds.pdf, pdf) / ds.pdf
-    path.add_light(scene, shape.emitter(), light, mi.Bool(False), active)
-    return shows
+    return light & active, shape.emitter()
