@@ -150,14 +150,10 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
     def density(direction):
         return other * (0.01 + dr.square(dr.dot(axis, direction)))
 
-    point, cell, chance = light.sample_point(origin, uniform_samples(mi, count).next_2d())
-    offset = mi.Vector3f(point - origin)
-    distance = dr.norm(offset)
-    direction = offset / distance
+    samples = uniform_samples(mi, count).next_2d()
+    direction, target = light.sample_point(origin, samples, mi.Bool(False))
     arrives = BoxProxy(HALF).enter(origin, direction)[2]
-    weight = light.contribution(
-        direction, distance, cell, chance, mi.Float(density(direction)), mi.Bool(False), arrives
-    )
+    weight = light.contribution(target, mi.Float(density(direction)), arrives)
     radius = float(np.linalg.norm(HALF))
     plain = sample_cone(origin, radius, uniform_samples(mi, count, 1).next_2d())
     whole, _ = seen_from(mi, light, origin, plain)
@@ -171,7 +167,8 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
         # Only the balance heuristic with a positive b bounds the weights of near points.
         volume = np.array(light.cells.volume)
         brightest = unpack(some_light().intensity).max() * some_light().scale
-        least = np.array(density(direction)).min()
+        # A point is chosen as for a diffuse surface, with a b of 1 / πR.
+        least = min(np.array(density(direction)).min(), 1 / (np.pi * radius))
         assert np.array(weight).max() <= brightest / (volume.min() * least) * 1.001
     solid_angle = 1 / np.array(cone_pdf(origin, radius))[0]
     missing = np.array(whole - rest, np.float64)[1] * solid_angle

@@ -16,7 +16,6 @@ from lumitree.octree.traversal import Span
 from lumitree.rendering.sampling.emitter_sampling import (
     INSIDE,
     NEAR,
-    OUTSIDE,
     DirectionSampler,
     EmitterSampler,
     RayEnds,
@@ -184,19 +183,18 @@ class CellSampler(DividedSampler):
         self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool, inside: mi.Bool
     ) -> tuple[mi.Vector3f, Target]:
         """Direction towards a point of a cell, and that point."""
-        point, cell, pmf = self._light.sample_point(x, sample, active & ~inside)
-        place = mi.UInt32(OUTSIDE)
+        near = mi.Bool(False)
         if self._blocked:
             # Other bits of the same sample, which the point does not depend on.
             near = scrambled(mi.Point2f(sample.y, sample.x)).z < self._light.blocked_part(x)
-            place = dr.select(near, mi.UInt32(NEAR), place)
+        direction, target = self._light.sample_point(x, sample, near, active & ~inside)
         if self._inside is not None:
-            others = *self._inside.sample_point(x, sample, active & inside), mi.UInt32(INSIDE)
-            found = zip(others, (point, cell, pmf, place), strict=True)
-            point, cell, pmf, place = (dr.select(inside, *each) for each in found)
-        offset = mi.Vector3f(point - x)
-        distance = dr.norm(offset)
-        return offset / distance, Target(distance, cell, pmf, place)
+            point, cell, pmf = self._inside.sample_point(x, sample, active & inside)
+            offset = mi.Vector3f(point - x)
+            distance = dr.norm(offset)
+            direction = dr.select(inside, offset / distance, direction)
+            target = dr.select(inside, Target.inside(distance, cell, pmf), target)
+        return direction, target
 
     def border(
         self, x: mi.Point3f, direction: mi.Vector3f, target: Target, active: mi.Bool
@@ -230,9 +228,7 @@ class CellSampler(DividedSampler):
         """
         far, cell, pmf, place = target.distance, target.cell, target.pmf, target.place
         other = dr.select(self._left_out(x, bsdf_pdf), 0, bsdf_pdf / (self._radius * emitter_pmf))
-        weight = self._light.contribution(
-            direction, far, cell, pmf, other, place == NEAR, active & (place != INSIDE)
-        )
+        weight = self._light.contribution(target, other, active & (place != INSIDE))
         if self._inside is not None:
             weight += self._inside.contribution(
                 direction, far, cell, pmf, other, active & (place == INSIDE)

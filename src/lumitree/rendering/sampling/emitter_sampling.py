@@ -42,24 +42,34 @@ class Target:
     """The point in a lamp that a sampled direction leads to (a PyTree of Dr.Jit).
 
     A sampler that returns directions alone has a distance of -inf. Only a sampler of cells has
-    `cell`, `pmf` and `place`.
+    all others.
 
     Attributes:
         distance: of the point from the receiver, local units.
         cell: index of the cell of the light field that the point is in.
         pmf: probability with which this cell is sampled.
         place: where the receiver is: `OUTSIDE`, `NEAR` or `INSIDE`.
+        bins: bin of the cell towards the receiver; unused for one inside.
+        factor: on the point's light, for the points that it was chosen of.
     """
 
     distance: mi.Float
     cell: mi.UInt32
     pmf: mi.Float
     place: mi.UInt32
+    bins: mi.UInt32
+    factor: mi.Float
 
     @classmethod
     def at(cls, distance: mi.Float) -> Target:
         """Target at a distance, of a sampler that does not sample cells."""
-        return cls(distance, mi.UInt32(0), mi.Float(0), mi.UInt32(OUTSIDE))
+        none = mi.UInt32(0)
+        return cls(distance, none, mi.Float(0), mi.UInt32(OUTSIDE), none, mi.Float(1))
+
+    @classmethod
+    def inside(cls, distance: mi.Float, cell: mi.UInt32, pmf: mi.Float) -> Target:
+        """Target of a receiver in the lamp's box."""
+        return cls(distance, cell, pmf, mi.UInt32(INSIDE), mi.UInt32(0), mi.Float(1))
 
 
 class RayEnds(NamedTuple):

@@ -13,7 +13,8 @@ A sampled point is used in two ways. Integrators that ask for directions alone g
 the whole ray through the point, over its density, for which a tenth of the directions is uniform
 over the lamp's bounding sphere: no weight exceeds the radiance times 4π over that tenth. An
 integrator that leaves the weights to the lamp gets the light of the sampled cell alone, without a
-traversal. A path that samples its direction by the BSDF then gets the rest (`received`).
+traversal; of several points one is chosen by its light. A path that samples its direction by the
+BSDF then gets the rest (`received`).
 
 Symbols
     x   receiver, outside the lamp's box (inside it, see `light_inside`)
@@ -51,7 +52,13 @@ from lumitree.core.octahedral import bin_of
 from lumitree.octree.build import morton
 from lumitree.rendering.sampling.cell_table import cell_table
 from lumitree.rendering.sampling.emitted_light import EmittedLight, emitted_light
-from lumitree.rendering.sampling.emitter_sampling import UNIFORM_FRACTION, RayEnds
+from lumitree.rendering.sampling.emitter_sampling import (
+    NEAR,
+    OUTSIDE,
+    UNIFORM_FRACTION,
+    RayEnds,
+    Target,
+)
 from lumitree.rendering.sampling.light_bins import (
     coarse_bin,
     ending_by_bin,
@@ -66,6 +73,8 @@ from lumitree.rendering.sampling.samples import divide_sample, scrambled
 _RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 16, 4, 0.3
 # Entries of the table, of 8 bytes: lamps with more cells have fewer rows.
 _MAX_ENTRIES = 1 << 24
+# Points that one is chosen of. With more, a sample takes longer than its noise is worth.
+_CANDIDATES = 4
 # Distance from the box, local units, up to which shadows of the lamp's own surfaces are sharp.
 _NEAR = 0.5
 
@@ -113,6 +122,7 @@ class DeviceLightField:
         resolution = _RESOLUTION
         while resolution > 2 and resolution**2 * _NUM_SHELLS * count > _MAX_ENTRIES:
             resolution //= 2
+        self._diffuse = dr.rcp(dr.pi * self._radius)
         self._around = ReceiverCells(half_extents, resolution, _NUM_SHELLS, _SHELL_WIDTH)
         self._half = parameter(mi.Vector3f, *half_extents.tolist())
         by_cell = self.emitted.by_cell
@@ -198,42 +208,71 @@ class DeviceLightField:
         return radiance, dr.select(active, density, 0)
 
     def sample_point(
-        self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool = True
-    ) -> tuple[mi.Point3f, mi.UInt32, mi.Float]:
-        """Point of a cell, the cell, and its probability p.
+        self, x: mi.Point3f, sample: mi.Point2f, near: mi.Bool, active: mi.Bool | bool = True
+    ) -> tuple[mi.Vector3f, Target]:
+        """Direction towards a point of a cell, and the point: one of `_CANDIDATES`.
+
+        Resampled importance sampling (Talbot et al. 2005): candidates come from the table, and one
+        is chosen in proportion to what `contribution` has with a b of 1 / πR, about that of a
+        diffuse surface; R is the radius of the lamp's bounding sphere. It counts for all, by their
+        mean. Where the lamp's own surfaces block, and the light is not that of I alone, the choice
+        is uniform.
 
         Args:
             x: the receiver, local frame.
             sample: in the unit square.
+            near: whether the lamp's own surfaces block.
             active: mask.
         """
-        cell, chance = self._table.sample(self._around.index(x), sample.x, active)
-        return self.cells.point(cell, scrambled(sample), active), cell, chance
+        row = self._around.index(x)
+        # Bits of the sample that the candidates do not depend on.
+        choice = scrambled(mi.Point2f(sample.y, sample.x)).x
+        total, chosen = mi.Float(0), mi.Float(0)
+        offset, target = mi.Vector3f(0, 0, 1), Target.at(mi.Float(1))
+        for candidate in range(_CANDIDATES):
+            place = sample.x + candidate / _CANDIDATES
+            place = dr.select(place < 1, place, place - 1)
+            cell, chance = self._table.sample(row, place, active)
+            point = self.cells.point(cell, scrambled(mi.Point2f(place, sample.y)), active)
+            here = mi.Vector3f(point - x)
+            bins = smooth_bin(-here, self._resolution)
+            light = dr.sum(self.emitted.intensity(cell, bins, active))
+            volume = dr.gather(mi.Float, self.cells.volume, cell, active)
+            density = chance * dr.squared_norm(here) + volume * self._diffuse
+            light = dr.select(near, 1, light / density)
+            total += light
+            part = dr.select(total > 0, light / total, 0)
+            # The first one stays where no candidate sends light.
+            taken = (choice < part) | (candidate == 0)
+            rest = dr.select(choice < part, choice / part, (choice - part) / (1 - part))
+            choice = dr.minimum(rest, dr.one_minus_epsilon(mi.Float))
+            chosen = dr.select(taken, light, chosen)
+            offset = dr.select(taken, here, offset)
+            target.cell = dr.select(taken, cell, target.cell)
+            target.pmf = dr.select(taken, chance, target.pmf)
+            target.bins = dr.select(taken, bins, target.bins)
+        target.factor = dr.select(chosen > 0, total / (_CANDIDATES * chosen), 0)
+        target.place = dr.select(near, mi.UInt32(NEAR), mi.UInt32(OUTSIDE))
+        target.distance = dr.norm(offset)
+        return offset / target.distance, target
 
     def contribution(
-        self,
-        direction: mi.Vector3f,
-        distance: mi.Float,
-        cell: mi.UInt32,
-        chance: mi.Float,
-        other: mi.Float,
-        blocked: mi.Bool,
-        active: mi.Bool | bool = True,
+        self, target: Target, other: mi.Float, active: mi.Bool | bool = True
     ) -> mi.Color3f:
-        """I / (V (a r² + b)) of a point of `sample_point`.
+        """I / (V (a r² + b)) of a point of `sample_point`, times the factor of its choice.
+
+        Where the lamp's own surfaces block it is (I + J) κ in place of I.
 
         Args:
-            direction: unit direction from the receiver to the point.
-            distance: r.
-            cell, chance: as `sample_point` returned them.
+            target: as `sample_point` returned it.
             other: b.
-            blocked: whether the lamp's own surfaces block: then it is (I + J) κ.
             active: mask.
         """
-        volume = dr.gather(mi.Float, self.cells.volume, cell, active)
-        density = chance * dr.square(distance) + other * volume
-        light = self._light(cell, direction, blocked, active)
-        return dr.select(active, light / density, 0)
+        volume = dr.gather(mi.Float, self.cells.volume, target.cell, active)
+        density = target.pmf * dr.square(target.distance) + other * volume
+        near = target.place == NEAR
+        light = self._light(target.cell, target.bins, near, active)
+        return dr.select(active, light * (target.factor / density), 0)
 
     def received(
         self,
@@ -254,11 +293,12 @@ class DeviceLightField:
         Args:
             x, entry, direction, distance, active: as for `eval`.
             inverse: 1 / b; 0 for the whole radiance.
-            blocked: as for `contribution`.
+            blocked: whether the lamp's own surfaces block: then it is of (I + J) κ.
             ends: where the ray ends.
         """
         row = self._around.index(x)
         shared = mi.Bool(active) & (inverse > 0)
+        bins = smooth_bin(-direction, self._resolution)
 
         def visit(state, cell, start, length, active):
             active = ends.reached(start, blocked, active)
@@ -266,15 +306,14 @@ class DeviceLightField:
             inverse_volume = dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
             chance = self._table.probability(row, cell, active & shared)
             left = left_part(chance, inverse_volume, inverse, near, length)
-            light = self._light(cell, direction, blocked, active) * (left * inverse_volume)
+            light = self._light(cell, bins, blocked, active) * (left * inverse_volume)
             return (state[0] + dr.select(active, light, 0),), active
 
         state, span = (mi.Color3f(0),), (mi.Float(0), ends.other)
         return self.cells.octree.traverse(entry, direction, active, visit, state, span)[0]
 
-    def _light(self, cell, direction, blocked, active):
-        """I of a cell towards where a ray comes from; where its surfaces block, (I + J) κ."""
-        bins = smooth_bin(-direction, self._resolution)
+    def _light(self, cell, bins, blocked, active):
+        """I of a bin of a cell; where the lamp's own surfaces block, (I + J) κ."""
         light = self.emitted.intensity(cell, bins, active)
         if self._factors is None:
             return light
