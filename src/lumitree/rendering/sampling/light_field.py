@@ -122,7 +122,7 @@ class DeviceLightField:
         resolution = _RESOLUTION
         while resolution > 2 and resolution**2 * _NUM_SHELLS * count > _MAX_ENTRIES:
             resolution //= 2
-        self._diffuse = dr.rcp(dr.pi * self._radius)
+        self._diffuse = dr.rcp(np.pi * self._radius)
         self._around = ReceiverCells(half_extents, resolution, _NUM_SHELLS, _SHELL_WIDTH)
         self._half = parameter(mi.Vector3f, *half_extents.tolist())
         by_cell = self.emitted.by_cell
