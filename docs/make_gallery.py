@@ -1,8 +1,8 @@
 """Make the pages of the gallery: `make gallery`, or `python docs/make_gallery.py`.
 
-Each built-in lamp is baked with the quality of a preview. Its page, one HTML file of less than 4 MB,
-shows its geometry and loads nothing. `make docs` then copies the pages and links to them. A second
-call bakes only what is missing.
+Each built-in lamp is baked with the quality of a preview. Its page, one HTML file of less than
+4 MB, shows its geometry and loads nothing. `make docs` then copies the pages and links to them. A
+second call bakes only what is missing.
 """
 
 import dataclasses
