@@ -101,7 +101,8 @@ def test_photometry_and_the_viewer_have_it(mi):
     plain, gained = (each.watts.sum(axis=0) for each in both)
     np.testing.assert_allclose(gained, plain * GAIN, rtol=0.05)
     packed = pack_asset(brighter(asset))
-    colour = np.array(packed.description["colour"]) * packed.description["max_radiance"]
+    field = packed.description["field"]
+    colour = np.array(field["colour"]) * field["max_radiance"]
     np.testing.assert_allclose(colour, np.multiply(GAIN, asset.max_radiance))
     arrays = unpack_asset(packed)
     counts = np.bitwise_count(asset.light_field.lit).sum(axis=1, dtype=np.int64)
