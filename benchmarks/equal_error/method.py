@@ -120,4 +120,4 @@ def first_samples(pixels: int) -> int:
 def code_digest() -> str:
     """Hash of the package's code that renders a baked lamp."""
     package = Path(lumitree.__file__).parent
-    return digest(*sorted(file for part in _SOURCES for file in (package / part).glob("*.py")))
+    return digest(*sorted(file for part in _SOURCES for file in (package / part).rglob("*.py")))
