@@ -125,3 +125,13 @@ def test_display_levels_subtract_the_noise_of_the_reference(reference):
     for level in display_levels(rows, own):
         assert level["speedup"] == pytest.approx(16, rel=0.25)
     assert display_levels(rows, 6.0)[1]["speedup"] is None
+
+
+def test_kept_images_depend_on_all_code_that_renders(monkeypatch):
+    from benchmarks.equal_error import method
+
+    files = []
+    monkeypatch.setattr(method, "digest", lambda *paths: files.extend(paths))
+    method.code_digest()
+    folders = {path.parent.name for path in files}
+    assert {"rendering", "plugins", "sampling", "octree", "asset", "core"} <= folders
