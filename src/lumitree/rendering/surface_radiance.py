@@ -50,7 +50,7 @@ def vertex_radiance(
     integrator: Any = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
     points = on_device(mi.Float, vertices)
     corners = on_device(mi.UInt32, faces)
-    sums = [dr.zeros(mi.Float, len(vertices)) for _ in range(4)]
+    sums = np.zeros((len(vertices), 4))
     at_once = max(1, _SAMPLES_AT_ONCE // samples_per_face)
     with progress(name, len(faces)) as advance:
         for step, first in enumerate(range(0, len(faces), at_once)):
@@ -72,11 +72,13 @@ def vertex_radiance(
             point = weights[0] * a + weights[1] * b + weights[2] * c
             ray = mi.RayDifferential3f(mi.Ray3f(point + _ABOVE * away, -away))
             radiance, _, _ = integrator.sample(scene, sampler, ray, None, seen)
-            for weight, vertex in zip(weights, index, strict=True):
-                for total, value in zip(sums, (*mi.Color3f(radiance), 1.0), strict=True):
-                    dr.scatter_add(total, weight * value, vertex, seen)
-            dr.eval(sums)
+            values = [dr.select(seen, each, 0) for each in (*mi.Color3f(radiance), mi.Float(1))]
+            # Else each sum would trace the paths again.
+            dr.eval(weights, values)
+            # In a stated order: sums by several threads would differ in their last bits.
+            parts = [dr.block_sum(w * each, samples_per_face) for w in weights for each in values]
+            dr.eval(parts)
+            of_corners = np.stack([np.array(part, np.float64) for part in parts], axis=-1)
+            np.add.at(sums, faces[first : first + count], of_corners.reshape(count, 3, 4))
             advance(count)
-    *colours, weight = (np.array(each, np.float32) for each in sums)
-    means = np.stack(colours, axis=-1) / np.maximum(weight, 1e-20)[:, None]
-    return means.astype(np.float32)
+    return (sums[:, :3] / np.maximum(sums[:, 3:], 1e-20)).astype(np.float32)

@@ -67,10 +67,10 @@ def page_model(asset: Asset) -> PageModel:
         if surface not in rows:
             rows.append(surface)
         triangles.add(mesh, rows.index(surface), surface.kind == Kind.ENDS, pattern)
-    vertices, normals, places, pattern, faces, surfaces = triangles.joined()
+    vertices, normals, places, means, faces, surfaces = triangles.joined()
     ends = np.array([row.kind == Kind.ENDS for row in rows])[surfaces]
     backs = ends & np.array([row.has_back for row in rows])[surfaces]
-    light = _sent_out(asset, vertices, pattern, faces[ends], faces[backs])
+    light = _sent_out(asset, vertices, means, faces[ends], faces[backs])
     largest = float(light.max()) or 1.0
 
     description = {

@@ -89,7 +89,7 @@ def pack_asset(asset: Asset) -> PackedAsset:
     description = {
         "luminaire": asset.luminaire,
         "bytes": asset.num_bytes,
-        "shown": " and ".join(_shown(model is not None, has_field)),
+        "shown": _shown(model is not None, has_field),
         "has_field": has_field,
         "view": view,
         "half_extents": asset.frame.half_extents.tolist(),
@@ -106,10 +106,9 @@ def pack_asset(asset: Asset) -> PackedAsset:
     return PackedAsset(description, block)
 
 
-def _shown(has_model: bool, has_field: bool) -> list[str]:
+def _shown(has_model: bool, has_field: bool) -> str:
     """What images of the page show."""
-    names = ["model"] * has_model + ["field"] * has_field
-    return names or ["light field"]
+    return " and ".join(["model"] * has_model + ["field"] * has_field) or "light field"
 
 
 def _field(asset: Asset, steps: Steps) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

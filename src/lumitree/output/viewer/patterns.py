@@ -37,12 +37,11 @@ class Patterns:
 
     def of(self, shape: Json) -> tuple[int, Json] | None:
         """Number of the pattern of a shape of the geometry, and its texture; None without one."""
-        texture = _texture(shape["radiance"])
-        if shape["radiance"] is None or not (
-            texture or np.any(np.asarray(shape["radiance"], np.float64))
-        ):
-            texture = _texture(self._geometry.materials[shape["material"]])
-        if texture is None:
+        colour = shape["radiance"]
+        if not isinstance(colour, dict) and not np.any(colour or 0):
+            # It does not emit.
+            colour = self._geometry.materials[shape["material"]]
+        if (texture := _texture(colour)) is None:
             return None
         key = texture["image"], texture["raw"]
         if key not in self._known:

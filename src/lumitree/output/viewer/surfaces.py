@@ -1,7 +1,7 @@
 """How the page treats the surfaces of a lamp's geometry.
 
-The page follows rays through glass and from smooth metals. At any other surface a ray ends, with
-the mean radiance that the surface sends out (`surface_radiance`).
+The page follows rays through glass and from metals, rough ones too. At any other surface a ray
+ends, with the mean radiance that the surface sends out (`surface_radiance`).
 """
 
 import dataclasses
@@ -16,8 +16,8 @@ from lumitree.asset.materials import transmits
 from lumitree.asset.textures import Json
 from lumitree.output.optics import normal_reflectance, relative_index
 
-# Metals of a larger alpha end rays: their mirror images are too blurred to be worth their noise.
-_SMOOTHEST_ALPHA, _DEFAULT_ALPHA = 1.0, 0.1
+# Metals of a larger alpha end rays: what they reflect has no directions. Mitsuba's default.
+_LARGEST_ALPHA, _DEFAULT_ALPHA = 1.0, 0.1
 _WHITE = (1.0, 1.0, 1.0)
 
 
@@ -107,7 +107,7 @@ def page_surface(geometry: AssetGeometry, shape: Json, scale: float) -> Surface:
             transmitted=_colour(material, "specular_transmittance"),
             **common,
         )
-    if name in ("conductor", "roughconductor") and alpha is not None and alpha <= _SMOOTHEST_ALPHA:
+    if name in ("conductor", "roughconductor") and alpha is not None and alpha <= _LARGEST_ALPHA:
         tint = np.array(_colour(material, "specular_reflectance"))
         return Surface(
             Kind.METAL,

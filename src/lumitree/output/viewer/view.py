@@ -41,7 +41,7 @@ def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
     It shows what images show: the geometry; or the field; or the light field of an asset that has
     neither, blurred and hiding almost nothing. With geometry and a field it shows either.
 
-    Rays are followed through glass and from smooth metals. Other surfaces have the mean radiance
+    Rays are followed through glass and from metals. Other surfaces have the mean radiance
     that they send out, which is traced first: highlights on them do not move with the viewer.
 
     The page needs a browser with WebGL 2, and loads nothing from a network.
