@@ -20,7 +20,7 @@ EVERYTHING = 1.0
 
 def lamp():
     """An asset whose light is different in all directions."""
-    frame = LocalFrame(centre=(0, 0, 0), scale=0.1, half_extents=BOX)
+    frame = LocalFrame(BOX, np.eye(4))
     return light_field_asset(random_light_field(3, resolution=8, count=20), frame, "lamp")
 
 
@@ -77,7 +77,7 @@ def test_reflections_of_a_closed_sphere_are_a_geometric_series(mi):
         (result.total, result.total_error, direct / 0.4),
     ):
         assert (np.abs(found - expected) < 4 * error + 1e-4 * expected).all()
-        assert (error <= 0.0051 * expected).all()
+    assert (result.total_error <= 0.0051 * result.total).all()
 
 
 def placed(**options):
@@ -127,24 +127,19 @@ def test_what_shadows_a_lamp_is_sampled(mi):
 
 
 def test_errors_are_those_of_repetitions(mi):
-    """z-test: the spread over seeds is what the standard errors say."""
+    """z-test: the spread over independent receivers of one place is what the errors say."""
     things = dict(furnace(mi, 0.5))
     del things["type"]
     box = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0.4, 1, 0]).scale(0.25)}
     scene = room(mi, **things, box=box)
-    found = [
-        lumitree.illuminance(scene, [placed()], error=EVERYTHING, seed=seed, **at(*POINTS))
-        for seed in range(24)
-    ]
+    same = np.repeat(POINTS[:3], 300, axis=0)
+    result = lumitree.illuminance(scene, [placed()], error=EVERYTHING, **at(*same))
     for name in ("direct", "total"):
-        values = np.array([getattr(each, name) for each in found])
-        errors = np.array([getattr(each, f"{name}_error") for each in found])
-        spread = values.std(axis=0, ddof=1)
-        some = spread > 1e-6 * values.mean(axis=0)
-        ratio = spread[some] / np.sqrt((errors**2).mean(axis=0))[some]
-        # The spread of 24 values is known to 15 %.
-        assert some.any()
-        assert ((ratio > 0.5) & (ratio < 1.6)).all()
+        values = getattr(result, name).reshape(3, 300)
+        errors = getattr(result, f"{name}_error").reshape(3, 300)
+        spread = values.std(axis=1, ddof=1) / np.sqrt((errors**2).mean(axis=1))
+        # The spread of 300 values is known to 4 %.
+        assert spread == pytest.approx(1, abs=0.2)
 
 
 def test_a_floor_has_the_illuminance_that_its_image_shows(mi):
@@ -161,20 +156,20 @@ def test_a_floor_has_the_illuminance_that_its_image_shows(mi):
     }
     integrator = {"type": "path", "max_depth": -1}
     scene = room(mi, walls=walls, camera=camera, integrator=integrator)
-    image = lumitree.render(scene, [placed()], samples_per_pixel=1 << 16)
+    image = lumitree.render(scene, [placed()], samples_per_pixel=1 << 14)
     shown = luminance(image.pixels[0, 0]) * np.pi / 0.5
     result = lumitree.illuminance(scene, [placed()], error=0.004, **at([0.9, -3, 0.5]))
-    # 2¹⁶ samples of a relative variance of about one.
-    assert result.total[0] == pytest.approx(shown, rel=0.02)
+    # 2¹⁴ samples of a relative variance of about one.
+    assert result.total[0] == pytest.approx(shown, rel=0.03)
 
 
 def test_receivers_inside_the_box_get_its_light(mi):
     points = placed().at + np.array([[0.02, -0.01, 0.03], [0.05, 0.02, -0.03]])
     result = lumitree.illuminance(room(mi), [placed()], direct_only=True, error=0.01, **at(*points))
     assert (result.direct > 0).any()
-    scene = room(mi, box={"type": "sphere", "radius": 0.001, "center": points[0].tolist()})
-    del scene["type"]
-    expected, error = received(mi, scene, [placed()], points, [0, 1, 0])
+    # With something in the box, which shadows nothing.
+    speck = {"type": "sphere", "radius": 1e-3, "center": [0.05, 2, 0.05]}
+    expected, error = received(mi, {"inside": speck}, [placed()], points, [0, 1, 0])
     assert (np.abs(result.direct - expected) < 4 * np.hypot(error, result.direct_error)).all()
 
 
@@ -185,7 +180,9 @@ def test_lumens_are_those_of_the_scene_in_its_unit(mi):
     other = lumitree.illuminance(
         room(mi), [large], direct_only=True, unit="cm", **at(*(100 * POINTS))
     )
-    assert other.direct == pytest.approx(one.direct, rel=0.02)
+    allowed = 4 * np.hypot(one.direct_error, other.direct_error)
+    assert (np.abs(other.direct - one.direct) < allowed).all()
+    assert (allowed < 0.1 * one.direct.max()).all()
 
 
 def test_equal_seeds_give_equal_results_and_others_do_not(mi):
@@ -239,7 +236,9 @@ def test_surfaces_of_a_scene_are_covered_evenly(mi):
     assert np.abs(x).max() <= 0.8 + 1e-5
     assert np.abs(z).max() <= 0.4 + 1e-5
     counts = np.histogram2d(x, z, bins=(4, 2))[0]
-    assert counts == pytest.approx(25, abs=4)
+    # At random they would spread by 5.
+    assert counts == pytest.approx(25, abs=6)
+    assert counts.std() < 4.5
     with pytest.raises(lumitree.LumitreeError, match=r"no shape 'chair'; its shapes are: .*desk"):
         lumitree.illuminance(scene, surfaces=[lumitree.Surface("chair")])
 

@@ -128,7 +128,9 @@ class Surface:
         start = np.random.default_rng(SeedStream(Purpose.ILLUMINANCE, draw=2).seed(seed)).random(2)
         sample = (start + np.arange(1, count + 1)[:, None] / golden ** np.array([1, 2])) % 1
         at = found[0].sample_position(0, on_device(mi.Point2f, sample))
-        return np.array(at.p, np.float64).T, np.array(at.n, np.float64).T
+        place, normal = np.array(at.p, np.float64).T, np.array(at.n, np.float64).T
+        # The one normal of a flat shape comes once.
+        return np.broadcast_to(place, (count, 3)), np.broadcast_to(normal, (count, 3))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

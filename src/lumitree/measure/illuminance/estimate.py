@@ -40,8 +40,9 @@ _AT_ONCE = 1 << 20
 _MIN_SAMPLES, _MAX_SAMPLES = 64, 4096
 # Samples of a receiver that the first coefficients are estimated with; they are not used further.
 _PILOT = 16
-# Sums over the cells of light fields, each with other random points of the cells.
-_SUMS = 4
+# Sums over the cells of light fields, each with other random points of the cells: so many at first,
+# and at once at most. Their standard error is brought below this part of the one that is wanted.
+_SUMS, _MAX_SUMS, _SUM_PART = 4, 1 << 10, 0.3
 # Errors are relative to the illuminance, but to no less than this part of the mean.
 FLOOR = 0.1
 
@@ -136,7 +137,7 @@ def estimate(
     """
     start, count = time.perf_counter(), len(points)
     everyone = np.arange(count)
-    summed, summed_variance = _summed(scene, points, normals, seed)
+    summed, summed_variance = _summed(scene, points, normals, _SUM_PART * error, seed)
     control, direct, total = _Control(count), _Moments(count), _Moments(count)
     sampler = _Sampler(scene, points, normals, seed)
     for index in _chunks(everyone, _PILOT):
@@ -205,20 +206,31 @@ class _Sampler:
         return lux[0], lux[1], lux[2] if reflected else np.zeros((len(index), 1))
 
 
-def _summed(scene: PathScene, points: _Array, normals: _Array, seed: int) -> tuple[_Array, _Array]:
-    """S [N], lx, and the variance of it."""
-    sums = np.zeros((_SUMS, len(points)))
-    si = receivers(points, normals, 1)
-    for number, emitter in enumerate(scene.whole.emitters()):
-        if not isinstance(emitter, DeferredEmitter):
-            continue
-        active = emitter.is_summed(si.p, dr.full(mi.Bool, True, len(points)))
-        for step in range(_SUMS):
+def _summed(
+    scene: PathScene, points: _Array, normals: _Array, error: float, seed: int
+) -> tuple[_Array, _Array]:
+    """S [N], lx, and the variance of it; `error` as for `estimate`."""
+    lamps = [each for each in scene.whole.emitters() if isinstance(each, DeferredEmitter)]
+    if not lamps:
+        return np.zeros(len(points)), np.zeros(len(points))
+    sums, left, count = _Moments(len(points)), np.arange(len(points)), _SUMS
+    step = 0
+    while len(left) and count <= _MAX_SUMS:
+        for index in _chunks(left, count):
             stream = SeedStream(Purpose.ILLUMINANCE, step, 1)
-            random = mi.PCG32(len(points), stream.seed(seed, number))
-            found = emitter.irradiance(si.p, mi.Vector3f(si.n), random, active)
-            sums[step] += luminance(np.array(found & active).T)
-    return sums.mean(axis=0), sums.var(axis=0, ddof=1) / _SUMS
+            si = receivers(points[index], normals[index], count)
+            found = np.zeros((len(index), count))
+            for number, lamp in enumerate(lamps):
+                random = mi.PCG32(dr.width(si.p), stream.seed(seed, number))
+                summed = lamp.is_summed(si.p, dr.full(mi.Bool, True, dr.width(si.p)))
+                light = lamp.irradiance(si.p, mi.Vector3f(si.n), random, summed) & summed
+                found += luminance(np.array(light).T).reshape(found.shape)
+            sums.add(index, found)
+            step += 1
+        mean = np.maximum(sums.mean, FLOOR * sums.mean.mean())
+        left = np.flatnonzero(sums.variance > (error * mean) ** 2)
+        count *= 2
+    return sums.mean, sums.variance
 
 
 def _chunks(index: NDArray[np.int64], samples: int) -> list[NDArray[np.int64]]:

@@ -183,12 +183,17 @@ def illuminance(
     metres = metres_of(unit)
     load_mitsuba(variant)
     from lumitree.measure.illuminance.estimate import estimate
+    from lumitree.rendering.scene import load_room, open_placements, place_luminaires, scene_title
 
     watch = Stopwatch()
     with reporting(progress):
         with watch.stage("load"):
-            room, paths = _open(scene, [_in_metres(each, metres) for each in placements])
+            room = load_room(scene)
+            # Before the luminaires are placed, which renames the shapes of the room.
             areas = collect(room, planes, surfaces, points, normals, seed)
+            placed = open_placements([_in_metres(each, metres) for each in placements])
+            whole = place_luminaires(room, placed, appearance="geometry")
+            paths = _paths(whole, scene_title(scene))
             place = np.concatenate([area.points for area in areas])
             normal = np.concatenate([area.normals for area in areas])
             _light_boxes(paths, place)
@@ -231,24 +236,20 @@ def _in_metres(placement: Placement, metres: float) -> Placement:
     return dataclasses.replace(placement, lumens=placement.lumens / metres**2)
 
 
-def _open(scene: Any, placements: Sequence[Placement]) -> "tuple[Any, PathScene]":
-    """The scene alone, and with its luminaires."""
+def _paths(scene: Any, title: str) -> "PathScene":
+    """A scene with luminaires, for paths."""
     from lumitree.lamp.media import any_heterogeneous, media
     from lumitree.rendering.plugins.path_scene import PathScene
     from lumitree.rendering.plugins.proxies import DividedScene
-    from lumitree.rendering.scene import load_room, open_placements, place_luminaires, scene_title
 
-    placed = open_placements(placements)
-    room = load_room(scene)
-    whole = place_luminaires(room, placed, appearance="geometry")
-    if any_heterogeneous(whole):
+    if any_heterogeneous(scene):
         raise LumitreeError(
-            f"{scene_title(scene)} has a heterogeneous medium, whose light is not estimated; make "
-            "it homogeneous, or leave it out"
+            f"{title} has a heterogeneous medium, whose light is not estimated; make it "
+            "homogeneous, or leave it out"
         )
-    if not whole.emitters():
-        raise LumitreeError(f"{scene_title(scene)} has no light; place a lamp or add an emitter")
-    return room, PathScene(whole, DividedScene().of(whole), media(whole))
+    if not scene.emitters():
+        raise LumitreeError(f"{title} has no light; place a lamp or add an emitter")
+    return PathScene(scene, DividedScene().of(scene), media(scene))
 
 
 def _light_boxes(paths: "PathScene", points: NDArray[np.float64]) -> None:

@@ -55,7 +55,7 @@ def received_irradiance(
 @dr.syntax
 def _receive(scene, si, sampler):
     """Estimates (mi.Color3f) of the irradiance of receivers."""
-    surfaces, proxies, _, owners = scene.divided
+    proxies, owners = scene.divided.proxies, scene.divided.owners
     active = dr.full(mi.Bool, True, dr.width(si.p))
     sampled = emitter_light(scene, si, sampler, 1 / math.pi)
     baked = dr.dispatch(sampled.emitter, is_baked, sampled.found)
@@ -65,7 +65,7 @@ def _receive(scene, si, sampler):
     ray = mi.Ray3f(si.p, si.to_world(local))
     # A ray along the surface has no density, and brings nothing.
     active &= local.z > 0
-    pi = surfaces.ray_intersect_preliminary(ray, False, active)
+    pi = scene.divided.surfaces.ray_intersect_preliminary(ray, False, active)
     distance, lamp = proxies.first(ray, pi.t, active)
     entered = active & (lamp != NONE)
     ahead = owners.of(pi.shape, entered & pi.is_valid())
@@ -74,7 +74,7 @@ def _receive(scene, si, sampler):
         emitter = scene.emitter(lamp, entered)
         emitter_pmf = scene.emitter_pmf(emitter)
         pdf = local.z * (1 / math.pi)
-        light, _, _ = dr.dispatch(
+        light = dr.dispatch(
             emitter,
             entered_light,
             ray,
@@ -85,7 +85,7 @@ def _receive(scene, si, sampler):
             emitter_pmf,
             ends,
             entered,
-        )
+        )[0]
         irradiance[entered] += light * math.pi
         distance, lamp = proxies.next(ray, distance, lamp, pi.t, entered)
         entered &= lamp != NONE
