@@ -44,8 +44,9 @@ _PILOT = 16
 # Sums over the cells of light fields, each with other random points of the cells: so many at first,
 # and at once at most. Their standard error is brought below this part of the one that is wanted.
 _SUMS, _MAX_SUMS, _SUM_PART = 4, 1 << 10, 0.3
-# Part of the rays that end at backs of surfaces where a receiver is inside a solid.
-_ENCLOSED = 0.9
+# Part of the rays that end at backs of surfaces where a dark receiver is inside a solid. Not all of
+# them: faces of a solid may lie in those of another, as those of a cupboard in the walls.
+_ENCLOSED = 0.1
 # Errors are relative to the illuminance, but to no less than this part of the mean.
 FLOOR = 0.1
 
