@@ -8,7 +8,7 @@ from lumitree.cli.output import print_open, print_report
 
 
 def add(commands: Any) -> None:
-    parser = options.command(commands, "export", "write an asset for Blender", run, show)
+    parser = options.command(commands, "export", "write an asset for another program", run, show)
     parser.add_argument(
         "asset",
         metavar="ASSET",
@@ -44,6 +44,7 @@ def run(args: argparse.Namespace) -> Any:
 
 def show(args: argparse.Namespace, result: Any) -> None:
     report = result.to_json()
+    report["files"] = len(result.files)
     for line in report.pop("not_carried_over"):
         print(f"note: {line}")
     print_report(report)
