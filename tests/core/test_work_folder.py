@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from lumitree.core.files import write_bytes
 from lumitree.core.work_folder import (
     MARKER,
     WorkFolder,
@@ -200,6 +201,12 @@ def test_files_that_failed_leave_no_trace(tmp_path, write):
         fail(ZeroDivisionError())
     with pytest.raises(LumitreeError, match=r"cannot write .*out: No space left"):
         fail(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+    # The message names the output, whatever file of it failed.
+    with (
+        pytest.raises(LumitreeError, match=r"cannot write [^ ]*/out: File name too long"),
+        write(tmp_path / "out") as folder,
+    ):
+        write_bytes(folder / ("x" * 300), b"")
     assert os.listdir(tmp_path) == []
 
 
@@ -215,7 +222,7 @@ def test_a_folder_appears_whole(tmp_path):
     assert (tmp_path / "empty").stat().st_mode & 0o777 == 0o777 & ~umask
 
 
-def test_folders_that_hold_something_are_refused(tmp_path):
+def test_folders_that_hold_something_are_refused(tmp_path, monkeypatch):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine").write_text("")
     for name, message in (("full", "holds mine"), ("full/mine", "is a file")):
@@ -224,7 +231,11 @@ def test_folders_that_hold_something_are_refused(tmp_path):
     with pytest.raises(LumitreeError, match="Not a directory"):
         check_new_folder(tmp_path / "full" / "mine" / "out")
     check_new_folder(tmp_path / "new" / "out")
-    assert sorted(os.listdir(tmp_path)) == ["full"]
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    with pytest.raises(LumitreeError, match="current folder"):
+        check_new_folder(Path("."))
+    assert sorted(os.listdir(tmp_path)) == ["full", "here"]
 
 
 def test_folders_beside_an_output_that_a_killed_process_left_are_removed(tmp_path):

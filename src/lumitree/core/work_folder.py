@@ -197,6 +197,7 @@ def atomic_folder(output: Path) -> Iterator[Path]:
     Raises:
         WriteError: the folder cannot be written, or the disk is full.
     """
+    output = output.resolve()
     with _written_beside(output) as files:
         yield files
         _flush(files)
@@ -214,6 +215,8 @@ def check_new_folder(path: Path) -> None:
             f"{shown(path, 300)} is a folder that holds {shown(found[0])}; choose a new or an "
             "empty folder with -o"
         )
+    if path.is_dir() and path.samefile("."):
+        raise LumitreeError("the output is the current folder; choose a new folder with -o")
     if path.is_file():
         raise LumitreeError(f"{shown(path, 300)} is a file; choose a new or an empty folder")
     check_writable(path / "file" if path.is_dir() else path)
@@ -231,6 +234,9 @@ def _written_beside(output: Path) -> Iterator[Path]:
         files = temporary / "files"
         files.mkdir()
         yield files
+    except WriteError as error:
+        # The user knows the output, and not the file of the temporary folder.
+        raise WriteError(output, error.__cause__ or error) from error
     except Exception as error:
         raise_write_error(output, error)
     finally:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from lumitree.core.files import FilePath
 from lumitree.errors import LumitreeError, shown
-from lumitree.output.targets import blender, openvdb
+from lumitree.output.targets import blender, ies_folder, openvdb, pbrt, radiance
 from lumitree.output.targets.target import Target
 
 # A folder has no suffix.
@@ -13,6 +13,9 @@ TARGETS: dict[str, Target] = {
     ".py": blender.SCRIPT,
     ".blend": blender.BLEND,
     ".vdb": openvdb.TARGET,
+    ".rad": radiance.TARGET,
+    ".pbrt": pbrt.TARGET,
+    "": ies_folder.TARGET,
 }
 
 

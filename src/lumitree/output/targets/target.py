@@ -1,6 +1,7 @@
 """What a target of `lumitree export` is given, and what it returns."""
 
 import dataclasses
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,6 +29,11 @@ class ExportRequest:
     seed: int
     blender: FilePath | None
     name: str
+
+    @property
+    def stem(self) -> str:
+        """The name without its suffix, of letters, digits, `_`, `.` and `-`, for other files."""
+        return re.sub(r"[^\w.-]", "_", Path(self.name).stem, flags=re.ASCII)
 
     @property
     def triangles(self) -> int:
