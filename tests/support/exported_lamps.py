@@ -25,7 +25,7 @@ def beam(mi, direction: tuple[float, float, float], colour=(1.0, 1.0, 1.0)) -> A
 
     intensity = np.zeros((1, 256, 3))
     intensity[0, int(np.array(bin_of(mi.Vector3f(*direction), 16))[0])] = colour
-    field = make_light_field(np.zeros((1, 3), int), intensity, 0)
+    field = make_light_field(np.zeros((1, 3), int), intensity, 1)
     return light_field_asset(
         field, LocalFrame(np.ones(3), similarity(np.eye(3), 0.1, [1, 2, 3])), "beam"
     )

@@ -18,7 +18,8 @@ def add(commands: Any) -> None:
         parser,
         "FILE",
         "file to write: .py (a script that contains the lamp and runs in Blender 4.2 or newer), "
-        ".blend (the same, made by Blender) or .vdb (density and emission of the field)",
+        ".blend (the same, made by Blender), .vdb (density and emission of the field), .usda or "
+        ".usdz (OpenUSD) or .glb (glTF)",
     )
     parser.add_argument(
         "--lights", type=int, metavar="N", default=16, help="largest number of point lights"

@@ -70,6 +70,10 @@ def export(
     * `.blend`: the file that this script makes.
     * `.vdb`: the field as OpenVDB grids instead (`density` and `emission`, see
       `output.blender.volume`); it needs the module `openvdb` of Blender 4.4 or newer.
+    * `.usda`: a layer of OpenUSD with the lights. The surfaces, the images, and an IES profile for
+      each light are files beside it. It needs the package `usd-core` (the extra `usd`).
+    * `.usdz`: the same as one package, in which lights have no profiles.
+    * `.glb`: binary glTF, with lights of EXT_lights_ies and KHR_lights_punctual.
 
     Args:
         asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file. It
