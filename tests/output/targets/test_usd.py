@@ -60,7 +60,11 @@ def flux_of(prim, lumens):
 
 
 def problems(stage_path):
-    """What the validators that are part of OpenUSD find."""
+    """What the validators that are part of OpenUSD find.
+
+    The package usd-core has no definitions of the nodes of MaterialX, which OpenUSD can be built
+    with; that one is missing is not a problem.
+    """
     validation = pytest.importorskip("pxr.UsdValidation", reason="this OpenUSD has no validators")
     from pxr import Usd
 
@@ -68,7 +72,8 @@ def problems(stage_path):
     context = validation.ValidationContext(registry.GetOrLoadAllValidators())
     stage = Usd.Stage.Open(str(stage_path))
     found = context.Validate(stage)
-    return [f"{each.GetName()}: {each.GetErrorAsString()}" for each in found]
+    errors = [f"{each.GetName()}: {each.GetMessage()}" for each in found]
+    return [each for each in errors if "'ND_standard_surface_surfaceshader'" not in each]
 
 
 @pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (2.0, 1.0, 0.5)])
@@ -217,7 +222,11 @@ def test_the_validators_of_usd_find_nothing(pxr, tmp_path, suffix):
     geometry = dataclasses.replace(
         geometry,
         materials=(*geometry.materials, masked),
-        shapes=(shape, *geometry.shapes[1:]),
+        shapes=(
+            shape,
+            *({**each, "radiance": None} for each in geometry.shapes[1:8]),
+            *geometry.shapes[8:],
+        ),
     )
     asset = dataclasses.replace(with_geometry(geometry), luminaire="12 every @material@, ö")
     path = tmp_path / f"every one{suffix}"

@@ -20,10 +20,11 @@ class MaterialWriter:
     Args:
         place: where shaders are defined.
         parent: path of the prim that holds the materials.
+        materialx: whether materials have `standard_surface` too, where that is short.
     """
 
-    def __init__(self, place: ShaderPlace, parent: str) -> None:
-        self._place, self._parent = place, parent
+    def __init__(self, place: ShaderPlace, parent: str, *, materialx: bool) -> None:
+        self._place, self._parent, self._materialx = place, parent, materialx
         self._previews: list[Shader] = []
         self._standards: list[Shader] = []
 
@@ -35,7 +36,7 @@ class MaterialWriter:
         self._preview(preview, surface.material)
         made.CreateSurfaceOutput().ConnectToSource(preview.output("surface"))
         self._previews.append(preview)
-        if _is_plain(surface.material):
+        if self._materialx and _is_plain(surface.material):
             standard = Shader(self._place, f"{path}/standard", _STANDARD, surface)
             _standard(standard, surface.material)
             made.CreateSurfaceOutput("mtlx").ConnectToSource(standard.output("out"))

@@ -54,7 +54,7 @@ class LampStage:
         if surfaces:
             file = f"{self._stem}.surfaces.usdc"
             layer = self._new_stage(file)
-            lost = self._add_surfaces(layer, surfaces)
+            lost = self._add_surfaces(layer, surfaces, materialx=True)
             layer.GetRootLayer().Save()
             stage.GetDefaultPrim().GetReferences().AddReference(f"./{file}")
         files = [self._folder / f"{self._stem}.light{index}.ies" for index in range(len(lights))]
@@ -65,25 +65,27 @@ class LampStage:
     def write_layer(
         self, surfaces: Sequence[Surface], lights: Sequence[ProfiledLight]
     ) -> list[str]:
-        """Write one layer of everything, whose lights have no profiles.
+        """Write one layer of everything, with UsdPreviewSurface alone and lights without profiles.
 
         Returns:
             One line for each property of the surfaces that is lost.
         """
         stage = self._new_stage(self._name)
-        lost = self._add_surfaces(stage, surfaces) if surfaces else []
+        lost = self._add_surfaces(stage, surfaces, materialx=False) if surfaces else []
         self._add_lights(stage, lights, [None] * len(lights))
         stage.GetRootLayer().Save()
         return lost
 
-    def _add_surfaces(self, stage: Any, surfaces: Sequence[Surface]) -> list[str]:
+    def _add_surfaces(
+        self, stage: Any, surfaces: Sequence[Surface], *, materialx: bool
+    ) -> list[str]:
         """Define meshes and materials, and write images; returns what is lost."""
         assert self._asset.geometry is not None
         lost: set[str] = set()
         images = PbrImages(self._asset.geometry.images)
         place = ShaderPlace(self._pxr, stage, images, lambda name: f"./{self._image(name)}", lost)
         self._pxr.UsdGeom.Scope.Define(stage, f"{self._root}/materials")
-        materials = MaterialWriter(place, f"{self._root}/materials")
+        materials = MaterialWriter(place, f"{self._root}/materials", materialx=materialx)
         self._pxr.UsdGeom.Xform.Define(stage, f"{self._root}/surfaces")
         for index, surface in enumerate(surfaces):
             mesh = self._mesh(stage, f"{self._root}/surfaces/surface{index}", surface)
