@@ -20,6 +20,7 @@ from support.every_material import MATERIALS, TEXTURE, every_material
 from support.exported_lamps import beam, lamp
 from support.geometry_assets import small_geometry, with_geometry
 from support.node_packages import node_modules, run_node
+from support.profiled_lights import light_vectors, profile_vector
 
 pytestmark = pytest.mark.usefixtures("mi")
 _NUMPY = {5123: np.uint16, 5125: np.uint32, 5126: np.float32}
@@ -70,6 +71,11 @@ def profile_of(file, profile, folder):
     return read_ies(path)
 
 
+def rotated(quaternion, vector):
+    *axis, real = quaternion
+    return vector + 2 * np.cross(axis, np.cross(axis, vector) + real * np.array(vector))
+
+
 @pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (2.0, 1.0, 0.5)])
 def test_both_kinds_of_lights_have_the_flux_of_the_asset(tmp_path, gain):
     from lumitree.rendering.asset_flux import asset_watts
@@ -105,11 +111,27 @@ def test_the_brightest_direction_is_that_of_the_lamp(mi, tmp_path, up, direction
     c, gamma = np.deg2rad(profile.c[c]), np.deg2rad(profile.gamma[gamma])
     # γ from the node's -z, C from its +x towards its +y.
     local = np.array([np.sin(gamma) * np.cos(c), np.sin(gamma) * np.sin(c), -np.cos(gamma)])
-    *axis, real = node["rotation"]
-    turned = local + 2 * np.cross(axis, np.cross(axis, local) + real * local)
+    turned = rotated(node["rotation"], local)
     assert turned @ np.array(expected) / np.linalg.norm(expected) > 0.98
     place = turn_up(up, "y") @ [1, 2, 3]
     np.testing.assert_allclose(node["translation"], place, atol=0.11)
+
+
+def test_each_light_has_the_mean_direction_of_its_cells(tmp_path):
+    from lumitree.output.point_lights import place_lights
+
+    asset = lamp()
+    lumitree.export(asset, tmp_path / "lamp.glb", lights=5, up="z")
+    file = File(tmp_path / "lamp.glb")
+    placed = place_lights(asset, turn_up("z", "y"), 5)
+    lights = list(file.lights())
+    found = [
+        rotated(node["rotation"], profile_vector(profile_of(file, profile, tmp_path)))
+        for node, _, profile in lights
+    ]
+    np.testing.assert_allclose(found, light_vectors(placed), atol=0.01)
+    places = [node["translation"] for node, _, _ in lights]
+    np.testing.assert_allclose(places, placed.position, atol=1e-12)
 
 
 def test_one_root_holds_everything(tmp_path):

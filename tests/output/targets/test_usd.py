@@ -18,6 +18,7 @@ from lumitree.output.orientation import turn_up
 from support.every_material import MATERIALS, TEXTURE, every_material
 from support.exported_lamps import beam, lamp
 from support.geometry_assets import small_geometry, with_geometry
+from support.profiled_lights import light_vectors, profile_vector
 
 pytestmark = pytest.mark.usefixtures("mi")
 
@@ -125,6 +126,23 @@ def test_the_brightest_direction_is_that_of_the_lamp(pxr, mi, tmp_path, up, dire
     local = [np.sin(gamma) * np.cos(c), np.sin(gamma) * np.sin(c), -np.cos(gamma)]
     world = world_from_light(pxr, prim)[:3, :3] @ local
     assert world @ np.array(expected) / np.linalg.norm(expected) > 0.98
+
+
+def test_each_light_has_the_mean_direction_of_its_cells(pxr, tmp_path):
+    from lumitree.output.point_lights import place_lights
+
+    asset = lamp()
+    for up in ("y", "z"):
+        result = lumitree.export(asset, tmp_path / f"{up}.usda", lights=5, up=up)
+        stage = pxr.Usd.Stage.Open(str(result.file))
+        expected = light_vectors(place_lights(asset, turn_up(up, "y"), 5))
+        found = [
+            world_from_light(pxr, prim)[:3, :3] @ profile_vector(profile_of(prim))
+            for prim in lights_of(pxr, stage)
+        ]
+        # Of random intensities the means are some hundredths long.
+        assert np.linalg.norm(expected, axis=1).max() > 0.05
+        np.testing.assert_allclose(found, expected, atol=0.01)
 
 
 def test_lights_are_shaped_by_their_profiles_alone(pxr, tmp_path):
