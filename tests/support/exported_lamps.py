@@ -9,7 +9,8 @@ from lumitree.asset.light_field import make_light_field
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from support.light_fields import random_light_field
 
-FRAME = LocalFrame([1, 0.5, 1], similarity(rotation([0, 1, 0], 90), 2.0, [1.0, 2, 3]))
+# All cells are inside its box.
+FRAME = LocalFrame([1, 1, 1], similarity(rotation([0, 1, 0], 90), 2.0, [1.0, 2, 3]))
 GAIN = (2.0, 1.0, 0.5)
 
 
@@ -25,7 +26,7 @@ def beam(mi, direction: tuple[float, float, float], colour=(1.0, 1.0, 1.0)) -> A
 
     intensity = np.zeros((1, 256, 3))
     intensity[0, int(np.array(bin_of(mi.Vector3f(*direction), 16))[0])] = colour
-    field = make_light_field(np.zeros((1, 3), int), intensity, 0)
+    field = make_light_field(np.zeros((1, 3), int), intensity, 1)
     return light_field_asset(
         field, LocalFrame(np.ones(3), similarity(np.eye(3), 0.1, [1, 2, 3])), "beam"
     )

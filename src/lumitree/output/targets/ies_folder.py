@@ -34,8 +34,10 @@ _LOST = [
     "the lamp itself is not shown; its surfaces would block the light of the lights",
     "the lamp casts no shadow in the light of others",
 ]
-# Steps of the angles, degrees.
-_STEPS = (0.5, 0.75, 1, 1.5, 2, 2.5, 3, 5, 7.5, 10, 15)
+# Steps of the angles, degrees, and number of them in the mean side of a bin; see
+# docs/decisions/other-programs.md.
+_STEPS = (0.5, 0.75, 1, 1.5, 2, 2.5, 3, 5, 7.5, 10)
+_STEPS_A_BIN = 6
 
 
 def distribution(
@@ -50,8 +52,8 @@ def distribution(
         rotation: [3, 3], from the frame of the bins to one with y up.
     """
     resolution = round(len(intensity) ** 0.5)
-    half_bin = np.degrees(np.sqrt(np.pi) / resolution)
-    grid = Grid(max((step for step in _STEPS if step <= half_bin), default=_STEPS[0]))
+    largest = np.degrees(np.sqrt(4 * np.pi) / resolution) / _STEPS_A_BIN
+    grid = Grid(max((step for step in _STEPS if step <= largest), default=_STEPS[0]))
     nodes = direction_of(grid.c[:, None], grid.gamma)
     bins, weights = bilinear_bins(nodes.reshape(-1, 3) @ rotation, resolution)
     values = (luminance(intensity)[bins] * weights).sum(axis=1).reshape(nodes.shape[:2])
