@@ -9,7 +9,8 @@ from lumitree.asset.light_field import make_light_field
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from support.light_fields import random_light_field
 
-FRAME = LocalFrame([1, 0.5, 1], similarity(rotation([0, 1, 0], 90), 2.0, [1.0, 2, 3]))
+# All cells are inside its box.
+FRAME = LocalFrame([1, 1, 1], similarity(rotation([0, 1, 0], 90), 2.0, [1.0, 2, 3]))
 GAIN = (2.0, 1.0, 0.5)
 
 

@@ -59,7 +59,7 @@ def export(
     blender: FilePath | None = None,
     seed: int = 0,
 ) -> ExportResult:
-    """Write an asset for another program: point lights that illuminate, and the lamp's surfaces.
+    """Write an asset for another program: as point lights, and for Blender with its surfaces.
 
     The light field becomes point lights, each with an intensity by direction; see
     `output.point_lights`. Lengths are in metres. The suffix of `output` chooses the program:
@@ -70,15 +70,20 @@ def export(
     * `.blend`: the file that this script makes.
     * `.vdb`: the field as OpenVDB grids instead (`density` and `emission`, see
       `output.blender.volume`); it needs the module `openvdb` of Blender 4.4 or newer.
+    * `.rad`: a scene of Radiance, with function and data files beside it.
+    * `.pbrt`: a scene of pbrt-v4 to include, with images beside it.
     * `.usda`: a layer of OpenUSD with the lights. The surfaces, the images, and an IES profile for
       each light are files beside it. It needs the package `usd-core` (the extra `usd`).
     * `.usdz`: the same as one package, in which lights have no profiles.
     * `.glb`: binary glTF, with lights of EXT_lights_ies and KHR_lights_punctual.
+    * a folder, that is a name without a suffix or with a slash at its end: an IES file for each
+      light, and a table of their places, for all other programs.
 
     Args:
         asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file. It
             needs a light field, or a field for `.vdb`.
-        output: path of the file to write. Other files have names that are derived from it.
+        output: path of the file to write, beside which other files have names derived from it; or
+            of a folder that is new or empty.
         lights: largest number of point lights, 1 to 1,024.
         up: the axis that points up in the luminaire's file, "y" or "z". Each program has its own
             axis up (`ExportResult.orientation`), to which the lamp is turned.

@@ -17,13 +17,19 @@ from lumitree.core.photometry import LUMENS_PER_WATT, RGB, luminance
 from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of
 from lumitree.output.point_lights import PlacedLights
 
-# Steps of the angles, degrees.
-_STEPS = (0.5, 0.75, 1, 1.5, 2, 2.5, 3, 5, 7.5, 10, 15)
+# Steps of the angles, degrees, and number of them in the mean side of a bin of a profile. Six
+# would make it nine times larger.
+_STEPS = (0.5, 0.75, 1, 1.5, 2, 2.5, 3, 5, 7.5, 10)
+_STEPS_A_BIN = 2
 LOST_COLOUR = "each light has the colour of its whole flux in all directions"
 
 
 def light_distribution(
-    name: str, intensity: NDArray[np.float64], lumens: float, rotation: NDArray[np.float64]
+    name: str,
+    intensity: NDArray[np.float64],
+    lumens: float,
+    rotation: NDArray[np.float64],
+    steps: int,
 ) -> IntensityDistribution:
     """Luminous intensity of a light.
 
@@ -32,10 +38,11 @@ def light_distribution(
         intensity: [R², 3] W/sr by octahedral bin.
         lumens: its flux, which the interpolated intensity has too.
         rotation: [3, 3], from the frame of the bins to one with y up.
+        steps: least number of steps of the angles in the mean side of a bin.
     """
     resolution = round(len(intensity) ** 0.5)
-    half_bin = np.degrees(np.sqrt(np.pi) / resolution)
-    grid = Grid(max((step for step in _STEPS if step <= half_bin), default=_STEPS[0]))
+    largest = np.degrees(np.sqrt(4 * np.pi) / resolution) / steps
+    grid = Grid(max((step for step in _STEPS if step <= largest), default=_STEPS[0]))
     nodes = direction_of(grid.c[:, None], grid.gamma)
     bins, weights = bilinear_bins(nodes.reshape(-1, 3) @ rotation, resolution)
     values = (luminance(intensity)[bins] * weights).sum(axis=1).reshape(nodes.shape[:2])
@@ -73,8 +80,9 @@ def profiled_lights(lights: PlacedLights, name: str) -> list[ProfiledLight]:
     """
     found = []
     for index, watts in enumerate(lights.watts):
+        intensity = lights.local.intensity[index]
         profile = light_distribution(
-            f"{name} {index + 1}", lights.local.intensity[index], 4 * np.pi, lights.rotation
+            f"{name} {index + 1}", intensity, 4 * np.pi, lights.rotation, _STEPS_A_BIN
         )
         red, green, blue = (watts / watts.max()).tolist()
         candela = LUMENS_PER_WATT * float(watts.max()) / (4 * np.pi)

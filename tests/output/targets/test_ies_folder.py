@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import lumitree
+from lumitree.asset.asset import light_field_asset
+from lumitree.asset.light_field import make_light_field
 from lumitree.cli import main
-from lumitree.core.octahedral import bilinear_bins
+from lumitree.core.octahedral import bilinear_bins, middle_directions
 from lumitree.core.photometry import luminance
 from lumitree.formats.ies import read_ies
 from lumitree.formats.type_c import y_up
@@ -31,8 +33,19 @@ def number(row, *names):
     return np.array([float(row[name]) for name in names])
 
 
+def lobes():
+    """A lamp whose cells have a few broad lobes each, and colours."""
+    random = np.random.default_rng(3)
+    axes = random.normal(size=(6, 3, 3))
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    lobe = np.exp(8 * (np.einsum("ckx,bx->cbk", axes, middle_directions(32)) - 1))
+    intensity = lobe @ random.random((3, 3)) + 0.05
+    cells = np.array([[1, 2, 3], [6, 2, 3], [4, 4, 4], [5, 7, 0], [0, 0, 0], [2, 6, 7]])
+    return light_field_asset(make_light_field(cells, intensity, 3), FRAME, "lobes")
+
+
 def test_files_hold_the_flux_and_the_far_field(tmp_path):
-    asset = lamp()
+    asset = lobes()
     result = lumitree.export(asset, tmp_path / "out", lights=6)
     lights = read(tmp_path / "out")
     assert result.lights == len(lights) == 6

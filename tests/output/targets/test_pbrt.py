@@ -101,7 +101,9 @@ def test_light_leaves_where_the_lamp_sends_it(tmp_path, mi, up, expected):
     expected = np.array(expected) / np.linalg.norm(expected)
     # A bin is 0.22 wide, and its middle is at most 0.11 away.
     assert mean @ expected > 0.98
-    np.testing.assert_allclose(light.place, (1, 2, 3) if up == "y" else (1, 3, -2), atol=1e-6)
+    # The middle of its only cell, of half the side of its box.
+    place = (0.95, 1.95, 2.95) if up == "y" else (0.95, 2.95, -1.95)
+    np.testing.assert_allclose(light.place, place, atol=1e-6)
 
 
 def test_every_texel_is_the_mean_of_its_directions():

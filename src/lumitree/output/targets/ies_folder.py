@@ -33,6 +33,8 @@ _LOST = [
     "the lamp itself is not shown; its surfaces would block the light of the lights",
     "the lamp casts no shadow in the light of others",
 ]
+# Steps of the angles in the mean side of a bin; see docs/decisions/other-programs.md.
+_STEPS_A_BIN = 6
 
 
 def _write(request: ExportRequest, folder: Path) -> Written:
@@ -46,7 +48,9 @@ def _write(request: ExportRequest, folder: Path) -> Written:
         intensity = lights.local.intensity[index] * lights.scale**2
         flux = float(lumens[index])
         name = f"{request.asset.luminaire} {index + 1}"
-        write_ies(folder / file, light_distribution(name, intensity, flux, lights.rotation))
+        write_ies(
+            folder / file, light_distribution(name, intensity, flux, lights.rotation, _STEPS_A_BIN)
+        )
         numbers = [*place, 0, 0, 0, flux, *colours[index].tolist()]
         rows.append([file, *(f"{each:.9g}" for each in numbers)])
     with open(folder / PLACEMENT, "w", encoding="utf-8", newline="") as table:
