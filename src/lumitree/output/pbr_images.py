@@ -48,10 +48,8 @@ class PbrImages:
         values = self._linear(layer)
         largest = max(float(values.max()), 1e-30)
         factor = largest if largest > 1 or image.dtype != np.uint8 else 1.0
-        encoded = srgb_from_linear(values / factor)
-        return np.rint(255 * np.broadcast_to(encoded, (*values.shape[:2], 3))).astype(np.uint8), (
-            factor
-        )
+        encoded = np.broadcast_to(srgb_from_linear(values / factor), (*values.shape[:2], 3))
+        return np.rint(255 * encoded).astype(np.uint8), factor
 
     def number_pixels(self, layer: Layer) -> Pixels:
         """Pixels [H, W] of a layer that has one number: its values in 255ths, clipped to 1."""

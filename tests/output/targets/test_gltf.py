@@ -2,16 +2,18 @@
 
 import base64
 import dataclasses
+import io
 import json
 import struct
 import warnings
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import lumitree
 from lumitree.core.frames import similarity
-from lumitree.core.photometry import LUMENS_PER_WATT
+from lumitree.core.photometry import LUMA, LUMENS_PER_WATT
 from lumitree.formats.ies import read_ies
 from lumitree.output.geometry_meshes import geometry_meshes
 from lumitree.output.orientation import turn_up
@@ -191,6 +193,24 @@ def test_a_medium_is_the_attenuation_of_a_volume(tmp_path):
     volume = glass["extensions"]["KHR_materials_volume"]
     found = -np.log(volume["attenuationColor"]) / volume["attenuationDistance"]
     np.testing.assert_allclose(found, absorption, rtol=1e-9)
+
+
+def test_roughness_and_metalness_share_an_image(tmp_path):
+    metalness = {**TEXTURE, "image": 0, "raw": True}
+    material = {"type": "principled", "roughness": {**TEXTURE, "raw": True}, "metallic": metalness}
+    geometry = small_geometry()
+    geometry = small_geometry(materials=(material, *geometry.materials[1:]))
+    lumitree.export(with_geometry(geometry), tmp_path / "lamp.glb")
+    file = File(tmp_path / "lamp.glb")
+    core = file.json["materials"][0]["pbrMetallicRoughness"]
+    assert (core["roughnessFactor"], core["metallicFactor"]) == (1, 1)
+    texture = file.json["textures"][core["metallicRoughnessTexture"]["index"]]
+    content = file.view(file.json["images"][texture["source"]]["bufferView"])
+    pixels = np.asarray(Image.open(io.BytesIO(content)))
+    roughness = geometry.images[1] @ np.array(LUMA)
+    np.testing.assert_allclose(pixels[..., 1], roughness, atol=0.51)
+    # The other image is larger or smaller, and is resampled.
+    assert pixels[..., 2].mean() == pytest.approx(255 * geometry.images[0].mean(), rel=0.1)
 
 
 def everything():

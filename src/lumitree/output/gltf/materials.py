@@ -58,70 +58,57 @@ class GltfMaterials:
     def _core(self, made: Json, surface: Surface) -> Json:
         """`pbrMetallicRoughness`; adds the alpha mode to the material."""
         material = surface.material
-        factor = list(np.clip(material.colour.factor, 0, 1).tolist())
         core: Json = {}
         colour, opacity = _image_of(material.colour), _image_of(material.opacity)
-        alpha = material.opacity.number if opacity is None else 1.0
-        if opacity is not None:
-            self._add_alpha(made, core, surface, factor)
-        elif colour is not None:
-            name, scale = self._images.colours(material.colour)
-            factor = np.clip(np.array(factor) * scale, 0, 1).tolist()
-            core["baseColorTexture"] = self._texture(surface, colour, name)
-        if alpha < 1:
-            made["alphaMode"] = "BLEND"
-        core["baseColorFactor"] = [*factor, alpha]
+        alpha, scale = material.opacity.number, 1.0
+        if opacity is not None and (colour is None or colour["to_uv"] == opacity["to_uv"]):
+            scale = self._add_alpha(made, core, surface)
+        else:
+            if colour is not None:
+                name, scale = self._images.colours(material.colour)
+                core["baseColorTexture"] = self._texture(surface, colour, name)
+            if opacity is not None:
+                self.lost.add("masks with texture coordinates of their own are left out")
+            elif alpha < 1:
+                made["alphaMode"] = "BLEND"
+        factor = np.clip(np.array(material.colour.factor) * scale, 0, 1)
+        core["baseColorFactor"] = [*factor.tolist(), alpha]
         self._add_roughness(core, surface)
         return core
 
-    def _add_alpha(self, made: Json, core: Json, surface: Surface, factor: list[float]) -> None:
-        """A texture of the colour whose alpha is the opacity."""
+    def _add_alpha(self, made: Json, core: Json, surface: Surface) -> float:
+        """A texture of the colour whose alpha is the opacity; returns a factor on the colour."""
         material = surface.material
-        colour, opacity = _image_of(material.colour), _image_of(material.opacity)
+        opacity = _image_of(material.opacity)
         assert opacity is not None
-        alpha = self._images.number_pixels(material.opacity)
-        if colour is not None and colour["to_uv"] != opacity["to_uv"]:
-            self.lost.add("masks with texture coordinates of their own are left out")
-            name, scale = self._images.colours(material.colour)
-            factor[:] = np.clip(np.array(factor) * scale, 0, 1).tolist()
-            core["baseColorTexture"] = self._texture(surface, colour, name)
-            return
+        alpha, scale = self._images.number_pixels(material.opacity), 1.0
         pixels: Pixels = np.full((*alpha.shape, 3), 255, np.uint8)
-        if colour is not None:
+        if _image_of(material.colour) is not None:
             pixels, scale = self._images.colour_pixels(material.colour)
-            factor[:] = np.clip(np.array(factor) * scale, 0, 1).tolist()
         alpha = resized(alpha, *pixels.shape[:2])
         name = self._images.add(np.concatenate([pixels, alpha[..., None]], axis=2))
         core["baseColorTexture"] = self._texture(surface, opacity, name)
         made["alphaMode"] = "MASK" if np.isin(alpha, (0, 255)).all() else "BLEND"
+        return scale
 
     def _add_roughness(self, core: Json, surface: Surface) -> None:
         """Roughness in the green channel of a texture, and metalness in the blue one."""
-        material = surface.material
-        given = {"roughness": material.roughness, "metallic": material.metallic}
-        images = {name: _image_of(layer) for name, layer in given.items()}
-        used = [each for each in images.values() if each is not None]
+        given = {"roughness": surface.material.roughness, "metallic": surface.material.metallic}
+        images = {name: image for name, each in given.items() if (image := _image_of(each))}
+        pixels = {name: self._images.number_pixels(given[name]) for name in images}
         for name, layer in given.items():
             core[f"{name}Factor"] = min(layer.number, 1.0)
-        if not used:
-            return
-        pixels = {
-            name: None if images[name] is None else self._images.number_pixels(layer)
-            for name, layer in given.items()
-        }
-        if len(used) == 2 and used[0]["to_uv"] != used[1]["to_uv"]:
+        if len(images) == 2 and images["roughness"]["to_uv"] != images["metallic"]["to_uv"]:
             self.lost.add("metalness with texture coordinates of its own is replaced by its mean")
-            metal = pixels.pop("metallic")
-            assert metal is not None
-            core["metallicFactor"] *= float(metal.mean()) / 255
-            pixels["metallic"] = None
-        first = next(each for each in pixels.values() if each is not None)
-        channels = [
-            np.full(first.shape, 255, np.uint8) if each is None else resized(each, *first.shape)
-            for each in (None, pixels["roughness"], pixels["metallic"])
-        ]
-        name = self._images.add(np.stack(channels, axis=-1))
-        core["metallicRoughnessTexture"] = self._texture(surface, used[0], name)
+            core["metallicFactor"] *= float(pixels.pop("metallic").mean()) / 255
+        if not pixels:
+            return
+        shape = next(iter(pixels.values())).shape
+        white = np.full(shape, 255, np.uint8)
+        channels = [white, *(resized(pixels.get(name, white), *shape) for name in given)]
+        file = self._images.add(np.stack(channels, axis=-1))
+        texture = images[next(iter(pixels))]
+        core["metallicRoughnessTexture"] = self._texture(surface, texture, file)
 
     def _add_emission(self, made: Json, surface: Surface) -> None:
         emission = surface.material.emission.scaled(LUMENS_PER_WATT)
