@@ -29,6 +29,7 @@ def test_the_suffix_or_a_slash_chooses_the_target():
 def test_every_target_says_what_it_wrote(mi, tmp_path, output):
     result = lumitree.export(lamp(), f"{tmp_path}/out/{output}", lights=3)
     assert result.lights == 3
+    assert result.target == find_target(output).name
     assert result.units.startswith("metres; ")
     assert " is up; the origin is that of the lamp's file" in result.orientation
     assert result.not_carried_over
