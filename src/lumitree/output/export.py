@@ -27,6 +27,7 @@ class ExportResult(Result):
 
     Attributes:
         luminaire: name of the luminaire.
+        target: the program or the format that it was written for.
         file: what was written: the file to open, or the folder.
         files: all files that were written.
         file_bytes: the size of all of them.
@@ -39,6 +40,7 @@ class ExportResult(Result):
     """
 
     luminaire: str
+    target: str
     file: Path
     files: list[Path]
     file_bytes: int
@@ -128,6 +130,7 @@ def export(
         lost = [*lost, f"the place of the lamp in its file, ({place}): it is moved to the origin"]
     return ExportResult(
         luminaire=loaded.luminaire,
+        target=target.name,
         file=output,
         files=files,
         file_bytes=sum(each.stat().st_size for each in files),

@@ -119,11 +119,11 @@ def test_every_texel_is_the_mean_of_its_directions():
 
     local = PointLights(np.zeros((1, 3)), smooth(middle_directions(resolution))[None])
     lights = PlacedLights(np.zeros((1, 3)), local, FRAME.rotation, 2.0)
-    images = _Images(lights).of(0)
+    maker = _Images(lights)
+    images = maker.of(0)
     assert [image.colour.tolist() for image in images] == np.eye(3).tolist()
     directions = lattice(5000)
-    side = 2 * resolution
-    column, row = (square_of(directions[:, [0, 2, 1]]) * side).astype(int).T
+    column, row = (square_of(directions[:, [0, 2, 1]]) * maker.side).astype(int).T
     found = np.stack([image.watts[row, column] for image in images], axis=-1)
     expected = smooth(directions @ FRAME.rotation) * 4
     assert np.abs(found - expected).max() < 0.03 * expected.max()

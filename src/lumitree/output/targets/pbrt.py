@@ -32,8 +32,9 @@ _LOST = [
     "the lamp itself is not shown: in pbrt its surfaces would block the light of the lights",
     "the lamp casts no shadow in the light of others",
 ]
-# Directions in a texel, a side, that its value is the mean of.
-_SUPERSAMPLED = 4
+# Texels in a bin of the light field, a side, and directions in a texel that its value is the mean
+# of.
+_TEXELS, _SUPERSAMPLED = 4, 2
 # A light has one colour if its intensities differ from that by less than this, on average.
 _ONE_COLOUR = 0.01
 
@@ -76,7 +77,7 @@ class _Images:
 
     def __init__(self, lights: PlacedLights) -> None:
         self._lights = lights
-        self.side = 2 * lights.local.resolution
+        self.side = _TEXELS * lights.local.resolution
         fine = equal_area_directions(self.side * _SUPERSAMPLED).reshape(-1, 3)
         # pbrt exchanges y and z of the directions of a light.
         self._bins, self._weights = bilinear_bins(
