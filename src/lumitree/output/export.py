@@ -61,10 +61,11 @@ def export(
     blender: FilePath | None = None,
     seed: int = 0,
 ) -> ExportResult:
-    """Write an asset for another program: as point lights, and for Blender with its surfaces.
+    """Write an asset for another program: as point lights, for some with the lamp's surfaces.
 
     The light field becomes point lights, each with an intensity by direction; see
-    `output.point_lights`. Lengths are in metres. The suffix of `output` chooses the program:
+    `output.point_lights`. Blender, OpenUSD and glTF get the lamp's surfaces, too. Lengths are in
+    metres. The suffix of `output` chooses the program:
 
     * `.py`: a script that contains the lamp and runs in Blender 4.2 or newer. The geometry is added
       so that cameras and mirrors show it, and neither illuminates nor casts shadows. All are
