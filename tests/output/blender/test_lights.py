@@ -71,6 +71,28 @@ def test_weights_of_a_table_are_those_of_linear_interpolation():
     )
 
 
+def test_light_is_linear_between_the_middles_of_bins(mi):
+    """As the light field has it: the mean over offsets of up to half a bin."""
+    from lumitree.core.octahedral import bin_of
+    from lumitree.output.blender.lights import linear_bins
+
+    random = np.random.default_rng(3)
+    directions = random.normal(size=(200, 3))
+    # On edges and corners of the map, too.
+    directions[:3] = [[0, 0, -1], [1e-4, 0, -1], [0, 1, 0]]
+    values = random.exponential(size=64)
+    bins = linear_bins(directions, 8)
+    np.testing.assert_allclose(sum(weight for _, weight in bins), 1, rtol=1e-12)
+    found = sum(values[index] * weight for index, weight in bins)
+    steps = (np.arange(40) + 0.5) / 40 - 0.5
+    x, y, each = (axis.ravel() for axis in np.meshgrid(steps, steps, np.arange(200)))
+    direction = mi.Vector3f(directions[each].T.astype(np.float32))
+    index = np.array(bin_of(direction, 8, mi.Vector2f(np.stack([x, y]).astype(np.float32))))
+    expected = np.bincount(each, values[index.astype(int)]) / 1600
+    np.testing.assert_allclose(found, expected, atol=values.max() / 20)
+    assert np.abs(found - expected).mean() < values.max() / 200
+
+
 def test_tables_hold_the_intensity_of_their_directions_and_its_flux():
     from lumitree.output.blender.lights import PointLights, direction_tables, table_angles
     from lumitree.output.blender.lights import table_directions as directions
@@ -113,11 +135,11 @@ def test_irradiance_of_as_many_lights_as_groups_is_that_of_the_field():
 
     field, half = two_groups(), np.ones(3)
     asset = light_field_asset(field, LocalFrame(half, np.eye(4)), "two")
-    reference = asset_irradiance(asset, 1 << 18)
+    reference = asset_irradiance(asset, 1 << 20)
     errors = {}
     for count in (1, 2):
         rays = TableRays(lights_of(field, count))
-        errors[count] = irradiance_error(rays_irradiance(rays, half, 1 << 18, draw=2), reference)
+        errors[count] = irradiance_error(rays_irradiance(rays, half, 1 << 20, draw=2), reference)
     assert errors[2].total_ratio == pytest.approx(1, abs=5 * errors[2].total_ratio_error + 1e-6)
     assert errors[2].mean_rms < 0.06
     assert errors[1].mean_rms > 2 * errors[2].mean_rms

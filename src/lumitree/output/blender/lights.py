@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.device import on_device
-from lumitree.core.octahedral import bin_of, solid_angles
+from lumitree.core.octahedral import bin_of, octahedral, solid_angles
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.octree.leaves import boxes_inside
 
@@ -151,10 +151,33 @@ def table_angles(height: int) -> NDArray[np.float64]:
     return weight * (np.pi / height)
 
 
+def linear_bins(
+    directions: NDArray[np.float64], resolution: int
+) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+    """The four bins between whose middles a direction is: index [N] and weight [N] of each.
+
+    As a light field has it, whose intensity is linear between the middles of bins.
+
+    Args:
+        directions: [N, 3] in the local frame.
+        resolution: bins of direction a side.
+    """
+    local = on_device(mi.Vector3f, directions.astype(np.float32))
+    # From the middle of a bin, in bins.
+    place = (np.array(octahedral(local), np.float64) + 1) * (resolution / 2) + 0.5
+    along = place - np.floor(place)
+    bins = []
+    for x, y in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        index = bin_of(local, resolution, mi.Vector2f(x - 0.5, y - 0.5))
+        weight = (along[0] if x else 1 - along[0]) * (along[1] if y else 1 - along[1])
+        bins.append((np.array(index).astype(np.int64), weight))
+    return bins
+
+
 def direction_tables(
     lights: PointLights, local_from_table: NDArray[np.float64], height: int
 ) -> NDArray[np.float64]:
-    """Intensities [S, H, 2H, 3] of lights by direction, interpolated linearly as Cycles does.
+    """Intensities [S, H, 2H, 3] of lights by direction, between which Cycles is linear.
 
     Each table has the flux of its light, channel by channel.
 
@@ -164,16 +187,15 @@ def direction_tables(
     """
     fine = table_directions(height * _SUPERSAMPLED)
     weight = np.hypot(fine[..., 0], fine[..., 1])
-    local = on_device(mi.Vector3f, (fine.reshape(-1, 3) @ local_from_table.T).astype(np.float32))
-    bins = np.array(bin_of(local, lights.resolution)).astype(np.int64)
+    bins = linear_bins(fine.reshape(-1, 3) @ local_from_table.T, lights.resolution)
     blocks = (height, _SUPERSAMPLED, 2 * height, _SUPERSAMPLED)
     share = weight.reshape(blocks)
     share = share / share.sum(axis=(1, 3), keepdims=True)
     tables = np.empty((len(lights.position), height, 2 * height, 3))
     for table, intensity in zip(tables, lights.intensity, strict=True):
         for channel in range(3):
-            values = intensity[:, channel][bins].reshape(blocks)
-            table[..., channel] = (values * share).sum(axis=(1, 3))
+            values = sum(intensity[:, channel][index] * part for index, part in bins)
+            table[..., channel] = (np.reshape(values, blocks) * share).sum(axis=(1, 3))
     have = np.einsum("shwc,h->sc", tables, table_angles(height))
     want = lights.flux
     factor = np.divide(want, have, out=np.zeros_like(want), where=have > 0)
