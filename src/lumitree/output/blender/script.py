@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lumitree.asset.asset import Asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.frames import similarity
+from lumitree.core.photometry import colour_temperature
 from lumitree.errors import LumitreeError, shown
 from lumitree.output.blender.lights import PointLights, cluster_lights, direction_tables
 from lumitree.output.blender.surfaces import Surfaces, absorption_inside
@@ -117,6 +118,7 @@ def _light_data(
     # A point light of P watts has the intensity P / 4π, times its texture. Cycles chooses lights by
     # their watts, whatever the texture, so these are the flux: the mean of R, G and B.
     flux = points.flux.mean(axis=1)
+    total = points.flux.sum(axis=0) * frame.scale**2
     watts = flux * frame.scale**2
     relative = tables * (4 * np.pi / flux)[:, None, None, None]
     places = (points.position @ frame.rotation.T * frame.scale + frame.centre) @ z_up.T
@@ -127,7 +129,11 @@ def _light_data(
             {"position": place, "watts": power}
             for place, power in zip(places.tolist(), watts.tolist(), strict=True)
         ],
+        "watts": total.tolist(),
     }
+    temperature = colour_temperature(total)[0]
+    if np.isfinite(temperature):
+        description["temperature"] = temperature
     return description, {"tables": relative.astype(np.float16)}
 
 
