@@ -90,7 +90,9 @@ def replace(old: Any, new: Any) -> None:
     for thing in [each for each in old.children if _PART in each]:
         data = thing.data
         bpy.data.objects.remove(thing)
-        bpy.data.batch_remove([data])
+        # Copies of the lamp that the user made may share it.
+        if data.users == 0:
+            bpy.data.batch_remove([data])
     for child in new.children:
         for collection in old.users_collection:
             collection.objects.link(child)

@@ -33,6 +33,12 @@ class ImportLamp(bpy.types.Operator, ImportHelper):
     lights: IntProperty(**LIGHTS)
     up: EnumProperty(**UP)
 
+    def invoke(self, context: Any, event: Any) -> set[str]:
+        # A file that was dragged into the view is known already.
+        if self.properties.is_property_set("filepath"):
+            return context.window_manager.invoke_props_dialog(self)
+        return ImportHelper.invoke(self, context, event)
+
     def draw(self, context: Any) -> None:
         self.layout.prop(self, "lights")
         self.layout.prop(self, "up")
