@@ -237,7 +237,9 @@ def error_of(call):
 def in_blender(archive, folder, code, *arguments, program=sys.executable):
     """JSON that code prints in Blender with the extension installed."""
     resources = {"BLENDER_USER_RESOURCES": str(folder / "user")}
-    command = [str(blender), "-c", INSTALL + code, str(archive), str(folder), str(program)]
+    # Without the end of the module bpy, which crashes in version 4.2 after an export as glTF.
+    code = INSTALL + code + "\nsys.stdout.flush()\nos._exit(0)\n"
+    command = [str(blender), "-c", code, str(archive), str(folder), str(program)]
     run = subprocess.run(
         [*command, *map(str, arguments)],
         capture_output=True,
