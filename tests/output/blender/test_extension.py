@@ -387,6 +387,51 @@ print(json.dumps(found))
     assert again is False
 
 
+DRAW = """
+from types import SimpleNamespace
+from bl_ext.test.lumitree import interface
+shown = []
+class Layout:
+    def prop(self, data, name, **_):
+        shown.append((name, data.bl_rna.properties[name].name))
+    def operator(self, name, **_):
+        group, _, rest = name.partition(".")
+        shown.append((name, getattr(getattr(bpy.ops, group), rest).get_rna_type().name))
+    def label(self, **_):
+        pass
+    separator = label
+    def column(self, **_):
+        return self
+    row = column
+panel = SimpleNamespace(layout=Layout())
+bpy.ops.import_scene.lumitree(filepath=arguments[0])
+lamp = bpy.context.object
+# The panels are shown for the parts of a lamp, too.
+bpy.context.view_layer.objects.active = lamp.children[0]
+found = [interface.ObjectPanel.poll(bpy.context)]
+for draw in (interface.SidebarPanel.draw, interface.ObjectPanel.draw):
+    draw(panel, bpy.context)
+interface.LumitreePreferences.draw(SimpleNamespace(layout=Layout(), bl_rna=addon.preferences.bl_rna), bpy.context)
+interface._import_entry(panel, bpy.context)
+bpy.context.view_layer.objects.active = None
+found.append(interface.ObjectPanel.poll(bpy.context))
+print(json.dumps([found, shown]))
+"""  # noqa: E501
+
+
+@needs_blender
+@pytest.mark.slow
+def test_panels_show_settings_that_there_are(archive, asset, tmp_path):
+    polled, shown = in_blender(archive, tmp_path, DRAW, tmp_path / "lamp.lumitree")
+    assert polled == [True, False]
+    names = [name for name, _ in shown]
+    settings = ["lumens", "use_temperature", "temperature", "source", "lights", "up"]
+    assert all(names.count(name) == 2 for name in settings)
+    assert "program" in names
+    assert ["import_scene.lumitree", "Import Lumitree Asset"] in shown
+    assert ["lumitree.bake_selected", "Bake Selected as Lamp"] in shown
+
+
 BAKE = """
 folder, = arguments
 def add(thing, place):
