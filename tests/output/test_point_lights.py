@@ -113,11 +113,11 @@ def test_irradiance_of_as_many_lights_as_groups_is_that_of_the_field():
 
     field, half = two_groups(), np.ones(3)
     asset = light_field_asset(field, LocalFrame(half, np.eye(4)), "two")
-    reference = asset_irradiance(asset, 1 << 18)
+    reference = asset_irradiance(asset, 1 << 20)
     errors = {}
     for count in (1, 2):
         rays = TableRays(lights_of(field, count))
-        errors[count] = irradiance_error(rays_irradiance(rays, half, 1 << 18, draw=2), reference)
+        errors[count] = irradiance_error(rays_irradiance(rays, half, 1 << 20, draw=2), reference)
     assert errors[2].total_ratio == pytest.approx(1, abs=5 * errors[2].total_ratio_error + 1e-6)
     assert errors[2].mean_rms < 0.06
     assert errors[1].mean_rms > 2 * errors[2].mean_rms
