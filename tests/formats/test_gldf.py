@@ -13,7 +13,7 @@ from lumitree.core.octahedral import middle_directions
 from lumitree.core.photometry import flux_from_radiance, luminance
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.formats import archive as archives
-from lumitree.formats import light_field, light_sources
+from lumitree.formats import l3d_geometry, light_field, light_sources
 from lumitree.formats.archive import Archive
 from lumitree.formats.gldf import read_variant, zxy
 from lumitree.formats.ies import write_ies
@@ -43,6 +43,13 @@ from support.gldf_files import (
 from support.walls import irradiance
 
 PEAK = 200.0
+ROOM = (
+    '<scene version="3.0.0"><sensor type="perspective"><transform name="to_world">'
+    '<lookat origin="0,0,3" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">'
+    '<integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>'
+    '<integrator type="path"/><shape type="rectangle"><transform name="to_world">'
+    '<rotate x="1" angle="-90"/><translate y="-1"/></transform></shape></scene>'
+)
 
 
 def lobe(power=1.0, tilt=0.0, peak=PEAK):
@@ -114,7 +121,8 @@ def test_the_light_is_that_of_the_file_and_starts_on_the_object(files):
     # On average light passes through the middle of the lower face, whatever its direction.
     down = directions[:, 1] < -0.5
     passed = mean[down] - directions[down] * (mean[down, 1] / directions[down, 1])[:, None]
-    assert np.abs(passed).max() < 2e-3
+    # Of a cell of 16 mm: directions of a coarse bin share their starts.
+    assert np.abs(passed).max() < 5e-3
 
 
 def configuration(a, b):
@@ -123,25 +131,20 @@ def configuration(a, b):
     return (a / x * np.arctan(b / x) + b / y * np.arctan(a / y)) / (2 * np.pi)
 
 
-@pytest.mark.parametrize(("aside", "below"), [(0.0, 0.1), (0.0, 0.25), (0.25, 0.1)])
-def test_near_the_lower_face(files, aside, below):
+def test_near_the_lower_face(mi, files):
     """Below the middle and below an edge of the rectangle 0.5 x 0.25 m of even radiance."""
-    exact = np.pi * PEAK / (0.5 * 0.25)
-    halves = [(0.25 + aside) / below, (0.25 - aside) / below]
-    exact *= sum(2 * configuration(half, 0.125 / below) for half in halves)
     lamp = lumitree.shape(files())
-    point, samples = [aside, -below, 0], 1 << 16
-    found, error = irradiance(lumitree_mi(), {"lamp": lamp}, point, [0, 1, 0], samples=samples)
-    assert luminance(error) < 0.005 * exact
-    assert luminance(found) == pytest.approx(exact, rel=0.03)
-    # A point in the middle would give several times as much.
-    assert exact < 0.6 * PEAK / below**2 or below > 0.2
-
-
-def lumitree_mi():
-    import mitsuba
-
-    return mitsuba
+    for aside, below in ((0.0, 0.1), (0.0, 0.25), (0.25, 0.1)):
+        halves = [(0.25 + aside) / below, (0.25 - aside) / below]
+        exact = np.pi * PEAK / (0.5 * 0.25)
+        exact *= sum(2 * configuration(half, 0.125 / below) for half in halves)
+        point = [aside, -below, 0]
+        found, error = irradiance(mi, {"lamp": lamp}, point, [0, 1, 0], samples=1 << 15)
+        assert luminance(error) < 0.005 * exact
+        assert luminance(found) == pytest.approx(exact, rel=0.015)
+        # A point of light in the middle would give another value.
+        inverse_square = PEAK * below**2 / (below**2 + aside**2) ** 2
+        assert abs(inverse_square / exact - 1) > 0.3
 
 
 @pytest.mark.parametrize(
@@ -187,12 +190,12 @@ def test_each_object_has_its_photometry_place_and_rotation(files):
     lights = light("left", at=(-0.2, 0, 0), shape='<Circle diameter="0.02"/>') + light(
         "right", at=(0.2, 0.1, 0.1), turn=(180, 0, 0), shape='<Circle diameter="0.02"/>'
     )
-    files = FILES + '<File id="up" contentType="ldc/ies" type="localFileName">up.ies</File>'
+    named = FILES + '<File id="up" contentType="ldc/ies" type="localFileName">up.ies</File>'
     other = '<Photometry id="other"><PhotometryFileReference fileId="up"/></Photometry>'
     xml = product(
         variant(in_model({"left": "e", "right": "f"})),
         emitter() + emitter("f", "other"),
-        files,
+        named,
         other,
     )
     path = files(xml, l3d(structure(part(lights))), **{"ldc/up.ies": Path("up.ies").read_bytes()})
@@ -260,7 +263,8 @@ def test_an_object_without_luminous_faces_emits_itself(made):
     lit = [mesh for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True)
            if shape["radiance"] is not None]  # fmt: skip
     assert len(lit) == 1
-    assert lit[0]["vertices"][:, 1] == pytest.approx(-0.01)
+    # 0.2 % of its diameter in front of it.
+    assert lit[0]["vertices"][:, 1] == pytest.approx(-0.0102)
     assert np.ptp(lit[0]["vertices"], axis=0)[[0, 2]] == pytest.approx(0.1, rel=1e-2)
     a, b, c = np.moveaxis(lit[0]["vertices"][lit[0]["faces"]], 1, 0)
     assert (np.cross(b - a, c - a)[:, 1] < 0).all()
@@ -375,9 +379,11 @@ def test_nothing_is_downloaded(made):
 
 def test_commands(made, capsys):
     path = made()
+    Path("room.xml").write_text(ROOM)
     for command, shown in (
         (["info", path], "lumens"),
         (["photometry", path, "--paths", "16384", "--step", "15"], "luminous flux"),
+        (["render", "room.xml", "-o", "room.exr", "--spp", "4", "--place", path], "room.exr"),
         (["bake", path, "-o", "lamp.lumitree", "--temperature", "2700"], "lamp.lumitree"),
         (["bake", path + "#v", "-o", "lamps/"], "lamps"),
     ):
@@ -385,17 +391,23 @@ def test_commands(made, capsys):
         assert shown in capsys.readouterr().out
     assert lumitree.load("lamp.lumitree").parts == ("light", "geometry")
     assert main(["info", path, "--json", "report.json"]) == 0
-    assert json.loads(Path("report.json").read_text())["geometry_triangles"] == 12
+    assert json.loads(Path("report.json").read_text())["asset"]["geometry_triangles"] == 12
 
 
 def test_hostile_archives(made, monkeypatch):
     path = Path(made())
-    # Names that lead out of a folder are never written.
-    xml = structure(file="../../out.obj")
-    made(model=l3d(xml, **{"../../out_obj": obj()}))
-    with pytest.warns(LumitreeWarning, match="without its 3D model"):
-        lumitree.load(path)
-    assert not list(Path.cwd().parent.glob("**/out.obj"))
+    # Names that lead out of a folder are read, and never written.
+    xml = structure(file="../../../out.obj")
+    made(model=l3d(xml, **{"../../../out_obj": obj(), "../x_png": b"x", "/x_png": b"x"}))
+    written = []
+    with monkeypatch.context() as patch:
+        patch.setattr(l3d_geometry, "write_bytes", lambda name, _: written.append(str(name)))
+        with pytest.warns(LumitreeWarning, match="without its 3D model"):
+            lumitree.load(path)
+    assert [name.rpartition("lamp.gldf")[2] for name in written] == [
+        "/box-0/lumitree-lights.mtl",
+        "/box-0/out.obj",
+    ]
     entity = '<!DOCTYPE Root [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]>'
     made(product().replace("<Root>", entity + "<Root>"))
     with pytest.raises(LumitreeError, match="declares XML entities"):

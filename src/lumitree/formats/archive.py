@@ -4,7 +4,9 @@ Nothing is unpacked under a name that an archive states.
 """
 
 import io
+import lzma
 import os
+import struct
 import zipfile
 import zlib
 
@@ -16,7 +18,7 @@ MAX_ARCHIVE_BYTES = 512 * 2**20
 _MAX_UNPACKED = 1 << 30
 _MAX_MEMBERS = 1 << 14
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError)
-_DAMAGED += (NotImplementedError, KeyError, MemoryError)
+_DAMAGED += (NotImplementedError, KeyError, MemoryError, lzma.LZMAError, struct.error)
 
 
 class Archive:

@@ -197,6 +197,12 @@ class _Reader:
         if simple is not None:
             return self._emitters([simple]), None, self._simple(simple)
         references = (top if modelled is None else modelled).findall("EmitterReference")
+        # Models of several kinds may name the objects differently.
+        references = [
+            each
+            for each in references
+            if each.get("targetModelType") == references[0].get("targetModelType")
+        ]
         if not references:
             only = self._root.findall("GeneralDefinitions/Emitters/Emitter")
             references = [Element("EmitterReference", emitterId=only[0].get("id", ""))]

@@ -6,7 +6,8 @@ light is for images of the luminaire alone. Materials are those of the MTL files
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,8 @@ _FILES = (".mtl", ".png", ".jpg", ".jpeg")
 # Begins the names of luminous materials; what follows is the index in a part's `lights`.
 _LIGHT = "lumitree-light-"
 _SEGMENTS = 64
+# Distance of an object's own shape from its plane, in front of it, as a part of its longest side.
+_BEFORE = 2e-3
 
 
 def l3d_geometry(
@@ -108,7 +111,8 @@ class _Builder:
         if light.opening.shape == "cylinder":
             angle = -2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
             corners = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        vertices = np.insert(corners * [x / 2, y / 2], 2, 0, axis=1)
+        # Before the surface of the model that it may lie on.
+        vertices = np.insert(corners * [x / 2, y / 2], 2, -_BEFORE * max(x, y), axis=1)
         count = len(corners)
         faces = np.stack([np.zeros(count - 2), np.arange(1, count - 1), np.arange(2, count)], 1)
         normals = np.broadcast_to([0.0, 0.0, -1.0], vertices.shape)
@@ -147,12 +151,14 @@ class _Builder:
             folder = self._folder / f"{plain_name(part.folder)}-{len(self._read)}"
             path = folder / f"{plain_name(Path(part.file).stem)}.obj"
             content = self._archive.read(f"{part.folder}/{part.file}", "an OBJ model")
-            for name in self._archive.names(part.folder):
+            names = self._archive.names(part.folder)
+            for name in names:
                 if name.lower().endswith(_FILES) and Path(name).name == name and len(name) < 200:
                     data = self._archive.read(f"{part.folder}/{name}", "a file of an OBJ model")
                     write_bytes(folder / name, data)
             write_bytes(folder / _LIGHTS, b"".join(_mtl(index) for index, _ in lit))
-            write_bytes(path, _marked(content, dict(lit)))
+            libraries = any(name.lower().endswith(".mtl") for name in names)
+            write_bytes(path, _marked(content, dict(lit), libraries))
             self._read[key] = read_obj(path)
         return self._read[key]
 
@@ -167,7 +173,9 @@ def _mtl(index: int) -> bytes:
     return f"newmtl {_LIGHT}{index}\nKd 0 0 0\nKe 1 1 1\n".encode()
 
 
-def _marked(content: bytes, lights: Mapping[int, tuple[tuple[int, int, int], ...]]) -> bytes:
+def _marked(
+    content: bytes, lights: Mapping[int, tuple[tuple[int, int, int], ...]], libraries: bool
+) -> bytes:
     """The text of an OBJ model in which faces of each light use a material of their own.
 
     Faces are counted from 0 within their group; a model without groups is one.
@@ -175,44 +183,56 @@ def _marked(content: bytes, lights: Mapping[int, tuple[tuple[int, int, int], ...
     Args:
         content: of the file.
         lights: group, first and last face of each range by the index of the light.
+        libraries: whether there are MTL files; else the text names none of its own.
     """
     lines = in_utf8(content).replace(b"\\\n", b" ").split(b"\n")
-    ranges = [(*each, index) for index, found in lights.items() for each in found]
-    result, material, marked = [f"mtllib {_LIGHTS}".encode()] if ranges else [], b"usemtl", False
-    for line, group, face in _faces(lines):
-        if face is None:
-            if line.split(None, 1)[:1] == [b"usemtl"]:
-                material, marked = line, False
+    places = _face_places(lines)
+    counts = Counter(place[0] for place in places if place is not None)
+    lit = {group: np.full(count, -1) for group, count in counts.items()}
+    for index, ranges in lights.items():
+        for group, first, last in ranges:
+            if group in lit:
+                lit[group][max(first, 0) : max(last + 1, 0)] = index
+    result = [f"mtllib {_LIGHTS}".encode()] if lights else []
+    material, marked = b"usemtl", False
+    for line, place in zip(lines, places, strict=True):
+        key = line.split(None, 1)[:1]
+        if place is not None:
+            index = int(lit[place[0]][place[1]])
+            if index >= 0:
+                result.append(f"usemtl {_LIGHT}{index}".encode())
+            elif marked:
+                result.append(material)
+            marked = index >= 0
+        elif key == [b"usemtl"]:
+            material, marked = line, False
+        if key != [b"mtllib"] or libraries:
             result.append(line)
-            continue
-        index = next((i for g, a, b, i in ranges if g == group and a <= face <= b), None)
-        if index is not None:
-            result.append(f"usemtl {_LIGHT}{index}".encode())
-            marked = True
-        elif marked:
-            result.append(material)
-            marked = False
-        result.append(line)
     return b"\n".join(result)
 
 
-def _faces(lines: list[bytes]) -> Iterator[tuple[bytes, int, int | None]]:
-    """Lines with the group and the number of the face that they are; None for other lines."""
-    keys = [(line.split(None, 1) or [b""])[0] for line in lines]
+def _face_places(lines: list[bytes]) -> list[tuple[int, int] | None]:
+    """Group of each line that is a face, and its number there; None for other lines.
+
+    Groups without faces do not count. If there are others, faces before the first group are in -1.
+    """
     current: bytes | None = None
     owners: list[bytes | None] = []
-    for line, key in zip(lines, keys, strict=True):
-        if key in (b"g", b"o"):
-            current = line.split(None, 1)[-1].strip()
+    faces: list[bool] = []
+    for line in lines:
+        words = line.split(None, 1) or [b""]
+        if words[0] in (b"g", b"o"):
+            current = words[-1].strip()
         owners.append(current)
-    # Groups without faces do not count, nor do faces before the first group.
-    used = dict.fromkeys(o for o, key in zip(owners, keys, strict=True) if key == b"f")
+        faces.append(words[0] == b"f")
+    used = dict.fromkeys(owner for owner, face in zip(owners, faces, strict=True) if face)
     named = [owner for owner in used if owner is not None]
-    order = {owner: index for index, owner in enumerate(named)} or {None: 0}
-    counts = dict.fromkeys(order, 0)
-    for line, key, owner in zip(lines, keys, owners, strict=True):
-        if key != b"f" or owner not in order:
-            yield line, -1, None if key != b"f" else -1
-            continue
-        yield line, order[owner], counts[owner]
-        counts[owner] += 1
+    order: dict[bytes | None, int] = {None: -1 if named else 0}
+    order |= {owner: index for index, owner in enumerate(named)}
+    counts: Counter[int] = Counter()
+    places: list[tuple[int, int] | None] = []
+    for owner, face in zip(owners, faces, strict=True):
+        group = order.get(owner, -1)
+        places.append((group, counts[group]) if face else None)
+        counts[group] += face
+    return places

@@ -36,7 +36,8 @@ Codes = NDArray[np.int64]
 # Bins of an asset, cells times bins of direction; 4 bytes each that emits.
 _MAX_BINS = 1 << 22
 _MAX_DEPTH = 6
-_COARSE, _BINS_AT_ONCE = 32, 32
+# Bins a side of flat openings and of those with a volume, and how many at once.
+_COARSE, _COARSE_OF_VOLUME, _BINS_AT_ONCE = 32, 16, 32
 # Points a side of an opening with a volume, and how many cells a side it may have.
 _POINTS_OF_VOLUME, _MAX_SPAN = 20, 17
 # Points of a flat opening a cell and side, and at most a side.
@@ -119,18 +120,28 @@ def bake_sources(sources: Sequence[LightSource], frame: LocalFrame, name: str) -
         raise LumitreeError(f"{name} emits nothing; expected intensities above 0")
     watts = _radiant_intensities(sources, frame, name)
     resolution = math.isqrt(watts.shape[1])
-    for depth in range(_estimated_depth(sources, frame, resolution), 0, -1):
-        limit = _MAX_BINS // resolution**2 if depth > 1 else 8
-        starts = [_Starts(source, frame, depth).shares(limit) for source in sources]
-        used = np.unique(np.concatenate([codes for codes, _ in starts]))
-        if len(used) <= limit:
-            break
+    depth, starts = _all_starts(sources, frame, resolution)
+    used = np.unique(np.concatenate([codes for codes, _ in starts]))
     total = np.zeros((len(used), resolution**2))
     for (codes, shares), each in zip(starts, watts, strict=True):
         total[np.searchsorted(used, codes)] += _fine(shares, resolution) * each
     cells = StartCells(frame, depth).coordinates(used)
     intensity = np.broadcast_to(total[..., None], (*total.shape, 3))
     return light_field_asset(make_light_field(cells, intensity, depth), frame, name)
+
+
+def _all_starts(
+    sources: Sequence[LightSource], frame: LocalFrame, resolution: int
+) -> tuple[int, list[tuple[Codes, Array]]]:
+    """Depth of the grid, and the starts of each source, of which there are not too many."""
+    depth = _estimated_depth(sources, frame, resolution)
+    while depth > 1:
+        limit = _MAX_BINS // resolution**2
+        starts = [_Starts(source, frame, depth).shares(limit) for source in sources]
+        if len(np.unique(np.concatenate([codes for codes, _ in starts]))) <= limit:
+            return depth, starts
+        depth -= 1
+    return 1, [_Starts(source, frame, 1).shares(8) for source in sources]
 
 
 def _radiant_intensities(sources: Sequence[LightSource], frame: LocalFrame, name: str) -> Array:
@@ -190,7 +201,7 @@ class _Starts:
         self._low = np.where(wide, -half, [each[0] for each in middles])
         self._high = np.where(wide, half, [each[-1] for each in middles])
         inside = ((self._points >= self._low) & (self._points <= self._high)).all()
-        directions = middle_directions(_COARSE)
+        directions = middle_directions(_COARSE if self._areas is None else _COARSE_OF_VOLUME)
         # Without a direction, all are alike.
         self._directions = directions[:1] if inside and self._areas is None else directions
 

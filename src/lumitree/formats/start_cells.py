@@ -33,7 +33,9 @@ class StartCells:
         self._cells = [np.flatnonzero(np.diff(each) > 0) for each in inside]
         self.middles = [(each[1:] + each[:-1])[np.diff(each) > 0] / 2 for each in inside]
 
-    def around(self, start: Array, widths: Widths = (None,) * 3) -> Iterator[tuple[Codes, Array]]:
+    def around(
+        self, start: Array, widths: Widths = (None, None, None)
+    ) -> Iterator[tuple[Codes, Array]]:
         """The eight cells around each start, and their parts of it.
 
         Args:

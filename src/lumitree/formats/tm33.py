@@ -13,9 +13,9 @@
         SpectralData            EmitterSpectral/PwrData w="" nm: its colour is used
         EmissionAreas           rectangles or ellipses on the faces of the luminaire, m
 
-The order of elements, spaces in names, and IntensityData with horz and vert in place of IntData are
-no obstacle. Of areas on one face the luminous opening is their bounding rectangle, of areas on
-several faces a box.
+Other orders of elements, and IntensityData with horz and vert in place of IntData, are read, too.
+Of areas on one face the luminous opening is their bounding rectangle, of areas on several faces a
+box.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ from lumitree.core.photometry import LUMA, RGB, srgb_from_xyz
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.opening import POINT, Opening
-from lumitree.formats.photometric_text import MAX_ANGLES, MAX_FILE_BYTES, number, warn_of_file
+from lumitree.formats.photometric_text import MAX_ANGLES, number, warn_of_file
 from lumitree.formats.symmetry import completed, type_a, type_b, without_noise
 from lumitree.formats.type_c import IntensityDistribution, direction_of
 from lumitree.formats.xml_tree import number_of, parse_xml, text_of
@@ -46,7 +46,7 @@ _HORIZONTAL, _VERTICAL = ("h", "horz", "horizontal"), ("v", "vert", "vertical")
 _OTHERS = ("RadiantData", "PhotonData")
 # Of the stated luminous flux, beyond which it is warned of.
 _TOLERANCE = 0.05
-_MAX_EMITTERS = 100
+_MAX_BYTES, _MAX_EMITTERS = 1 << 26, 100
 # Wavelengths, nm, at which spectra are summed.
 _VISIBLE = np.arange(360.0, 831.0)
 # Faces of a luminaire: the names of the two sides of an area, and their axes with y up.
@@ -74,7 +74,7 @@ def read_tm33(path: str | os.PathLike[str]) -> tuple[IntensityDistribution, RGB]
         LumitreeError: the file is missing or damaged, or has no luminous intensities.
     """
     name = shown(path, 300)
-    content = read_bytes(path, f"an {KIND}", MAX_FILE_BYTES)
+    content = read_bytes(path, f"an {KIND}", _MAX_BYTES)
     root = parse_xml(content, name, f"an {KIND}")
     try:
         with np.errstate(all="ignore"):
@@ -85,9 +85,6 @@ def read_tm33(path: str | os.PathLike[str]) -> tuple[IntensityDistribution, RGB]
 
 class _Reader:
     def __init__(self, path: str | os.PathLike[str], root: Element) -> None:
-        for element in root.iter():
-            # The schema was published with spaces around underscores.
-            element.tag = element.tag.replace(" ", "")
         self._path, self._root = Path(path), root
 
     def read(self) -> tuple[IntensityDistribution, RGB]:
@@ -138,6 +135,7 @@ class _Reader:
         stated = text_of(table, "PhotometryType")
         for path in paths:
             stated = stated or text_of(self._root, path)
+        # The schema was published with spaces around underscores.
         kind = stated.upper().replace(" ", "").replace("_", "")
         kind = kind.removeprefix("CIE").removeprefix("IES").removeprefix("TYPE") or "C"
         if kind not in ("A", "B", "C"):
@@ -226,7 +224,8 @@ def _sum(parts: list[IntensityDistribution]) -> IntensityDistribution:
     c = np.unique(np.concatenate([each.c for each in parts]))
     gamma = np.unique(np.concatenate([each.gamma for each in parts]))
     direction = direction_of(c[:, None], gamma)
-    return IntensityDistribution("", c, gamma, sum(each.at(direction) for each in parts) + 0.0)
+    total = np.sum([each.at(direction) for each in parts], axis=0)
+    return IntensityDistribution("", c, gamma, total)
 
 
 def _colour(emitters: list[Element], lumens: list[float]) -> RGB:
