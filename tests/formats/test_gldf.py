@@ -8,6 +8,7 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
+from lumitree.core.file_kinds import what_it_is
 from lumitree.core.frames import rotation
 from lumitree.core.octahedral import middle_directions
 from lumitree.core.photometry import flux_from_radiance, luminance
@@ -15,9 +16,9 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.formats import archive as archives
 from lumitree.formats import l3d_geometry, light_field, light_sources
 from lumitree.formats.archive import Archive
-from lumitree.formats.gldf import read_variant, zxy
+from lumitree.formats.gldf import read_variant
 from lumitree.formats.ies import write_ies
-from lumitree.formats.l3d import read_l3d
+from lumitree.formats.l3d import read_l3d, zxy
 from lumitree.formats.ldt import write_ldt
 from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of, y_up, z_up
@@ -43,6 +44,7 @@ from support.gldf_files import (
 from support.walls import irradiance
 
 PEAK = 200.0
+OLD = "<Header><FormatVersion>0.9</FormatVersion></Header>"
 ROOM = (
     '<scene version="3.0.0"><sensor type="perspective"><transform name="to_world">'
     '<lookat origin="0,0,3" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">'
@@ -379,6 +381,7 @@ def test_nothing_is_downloaded(made):
 
 def test_commands(made, capsys):
     path = made()
+    assert what_it_is(path) == "a GLDF file"
     Path("room.xml").write_text(ROOM)
     for command, shown in (
         (["info", path], "lumens"),
@@ -434,6 +437,10 @@ def test_hostile_archives(made, monkeypatch):
         (zipped({"product.xml": "<Root/>"}), "it has no variants"),
         (zipped({"product.xml": "<Other/>"}), "begins with <Other>"),
         (zipped({"product.xml": product()}), "geo/lamp.l3d.* not in the archive"),
+        (
+            zipped({"product.xml": product(head=OLD).replace("FixedLight", "Light")}),
+            "no emitter that lights .*; it is of version 0.9, where 1.0 is read",
+        ),
         (zipped({"product.xml": product(), "geo/lamp.l3d": "no"}), "no zip archive"),
         (zipped({"product.xml": product(), "geo/lamp.l3d": l3d("<Luminaire/>")}), "no light em"),
         (zipped({"product.xml": product(), "geo/lamp.l3d": l3d()}), "ldc/lamp.ldt.* not in the"),

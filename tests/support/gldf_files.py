@@ -120,14 +120,16 @@ FILES = (
 )
 
 
-def product(variants=None, emitters=None, files=FILES, photometries="", general=""):
+def product(
+    variants=None, emitters=None, files=FILES, photometries="", general="", head="<Header/>"
+):
     """The XML of a GLDF file."""
     geometries = (
         '<ModelGeometry id="geometry"><GeometryFileReference fileId="geo"/></ModelGeometry>'
     )
     return (
-        '<?xml version="1.0" encoding="UTF-8"?><Root><Header/><GeneralDefinitions>'
-        f"<Files>{files}</Files><Photometries>"
+        '<?xml version="1.0" encoding="UTF-8"?><Root>'
+        f"{head}<GeneralDefinitions><Files>{files}</Files><Photometries>"
         '<Photometry id="photometry"><PhotometryFileReference fileId="ldc"/></Photometry>'
         f"{photometries}</Photometries><Emitters>{emitters or emitter()}</Emitters>"
         f"<Geometries>{geometries}{general}</Geometries></GeneralDefinitions>"

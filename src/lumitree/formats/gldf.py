@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from lumitree.core.frames import rotation
 from lumitree.errors import LumitreeError, shown, shown_names
 from lumitree.formats.archive import Archive
+from lumitree.formats.l3d import zxy
 from lumitree.formats.opening import Opening
 from lumitree.formats.xml_tree import number_of, parse_xml, text_of
 
@@ -143,9 +144,11 @@ class _Reader:
         name = " ".join(dict.fromkeys(each for each in (product, own) if each))
         emitters, model, opening = self._geometry(found)
         if not emitters:
+            version = text_of(self._root, "Header/FormatVersion")
+            old = f"; it is of version {shown(version)}, where 1.0 is read" if version else ""
             raise LumitreeError(
                 f"its variant {shown(found.get('id', ''))!r} has no emitter that lights in normal "
-                "operation"
+                f"operation{old if version.startswith('0') else ''}"
             )
         return GldfVariant(
             shown(name) or "GLDF", tuple(emitters), model, opening, tuple(self._notes)
@@ -325,11 +328,6 @@ class _Reader:
 def _lumens(element: Element) -> float | None:
     lumens = number_of(element, "RatedLuminousFlux", 0.0)
     return lumens if lumens > 0 else None
-
-
-def zxy(x: float, y: float, z: float) -> NDArray[np.float64]:
-    """Rotation [3, 3] about z, then about the new x, then about the new y; degrees."""
-    return rotation((0, 0, 1), z) @ rotation((1, 0, 0), x) @ rotation((0, 1, 0), y)
 
 
 def _turn(element: Element | None) -> NDArray[np.float64]:

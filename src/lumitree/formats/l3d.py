@@ -14,10 +14,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.frames import similarity
+from lumitree.core.frames import rotation, similarity
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.archive import Archive
-from lumitree.formats.gldf import zxy
 from lumitree.formats.opening import Opening
 from lumitree.formats.xml_tree import number_of, parse_xml
 from lumitree.lamp.parts import check_shapes
@@ -187,6 +186,11 @@ def _place(element: Element) -> Matrix:
     if not (np.abs(at) <= _MAX_METRES).all():
         raise LumitreeError(f"the position of {_name(element)} is {at.tolist()} m")
     return similarity(np.eye(3) if turn is None else _rotation(turn), 1.0, at)
+
+
+def zxy(x: float, y: float, z: float) -> Matrix:
+    """Rotation [3, 3] about z, then about the new x, then about the new y; degrees."""
+    return rotation((0, 0, 1), z) @ rotation((1, 0, 0), x) @ rotation((0, 1, 0), y)
 
 
 def _rotation(element: Element) -> Matrix:
