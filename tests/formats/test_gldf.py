@@ -437,6 +437,8 @@ def test_hostile_archives(made, monkeypatch):
         (zipped({"product.xml": "<Root/>"}), "it has no variants"),
         (zipped({"product.xml": "<Other/>"}), "begins with <Other>"),
         (zipped({"product.xml": product()}), "geo/lamp.l3d.* not in the archive"),
+        (zipped({"product.xml": product(variant(""), emitters=" ")}), "no emitter that lights"),
+        (zipped({"product.xml": product(variant(""))}), "lamp.ldt, which is not in"),
         (
             zipped({"product.xml": product(head=OLD).replace("FixedLight", "Light")}),
             "no emitter that lights .*; it is of version 0.9, where 1.0 is read",

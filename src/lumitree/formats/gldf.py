@@ -31,7 +31,7 @@ _PRODUCT = "product.xml"
 _MM_PER_M = 1000.0
 _EMITTERS = ("ChangeableLightEmitter", "FixedLightEmitter", "MultiChannelLightEmitter")
 _DETAIL = {"Low": 0, "": 1, "Medium": 2, "High": 3}
-_MAX_SOURCES = 1000
+_MAX_SOURCES = 200
 
 
 @dataclasses.dataclass(frozen=True)
@@ -207,9 +207,9 @@ class _Reader:
             if each.get("targetModelType") == references[0].get("targetModelType")
         ]
         if not references:
-            only = self._root.findall("GeneralDefinitions/Emitters/Emitter")
-            references = [Element("EmitterReference", emitterId=only[0].get("id", ""))]
-            references = references if len(only) == 1 else []
+            emitters = self._root.findall("GeneralDefinitions/Emitters/Emitter")
+            references = [Element("", emitterId=each.get("id", "")) for each in emitters]
+            references = references if len(emitters) == 1 else []
         return self._emitters(references), None, None
 
     def _model(self, reference: Element) -> GldfFile | None:

@@ -146,11 +146,15 @@ def _all_starts(
 
 def _radiant_intensities(sources: Sequence[LightSource], frame: LocalFrame, name: str) -> Array:
     """Radiant intensity [S, R²] of each source, local units, whose flux is its lumens."""
-    candela = [bin_means(source.at) for source in sources]
-    resolution = math.isqrt(max(map(len, candela)))
+    # Lamps in one direction with one photometry are common.
+    keys = [(id(each.distribution), each.place[:3, :3].tobytes()) for each in sources]
+    candela = {
+        key: bin_means(source.at) for key, source in dict(zip(keys, sources, strict=True)).items()
+    }
+    resolution = math.isqrt(max(map(len, candela.values())))
     found = []
-    for source, values in zip(sources, candela, strict=True):
-        values = _fine(values[None], resolution)[0]
+    for source, key in zip(sources, keys, strict=True):
+        values = _fine(candela[key][None], resolution)[0]
         flux = float(values @ solid_angles(resolution))
         if not flux > 0:
             raise LumitreeError(f"a source of {name} emits nothing; expected intensities above 0")
