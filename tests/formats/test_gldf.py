@@ -296,6 +296,18 @@ def test_variants(made):
     assert gldf_variant("x.GLDF#y.gldf") == ("x.GLDF#y.gldf", None)
 
 
+def test_a_variant_in_a_scene(mi, made):
+    """Whose file names it by a path from its own folder."""
+    lumitree.register()
+    Path("sub").mkdir()
+    made(product(variant(name="a") + variant(name="b")), name="sub/lamp.gldf")
+    shape = '<shape type="lumitree_proxy"><string name="filename" value="lamp.gldf#b"/></shape>'
+    Path("sub/room.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
+    assert len(mi.load_file("sub/room.xml").shapes()) == 1
+    Path("room.toml").write_text('[lamps.x]\nasset = "sub/lamp.gldf#b"')
+    assert lumitree.read_placements("room.toml")[0].is_baked
+
+
 def test_sources():
     for name in ("a.gldf", "A.GLDF", "a.gldf#b", "a.gldf#v1.2", LuminaireSource("a.gldf#x/y")):
         assert source_kind(name) == "photometric"
