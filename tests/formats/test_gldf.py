@@ -14,7 +14,7 @@ from lumitree.core.octahedral import middle_directions
 from lumitree.core.photometry import flux_from_radiance, luminance
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.formats import archive as archives
-from lumitree.formats import l3d_geometry, light_field, light_sources
+from lumitree.formats import l3d_geometry, light_field, light_sources, xml_tree
 from lumitree.formats.archive import Archive
 from lumitree.formats.gldf import read_variant
 from lumitree.formats.ies import write_ies
@@ -410,7 +410,7 @@ def test_commands(made, capsys):
 
 
 def test_hostile_archives(made, monkeypatch):
-    path = Path(made())
+    path = Path(made()).absolute()
     # Names that lead out of a folder are read, and never written.
     xml = structure(file="../../../out.obj")
     made(model=l3d(xml, **{"../../../out_obj": obj(), "../x_png": b"x", "/x_png": b"x"}))
@@ -436,6 +436,10 @@ def test_hostile_archives(made, monkeypatch):
         lumitree.load(path)
     made(product() + " " * (1 << 20))
     with pytest.raises(LumitreeError, match="too large"):
+        lumitree.load(path)
+    monkeypatch.undo()
+    monkeypatch.setattr(xml_tree, "MAX_BYTES", 100)
+    with pytest.raises(LumitreeError, match="limit for a product of GLDF"):
         lumitree.load(path)
 
 

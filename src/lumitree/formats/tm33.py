@@ -36,7 +36,7 @@ from lumitree.formats.opening import POINT, Opening
 from lumitree.formats.photometric_text import MAX_ANGLES, number, warn_of_file
 from lumitree.formats.symmetry import completed, type_a, type_b, without_noise
 from lumitree.formats.type_c import IntensityDistribution, direction_of
-from lumitree.formats.xml_tree import number_of, parse_xml, text_of
+from lumitree.formats.xml_tree import MAX_BYTES, number_of, parse_xml, text_of
 
 KIND = "IES TM-33 file"
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ _HORIZONTAL, _VERTICAL = ("h", "horz", "horizontal"), ("v", "vert", "vertical")
 _OTHERS = ("RadiantData", "PhotonData")
 # Of the stated luminous flux, beyond which it is warned of.
 _TOLERANCE = 0.05
-_MAX_BYTES, _MAX_EMITTERS = 1 << 26, 100
+_MAX_EMITTERS = 100
 # Wavelengths, nm, at which spectra are summed.
 _VISIBLE = np.arange(360.0, 831.0)
 # Faces of a luminaire: the names of the two sides of an area, and their axes with y up.
@@ -74,7 +74,7 @@ def read_tm33(path: str | os.PathLike[str]) -> tuple[IntensityDistribution, RGB]
         LumitreeError: the file is missing or damaged, or has no luminous intensities.
     """
     name = shown(path, 300)
-    content = read_bytes(path, f"an {KIND}", _MAX_BYTES)
+    content = read_bytes(path, f"an {KIND}", MAX_BYTES)
     root = parse_xml(content, name, f"an {KIND}")
     try:
         with np.errstate(all="ignore"):

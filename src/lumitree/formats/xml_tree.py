@@ -6,7 +6,8 @@ from xml.parsers import expat
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.photometric_text import number
 
-_MAX_DEPTH, _MAX_ELEMENTS = 256, 1 << 21
+MAX_BYTES = 1 << 26
+_MAX_DEPTH, _MAX_ELEMENTS = 256, 1 << 20
 
 
 def parse_xml(content: bytes, name: str, expected: str) -> Element:
@@ -18,8 +19,13 @@ def parse_xml(content: bytes, name: str, expected: str) -> Element:
         expected: what it should be, for messages.
 
     Raises:
-        LumitreeError: it is not well-formed, declares entities, or is nested too deeply.
+        LumitreeError: it is not well-formed, declares entities, or is too large or nested too
+            deeply.
     """
+    if len(content) > MAX_BYTES:
+        raise LumitreeError(
+            f"{name} is larger than {MAX_BYTES >> 20} MiB, the limit for {expected}"
+        )
     builder, depth, count = TreeBuilder(), 0, 0
 
     def opened(tag: str, attributes: dict[str, str]) -> None:
