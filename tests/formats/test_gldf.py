@@ -377,6 +377,10 @@ def test_simple_geometries_and_none(made):
     )
     assert asset.frame.size[[0, 2]] == pytest.approx([0.3, 0.2])
     assert asset_lumens(asset) == pytest.approx(lobe().lumens, rel=5e-3)
+    xml = product(variant('<EmitterReference emitterId="e"/>'), emitter(lumens="350"))
+    with pytest.warns(LumitreeWarning, match="states 350 lm"):
+        asset = lumitree.load(made(xml, name="c.gldf"))
+    assert asset_lumens(asset) == pytest.approx(lobe().lumens / 2, rel=5e-3)
 
 
 def test_nothing_is_downloaded(made):

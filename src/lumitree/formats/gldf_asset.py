@@ -90,15 +90,15 @@ class _Bake:
 
     def _single(self, source: LightSource) -> Asset:
         """The asset of a photometry as its file has it."""
-        distribution = source.distribution
-        scale = source.lumens / distribution.lumens if distribution.lumens > 0 else 1.0
-        return bake_distribution(
+        asset = bake_distribution(
             dataclasses.replace(
-                distribution,
-                name=self._variant.name,
-                intensity=distribution.intensity * scale,
-                opening=source.opening,
+                source.distribution, name=self._variant.name, opening=source.opening
             )
+        )
+        field, factor = asset.light_field, source.lumens / source.distribution.lumens
+        assert field is not None
+        return dataclasses.replace(
+            asset, light_field=dataclasses.replace(field, scale=field.scale * factor)
         )
 
     def _source(self, emitter: GldfEmitter, model: L3d | None) -> LightSource:

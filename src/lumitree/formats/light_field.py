@@ -7,14 +7,14 @@ of 1 cm.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset, light_field_asset
-from lumitree.asset.light_field import MAX_RESOLUTION, make_light_field
+from lumitree.asset.light_field import make_light_field
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import direction_in_bin, middle_directions, solid_angles
@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 # Side of the box of a source without extent, m; and the shortest side, as a part of the longest.
 POINT_SIZE = 0.01
 _MIN_EXTENT = 1e-6
+# Bins of direction a side of an asset of a photometric file.
+RESOLUTIONS = (64, 128)
 # Points per bin and side of the quadrature.
 _FINE = 8
 # Bins of an asset of a photometric file, cells times bins of direction; 4 bytes each.
@@ -163,18 +165,23 @@ def bake_rays(rays: Rays, name: str, config: LightFieldConfig) -> Asset:
     )
 
 
-def bin_means(at: Callable[[Array], Array]) -> Array:
-    """Mean intensity [R²], cd, of each octahedral bin; R is 64, or 128 for steep intensities.
+def bin_means(at: Callable[[Array], Array], resolutions: Sequence[int] = RESOLUTIONS) -> Array:
+    """Mean intensity [R²], cd, of each octahedral bin.
 
     Args:
         at: intensity [...], cd, of directions [..., 3].
+        resolutions: R is the first that resolves the intensities, or the last.
     """
-    fine = _means(at, MAX_RESOLUTION)
-    half = MAX_RESOLUTION // 2
-    coarse = _means(at, half)
-    repeated = np.kron(coarse.reshape(half, half), np.ones((2, 2))).ravel()
-    error = np.sqrt(np.mean((fine - repeated) ** 2) / max(np.mean(fine**2), 1e-300))
-    return coarse if error < _COARSE_ERROR else fine
+    last = resolutions[-1]
+    fine = _means(at, last)
+    for resolution in resolutions[:-1]:
+        coarse = _means(at, resolution)
+        parts = np.ones((last // resolution,) * 2)
+        repeated = np.kron(coarse.reshape(resolution, resolution), parts).ravel()
+        error = np.sqrt(np.mean((fine - repeated) ** 2) / max(np.mean(fine**2), 1e-300))
+        if error < _COARSE_ERROR:
+            return coarse
+    return fine
 
 
 def _means(at: Callable[[Array], Array], resolution: int) -> Array:

@@ -154,7 +154,9 @@ def _radiant_intensities(sources: Sequence[LightSource], frame: LocalFrame, name
     resolution = math.isqrt(max(map(len, candela.values())))
     found = []
     for source, key in zip(sources, keys, strict=True):
-        values = _fine(candela[key][None], resolution)[0]
+        if len(candela[key]) < resolution**2:
+            candela[key] = bin_means(source.at, (resolution,))
+        values = candela[key]
         flux = float(values @ solid_angles(resolution))
         if not flux > 0:
             raise LumitreeError(f"a source of {name} emits nothing; expected intensities above 0")
