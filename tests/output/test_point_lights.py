@@ -1,19 +1,22 @@
 """Point lights have the flux of the field, and nearly its irradiance."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from lumitree.asset.asset import light_field_asset
 from lumitree.asset.light_field import make_light_field, unpack
-from lumitree.core.frames import LocalFrame, rotation
+from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import solid_angles
+from lumitree.errors import LumitreeError
 from support.light_fields import random_light_field
 
 pytestmark = pytest.mark.usefixtures("mi")
 
 
 def lights_of(field, count, half=(1, 1, 1), seed=0):
-    from lumitree.output.blender.lights import cluster_lights
+    from lumitree.output.point_lights import cluster_lights
 
     return cluster_lights(field, np.array(half, float), count, seed)
 
@@ -56,41 +59,38 @@ def test_equal_seeds_give_equal_lights():
     assert np.array_equal(first.intensity, second.intensity)
 
 
-def test_weights_of_a_table_are_those_of_linear_interpolation():
-    from lumitree.output.blender.lights import table_angles
+def test_clusters_are_those_of_scipy():
+    from scipy.cluster.vq import kmeans2
 
-    weight = table_angles(16)
-    assert 32 * weight.sum() == pytest.approx(4 * np.pi)
-    np.testing.assert_allclose(weight, weight[::-1])
-    # A hat of a row of another grid integrated by the midpoint rule.
-    latitude = (np.arange(200_000) + 0.5) / 200_000 * np.pi - np.pi / 2
-    row = (latitude / np.pi + 0.5) * 16 - 0.5
-    hat = np.maximum(0, 1 - np.abs(row - 5))
-    assert weight[5] == pytest.approx(
-        (hat * np.cos(latitude)).mean() * np.pi * (2 * np.pi / 32), rel=1e-4
-    )
+    from lumitree.output.point_lights import cluster_points
+
+    points = np.random.default_rng(1).normal(size=(3000, 3))
+    for count in (1, 2, 30):
+        expected, _ = kmeans2(points, count, 20, minit="++", rng=np.random.default_rng(5))
+        found = cluster_points(points, count, np.random.default_rng(5))
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
-def test_tables_hold_the_intensity_of_their_directions_and_its_flux():
-    from lumitree.output.blender.lights import PointLights, direction_tables, table_angles
-    from lumitree.output.blender.lights import table_directions as directions
+def test_there_are_no_more_clusters_than_different_points():
+    from lumitree.output.point_lights import cluster_points
 
-    turn = rotation([1, 2, 3], 40.0)
-    coarse = 32
-    mi = pytest.importorskip("mitsuba")
-    from lumitree.core.octahedral import direction_in_bin
+    points = np.repeat(np.eye(3), 50, axis=0)
+    found = cluster_points(points, 10, np.random.default_rng(2))
+    assert sorted(found.tolist()) == np.eye(3)[::-1].tolist()
 
-    bins = mi.UInt32(np.arange(coarse**2, dtype=np.uint32))
-    centre = np.array(direction_in_bin(bins, mi.Point2f(0.5), coarse)[0], np.float64).T
-    smooth = 2 + centre @ np.array([[1.0, 0, 0], [0, -1, 0.5], [0.3, 0, 1]])
-    lights = PointLights(np.zeros((1, 3)), smooth[None])
-    tables = direction_tables(lights, turn, 64)
-    local = directions(64) @ turn.T
-    expected = 2 + local @ np.array([[1.0, 0, 0], [0, -1, 0.5], [0.3, 0, 1]])
-    assert np.abs(tables[0] - expected).max() < 0.12
-    np.testing.assert_allclose(
-        np.einsum("shwc,h->sc", tables, table_angles(64)), lights.flux, rtol=1e-12
-    )
+
+def test_lights_that_a_gain_makes_black_are_left_out():
+    from lumitree.output.point_lights import place_lights
+
+    intensity = np.zeros((2, 16, 3))
+    intensity[0, :, 0] = intensity[1, :, 2] = 1
+    field = make_light_field(np.array([[0, 0, 0], [3, 0, 0]]), intensity, 2)
+    asset = light_field_asset(field, LocalFrame(np.ones(3), np.eye(4)), "red and blue")
+    red = place_lights(dataclasses.replace(asset, gain=(2.0, 1.0, 0.0)), np.eye(3), 2)
+    np.testing.assert_allclose(red.position, [[-0.75, -0.75, -0.75]])
+    np.testing.assert_allclose(red.watts, [[8 * np.pi, 0, 0]], rtol=1e-2)
+    with pytest.raises(LumitreeError, match="sends no light, because its gain is"):
+        place_lights(dataclasses.replace(asset, gain=(0.0, 1.0, 0.0)), np.eye(3), 2)
 
 
 def two_groups():
