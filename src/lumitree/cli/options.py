@@ -10,7 +10,7 @@ from lumitree.errors import LumitreeError
 LUMINAIRE = "built-in name, Mitsuba 3 scene (.xml) or model (.obj, .gltf, .glb)"
 
 # What is taken wherever an asset is.
-PHOTOMETRIC = ", or a photometric file (.ies, .ldt, .ray, .tm25ray)"
+PHOTOMETRIC = ", or a photometric file (.ies, .ldt, .gldf, .tm33, .ray, .tm25ray)"
 
 
 class Parser(argparse.ArgumentParser):
