@@ -48,6 +48,7 @@ class Purpose(enum.IntEnum):
     VISIBILITY = 23  # its surfaces in its box; draw 0: rays, step: rays at once; draw 1: curves
     RECEIVED = 24  # irradiance at points of a scene; step: samples at once
     SURFACES = 25  # radiance of the surfaces of an asset; step: faces at once
+    SPECTRUM = 26  # flux of each emitter of a luminaire, by which its spectrum is weighted
 
 
 @dataclasses.dataclass(frozen=True)

@@ -37,7 +37,8 @@ def replace_blackbodies(file: Any) -> list[str]:
 def _replaced(file: Any, emitter: Any) -> Iterator[str]:
     for name, node in file.children(emitter).items():
         if node.props.plugin_name() == "blackbody":
-            temperature, radiance = _radiance(node.props)
+            body = blackbody_of(node.props)
+            temperature, radiance = body[0], blackbody_radiance(*body)
             del emitter[name]
             emitter[name] = load_mitsuba().ScalarColor3d(radiance)
             colour = ", ".join(f"{channel:.4g}" for channel in radiance)
@@ -47,11 +48,16 @@ def _replaced(file: Any, emitter: Any) -> Iterator[str]:
             )
 
 
-def _radiance(props: Any) -> tuple[float, tuple[float, float, float]]:
+def blackbody_of(props: Any) -> tuple[float, float, float]:
+    """Temperature, K, and shortest and longest wavelength, nm, of the plugin `blackbody`.
+
+    Raises:
+        LumitreeError: one of them is no number.
+    """
     values = []
     for name, default in _PARAMETERS.items():
         value = props.get(name, default)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise LumitreeError(f"{name} of a blackbody is {shown(value, 60)}; expected a number")
         values.append(float(value))
-    return values[0], blackbody_radiance(*values)
+    return values[0], values[1], values[2]

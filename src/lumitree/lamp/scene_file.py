@@ -21,6 +21,7 @@ from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.lamp.importers.overrides import select_names
 from lumitree.lamp.media import keep_clear_channels
 from lumitree.lamp.scene_shapes import SceneShape, shape_of_node
+from lumitree.lamp.spectra import spectra_of_emitters
 
 # Largest nesting depths; in a luminaire's file they are about 8 and 6.
 _MAX_ELEMENTS, _MAX_OBJECTS = 64, 16
@@ -81,6 +82,8 @@ class SceneFile:
             self._select(keep, drop)
         # Last, because equal BSDFs become one, with one id.
         mi.parser.transform_merge_equivalent(self._config, self._state)
+        # Of emitters, by their ids.
+        self.spectra = spectra_of_emitters(self)
         # What has been read in another way than Mitsuba would; one line each.
         self.notes = replace_blackbodies(self)
 
