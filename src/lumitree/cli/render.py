@@ -81,7 +81,7 @@ def add(commands: Any) -> None:
         default="box",
         help="surface that carries a baked luminaire",
     )
-    options.add_variant(parser)
+    options.add_variant(parser, "; llvm_ad_spectral or cuda_ad_spectral to render spectra")
 
 
 def _add_placements(parser: argparse.ArgumentParser) -> None:

@@ -37,6 +37,8 @@ WAVELENGTHS = np.arange(360.0, 831.0)
 _PLANCK = 1.191043e20
 # Temperatures of the Planckian locus, K: neighbours differ by 0.5 %.
 _LOCUS_TEMPERATURES = np.geomspace(900.0, 1e5, 950)
+# Luminance of a spectrum of 1 per nm, for which Mitsuba's images of spectra have a luminance of 1.
+FILM_LUMINANCE = 106.7502593994140625
 # Largest distance from the locus for which a correlated colour temperature is defined (CIE 15).
 MAX_DUV = 0.05
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from lumitree.core.arguments import check_asset_output, check_light
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as steps
@@ -57,7 +57,7 @@ def bake_photometric(
             f"{shown(path, 300)} is not a photometric file; expected .ies, .ldt, .ray or .tm25ray"
         )
     refuse_options(described, "a photometric file")
-    load_mitsuba(variant)
+    load_rgb(variant)
     from lumitree.formats.light_field import bake_file
     from lumitree.rendering.asset_flux import with_light
 

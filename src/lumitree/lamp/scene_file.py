@@ -66,7 +66,8 @@ class SceneFile:
         # Shapes keep the ids of the file; unused parameters are not reported.
         self._config.merge_meshes = self._config.merge_equivalent = False
         self._config.unused_parameters = mi.LogLevel.Debug
-        with self._readable():
+        # Files of spectra are read here.
+        with self._searching(), self._readable():
             if described is None:
                 self._state = mi.parser.parse_file(self._config, str(source))
             else:
@@ -297,6 +298,13 @@ class SceneFile:
             waiting += inner - found
             found |= inner
         return found
+
+    def listed_spectra(self) -> Iterator[NDArray[np.float64]]:
+        """Wavelengths and values of all spectra of the scene, also of those that files list."""
+        kind = load_mitsuba().Properties.Type.Spectrum
+        for props in (node.props for node in self._used()):
+            for name in (key for key in list(props.keys()) if props.type(key) == kind):
+                yield np.array([*props[name].wavelengths, *props[name].values], np.float64)
 
     def references(self) -> list[Path]:
         """Paths of the files that the scene refers to."""

@@ -1,5 +1,6 @@
 """The spectra of a scene's emitters, of which RGB variants of Mitsuba keep the colour only."""
 
+import collections
 from typing import Any
 
 import numpy as np
@@ -16,16 +17,19 @@ Samples = tuple[NDArray[np.float64], NDArray[np.float64]]
 def spectra_of_emitters(file: Any) -> dict[str, Samples]:
     """The spectra of a scene file's surfaces that emit one, by the ids of their emitters.
 
-    Emitters without an id get one. Colours (RGB, textures, numbers) are no spectra.
+    Emitters without an id of their own get one. Colours (RGB, textures, numbers) are no spectra.
 
     Args:
         file: `SceneFile`, before black bodies are replaced.
     """
+    emitters = file.nodes("Emitter")
+    # Of a dictionary, several may have one.
+    ids = collections.Counter(node.props.id() for node in emitters)
     found = {}
-    for number, node in enumerate(file.nodes("Emitter")):
+    for number, node in enumerate(emitters):
         samples = _samples(file, node.props)
         if samples is not None:
-            if not node.props.id():
+            if not node.props.id() or ids[node.props.id()] > 1:
                 node.props.set_id(f"emitter {number}")
             found[node.props.id()] = samples
     return found

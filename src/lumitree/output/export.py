@@ -8,7 +8,7 @@ from typing import Literal
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_choice, check_range
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, atomic_path, check_writable, write_bytes
 from lumitree.core.results import Result
 from lumitree.core.seeds import check_seed
@@ -96,7 +96,7 @@ def export(
     check_choice("up", up, ("y", "z"))
     check_seed(seed)
     program = None if output.suffix == ".py" else find_blender(blender)
-    load_mitsuba()
+    load_rgb()
     watch = Stopwatch()
     with watch.stage("load"):
         given = open_asset(asset)

@@ -36,7 +36,7 @@ def emitted_spectrum(luminaire: Luminaire) -> EmittedSpectrum | None:
         if (visible := spectrum @ luminosity) > 0:
             power += flux / visible * spectrum
             lumens_known += flux
-    return EmittedSpectrum.of(power, min(lumens_known / max(lumens.sum(), 1e-300), 1.0))
+    return EmittedSpectrum.of(power, min(lumens_known / max(float(lumens.sum()), 1e-300), 1.0))
 
 
 def _lumens_by_emitter(luminaire: Luminaire) -> NDArray[np.float64]:

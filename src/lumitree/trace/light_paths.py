@@ -120,7 +120,7 @@ def _shading_correction(si, bsdf, sample, arriving, leaving):
 def _trace(scene, sampler, path_depth, reservoir):
     context = mi.BSDFContext(mi.TransportMode.Importance)
     extent = scene_extent(scene)
-    ray, light, _ = _emit(scene, sampler, extent)
+    ray, light = _emit(scene, sampler, extent)[:2]
     flux = mi.Color3f(light)
     # Where the last chain of transmissions began, and its direction there.
     start, start_direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)

@@ -11,7 +11,7 @@ All functions take the mi.MediumPtr of each path, which may be none.
 Symbols
     σ_s, σ_t    scattering and extinction, per scene unit
     T           transmittance of a segment: exp(-σ_t · length)
-    ρ           mi.Color3f, densities of the path so far, if sampled for R, G and B, over their mean
+    ρ           mi.Spectrum, densities of the path so far, sampled for each channel, over their mean
 """
 
 from typing import Any
@@ -21,7 +21,7 @@ import mitsuba as mi
 
 
 def coefficients(medium: Any, active: Any) -> tuple[Any, Any]:
-    """σ_s and σ_t (mi.Color3f), 0 outside of media: any point of a homogeneous medium will do."""
+    """σ_s and σ_t (mi.Spectrum), 0 outside of media: any point of a homogeneous medium will do."""
     inside = active & (medium != None)  # noqa: E711 (a vector comparison)
     scattering, _, extinction = medium.get_scattering_coefficients(
         dr.zeros(mi.MediumInteraction3f), inside
@@ -31,16 +31,17 @@ def coefficients(medium: Any, active: Any) -> tuple[Any, Any]:
 
 def draw_channel(sampler: Any) -> Any:
     """Index (mi.UInt32) of the channel for which a path is sampled."""
-    return mi.UInt32(dr.minimum(3 * sampler.next_1d(), 2))
+    channels = dr.size_v(mi.Spectrum)
+    return mi.UInt32(dr.minimum(channels * sampler.next_1d(), channels - 1))
 
 
 def free_flight(medium: Any, channel: Any, sampler: Any, active: Any) -> Any:
     """Distance (mi.Float) to the next scattering in a medium; infinite where nothing scatters."""
     scattering, extinction = coefficients(medium, active)
     scatters = active & (dr.max(scattering) > 0)
-    rate = dr.select(
-        channel == 0, extinction.x, dr.select(channel == 1, extinction.y, extinction.z)
-    )
+    *others, rate = extinction
+    for index in reversed(range(len(others))):
+        rate = dr.select(channel == index, others[index], rate)
     distance = -dr.log(1 - sampler.next_1d(scatters)) * dr.rcp(rate)
     return dr.select(scatters & (rate > 0), distance, dr.inf)
 
@@ -49,7 +50,7 @@ def segment_weight(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[An
     """A segment that ends before the `free_flight`.
 
     Returns:
-        Its weight (mi.Color3f), T over the chance of that; and ρ after it.
+        Its weight (mi.Spectrum), T over the chance of that; and ρ after it.
     """
     scattering, extinction = coefficients(medium, active)
     through = _transmittance(extinction, distance)
@@ -64,7 +65,7 @@ def scattering_weight(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple
 
 
 def transmittance(medium: Any, distance: Any, active: Any) -> Any:
-    """T (mi.Color3f) of a segment."""
+    """T (mi.Spectrum) of a segment."""
     return _transmittance(coefficients(medium, active)[1], distance)
 
 
@@ -85,7 +86,7 @@ def scattering_point(ray: Any, distance: Any) -> Any:
 
 
 def eval_phase(medium: Any, ray: Any, wo: Any, active: Any) -> tuple[Any, Any]:
-    """Value (mi.Color3f) and density of the phase function for a ray that arrives.
+    """Value (mi.Spectrum) and density of the phase function for a ray that arrives.
 
     Args:
         ray: mi.Ray3f.
@@ -93,7 +94,7 @@ def eval_phase(medium: Any, ray: Any, wo: Any, active: Any) -> tuple[Any, Any]:
     """
     context = mi.PhaseFunctionContext(None)
     value, pdf = medium.phase_function().eval_pdf(context, _scattering(ray), wo, active)
-    return mi.Color3f(value), pdf
+    return mi.Spectrum(value), pdf
 
 
 def sample_phase(medium: Any, ray: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any]:

@@ -14,6 +14,7 @@ from lumitree.core.photometry import WAVELENGTHS, blackbody_spectrum, srgb_from_
 from lumitree.core.spectrum import sampled_spectrum
 from lumitree.measure.photometry.colour import colour_figures, rendering_indices
 from support.lamps import AREA, GLASS, scene, sphere
+from support.tiny_bakes import LIGHT_FIELD
 
 PATHS = 1 << 14
 
@@ -111,7 +112,8 @@ def spectrum_file(path, spectrum):
 def test_a_lamp_its_asset_and_their_reports(folder, illuminants, capsys):
     emitter = spectrum_file(folder / "fl2.spd", illuminants["FL2"])
     (folder / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=emitter)))
-    result = lumitree.bake("lamp.xml", "lamp.lumitree", lumitree.BakeConfig.preview())
+    config = lumitree.BakeConfig(irradiance_paths=0, light_field=LIGHT_FIELD)
+    result = lumitree.bake("lamp.xml", "lamp.lumitree", config)
     assert result.asset.spectrum.share == 1
     reports = [
         lumitree.photometry(source, output, step=30, paths=PATHS)
