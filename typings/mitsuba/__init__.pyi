@@ -86,7 +86,7 @@ class Array3b(_Array3): ...
 class Color0f(_Array): ...
 class Spectrum(_Array): ...
 
-class Color3f(_Array):
+class Color3f(Spectrum):
     x: Any
     y: Any
     z: Any
@@ -349,6 +349,10 @@ class ShapePtr(_Array):
 
 class MediumPtr(_Array):
     def __getattr__(self, name: str) -> Any: ...
+
+class Struct:
+    class Type:
+        Float32: Any
 
 class Bitmap:
     def __init__(self, array: Any, *args: Any, **options: Any) -> None: ...

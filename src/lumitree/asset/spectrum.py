@@ -12,6 +12,8 @@ from lumitree.core.photometry import WAVELENGTHS
 from lumitree.core.reading import Record
 
 SPECTRUM_TENSORS = {"spectrum.power": "F32"}
+# Part of the luminous flux whose spectrum has to be known for that of the lamp to be.
+_WHOLE = 0.999
 _expect = functools.partial(expect, "spectrum")
 
 
@@ -45,6 +47,11 @@ class EmittedSpectrum:
             type(self.share) is float and 0 < self.share <= 1,
             f"share {self.share!r}, expected a number above 0, at most 1",
         )
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is that of all emitters, but for a thousandth of their luminous flux."""
+        return self.share >= _WHOLE
 
     @staticmethod
     def of(power: NDArray[np.float64], share: float = 1.0) -> "EmittedSpectrum | None":

@@ -55,8 +55,9 @@ def _lines(
     power = np.where(visible, _power(items, efficacy), 0)
     lower = place.astype(np.int64)
     size = len(WAVELENGTHS) + 1
-    upper = np.bincount(lower + 1, power * (place - lower), size)
-    return (np.bincount(lower, power * (1 - (place - lower)), size) + upper)[:-1]
+    parts = (lower, 1 - (place - lower)), (lower + 1, place - lower)
+    binned = sum(np.bincount(at, power * part, size) for at, part in parts)
+    return np.asarray(binned, np.float64)[:-1]
 
 
 def _mixture(

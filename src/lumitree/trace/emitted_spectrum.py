@@ -46,4 +46,5 @@ def _lumens_by_emitter(luminaire: Luminaire) -> NDArray[np.float64]:
         return np.ones(1)
     sampler = seeded_sampler(SeedStream(Purpose.SPECTRUM).seed(0), _PATHS)
     flux, emitter = emitted_flux(luminaire, sampler, _PATHS)
-    return np.bincount(np.array(emitter), luminance(as_rows(flux)), count)
+    lumens = np.bincount(np.array(emitter), luminance(as_rows(flux)), count)
+    return lumens.astype(np.float64)

@@ -6,7 +6,8 @@ weight is over the mean density of all three along the whole path (Wilkie et al.
 Wavelength Spectral Sampling). A medium that only absorbs attenuates a segment exactly and needs no
 random number.
 
-All functions take the mi.MediumPtr of each path, which may be none.
+All functions take the mi.MediumPtr of each path, which may be none. In spectral variants they need
+its wavelengths.
 
 Symbols
     σ_s, σ_t    scattering and extinction, per scene unit
@@ -20,13 +21,14 @@ import drjit as dr
 import mitsuba as mi
 
 
-def coefficients(medium: Any, active: Any) -> tuple[Any, Any]:
+def coefficients(medium: Any, active: Any, wavelengths: Any = None) -> tuple[Any, Any]:
     """σ_s and σ_t (mi.Spectrum), 0 outside of media: any point of a homogeneous medium will do."""
     inside = active & (medium != None)  # noqa: E711 (a vector comparison)
-    scattering, _, extinction = medium.get_scattering_coefficients(
-        dr.zeros(mi.MediumInteraction3f), inside
-    )
-    return scattering, extinction
+    anywhere = dr.zeros(mi.MediumInteraction3f)
+    if wavelengths is not None and mi.is_spectral:
+        anywhere.wavelengths = wavelengths
+    scattering, _, extinction = medium.get_scattering_coefficients(anywhere, inside)
+    return mi.Spectrum(scattering), mi.Spectrum(extinction)
 
 
 def draw_channel(sampler: Any) -> Any:
@@ -35,9 +37,11 @@ def draw_channel(sampler: Any) -> Any:
     return mi.UInt32(dr.minimum(channels * sampler.next_1d(), channels - 1))
 
 
-def free_flight(medium: Any, channel: Any, sampler: Any, active: Any) -> Any:
+def free_flight(
+    medium: Any, channel: Any, sampler: Any, active: Any, wavelengths: Any = None
+) -> Any:
     """Distance (mi.Float) to the next scattering in a medium; infinite where nothing scatters."""
-    scattering, extinction = coefficients(medium, active)
+    scattering, extinction = coefficients(medium, active, wavelengths)
     scatters = active & (dr.max(scattering) > 0)
     *others, rate = extinction
     for index in reversed(range(len(others))):
@@ -46,27 +50,31 @@ def free_flight(medium: Any, channel: Any, sampler: Any, active: Any) -> Any:
     return dr.select(scatters & (rate > 0), distance, dr.inf)
 
 
-def segment_weight(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[Any, Any]:
+def segment_weight(
+    medium: Any, distance: Any, ρ: Any, active: Any, wavelengths: Any = None
+) -> tuple[Any, Any]:
     """A segment that ends before the `free_flight`.
 
     Returns:
         Its weight (mi.Spectrum), T over the chance of that; and ρ after it.
     """
-    scattering, extinction = coefficients(medium, active)
+    scattering, extinction = coefficients(medium, active, wavelengths)
     through = _transmittance(extinction, distance)
     return _weighted(through, dr.select(dr.max(scattering) > 0, through, 1), ρ)
 
 
-def scattering_weight(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[Any, Any]:
+def scattering_weight(
+    medium: Any, distance: Any, ρ: Any, active: Any, wavelengths: Any = None
+) -> tuple[Any, Any]:
     """A segment that ends by scattering, as `segment_weight`: σ_s T over its density."""
-    scattering, extinction = coefficients(medium, active)
+    scattering, extinction = coefficients(medium, active, wavelengths)
     through = _transmittance(extinction, distance)
     return _weighted(scattering * through, extinction * through, ρ)
 
 
-def transmittance(medium: Any, distance: Any, active: Any) -> Any:
+def transmittance(medium: Any, distance: Any, active: Any, wavelengths: Any = None) -> Any:
     """T (mi.Spectrum) of a segment."""
-    return _transmittance(coefficients(medium, active)[1], distance)
+    return _transmittance(coefficients(medium, active, wavelengths)[1], distance)
 
 
 def medium_after(si: Any, direction: Any, medium: Any, active: Any) -> Any:
@@ -121,4 +129,4 @@ def _weighted(value: Any, density: Any, ρ: Any) -> tuple[Any, Any]:
 
 def _transmittance(extinction: Any, distance: Any) -> Any:
     # A ray that meets nothing is infinite, and 0 · ∞ is not a number.
-    return dr.select(extinction > 0, dr.exp(-extinction * distance), 1)
+    return mi.Spectrum(dr.select(extinction > 0, dr.exp(-extinction * distance), 1))

@@ -21,9 +21,6 @@ from lumitree.core.photometry import (
     xyz_temperature,
 )
 
-# Part of the luminous flux whose spectrum has to be known.
-_KNOWN = 0.999
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RenderingIndices:
@@ -74,7 +71,7 @@ def colour_figures(
     Returns:
         The figures; None if the spectrum of more than 0.1 % of the luminous flux is not known.
     """
-    if spectrum is None or spectrum.share < _KNOWN:
+    if spectrum is None or not spectrum.is_whole:
         return None
     power = spectrum.power.astype(np.float64)
     xyz = xyz_of_spectrum(power)

@@ -20,13 +20,13 @@ class Radiance:
     """RGB radiance of the front of a surface.
 
     Args:
-        texture: what has it, or None.
-        constant: R, G and B in place of a texture.
+        source: a texture that has it, or R, G and B.
     """
 
-    def __init__(self, texture: mi.Texture | None, constant: Sequence[float] | None = None) -> None:
-        self._texture = texture
-        self._constant = None if constant is None else parameter(mi.Color3f, *constant)
+    def __init__(self, source: mi.Texture | Sequence[float]) -> None:
+        self._texture = source if isinstance(source, mi.Texture) else None
+        if not isinstance(source, mi.Texture):
+            self._constant = parameter(mi.Color3f, *source)
 
     def __call__(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
         """Radiance of a point."""
@@ -72,7 +72,7 @@ class Materials:
             return Radiance(make_properties("", values).get_emissive_texture("radiance"))
         if not isinstance(radiance, dict):
             # As a texture it would be a spectrum already.
-            return Radiance(None, np.broadcast_to(radiance, 3).tolist())
+            return Radiance(np.broadcast_to(radiance, 3).tolist())
         if "attribute" in radiance:
             raise LumitreeError(
                 "a surface of the lamp emits by the colours of its vertices, which spectral "

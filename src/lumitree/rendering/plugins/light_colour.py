@@ -35,8 +35,6 @@ from lumitree.core.photometry import (
 )
 from lumitree.core.spectrum import sampled_spectrum
 
-# Part of the luminous flux whose spectrum has to be known.
-KNOWN_SHARE = 0.999
 # Condition number of A above which S has not enough colours.
 _MAX_CONDITION = 1e3
 # nm between the nodes of the basis, and the weight of its constraints beside its slope.
@@ -84,16 +82,18 @@ class SpectralColour(LightColour):
         for index in range(len(value)):
             place = wavelengths[index] - WAVELENGTHS[0]
             lower = dr.clip(mi.UInt32(place), 0, len(WAVELENGTHS) - 2)
-            pair = [dr.gather(mi.Color3f, self._table, lower + offset) for offset in range(2)]
-            value[index] = dr.dot(rgb, dr.lerp(*pair, place - lower))
+            left, right = (dr.gather(mi.Color3f, self._table, lower + each) for each in (0, 1))
+            value[index] = dr.dot(rgb, dr.lerp(left, right, place - lower))
         return value
 
 
 def light_table(asset: Asset) -> NDArray[np.float64]:
     """Spectra [471, 3] of R = 1, of G = 1 and of B = 1."""
     found = asset.spectrum
-    known = found is not None and found.share >= KNOWN_SHARE
-    spectrum = found.power.astype(np.float64) if known else d65()
+    if found is not None and found.is_whole:
+        spectrum = found.power.astype(np.float64)
+    else:
+        spectrum = d65()
     parts = spectrum[:, None] * smooth_basis()
     colours = srgb_from_xyz(xyz_of_spectrum(parts.T)).T / FILM_LUMINANCE
     if np.linalg.cond(colours) > _MAX_CONDITION:
@@ -105,7 +105,8 @@ def d65() -> NDArray[np.float64]:
     """D65 at `WAVELENGTHS`, as Mitsuba has it."""
     parameters = mi.traverse(mi.load_dict({"type": "d65"}))
     values = np.array(parameters["values"], np.float64)
-    return sampled_spectrum(np.linspace(*np.ravel(parameters["range"]), len(values)), values)
+    first, last = np.ravel(parameters["range"]).tolist()
+    return sampled_spectrum(np.linspace(first, last, len(values)), values)
 
 
 @functools.cache

@@ -78,7 +78,7 @@ def _transmittance(
     if dr.hint(not scene.has_null_surfaces, mode="scalar"):
         through[traced.ray_test(ray, active)] = 0
         if dr.hint(scene.has_media, mode="scalar"):
-            through *= medium_paths.transmittance(medium, ray.maxt, active)
+            through *= medium_paths.transmittance(medium, ray.maxt, active, ray.wavelengths)
     else:
         owners = scene.divided.owners
         crossings = mi.UInt32(0)
@@ -87,7 +87,7 @@ def _transmittance(
             hit = active & pi.is_valid()
             if dr.hint(scene.has_media, mode="scalar"):
                 length = dr.minimum(pi.t, ray.maxt)
-                through *= medium_paths.transmittance(medium, length, active)
+                through *= medium_paths.transmittance(medium, length, active, ray.wavelengths)
             bsdf = pi.shape.bsdf()
             flags = bsdf.flags()
             null = hit & mi.has_flag(flags, mi.BSDFFlags.Null)
