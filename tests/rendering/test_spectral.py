@@ -33,14 +33,6 @@ def run(script, *arguments):
     return result.stdout
 
 
-@pytest.fixture(scope="module")
-def lamps(mi, tmp_path_factory):
-    """Folder with lamps."""
-    folder = tmp_path_factory.mktemp("spectral")
-    images.write_lamps(folder)
-    return folder
-
-
 def assert_equal_colours(folder, samples, names):
     """Images of lamps have equal colours in RGB and in spectral variants, within 2 %."""
     printed = run(IMAGES, SPECTRAL, folder, samples, *names)
@@ -50,14 +42,16 @@ def assert_equal_colours(folder, samples, names):
         assert np.array(found[name]) == pytest.approx(np.array(expected), rel=0.02), name
 
 
-def test_a_baked_lamp_has_the_colours_of_rgb_variants(lamps):
-    assert_equal_colours(lamps, 1024, ["baked"])
+def test_a_baked_lamp_has_the_colours_of_rgb_variants(mi, tmp_path):
+    images.write_lamps(tmp_path, ["baked"])
+    assert_equal_colours(tmp_path, 1024, ["baked"])
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::lumitree.errors.LumitreeWarning")
-def test_all_kinds_of_lamps_have_the_colours_of_rgb_variants(lamps):
-    assert_equal_colours(lamps, 4096, ["spectrum", "field", "blackbody"])
+def test_all_kinds_of_lamps_have_the_colours_of_rgb_variants(mi, tmp_path):
+    images.write_lamps(tmp_path, ["textured"])
+    assert_equal_colours(tmp_path, 4096, ["textured", "spectrum", "field", "blackbody"])
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 SIZE = (24, 18)
 COLOURED = '<emitter type="area"><rgb name="radiance" value="9,3,1"/></emitter>'
@@ -19,25 +20,35 @@ BLACKBODY = (
 
 
 def room(mi):
-    """A box, and a camera in it."""
+    """A box, a ball of fog and a camera in it."""
     to_world = mi.ScalarTransform4f
     film = {"type": "hdrfilm", "width": SIZE[0], "height": SIZE[1], "rfilter": {"type": "box"}}
     look = to_world().look_at([0, 0, 3.5], [0, 0, 0], [0, 1, 0])
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
+    extinction = {"type": "rgb", "value": [0.2, 0.5, 0.9]}
+    fog = {"type": "homogeneous", "albedo": 0.8, "sigma_t": extinction}
     walls = to_world().scale([2.5, 2, 4]).rotate([0, 1, 0], 1)
     return {
         "type": "scene",
         "integrator": {"type": "lumitree_path", "max_depth": 4},
         "sensor": {"type": "perspective", "fov": 70, "to_world": look, "film": film},
+        "fog": {
+            "type": "sphere",
+            "radius": 0.6,
+            "center": [1.2, -0.5, 1.2],
+            "bsdf": {"type": "null"},
+            "interior": fog,
+        },
         "room": {"type": "cube", "flip_normals": True, "to_world": walls, "bsdf": grey},
     }
 
 
-def write_lamps(folder):
-    """Write assets and scenes into a folder, with an RGB variant.
+def write_lamps(folder, baked):
+    """Write assets and scenes into a folder, with an RGB variant; bake the lamps that are named.
 
-    "baked": a coloured ball in glass, with its geometry; "spectrum": a light field of all colours,
-    and a spectrum; "field": a field alone; "blackbody": an explicit lamp.
+    "baked": a coloured ball in glass, with its geometry; "textured": a square that emits an image,
+    likewise; "spectrum": a light field of all colours, and a spectrum; "field": a field alone;
+    "blackbody": an explicit lamp.
     """
     from dataclasses import replace
 
@@ -60,8 +71,14 @@ def write_lamps(folder):
     for name, emitter in emitters.items():
         shapes = (sphere("ball", 0.3, inside=emitter), sphere("glass", 0.5, inside=GLASS))
         (folder / f"{name}.xml").write_text(scene(*shapes[: 1 + (name == "baked")]))
+    pixels = np.random.default_rng(0).integers(0, 256, (8, 8, 3), np.uint8)
+    Image.fromarray(pixels).save(folder / "pattern.png")
+    pattern = '<texture type="bitmap" name="radiance"><string name="filename" value="pattern.png"/>'
+    emitter = f'<emitter type="area">{pattern}</texture></emitter>'
+    (folder / "textured.xml").write_text(scene(f'<shape type="rectangle">{emitter}</shape>'))
     config = lumitree.BakeConfig(irradiance_paths=0, light_field=LIGHT_FIELD)
-    lumitree.bake(folder / "baked.xml", folder / "baked.lumitree", config)
+    for name in baked:
+        lumitree.bake(folder / f"{name}.xml", folder / f"{name}.lumitree", config)
 
 
 def mean_colours(folder, variant, samples, lamps):

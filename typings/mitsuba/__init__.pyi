@@ -132,6 +132,7 @@ class Frame3f(_Struct):
     def cos_theta(v: Any) -> Any: ...
 
 class Ray3f(_Struct):
+    wavelengths: Any
     o: Point3f
     d: Vector3f
     maxt: Any
