@@ -163,7 +163,7 @@ class Asset:
             parts=self.parts,
             appearance=self.appearance,
             gain=self.gain,
-            spectrum_share=0.0 if self.spectrum is None else self.spectrum.share,
+            spectrum_share=None if self.spectrum is None else self.spectrum.share,
         )
 
     def eval(
@@ -230,7 +230,7 @@ class AssetInfo:
         gain: [3] factors on the R, G and B of its light, which a luminous flux or a colour
             temperature that was asked for has made other than 1.
         spectrum_share: part of the luminous flux of the luminaire's emitters whose spectrum is
-            known, 0 to 1.
+            known; None if it is that of none.
     """
 
     luminaire: str
@@ -250,7 +250,7 @@ class AssetInfo:
     light_field_paths: int | None = None
     light_field_noise: float | None = None
     gain: tuple[float, float, float] = NO_GAIN
-    spectrum_share: float = 0.0
+    spectrum_share: float | None = None
 
 
 def light_field_asset(
