@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from lumitree.core.arguments import check_asset_output, check_light
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as steps
@@ -59,7 +59,7 @@ def bake_photometric(
             ".ray or .tm25ray"
         )
     refuse_options(described, "a photometric file")
-    load_mitsuba(variant)
+    load_rgb(variant)
     from lumitree.formats.file_bakes import bake_file
     from lumitree.rendering.asset_flux import with_light
 

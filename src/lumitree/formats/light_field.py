@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset, light_field_asset
 from lumitree.asset.light_field import make_light_field
+from lumitree.asset.spectrum import EmittedSpectrum
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import direction_in_bin, middle_directions, solid_angles
@@ -160,9 +161,9 @@ def bake_rays(rays: Rays, name: str, config: LightFieldConfig) -> Asset:
         on_device(mi.Point3f, origin), on_device(mi.Vector3f, rays.direction), rays.flux.T
     )
     intensity = histogram.flux / solid_angles(config.resolution)[:, None] / frame.scale**2
-    return light_field_asset(
-        make_light_field(histogram.cells, intensity, config.depth), frame, name
-    )
+    field = make_light_field(histogram.cells, intensity, config.depth)
+    spectrum = None if rays.spectrum is None else EmittedSpectrum.of(rays.spectrum)
+    return light_field_asset(field, frame, name, spectrum)
 
 
 def bin_means(at: Callable[[Array], Array], resolutions: Sequence[int] = RESOLUTIONS) -> Array:

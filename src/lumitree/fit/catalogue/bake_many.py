@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lumitree.core.arguments import check_asset_output
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import MANIFEST
 from lumitree.core.files import FilePath, WriteError, exclusive
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
@@ -114,7 +114,7 @@ def bake_many(
     named = _named([as_source(each) for each in luminaires], root)
     config = BakeConfig.standard() if config is None else config
     warn_of_unused(named.values(), config)
-    load_mitsuba(variant)
+    load_rgb(variant)
     lamps = [BakedLamp(name, source.name, "waiting") for name, source in named.items()]
     stopped_by = None
     jobs = deque(

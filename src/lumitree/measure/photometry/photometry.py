@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_choice, check_range
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, check_writable
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import ImageResult
@@ -133,7 +133,7 @@ def photometry(
     check_seed(seed)
     check_choice("up", up, ("y", "z"))
     metres = metres_of(unit)
-    load_mitsuba(variant)
+    load_rgb(variant)
     from lumitree.formats.type_c import Grid
     from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.photometry.far_field import (
