@@ -9,22 +9,21 @@ of 1 cm.
 import itertools
 import math
 import os
-from pathlib import Path
+from collections.abc import Sequence
 
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset, light_field_asset
-from lumitree.asset.light_field import MAX_RESOLUTION, make_light_field
+from lumitree.asset.light_field import make_light_field
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
-from lumitree.core.octahedral import direction_in_bin, middle_directions, solid_angles
+from lumitree.core.octahedral import middle_directions, solid_angles
 from lumitree.core.photometry import LUMENS_PER_WATT
 from lumitree.errors import LumitreeError
-from lumitree.formats.ies import read_ies
-from lumitree.formats.ldt import read_ldt
 from lumitree.formats.opening import Opening
+from lumitree.formats.photometric_file import read_distribution
 from lumitree.formats.rays import Rays
 from lumitree.formats.tm25 import read_tm25
 from lumitree.formats.type_c import IntensityDistribution
@@ -34,15 +33,17 @@ from lumitree.trace.light_field_config import LightFieldConfig
 # Side of the box of a source without extent, m; and the shortest side, as a part of the longest.
 POINT_SIZE = 0.01
 _MIN_EXTENT = 1e-6
-# Points per bin and side of the quadrature.
-_FINE = 8
-# Bins of an asset of a photometric file, cells times bins of direction; 4 bytes each.
-_MAX_BINS = 1 << 21
+# Bins of direction a side of an asset of a photometric file: of any opening, and of flat ones.
+_RESOLUTIONS, _FLAT_RESOLUTIONS = (64, 128), (64, 128, 256, 512)
+# Number of its bins, cells times bins of direction; 4 bytes each.
+_MAX_BINS = 1 << 22
 _MAX_DEPTH, _DISK_DEPTH = 3, 3
 # Bins of direction a side in which the light starts in the same cells, and how many at once.
 _COARSE, _BINS_AT_ONCE = 32, 32
-# Relative RMS error of intensities that are constant in coarser bins.
-_COARSE_ERROR = 0.02
+# Error between the middles of bins, over the largest intensity, at which there are enough.
+_BIN_ERROR = 0.0025
+# Weights of the quarters of bins around a bin, along each side; and steps of the fit to them.
+_QUARTERS, _FIT_STEPS = (0.25, 0.75, 0.75, 0.25), 2
 
 
 def bake_file(path: str | os.PathLike[str], config: LightFieldConfig) -> Asset:
@@ -50,16 +51,16 @@ def bake_file(path: str | os.PathLike[str], config: LightFieldConfig) -> Asset:
 
     Args:
         path: file with one of `lamp.source.PHOTOMETRIC_SUFFIXES`.
-        config: grid of a ray file's light field. That of a photometric file has 64² or 128² bins of
+        config: grid of a ray file's light field. That of a photometric file has 64² to 512² bins of
             direction, by how steep its intensities are, and as many cells as its opening needs.
 
     Raises:
         LumitreeError: the file cannot be read, or emits nothing.
     """
-    if Path(path).suffix.lower() in (".ies", ".ldt"):
-        read = read_ies if Path(path).suffix.lower() == ".ies" else read_ldt
-        return bake_distribution(read(path))
-    return bake_rays(*read_tm25(path), config)
+    distribution = read_distribution(path)
+    if distribution is None:
+        return bake_rays(*read_tm25(path), config)
+    return bake_distribution(distribution)
 
 
 def bake_distribution(distribution: IntensityDistribution) -> Asset:
@@ -69,18 +70,13 @@ def bake_distribution(distribution: IntensityDistribution) -> Asset:
         opening = Opening((POINT_SIZE, POINT_SIZE, POINT_SIZE))
     sides = np.array(opening.sides)
     frame = LocalFrame.of_box(-sides / 2, sides / 2)
-    candela = _bin_means(distribution)
-    resolution = math.isqrt(len(candela))
-    total = float(candela @ solid_angles(resolution))
-    if not total > 0:
-        raise LumitreeError(f"{distribution.name} emits nothing; expected intensities above 0")
-    # The quadrature is exact to about 0.1 %.
-    candela *= distribution.lumens / total
     if opening.is_flat or opening.sides != distribution.opening.sides:
         depth, cells, area = _flat_shares(opening, frame)
-        shares = area[:, None]
+        resolutions = [each for each in _FLAT_RESOLUTIONS if len(cells) * each**2 <= _MAX_BINS]
+        candela, shares = _by_bin(distribution, resolutions), area[:, None]
     else:
-        depth, cells, shares = _projected_shares(opening, frame, resolution)
+        candela = _by_bin(distribution, _RESOLUTIONS)
+        depth, cells, shares = _projected_shares(opening, frame, math.isqrt(len(candela)))
     watts = candela / LUMENS_PER_WATT / frame.scale**2
     intensity = np.broadcast_to((shares * watts)[..., None], (len(cells), len(watts), 3))
     return light_field_asset(make_light_field(cells, intensity, depth), frame, distribution.name)
@@ -199,22 +195,79 @@ def bake_rays(rays: Rays, name: str, config: LightFieldConfig) -> Asset:
     )
 
 
-def _bin_means(distribution: IntensityDistribution) -> NDArray[np.float64]:
-    """Mean intensity [R²], cd, of each octahedral bin; R is 64, or 128 for steep intensities."""
-    fine = _means(distribution, MAX_RESOLUTION)
-    half = MAX_RESOLUTION // 2
-    coarse = _means(distribution, half)
-    repeated = np.kron(coarse.reshape(half, half), np.ones((2, 2))).ravel()
-    error = np.sqrt(np.mean((fine - repeated) ** 2) / max(np.mean(fine**2), 1e-300))
-    return coarse if error < _COARSE_ERROR else fine
+def _by_bin(distribution: IntensityDistribution, resolutions: Sequence[int]) -> NDArray[np.float64]:
+    """Intensity [R²], cd, in the middle of each octahedral bin, with the distribution's flux.
+
+    Light in other directions is linear between the middles. R is the first of `resolutions` that
+    resolves the intensities, or the last.
+
+    Raises:
+        LumitreeError: it emits nothing.
+    """
+    candela = np.zeros((1, 1))
+    for resolution in resolutions:
+        exact, weight = _sampled(distribution, 2 * resolution)
+        candela = _fitted(exact, weight, _sampled(distribution, resolution)[0])
+        if np.abs(_between(candela) - exact).max() <= _BIN_ERROR * exact.max():
+            break
+    total = float(candela.ravel() @ solid_angles(len(candela)))
+    if not total > 0:
+        raise LumitreeError(f"{distribution.name} emits nothing; expected intensities above 0")
+    return candela.ravel() * (distribution.lumens / total)
 
 
-def _means(distribution: IntensityDistribution, resolution: int) -> NDArray[np.float64]:
-    points = (np.indices((_FINE, _FINE)).reshape(2, -1).T + 0.5) / _FINE
-    bins = on_device(mi.UInt32, np.repeat(np.arange(resolution**2), len(points)))
-    sample = on_device(mi.Point2f, np.tile(points, (resolution**2, 1)))
-    direction, density = direction_in_bin(bins, sample, resolution)
-    weight = 1 / np.array(density, np.float64)
-    value = distribution.at(np.array(direction, np.float64).reshape(3, -1).T)
-    parts = (each.reshape(-1, len(points)).sum(axis=1) for each in (weight * value, weight))
-    return np.divide(*parts)
+def _sampled(
+    distribution: IntensityDistribution, resolution: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Intensities [R, R] in the middles of bins, and relative solid angles of bins."""
+    directions = middle_directions(resolution)
+    # Solid angle is area on the octahedron over the cube of the distance from the centre.
+    weight = np.abs(directions).sum(axis=1) ** 3
+    shape = resolution, resolution
+    return distribution.at(directions).reshape(shape), weight.reshape(shape)
+
+
+def _fitted(
+    exact: NDArray[np.float64], weight: NDArray[np.float64], candela: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Values [R, R] in the middles of bins, between which the error is smaller.
+
+    The map of directions has a kink where a coordinate of a direction is 0, on sides of bins, where
+    the values next to it are as wrong as half a bin is wide. Steps towards least squares lower
+    this. Values stay within those around them, so no edge of a beam gets a bright or dark seam.
+
+    Args:
+        exact: [2R, 2R] intensities in the middles of the quarters of bins.
+        weight: [2R, 2R] their solid angles.
+        candela: [R, R] intensities in the middles of bins.
+    """
+    around = _around(exact)
+    low, high = np.min(around, axis=(0, 1)), np.max(around, axis=(0, 1))
+    shares = np.multiply.outer(_QUARTERS, _QUARTERS)
+    total = np.tensordot(shares, _around(weight))
+    for _ in range(_FIT_STEPS):
+        error = np.tensordot(shares, _around(weight * (exact - _between(candela))))
+        candela = np.clip(candela + error / total, low, high)
+    return candela
+
+
+def _between(candela: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values [2R, 2R] in the middles of the quarters of bins, linear between those [R, R]."""
+    padded = _padded(candela)
+    for _ in range(2):
+        below, here, above = padded[:-2], padded[1:-1], padded[2:]
+        both = np.stack([0.75 * here + 0.25 * below, 0.75 * here + 0.25 * above], axis=1)
+        padded = both.reshape(-1, padded.shape[1]).T
+    return padded
+
+
+def _around(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values [4, 4, R, R] of the 16 quarters of bins in and next to each bin, of [2R, 2R]."""
+    windows = np.lib.stride_tricks.sliding_window_view(_padded(values), (4, 4))
+    return windows[::2, ::2].transpose(2, 3, 0, 1)
+
+
+def _padded(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A map [N, N] with what is next to it: beyond a side is the other half of the same side."""
+    rows = np.vstack([values[:1, ::-1], values, values[-1:, ::-1]])
+    return np.hstack([rows[::-1, :1], rows, rows[::-1, -1:]])
