@@ -9,9 +9,10 @@ import lumitree
 from lumitree.asset.light_field import unpack
 from lumitree.core.device import on_device
 from lumitree.core.frames import rotation, similarity
-from lumitree.core.octahedral import bin_of
+from lumitree.core.octahedral import bin_of, interpolated, middle_directions
 from lumitree.core.photometry import LUMENS_PER_WATT, blackbody_colour, luminance
 from lumitree.errors import LumitreeError
+from lumitree.formats import light_field as baking
 from lumitree.formats.ies import write_ies
 from lumitree.formats.ldt import write_ldt
 from lumitree.formats.light_field import (
@@ -75,6 +76,23 @@ def test_a_distribution_keeps_its_flux_and_its_intensities(mi, opening):
     assert found.mean() == pytest.approx(np.mean(exact), rel=3e-3)
 
 
+def test_quarters_of_bins_are_those_of_the_renderer(mi):
+    """Against the interpolation in any direction, over all seams of the map."""
+    values = np.random.default_rng(0).random((8, 8))
+    expected = interpolated(values.ravel(), middle_directions(16)).reshape(16, 16)
+    assert baking._between(values) == pytest.approx(expected, abs=1e-5)
+
+
+def test_an_edge_of_the_light_does_not_ring(mi):
+    """100 cd below, dark above: no bin gets more, and the flux is that of a half sphere."""
+    gamma = np.array([0.0, 90, 90.001, 180])
+    lamp = IntensityDistribution("half", np.zeros(1), gamma, np.array([[100.0, 100, 0, 0]]))
+    asset = bake_distribution(lamp)
+    found = bin_intensity(asset, middle_directions(256))
+    assert 0 <= found.min() <= found.max() < 100.5
+    assert asset_lumens(asset) == pytest.approx(200 * np.pi, rel=2e-3)
+
+
 def even(opening, gamma_power=0.0):
     """100 cosⁿ γ cd below; n = 0 is 100 cd in all directions."""
     grid = Grid(2.5)
@@ -136,6 +154,95 @@ def test_near_an_opening(mi, tmp_path, opening, power, point, exact):
     assert noise < 0.004 * exact
     # The first point is nearer to the sphere than a cell is wide.
     assert lux == pytest.approx(exact, rel=0.05 if exact > 1000 else 0.025)
+
+
+SHAPES = {
+    "ellipsoid": Opening((0.6, 0.4, 0.3), "ellipsoid"),
+    "vertical elliptical cylinder": Opening((0.5, 0.4, 0.3), "cylinder", 1),
+    "cylinder along C0": Opening((0.8, 0.3, 0.3), "cylinder", 0),
+    "cylinder along C90": Opening((0.3, 0.3, 0.8), "cylinder", 2),
+    "box": Opening((0.5, 0.3, 0.4)),
+}
+
+
+def chord(opening, origin, direction):
+    """Which rays [N] meet a convex shape: by its unit shape, which they are scaled to."""
+    half = np.array(opening.sides) / 2
+    o, d = origin / half, direction / half
+    if opening.shape == "ellipsoid":
+        return quadratic(o, d)[0] < np.inf
+    if opening.shape == "box":
+        return slabs(o, d, range(3))[0]
+    around = [axis for axis in range(3) if axis != opening.axis]
+    enter, leave = quadratic(o[around], d[:, around])
+    _, low, high = slabs(o, d, [opening.axis])
+    return (np.maximum(enter, low) < np.minimum(leave, high)) & (enter < np.inf)
+
+
+def quadratic(o, d):
+    """Distances at which rays enter and leave the unit ball; infinite if they miss it."""
+    a, b, c = (d * d).sum(axis=1), d @ o, o @ o - 1
+    root = np.sqrt(np.maximum(b * b - a * c, 0))
+    met = b * b > a * c
+    return np.where(met, (-b - root) / a, np.inf), np.where(met, (-b + root) / a, np.inf)
+
+
+def slabs(o, d, axes):
+    """Which rays meet the slabs [-1, 1], and where they enter and leave."""
+    near = [np.minimum((-1 - o[i]) / d[:, i], (1 - o[i]) / d[:, i]) for i in axes]
+    far = [np.maximum((-1 - o[i]) / d[:, i], (1 - o[i]) / d[:, i]) for i in axes]
+    low, high = np.max(near, axis=0), np.min(far, axis=0)
+    return low < high, low, high
+
+
+def projected_area(opening, direction):
+    """Area [N] of the projections of a shape, closed forms."""
+    a, b, c = np.array(opening.sides) / 2
+    x, y, z = np.abs(direction.T)
+    if opening.shape == "ellipsoid":
+        return np.pi * np.sqrt((b * c * x) ** 2 + (c * a * y) ** 2 + (a * b * z) ** 2)
+    if opening.shape == "box":
+        return 4 * (b * c * x + c * a * y + a * b * z)
+    if opening.axis == 1:
+        return np.pi * a * c * y + 4 * b * np.hypot(c * x, a * z)
+    if opening.axis == 0:
+        return np.pi * b * c * x + 4 * a * np.hypot(c * y, b * z)
+    return np.pi * a * b * z + 4 * c * np.hypot(b * x, a * y)
+
+
+def reference_lux(opening, point):
+    """Irradiance of a wall that faces the centre of a shape, with 100 cd in all directions.
+
+    The radiance in a direction is 100 cd over the projected area, on all rays that meet the shape:
+    by rays from the wall, uniform in the cone about the bounding sphere.
+    """
+    point = np.array(point, float)
+    distance, radius = np.linalg.norm(point), np.linalg.norm(opening.sides) / 2
+    random = np.random.default_rng(0).random((1 << 20, 2))
+    least = np.sqrt(1 - (radius / distance) ** 2) if radius < distance else 0.0
+    cosine, angle = 1 - random[:, 0] * (1 - least), 2 * np.pi * random[:, 1]
+    axis = -point / distance
+    side = np.cross(axis, [0.3, 0.5, 0.8])
+    side /= np.linalg.norm(side)
+    sine = np.sqrt(1 - cosine**2)
+    across = np.outer(np.cos(angle), side) + np.outer(np.sin(angle), np.cross(axis, side))
+    direction = cosine[:, None] * axis + sine[:, None] * across
+    met = chord(opening, point, direction)
+    return (
+        2 * np.pi * (1 - least) * np.mean(met * 100 / projected_area(opening, direction) * cosine)
+    )
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("point", [[0, -0.6, 0], [0.1, -0.2, -0.6]])
+def test_near_every_shape(mi, name, point):
+    """Where a box in place of a round shape would give 10 to 20 % more or less, at one point."""
+    opening = SHAPES[name]
+    lamp = lumitree.shape(bake_distribution(even(opening)))
+    exact = reference_lux(opening, point)
+    found, error = irradiance(mi, {"lamp": lamp}, point, [-x for x in point], samples=1 << 16)
+    assert luminance(error) < 0.01 * exact
+    assert luminance(found) == pytest.approx(exact, rel=0.04)
 
 
 # Where the light falls, relative to the lamp; the second is off the axis, in a known C.

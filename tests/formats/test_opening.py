@@ -118,6 +118,53 @@ def test_projected_areas_are_in_proportion(direction):
 
 
 @pytest.mark.parametrize(
+    ("opening", "sides"),
+    [
+        # Of a box the sides that face C = 0, 90, 180, 270: their width times their height.
+        (Opening((3, 4, 2), heights=(4, 1, 0, 2)), (2 * 4, 3 * 1, 2 * 0, 3 * 2)),
+        (Opening((3, 4, 2)), (2 * 4, 3 * 4, 2 * 4, 3 * 4)),
+        # Of a cylinder of radius r: r ∫ h cos C dC over the half that is seen, where h is linear in
+        # C from 4 at C = 0 to 0 at C = 180.
+        (
+            Opening((2, 4, 2), "cylinder", heights=(4, 2, 0, 2)),
+            (2 * (4 - 2 * (np.pi - 2) / np.pi), 4, 2 * (2 * (np.pi - 2) / np.pi), 4),
+        ),
+    ],
+)
+def test_luminous_sides_of_different_heights(opening, sides):
+    """Their projections, relative to that of the lower face, which stays."""
+    _, height, _ = opening.sides
+    below, lowest = projected(opening, [0, -1, 0])
+    assert lowest[1] == pytest.approx(-height / 2)
+    area = {"box": 6.0, "cylinder": np.pi}[opening.shape]
+    for direction, expected in zip(
+        ([1, 0, 0], [0, 0, -1], [-1, 0, 0], [0, 0, 1]), sides, strict=True
+    ):
+        points, areas = opening.surface()
+        facing = np.maximum(areas @ np.array(direction), 0)
+        assert facing.sum() / below == pytest.approx(expected / area, rel=2e-2, abs=1e-12)
+        if expected:
+            # From the lower face up.
+            assert points[facing > 0][:, 1].min() < -0.9 * height / 2
+
+
+def test_openings_are_named():
+    for opening, name in (
+        (Opening(), "point"),
+        (Opening((0.6, 0, 0.2)), "rectangle, 0.6 x 0.2 x 0 m (C0, C90, up)"),
+        (Opening((0.6, 0.1, 0.2)), "box, 0.6 x 0.2 x 0.1 m (C0, C90, up)"),
+        (Opening((0.2, 0, 0.2), "cylinder"), "disk, 0.2 x 0.2 x 0 m (C0, C90, up)"),
+        (
+            Opening((0, 0.2, 0.2), "cylinder", 0),
+            "disk that faces C0, 0 x 0.2 x 0.2 m (C0, C90, up)",
+        ),
+        (Opening((2, 0.1, 0.1), "cylinder", 0), "cylinder, axis C0, 2 x 0.1 x 0.1 m (C0, C90, up)"),
+        (Opening((1, 1, 1), "ellipsoid"), "ellipsoid, 1 x 1 x 1 m (C0, C90, up)"),
+    ):
+        assert str(opening) == name
+
+
+@pytest.mark.parametrize(
     ("opening", "second"),
     [
         (Opening((3, 0, 2)), (9 / 12, 0, 4 / 12)),

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from lumitree.errors import LumitreeError
-from lumitree.formats.symmetry import completed, type_a, type_b, without_noise
+from lumitree.formats.symmetry import (
+    completed,
+    on_grid,
+    turned_of_type_b,
+    type_a,
+    without_noise,
+)
 from lumitree.formats.type_c import IntensityDistribution, direction_of
 
 
@@ -18,6 +24,11 @@ from lumitree.formats.type_c import IntensityDistribution, direction_of
         ([0.0, 90, 180, 270], lambda c: c),
         ([90.0, 130, 180, 270], lambda c: np.where((c >= 90) & (c <= 270), c, (180 - c) % 360)),
         ([180.0, 250, 360], lambda c: np.maximum(c, 360 - c)),
+        (
+            [-90.0, -20, 90],
+            lambda c: np.where(np.cos(np.deg2rad(c)) > 0, (c + 90) % 360 - 90, 180 - c),
+        ),
+        ([270.0, 340, 450], lambda c: np.where(c < 90, c + 360, np.where(c > 270, c, 540 - c))),
     ],
 )
 def test_symmetries_of_files(c, same):
@@ -71,6 +82,10 @@ def test_unusual_first_planes_are_the_same_planes():
 
 
 ANGLES = np.arange(-90.0, 91, 10)
+
+
+def type_b(horizontal, vertical, intensity):
+    return on_grid(turned_of_type_b(horizontal, vertical, intensity))
 
 
 @pytest.mark.parametrize("convert", [type_a, type_b])

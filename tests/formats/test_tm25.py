@@ -133,7 +133,9 @@ def test_radiant_flux_without_a_spectrum_is_white(path, mi):
         ([1, 1, 0, 0, 1, 0, 0, 0], (5.2, 0), "luminous flux of 5.2 lm"),
         ([1, 1, 1, 0, 0, 0, 0, 0], (0, 0.5), "radiant flux of 0.5 W, but its rays have 5 W"),
         ([1, 1, 0, 0, 1, 0, 0, 0], (5.02, 9), None),
-        ([1, 1, 1, 0, 0, 0, 0, 0], (9, np.nan), None),
+        # The light is white.
+        ([1, 1, 1, 0, 0, 0, 0, 0], (9, np.nan), "of 9 lm, but its rays have 3415 lm"),
+        ([1, 1, 1, 0, 0, 0, 0, 0], (3415, 5), None),
     ],
 )
 def test_a_header_with_another_total_is_said(path, mi, flags, totals, message):

@@ -24,7 +24,7 @@ from lumitree.octree.build import morton
 _WHAT = "light field"
 _expect = functools.partial(expect, _WHAT)
 # A cell is named by 10 bits a coordinate, and a device array of all bins holds at most 2³¹.
-MAX_DEPTH, MAX_RESOLUTION = 7, 128
+MAX_DEPTH, MAX_RESOLUTION = 7, 512
 MAX_BINS = 1 << 28
 # Of `TracedPaths`.
 MAX_PATHS, MAX_SEEDS = 1 << 50, 1 << 12
@@ -100,7 +100,7 @@ class LightField:
         intensity: uint32 [B], radiant intensity of the bins that emit, by cell and then by bin:
             RGB9_E5 numbers (`unpack`) times `scale`. Local units: radiance times local area.
         depth: the grid has 2**depth cells a side, 1 to 7.
-        resolution: R, a power of two from 4 to 128.
+        resolution: R, a power of two from 4 to 512.
         scale: the largest intensity that occurs.
         traced: the light paths that it was estimated from; None if they are not known.
         inside: light that ends on the luminaire, for receivers inside its box. None if none does,

@@ -78,7 +78,8 @@ def show(args: argparse.Namespace, result: Any) -> None:
     from lumitree.measure.photometry.tables import figure_rows
 
     rows = figure_rows(result, result.size, result.step, result.rays, result.ugr)
-    print_lines({"luminaire": result.luminaire, **dict(rows)})
+    details = {name.replace("_", " "): text for name, text in result.details.items()}
+    print_lines({"luminaire": result.luminaire, **details, **dict(rows)})
     _print_near_field(result)
     for path in result.files:
         print(f"written: {shown(path, LONGEST_LINE)}")

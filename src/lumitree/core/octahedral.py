@@ -4,12 +4,16 @@ The sphere is projected on an octahedron, whose lower half is folded out into th
 square, which is cut into `resolution`² bins.
 """
 
+import itertools
+import math
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+
+from lumitree.core.device import on_device
 
 
 def octahedral(direction: Any) -> Any:
@@ -57,6 +61,29 @@ def _on_map(uv: Any) -> Any:
     return dr.select(dr.abs(uv.y) > 1, mi.Vector2f(-uv.x, dr.copysign(2, uv.y) - uv.y), uv)
 
 
+def interpolated(values: NDArray[Any], direction: NDArray[Any]) -> NDArray[np.float64]:
+    """Values [N] in directions [N, 3], linear between the middles of bins.
+
+    It is the mean of `bin_of` over an `offset` from -1/2 to 1/2.
+
+    Args:
+        values: [R²] by bin.
+        direction: of any length.
+    """
+    resolution = math.isqrt(len(values))
+    place = (octahedral(on_device(mi.Vector3f, direction)) + 1) * (resolution / 2) - 0.5
+    lower = dr.floor(place)
+    u, v = (np.array(each, np.float64) for each in place - lower)
+    total = np.zeros(len(direction))
+    for across, along in itertools.product((0, 1), repeat=2):
+        middle = lower + mi.Vector2f(across, along) + 0.5
+        cell = mi.Point2i((_on_map(middle * (2 / resolution) - 1) + 1) * (resolution / 2))
+        index = np.array(dr.clip(cell.y, 0, resolution - 1) * resolution, np.int64)
+        index += np.array(dr.clip(cell.x, 0, resolution - 1), np.int64)
+        total += np.where(across, u, 1 - u) * np.where(along, v, 1 - v) * values[index]
+    return total
+
+
 def bin_density(direction: Any, resolution: int) -> Any:
     """Density per steradian of `direction_in_bin`, given the bin.
 
@@ -72,7 +99,8 @@ def solid_angles(resolution: int) -> NDArray[np.float64]:
     chance with which an `offset` of `bin_of`, from -1/2 to 1/2, gives this bin. So intensities that
     are flux over solid angle keep the flux, if they are linear between the middles of bins.
     """
-    fine = 8
+    # Points a side of a bin: as dense on the map for many bins as for few.
+    fine = min(8, max(2, 1024 // resolution))
     density = np.linalg.norm(_on_octahedron(resolution * fine), axis=-1) ** -3
     density = bordered(density, fine // 2)
     rising = (np.arange(fine) + 0.5) / fine

@@ -21,13 +21,12 @@ from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.formats.archive import Archive
 from lumitree.formats.gldf import KIND, GldfEmitter, GldfFile, GldfVariant, read_variant
-from lumitree.formats.ies import read_ies
 from lumitree.formats.l3d import KIND as L3D_KIND
 from lumitree.formats.l3d import L3d, read_l3d
 from lumitree.formats.l3d_geometry import Y_UP, l3d_geometry, plain_name
-from lumitree.formats.ldt import read_ldt
 from lumitree.formats.light_field import bake_distribution
 from lumitree.formats.light_sources import LightSource, bake_sources
+from lumitree.formats.photometric_file import read_distribution
 from lumitree.formats.photometric_text import warn_of_file
 from lumitree.formats.tm33 import read_tm33
 from lumitree.formats.type_c import IntensityDistribution
@@ -176,6 +175,4 @@ class _Bake:
 
 
 def _read(path: Path) -> IntensityDistribution:
-    if path.suffix == ".xml":
-        return read_tm33(path)[0]
-    return read_ies(path) if path.suffix == ".ies" else read_ldt(path)
+    return read_distribution(path) or read_tm33(path)[0]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.files import atomic_path
 from lumitree.errors import LumitreeError, shown
+from lumitree.formats.ies_fields import SIMULATED
 from lumitree.formats.opening import Opening
 from lumitree.formats.photometric_text import (
     MAX_ANGLES,
@@ -33,7 +34,7 @@ _MAKER = "lumitree"
 # Fields that are read, by their line, counted from 1.
 _SYMMETRY, _PLANES, _ANGLES, _NAME = 3, 4, 6, 9
 _LENGTH, _WIDTH, _HEIGHTS = 16, 17, (18, 19, 20, 21)
-_FACTOR, _TILT, _SETS = 24, 25, 26
+_RATIO, _FACTOR, _TILT, _SETS = 23, 24, 25, 26
 _LINES_OF_SET, _NUM_RATIOS = 6, 10
 _FIELDS = {
     _SYMMETRY: "symmetry",
@@ -45,12 +46,15 @@ _FIELDS = {
     _HEIGHTS[1]: "height of the luminous area at C = 90",
     _HEIGHTS[2]: "height of the luminous area at C = 180",
     _HEIGHTS[3]: "height of the luminous area at C = 270",
+    _RATIO: "light output ratio",
     _FACTOR: "conversion factor of the intensities",
     _TILT: "tilt of the luminaire during measurement",
     _SETS: "number of sets of lamps",
     _SETS + 1: "number of lamps",
     _SETS + 3: "luminous flux of the lamps",
 }
+# Relative difference of fluxes that coarse angles may cause.
+_FLUX_ERROR = 0.05
 # Each kind of symmetry: of how many equal parts of the circle planes are stored, and the first.
 _STORED = {0: (1, 0.0), 1: (0, 0.0), 2: (2, 0.0), 3: (2, 0.75), 4: (4, 0.0)}
 
@@ -73,7 +77,8 @@ def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
 
     The flux of the lamps is that of the bare emitters. If it is not known, it is that of the
     luminaire, and the number of lamps is -1 (absolute photometry). Direct ratios are 0. A round
-    luminous area has its diameter as length and no width; other shapes become boxes.
+    luminous area has its diameter as length and no width; other shapes become boxes. The length is
+    along C = 90, as of linear luminaires.
     """
     from pyldt import Ldt, LdtHeader
 
@@ -87,6 +92,8 @@ def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
     opening = distribution.opening
     width, height, length = (1000 * side for side in opening.sides)
     width = 0.0 if opening.is_round else width
+    heights = [1000 * each for each in opening.heights or 4 * opening.sides[1:2]]
+    source = "simulated" if distribution.generation == SIMULATED else "converted"
     header = LdtHeader(
         company=_MAKER,
         ityp=3,
@@ -95,7 +102,7 @@ def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
         dc=_step(c),
         ng=len(gamma),
         dg=_step(gamma),
-        report_number="simulated",
+        report_number=source,
         luminaire_name=one_line(distribution.name),
         luminaire_number=one_line(distribution.name),
         file_name=one_line(file_name),
@@ -105,15 +112,15 @@ def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
         height=height,
         length_lum_area=length,
         width_lum_area=width,
-        h_lum_c0=height,
-        h_lum_c90=height,
-        h_lum_c180=height,
-        h_lum_c270=height,
+        h_lum_c0=heights[0],
+        h_lum_c90=heights[1],
+        h_lum_c180=heights[2],
+        h_lum_c270=heights[3],
         dff=100 * angles / lumens if lumens else 0.0,
         lorl=100.0 if emitted is None else 100 * lumens / lamp_lumens,
         n_sets=1,
         num_lamps=[-1 if emitted is None else 1],
-        lamp_types=["simulated"],
+        lamp_types=[source],
         lamp_flux=[lamp_lumens],
         lamp_cct=[""],
         lamp_cri=[""],
@@ -128,8 +135,10 @@ def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
 def read_ldt(path: str | os.PathLike[str]) -> IntensityDistribution:
     """Read an EULUMDAT file; the first set of lamps is taken.
 
-    Blank fields are 0, a blank conversion factor is 1. Warns of small negative intensities, which
-    are taken as 0, and of a luminaire that was tilted.
+    Blank fields are 0, a blank conversion factor is 1. A negative number of lamps stands for
+    absolute photometry. Warns of small negative intensities, which are taken as 0; of a luminaire
+    that was tilted; of sets of lamps of different flux; and of intensities whose flux is not that
+    of the lamps times the light output ratio.
 
     Raises:
         LumitreeError: the file is missing or damaged.
@@ -158,29 +167,73 @@ class _Reader:
                 f"the luminaire was tilted by {tilt:g} degrees when it was measured; the "
                 "intensities are taken as they are",
             )
+        factor = self._field(_FACTOR) or 1.0
         c, gamma, values = self._intensities()
-        intensity, least = without_noise(values * flux / 1000 * (self._field(_FACTOR) or 1.0))
+        intensity, least = without_noise(values * flux / 1000 * factor)
         if least < 0:
             warn_of_file(
                 self._path, f"small negative intensities (down to {least:g} cd) count as 0"
             )
         c, gamma, intensity = completed(c, gamma, intensity)
-        return IntensityDistribution(
+        relative, opening = self._field(_SETS + 1) > 0, self._opening()
+        lamp = IntensityDistribution(
             name=shown(self._lines[_NAME - 1] or self._path.stem),
             c=c,
             gamma=gamma,
             intensity=intensity,
-            opening=self._opening(),
-            emitted_lumens=flux if self._field(_SETS + 1) > 0 else None,
+            opening=opening,
+            emitted_lumens=flux if relative else None,
+            details={
+                "format": "EULUMDAT",
+                "photometry": f"{'relative' if relative else 'absolute'}, symmetry "
+                f"{self._field(_SYMMETRY):g}",
+                "factors": f"light output ratio {self._field(_RATIO):g} %, conversion {factor:g}",
+                "lamps": self._lamps(flux),
+                "luminous_opening": str(opening),
+            },
         )
+        self._compare_flux(lamp.lumens, flux, factor)
+        return lamp
+
+    def _lamps(self, flux: float) -> str:
+        """Flux of the lamps; warns if further sets have another flux."""
+        sets = self._count(_SETS, 1, MAX_SETS)
+        others = [self._flux_of(index) for index in range(1, sets)]
+        if any(other != flux for other in others):
+            warn_of_file(
+                self._path,
+                f"it has {sets} sets of lamps, of {flux:g}, "
+                f"{', '.join(f'{other:g}' for other in others)} lm; the first is taken (give "
+                "another flux by lumens)",
+            )
+        return f"{flux:g} lm" + (f", first of {sets} sets" if sets > 1 else "")
+
+    def _flux_of(self, index: int) -> float:
+        line = _SETS + 3 + _LINES_OF_SET * index
+        text = self._lines[line - 1] if line <= len(self._lines) else ""
+        return number(text, f"line {line}, luminous flux of set {index + 1},") if text else 0.0
+
+    def _compare_flux(self, lumens: float, flux: float, factor: float) -> None:
+        """Warn of intensities whose flux is not what the file states; 0 stands for unknown."""
+        stated = flux * self._field(_RATIO) / 100
+        if min(stated, lumens) > 0 and abs(lumens - stated) > _FLUX_ERROR * stated:
+            by = "" if factor == 1 else f" (its conversion factor of {factor:g} is applied)"
+            warn_of_file(
+                self._path,
+                f"its intensities have {lumens:.6g} lm{by}, but its lamps of {flux:g} lm with a "
+                f"light output ratio of {self._field(_RATIO):g} % give {stated:.6g} lm; the "
+                "intensities are used (give the flux that you know by lumens)",
+            )
 
     def _opening(self) -> Opening:
         """A width of 0 is that of a round area, whose diameter is the length."""
         length, width = (abs(self._field(line)) / 1000 for line in (_LENGTH, _WIDTH))
-        height = max(abs(self._field(line)) for line in _HEIGHTS) / 1000
+        c0, c90, c180, c270 = (abs(self._field(line)) / 1000 for line in _HEIGHTS)
+        height = max(c0, c90, c180, c270)
+        heights = None if c0 == c90 == c180 == c270 else (c0, c90, c180, c270)
         if width == 0:
-            return Opening((length, height, length), "cylinder")
-        return Opening((width, height, length))
+            return Opening((length, height, length), "cylinder", heights=heights)
+        return Opening((width, height, length), heights=heights)
 
     def _field(self, line: int) -> float:
         text = self._lines[line - 1]

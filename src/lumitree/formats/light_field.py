@@ -7,7 +7,8 @@ of 1 cm.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Protocol
 
 import mitsuba as mi
 import numpy as np
@@ -18,7 +19,7 @@ from lumitree.asset.light_field import make_light_field
 from lumitree.asset.spectrum import EmittedSpectrum
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
-from lumitree.core.octahedral import direction_in_bin, middle_directions, solid_angles
+from lumitree.core.octahedral import middle_directions, solid_angles
 from lumitree.core.photometry import LUMENS_PER_WATT, RGB
 from lumitree.errors import LumitreeError
 from lumitree.formats.opening import Opening
@@ -33,17 +34,17 @@ Array = NDArray[np.float64]
 # Side of the box of a source without extent, m; and the shortest side, as a part of the longest.
 POINT_SIZE = 0.01
 _MIN_EXTENT = 1e-6
-# Bins of direction a side of an asset of a photometric file.
-RESOLUTIONS = (64, 128)
-# Points per bin and side of the quadrature.
-_FINE = 8
-# Bins of an asset of a photometric file, cells times bins of direction; 4 bytes each.
-_MAX_BINS = 1 << 21
+# Bins of direction a side of an asset of a photometric file: of any opening, and of flat ones.
+RESOLUTIONS, _FLAT_RESOLUTIONS = (64, 128), (64, 128, 256, 512)
+# Number of its bins, cells times bins of direction; 4 bytes each.
+_MAX_BINS = 1 << 22
 _MAX_DEPTH, _DISK_DEPTH = 3, 3
 # Bins of direction a side in which the light starts in the same cells, and how many at once.
 _COARSE, _BINS_AT_ONCE = 32, 32
-# Relative RMS error of intensities that are constant in coarser bins.
-_COARSE_ERROR = 0.02
+# Error between the middles of bins, over the largest intensity, at which there are enough.
+_BIN_ERROR = 0.0025
+# Weights of the quarters of bins around a bin, along each side; and steps of the fit to them.
+_QUARTERS, _FIT_STEPS = (0.25, 0.75, 0.75, 0.25), 2
 
 
 def bake_distribution(distribution: IntensityDistribution, colour: RGB = WHITE) -> Asset:
@@ -58,18 +59,13 @@ def bake_distribution(distribution: IntensityDistribution, colour: RGB = WHITE) 
         opening = Opening((POINT_SIZE, POINT_SIZE, POINT_SIZE))
     sides = np.array(opening.sides)
     frame = LocalFrame.of_box(-sides / 2, sides / 2)
-    candela = bin_means(distribution.at)
-    resolution = math.isqrt(len(candela))
-    total = float(candela @ solid_angles(resolution))
-    if not total > 0:
-        raise LumitreeError(f"{distribution.name} emits nothing; expected intensities above 0")
-    # The quadrature is exact to about 0.1 %.
-    candela *= distribution.lumens / total
     if opening.is_flat or opening.sides != distribution.opening.sides:
         depth, cells, area = _flat_shares(opening, frame)
-        shares = area[:, None]
+        resolutions = [each for each in _FLAT_RESOLUTIONS if len(cells) * each**2 <= _MAX_BINS]
+        candela, shares = intensity_by_bin(distribution, resolutions), area[:, None]
     else:
-        depth, cells, shares = _projected_shares(opening, frame, resolution)
+        candela = intensity_by_bin(distribution)
+        depth, cells, shares = _projected_shares(opening, frame, math.isqrt(len(candela)))
     watts = candela / LUMENS_PER_WATT / frame.scale**2
     intensity = (shares * watts)[..., None] * np.array(colour)
     return light_field_asset(make_light_field(cells, intensity, depth), frame, distribution.name)
@@ -166,31 +162,91 @@ def bake_rays(rays: Rays, name: str, config: LightFieldConfig) -> Asset:
     return light_field_asset(field, frame, name, spectrum)
 
 
-def bin_means(at: Callable[[Array], Array], resolutions: Sequence[int] = RESOLUTIONS) -> Array:
-    """Mean intensity [R²], cd, of each octahedral bin.
+class Intensities(Protocol):
+    """Luminous intensity by direction."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def lumens(self) -> float: ...
+
+    def at(self, direction: Array) -> Array: ...
+
+
+def intensity_by_bin(source: Intensities, resolutions: Sequence[int] = RESOLUTIONS) -> Array:
+    """Intensity [R²], cd, in the middle of each octahedral bin, with the flux of the source.
+
+    Light in other directions is linear between the middles. R is the first of `resolutions` that
+    resolves the intensities, or the last.
+
+    Raises:
+        LumitreeError: it emits nothing.
+    """
+    candela = np.zeros((1, 1))
+    for resolution in resolutions:
+        exact, weight = _sampled(source, 2 * resolution)
+        candela = _fitted(exact, weight, _sampled(source, resolution)[0])
+        if np.abs(_between(candela) - exact).max() <= _BIN_ERROR * exact.max():
+            break
+    total = float(candela.ravel() @ solid_angles(len(candela)))
+    if not total > 0:
+        raise LumitreeError(f"{source.name} emits nothing; expected intensities above 0")
+    return candela.ravel() * (source.lumens / total)
+
+
+def _sampled(
+    source: Intensities, resolution: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Intensities [R, R] in the middles of bins, and relative solid angles of bins."""
+    directions = middle_directions(resolution)
+    # Solid angle is area on the octahedron over the cube of the distance from the centre.
+    weight = np.abs(directions).sum(axis=1) ** 3
+    shape = resolution, resolution
+    return source.at(directions).reshape(shape), weight.reshape(shape)
+
+
+def _fitted(
+    exact: NDArray[np.float64], weight: NDArray[np.float64], candela: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Values [R, R] in the middles of bins, between which the error is smaller.
+
+    The map of directions has a kink where a coordinate of a direction is 0, on sides of bins, where
+    the values next to it are as wrong as half a bin is wide. Steps towards least squares lower
+    this. Values stay within those around them, so no edge of a beam gets a bright or dark seam.
 
     Args:
-        at: intensity [...], cd, of directions [..., 3].
-        resolutions: R is the first that resolves the intensities, or the last.
+        exact: [2R, 2R] intensities in the middles of the quarters of bins.
+        weight: [2R, 2R] their solid angles.
+        candela: [R, R] intensities in the middles of bins.
     """
-    last = resolutions[-1]
-    fine = _means(at, last)
-    for resolution in resolutions[:-1]:
-        coarse = _means(at, resolution)
-        parts = np.ones((last // resolution,) * 2)
-        repeated = np.kron(coarse.reshape(resolution, resolution), parts).ravel()
-        error = np.sqrt(np.mean((fine - repeated) ** 2) / max(np.mean(fine**2), 1e-300))
-        if error < _COARSE_ERROR:
-            return coarse
-    return fine
+    around = _around(exact)
+    low, high = np.min(around, axis=(0, 1)), np.max(around, axis=(0, 1))
+    shares = np.multiply.outer(_QUARTERS, _QUARTERS)
+    total = np.tensordot(shares, _around(weight))
+    for _ in range(_FIT_STEPS):
+        error = np.tensordot(shares, _around(weight * (exact - _between(candela))))
+        candela = np.clip(candela + error / total, low, high)
+    return candela
 
 
-def _means(at: Callable[[Array], Array], resolution: int) -> Array:
-    points = (np.indices((_FINE, _FINE)).reshape(2, -1).T + 0.5) / _FINE
-    bins = on_device(mi.UInt32, np.repeat(np.arange(resolution**2), len(points)))
-    sample = on_device(mi.Point2f, np.tile(points, (resolution**2, 1)))
-    direction, density = direction_in_bin(bins, sample, resolution)
-    weight = 1 / np.array(density, np.float64)
-    value = at(np.array(direction, np.float64).reshape(3, -1).T)
-    parts = (each.reshape(-1, len(points)).sum(axis=1) for each in (weight * value, weight))
-    return np.divide(*parts)
+def _between(candela: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values [2R, 2R] in the middles of the quarters of bins, linear between those [R, R]."""
+    padded = _padded(candela)
+    for _ in range(2):
+        below, here, above = padded[:-2], padded[1:-1], padded[2:]
+        both = np.stack([0.75 * here + 0.25 * below, 0.75 * here + 0.25 * above], axis=1)
+        padded = both.reshape(-1, padded.shape[1]).T
+    return padded
+
+
+def _around(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values [4, 4, R, R] of the 16 quarters of bins in and next to each bin, of [2R, 2R]."""
+    windows = np.lib.stride_tricks.sliding_window_view(_padded(values), (4, 4))
+    return windows[::2, ::2].transpose(2, 3, 0, 1)
+
+
+def _padded(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A map [N, N] with what is next to it: beyond a side is the other half of the same side."""
+    rows = np.vstack([values[:1, ::-1], values, values[-1:, ::-1]])
+    return np.hstack([rows[::-1, :1], rows, rows[::-1, -1:]])

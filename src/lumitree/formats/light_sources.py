@@ -26,7 +26,7 @@ from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import middle_directions, solid_angles
 from lumitree.core.photometry import LUMENS_PER_WATT
 from lumitree.errors import LumitreeError
-from lumitree.formats.light_field import POINT_SIZE, bin_means
+from lumitree.formats.light_field import POINT_SIZE, intensity_by_bin
 from lumitree.formats.opening import Opening
 from lumitree.formats.start_cells import StartCells
 from lumitree.formats.type_c import IntensityDistribution
@@ -63,6 +63,11 @@ class LightSource:
     opening: Opening
     place: Array
     lumens: float
+
+    @property
+    def name(self) -> str:
+        """Of its photometry."""
+        return self.distribution.name
 
     def at(self, direction: Array) -> Array:
         """Intensity [...], cd, in directions [..., 3] of the lamp's file, of the distribution."""
@@ -148,14 +153,13 @@ def _radiant_intensities(sources: Sequence[LightSource], frame: LocalFrame, name
     """Radiant intensity [S, R²] of each source, local units, whose flux is its lumens."""
     # Lamps in one direction with one photometry are common.
     keys = [(id(each.distribution), each.place[:3, :3].tobytes()) for each in sources]
-    candela = {
-        key: bin_means(source.at) for key, source in dict(zip(keys, sources, strict=True)).items()
-    }
+    different = dict(zip(keys, sources, strict=True))
+    candela = {key: intensity_by_bin(source) for key, source in different.items()}
     resolution = math.isqrt(max(map(len, candela.values())))
     found = []
     for source, key in zip(sources, keys, strict=True):
         if len(candela[key]) < resolution**2:
-            candela[key] = bin_means(source.at, (resolution,))
+            candela[key] = intensity_by_bin(source, (resolution,))
         values = candela[key]
         flux = float(values @ solid_angles(resolution))
         if not flux > 0:

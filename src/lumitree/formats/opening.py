@@ -65,19 +65,41 @@ class Opening:
         sides: [3] of its bounding box along x, y and z, m; 0 for a flat opening, a line or a point.
         shape: "box" fills the bounding box; "ellipsoid" and "cylinder" are inscribed.
         axis: 0, 1 or 2, along which a cylinder extends. A disk is a cylinder without length.
+        heights: of the luminous sides of a box or a vertical cylinder that face C = 0, 90, 180 and
+            270, m, from its lower face up; the height of a cylinder is linear between them. None
+            if all sides are luminous up to the upper face.
 
     Raises:
-        LumitreeError: a side is negative, not finite or above 1e6 m.
+        LumitreeError: a side is negative, not finite or above 1e6 m, or a height exceeds its side.
     """
 
     sides: Sides = (0.0, 0.0, 0.0)
     shape: Shape = "box"
     axis: int = 1
+    heights: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
         """Refuse sides out of range."""
         if not all(0 <= side <= _MAX_SIDE for side in self.sides):
             raise LumitreeError(f"the opening is {self.sides} m; expected 0 to {_MAX_SIDE:g}")
+        if self.heights and not all(0 <= height <= self.sides[1] for height in self.heights):
+            raise LumitreeError(
+                f"its sides are luminous up to {self.heights} m; expected 0 to {self.sides[1]:g}"
+            )
+
+    def __str__(self) -> str:
+        x, up, z = self.sides
+        if max(self.sides) == 0:
+            return "point"
+        flat = "disk" if self.is_round else "ellipse"
+        name = {
+            "box": "rectangle" if self.is_flat else "box",
+            "ellipsoid": flat if self.is_flat else "ellipsoid",
+            "cylinder": f"cylinder, axis {('C0', 'up', 'C90')[self.axis]}",
+        }[self.shape]
+        if self.shape == "cylinder" and self.sides[self.axis] == 0:
+            name = flat if self.axis == 1 else f"disk that faces {('C0', '', 'C90')[self.axis]}"
+        return f"{name}, {x:.4g} x {z:.4g} x {up:.4g} m (C0, C90, up)"
 
     @property
     def is_flat(self) -> bool:
@@ -115,8 +137,22 @@ class Opening:
                 self.axis if axis == 1 else 1 if axis == self.axis else axis for axis in (0, 1, 2)
             ]
             unit, areas = unit[:, order], areas[:, order]
+        unit, areas = self._lowered(unit, areas)
         # A map by factors a, b, c maps an area vector by bc, ca, ab.
         return unit * half, areas * (half.prod() / half)
+
+    def _lowered(
+        self, unit: NDArray[np.float64], areas: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Points and areas of the unit shape whose sides are luminous up to `heights`."""
+        if self.heights is None:
+            return unit, areas
+        upright = areas[:, 1] == 0
+        azimuth = np.rad2deg(np.arctan2(-areas[:, 2], areas[:, 0])) % 360
+        part = np.interp(azimuth, 90 * np.arange(5), (*self.heights, self.heights[0]))
+        part = np.where(upright, part / self.sides[1], 1.0)[:, None]
+        lower = np.where(upright[:, None] & (np.arange(3) == 1), (unit + 1) * part - 1, unit)
+        return lower, areas * part
 
 
 POINT = Opening()

@@ -3,21 +3,28 @@
 Type C photometry has a vertical polar axis: see `type_c`. Of the other types only the photometric
 half-space is measured, by horizontal angles H and vertical angles V from -90 to 90 degrees:
 
-    A   the polar axis is vertical; H = V = 0 is horizontal, towards C = 0, and V = 90 is up. So
-        γ = 90 + V, and C = -H, since H is counted clockwise seen from above
-    B   the polar axis is horizontal; H = V = 0 is down, V = 90 is towards C = 0, and H = 90 towards
-        C = 270
+    A   the polar axis is vertical, H is the longitude about it and V the latitude. H = V = 0 is
+        horizontal, towards C = 0, and V = 90 is up. So γ = 90 + V, and C = -H, since H is counted
+        clockwise seen from above
+    B   the polar axis is horizontal, from C = 90 to C = 270; V is the longitude about it, and H the
+        latitude. H = V = 0 is down, V = 90 is towards C = 0, and H = 90 towards C = 270. V and -H
+        are the angles B and β of CIE 121
+
+Sources: section 3 of ANSI/IESNA LM-63-02, by which H = V = 0 is photometric zero, straight down, in
+Type B and photometric horizontal in Type A, and H is clockwise in both; Ashdown (1998), by whom the
+polar axis of Type B is that of the width of the opening; and the frames of the glTF extension
+EXT_lights_ies, in the notation of IES LM-75.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeError
-from lumitree.formats.type_c import IntensityDistribution, direction_of
+from lumitree.formats.type_c import IntensityDistribution, Turned, direction_of
 
 Array = NDArray[np.float64]
 # A step at the edge of the given angles, degrees: the light ends there.
-_EDGE = 1e-3
+EDGE = 1e-3
 # Negative intensities below this part of the largest are noise of the instrument.
 _NOISE = 1e-3
 # Step of the grid that Type B is interpolated on, degrees.
@@ -29,7 +36,7 @@ _SYMMETRIES: dict[tuple[float, float], tuple[float, ...]] = {
     (180, 360): (180,),
     (90, 270): (90,),
     (-90, 90): (90,),
-    (270, 450): (90,),
+    (270, 450): (270,),
 }
 
 
@@ -79,24 +86,25 @@ def type_a(horizontal: Array, vertical: Array, intensity: Array) -> tuple[Array,
     horizontal, vertical, intensity = _half_space(horizontal, vertical, intensity)
     c, gamma, intensity = -horizontal[::-1], vertical + 90, intensity[::-1]
     gamma, intensity = _with_edges(gamma, intensity, 0, 180)
-    c, turned = _with_edges(c, intensity.T, -180, 180 - _EDGE)
+    c, turned = _with_edges(c, intensity.T, -180, 180 - EDGE)
     c, first = np.unique(c.round(9) % 360, return_index=True)
     return c, gamma, turned.T[first]
 
 
-def type_b(horizontal: Array, vertical: Array, intensity: Array) -> tuple[Array, Array, Array]:
-    """C, γ and intensities of Type B photometry, interpolated on a grid of 1 degree; see `type_a`.
-
-    The flux of the grid is that of the file.
-    """
+def turned_of_type_b(horizontal: Array, vertical: Array, intensity: Array) -> Turned:
+    """Intensities of Type B photometry in its own angles; arguments as of `type_a`."""
     # The same angles about an axis that is vertical in Type A, and towards C = 270 here.
     native = IntensityDistribution("", *type_a(vertical, horizontal, intensity.T))
+    return Turned(native, np.array([[0.0, -1, 0], [0, 0, 1], [1, 0, 0]]))
+
+
+def on_grid(turned: Turned) -> tuple[Array, Array, Array]:
+    """C, γ and intensities on a grid of 1 degree, with the same flux."""
     c = np.arange(0, 360, _STEP_OF_B)
-    gamma = np.sort(np.append(np.arange(0, 180 + _STEP_OF_B, _STEP_OF_B), 90 + _EDGE))
-    x, y, z = np.moveaxis(direction_of(c[:, None], gamma), -1, 0)
-    found = native.at(np.stack([-y, z, x], axis=-1))
+    gamma = np.sort(np.append(np.arange(0, 180 + _STEP_OF_B, _STEP_OF_B), 90 + EDGE))
+    found = turned.at(direction_of(c[:, None], gamma))
     lumens = IntensityDistribution("", c, gamma, found).lumens
-    return c, gamma, found * (native.lumens / lumens if lumens > 0 else 1.0)
+    return c, gamma, found * (turned.distribution.lumens / lumens if lumens > 0 else 1.0)
 
 
 def without_noise(intensity: Array) -> tuple[Array, float]:
@@ -143,11 +151,11 @@ def _reflected(c: Array, rows: Array, plane: float) -> tuple[Array, Array]:
 def _with_edges(angles: Array, intensity: Array, low: float, high: float) -> tuple[Array, Array]:
     """Angles [N] from `low` to `high` and intensities [M, N], which are 0 outside those given."""
     if angles[0] > low:
-        edge = angles[0] - min(_EDGE, (angles[0] - low) / 2)
+        edge = angles[0] - min(EDGE, (angles[0] - low) / 2)
         angles = np.concatenate([[low, edge], angles])
         intensity = np.pad(intensity, ((0, 0), (2, 0)))
     if angles[-1] < high:
-        edge = angles[-1] + min(_EDGE, (high - angles[-1]) / 2)
+        edge = angles[-1] + min(EDGE, (high - angles[-1]) / 2)
         angles = np.concatenate([angles, [edge, high]])
         intensity = np.pad(intensity, ((0, 0), (0, 2)))
     return angles, intensity

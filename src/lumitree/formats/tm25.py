@@ -178,10 +178,10 @@ def _parse(content: bytes, path: str | os.PathLike[str]) -> tuple[Rays, str]:
     flux = _flux(items, tables, int(header["spectrum"]), float(header["wavelengths"][0]))
     if not ((flux >= 0) & (flux < 1e15)).all() or not flux.any():
         raise LumitreeError("a ray's flux is not a number, negative or too large, or all are 0")
-    kind, total, unit = ("luminous", "lumens", "lm")
-    if kind not in items:
-        kind, total, unit = ("radiant", "watts", "W")
-    _compare_totals(path, float(header[total]), float(items[kind].sum()), kind, unit)
+    _compare_totals(path, float(header["lumens"]), float(luminance(flux).sum()), "luminous", "lm")
+    if "radiant" in items:
+        watts = float(items["radiant"].sum())
+        _compare_totals(path, float(header["watts"]), watts, "radiant", "W")
     name = "".join(chr(code) for code in header["texts"][0] if 0 < code < 0x110000)
     spectrum = rays_spectrum(items, tables, int(header["spectrum"]), header["wavelengths"][0])
     rays = Rays(y_up(position) / _MM_PER_M, y_up(direction / length), flux, spectrum)

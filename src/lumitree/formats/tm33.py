@@ -34,7 +34,13 @@ from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.opening import POINT, Opening
 from lumitree.formats.photometric_text import MAX_ANGLES, number, warn_of_file
-from lumitree.formats.symmetry import completed, type_a, type_b, without_noise
+from lumitree.formats.symmetry import (
+    completed,
+    on_grid,
+    turned_of_type_b,
+    type_a,
+    without_noise,
+)
 from lumitree.formats.type_c import IntensityDistribution, direction_of
 from lumitree.formats.xml_tree import MAX_BYTES, number_of, parse_xml, text_of
 
@@ -119,7 +125,7 @@ class _Reader:
         intensity, least = without_noise(values * scale)
         if least < 0:
             self._warn(f"small negative intensities (down to {least:g} cd) count as 0")
-        convert = {"A": type_a, "B": type_b, "C": completed}[self._type(table)]
+        convert = {"A": type_a, "B": _type_b, "C": completed}[self._type(table)]
         result = IntensityDistribution("", *convert(horizontal, vertical, intensity))
         stated = number_of(data, "LuminousFlux", 0.0)
         if stated > 0 and abs(result.lumens / stated - 1) > _TOLERANCE:
@@ -210,6 +216,11 @@ def _grid(table: Element) -> tuple[Array, Array, Array]:
             "vertical angles; expected one for each pair"
         )
     return horizontal, vertical, values
+
+
+def _type_b(horizontal: Array, vertical: Array, intensity: Array) -> tuple[Array, Array, Array]:
+    """C, γ and intensities of the whole sphere of Type B photometry; arguments as of `type_a`."""
+    return on_grid(turned_of_type_b(horizontal, vertical, intensity))
 
 
 def _angle(point: Element, names: tuple[str, ...]) -> float:

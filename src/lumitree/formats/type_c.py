@@ -11,6 +11,7 @@ The frame is that of a luminaire's file: y is up, so a direction is
 """
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -161,6 +162,10 @@ class IntensityDistribution:
         intensity: [C, G] luminous intensity, cd, at least 0.
         opening: the surface that the light comes from.
         emitted_lumens: luminous flux of the bare emitters, lm; None if it is not known.
+        generation: file generation type of LM-63-2019, see `ies_fields`; None if it is not stated.
+        details: what its file states of how it was made, for reports: names and texts.
+        turned: the same intensities in angles about another axis, as a file of Type B states them;
+            `at` then returns these. None if the file has C and γ.
     """
 
     name: str
@@ -169,6 +174,9 @@ class IntensityDistribution:
     intensity: NDArray[np.float64]
     opening: Opening = POINT
     emitted_lumens: float | None = None
+    generation: str | None = None
+    details: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    turned: "Turned | None" = None
 
     def __post_init__(self) -> None:
         """Refuse what cannot be interpolated."""
@@ -193,6 +201,8 @@ class IntensityDistribution:
 
     def at(self, direction: ArrayLike) -> NDArray[np.float64]:
         """Intensity [...], cd, interpolated for directions [..., 3] of any length."""
+        if self.turned is not None:
+            return self.turned.at(direction)
         c, gamma = angles_of(direction)
         planes = np.append(self.c, self.c[0] + 360)
         # Angles before the first plane follow the last.
@@ -205,3 +215,20 @@ class IntensityDistribution:
         lower = (1 - u) * self.intensity[plane, row] + u * self.intensity[following, row]
         upper = (1 - u) * self.intensity[plane, row + 1] + u * self.intensity[following, row + 1]
         return (1 - v) * lower + v * upper
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Turned:
+    """Intensities in angles about another axis than the vertical.
+
+    Attributes:
+        distribution: intensities in C and γ of the other frame.
+        rotation: [3, 3] of directions into that frame.
+    """
+
+    distribution: IntensityDistribution
+    rotation: NDArray[np.float64]
+
+    def at(self, direction: ArrayLike) -> NDArray[np.float64]:
+        """Intensity [...], cd, for directions [..., 3] of the frame of `type_c`."""
+        return self.distribution.at(np.asarray(direction, np.float64) @ self.rotation.T)

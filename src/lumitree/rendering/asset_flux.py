@@ -26,6 +26,18 @@ def light_field_watts(field: LightField) -> NDArray[np.float64]:
     return field.scale * (np.array(by_bin) @ solid_angles(field.resolution))
 
 
+def intensity_by_bin(asset: Asset) -> NDArray[np.float64]:
+    """Luminous intensity [R²] of an asset's light field by bin of direction, local units.
+
+    It is the sum over all cells, and its gain is included. Between the middles of bins it is linear
+    (`core.octahedral.interpolated`).
+    """
+    field = asset.light_field
+    assert field is not None
+    colours = luminance(unpack(field.intensity) * asset.gain)
+    return field.scale * field.dense(colours).sum(axis=0)
+
+
 def asset_watts(asset: Asset) -> NDArray[np.float64]:
     """Flux [3] that an asset emits, W: R, G and B, if lengths of its file are in metres.
 

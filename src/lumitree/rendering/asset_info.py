@@ -17,10 +17,14 @@ def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
 
 
 def asset_report(asset: Asset, path: str | os.PathLike[str]) -> Json:
-    """What `lumitree info` states: `asset_json`, and the luminous flux, lm, for metres."""
+    """What `lumitree info` states: `asset_json`, and the luminous flux, lm, for metres.
+
+    Of a photometric file it has what the file states of how it was made, too.
+    """
+    from lumitree.formats.photometric_file import details_of
     from lumitree.rendering.asset_flux import asset_lumens
 
     if asset.light_field is None:
         # Estimated by rays; else a sum that needs no variant of Mitsuba, and so no libLLVM.
         load_mitsuba()
-    return {**asset_json(asset, path), "lumens": asset_lumens(asset)}
+    return {**asset_json(asset, path), "lumens": asset_lumens(asset), **details_of(path)}

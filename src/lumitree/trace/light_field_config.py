@@ -2,12 +2,14 @@
 
 import dataclasses
 
-from lumitree.asset.light_field import MAX_DEPTH, MAX_RESOLUTION
+from lumitree.asset.light_field import MAX_DEPTH
 from lumitree.core.arguments import check_range
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError
 
 MAX_PATHS = 1 << 32
+# More bins are for intensities without noise, as photometric files have them.
+MAX_TRACED_RESOLUTION = 128
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +37,7 @@ class LightFieldConfig:
     def __post_init__(self) -> None:
         check_range("light paths", self.paths, 1, MAX_PATHS)
         check_range("depth of the light field", self.depth, 1, MAX_DEPTH)
-        check_range("bins of direction a side", self.resolution, 4, MAX_RESOLUTION)
+        check_range("bins of direction a side", self.resolution, 4, MAX_TRACED_RESOLUTION)
         if self.resolution & (self.resolution - 1):
             raise LumitreeError(
                 f"bins of direction a side is {self.resolution}; expected a power of two"

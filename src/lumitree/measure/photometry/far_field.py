@@ -1,6 +1,8 @@
 """Measurement of the light that leaves a luminaire or an asset, by rays.
 
 Rays come in independent batches of equal size, large ones in pieces (`lumitree.measure.batches`).
+The intensities and the flux of an asset's light field are sums over its cells, without noise; rays
+then serve for the rest.
 """
 
 import dataclasses
@@ -18,9 +20,15 @@ from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.formats.rays import Rays
-from lumitree.formats.type_c import Grid, y_up
+from lumitree.formats.type_c import Grid, IntensityDistribution, y_up
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.measure.batches import BATCHES, RayBatches
+from lumitree.measure.photometry.exact_light import (
+    ExactLight,
+    exact_grid,
+    file_light,
+    light_field_light,
+)
 from lumitree.measure.photometry.near_field import NearFieldTest
 from lumitree.rendering.asset_rays import AssetRays
 from lumitree.trace.emitted_rays import EmittedRays, RayBatch
@@ -48,6 +56,7 @@ class Source:
         bare_flux: function of a number of samples and a seed: flux [3] of the bare emitters of the
             rays of that draw, local units; None if it is not known.
         spectrum: of the bare emitters; None if it is not known.
+        exact: what is known without rays; None if nothing is.
     """
 
     name: str
@@ -55,6 +64,7 @@ class Source:
     rays: EmittedRays
     bare_flux: Callable[[int, int], NDArray[np.float64]] | None = None
     spectrum: EmittedSpectrum | None = None
+    exact: ExactLight | None = None
 
 
 def oriented(source: Source, unit: float, up: Up) -> Source:
@@ -81,9 +91,20 @@ def luminaire_source(luminaire: Luminaire) -> Source:
     return Source(luminaire.name, luminaire.frame, rays, rays.bare_flux, spectrum)
 
 
-def asset_source(asset: Asset) -> Source:
-    """Rays sampled from the emission of an asset: of its light field if it has one."""
-    return Source(asset.luminaire, asset.frame, AssetRays(asset), spectrum=asset.spectrum)
+def asset_source(asset: Asset, file: IntensityDistribution | None = None) -> Source:
+    """Rays sampled from the emission of an asset: of its light field if it has one.
+
+    Args:
+        asset: the asset.
+        file: the photometric file that it was made of, whose own intensities are then taken.
+    """
+    if file is None:
+        exact = light_field_light(asset)
+    else:
+        exact = file_light(file, asset.frame)
+    return Source(
+        asset.luminaire, asset.frame, AssetRays(asset), spectrum=asset.spectrum, exact=exact
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -125,7 +146,8 @@ def measure(
     Args:
         num_rays: light paths, or rays of an asset; rounded up to a multiple of 16.
         step: of the angles, degrees; by default the finest of `STEPS` whose noise, the relative
-            root mean square error of the intensity, is at most 2 %, as estimated from one batch.
+            root mean square error of the intensity, is at most 2 %, as estimated from one batch;
+            without noise as of `exact_grid`.
         kept_rays: about how many samples to keep the rays of; their flux is that of all.
         seed: root seed.
 
@@ -202,10 +224,16 @@ class _Tally:
     def __init__(self, source: Source, first: Rays, pieces: int, step: float | None) -> None:
         lumens = luminance(first.flux)
         self._share, self._centre = BATCHES / pieces, source.frame.centre
-        self.grid = Grid(chosen_step(first.direction, lumens, pieces) if step is None else step)
-        nodes = len(self.grid.c), len(self.grid.gamma)
-        self.intensity = np.zeros((BATCHES, *nodes))
         self.watts, self.upward = np.zeros((BATCHES, 3)), np.zeros(BATCHES)
+        self._exact = source.exact is not None
+        if source.exact is None:
+            step = chosen_step(first.direction, lumens, pieces) if step is None else step
+            self.grid = Grid(step)
+            self.intensity = np.zeros((BATCHES, len(self.grid.c), len(self.grid.gamma)))
+        else:
+            self.grid, intensity = exact_grid(source.exact, source.frame, step)
+            self.intensity = np.repeat(intensity[None], BATCHES, axis=0)
+            self.watts += source.exact.watts * source.frame.scale**2
         brightest = _brightest(first.direction, lumens)
         self.near_field = NearFieldTest(source.frame.size.max(), brightest, BATCHES)
 
@@ -213,8 +241,9 @@ class _Tally:
         """Add the rays of a piece to its batch."""
         flux = rays.flux * self._share
         lumens = luminance(flux)
-        self.intensity[batch] += self.grid.intensity(rays.direction, lumens)
-        self.watts[batch] += flux.sum(axis=0)
+        if not self._exact:
+            self.intensity[batch] += self.grid.intensity(rays.direction, lumens)
+            self.watts[batch] += flux.sum(axis=0)
         self.upward[batch] += lumens[rays.direction[:, 1] > 0].sum()
         self.near_field.add(batch, rays.origin - self._centre, rays.direction, lumens)
 

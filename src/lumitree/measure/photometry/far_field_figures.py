@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.photometry import colour_temperature, luminance
+from lumitree.formats.ies_fields import SIMULATED, UNDEFINED
 from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import IntensityDistribution
 from lumitree.measure.batches import jackknife
@@ -29,8 +30,16 @@ Mask = NDArray[np.bool_]
 _CERTAIN = 2
 
 
-def evaluated(measurement: Measurement) -> PhotometricData:
-    """Figures, intensities and near-field limits of a measurement."""
+def evaluated(
+    measurement: Measurement, file: IntensityDistribution | None = None
+) -> PhotometricData:
+    """Figures, intensities and near-field limits of a measurement.
+
+    Args:
+        measurement: of a luminaire or an asset.
+        file: the photometric file that the asset was made of: its luminous opening, the flux of its
+            lamps and what it states of how it was made.
+    """
     grid, emitted = measurement.grid, measurement.emitted
 
     def lumens(used: Mask) -> float:
@@ -47,6 +56,9 @@ def evaluated(measurement: Measurement) -> PhotometricData:
 
         emitted_lumens = _estimate(bare)
         ratio = _estimate(lambda used: lumens(used) / bare(used))
+    elif file is not None and (lamps := file.emitted_lumens) is not None:
+        emitted_lumens = Estimate(lamps, 0.0)
+        ratio = _estimate(lambda used: lumens(used) / lamps)
     intensity, error = jackknife(lambda used: measurement.intensity[used].mean(axis=0))
     # Where it is large with certainty: rare paths of large flux make single nodes uncertain.
     certain = intensity - _CERTAIN * error
@@ -80,8 +92,12 @@ def evaluated(measurement: Measurement) -> PhotometricData:
         c=grid.c,
         gamma=grid.gamma,
         intensity=intensity,
-        opening=Opening((float(size[0]), float(size[1]), float(size[2]))),
+        opening=Opening((float(size[0]), float(size[1]), float(size[2])))
+        if file is None
+        else file.opening,
         emitted_lumens=None if emitted_lumens is None else emitted_lumens.value,
+        generation=SIMULATED if file is None else UNDEFINED,
+        details={} if file is None else file.details,
     )
     return PhotometricData(
         figures=figures,

@@ -48,8 +48,9 @@ class PhotometricFigures:
 
     Attributes:
         lumens: luminous flux, lm.
-        emitted_lumens: luminous flux of the bare emitters, lm; None for an asset.
-        light_output_ratio: `lumens` over `emitted_lumens`; None for an asset.
+        emitted_lumens: luminous flux of the bare emitters, lm; of a photometric file that of the
+            lamps that it states. None for an asset, and for absolute photometry.
+        light_output_ratio: `lumens` over `emitted_lumens`; None if that is.
         upward_share: part of the luminous flux above the horizontal, 0 to 1; the rest goes down.
         max_candela: largest luminous intensity, cd: that of the direction in which the intensity
             less two standard errors is largest.

@@ -20,7 +20,7 @@ from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.units import metres_of
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
-from lumitree.lamp.source import RAY_SUFFIXES, WRITTEN_SUFFIXES, source_kind
+from lumitree.lamp.source import RAY_SUFFIXES, WRITTEN_SUFFIXES, LuminaireSource, source_kind
 from lumitree.measure.photometry.figures import PhotometricFigures
 from lumitree.measure.photometry.near_field import NearFieldLimit
 from lumitree.rendering.asset_cache import asset_of
@@ -49,6 +49,8 @@ class PhotometryResult(ImageResult, PhotometricFigures):
 
     Attributes:
         luminaire: name of the luminaire.
+        details: what a photometric file states of how it was made, such as its file generation
+            type; empty for other sources.
         near_field: for some directions, the distance from which the far field is within 5 %.
         step: of the angles, degrees.
         size: [3] sides of the bounding box, m.
@@ -61,6 +63,7 @@ class PhotometryResult(ImageResult, PhotometricFigures):
     """
 
     luminaire: str
+    details: dict[str, str]
     near_field: list[NearFieldLimit]
     step: float
     size: tuple[float, ...]
@@ -90,8 +93,8 @@ def photometry(
     """Measure the far field of a luminaire or an asset, and write photometric files.
 
     The luminous intensity by direction, Type C, is estimated from light paths of a luminaire, or
-    from rays of an asset: of its light field if it has one. All figures have standard
-    errors.
+    from rays of an asset. All figures have standard errors. Intensities and flux of an asset with a
+    light field are sums over its cells, without noise; those of a photometric file are its own.
 
     Args:
         source: an asset, the path of a `.lumitree` file, of a photometric file or of a ray file; or
@@ -101,7 +104,8 @@ def photometry(
             (report). Default: none.
         step: angular step of the intensities in C and gamma, degrees: 0.5 to 30, a divisor of 90.
             Default: the finest of 1, 2.5, 5 and 10 at which the noise of the intensities is at
-            most 2 % RMS.
+            most 2 % RMS. Without noise 1, or 0.5 where 1 does not resolve the intensities; of
+            a photometric file the coarsest of 10, 5, 2.5, 1 and 0.5 that has all of its angles.
         unit: unit of length of the source: "m", "cm", "mm", "in", "ft", or the metres in a unit,
             1e-6 to 1e6. Models (`.obj`, `.gltf`, `.glb`) are in metres once they are loaded.
             Photometric files state their unit, and none may be given.
@@ -134,6 +138,7 @@ def photometry(
     check_choice("up", up, ("y", "z"))
     metres = metres_of(unit)
     load_rgb(variant)
+    from lumitree.formats.photometric_file import read_again
     from lumitree.formats.type_c import Grid
     from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.photometry.far_field import (
@@ -147,7 +152,8 @@ def photometry(
 
     if step is not None:
         Grid(step)
-    if source_kind(source) == "photometric" and (metres, up) != (1, "y"):
+    is_file = source_kind(source) == "photometric"
+    if is_file and (metres, up) != (1, "y"):
         raise LumitreeError(
             f"unit and up: not for a photometric file such as {shown(source, 300)}, which states "
             "its unit; leave them out"
@@ -156,19 +162,21 @@ def photometry(
     watch = Stopwatch()
     with reporting(progress), watch.stage("measure"):
         if (asset := asset_of(source)) is not None:
-            measured = asset_source(asset)
+            file = read_again(_path(source)) if is_file else None
+            measured = asset_source(asset, file)
         else:
-            measured = luminaire_source(load_luminaire(cast(Any, source)))
+            file, measured = None, luminaire_source(load_luminaire(cast(Any, source)))
         if wanted:
             _warn_far(measured)
         measured = oriented(measured, metres, up)
         measurement = measure(measured, paths, step=step, kept_rays=wanted, seed=seed)
-        data = evaluated(measurement)
+        data = evaluated(measurement, file)
     with watch.stage("write"):
         for path in outputs:
             _writer(_suffix(path), data, measurement.rays)(path)
     return PhotometryResult(
         luminaire=measurement.name,
+        details=dict(data.distribution.details),
         **_figures(data.figures),
         near_field=data.near_field,
         ugr=data.ugr,
@@ -183,6 +191,11 @@ def photometry(
         png=plots_png(data),
         **watch.costs(),
     )
+
+
+def _path(source: object) -> str:
+    """Path of a photometric file."""
+    return source.name if isinstance(source, LuminaireSource) else os.fspath(cast(Any, source))
 
 
 def _check_outputs(outputs: Sequence[FilePath]) -> None:
