@@ -63,7 +63,7 @@ def measure(case: Case, options: argparse.Namespace) -> list[dict[str, Any]]:
                 seed=options.seed,
             )
             seconds[run] = time.process_time() - start
-        text = radiance_text(case.boxes) + case.lamp.radiance(radiance, case.at)
+        text = radiance_text(case.boxes) + case.lamp.radiance(radiance, placement)
         rows = []
         for quantity in ("direct",) if case.black else ("direct", "total"):
             theirs = radiance.illuminance(

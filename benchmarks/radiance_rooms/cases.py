@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.radiance_rooms.lamps import FileLamp, ShadedLamp
+from benchmarks.radiance_rooms.lamps import ExportedLamp, FileLamp, ShadedLamp
 from benchmarks.radiance_rooms.rooms import Box, furniture, walls
 from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import Grid, IntensityDistribution
@@ -30,7 +30,7 @@ class Case:
     """
 
     name: str
-    lamp: FileLamp | ShadedLamp
+    lamp: FileLamp | ShadedLamp | ExportedLamp
     at: tuple[float, float, float]
     boxes: list[Box]
     black: bool = False
@@ -49,6 +49,8 @@ def cases() -> list[Case]:
         Case("panel, furnished room", panel, (0.2, 2.75, -0.1), furnished),
         Case("pendant, furnished room", pendant, (-0.2, 2.0, 0.0), furnished),
         Case("baked lamp, furnished room", ShadedLamp(), (-0.2, 2.0, 0.0), furnished),
+        Case("dallas, 16 lights", ExportedLamp("dallas", 16), (-0.2, 2.0, 0.0), furnished),
+        Case("dallas, 256 lights", ExportedLamp("dallas", 256), (-0.2, 2.0, 0.0), furnished),
     ]
 
 

@@ -1,6 +1,11 @@
-"""Lamps that both programs get: photometric files, and a lamp by its surfaces."""
+"""Lamps that both programs get: photometric files, a lamp by its surfaces, and exported lamps.
+
+Each class has `placement(folder, at)`, the lamp in lumitree with the centre of its box at a point
+[3], and `radiance(program, placement)`, the text of the same lamp in Radiance.
+"""
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +32,12 @@ class FileLamp:
     distribution: IntensityDistribution
 
     def placement(self, folder: Path, at: Point) -> Placement:
-        """In lumitree; the centre of the luminous opening is at a point [3]."""
-        return Placement(self._file(folder), at=at)
-
-    def radiance(self, program: Radiance, at: Point) -> str:
-        """Text of it in Radiance, in the same place."""
-        return program.photometric_source(self._file(program.folder), at)
-
-    def _file(self, folder: Path) -> Path:
         path = folder / f"{self.distribution.name}.ies"
         write_ies(path, self.distribution)
-        return path
+        return Placement(path, at=at)
+
+    def radiance(self, program: Radiance, placement: Placement) -> str:
+        return program.photometric_source(Path(str(placement.source)), _place(placement))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +59,6 @@ class ShadedLamp:
     seed: int = 0
 
     def placement(self, folder: Path, at: Point) -> Placement:
-        """Baked; the centre of its box is at a point [3]."""
         import mitsuba as mi
 
         import lumitree
@@ -82,14 +81,50 @@ class ShadedLamp:
         )
         return Placement(lumitree.bake(scene, None, config).asset, at=at)
 
-    def radiance(self, program: Radiance, at: Point) -> str:
-        """Text of its surfaces in Radiance, in the same place."""
+    def radiance(self, program: Radiance, placement: Placement) -> str:
         watts = " ".join([f"{self.luminance / LUMENS_PER_WATT:.9g}"] * 3)
         corners = np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)]) * self.half
         # z up, and clockwise seen from above: it faces down.
         places = " ".join(f"{x:.9g} {y:.9g} {_SQUARE:.9g}" for x, y in corners)
         text = f"void light glowing 0 0 3 {watts}\nglowing polygon square 0 0 12 {places}\n"
-        return program.moved(radiance_text(_shade(), "shade") + text, at)
+        return program.moved(radiance_text(_shade(), "shade") + text, _place(placement))
+
+
+@dataclasses.dataclass(frozen=True)
+class ExportedLamp:
+    """A built-in luminaire, baked, and exported to Radiance.
+
+    Attributes:
+        name: of the luminaire.
+        lights: largest number of point lights.
+    """
+
+    name: str
+    lights: int
+
+    def placement(self, folder: Path, at: Point) -> Placement:
+        return Placement(_baked(self.name), at=at)
+
+    def radiance(self, program: Radiance, placement: Placement) -> str:
+        import lumitree
+
+        asset = _baked(self.name)
+        path = program.folder / "exported.rad"
+        lumitree.export(asset, path, lights=self.lights)
+        return program.moved(path.read_text(), np.array(_place(placement)) - asset.frame.centre)
+
+
+@functools.cache
+def _baked(name: str) -> Any:
+    import lumitree
+
+    config = lumitree.BakeConfig(parts=("light", "geometry"), irradiance_paths=0)
+    return lumitree.bake(name, None, config).asset
+
+
+def _place(placement: Placement) -> Point:
+    assert placement.at is not None
+    return placement.at
 
 
 # Height of the square, from the middle of the box.

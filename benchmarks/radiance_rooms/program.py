@@ -1,7 +1,7 @@
 """Radiance: conversion of photometric files, and illuminance at points.
 
-Radiance has z up: (x, y, z) here is (x, -z, y) there. Of an RGB value of Radiance in W/m² one
-W is 179 lm, a convention for white light; the programs are given grey surfaces and white lamps.
+Radiance has z up: (x, y, z) here is (x, -z, y) there. Its convention for the luminous efficacy is
+179 lm/W, and the luminances of its primaries are not those of sRGB.
 """
 
 import dataclasses
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.errors import LumitreeError
 
 LUMENS_PER_WATT = 179.0
+_LUMA = (0.265074126, 0.670114631, 0.064811243)
 # Distance beyond which a part of a light source is not divided further, and how far the samples of
 # a part are from its centre, relative to its size.
 _DIRECT = "-ds .05 -dj .9 -dt 0 -dc 1 -dp 0 -st 0"
@@ -106,8 +107,8 @@ class Radiance:
         start = resource.getrusage(resource.RUSAGE_CHILDREN)
         text = self._run("rtrace", *options.split(), octree.name, given="\n".join(lines) + "\n")
         end = resource.getrusage(resource.RUSAGE_CHILDREN)
-        found = LUMENS_PER_WATT * np.array(text.split(), np.float64).reshape(-1, repeats, 3)
-        lux = found.mean(axis=-1)
+        rgb = np.array(text.split(), np.float64).reshape(-1, repeats, 3)
+        lux = LUMENS_PER_WATT * (rgb @ np.array(_LUMA))
         return TracedIlluminance(
             lux.mean(axis=1),
             lux.std(axis=1, ddof=1) / np.sqrt(repeats),

@@ -144,38 +144,61 @@ def test_a_point_source_on_horizontal_and_vertical_planes(mi, tmp_path):
     agree(found.total, found.total_error, exact)
 
 
-@pytest.mark.parametrize("kind", ["emitter", "file", "bake"])
-def test_an_area_source_on_parallel_and_perpendicular_planes(mi, tmp_path, kind):
-    """(5.3) A Lambertian square, 1 m, of 1000 cd/m²."""
-    height, level = 2.0, 1000.0
-    square = wall(mi, (0, height, 0), (0.5, 0, 0), (0, 0, 0.5))
-    lamps = []
-    shapes = {"floor": wall(mi, (0, -1, 0), (9, 0, 0), (0, 0, -9))}
-    if kind == "emitter":
-        shapes["lamp"] = {**square, "emitter": emission(level)}
-    elif kind == "file":
-        path = lamp_file(
-            tmp_path, lambda d: level * np.maximum(-d[..., 1], 0), "square", (1, 1, 0), step=2.5
-        )
-        lamps = placed(path, (0, height, 0))
-    else:
-        lamp = mi.load_dict({"type": "scene", "square": {**square, "emitter": emission(level)}})
-        config = lumitree.BakeConfig(parts=("light",), irradiance_paths=0)
-        lamps = [lumitree.Placement(lumitree.bake(lamp, None, config).asset, at=(0, height, 0))]
+HEIGHT, LUMINANCE = 2.0, 1000.0
+
+
+def below_a_square(mi, shapes, lamps):
+    """Direct illuminance below and beside a Lambertian square, 1 m, and what it is exactly."""
     floor = [(x, 0, z) for x in (0.0, 0.6, 1.5) for z in (0.0, 1.0, 2.2)]
     side = [(-1.5, y, z) for y in (0.2, 0.9, 1.5) for z in (0.0, 1.2)]
     points = np.array([*floor, *side], float)
     normals = np.array([UP] * len(floor) + [(1, 0, 0)] * len(side), float)
     found = lumitree.illuminance(
-        mi.load_dict({"type": "scene", **shapes}),
+        mi.load_dict(
+            {"type": "scene", "floor": wall(mi, (0, -1, 0), (9, 0, 0), (0, 0, -9)), **shapes}
+        ),
         lamps,
         points=points,
         normals=normals,
         error=ERROR,
         direct_only=True,
     )
-    corners = rectangle((0, height, 0), (0.5, 0, 0), (0, 0, 0.5))
-    agree(found.direct, found.direct_error, level * np.pi * factor(points, normals, corners))
+    corners = rectangle((0, HEIGHT, 0), (0.5, 0, 0), (0, 0, 0.5))
+    return found, LUMINANCE * np.pi * factor(points, normals, corners)
+
+
+def emitting_square(mi):
+    return wall(mi, (0, HEIGHT, 0), (0.5, 0, 0), (0, 0, 0.5), emitter=emission(LUMINANCE))
+
+
+@pytest.mark.parametrize("kind", ["emitter", "file"])
+def test_an_area_source_on_parallel_and_perpendicular_planes(mi, tmp_path, kind):
+    """(5.3) A Lambertian square by an emitter of the scene, and by an IES file."""
+    if kind == "emitter":
+        found, exact = below_a_square(mi, {"lamp": emitting_square(mi)}, [])
+    else:
+        path = lamp_file(
+            tmp_path, lambda d: LUMINANCE * np.maximum(-d[..., 1], 0), "square", (1, 1, 0), step=2.5
+        )
+        found, exact = below_a_square(mi, {}, placed(path, (0, HEIGHT, 0)))
+    agree(found.direct, found.direct_error, exact)
+
+
+@pytest.mark.slow
+def test_a_baked_area_source(mi):
+    """(5.3) The noise of a bake is in its light; it is that of independent bakes."""
+    ratios = []
+    for seed in range(6):
+        lamp = mi.load_dict({"type": "scene", "lamp": emitting_square(mi)})
+        config = lumitree.BakeConfig(parts=("light",), irradiance_paths=0, seed=seed)
+        asset = lumitree.bake(lamp, None, config).asset
+        found, exact = below_a_square(mi, {}, [lumitree.Placement(asset, at=(0, HEIGHT, 0))])
+        ratios.append(found.direct / exact)
+    # Of one bake.
+    assert np.array(ratios) == pytest.approx(1, abs=0.04)
+    assert np.mean(ratios) == pytest.approx(1, abs=0.005)
+    mean, error = np.mean(ratios, axis=0), np.std(ratios, axis=0, ddof=1) / np.sqrt(len(ratios))
+    assert (np.abs(mean - 1) < 0.005 + 4.5 * error).all()
 
 
 def test_the_walls_of_a_box_get_the_flux_of_the_lamp(mi, tmp_path):
@@ -229,30 +252,28 @@ def test_light_through_a_clear_pane(mi):
 
 @pytest.mark.parametrize("obstructed", [False, True])
 def test_light_that_a_diffuse_square_reflects(mi, tmp_path, obstructed):
-    """(5.6, 5.7) An evenly lit square, 1 m, lights a ceiling and a wall; a plate may hide some."""
+    """(5.6, 5.7) An evenly lit square, 2 m, lights a ceiling and a wall; a plate may hide some."""
     reflectance, lit, height = 0.8, 500.0, 4.0
     # Even on the plane below: E = I cos³ γ / h². It ends beyond the square's corners.
     path = lamp_file(
         tmp_path,
-        lambda d: np.where(-d[..., 1] > 0.97, lit * height**2 / np.abs(d[..., 1]) ** 3, 0),
+        lambda d: np.where(-d[..., 1] > 0.93, lit * height**2 / np.abs(d[..., 1]) ** 3, 0),
         step=1.0,
     )
-    shapes = {"square": wall(mi, (0, 0, 0), (0.5, 0, 0), (0, 0, -0.5), reflectance)}
-    points = np.array([(x, 2.0, z) for x in (1.2, 1.8) for z in (0.0, 0.7)] + [(1.5, 0.7, 0.2)])
+    shapes = {"square": wall(mi, (0, 0, 0), (1, 0, 0), (0, 0, -1), reflectance)}
+    points = np.array([(x, 1.2, z) for x in (1.4, 1.8) for z in (0.0, 0.7)] + [(1.5, 0.7, 0.2)])
     normals = np.array([DOWN] * 4 + [(-1, 0, 0)], float)
-    seen = factor(points, normals, rectangle((0, 0, 0), (0.5, 0, 0), (0, 0, 0.5)))
+    seen = factor(points, normals, rectangle((0, 0, 0), (1, 0, 0), (0, 0, 1)))
     if obstructed:
-        # The plate, of x from 0.6 to 1.6 and |z| < 2, is at half the height: points of the ceiling
+        # The plate, of x from 0.95 to 2.2 and |z| < 2, is at half the height: points of the ceiling
         # see the square up to twice its left edge less their own x.
-        shapes["plate"] = wall(mi, (1.1, 1.0, 0), (0.5, 0, 0), (0, 0, -2))
-        shapes["plate_above"] = wall(mi, (1.1, 1.001, 0), (0.5, 0, 0), (0, 0, 2))
+        plate = ((1.575, 0.6, 0), (0.625, 0, 0))
+        shapes["plate"] = wall(mi, *plate, (0, 0, -2))
+        shapes["its other side"] = wall(mi, *plate, (0, 0, 2))
         points, normals = points[:4], normals[:4]
-        right = np.clip(2 * 0.6 - points[:, 0], -0.5, 0.5)
-        seen = np.zeros(4)
-        for i, end in enumerate(right):
-            if end > -0.5:
-                part = rectangle(((end - 0.5) / 2, 0, 0), ((end + 0.5) / 2, 0, 0), (0, 0, 0.5))
-                seen[i] = factor(points[i : i + 1], normals[i : i + 1], part)[0]
+        end = 2 * 0.95 - points[:, 0]
+        parts = [rectangle(((e - 1) / 2, 0, 0), ((e + 1) / 2, 0, 0), (0, 0, 1)) for e in end]
+        seen = factor(points, normals, np.array(parts))
     found = lumitree.illuminance(
         mi.load_dict({"type": "scene", **shapes}),
         placed(path, (0, height, 0)),
