@@ -42,9 +42,10 @@ class FileLamp:
 
 @dataclasses.dataclass(frozen=True)
 class ShadedLamp:
-    """A square that emits downwards, at the top of a diffuse box that is open below.
+    """A square that emits downwards, at the top of a black box that is open below.
 
-    lumitree bakes it; Radiance gets its surfaces.
+    lumitree bakes it; Radiance gets its surfaces. They reflect nothing, because lumitree counts what
+    a lamp's own surfaces reflect as its direct light.
 
     Attributes:
         half: half side of the square, m.
@@ -133,11 +134,11 @@ _SQUARE = 0.085
 
 def _shade() -> list[Box]:
     """A box of 0.3 x 0.2 x 0.3 m around the origin without its lower side."""
-    outer, inner, half, white = 0.15, 0.14, 0.1, 0.7
+    outer, inner, half, black = 0.15, 0.14, 0.1, 0.0
     return [
-        Box((-outer, half - 0.01, -outer), (outer, half, outer), white),
-        Box((-outer, -half, -outer), (-inner, half - 0.01, outer), white),
-        Box((inner, -half, -outer), (outer, half - 0.01, outer), white),
-        Box((-inner, -half, -outer), (inner, half - 0.01, -inner), white),
-        Box((-inner, -half, inner), (inner, half - 0.01, outer), white),
+        Box((-outer, half - 0.01, -outer), (outer, half, outer), black),
+        Box((-outer, -half, -outer), (-inner, half - 0.01, outer), black),
+        Box((inner, -half, -outer), (outer, half - 0.01, outer), black),
+        Box((-inner, -half, -outer), (inner, half - 0.01, -inner), black),
+        Box((-inner, -half, inner), (inner, half - 0.01, outer), black),
     ]
