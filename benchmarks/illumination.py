@@ -134,8 +134,9 @@ def _bake_cells(row: dict) -> list[str]:
     seconds, found = row["bake_seconds"]["light"], row["irradiance"]
     faces = found["faces"].values()
     cube = [face for name, face in found["faces"].items() if name != "touching"]
-    ratio = [face["ratio"] for face in cube]
-    rms = [face["rms"] for face in faces]
+    # A face that gets no light has none.
+    ratio = [face["ratio"] for face in cube if face["ratio"] is not None]
+    rms = [face["rms"] for face in faces if face["rms"] is not None]
     return [
         f"{seconds:.0f} s",
         size,

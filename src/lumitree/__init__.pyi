@@ -51,6 +51,11 @@ from .lamp.scene_shapes import SceneShape as SceneShape
 from .lamp.source import LuminaireSource as LuminaireSource
 from .measure.evaluate import EvaluateResult as EvaluateResult
 from .measure.evaluate import evaluate as evaluate
+from .measure.illuminance.areas import Plane as Plane
+from .measure.illuminance.areas import Surface as Surface
+from .measure.illuminance.illuminance import AreaFigures as AreaFigures
+from .measure.illuminance.illuminance import IlluminanceResult as IlluminanceResult
+from .measure.illuminance.illuminance import illuminance as illuminance
 from .measure.photometry.figures import (
     Estimate as Estimate,
 )

@@ -14,6 +14,7 @@ from lumitree.cli import (
     evaluate,
     export,
     extract,
+    illuminance,
     info,
     list_luminaires,
     merge,
@@ -35,7 +36,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 
 DEBUG = "LUMITREE_DEBUG"
 # Options whose values may begin with a minus sign, which argparse would parse as an option.
-_VECTOR_OPTIONS = ("--at", "--rotate", "--gain")
+_VECTOR_OPTIONS = ("--at", "--rotate", "--gain", "--plane", "--normal")
 _COMMANDS = (
     list_luminaires,
     preview,
@@ -49,6 +50,7 @@ _COMMANDS = (
     info,
     evaluate,
     photometry,
+    illuminance,
     render,
     view,
     export,

@@ -231,3 +231,11 @@ def vector(*counts: int) -> Callable[[str], tuple[float, ...]]:
         return values
 
     return parse
+
+
+def number(text: str) -> float | str:
+    """A number, or the text if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return text

@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> Any:
         options.luminaire(args, args.source),
         args.output,
         step=args.step,
-        unit=_number(args.unit),
+        unit=options.number(args.unit),
         up=args.up,
         paths=args.paths,
         file_rays=args.file_rays,
@@ -85,14 +85,6 @@ def show(args: argparse.Namespace, result: Any) -> None:
     # A report, if there is one.
     reports = [path for path in result.files if path.suffix.lower() in (".html", ".pdf")]
     print_open(next(iter((*reports, *result.files)), None))
-
-
-def _number(text: str) -> float | str:
-    """A number, or the text if it is none."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
 
 
 def _print_near_field(result: Any) -> None:

@@ -5,20 +5,7 @@ from typing import Any
 
 from lumitree.cli import options
 from lumitree.cli.output import check_outputs, image_report, print_open, print_report
-
-
-class _Place(argparse.Action):
-    """`--place` adds a placement; `--at` and the others set values of the latest one."""
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        if self.dest == "place":
-            namespace.place = [*(namespace.place or []), {"source": values}]
-        elif not namespace.place:
-            parser.error(f"{option_string} comes before any --place")
-        elif self.dest in namespace.place[-1]:
-            parser.error(f"{option_string} is given twice for {namespace.place[-1]['source']}")
-        else:
-            namespace.place[-1][self.dest] = values
+from lumitree.cli.placements import add_placements, placements
 
 
 def add(commands: Any) -> None:
@@ -28,7 +15,7 @@ def add(commands: Any) -> None:
     options.add_output(
         parser, "IMAGE", "image to write, .exr (linear radiance) or .png (as --view shows it)"
     )
-    _add_placements(parser)
+    add_placements(parser)
     parser.add_argument(
         "--spp",
         type=int,
@@ -84,77 +71,13 @@ def add(commands: Any) -> None:
     options.add_variant(parser)
 
 
-def _add_placements(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--place",
-        action=_Place,
-        metavar="ASSET",
-        help=f"a .lumitree file{options.PHOTOMETRIC}; or a LUMINAIRE, which is placed as explicit "
-        "geometry; may be repeated, each with its own --at, --size, --rotate, --gain, --lumens and "
-        "--temperature",
-    )
-    parser.add_argument(
-        "--at",
-        action=_Place,
-        type=options.vector(3),
-        metavar="X,Y,Z",
-        help="centre of the bounding box, scene units (default: as in the luminaire's file)",
-    )
-    parser.add_argument(
-        "--size",
-        action=_Place,
-        type=float,
-        metavar="S",
-        help="largest side of the bounding box, scene units (default: as in the luminaire's file)",
-    )
-    parser.add_argument(
-        "--rotate",
-        action=_Place,
-        type=options.vector(4),
-        metavar="AX,AY,AZ,DEG",
-        help="rotation about the centre: axis, and angle in degrees",
-    )
-    parser.add_argument(
-        "--gain",
-        action=_Place,
-        type=options.vector(1, 3),
-        metavar="R,G,B",
-        help="factors on the red, green and blue light of an asset, or one number for all "
-        "(default: 1)",
-    )
-    parser.add_argument(
-        "--lumens",
-        action=_Place,
-        type=float,
-        metavar="LM",
-        help="luminous flux of an asset in the scene before --gain, lm, if the scene is in "
-        "metres (default: its own)",
-    )
-    parser.add_argument(
-        "--temperature",
-        action=_Place,
-        type=float,
-        metavar="K",
-        help="colour temperature of the light of an asset before --gain, 1000 to 20000 K "
-        "(default: its own colour)",
-    )
-    parser.add_argument(
-        "--placements",
-        metavar="FILE",
-        help="TOML file with a table [lamps.NAME] for each lamp; its lamps come before those of "
-        "--place",
-    )
-
-
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
     check_outputs(args.output, args.layers, args.aov)
-    placements = [] if args.placements is None else lumitree.read_placements(args.placements)
-    placements += [lumitree.Placement(**placement) for placement in args.place or ()]
     result = lumitree.render(
         args.scene,
-        placements,
+        placements(args),
         samples_per_pixel=args.spp,
         time=args.time,
         noise=args.noise,

@@ -48,6 +48,9 @@ class Purpose(enum.IntEnum):
     VISIBILITY = 23  # its surfaces in its box; draw 0: rays, step: rays at once; draw 1: curves
     RECEIVED = 24  # irradiance at points of a scene; step: samples at once
     SURFACES = 25  # radiance of the surfaces of an asset; step: faces at once
+    # Illuminance at points of a scene; draw 0: paths, step: pass; draw 1: places in cells of light
+    # fields, step: sum; draw 2: points of a surface.
+    ILLUMINANCE = 26
 
 
 @dataclasses.dataclass(frozen=True)

@@ -226,16 +226,11 @@ def load_scene(
         LumitreeError: the scene cannot be loaded or has no camera, Mitsuba cannot evaluate one
             of its BSDFs or emitters, or its film is created already and cannot be changed.
     """
-    register()  # the scene may name our plugins itself
     title = scene_title(source)
-    if isinstance(source, mi.Scene):
-        scene, described, shapes = source, None, ()
-    else:
-        scene, described, shapes = _create(source, title, box_filter=box_filter)
+    scene, described = _open(source, title, box_filter=box_filter)
     sensors = scene.sensors()
     if not sensors:
         raise LumitreeError(f"{title} has no sensor; add a camera to the scene")
-    check_evaluates(scene, shapes, title, rays=False)
     if box_filter and sensors[0].film().rfilter().class_name() != "BoxFilter":
         raise LumitreeError(
             f"{title} has a film that is created already; denoise needs one with the "
@@ -256,6 +251,24 @@ def load_scene(
                 _warn_far(item)
                 _warn_unlit_by_volpath(scene, item)
     return scene, integrator
+
+
+def load_room(source: Any) -> mi.Scene:
+    """The objects and emitters of a scene, as `load_scene`; it needs no camera."""
+    return _open(source, scene_title(source))[0]
+
+
+def _open(
+    source: Any, title: str, *, box_filter: bool = False
+) -> tuple[mi.Scene, mi.Properties | None]:
+    """Scene, and properties of its integrator, if they are known."""
+    register()  # the scene may name our plugins itself
+    if isinstance(source, mi.Scene):
+        scene, described, shapes = source, None, ()
+    else:
+        scene, described, shapes = _create(source, title, box_filter=box_filter)
+    check_evaluates(scene, shapes, title, rays=False)
+    return scene, described
 
 
 def scene_title(source: Any) -> str:

@@ -21,6 +21,7 @@ from lumitree.core.toml_table import (
     shown_value,
     text,
 )
+from lumitree.core.units import UNITS
 from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.importers.overrides import Emission, MaterialOverride, Overrides
 from lumitree.lamp.parts import (
@@ -34,7 +35,6 @@ from lumitree.lamp.parts import (
     Surface,
 )
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 _MAX_EMISSION = 1e9
 
 

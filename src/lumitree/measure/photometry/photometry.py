@@ -18,8 +18,8 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import ImageResult
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.units import metres_of
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
-from lumitree.lamp.importers.overrides_file import UNITS
 from lumitree.lamp.source import (
     PHOTOMETRIC_SUFFIXES,
     RAY_SUFFIXES,
@@ -136,7 +136,7 @@ def photometry(
     check_range("rays of a ray file", file_rays, 1, MAX_FILE_RAYS)
     check_seed(seed)
     check_choice("up", up, ("y", "z"))
-    metres = _metres(unit)
+    metres = metres_of(unit)
     load_mitsuba(variant)
     from lumitree.formats.type_c import Grid
     from lumitree.lamp.loading import load_luminaire
@@ -195,15 +195,6 @@ def _check_outputs(outputs: Sequence[FilePath]) -> None:
             name = shown(repr(os.fspath(path)), 300)
             raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
         check_writable(path)
-
-
-def _metres(unit: float | str) -> float:
-    """Metres in a unit of length, as for `photometry`."""
-    metres = UNITS.get(unit, 0.0) if isinstance(unit, str) else unit
-    if not (isinstance(metres, int | float) and 1e-6 <= metres <= 1e6):
-        expected = f"{', '.join(UNITS)}, or 1e-6 to 1e6 metres"
-        raise LumitreeError(f"unit is {shown(repr(unit), 40)}; expected {expected}")
-    return metres
 
 
 def _warn_far(source: "Source") -> None:

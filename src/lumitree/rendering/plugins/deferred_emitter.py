@@ -54,6 +54,22 @@ class DeferredEmitter(Protocol):
         """Light what is in the box from now on, if it can (`placed.holds`)."""
         ...
 
+    def is_summed(self, point: mi.Point3f, active: mi.Bool) -> mi.Bool:
+        """Whether `irradiance` knows what receivers at points of the scene get."""
+        ...
+
+    def irradiance(
+        self, point: mi.Point3f, n: mi.Vector3f, random: mi.PCG32, active: mi.Bool
+    ) -> mi.Color3f:
+        """Irradiance of receivers that nothing but the lamp shadows, without sampling directions.
+
+        Args:
+            point, n: places and unit normals in the scene.
+            random: as many random numbers as there are receivers.
+            active: mask; only receivers of `is_summed`.
+        """
+        ...
+
     def sample_target(
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool
     ) -> EmitterSample:

@@ -50,6 +50,14 @@ def emitter_class() -> type:
                 self.sampler.light_inside()
                 placed.holds = True
 
+        def is_summed(self, point, active):
+            x = self.placed.local_point(point)
+            return active & self.sampler.is_summed(x) & ~self.placed.in_box(x)
+
+        def irradiance(self, point, n, random, active):
+            line = self.placed.local_line(point, n)
+            return self.gain * self.sampler.irradiance(*line, random, active)
+
         def traverse(self, callback):
             super().traverse(callback)
             callback.put("gain", self.gain, mi.ParamFlags.Differentiable)

@@ -105,6 +105,13 @@ def eval_target(
     return mi.Color3f(sampled.weight), mi.Float(sampled.ds.pdf)
 
 
+def is_summed(emitter: mi.Emitter, point: mi.Point3f, active: mi.Bool) -> mi.Bool:
+    """Whether the irradiance that an emitter sends to points is known (`DeferredEmitter`)."""
+    if isinstance(emitter, DeferredEmitter):
+        return emitter.is_summed(point, active)
+    return mi.Bool(False)
+
+
 def sample_self_emission(
     emitter: mi.Emitter, sample: mi.Float, active: mi.Bool
 ) -> tuple[mi.ShapePtr, mi.Float, mi.Float]:

@@ -23,9 +23,10 @@ which contains all light that its surfaces scatter: so these surfaces get none o
 After the first vertex that is not specular, the lamp's glass bends no ray (`geometry_plugins`),
 and a crossing of it is a null interaction.
 
-`_trace` is the loop. Its blocks are functions of `path_segments` (media and proxies along a ray),
-`path_emission` (emitters that are hit, and emitter sampling) and `path_vertices` (scattering). They
-read a `PathScene` and change a `PathState`. docs/emitter-samples.md follows a sample through them.
+`trace_paths` is the loop. Its blocks are functions of `path_segments` (media and proxies along a
+ray), `path_emission` (emitters that are hit, and emitter sampling) and `path_vertices`
+(scattering). They read a `PathScene` and change a `PathState`. docs/emitter-samples.md follows a
+sample through them.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ from lumitree.rendering.plugins.path_vertices import (
 from lumitree.rendering.plugins.proxies import DividedScene
 from lumitree.trace import medium_paths
 
-_DEFAULT_RR_DEPTH = 5
+DEFAULT_RR_DEPTH = 5
 
 
 def integrator_class() -> type:
@@ -78,7 +79,7 @@ def integrator_class() -> type:
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
             self.max_depth = int(props.get("max_depth", -1))
-            self.rr_depth = int(props.get("rr_depth", _DEFAULT_RR_DEPTH))
+            self.rr_depth = int(props.get("rr_depth", DEFAULT_RR_DEPTH))
             # What is recorded beside the image.
             self.layers: Layers | Unrecorded = Unrecorded()
             self._divided = DividedScene()
@@ -114,7 +115,7 @@ def integrator_class() -> type:
             )
             inside = dr.zeros(mi.MediumPtr) if medium is None else mi.MediumPtr(medium)
             path = PathState.start(ray, inside, mi.Bool(active))
-            return _trace(paths, path, sampler, self.max_depth, self.rr_depth)
+            return trace_paths(paths, path, sampler, self.max_depth, self.rr_depth)
 
         def aov_names(self):
             return self.layers.channel_names()
@@ -126,10 +127,17 @@ def integrator_class() -> type:
 
 
 @dr.syntax
-def _trace(
+def trace_paths(
     scene: PathScene, path: PathState, sampler: mi.Sampler, max_depth: int, rr_depth: int
 ) -> tuple[mi.Color3f, mi.Bool, list[mi.Float]]:
-    """Radiance along camera rays, whether they met something (for the film's alpha), and layers."""
+    """Radiance along rays, whether they met something (for the film's alpha), and layers.
+
+    Args:
+        scene: what is traced.
+        path: as `PathState.start` or `PathState.received` return it.
+        sampler: of as many samples as there are paths.
+        max_depth, rr_depth: as of Mitsuba's `path`.
+    """
     surfaces = scene.divided.surfaces
     largest_depth = mi.UInt32(max_depth % (1 << 32))  # no limit: the largest number
     path.record = scene.layers.start()

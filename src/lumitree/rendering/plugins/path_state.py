@@ -15,6 +15,9 @@ from lumitree.rendering.plugins.deferred_emitter import EmitterSample
 from lumitree.rendering.plugins.path_scene import PathScene
 from lumitree.rendering.plugins.proxies import NONE
 
+# Density of directions whose emitters are left to emitter sampling: its square is no denormal.
+_LEFT_OUT = 1e-15
+
 
 @dataclass
 class PathState:
@@ -74,6 +77,27 @@ class PathState:
             self_sampled=mi.Bool(False),
             skipped=mi.UInt32(0),
         )
+
+    @classmethod
+    def received(
+        cls, receiver: mi.Interaction3f, ray: mi.Ray3f, medium: mi.MediumPtr, active: mi.Bool
+    ) -> PathState:
+        """Paths of the light that surfaces and media send to receivers.
+
+        What emitters send there straight is left to emitter sampling.
+
+        Args:
+            receiver: where they begin, as on a rough surface.
+            ray: from there.
+            medium, active: as for `start`.
+        """
+        path = cls.start(ray, medium, active)
+        path.depth = mi.UInt32(1)
+        path.si_prev = mi.Interaction3f(receiver)
+        path.bsdf_pdf_prev = mi.Float(_LEFT_OUT)
+        path.bsdf_delta_prev = mi.Bool(False)
+        path.specular_chain = mi.Bool(False)
+        return path
 
     def add_light(
         self,

@@ -179,6 +179,16 @@ class CellSampler(DividedSampler):
         """Make what receivers inside the box need."""
         self._inside = inside_light(self._asset, blocked=self._blocked)
 
+    def is_summed(self, x: mi.Point3f) -> mi.Bool:
+        """Whether the lamp's own surfaces, if they are in the scene, do not block there."""
+        return self._light.blocked_part(x) <= 0 if self._blocked else mi.Bool(True)
+
+    def irradiance(
+        self, x: mi.Point3f, n: mi.Vector3f, random: mi.PCG32, active: mi.Bool
+    ) -> mi.Color3f:
+        """Irradiance of receivers outside the box that nothing else shadows."""
+        return self._light.emitted.irradiance(x, n, random, active)
+
     def sample_target(
         self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool, inside: mi.Bool
     ) -> tuple[mi.Vector3f, Target]:

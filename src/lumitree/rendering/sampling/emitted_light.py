@@ -18,7 +18,7 @@ from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import direction_in_bin, solid_angles
 from lumitree.core.photometry import luminance
-from lumitree.rendering.sampling.light_bins import unpacked
+from lumitree.rendering.sampling.light_bins import smooth_bin, unpacked
 from lumitree.rendering.sampling.light_cells import LightCells
 from lumitree.rendering.sampling.samples import sample_row, scrambled
 
@@ -59,6 +59,7 @@ class EmittedLight:
         gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> None:
         self._count, self._resolution = len(field.cells), field.resolution
+        self._num_cells = dr.opaque(mi.UInt32, self._count)
         self.cells = LightCells(half_extents, field.cells, field.depth)
         self._packed = on_device(mi.UInt32, field.dense(field.intensity))
         self.scale = dr.opaque(mi.Float, field.scale * max(gain))
@@ -74,6 +75,32 @@ class EmittedLight:
         """Radiant intensity of a bin of a cell."""
         packed = dr.gather(mi.UInt32, self._packed, cell * self._resolution**2 + index, active)
         return self._colour * (self.scale * unpacked(packed))
+
+    @dr.syntax
+    def irradiance(
+        self, x: mi.Point3f, n: mi.Vector3f, random: mi.PCG32, active: mi.Bool
+    ) -> mi.Color3f:
+        """Irradiance of receivers outside the box that nothing shadows: Σ I cos θ / r².
+
+        Each cell has its light in one random point. The mean over the points is its light.
+
+        Args:
+            x: the receivers.
+            n: their unit normals.
+            random: as many random numbers as there are receivers.
+            active: mask.
+        """
+        total, cell = mi.Color3f(0), dr.zeros(mi.UInt32, dr.width(x))
+        while active & (cell < self._num_cells):
+            within = mi.Point3f(random.next_float32(), random.next_float32(), random.next_float32())
+            offset = mi.Vector3f(self.cells.point(cell, within, active) - x)
+            projected = dr.dot(n, offset)
+            faces = active & (projected > 0)
+            light = self.intensity(cell, smooth_bin(-offset, self._resolution), faces)
+            squared = dr.squared_norm(offset)
+            total += dr.select(faces, light * projected * dr.rsqrt(squared) / squared, 0)
+            cell += 1
+        return total
 
     def sample_ray(
         self,

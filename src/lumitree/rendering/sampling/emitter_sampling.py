@@ -159,6 +159,16 @@ class DirectionSampler(Protocol):
     def light_inside(self) -> None:
         """Prepare light for receivers inside the box."""
 
+    def is_summed(self, x: mi.Point3f) -> mi.Bool:
+        """Whether `irradiance` knows what receivers outside the box get."""
+        return mi.Bool(False)
+
+    def irradiance(
+        self, x: mi.Point3f, n: mi.Vector3f, random: mi.PCG32, active: mi.Bool
+    ) -> mi.Color3f:
+        """Irradiance of receivers of `is_summed`, as `EmittedLight.irradiance`."""
+        return mi.Color3f(0)
+
     def eval_target(
         self,
         x: mi.Point3f,

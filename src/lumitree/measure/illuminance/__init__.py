@@ -1,0 +1,1 @@
+"""Illuminance of planes, surfaces and points of a scene."""

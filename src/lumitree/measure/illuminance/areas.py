@@ -1,0 +1,268 @@
+"""Where illuminance is wanted: planes, surfaces of the scene, and points."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lumitree.core.arguments import check_range
+from lumitree.core.files import FilePath
+from lumitree.core.reading import read_bytes
+from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.errors import LumitreeError, shown
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+# Points of a call, and of an area, at most.
+MAX_POINTS = 1 << 20
+_MAX_FILE_BYTES = 1 << 28
+_MAX_LENGTH = 1e9
+
+
+@dataclasses.dataclass(frozen=True)
+class Plane:
+    """A rectangle, at whose grid of points illuminance is wanted.
+
+    The plane has the axes u and v: seen with the normal towards the viewer, u points to the right
+    and v up. u is the axis x of the scene, laid into the plane; if the normal is that of x, it is
+    y. So a floor with y up is seen with x to the right and -z up. The rectangle is divided into
+    equal cells, about `spacing` wide, and the points are their centres.
+
+    Attributes:
+        centre: [3] of the rectangle, scene units.
+        normal: [3], of any length.
+        extent: sides along u and v, scene units.
+        spacing: distance of neighbouring points, scene units.
+        name: for tables and plots; default: "plane" and a number.
+
+    Raises:
+        LumitreeError: a number is out of range, the normal is 0, or there are more than 1,048,576
+            points.
+    """
+
+    centre: tuple[float, float, float]
+    normal: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    extent: tuple[float, float] = (1.0, 1.0)
+    spacing: float = 0.25
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        _check_vector("centre", self.centre, 3)
+        _check_vector("normal", self.normal, 3)
+        _check_vector("extent", self.extent, 2)
+        check_range("spacing", self.spacing, 1 / _MAX_LENGTH, _MAX_LENGTH)
+        if not np.linalg.norm(self.normal) > 0:
+            raise LumitreeError("the normal of a plane is 0; expected a direction")
+        if not min(self.extent) > 0:
+            raise LumitreeError(f"extent is {self.extent}; expected two lengths above 0")
+        _check_count(math.prod(round(each / self.spacing) for each in self.extent))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Points along v and along u."""
+        columns, rows = (max(1, round(each / self.spacing)) for each in self.extent)
+        return rows, columns
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """Unit vectors [3, 3]: u, v and the normal."""
+        return _axes(np.asarray(self.normal, np.float64))
+
+    def points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Points and normals [N, 3], rows along u from the smallest v on."""
+        rows, columns = self.shape
+        u, v = ((np.arange(n) + 0.5) / n - 0.5 for n in (columns, rows))
+        grid = np.stack(np.meshgrid(u * self.extent[0], v * self.extent[1]), axis=-1)
+        points = np.asarray(self.centre) + grid.reshape(-1, 2) @ self.axes[:2]
+        return points, np.tile(self.axes[2], (len(points), 1))
+
+
+@dataclasses.dataclass(frozen=True)
+class Surface:
+    """A shape of the scene, on which illuminance is wanted, on the side of its normals.
+
+    Attributes:
+        shape: its id in the scene.
+        spacing: root of the area for each point, scene units.
+
+    Raises:
+        LumitreeError: the spacing is out of range.
+    """
+
+    shape: str
+    spacing: float = 0.25
+
+    def __post_init__(self) -> None:
+        check_range("spacing", self.spacing, 1 / _MAX_LENGTH, _MAX_LENGTH)
+
+    def points(self, scene: mi.Scene, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Points and normals [N, 3], spread evenly over the surface.
+
+        Raises:
+            LumitreeError: there is no such shape, or too many points.
+        """
+        import mitsuba as mi
+
+        from lumitree.core.device import on_device
+
+        found = [each for each in scene.shapes() if each.id() == self.shape]
+        if not found:
+            names = ", ".join(sorted(each.id() for each in scene.shapes())) or "none"
+            raise LumitreeError(
+                f"the scene has no shape {shown(repr(self.shape), 100)}; its shapes are: "
+                f"{shown(names, 300)}"
+            )
+        area = float(np.ravel(found[0].surface_area())[0])
+        count = max(1, round(area / self.spacing**2))
+        _check_count(count)
+        # An additive recurrence covers the unit square evenly (Roberts 2018).
+        golden = 1.32471795724474602596
+        start = np.random.default_rng(SeedStream(Purpose.ILLUMINANCE, draw=2).seed(seed)).random(2)
+        sample = (start + np.arange(1, count + 1)[:, None] / golden ** np.array([1, 2])) % 1
+        at = found[0].sample_position(0, on_device(mi.Point2f, sample))
+        place, normal = np.array(at.p, np.float64).T, np.array(at.n, np.float64).T
+        # The one normal of a flat shape comes once.
+        return np.broadcast_to(place, (count, 3)), np.broadcast_to(normal, (count, 3))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Receivers:
+    """The receivers of one area.
+
+    Attributes:
+        name: of the area.
+        points, normals: [N, 3].
+        plane: the plane that they are on, if it is one.
+    """
+
+    name: str
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    plane: Plane | None = None
+
+    def flat(self) -> NDArray[np.float64]:
+        """Places [N, 2] along u and v of their plane, or of the plane across the mean normal."""
+        if self.plane is None:
+            axes, centre = _axes(self.normals.mean(axis=0)), self.points.mean(axis=0)
+        else:
+            axes, centre = self.plane.axes, np.asarray(self.plane.centre)
+        return (self.points - centre) @ axes[:2].T
+
+
+def collect(
+    scene: mi.Scene,
+    planes: Sequence[Plane],
+    surfaces: Sequence[Surface],
+    points: ArrayLike | None,
+    normals: ArrayLike | None,
+    seed: int,
+) -> list[Receivers]:
+    """The receivers of a call of `illuminance`, whose arguments these are.
+
+    Raises:
+        LumitreeError: there are none or too many, or points and normals do not match.
+    """
+    areas = [
+        Receivers(plane.name or f"plane {number}", *plane.points(), plane)
+        for number, plane in enumerate(planes, 1)
+    ]
+    areas += [Receivers(each.shape, *each.points(scene, seed)) for each in surfaces]
+    if points is not None:
+        areas.append(Receivers("points", *_given(points, normals)))
+    elif normals is not None:
+        raise LumitreeError("there are normals but no points; give both")
+    if not areas:
+        raise LumitreeError("no plane, surface or points are given; name at least one")
+    _check_count(sum(len(area.points) for area in areas))
+    return areas
+
+
+def _given(
+    points: ArrayLike, normals: ArrayLike | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    if normals is None:
+        raise LumitreeError("there are points but no normals; give both, or one normal for all")
+    try:
+        place = np.asarray(points, np.float64).reshape(-1, 3)
+        normal = np.broadcast_to(np.asarray(normals, np.float64), place.shape)
+    except (TypeError, ValueError):
+        raise LumitreeError(
+            f"points and normals have the shapes {np.shape(points)} and {np.shape(normals)}; "
+            "expected [N, 3] both, or [3] for one normal"
+        ) from None
+    finite = np.isfinite(place).all() and np.isfinite(normal).all()
+    if not len(place) or not finite or not (np.linalg.norm(normal, axis=1) > 0).all():
+        raise LumitreeError(
+            "points or normals are missing, not finite or 0; expected [N, 3] finite numbers and "
+            "normals of some length"
+        )
+    return place, normal
+
+
+def read_points(path: FilePath) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points and normals [N, 3] of a CSV file.
+
+    Its first line names the columns; x, y, z, nx, ny and nz are read, in any order.
+
+    Raises:
+        LumitreeError: the file cannot be read, lacks a column, or has a value that is no number.
+    """
+    name = shown(path, 300)
+    try:
+        content = read_bytes(path, "a CSV file of points", _MAX_FILE_BYTES).decode("utf-8-sig")
+        rows = list(csv.DictReader(io.StringIO(content), skipinitialspace=True))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise LumitreeError(f"{name} is no CSV file ({type(error).__name__})") from None
+    columns = ("x", "y", "z", "nx", "ny", "nz")
+    missing = [each for each in columns if not rows or rows[0].get(each) is None]
+    if missing:
+        raise LumitreeError(
+            f"{name} lacks {', '.join(missing)}; expected a first line with the columns "
+            f"{', '.join(columns)}, and a line for each point"
+        )
+    values = [_numbers(row, columns, name, line) for line, row in enumerate(rows, 2)]
+    table = np.array(values)
+    return table[:, :3], table[:, 3:]
+
+
+def _numbers(row: dict[str, Any], columns: Sequence[str], name: str, line: int) -> list[float]:
+    try:
+        return [float(row[each]) for each in columns]
+    except (TypeError, ValueError):
+        raise LumitreeError(
+            f"{name}, line {line}: expected six numbers for {', '.join(columns)}"
+        ) from None
+
+
+def _axes(normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors [3, 3] of a plane, as `Plane` has them: u, v and the normal."""
+    length = np.linalg.norm(normal)
+    n = normal / length if length > 0 else np.array([0.0, 1.0, 0.0])
+    along = np.array([1.0, 0, 0]) if abs(n[0]) < 0.999 else np.array([0, 1.0, 0])
+    u = along - (along @ n) * n
+    u /= np.linalg.norm(u)
+    return np.stack([u, np.cross(n, u), n])
+
+
+def _check_vector(name: str, value: Any, count: int) -> None:
+    try:
+        numbers = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if numbers.shape != (count,) or not (np.abs(numbers) <= _MAX_LENGTH).all():
+        raise LumitreeError(f"{name} is {shown(value, 80)}; expected {count} finite numbers")
+
+
+def _check_count(count: int) -> None:
+    if count > MAX_POINTS:
+        raise LumitreeError(
+            f"there are {count:,} points; expected at most {MAX_POINTS:,}: use a larger spacing"
+        )

@@ -1,0 +1,242 @@
+"""Illuminance with standard errors, until it is known well enough.
+
+The direct part of baked luminaires is a sum over the cells of their light fields (`S` below), which
+holds where nothing of the scene shadows a receiver. What is shadowed is sampled.
+
+Symbols
+    t   sample of direct illuminance, by emitter sampling
+    w   the same sample if nothing shadowed it, for baked luminaires whose light is summed; else 0
+    S   mean of w, by summation
+    c   coefficient of the control variate w
+    y   t + c (S - w), whose mean is that of t. Where nothing is shadowed, c = 1 and all samples are
+        S; where everything is, c = 0 and all are 0
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.photometry import luminance
+from lumitree.core.progress import progress
+from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.measure.illuminance.light import (
+    emitter_light,
+    receivers,
+    reflected_light,
+    summed_part,
+)
+from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
+from lumitree.rendering.plugins.path_scene import PathScene
+
+# Samples that are computed at once, and of a receiver in a pass.
+_AT_ONCE = 1 << 20
+_MIN_SAMPLES, _MAX_SAMPLES = 64, 4096
+# Samples of a receiver that the first coefficients are estimated with; they are not used further.
+_PILOT = 16
+# Sums over the cells of light fields, each with other random points of the cells: so many at first,
+# and at once at most. Their standard error is brought below this part of the one that is wanted.
+_SUMS, _MAX_SUMS, _SUM_PART = 4, 1 << 10, 0.3
+# Errors are relative to the illuminance, but to no less than this part of the mean.
+FLOOR = 0.1
+
+_Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Estimate:
+    """Illuminance of receivers, lx.
+
+    Attributes:
+        direct, total: [N].
+        direct_error, total_error: [N] standard errors.
+        samples: [N] samples of each.
+    """
+
+    direct: _Array
+    direct_error: _Array
+    total: _Array
+    total_error: _Array
+    samples: NDArray[np.int64]
+
+
+class _Moments:
+    """Number, sums and sums of squares of samples, by receiver."""
+
+    def __init__(self, count: int) -> None:
+        self.number = np.zeros(count, np.int64)
+        self.sum, self.squares = np.zeros(count), np.zeros(count)
+
+    def add(self, index: NDArray[np.int64], values: _Array) -> None:
+        """Add values [M, K] of the receivers of an index [M]."""
+        self.number[index] += values.shape[1]
+        self.sum[index] += values.sum(axis=1)
+        self.squares[index] += (values**2).sum(axis=1)
+
+    @property
+    def mean(self) -> _Array:
+        return self.sum / self.number
+
+    @property
+    def variance(self) -> _Array:
+        """Of the mean."""
+        spread = np.maximum(self.squares - self.sum * self.mean, 0)
+        return spread / np.maximum(self.number - 1, 1) / self.number
+
+
+class _Control:
+    """The coefficients of the control variate, from all samples so far."""
+
+    def __init__(self, count: int) -> None:
+        self._number = np.zeros(count)
+        self._w, self._t, self._ww, self._tw = (np.zeros(count) for _ in range(4))
+
+    def add(self, index: NDArray[np.int64], t: _Array, w: _Array) -> None:
+        self._number[index] += t.shape[1]
+        products = (w, t, w * w, t * w)
+        sums = (self._w, self._t, self._ww, self._tw)
+        for total, product in zip(sums, products, strict=True):
+            total[index] += product.sum(axis=1)
+
+    def coefficient(self, index: NDArray[np.int64]) -> _Array:
+        """c [M]: the covariance of t and w over the variance of w."""
+        n, w, t = self._number[index], self._w[index], self._t[index]
+        variance = self._ww[index] - w * w / n
+        covariance = self._tw[index] - t * w / n
+        some = variance > 1e-9 * self._ww[index]
+        ratio = np.divide(covariance, variance, out=np.ones(len(index)), where=some)
+        return np.clip(ratio, 0, 1)
+
+
+def estimate(
+    scene: PathScene,
+    points: _Array,
+    normals: _Array,
+    *,
+    error: float,
+    seconds: float | None,
+    reflected: bool,
+    seed: int,
+) -> Estimate:
+    """Illuminance of receivers.
+
+    Args:
+        scene: with an emitter.
+        points, normals: [N, 3].
+        error: largest standard error of a receiver that is wanted, relative to its illuminance, and
+            to no less than `FLOOR` times the mean of all.
+        seconds: after which nothing more is sampled; None for no limit.
+        reflected: whether light of surfaces and media is estimated. Without, the total is direct.
+        seed: root seed.
+    """
+    start, count = time.perf_counter(), len(points)
+    everyone = np.arange(count)
+    summed, summed_variance = _summed(scene, points, normals, _SUM_PART * error, seed)
+    control, direct, total = _Control(count), _Moments(count), _Moments(count)
+    sampler = _Sampler(scene, points, normals, seed)
+    for index in _chunks(everyone, _PILOT):
+        t, w, _ = sampler.draw(index, _PILOT, reflected=False)
+        control.add(index, t, w)
+    left, samples, share = everyone, _MIN_SAMPLES, 0.0
+    largest = np.zeros(count)
+    with progress("illuminance", 1.0) as advance:
+        while len(left):
+            for index in _chunks(left, samples):
+                t, w, r = sampler.draw(index, samples, reflected=reflected)
+                c = control.coefficient(index)
+                y = t + c[:, None] * (summed[index, None] - w)
+                direct.add(index, y)
+                total.add(index, y + r)
+                control.add(index, t, w)
+                largest[index] = np.maximum(largest[index], c)
+            mean, variance = total.mean, total.variance
+            goal = (error * np.maximum(mean, FLOOR * mean.mean())) ** 2
+            left = np.flatnonzero(variance > goal)
+            done = float(np.mean(_ratio(goal, np.maximum(goal, variance))))
+            spent = time.perf_counter() - start
+            if seconds is not None:
+                done = max(done, min(1.0, spent / seconds))
+                if spent >= seconds:
+                    left = left[:0]
+            advance(max(0.0, done - share), f"{len(left):,} points left")
+            share = max(share, done)
+            samples = int(np.clip(_AT_ONCE // max(len(left), 1), _MIN_SAMPLES, _MAX_SAMPLES))
+    # Samples share the error of S.
+    rest = largest**2 * summed_variance
+    return Estimate(
+        direct.mean,
+        np.sqrt(direct.variance + rest),
+        total.mean,
+        np.sqrt(total.variance + rest),
+        total.number,
+    )
+
+
+class _Sampler:
+    """Samples of the illuminance of receivers, pass by pass."""
+
+    def __init__(self, scene: PathScene, points: _Array, normals: _Array, seed: int) -> None:
+        self._scene, self._points, self._normals, self._seed = scene, points, normals, seed
+        self._step = 0
+
+    def draw(
+        self, index: NDArray[np.int64], count: int, *, reflected: bool
+    ) -> tuple[_Array, _Array, _Array]:
+        """t, w and reflected light [M, count], lx, of the receivers of an index [M]."""
+        sampler = mi.load_dict({"type": "independent"})
+        stream = SeedStream(Purpose.ILLUMINANCE, self._step)
+        sampler.seed(stream.seed(self._seed), count * len(index))
+        self._step += 1
+        si = receivers(self._points[index], self._normals[index], count)
+        light = emitter_light(self._scene, si, sampler)
+        summed = summed_part(self._scene, si, light)
+        reached = light.unshadowed * light.through
+        unshadowed = dr.select(summed, light.unshadowed, 0)
+        found = [reached, unshadowed]
+        if reflected:
+            found.append(reflected_light(self._scene, si, sampler))
+        dr.eval(*found)
+        lux = [luminance(np.array(each).T).reshape(len(index), count) for each in found]
+        return lux[0], lux[1], lux[2] if reflected else np.zeros((len(index), 1))
+
+
+def _summed(
+    scene: PathScene, points: _Array, normals: _Array, error: float, seed: int
+) -> tuple[_Array, _Array]:
+    """S [N], lx, and the variance of it; `error` as for `estimate`."""
+    lamps = [each for each in scene.whole.emitters() if isinstance(each, DeferredEmitter)]
+    if not lamps:
+        return np.zeros(len(points)), np.zeros(len(points))
+    sums, left, count = _Moments(len(points)), np.arange(len(points)), _SUMS
+    step = 0
+    while len(left) and count <= _MAX_SUMS:
+        for index in _chunks(left, count):
+            stream = SeedStream(Purpose.ILLUMINANCE, step, 1)
+            si = receivers(points[index], normals[index], count)
+            found = np.zeros((len(index), count))
+            for number, lamp in enumerate(lamps):
+                random = mi.PCG32(dr.width(si.p), stream.seed(seed, number))
+                summed = lamp.is_summed(si.p, dr.full(mi.Bool, True, dr.width(si.p)))
+                light = lamp.irradiance(si.p, mi.Vector3f(si.n), random, summed) & summed
+                found += luminance(np.array(light).T).reshape(found.shape)
+            sums.add(index, found)
+            step += 1
+        mean = np.maximum(sums.mean, FLOOR * sums.mean.mean())
+        left = np.flatnonzero(sums.variance > (error * mean) ** 2)
+        count *= 2
+    return sums.mean, sums.variance
+
+
+def _chunks(index: NDArray[np.int64], samples: int) -> list[NDArray[np.int64]]:
+    """Parts of an index whose samples are few enough to be computed at once."""
+    return np.array_split(index, max(1, -(-len(index) * samples // _AT_ONCE)))
+
+
+def _ratio(a: Any, b: Any) -> Any:
+    return np.divide(a, b, out=np.ones_like(a), where=b > 0)

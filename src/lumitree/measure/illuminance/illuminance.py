@@ -1,0 +1,275 @@
+"""Illuminance of a scene with luminaires placed in it."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lumitree.core.arguments import check_range
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.files import FilePath, check_writable, write_bytes, write_json
+from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.results import Result
+from lumitree.core.seeds import check_seed
+from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.units import metres_of
+from lumitree.errors import LumitreeError, explained, shown
+from lumitree.measure.illuminance.areas import Plane, Receivers, Surface, collect
+from lumitree.measure.illuminance.figures import AreaFigures
+from lumitree.rendering.placement import Placement
+
+if TYPE_CHECKING:
+    from lumitree.measure.illuminance.plan import Plan
+    from lumitree.rendering.plugins.path_scene import PathScene
+
+OUTPUTS = (".csv", ".json", ".png", ".pdf")
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class IlluminanceResult(Result):
+    """Result of `illuminance`.
+
+    Attributes:
+        areas: figures of each plane, surface, and of the points that were given.
+        direct_only: whether the total is the direct illuminance, without reflected light.
+        position, normal: [N, 3] of the receivers, scene coordinates.
+        direct, total: [N] illuminance straight from emitters, and with all reflections, lx.
+        direct_error, total_error: [N] their standard errors, lx.
+        samples: [N] samples of each receiver.
+    """
+
+    areas: list[AreaFigures]
+    direct_only: bool
+    position: NDArray[np.float64] = dataclasses.field(repr=False)
+    normal: NDArray[np.float64] = dataclasses.field(repr=False)
+    direct: NDArray[np.float64] = dataclasses.field(repr=False)
+    direct_error: NDArray[np.float64] = dataclasses.field(repr=False)
+    total: NDArray[np.float64] = dataclasses.field(repr=False)
+    total_error: NDArray[np.float64] = dataclasses.field(repr=False)
+    samples: NDArray[np.int64] = dataclasses.field(repr=False)
+    receivers: list[Receivers] = dataclasses.field(repr=False)
+
+    @explained
+    def save(self, path: FilePath) -> None:
+        """Write the illuminance.
+
+        Args:
+            path: path of the file. The suffix decides: `.csv` or `.json` (each receiver), `.png`
+                (plan in false colours with isolux lines), or `.pdf` (plan and table, A4).
+
+        Raises:
+            LumitreeError: the name has another ending, or the file cannot be written.
+        """
+        from lumitree.measure.illuminance.plan import plan_pdf, plan_png
+
+        check_illuminance_output(path)
+        kind = Path(path).suffix.lower()
+        if kind == ".json":
+            write_json(path, self.to_json() | {"receivers": self.table()})
+        elif kind == ".csv":
+            write_bytes(path, self._csv())
+        else:
+            write = plan_png if kind == ".png" else plan_pdf
+            write_bytes(path, write(self._plans(), self.direct_only))
+
+    def table(self) -> list[dict[str, Any]]:
+        """A dictionary for each receiver, as the files have it."""
+        names = [area.name for area in self.areas for _ in range(area.count)]
+        numbers = np.column_stack(
+            [
+                *(self.position, self.normal),
+                *(self.direct, self.direct_error, self.total, self.total_error),
+            ]
+        )
+        return [
+            dict(zip(("area", *_COLUMNS), (name, *row), strict=True))
+            for name, row in zip(names, numbers.tolist(), strict=True)
+        ]
+
+    def _csv(self) -> bytes:
+        import csv
+        import io
+
+        stream = io.StringIO(newline="")
+        writer = csv.writer(stream)
+        writer.writerow(("area", *_COLUMNS))
+        for row in self.table():
+            name, *numbers = row.values()
+            writer.writerow((name, *(f"{number:.6g}" for number in numbers)))
+        return stream.getvalue().encode()
+
+    def _repr_png_(self) -> bytes:
+        from lumitree.measure.illuminance.plan import plan_png
+
+        return plan_png(self._plans(), self.direct_only)
+
+    def _plans(self) -> "list[Plan]":
+        from lumitree.measure.illuminance.plan import Plan
+
+        arrays = (self.total, self.total_error, self.direct)
+        return [
+            Plan(area, receivers, *(each[area.part] for each in arrays))
+            for area, receivers in zip(self.areas, self.receivers, strict=True)
+        ]
+
+
+_COLUMNS = (
+    *("x", "y", "z", "nx", "ny", "nz"),
+    *("direct_lx", "direct_error_lx", "total_lx", "total_error_lx"),
+)
+
+
+@explained
+def illuminance(
+    scene: "FilePath | Mapping[str, Any] | Any",
+    placements: Sequence[Placement] = (),
+    *,
+    planes: Sequence[Plane] = (),
+    surfaces: Sequence[Surface] = (),
+    points: ArrayLike | None = None,
+    normals: ArrayLike | None = None,
+    error: float = 0.02,
+    time: float | None = None,
+    direct_only: bool = False,
+    unit: float | str = "m",
+    seed: int = 0,
+    variant: str | None = None,
+    progress: ProgressCallback | None = show_progress,
+) -> IlluminanceResult:
+    """Illuminance of planes, surfaces and points of a scene, with standard errors.
+
+    All lights of the scene count, with reflections of any number. What baked luminaires send
+    straight is summed over their light fields; only what shadows it is sampled.
+
+    Args:
+        scene: as for `render`, but it needs no camera, and its integrator does not count. It may
+            not have heterogeneous media.
+        placements: the luminaires, as for `render`.
+        planes: rectangles with grids of points.
+        surfaces: shapes of the scene.
+        points: [N, 3] further points, scene coordinates.
+        normals: [N, 3] or [3] normals of these points, of any length.
+        error: standard error of the total at each point that is enough, relative to the illuminance
+            there or, if this is more, to a tenth of the mean of all points; 0.0001 to 1.
+        time: after which no more light is sampled, s, 0.001 to 10⁷; default: no limit.
+        direct_only: whether to leave out reflected light.
+        unit: unit of length of the scene: "m", "cm", "mm", "in", "ft", or the metres in a unit. It
+            counts for `Placement.lumens`, and for nothing else: illuminance follows from radiance.
+        seed: root seed of all random numbers, 0 to 2³¹ - 1.
+        variant: Mitsuba variant; see `bake`.
+        progress: function that is called with a `Progress` after each pass; see `bake`.
+
+    Returns:
+        Illuminance of all receivers, those of planes first, then surfaces and points.
+
+    Raises:
+        LumitreeError: an argument is out of range; there is no receiver, or no emitter; or the
+            scene, an asset or a luminaire cannot be read.
+
+    Example:
+        >>> desk = lumitree.Plane((0, 0.75, 0), (0, 1, 0), extent=(1.6, 0.8), spacing=0.1)
+        >>> lamp = lumitree.Placement("lamp.lumitree", at=(0, 2.2, 0))
+        >>> result = lumitree.illuminance("room.xml", [lamp], planes=[desk])
+        >>> print(result.areas[0].mean, "lx")
+        >>> result.save("desk.png")
+    """
+    check_range("error", error, 1e-4, 1)
+    if time is not None:
+        check_range("time", time, 1e-3, 1e7)
+    check_seed(seed)
+    metres = metres_of(unit)
+    load_mitsuba(variant)
+    from lumitree.measure.illuminance.estimate import estimate
+    from lumitree.rendering.scene import load_room, open_placements, place_luminaires, scene_title
+
+    watch = Stopwatch()
+    with reporting(progress):
+        with watch.stage("load"):
+            room = load_room(scene)
+            # Before the luminaires are placed, which renames the shapes of the room.
+            areas = collect(room, planes, surfaces, points, normals, seed)
+            placed = open_placements([_in_metres(each, metres) for each in placements])
+            whole = place_luminaires(room, placed, appearance="geometry")
+            paths = _paths(whole, scene_title(scene))
+            place = np.concatenate([area.points for area in areas])
+            normal = np.concatenate([area.normals for area in areas])
+            _light_boxes(paths, place)
+        with watch.stage("estimate"):
+            found = estimate(
+                paths,
+                place,
+                normal,
+                error=error,
+                seconds=time,
+                reflected=not direct_only,
+                seed=seed,
+            )
+    return IlluminanceResult(
+        areas=[
+            AreaFigures.of(area.name, each.start, found.total[each], found.total_error[each])
+            for area, each in zip(areas, _parts(areas), strict=True)
+        ],
+        direct_only=direct_only,
+        position=place,
+        normal=normal / np.linalg.norm(normal, axis=1)[:, None],
+        receivers=areas,
+        **{field.name: getattr(found, field.name) for field in dataclasses.fields(found)},
+        **watch.costs(),
+    )
+
+
+def check_illuminance_output(path: FilePath) -> None:
+    """Refuse a file that `IlluminanceResult.save` cannot write."""
+    if Path(path).suffix.lower() not in OUTPUTS:
+        name = shown(repr(str(path)), 300)
+        raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
+    check_writable(path)
+
+
+def _in_metres(placement: Placement, metres: float) -> Placement:
+    """A placement with the luminous flux that it has if the scene's unit counts as a metre."""
+    if placement.lumens is None or metres == 1:
+        return placement
+    return dataclasses.replace(placement, lumens=placement.lumens / metres**2)
+
+
+def _paths(scene: Any, title: str) -> "PathScene":
+    """A scene with luminaires, for paths."""
+    from lumitree.lamp.media import any_heterogeneous, media
+    from lumitree.rendering.plugins.path_scene import PathScene
+    from lumitree.rendering.plugins.proxies import DividedScene
+
+    if any_heterogeneous(scene):
+        raise LumitreeError(
+            f"{title} has a heterogeneous medium, whose light is not estimated; make it "
+            "homogeneous, or leave it out"
+        )
+    if not scene.emitters():
+        raise LumitreeError(f"{title} has no light; place a lamp or add an emitter")
+    return PathScene(scene, DividedScene().of(scene), media(scene))
+
+
+def _light_boxes(paths: "PathScene", points: NDArray[np.float64]) -> None:
+    """Let the lamps in whose boxes there are points light what is inside."""
+    from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
+    from lumitree.rendering.plugins.proxies import DividedScene
+
+    asked = False
+    for emitter in paths.whole.emitters():
+        if isinstance(emitter, DeferredEmitter):
+            box = np.linalg.inv(emitter.placed.scene_from_box)
+            local = points @ box[:3, :3].T + box[:3, 3]
+            if (np.abs(local) <= 1.01).all(axis=1).any():
+                emitter.light_inside()
+                asked = True
+    if asked:
+        paths.divided = DividedScene().of(paths.whole)
+
+
+def _parts(areas: Sequence[Receivers]) -> list[slice]:
+    """Which of all receivers are on each area."""
+    ends = np.cumsum([len(area.points) for area in areas]).tolist()
+    return [slice(end - len(area.points), end) for area, end in zip(areas, ends, strict=True)]

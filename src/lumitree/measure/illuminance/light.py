@@ -1,0 +1,101 @@
+"""Light that receivers get, sampled on the device.
+
+A receiver is a point with a normal, in free space or on a surface. Its light comes straight from
+emitters, by emitter sampling, or from surfaces and media, by paths as `lumitree_path` traces them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.device import on_device
+from lumitree.rendering.plugins.emitter_calls import eval_target, is_summed, sample_target
+from lumitree.rendering.plugins.integrator import DEFAULT_RR_DEPTH, trace_paths
+from lumitree.rendering.plugins.path_scene import PathScene
+from lumitree.rendering.plugins.path_state import PathState
+from lumitree.rendering.plugins.shadow_rays import visible
+from lumitree.trace.spawning import spawn
+
+
+@dataclass
+class EmitterLight:
+    """Irradiance by one sampled direction of one sampled emitter (a PyTree of Dr.Jit)."""
+
+    # fmt: off
+    emitter: mi.EmitterPtr
+    unshadowed: mi.Color3f   # Irradiance if nothing is in between
+    through: mi.Color3f      # Transmittance of what is in between
+    found: mi.Bool           # Whether there is any light
+    # fmt: on
+
+
+def receivers(
+    points: NDArray[np.floating], normals: NDArray[np.floating], count: int
+) -> mi.SurfaceInteraction3f:
+    """Receivers on the device, each `count` times in succession.
+
+    Args:
+        points: [N, 3].
+        normals: [N, 3], of any length.
+    """
+    place = [np.repeat(each, count, axis=0) for each in (points, normals)]
+    si = dr.zeros(mi.SurfaceInteraction3f, len(points) * count)
+    si.p = on_device(mi.Point3f, place[0])
+    si.n = mi.Normal3f(dr.normalize(on_device(mi.Vector3f, place[1])))
+    si.sh_frame = mi.Frame3f(si.n)
+    return si
+
+
+def emitter_light(
+    scene: PathScene,
+    si: mi.SurfaceInteraction3f,
+    sampler: mi.Sampler,
+    bsdf_pdf: float = 0,
+) -> EmitterLight:
+    """Irradiance by emitter sampling.
+
+    Args:
+        scene: must have an emitter.
+        si: receivers.
+        sampler: of as many samples.
+        bsdf_pdf: density per steradian and cosine with which directions are also sampled otherwise,
+            for the weight of multiple importance sampling of baked luminaires.
+    """
+    active = dr.full(mi.Bool, True, dr.width(si.p))
+    index, emitter_weight, choice = scene.whole.sample_emitter(sampler.next_1d(), active)
+    emitter = scene.emitter(index, active)
+    sample = mi.Point2f(choice, sampler.next_1d())
+    sampled = dr.dispatch(emitter, sample_target, si, sample, active)
+    ds = sampled.ds
+    cosine = dr.maximum(dr.dot(si.n, ds.d), 0)
+    found = active & sampled.valid & (cosine > 0)
+    none = dr.zeros(mi.MediumPtr)
+    through = visible(scene, si, ds, sampled.beyond, index, none, found)
+    weight, _ = dr.dispatch(
+        emitter, eval_target, si, sampled, cosine * bsdf_pdf, dr.rcp(emitter_weight), found
+    )
+    light = dr.select(found, weight * (cosine * emitter_weight), 0)
+    return EmitterLight(emitter, light, through, found)
+
+
+def summed_part(scene: PathScene, si: mi.SurfaceInteraction3f, light: EmitterLight) -> mi.Bool:
+    """Whether the emitter's irradiance is known without sampling directions."""
+    return dr.dispatch(light.emitter, is_summed, si.p, light.found)
+
+
+def reflected_light(
+    scene: PathScene, si: mi.SurfaceInteraction3f, sampler: mi.Sampler
+) -> mi.Color3f:
+    """Irradiance by one path of light from surfaces and media, of any length."""
+    local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+    # A ray along the surface has no density, and brings nothing.
+    ray = spawn(si, si.to_world(local), scene.extent)
+    path = PathState.received(mi.Interaction3f(si), ray, dr.zeros(mi.MediumPtr), local.z > 0)
+    radiance, _, _ = trace_paths(scene, path, sampler, -1, DEFAULT_RR_DEPTH)
+    return math.pi * radiance

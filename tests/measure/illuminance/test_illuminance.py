@@ -1,0 +1,266 @@
+"""Illuminance: closed forms, and against images and other estimators."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import lumitree
+from lumitree.asset.asset import light_field_asset
+from lumitree.core.frames import LocalFrame
+from lumitree.core.photometry import LUMENS_PER_WATT, luminance
+from support.light_fields import random_light_field
+
+BOX = np.array([1.0, 0.6, 0.8])
+BLACK = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0}}
+# So small an error that the stop does not depend on it: a number of passes is made.
+EVERYTHING = 1.0
+
+
+def lamp():
+    """An asset whose light is different in all directions."""
+    frame = LocalFrame(BOX, np.eye(4))
+    return light_field_asset(random_light_field(3, resolution=8, count=20), frame, "lamp")
+
+
+def room(mi, **things):
+    """A scene without a camera; something black and far away makes it one."""
+    speck = {"type": "sphere", "radius": 0.01, "center": [0, -50, 0], "bsdf": BLACK}
+    return {"type": "scene", "speck": speck, **things}
+
+
+def at(*points, normal=(0, 1, 0)):
+    return {"points": np.array(points, float), "normals": normal}
+
+
+def test_a_point_light_follows_the_inverse_square_and_the_cosine(mi):
+    intensity = np.array([3.0, 2.0, 1.0])
+    light = {
+        "type": "point",
+        "position": [0, 2, 0],
+        "intensity": {"type": "rgb", "value": intensity},
+    }
+    points = np.array([[0, 0, 0], [1, 0, 0.5], [-2, 0.5, 0]])
+    result = lumitree.illuminance(room(mi, light=light), **at(*points))
+    offset = [0, 2, 0] - points
+    distance = np.linalg.norm(offset, axis=1)
+    expected = luminance(intensity) * offset[:, 1] / distance**3
+    assert result.direct == pytest.approx(expected, rel=1e-4)
+    assert result.total == pytest.approx(expected, rel=1e-4)
+    assert (result.total_error < 1e-3 * expected).all()
+
+
+def furnace(mi, reflectance, radiance=2.0):
+    """A closed sphere that emits and reflects."""
+    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": reflectance}}
+    glow = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
+    return {
+        "type": "scene",
+        "wall": {
+            "type": "sphere",
+            "radius": 3,
+            "flip_normals": True,
+            "bsdf": grey,
+            "emitter": glow,
+        },
+    }
+
+
+def test_reflections_of_a_closed_sphere_are_a_geometric_series(mi):
+    result = lumitree.illuminance(
+        furnace(mi, 0.6), error=0.005, **at([0, 0, 0], [1, 0.3, -2], normal=(0.2, 1, 0))
+    )
+    direct = np.pi * 2 * LUMENS_PER_WATT
+    for found, error, expected in (
+        (result.direct, result.direct_error, direct),
+        (result.total, result.total_error, direct / 0.4),
+    ):
+        assert (np.abs(found - expected) < 4 * error + 1e-4 * expected).all()
+    assert (result.total_error <= 0.0051 * result.total).all()
+
+
+def placed(**options):
+    return lumitree.Placement(lamp(), at=(0, 2, 0), size=0.3, rotate=(0, 0, 1, 30), **options)
+
+
+def received(mi, things, placements, points, normals, samples=1 << 15):
+    """Illuminance by next-event estimation and rays of a BSDF, and its standard error."""
+    from lumitree.measure.illuminance.received import received_irradiance
+    from lumitree.rendering.scene import load_room, open_placements, place_luminaires
+
+    scene = place_luminaires(load_room(room(mi, **things)), open_placements(placements))
+    normals = np.broadcast_to(normals, np.shape(points))
+    found = [
+        luminance(received_irradiance(scene, points, normals, samples, seed)) for seed in range(8)
+    ]
+    return np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(len(found))
+
+
+POINTS = np.array([[0, 0, 0], [1.2, 0.3, 0.4], [-0.8, 1.5, 0.6], [0.3, 1.75, 0.1]])
+
+
+def test_a_lamp_is_summed_as_paths_receive_it(mi):
+    result = lumitree.illuminance(room(mi), [placed()], direct_only=True, **at(*POINTS))
+    expected, error = received(mi, {}, [placed()], POINTS, [0, 1, 0])
+    assert (np.abs(result.direct - expected) < 4 * np.hypot(error, result.direct_error)).all()
+    assert (result.direct_error < 0.01 * result.direct).all()
+    assert np.array_equal(result.direct, result.total)
+
+
+def test_what_shadows_a_lamp_is_sampled(mi):
+    """Points in full light, in half shadow and in full shadow of a plate."""
+    plate = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([0.55, 1.0, 0]).rotate([1, 0, 0], 90)
+        @ mi.ScalarTransform4f().scale([0.5, 2, 1]),
+        "bsdf": {"type": "twosided", "bsdf": BLACK},
+    }
+    points = np.array([[-1.5, 0, 0], [0.08, 0, 0], [1.0, 0.2, 0], [1.0, 0.99, 0]])
+    result = lumitree.illuminance(room(mi, plate=plate), [placed()], error=0.01, **at(*points))
+    expected, error = received(mi, {"plate": plate}, [placed()], points, [0, 1, 0])
+    allowed = 4 * np.hypot(error, result.direct_error) + 1e-9
+    assert (np.abs(result.direct - expected) < allowed).all()
+    free = lumitree.illuminance(room(mi), [placed()], direct_only=True, **at(*points)).direct
+    assert 0.1 * free[1] < result.direct[1] < 0.9 * free[1]
+    assert result.direct[2] == result.direct[3] == 0
+
+
+def test_errors_are_those_of_repetitions(mi):
+    """z-test: the spread over independent receivers of one place is what the errors say."""
+    things = dict(furnace(mi, 0.5))
+    del things["type"]
+    box = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0.4, 1, 0]).scale(0.25)}
+    scene = room(mi, **things, box=box)
+    same = np.repeat(POINTS[:3], 300, axis=0)
+    result = lumitree.illuminance(scene, [placed()], error=EVERYTHING, **at(*same))
+    for name in ("direct", "total"):
+        values = getattr(result, name).reshape(3, 300)
+        errors = getattr(result, f"{name}_error").reshape(3, 300)
+        spread = values.std(axis=1, ddof=1) / np.sqrt((errors**2).mean(axis=1))
+        # The spread of 300 values is known to 4 %.
+        assert spread == pytest.approx(1, abs=0.2)
+
+
+def test_a_floor_has_the_illuminance_that_its_image_shows(mi):
+    """A grey floor's radiance is ρ E / π, reflections of the other walls included."""
+    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
+    walls = {"type": "cube", "to_world": mi.ScalarTransform4f().scale(3), "bsdf": grey}
+    walls["flip_normals"] = True
+    film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+    camera = {
+        "type": "perspective",
+        "to_world": mi.ScalarTransform4f().look_at([0.9, -2, 0.5], [0.9, -3, 0.5], [1, 0, 0]),
+        "fov": 0.5,
+        "film": film,
+    }
+    integrator = {"type": "path", "max_depth": -1}
+    scene = room(mi, walls=walls, camera=camera, integrator=integrator)
+    image = lumitree.render(scene, [placed()], samples_per_pixel=1 << 14)
+    shown = luminance(image.pixels[0, 0]) * np.pi / 0.5
+    result = lumitree.illuminance(scene, [placed()], error=0.004, **at([0.9, -3, 0.5]))
+    # 2¹⁴ samples of a relative variance of about one.
+    assert result.total[0] == pytest.approx(shown, rel=0.03)
+
+
+def test_receivers_inside_the_box_get_its_light(mi):
+    points = placed().at + np.array([[0.02, -0.01, 0.03], [0.05, 0.02, -0.03]])
+    result = lumitree.illuminance(room(mi), [placed()], direct_only=True, error=0.01, **at(*points))
+    assert (result.direct > 0).any()
+    # With something in the box, which shadows nothing.
+    speck = {"type": "sphere", "radius": 1e-3, "center": [0.05, 2, 0.05]}
+    expected, error = received(mi, {"inside": speck}, [placed()], points, [0, 1, 0])
+    assert (np.abs(result.direct - expected) < 4 * np.hypot(error, result.direct_error)).all()
+
+
+def test_lumens_are_those_of_the_scene_in_its_unit(mi):
+    """A scene in centimetres: the same picture with all lengths a hundred times as large."""
+    one = lumitree.illuminance(room(mi), [placed(lumens=800)], direct_only=True, **at(*POINTS))
+    large = dataclasses.replace(placed(lumens=800), at=(0, 200, 0), size=30)
+    other = lumitree.illuminance(
+        room(mi), [large], direct_only=True, unit="cm", **at(*(100 * POINTS))
+    )
+    allowed = 4 * np.hypot(one.direct_error, other.direct_error)
+    assert (np.abs(other.direct - one.direct) < allowed).all()
+    assert (allowed < 0.1 * one.direct.max()).all()
+
+
+def test_equal_seeds_give_equal_results_and_others_do_not(mi):
+    results = [
+        lumitree.illuminance(furnace(mi, 0.5), error=EVERYTHING, seed=seed, **at([0, 1, 0]))
+        for seed in (1, 1, 2)
+    ]
+    assert results[0].total[0] == results[1].total[0] != results[2].total[0]
+
+
+def test_files_have_what_was_found(mi, tmp_path):
+    plane = lumitree.Plane((0, 0, 0), extent=(1, 0.5), spacing=0.25, name="desk")
+    result = lumitree.illuminance(furnace(mi, 0), planes=[plane], error=EVERYTHING, **at([0, 1, 0]))
+    assert [area.name for area in result.areas] == ["desk", "points"]
+    assert [area.count for area in result.areas] == [8, 1]
+    desk = result.areas[0]
+    lux = result.total[:8]
+    assert desk.mean == pytest.approx(lux.mean())
+    assert desk.uniformity == pytest.approx(lux.min() / lux.mean())
+    assert desk.diversity == pytest.approx(lux.min() / lux.max())
+    for suffix in ("csv", "json", "png", "pdf"):
+        result.save(tmp_path / f"desk.{suffix}")
+    lines = (tmp_path / "desk.csv").read_text().splitlines()
+    assert len(lines) == 10
+    assert lines[0].startswith("area,x,y,z,nx,ny,nz,direct_lx")
+    first = lines[1].split(",")
+    assert first[0] == "desk"
+    assert float(first[9]) == pytest.approx(result.total[0], rel=1e-5)
+    report = json.loads((tmp_path / "desk.json").read_text())
+    assert report["receivers"][0]["total_lx"] == result.total[0]
+    assert (tmp_path / "desk.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "desk.pdf").read_bytes().startswith(b"%PDF")
+    with pytest.raises(lumitree.LumitreeError, match=r"does not end in one of \.csv"):
+        result.save(tmp_path / "desk.txt")
+
+
+def test_surfaces_of_a_scene_are_covered_evenly(mi):
+    scene = furnace(mi, 0)
+    scene["desk"] = {
+        "type": "rectangle",
+        "id": "desk",
+        "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale([0.8, 0.4, 1]),
+        "bsdf": BLACK,
+    }
+    result = lumitree.illuminance(
+        scene, surfaces=[lumitree.Surface("desk", 0.08)], error=EVERYTHING, direct_only=True
+    )
+    assert result.areas[0].count == 200
+    assert result.normal == pytest.approx(np.tile([0, 1, 0], (200, 1)), abs=1e-6)
+    x, z = result.position[:, 0], result.position[:, 2]
+    assert np.abs(x).max() <= 0.8 + 1e-5
+    assert np.abs(z).max() <= 0.4 + 1e-5
+    counts = np.histogram2d(x, z, bins=(4, 2))[0]
+    # At random they would spread by 5.
+    assert counts == pytest.approx(25, abs=6)
+    assert counts.std() < 4.5
+    with pytest.raises(lumitree.LumitreeError, match=r"no shape 'chair'; its shapes are: .*desk"):
+        lumitree.illuminance(scene, surfaces=[lumitree.Surface("chair")])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "no plane, surface or points"),
+        ({"points": [[0, 0, 0]]}, "points but no normals"),
+        ({"normals": [0, 1, 0]}, "normals but no points"),
+        ({"points": [[0, 0, np.nan]], "normals": [0, 1, 0]}, "not finite"),
+        ({"points": [[0, 0, 0]], "normals": [0, 0, 0]}, "not finite or 0"),
+        ({"points": [[0, 0, 0]], "normals": [[0, 1, 0]] * 2}, r"\[N, 3\] both"),
+        ({**at([0, 0, 0]), "error": 0}, "error is 0"),
+        ({**at([0, 0, 0]), "unit": "furlong"}, "unit is 'furlong'"),
+    ],
+)
+def test_wrong_arguments_are_told_in_one_line(mi, arguments, message):
+    with pytest.raises(lumitree.LumitreeError, match=message):
+        lumitree.illuminance(furnace(mi, 0), **arguments)
+
+
+def test_a_scene_without_light_is_refused(mi):
+    with pytest.raises(lumitree.LumitreeError, match="has no light"):
+        lumitree.illuminance(room(mi), **at([0, 0, 0]))
