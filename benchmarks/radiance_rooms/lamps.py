@@ -44,8 +44,8 @@ class FileLamp:
 class ShadedLamp:
     """A square that emits downwards, at the top of a black box that is open below.
 
-    lumitree bakes it; Radiance gets its surfaces. They reflect nothing, because lumitree counts what
-    a lamp's own surfaces reflect as its direct light.
+    lumitree bakes it; Radiance gets its surfaces. They reflect nothing, because lumitree counts
+    what a lamp's own surfaces reflect as its direct light.
 
     Attributes:
         half: half side of the square, m.

@@ -12,16 +12,16 @@ from lumitree.core.photometry import LUMENS_PER_WATT
 from support.ies_text import ies_text
 
 UP, DOWN = (0, 1, 0), (0, -1, 0)
-# Largest standard error that is asked for, and deviation that is allowed.
-ERROR, ALLOWED = 0.002, 0.01
+# Standard error that is asked for.
+ERROR = 0.004
 
 
 def agree(found, error, exact):
-    """Within 1 %; the errors are small enough to tell, and explain the rest but for 0.5 %."""
+    """Each point within 0.5 % and four standard errors, and their mean within 0.5 %."""
     exact = np.broadcast_to(exact, np.shape(found))
-    assert (error < 0.0035 * exact).all()
-    assert found == pytest.approx(exact, rel=ALLOWED)
-    assert (np.abs(found - exact) < 4.5 * error + 0.005 * exact).all()
+    assert (error <= 0.006 * exact).all()
+    assert (np.abs(found - exact) <= 0.005 * exact + 4 * error).all()
+    assert np.mean(found) == pytest.approx(np.mean(exact), rel=0.005)
 
 
 def soft(direction):
@@ -129,7 +129,7 @@ def placed(path, at):
 
 def test_a_point_source_on_horizontal_and_vertical_planes(mi, tmp_path):
     """(5.2) Inverse square and cosine law."""
-    path, source = lamp_file(tmp_path, soft), np.array([0.3, 3.0, -0.2])
+    path, source = lamp_file(tmp_path, soft), np.array([0.37, 3.0, -0.24])
     floor = [(x, 0, z) for x in (-2.0, -0.7, 0.3, 1.6) for z in (-1.5, 0.4, 2.0)]
     side = [(-2.5, y, z) for y in (0.3, 1.7, 2.9) for z in (-1.5, 0.1, 1.2)]
     points = np.array([*floor, *side], float)
@@ -198,7 +198,7 @@ def test_a_baked_area_source(mi):
     assert np.array(ratios) == pytest.approx(1, abs=0.04)
     assert np.mean(ratios) == pytest.approx(1, abs=0.005)
     mean, error = np.mean(ratios, axis=0), np.std(ratios, axis=0, ddof=1) / np.sqrt(len(ratios))
-    assert (np.abs(mean - 1) < 0.005 + 4.5 * error).all()
+    assert (np.abs(mean - 1) < 0.005 + 4 * error).all()
 
 
 def test_the_walls_of_a_box_get_the_flux_of_the_lamp(mi, tmp_path):
@@ -288,7 +288,7 @@ def test_light_that_a_diffuse_square_reflects(mi, tmp_path, obstructed):
 @pytest.mark.parametrize("reflectance", [0.3, 0.8])
 def test_light_that_a_cube_reflects(mi, tmp_path, reflectance):
     """(5.8) Mean indirect illuminance Φ ρ / (A (1 - ρ)), and the radiosity of each point."""
-    half, source = 2.0, np.array([0.5, 0.6, -0.4])
+    half, source = 2.0, np.array([0.57, 0.6, -0.43])
     lamps = placed(lamp_file(tmp_path, soft), source)
     centres, normals, _ = patches(half * (1 - 1e-4), 4)
     found = lumitree.illuminance(
@@ -297,7 +297,7 @@ def test_light_that_a_cube_reflects(mi, tmp_path, reflectance):
     indirect, exact = found.total - found.direct, radiosity(half, reflectance, source, centres)
     agree(found.total, found.total_error, from_point(soft, source, centres, normals) + exact)
     error = np.hypot(found.total_error, found.direct_error)
-    assert (np.abs(indirect - exact) < 4.5 * error + 0.005 * exact).all()
+    assert (np.abs(indirect - exact) <= 0.005 * exact + 4 * error).all()
     mean = 4 * np.pi * 300 * reflectance / (6 * (2 * half) ** 2 * (1 - reflectance))
     assert exact.mean() == pytest.approx(mean, rel=0.01)
     agree(indirect.mean(), np.sqrt((error**2).mean() / len(error)), exact.mean())
