@@ -54,7 +54,7 @@ def irradiance_rows(name: str, asset: Any, seed: int) -> list[dict]:
         luminaire_irradiance,
         rays_irradiance,
     )
-    from lumitree.output.blender.lights import cluster_lights
+    from lumitree.output.point_lights import cluster_lights
 
     half = asset.frame.half_extents
     reference = luminaire_irradiance(load_luminaire(name), REFERENCE_PATHS, seed=seed)

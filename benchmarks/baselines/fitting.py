@@ -15,7 +15,7 @@ from benchmarks.baselines.wavelets import FILTER_WIDTH, BoxCells, WaveletLight, 
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.output.blender.lights import cluster_points
+from lumitree.output.point_lights import cluster_points
 from lumitree.trace.emitted_rays import RayBatch, seeded_sampler
 
 # About as many bins as a Type C file of 1° has values (181 · 360).

@@ -4,7 +4,8 @@ import mitsuba as mi
 import numpy as np
 
 from lumitree.core.device import on_device
-from lumitree.output.blender.lights import PointLights, direction_tables, table_angles
+from lumitree.output.direction_tables import direction_tables, table_angles
+from lumitree.output.point_lights import PointLights
 from lumitree.trace.emitted_rays import RayBatch, seeded_sampler
 
 

@@ -130,7 +130,7 @@ def point_lights_asset(asset: Any, count: int) -> Any:
     """
     from lumitree.asset.asset import light_field_asset
     from lumitree.asset.light_field import make_light_field
-    from lumitree.output.blender.lights import cluster_lights
+    from lumitree.output.point_lights import cluster_lights
 
     half = asset.frame.half_extents
     lights = cluster_lights(asset.light_field, half, count)

@@ -124,3 +124,55 @@ def test_solid_angles(mi, resolution):
     scores = (counts - expected) / np.sqrt(expected)
     # Chi-squared of all bins, about R² ± R √2.
     assert (scores**2).sum() == pytest.approx(resolution**2, abs=5 * np.sqrt(2) * resolution)
+
+
+@pytest.mark.parametrize("resolution", RESOLUTIONS)
+def test_bilinear_weights_are_the_chances_of_random_offsets(mi, resolution):
+    from lumitree.core.octahedral import bilinear_bins, bin_of
+
+    directions, _ = random_directions(mi, 200, resolution)
+    # Among them the axes, where the map is folded and where its corners meet.
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    directions = np.concatenate([directions, axes + 1e-4])
+    bins, weights = bilinear_bins(directions * 7, resolution)
+    assert weights.min() >= 0
+    np.testing.assert_allclose(weights.sum(axis=1), 1, rtol=1e-12)
+    count = 1 << 12
+    offset = np.random.default_rng(5).random((count * len(directions), 2)) - 0.5
+    repeated = on_device(mi.Vector3f, np.repeat(directions, count, axis=0))
+    found = bin_of(repeated, resolution, mi.Vector2f(on_device(mi.Point2f, offset)))
+    for row, drawn in enumerate(np.array(found).reshape(-1, count)):
+        have = np.bincount(drawn, minlength=resolution**2)
+        want = np.bincount(bins[row], weights[row], resolution**2) * count
+        # Five standard errors, and rounding on the border of a bin.
+        assert (np.abs(have - want) < 5 * np.sqrt(want) + 5).all()
+
+
+@pytest.mark.parametrize("resolution", RESOLUTIONS)
+def test_interpolated_intensities_have_the_flux_of_the_bins(resolution):
+    from lumitree.core.octahedral import bilinear_bins
+
+    values = np.random.default_rng(1).exponential(size=resolution**2)
+    index = np.arange(1 << 18) + 0.5
+    height, angle = 1 - 2 * index / len(index), np.pi * (1 + 5**0.5) * index
+    flat = np.sqrt(1 - height**2)
+    lattice = np.stack([flat * np.cos(angle), flat * np.sin(angle), height], axis=-1)
+    bins, weights = bilinear_bins(lattice, resolution)
+    flux = 4 * np.pi * (values[bins] * weights).sum(axis=1).mean()
+    assert flux == pytest.approx(values @ solid_angles(resolution), rel=2e-3)
+
+
+def test_a_border_of_the_map_is_what_is_beyond_its_sides():
+    from lumitree.core.octahedral import bordered
+
+    values = np.arange(16).reshape(4, 4)
+    expected = [
+        [15, 3, 2, 1, 0, 12],
+        [12, 0, 1, 2, 3, 15],
+        [8, 4, 5, 6, 7, 11],
+        [4, 8, 9, 10, 11, 7],
+        [0, 12, 13, 14, 15, 3],
+        [3, 15, 14, 13, 12, 0],
+    ]
+    found = bordered(values, 1)
+    assert found.tolist() == expected

@@ -11,7 +11,15 @@ from pathlib import Path
 
 import pytest
 
-from lumitree.core.work_folder import MARKER, WorkFolder, scratch_folder
+from lumitree.core.files import write_bytes
+from lumitree.core.work_folder import (
+    MARKER,
+    WorkFolder,
+    atomic_files,
+    atomic_folder,
+    check_new_folder,
+    scratch_folder,
+)
 from lumitree.errors import LumitreeError, LumitreeWarning
 
 NAMES = ["state.npz", "dataset/view_*.exr", "run/checkpoints/[0-9]*"]
@@ -152,3 +160,108 @@ def test_scratch_folders_of_killed_processes_are_removed(tmp_path, monkeypatch):
         processes[1].kill()
         for process in processes:
             process.communicate()
+
+
+def write_set(folder, text="new"):
+    for name in ("lamp.rad", "lamp.r.dat", "lamp.zz.dat"):
+        (folder / name).write_text(text)
+
+
+def test_files_of_an_output_appear_together_and_replace_older_ones(tmp_path):
+    write_set(tmp_path, "old")
+    (tmp_path / "other").write_text("mine")
+    with atomic_files(tmp_path / "lamp.rad") as folder:
+        write_set(folder)
+        assert (tmp_path / "lamp.rad").read_text() == "old"
+    assert sorted(os.listdir(tmp_path)) == ["lamp.r.dat", "lamp.rad", "lamp.zz.dat", "other"]
+    assert (tmp_path / "lamp.rad").read_text() == (tmp_path / "lamp.zz.dat").read_text() == "new"
+
+
+def test_the_file_that_is_opened_is_moved_last(tmp_path, monkeypatch):
+    moved, replace = [], os.replace
+
+    def note(source, target):
+        moved.append(Path(target).name)
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", note)
+    with atomic_files(tmp_path / "new" / "lamp.rad") as folder:
+        write_set(folder)
+    assert moved == ["lamp.r.dat", "lamp.zz.dat", "lamp.rad"]
+
+
+@pytest.mark.parametrize("write", [atomic_files, atomic_folder])
+def test_files_that_failed_leave_no_trace(tmp_path, write):
+    def fail(error):
+        with write(tmp_path / "out") as folder:
+            write_set(folder)
+            raise error
+
+    with pytest.raises(ZeroDivisionError):
+        fail(ZeroDivisionError())
+    with pytest.raises(LumitreeError, match=r"cannot write .*out: No space left"):
+        fail(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+    # The message names the output, whatever file of it failed.
+    with (
+        pytest.raises(LumitreeError, match=r"cannot write [^ ]*/out: File name too long"),
+        write(tmp_path / "out") as folder,
+    ):
+        write_bytes(folder / ("x" * 300), b"")
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_folder_appears_whole(tmp_path):
+    for name in ("new/out", "empty"):
+        (tmp_path / "empty").mkdir(exist_ok=True)
+        with atomic_folder(tmp_path / name) as folder:
+            write_set(folder)
+        assert len(os.listdir(tmp_path / name)) == 3
+    # The user's umask applies, as to every output.
+    umask = os.umask(0)
+    os.umask(umask)
+    assert (tmp_path / "empty").stat().st_mode & 0o777 == 0o777 & ~umask
+
+
+def test_folders_that_hold_something_are_refused(tmp_path, monkeypatch):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").write_text("")
+    for name, message in (("full", "holds mine"), ("full/mine", "is a file")):
+        with pytest.raises(LumitreeError, match=message):
+            check_new_folder(tmp_path / name)
+    with pytest.raises(LumitreeError, match="Not a directory"):
+        check_new_folder(tmp_path / "full" / "mine" / "out")
+    check_new_folder(tmp_path / "new" / "out")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    with pytest.raises(LumitreeError, match="current folder"):
+        check_new_folder(Path("."))
+    assert sorted(os.listdir(tmp_path)) == ["full", "here"]
+
+
+def test_folders_beside_an_output_that_a_killed_process_left_are_removed(tmp_path):
+    code = (
+        "import sys, time\n"
+        "from pathlib import Path\n"
+        "from lumitree.core.work_folder import atomic_files\n"
+        "with atomic_files(Path(sys.argv[1])) as folder:\n"
+        "    print(folder.parent, flush=True)\n"
+        "    time.sleep(600)\n"
+    )
+    output = str(tmp_path / "lamp.rad")
+    processes = [
+        subprocess.Popen([sys.executable, "-c", code, output], stdout=subprocess.PIPE)
+        for _ in range(2)
+    ]
+    killed, living = (Path(each.stdout.readline().decode().strip()) for each in processes)
+    try:
+        processes[0].kill()
+        processes[0].wait()
+        assert killed.exists()
+        with atomic_files(Path(output)) as folder:
+            write_set(folder)
+        assert not killed.exists()
+        assert living.exists()
+    finally:
+        processes[1].kill()
+        for each in processes:
+            each.communicate()

@@ -8,7 +8,7 @@ from lumitree.cli.output import print_open, print_report
 
 
 def add(commands: Any) -> None:
-    parser = options.command(commands, "export", "write an asset for Blender", run, show)
+    parser = options.command(commands, "export", "write an asset for another program", run, show)
     parser.add_argument(
         "asset",
         metavar="ASSET",
@@ -16,9 +16,10 @@ def add(commands: Any) -> None:
     )
     options.add_output(
         parser,
-        "FILE",
-        "file to write: .py (a script that contains the lamp and runs in Blender 4.2 or newer), "
-        ".blend (the same, made by Blender) or .vdb (density and emission of the field)",
+        "OUTPUT",
+        "what to write: .py (a script that contains the lamp and runs in Blender 4.2 or newer), "
+        ".blend (the same, made by Blender), .vdb (density and emission of the field), .rad "
+        "(Radiance), .pbrt (pbrt-v4), or a folder (an IES file for each light, for all others)",
     )
     parser.add_argument(
         "--lights", type=int, metavar="N", default=16, help="largest number of point lights"
@@ -44,6 +45,7 @@ def run(args: argparse.Namespace) -> Any:
 
 def show(args: argparse.Namespace, result: Any) -> None:
     report = result.to_json()
+    report["files"] = len(result.files)
     for line in report.pop("not_carried_over"):
         print(f"note: {line}")
     print_report(report)

@@ -9,12 +9,12 @@ import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any, NoReturn
 
 from lumitree.errors import LumitreeError, shown
 
 # The part of a temporary name before its random characters, and the pattern of the whole name.
-_TEMPORARY = ".lumitree-"
+TEMPORARY = ".lumitree-"
 # Temporary folders have names that begin so.
 SCRATCH = "lumitree-scratch-"
 # What the system says of a full disk; libraries repeat it in messages of their own.
@@ -81,33 +81,38 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise WriteError(path, error) from error
     try:
         yield temporary
-        with open(temporary, "rb+") as file:
-            _check_room(file)
-            os.fsync(file.fileno())
+        flush_to_disk(temporary)
         # mkstemp creates 0600; a finished result follows the user's umask.
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, path)
-    except WriteError:
-        raise
     except Exception as error:
-        if not isinstance(error, OSError) and not _says_of_writing(error):
-            raise
-        raise WriteError(path, error) from error
+        raise_write_error(path, error)
     finally:
         os.close(handle)
         temporary.unlink(missing_ok=True)
 
 
-def _check_room(file: IO[bytes]) -> None:
-    """Raise `OSError` if the disk is full.
+def flush_to_disk(path: Path) -> None:
+    """Write a file through to the disk.
 
-    OpenEXR and Mitsuba do not report it if it was full when they closed the file.
+    Raises:
+        OSError: the disk is full. OpenEXR and Mitsuba do not report it if it was full when they
+            closed the file.
     """
-    end = file.seek(0, os.SEEK_END)
-    file.write(bytes(_BUFFER))
-    file.truncate(end)
+    with open(path, "rb+") as file:
+        end = file.seek(0, os.SEEK_END)
+        file.write(bytes(_BUFFER))
+        file.truncate(end)
+        os.fsync(file.fileno())
+
+
+def raise_write_error(path: Path, error: Exception) -> NoReturn:
+    """Raise an exception again: as a `WriteError` of `path` if it says that writing failed."""
+    if isinstance(error, WriteError) or not (isinstance(error, OSError) or _says_of_writing(error)):
+        raise error
+    raise WriteError(path, error) from error
 
 
 def _create_locked(path: Path) -> tuple[int, Path]:
@@ -117,7 +122,7 @@ def _create_locked(path: Path) -> tuple[int, Path]:
     """
     while True:
         handle, name = tempfile.mkstemp(
-            prefix=f".{path.stem}{_TEMPORARY}", suffix=path.suffix, dir=path.parent
+            prefix=f".{path.stem}{TEMPORARY}", suffix=path.suffix, dir=path.parent
         )
         # Before it is locked, another process may take it for abandoned and remove it.
         if lock(handle) is not False and os.fstat(handle).st_nlink:
@@ -244,7 +249,7 @@ def write_json(path: str | os.PathLike[str], value: Any) -> None:
 
 def _check_name(name: str, folder: Path) -> None:
     """Refuse a name whose temporary name would be too long for the file system."""
-    longest = os.pathconf(folder, "PC_NAME_MAX") - len(f".{_TEMPORARY}") - 8
+    longest = os.pathconf(folder, "PC_NAME_MAX") - len(f".{TEMPORARY}") - 8
     if len(os.fsencode(name)) > longest:
         raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
 

@@ -74,15 +74,51 @@ def solid_angles(resolution: int) -> NDArray[np.float64]:
     """
     fine = 8
     density = np.linalg.norm(_on_octahedron(resolution * fine), axis=-1) ** -3
-    # Beyond a side of the map is the other half of the same side.
-    half = fine // 2
-    density = np.vstack([density[:half][::-1, ::-1], density, density[-half:][::-1, ::-1]])
-    density = np.hstack([density[:, :half][::-1, ::-1], density, density[:, -half:][::-1, ::-1]])
+    density = bordered(density, fine // 2)
     rising = (np.arange(fine) + 0.5) / fine
     weights = np.hstack([rising, rising[::-1]])
     windows = np.lib.stride_tricks.sliding_window_view(density, (2 * fine, 2 * fine))
     sums = np.einsum("ijkl,k,l->ij", windows[::fine, ::fine], weights, weights).ravel()
     return sums * (4 * np.pi / sums.sum())
+
+
+def bordered(values: NDArray[Any], width: int) -> NDArray[Any]:
+    """Values [R + 2 width, R + 2 width, ...] on the map and beyond its sides.
+
+    Beyond a side of the map is the other half of the same side.
+
+    Args:
+        values: [R, R, ...] by row and column, as bins are numbered.
+        width: of the border.
+    """
+    first, last = values[:width][::-1, ::-1], values[-width:][::-1, ::-1]
+    rows = np.concatenate([first, values, last])
+    first, last = rows[:, :width][::-1, ::-1], rows[:, -width:][::-1, ::-1]
+    return np.concatenate([first, rows, last], axis=1)
+
+
+def bilinear_bins(
+    direction: NDArray[np.float64], resolution: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The bins [N, 4] around directions on the map, and their bilinear weights [N, 4].
+
+    Values with these weights are linear between the middles of bins; see `solid_angles`.
+
+    Args:
+        direction: [N, 3], of any length above 0.
+        resolution: bins a side.
+    """
+    x, y, z = (direction / np.abs(direction).sum(axis=1, keepdims=True)).T
+    u = np.where(z < 0, np.copysign(1 - np.abs(y), x), x)
+    v = np.where(z < 0, np.copysign(1 - np.abs(x), y), y)
+    bins = bordered(np.arange(resolution**2).reshape(resolution, resolution), 1)
+    # The middle of bin 0 is at 1 in the map with its border.
+    column, row = ((each + 1) * (resolution / 2) + 0.5 for each in (u, v))
+    left, top = (np.clip(each.astype(np.int64), 0, resolution) for each in (column, row))
+    right, bottom = column - left, row - top
+    found = [bins[top + i, left + j] for i in (0, 1) for j in (0, 1)]
+    weights = [a * b for a in (1 - bottom, bottom) for b in (1 - right, right)]
+    return np.stack(found, axis=1), np.stack(weights, axis=1)
 
 
 def middle_directions(resolution: int) -> NDArray[Any]:

@@ -1,6 +1,7 @@
 """Folders that lumitree owns: work folders for intermediate results, and temporary folders.
 
-No other module deletes folders. Only what lumitree has written is deleted.
+Outputs of several files are written into a temporary folder first. No other module deletes folders.
+Only what lumitree has written is deleted.
 """
 
 import contextlib
@@ -12,7 +13,15 @@ import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from lumitree.core.files import SCRATCH, WriteError, lock
+from lumitree.core.files import (
+    SCRATCH,
+    TEMPORARY,
+    WriteError,
+    check_writable,
+    flush_to_disk,
+    lock,
+    raise_write_error,
+)
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 MARKER = ".lumitree-work"
@@ -148,16 +157,12 @@ def scratch_folder() -> Iterator[Path]:
         LumitreeError: the folder for temporary files cannot be written.
     """
     try:
-        root = Path(tempfile.gettempdir())
-        _remove_abandoned(root)
-        folder = Path(tempfile.mkdtemp(prefix=SCRATCH, dir=root))
-        handle = os.open(folder / MARKER, os.O_RDWR | os.O_CREAT, 0o600)
+        folder, handle = _create_locked(Path(tempfile.gettempdir()), SCRATCH)
     except OSError as error:
         raise LumitreeError(
             f"no folder for temporary files can be made: {error.strerror or error}; free some "
             "space or name another with TMPDIR"
         ) from error
-    lock(handle)
     try:
         yield folder
     finally:
@@ -165,10 +170,92 @@ def scratch_folder() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _remove_abandoned(root: Path) -> None:
-    """Remove temporary folders that no running process has locked."""
+@contextlib.contextmanager
+def atomic_files(output: Path) -> Iterator[Path]:
+    """Yield a temporary folder; move its files beside `output` if the block succeeds.
+
+    The file with the name of `output` is moved last: while it is missing, so may others be.
+
+    Raises:
+        WriteError: a file cannot be written, or the disk is full.
+    """
+    with _written_beside(output) as files:
+        yield files
+        _flush(files)
+        others = [each for each in sorted(files.iterdir()) if each.name != output.name]
+        for each in (*others, files / output.name):
+            os.replace(each, output.parent / each.name)
+
+
+@contextlib.contextmanager
+def atomic_folder(output: Path) -> Iterator[Path]:
+    """Yield a temporary folder; rename it to `output` if the block succeeds.
+
+    Args:
+        output: the folder, which is missing or empty; see `check_new_folder`.
+
+    Raises:
+        WriteError: the folder cannot be written, or the disk is full.
+    """
+    output = output.resolve()
+    with _written_beside(output) as files:
+        yield files
+        _flush(files)
+        os.replace(files, output)
+
+
+def check_new_folder(path: Path) -> None:
+    """Refuse a folder that cannot be made, or holds something, before any work is done.
+
+    Raises:
+        LumitreeError: it is a file, holds something, or cannot be written.
+    """
+    if path.is_dir() and (found := sorted(os.listdir(path))):
+        raise LumitreeError(
+            f"{shown(path, 300)} is a folder that holds {shown(found[0])}; choose a new or an "
+            "empty folder with -o"
+        )
+    if path.is_dir() and path.samefile("."):
+        raise LumitreeError("the output is the current folder; choose a new folder with -o")
+    if path.is_file():
+        raise LumitreeError(f"{shown(path, 300)} is a file; choose a new or an empty folder")
+    check_writable(path / "file" if path.is_dir() else path)
+
+
+@contextlib.contextmanager
+def _written_beside(output: Path) -> Iterator[Path]:
+    """Yield a folder on the disk of `output`; remove it afterwards, with what is left in it."""
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        temporary, handle = _create_locked(output.parent, f".{output.stem}{TEMPORARY}")
+    except (OSError, ValueError) as error:
+        raise WriteError(output, error) from error
+    try:
+        files = temporary / "files"
+        files.mkdir()
+        yield files
+    except WriteError as error:
+        # The user knows the output, and not the file of the temporary folder.
+        raise WriteError(output, error.__cause__ or error) from error
+    except Exception as error:
+        raise_write_error(output, error)
+    finally:
+        os.close(handle)
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _flush(folder: Path) -> None:
+    for each in folder.iterdir():
+        flush_to_disk(each)
+
+
+def _create_locked(root: Path, prefix: str) -> tuple[Path, int]:
+    """A new temporary folder, and the handle of its marker, which is locked.
+
+    Folders with the same prefix that killed processes left are removed.
+    """
     for folder in root.iterdir():
-        if not re.fullmatch(f"{SCRATCH}[a-z0-9_]{{8}}", folder.name):
+        if not re.fullmatch(f"{re.escape(prefix)}[a-z0-9_]{{8}}", folder.name):
             continue
         # The folder may be another user's, or another process may be making or removing it.
         with contextlib.suppress(OSError):
@@ -178,3 +265,7 @@ def _remove_abandoned(root: Path) -> None:
                     shutil.rmtree(folder)
             finally:
                 os.close(handle)
+    folder = Path(tempfile.mkdtemp(prefix=prefix, dir=root))
+    handle = os.open(folder / MARKER, os.O_RDWR | os.O_CREAT, 0o600)
+    lock(handle)
+    return folder, handle

@@ -43,7 +43,8 @@ def data_of(path, monkeypatch):
 
 
 def test_the_script_holds_the_flux_in_watts_and_metres_with_z_up(tmp_path, monkeypatch):
-    from lumitree.output.blender.lights import cluster_lights, table_angles
+    from lumitree.output.direction_tables import table_angles
+    from lumitree.output.point_lights import cluster_lights
     from lumitree.rendering.asset_flux import asset_watts
 
     asset = lamp()
@@ -77,7 +78,7 @@ def test_the_axis_that_is_up_turns_the_light(tmp_path, monkeypatch):
     for up, expected in (("y", [0, 0, 1]), ("z", [0, 1, 0])):
         lumitree.export(asset, tmp_path / "beam.py", up=up)
         _, arrays = data_of(tmp_path / "beam.py", monkeypatch)
-        from lumitree.output.blender.lights import table_directions
+        from lumitree.output.direction_tables import table_directions
 
         power = arrays["tables"][0, ..., 0].astype(float)
         power *= np.hypot(*np.moveaxis(table_directions(32), -1, 0)[:2])

@@ -5,7 +5,7 @@ import dataclasses
 import io
 import json
 from importlib import resources
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from lumitree.asset.asset import Asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.frames import similarity
-from lumitree.errors import LumitreeError, shown
-from lumitree.output.blender.lights import PointLights, cluster_lights, direction_tables
+from lumitree.errors import shown
 from lumitree.output.blender.surfaces import Surfaces, absorption_inside
+from lumitree.output.direction_tables import direction_tables
 from lumitree.output.geometry_meshes import geometry_meshes
+from lumitree.output.orientation import Up, turn_up
+from lumitree.output.point_lights import PlacedLights, place_lights
 
-Up = Literal["y", "z"]
-# From a frame with this axis up to Blender's, with z up.
-Z_UP = {"y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), "z": np.eye(3)}
 _LINE = 120
 # Longest name of a thing in Blender, less what the script appends; bytes of UTF-8.
 _NAME_CHARACTERS = 12
@@ -52,21 +51,16 @@ def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
     Raises:
         LumitreeError: the asset has no light field.
     """
-    if asset.light_field is None:
-        raise LumitreeError(
-            f"the asset of {asset.luminaire} has no light field, from which the lights are "
-            "made; bake its luminaire with the part light, which a dataset does not give"
-        )
-    points = cluster_lights(asset.light_field, asset.frame.half_extents, lights, seed)
-    points = dataclasses.replace(points, intensity=points.intensity * asset.gain)
-    description, arrays = _light_data(asset, points, Z_UP[up])
+    z_up = turn_up(up, "z")
+    points = place_lights(asset, z_up, lights, seed)
+    description, arrays = _light_data(asset, points)
     lost = ["point lights illuminate the lamp's own surfaces without its shadows"]
     if asset.geometry is None:
         lost = ["the asset has no geometry: the lamp itself is not shown"]
         description |= {"surfaces": [], "absorption": []}
     else:
         surfaces = Surfaces(asset.geometry, asset.gain)
-        more, meshes = _surface_data(asset.geometry, surfaces, Z_UP[up])
+        more, meshes = _surface_data(asset.geometry, surfaces, z_up)
         description, arrays = description | more, arrays | meshes
         lost += sorted(surfaces.lost)
     return LampScript(_filled(description, arrays), len(points.position), lost)
@@ -81,7 +75,7 @@ def geometry_script(geometry: AssetGeometry, name: str, up: Up) -> LampScript:
         up: the axis of the geometry that points up.
     """
     surfaces = Surfaces(geometry)
-    description, arrays = _surface_data(geometry, surfaces, Z_UP[up])
+    description, arrays = _surface_data(geometry, surfaces, turn_up(up, "z"))
     description |= {"name": shown(name, _NAME_CHARACTERS), "radius": 1.0, "lights": []}
     return LampScript(_filled(description, arrays), 0, sorted(surfaces.lost))
 
@@ -109,23 +103,21 @@ def _filled(description: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> str
 
 
 def _light_data(
-    asset: Asset, points: PointLights, z_up: NDArray[np.float64]
+    asset: Asset, points: PlacedLights
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Positions, powers and tables of the lights, in Blender's frame and units."""
-    frame = asset.frame
-    tables = direction_tables(points, frame.rotation.T @ z_up.T, 2 * points.resolution)
+    frame, local = asset.frame, points.local
+    tables = direction_tables(local, points.rotation.T, 2 * local.resolution)
     # A point light of P watts has the intensity P / 4π, times its texture. Cycles chooses lights by
     # their watts, whatever the texture, so these are the flux: the mean of R, G and B.
-    flux = points.flux.mean(axis=1)
-    watts = flux * frame.scale**2
-    relative = tables * (4 * np.pi / flux)[:, None, None, None]
-    places = (points.position @ frame.rotation.T * frame.scale + frame.centre) @ z_up.T
+    relative = tables * (4 * np.pi / local.flux.mean(axis=1))[:, None, None, None]
+    watts = points.watts.mean(axis=1)
     description = {
         "name": shown(asset.luminaire, _NAME_CHARACTERS),
         "radius": float(frame.scale * np.linalg.norm(frame.half_extents)),
         "lights": [
             {"position": place, "watts": power}
-            for place, power in zip(places.tolist(), watts.tolist(), strict=True)
+            for place, power in zip(points.position.tolist(), watts.tolist(), strict=True)
         ],
     }
     return description, {"tables": relative.astype(np.float16)}

@@ -5,7 +5,7 @@ import pytest
 
 from lumitree.asset.asset import light_field_asset
 from lumitree.asset.light_field import make_light_field, unpack
-from lumitree.core.frames import LocalFrame, rotation
+from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import solid_angles
 from support.light_fields import random_light_field
 
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("mi")
 
 
 def lights_of(field, count, half=(1, 1, 1), seed=0):
-    from lumitree.output.blender.lights import cluster_lights
+    from lumitree.output.point_lights import cluster_lights
 
     return cluster_lights(field, np.array(half, float), count, seed)
 
@@ -54,43 +54,6 @@ def test_equal_seeds_give_equal_lights():
     first, second = (lights_of(field, 9, seed=4) for _ in range(2))
     assert np.array_equal(first.position, second.position)
     assert np.array_equal(first.intensity, second.intensity)
-
-
-def test_weights_of_a_table_are_those_of_linear_interpolation():
-    from lumitree.output.blender.lights import table_angles
-
-    weight = table_angles(16)
-    assert 32 * weight.sum() == pytest.approx(4 * np.pi)
-    np.testing.assert_allclose(weight, weight[::-1])
-    # A hat of a row of another grid integrated by the midpoint rule.
-    latitude = (np.arange(200_000) + 0.5) / 200_000 * np.pi - np.pi / 2
-    row = (latitude / np.pi + 0.5) * 16 - 0.5
-    hat = np.maximum(0, 1 - np.abs(row - 5))
-    assert weight[5] == pytest.approx(
-        (hat * np.cos(latitude)).mean() * np.pi * (2 * np.pi / 32), rel=1e-4
-    )
-
-
-def test_tables_hold_the_intensity_of_their_directions_and_its_flux():
-    from lumitree.output.blender.lights import PointLights, direction_tables, table_angles
-    from lumitree.output.blender.lights import table_directions as directions
-
-    turn = rotation([1, 2, 3], 40.0)
-    coarse = 32
-    mi = pytest.importorskip("mitsuba")
-    from lumitree.core.octahedral import direction_in_bin
-
-    bins = mi.UInt32(np.arange(coarse**2, dtype=np.uint32))
-    centre = np.array(direction_in_bin(bins, mi.Point2f(0.5), coarse)[0], np.float64).T
-    smooth = 2 + centre @ np.array([[1.0, 0, 0], [0, -1, 0.5], [0.3, 0, 1]])
-    lights = PointLights(np.zeros((1, 3)), smooth[None])
-    tables = direction_tables(lights, turn, 64)
-    local = directions(64) @ turn.T
-    expected = 2 + local @ np.array([[1.0, 0, 0], [0, -1, 0.5], [0.3, 0, 1]])
-    assert np.abs(tables[0] - expected).max() < 0.12
-    np.testing.assert_allclose(
-        np.einsum("shwc,h->sc", tables, table_angles(64)), lights.flux, rtol=1e-12
-    )
 
 
 def two_groups():

@@ -1,0 +1,1 @@
+"""Targets of `lumitree export`: one module for each other program; see `registry`."""

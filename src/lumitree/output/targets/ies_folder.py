@@ -1,0 +1,90 @@
+"""A folder for all other programs: an IES file for each point light, and a table of their places.
+
+The files are LM-63-2019 of Type C, all in the frame of the lamp with z up, so that no light is
+rotated. `placement.csv` begins with a comment that describes its columns.
+"""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.octahedral import bilinear_bins
+from lumitree.core.photometry import luminance
+from lumitree.formats.ies import write_ies
+from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of, z_up
+from lumitree.output.orientation import turn_up
+from lumitree.output.point_lights import place_lights
+from lumitree.output.targets.target import ExportRequest, Target, Written, file_orientation
+
+PLACEMENT = "placement.csv"
+COLUMNS = (
+    "file", "x_m", "y_m", "z_m", "rotate_x_deg", "rotate_y_deg", "rotate_z_deg", "flux_lm",
+    "red", "green", "blue",
+)  # fmt: skip
+_README = (
+    "# Point lights of one lamp, written by lumitree: put each IES file at its place, in metres, "
+    "z up, C = 0 towards +x. No file needs a rotation or a factor: its intensities are in candela. "
+    "red, green and blue: linear sRGB colour of luminance 1."
+)
+_UNITS = "metres; candela and lumens"
+_LOST = [
+    "an IES file has no colour: each light has one (red, green and blue of placement.csv)",
+    "the lamp itself is not shown; its surfaces would block the light of the lights",
+    "the lamp casts no shadow in the light of others",
+]
+# Steps of the angles, degrees, and number of them in the mean side of a bin; see
+# docs/decisions/other-programs.md.
+_STEPS = (0.5, 0.75, 1, 1.5, 2, 2.5, 3, 5, 7.5, 10)
+_STEPS_A_BIN = 6
+
+
+def distribution(
+    name: str, intensity: NDArray[np.float64], lumens: float, rotation: NDArray[np.float64]
+) -> IntensityDistribution:
+    """Luminous intensity of a light.
+
+    Args:
+        name: of the luminaire.
+        intensity: [R², 3] W/sr by octahedral bin.
+        lumens: its flux, which the interpolated intensity has too.
+        rotation: [3, 3], from the frame of the bins to one with y up.
+    """
+    resolution = round(len(intensity) ** 0.5)
+    largest = np.degrees(np.sqrt(4 * np.pi) / resolution) / _STEPS_A_BIN
+    grid = Grid(max((step for step in _STEPS if step <= largest), default=_STEPS[0]))
+    nodes = direction_of(grid.c[:, None], grid.gamma)
+    bins, weights = bilinear_bins(nodes.reshape(-1, 3) @ rotation, resolution)
+    values = (luminance(intensity)[bins] * weights).sum(axis=1).reshape(nodes.shape[:2])
+    found = IntensityDistribution(name, grid.c, grid.gamma, values)
+    factor = lumens / found.lumens if found.lumens > 0 else 1.0
+    return IntensityDistribution(name, grid.c, grid.gamma, values * factor)
+
+
+def _write(request: ExportRequest, folder: Path) -> Written:
+    lights = place_lights(request.asset, turn_up(request.up, "y"), request.lights, request.seed)
+    count = len(lights.position)
+    lumens = luminance(lights.watts)
+    colours = lights.watts / np.maximum(lumens / luminance([1, 1, 1]), 1e-300)[:, None]
+    rows = []
+    for index, place in enumerate(z_up(lights.position).tolist()):
+        file = f"light-{index + 1:0{len(str(count))}}.ies"
+        intensity = lights.local.intensity[index] * lights.scale**2
+        flux = float(lumens[index])
+        name = f"{request.asset.luminaire} {index + 1}"
+        write_ies(folder / file, distribution(name, intensity, flux, lights.rotation))
+        numbers = [*place, 0, 0, 0, flux, *colours[index].tolist()]
+        rows.append([file, *(f"{each:.9g}" for each in numbers)])
+    with open(folder / PLACEMENT, "w", encoding="utf-8", newline="") as table:
+        table.write(_README + "\n")
+        csv.writer(table, lineterminator="\n").writerows([COLUMNS, *rows])
+    return Written(
+        units=_UNITS,
+        orientation=file_orientation("z"),
+        not_carried_over=_LOST,
+        lights=count,
+    )
+
+
+TARGET = Target(name="IES files", write=_write, is_folder=True)

@@ -1,0 +1,36 @@
+"""The targets of `lumitree export`, by the suffix of the output."""
+
+import os
+from pathlib import Path
+
+from lumitree.core.files import FilePath
+from lumitree.errors import LumitreeError, shown
+from lumitree.output.targets import blender, ies_folder, openvdb, pbrt, radiance
+from lumitree.output.targets.target import Target
+
+# A folder has no suffix.
+TARGETS: dict[str, Target] = {
+    ".py": blender.SCRIPT,
+    ".blend": blender.BLEND,
+    ".vdb": openvdb.TARGET,
+    ".rad": radiance.TARGET,
+    ".pbrt": pbrt.TARGET,
+    "": ies_folder.TARGET,
+}
+
+
+def find_target(output: FilePath) -> Target:
+    """The target of an output: by its suffix, or that for folders if it ends in a slash.
+
+    Raises:
+        LumitreeError: there is none.
+    """
+    text = os.fspath(output)
+    suffix = "" if text.endswith("/") else Path(text).suffix
+    if suffix not in TARGETS:
+        known = ", ".join(filter(None, TARGETS))
+        folder = ", and is not a folder (a name without an ending, or with a / at the end)"
+        raise LumitreeError(
+            f"output {shown(repr(text), 300)} does not end in {known}{folder * ('' in TARGETS)}"
+        )
+    return TARGETS[suffix]

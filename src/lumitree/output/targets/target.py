@@ -1,0 +1,85 @@
+"""What a target of `lumitree export` is given, and what it returns."""
+
+import dataclasses
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from lumitree.asset.asset import Asset
+from lumitree.core.files import FilePath
+from lumitree.output.orientation import Up
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class ExportRequest:
+    """What is exported, and how.
+
+    Attributes:
+        asset: the asset, near the origin of its file.
+        lights: largest number of point lights.
+        up: the axis that points up in the luminaire's file.
+        seed: root seed of the clusters of lights.
+        blender: the program that the user named to run scripts of Blender, or None.
+        name: file name of the output, without folders; other files have names derived from it.
+    """
+
+    asset: Asset
+    lights: int
+    up: Up
+    seed: int
+    blender: FilePath | None
+    name: str
+
+    @property
+    def stem(self) -> str:
+        """The name without its suffix, of letters, digits, `_`, `.` and `-`, for other files."""
+        return re.sub(r"[^\w.-]", "_", Path(self.name).stem, flags=re.ASCII)
+
+    @property
+    def triangles(self) -> int:
+        """Number of triangles of the asset's geometry, 0 without one."""
+        return 0 if self.asset.geometry is None else self.asset.geometry.num_triangles
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Written:
+    """What a target wrote.
+
+    Attributes:
+        units: one line: the units of lengths and of light.
+        orientation: one line: the axis that points up, and where the origin is.
+        not_carried_over: one line for each property of the lamp that the program shows otherwise,
+            or not at all.
+        lights: number of point lights.
+        triangles: number of triangles of the lamp's own surfaces.
+    """
+
+    units: str
+    orientation: str
+    not_carried_over: list[str]
+    lights: int = 0
+    triangles: int = 0
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Target:
+    """A program, or a kind of file, that assets are written for.
+
+    Attributes:
+        name: of the program or the format, for messages.
+        write: writes all files into an empty folder. The file with the name `ExportRequest.name`
+            is the one to open; a target that is a folder writes files of any names.
+        is_folder: whether the output is a folder.
+        check: refuses, before any work, what cannot be written with the program that the user
+            named in `ExportRequest.blender`.
+    """
+
+    name: str
+    write: Callable[[ExportRequest, Path], Written]
+    is_folder: bool = False
+    check: Callable[[FilePath | None], object] | None = None
+
+
+def file_orientation(up: str) -> str:
+    """The line `Written.orientation` of targets that keep the origin of the luminaire's file."""
+    return f"{up} is up; the origin is that of the lamp's file"
