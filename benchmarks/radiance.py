@@ -35,7 +35,7 @@ from lumitree.core.files import atomic_path
 from lumitree.errors import LumitreeError
 
 # The plane: above the table, below the pendant.
-CENTRE, EXTENT, SPACING = (0.0, 0.85, 0.0), (3.6, 2.6), 0.2
+CENTRE, EXTENT, SPACING = (0.0, 0.85, 0.0), (3.6, 2.7), 0.3
 # Reflections that Radiance follows; what is beyond is below 0.01 %.
 BOUNCES = 24
 # Least part of the plane's mean at which relative differences are taken.
