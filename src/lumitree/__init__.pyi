@@ -51,6 +51,8 @@ from .lamp.scene_shapes import SceneShape as SceneShape
 from .lamp.source import LuminaireSource as LuminaireSource
 from .measure.evaluate import EvaluateResult as EvaluateResult
 from .measure.evaluate import evaluate as evaluate
+from .measure.glare import Glare as Glare
+from .measure.glare import glare as glare
 from .measure.illuminance.areas import Plane as Plane
 from .measure.illuminance.areas import Surface as Surface
 from .measure.illuminance.illuminance import AreaFigures as AreaFigures

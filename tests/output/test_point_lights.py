@@ -1,5 +1,7 @@
 """Point lights have the flux of the field, and nearly its irradiance."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from lumitree.asset.asset import light_field_asset
 from lumitree.asset.light_field import make_light_field, unpack
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import solid_angles
+from lumitree.errors import LumitreeError
 from support.light_fields import random_light_field
 
 pytestmark = pytest.mark.usefixtures("mi")
@@ -54,6 +57,20 @@ def test_equal_seeds_give_equal_lights():
     first, second = (lights_of(field, 9, seed=4) for _ in range(2))
     assert np.array_equal(first.position, second.position)
     assert np.array_equal(first.intensity, second.intensity)
+
+
+def test_lights_that_a_gain_makes_black_are_left_out():
+    from lumitree.output.point_lights import place_lights
+
+    intensity = np.zeros((2, 16, 3))
+    intensity[0, :, 0] = intensity[1, :, 2] = 1
+    field = make_light_field(np.array([[0, 0, 0], [3, 0, 0]]), intensity, 2)
+    asset = light_field_asset(field, LocalFrame(np.ones(3), np.eye(4)), "red and blue")
+    red = place_lights(dataclasses.replace(asset, gain=(2.0, 1.0, 0.0)), np.eye(3), 2)
+    np.testing.assert_allclose(red.position, [[-0.75, -0.75, -0.75]])
+    np.testing.assert_allclose(red.watts, [[8 * np.pi, 0, 0]], rtol=1e-2)
+    with pytest.raises(LumitreeError, match="sends no light, because its gain is"):
+        place_lights(dataclasses.replace(asset, gain=(0.0, 1.0, 0.0)), np.eye(3), 2)
 
 
 def two_groups():

@@ -126,6 +126,12 @@ def check_coordinates(
         )
 
 
+def texture_map(matrix: list[list[float]], texcoords: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Places [N, 2] on an image, of texture coordinates [N, 2], by `to_uv` of its texture."""
+    to_uv = np.array(matrix, np.float64)
+    return texcoords @ to_uv[:2, :2].T + to_uv[:2, 3]
+
+
 def textures_of(value: Any) -> Iterator[Json]:
     """Textures of a material, with those that it holds, or of a parameter."""
     if isinstance(value, dict):

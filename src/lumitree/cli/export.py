@@ -19,7 +19,8 @@ def add(commands: Any) -> None:
         "OUTPUT",
         "what to write: .py (a script that contains the lamp and runs in Blender 4.2 or newer), "
         ".blend (the same, made by Blender), .vdb (density and emission of the field), .rad "
-        "(Radiance), .pbrt (pbrt-v4), or a folder (an IES file for each light, for all others)",
+        "(Radiance), .pbrt (pbrt-v4), .usda or .usdz (OpenUSD), .glb (glTF), or a folder (an IES "
+        "file for each light, for all others)",
     )
     parser.add_argument(
         "--lights", type=int, metavar="N", default=16, help="largest number of point lights"

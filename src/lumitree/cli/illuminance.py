@@ -163,7 +163,10 @@ def show(args: argparse.Namespace, result: Any) -> None:
         ratios = (f"{area.uniformity:.3f}", f"{area.diversity:.3f}")
         # Not a string, in which rich would interpret markup.
         name = Text(shown(area.name, 100))
-        table.add_row(name, f"{area.count:,}", mean, *values, *ratios)
+        table.add_row(name, f"{area.count - area.enclosed:,}", mean, *values, *ratios)
     Console().print(table)
+    enclosed = sum(area.enclosed for area in result.areas)
+    if enclosed:
+        print(f"note: {enclosed:,} points are inside solids, and do not count")
     print_lines({f"{stage} (s)": round(value, 1) for stage, value in result.seconds.items()})
     print_open(next(iter(args.output), None))

@@ -1,6 +1,7 @@
 """`lumitree render`."""
 
 import argparse
+import dataclasses
 from typing import Any
 
 from lumitree.cli import options
@@ -57,6 +58,17 @@ def add(commands: Any) -> None:
         help="also write the image before denoising, albedo and normal",
     )
     parser.add_argument(
+        "--luminance",
+        metavar="FILE.png",
+        help="also write the luminance in false colours, with a legend in cd/m²",
+    )
+    parser.add_argument(
+        "--glare",
+        action="store_true",
+        help="also compute the glare of the view: UGR, and DGP for daylight (`pip install "
+        "'lumitree[radiance]'`)",
+    )
+    parser.add_argument(
         "--width",
         type=int,
         metavar="W",
@@ -73,8 +85,14 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> Any:
     import lumitree
+    from lumitree.core.arguments import check_sheet_output
+    from lumitree.measure.glare import check_evalglare
 
     check_outputs(args.output, args.layers, args.aov)
+    if args.luminance is not None:
+        check_sheet_output(args.luminance, "luminance image")
+    if args.glare:
+        check_evalglare()
     result = lumitree.render(
         args.scene,
         placements(args),
@@ -94,8 +112,29 @@ def run(args: argparse.Namespace) -> Any:
         result.save_aov(args.aov)
     if args.layers is not None:
         result.save_layers(args.layers)
+    if args.luminance is not None:
+        result.save_luminance(args.luminance)
     result.save(args.output)
-    return image_report(result, args.output) | {"layers": args.layers, "aov": args.aov}
+    further = {"layers": args.layers, "aov": args.aov, "luminance": args.luminance}
+    if args.glare:
+        further["glare"] = dataclasses.asdict(_glare(args, result))
+    return image_report(result, args.output) | further
+
+
+def _glare(args: argparse.Namespace, result: Any) -> Any:
+    """Glare of the image, with the illuminance at the camera."""
+    import lumitree
+
+    if result.camera is None:
+        return lumitree.glare(result, 0)
+    eye = lumitree.illuminance(
+        args.scene,
+        placements(args),
+        points=[result.camera.origin],
+        normals=[result.camera.direction],
+        variant=args.variant,
+    )
+    return lumitree.glare(result, float(eye.total[0]))
 
 
 def show(args: argparse.Namespace, result: Any) -> None:

@@ -91,8 +91,8 @@ def check_asset_output(path: str | os.PathLike[str]) -> None:
     check_writable(path)
 
 
-def check_sheet_output(path: str | os.PathLike[str]) -> None:
-    """Refuse a contact sheet whose name does not end in .png, or that cannot be written."""
+def check_sheet_output(path: str | os.PathLike[str], kind: str = "sheet") -> None:
+    """Refuse a picture, by default a contact sheet, that is no .png or cannot be written."""
     if Path(path).suffix.lower() != ".png":
-        raise LumitreeError(f"sheet name {shown(repr(str(path)), 300)} does not end in .png")
+        raise LumitreeError(f"{kind} name {shown(repr(str(path)), 300)} does not end in .png")
     check_writable(path)

@@ -49,7 +49,7 @@ class Purpose(enum.IntEnum):
     RECEIVED = 24  # irradiance at points of a scene; step: samples at once
     SURFACES = 25  # radiance of the surfaces of an asset; step: faces at once
     # Illuminance at points of a scene; draw 0: paths, step: pass; draw 1: places in cells of light
-    # fields, step: sum; draw 2: points of a surface.
+    # fields, step: sums at once; draw 2: points of a surface; draw 3: rays that find solids.
     ILLUMINANCE = 26
 
 

@@ -236,7 +236,8 @@ def _written_beside(output: Path) -> Iterator[Path]:
         yield files
     except WriteError as error:
         # The user knows the output, and not the file of the temporary folder.
-        raise WriteError(output, error.__cause__ or error) from error
+        cause = error.__cause__
+        raise WriteError(output, cause if isinstance(cause, Exception) else error) from error
     except Exception as error:
         raise_write_error(output, error)
     finally:

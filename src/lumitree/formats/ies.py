@@ -49,14 +49,20 @@ _FIRST_EDITION = 1986
 
 
 def write_ies(path: str | os.PathLike[str], distribution: IntensityDistribution) -> None:
-    """Write an IES LM-63-2019 file of Type C, marked as simulated.
+    """Write an IES LM-63-2019 file of Type C, see `ies_content`.
+
+    Raises:
+        LumitreeError: the file cannot be written.
+    """
+    write_bytes(path, ies_content(distribution))
+
+
+def ies_content(distribution: IntensityDistribution) -> bytes:
+    """Content of an IES LM-63-2019 file of Type C, marked as simulated.
 
     The number of lamp lumens is the flux of the bare emitters, or -1 (absolute photometry) if that
     is not known. The length of the luminous opening is its side along C = 0, the width that along
     C = 90; their signs state its shape.
-
-    Raises:
-        LumitreeError: the file cannot be written.
     """
     from photompy import IESFile, PhotometricType, Photometry
 
@@ -81,7 +87,7 @@ def write_ies(path: str | os.PathLike[str], distribution: IntensityDistribution)
     )
     # photompy writes two decimals by default, which loses intensities of some millicandela.
     decimals = max(3, _DIGITS - int(np.ceil(np.log10(largest))))
-    write_bytes(path, _numbers_in_full(file.write(precision=decimals) or b""))
+    return _numbers_in_full(file.write(precision=decimals) or b"")
 
 
 def read_ies(path: str | os.PathLike[str]) -> IntensityDistribution:

@@ -27,6 +27,7 @@ class ExportResult(Result):
 
     Attributes:
         luminaire: name of the luminaire.
+        target: the program or the format that it was written for.
         file: what was written: the file to open, or the folder.
         files: all files that were written.
         file_bytes: the size of all of them.
@@ -39,6 +40,7 @@ class ExportResult(Result):
     """
 
     luminaire: str
+    target: str
     file: Path
     files: list[Path]
     file_bytes: int
@@ -59,10 +61,11 @@ def export(
     blender: FilePath | None = None,
     seed: int = 0,
 ) -> ExportResult:
-    """Write an asset for another program: as point lights, and for Blender with its surfaces.
+    """Write an asset for another program: as point lights, for some with the lamp's surfaces.
 
     The light field becomes point lights, each with an intensity by direction; see
-    `output.point_lights`. Lengths are in metres. The suffix of `output` chooses the program:
+    `output.point_lights`. Blender, OpenUSD and glTF get the lamp's surfaces, too. Lengths are in
+    metres. The suffix of `output` chooses the program:
 
     * `.py`: a script that contains the lamp and runs in Blender 4.2 or newer. The geometry is added
       so that cameras and mirrors show it, and neither illuminates nor casts shadows. All are
@@ -72,6 +75,10 @@ def export(
       `output.blender.volume`); it needs the module `openvdb` of Blender 4.4 or newer.
     * `.rad`: a scene of Radiance, with function and data files beside it.
     * `.pbrt`: a scene of pbrt-v4 to include, with images beside it.
+    * `.usda`: a layer of OpenUSD with the lights. The surfaces, the images, and an IES profile for
+      each light are files beside it. It needs the package `usd-core` (the extra `usd`).
+    * `.usdz`: the same as one package, in which lights have no profiles.
+    * `.glb`: binary glTF, with lights of EXT_lights_ies and KHR_lights_punctual.
     * a folder, that is a name without a suffix or with a slash at its end: an IES file for each
       light, and a table of their places, for all other programs.
 
@@ -124,6 +131,7 @@ def export(
         lost = [*lost, f"the place of the lamp in its file, ({place}): it is moved to the origin"]
     return ExportResult(
         luminaire=loaded.luminaire,
+        target=target.name,
         file=output,
         files=files,
         file_bytes=sum(each.stat().st_size for each in files),

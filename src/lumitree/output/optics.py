@@ -14,6 +14,15 @@ def relative_index(material: Json, default: float | None = None) -> float:
     return float(mi.traverse(mi.load_dict({"type": "dielectric", **plugin}))["eta"])
 
 
+def principled_index(material: Json) -> float:
+    """Index of refraction of a principled material, at least 1."""
+    if "eta" in material:
+        return float(material["eta"])
+    # As Mitsuba has it: the reflectance at normal incidence is 8 % of `specular`.
+    root = np.sqrt(0.08 * material.get("specular", 0.5))
+    return max(float((1 + root) / (1 - root)), 1.0)
+
+
 def normal_reflectance(material: Json) -> list[float]:
     """Reflectance [3] of a conductor at normal incidence, by Fresnel's equations."""
     given = {name: material[name] for name in ("material", "eta", "k") if name in material}

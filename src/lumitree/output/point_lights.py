@@ -83,7 +83,7 @@ def place_lights(
         seed: root seed.
 
     Raises:
-        LumitreeError: the asset has no light field.
+        LumitreeError: the asset has no light field, or its gain is 0.
     """
     if asset.light_field is None:
         raise LumitreeError(
@@ -92,7 +92,15 @@ def place_lights(
         )
     frame = asset.frame
     lights = cluster_lights(asset.light_field, frame.half_extents, count, seed)
-    lights = dataclasses.replace(lights, intensity=lights.intensity * asset.gain)
+    intensity = lights.intensity * asset.gain
+    # A gain of 0 for a channel may make lights black.
+    lit = intensity.any(axis=(1, 2))
+    if not lit.any():
+        raise LumitreeError(
+            f"the asset of {asset.luminaire} sends no light, because its gain is "
+            f"{asset.gain}; save it with a gain above 0"
+        )
+    lights = PointLights(lights.position[lit], intensity[lit])
     rotation = turn @ frame.rotation
     position = lights.position @ rotation.T * frame.scale + frame.centre @ turn.T
     return PlacedLights(position, lights, rotation, float(frame.scale))

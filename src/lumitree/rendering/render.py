@@ -23,6 +23,7 @@ from lumitree.errors import LumitreeError, explained
 from lumitree.rendering.saved_image import SavedImage
 
 if TYPE_CHECKING:
+    from lumitree.rendering.camera_view import CameraView
     from lumitree.rendering.layers import Recorded
     from lumitree.rendering.passes import Budget, Rendering
     from lumitree.rendering.placement import Placement
@@ -55,6 +56,7 @@ class RenderResult(SavedImage):
             specular, times the throughput up to it; None without `layers`, `aov` and `denoise`.
         normals: float32 [height, width, 3], shading normal of this surface in the frame of the
             scene; None as `albedo`.
+        camera: where the camera stands and looks; None if it is not a perspective one.
     """
 
     resolution: tuple[int, int]
@@ -65,6 +67,7 @@ class RenderResult(SavedImage):
     noisy: NDArray[np.float32] | None = dataclasses.field(default=None, repr=False)
     albedo: NDArray[np.float32] | None = dataclasses.field(default=None, repr=False)
     normals: NDArray[np.float32] | None = dataclasses.field(default=None, repr=False)
+    camera: "CameraView | None" = dataclasses.field(default=None, repr=False)
 
     @explained
     def save_layers(self, path: FilePath) -> None:
@@ -206,6 +209,7 @@ def render(
             samples_per_pixel=rendering.samples_per_pixel,
             noise=rendering.noise,
             mean_radiance=float(pixels.mean()),
+            camera=job.camera,
             png=encode_png(displayed(pixels, exposure, view), settings),
             **parts,
             **watch.costs(),
@@ -245,6 +249,7 @@ class _RenderJob:
         *,
         box_filter: bool,
     ) -> None:
+        from lumitree.rendering.camera_view import camera_view
         from lumitree.rendering.scene import (
             appearance_for,
             load_scene,
@@ -258,6 +263,7 @@ class _RenderJob:
         loaded, self.integrator = load_scene(scene, placed, box_filter=box_filter, width=width)
         appearance = appearance_for(self.integrator)
         self._whole = place_luminaires(loaded, placed, proxy, appearance=appearance)
+        self.camera = camera_view(loaded.sensors()[0])
         self._placed_ids, self._title = placed_ids(placed), scene_title(scene)
 
     def rendered(

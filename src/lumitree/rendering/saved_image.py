@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.arguments import check_sheet_output
 from lumitree.core.files import FilePath, write_bytes
 from lumitree.core.images import check_image_name, write_exr
+from lumitree.core.photometry import luminance
 from lumitree.core.results import ImageResult
 from lumitree.errors import explained
 
@@ -41,3 +43,23 @@ class SavedImage(ImageResult):
             write_exr(path, {"RGB": self.pixels}, self.settings)
         else:
             write_bytes(path, self.png)
+
+    @property
+    def luminance(self) -> NDArray[np.float64]:
+        """Luminance [height, width], cd/m²."""
+        return luminance(self.pixels)
+
+    @explained
+    def save_luminance(self, path: FilePath) -> None:
+        """Write the luminance in false colours, with a legend in cd/m².
+
+        Args:
+            path: path of the file, `.png`.
+
+        Raises:
+            LumitreeError: the name has another ending, or the file cannot be written.
+        """
+        from lumitree.rendering.luminance import luminance_png
+
+        check_sheet_output(path, "luminance image")
+        write_bytes(path, luminance_png(self.luminance))

@@ -261,6 +261,20 @@ def test_wrong_arguments_are_told_in_one_line(mi, arguments, message):
         lumitree.illuminance(furnace(mi, 0), **arguments)
 
 
+def test_points_inside_solids_do_not_count(mi):
+    """A row of points, of which two are inside a cube that stands on a plate."""
+    scene = furnace(mi, 0)
+    plate = mi.ScalarTransform4f().translate([0, -0.5, 0]).rotate([1, 0, 0], -90)
+    scene["plate"] = {"type": "rectangle", "to_world": plate, "bsdf": BLACK}
+    scene["box"] = {"type": "cube", "to_world": mi.ScalarTransform4f().scale([0.5, 0.5, 0.2])}
+    plane = lumitree.Plane((0, 0, 0), extent=(1.6, 0.4), spacing=0.4)
+    result = lumitree.illuminance(scene, planes=[plane], error=EVERYTHING)
+    assert np.isnan(result.total).tolist() == [False, True, True, False]
+    area = result.areas[0]
+    assert (area.count, area.enclosed) == (4, 2)
+    assert area.mean == pytest.approx(result.total[[0, 3]].mean())
+
+
 def test_a_scene_without_light_is_refused(mi):
     with pytest.raises(lumitree.LumitreeError, match="has no light"):
         lumitree.illuminance(room(mi), **at([0, 0, 0]))

@@ -17,6 +17,7 @@ from lumitree.asset.asset import light_field_asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.cli import main
 from lumitree.core.frames import LocalFrame, rotation, similarity
+from support.every_material import every_material
 from support.fields import random_asset
 from support.geometry_assets import small_geometry, with_geometry
 from support.light_fields import random_light_field
@@ -133,7 +134,7 @@ def folder(tmp_path, monkeypatch):
     ("arguments", "message"),
     [
         (["field.lumitree", "-o", "a.py"], "no light field"),
-        (["lamp.lumitree", "-o", "a.glb"], "does not end in .py, .blend, .vdb"),
+        (["lamp.lumitree", "-o", "a.fbx"], "does not end in .py, .blend, .vdb"),
         (["half.lumitree", "-o", "a.py"], "half.lumitree"),
         (["none.lumitree", "-o", "a.py"], "none.lumitree"),
         (["lamp.lumitree", "-o", "lamp.lumitree/a.py"], "cannot write"),
@@ -170,8 +171,6 @@ def test_the_command_prints_what_is_lost_and_writes_json(folder, capsys):
 @needs_blender
 @pytest.mark.slow
 def test_blender_makes_nodes_of_every_material(tmp_path):
-    from test_surfaces import every_material
-
     asset = dataclasses.replace(with_geometry(every_material()), luminaire="every material, ö")
     path = tmp_path / "every.blend"
     lumitree.export(asset, path, blender=blender)

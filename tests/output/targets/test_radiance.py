@@ -84,7 +84,7 @@ def received(mi, asset, points, normals):
     from lumitree.measure.illuminance import received_irradiance
 
     scene = mi.load_dict({"type": "scene", "lamp": lumitree.shape(asset)})
-    return luminance(received_irradiance(scene, points, normals, 1 << 12))
+    return luminance(received_irradiance(scene, points, normals, 1 << 14))
 
 
 def z_up(vectors):

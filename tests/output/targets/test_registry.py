@@ -1,6 +1,7 @@
 """What all targets of `lumitree export` have in common."""
 
 import os
+from importlib.util import find_spec
 
 import pytest
 
@@ -11,8 +12,14 @@ from lumitree.output.targets.registry import TARGETS, find_target
 from support.exported_lamps import lamp
 from support.fields import random_asset
 
+needs_usd = pytest.mark.skipif(
+    find_spec("pxr") is None, reason="the optional dependency usd is not installed"
+)
 # Those that no other program writes.
-OUTPUTS = ("lamp.py", "lamp.rad", "lamp.pbrt", "lamp/")
+OUTPUTS = (
+    *("lamp.py", "lamp.rad", "lamp.pbrt", "lamp.glb", "lamp/"),
+    *(pytest.param(name, marks=needs_usd) for name in ("lamp.usda", "lamp.usdz")),
+)
 
 
 def test_the_suffix_or_a_slash_chooses_the_target():
@@ -29,6 +36,7 @@ def test_the_suffix_or_a_slash_chooses_the_target():
 def test_every_target_says_what_it_wrote(mi, tmp_path, output):
     result = lumitree.export(lamp(), f"{tmp_path}/out/{output}", lights=3)
     assert result.lights == 3
+    assert result.target == find_target(output).name
     assert result.units.startswith("metres; ")
     assert " is up; the origin is that of the lamp's file" in result.orientation
     assert result.not_carried_over

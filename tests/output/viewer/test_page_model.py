@@ -129,7 +129,8 @@ def test_a_pattern_is_the_image_relative_to_its_largest_value():
 
     from PIL import Image
 
-    from lumitree.output.viewer.patterns import SIDE, Patterns, transformed
+    from lumitree.asset.textures import texture_map
+    from lumitree.output.viewer.patterns import SIDE, Patterns
 
     geometry = small_geometry()
     shape = geometry.shapes[0]
@@ -154,7 +155,5 @@ def test_a_pattern_is_the_image_relative_to_its_largest_value():
     expected /= expected.max()
     found = patterns.values(0, places + np.array([1, -2]))
     np.testing.assert_allclose(found, np.maximum(expected, 0.02), atol=0.03)
-    turned = transformed(
-        {**TEXTURE, "to_uv": [[0, 2, 0, 0.5], [1, 0, 0, 0], *IDENTITY[2:]]}, places
-    )
+    turned = texture_map([[0, 2, 0, 0.5], [1, 0, 0, 0], *IDENTITY[2:]], places)
     np.testing.assert_allclose(turned, np.stack([2 * places[:, 1] + 0.5, places[:, 0]], axis=1))

@@ -148,13 +148,15 @@ class Receivers:
     normals: NDArray[np.float64]
     plane: Plane | None = None
 
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """Axes u and v [2, 3] of their plane, or of the plane across the mean normal."""
+        return (_axes(self.normals.mean(axis=0)) if self.plane is None else self.plane.axes)[:2]
+
     def flat(self) -> NDArray[np.float64]:
-        """Places [N, 2] along u and v of their plane, or of the plane across the mean normal."""
-        if self.plane is None:
-            axes, centre = _axes(self.normals.mean(axis=0)), self.points.mean(axis=0)
-        else:
-            axes, centre = self.plane.axes, np.asarray(self.plane.centre)
-        return (self.points - centre) @ axes[:2].T
+        """Places [N, 2] along u and v, from the centre of the plane or from the mean point."""
+        centre = self.points.mean(axis=0) if self.plane is None else np.asarray(self.plane.centre)
+        return (self.points - centre) @ self.axes.T
 
 
 def collect(

@@ -27,6 +27,7 @@ from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.measure.illuminance.light import (
+    behind_surfaces,
     emitter_light,
     receivers,
     reflected_light,
@@ -43,6 +44,9 @@ _PILOT = 16
 # Sums over the cells of light fields, each with other random points of the cells: so many at first,
 # and at once at most. Their standard error is brought below this part of the one that is wanted.
 _SUMS, _MAX_SUMS, _SUM_PART = 4, 1 << 10, 0.3
+# Part of the rays that end at backs of surfaces where a dark receiver is inside a solid. Not all of
+# them: faces of a solid may lie in those of another, as those of a cupboard in the walls.
+_ENCLOSED = 0.1
 # Errors are relative to the illuminance, but to no less than this part of the mean.
 FLOOR = 0.1
 
@@ -54,7 +58,7 @@ class Estimate:
     """Illuminance of receivers, lx.
 
     Attributes:
-        direct, total: [N].
+        direct, total: [N]; NaN inside solids.
         direct_error, total_error: [N] standard errors.
         samples: [N] samples of each.
     """
@@ -169,13 +173,17 @@ def estimate(
             samples = int(np.clip(_AT_ONCE // max(len(left), 1), _MIN_SAMPLES, _MAX_SAMPLES))
     # Samples share the error of S.
     rest = largest**2 * summed_variance
-    return Estimate(
+    found = [
         direct.mean,
         np.sqrt(direct.variance + rest),
         total.mean,
         np.sqrt(total.variance + rest),
-        total.number,
-    )
+    ]
+    dark = np.flatnonzero(found[2] == 0)
+    enclosed = dark[sampler.enclosed(dark)]
+    for values in found:
+        values[enclosed] = np.nan
+    return Estimate(*found, total.number)
 
 
 class _Sampler:
@@ -204,6 +212,17 @@ class _Sampler:
         dr.eval(*found)
         lux = [luminance(np.array(each).T).reshape(len(index), count) for each in found]
         return lux[0], lux[1], lux[2] if reflected else np.zeros((len(index), 1))
+
+    def enclosed(self, index: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether the receivers of an index [M] are inside solids."""
+        if not len(index):
+            return np.zeros(0, bool)
+        sampler = mi.load_dict({"type": "independent"})
+        stream = SeedStream(Purpose.ILLUMINANCE, draw=3)
+        sampler.seed(stream.seed(self._seed), _MIN_SAMPLES * len(index))
+        si = receivers(self._points[index], self._normals[index], _MIN_SAMPLES)
+        behind = behind_surfaces(self._scene, si, sampler)
+        return np.array(behind).reshape(len(index), -1).mean(axis=1) > _ENCLOSED
 
 
 def _summed(

@@ -1,6 +1,7 @@
 """Illuminance of a scene with luminaires placed in it."""
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +37,8 @@ class IlluminanceResult(Result):
         areas: figures of each plane, surface, and of the points that were given.
         direct_only: whether the total is the direct illuminance, without reflected light.
         position, normal: [N, 3] of the receivers, scene coordinates.
-        direct, total: [N] illuminance straight from emitters, and with all reflections, lx.
+        direct, total: [N] illuminance straight from emitters, and with all reflections, lx; NaN
+            inside solids.
         direct_error, total_error: [N] their standard errors, lx.
         samples: [N] samples of each receiver.
     """
@@ -98,7 +100,9 @@ class IlluminanceResult(Result):
         writer.writerow(("area", *_COLUMNS))
         for row in self.table():
             name, *numbers = row.values()
-            writer.writerow((name, *(f"{number:.6g}" for number in numbers)))
+            # Empty inside solids.
+            texts = ("" if math.isnan(number) else f"{number:.6g}" for number in numbers)
+            writer.writerow((name, *texts))
         return stream.getvalue().encode()
 
     def _repr_png_(self) -> bytes:

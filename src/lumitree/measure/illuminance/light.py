@@ -84,6 +84,15 @@ def emitter_light(
     return EmitterLight(emitter, light, through, found)
 
 
+def behind_surfaces(scene: PathScene, si: mi.SurfaceInteraction3f, sampler: mi.Sampler) -> mi.Bool:
+    """Whether a ray in a random direction ends at the back of a surface: inside a solid, all do."""
+    direction = mi.warp.square_to_uniform_sphere(sampler.next_2d())
+    # From where the receiver's own light starts, which may be on a surface.
+    start = spawn(si, mi.Vector3f(si.n), scene.extent).o
+    hit = scene.divided.surfaces.ray_intersect(mi.Ray3f(start, direction))
+    return hit.is_valid() & (dr.dot(hit.n, direction) > 0)
+
+
 def summed_part(scene: PathScene, si: mi.SurfaceInteraction3f, light: EmitterLight) -> mi.Bool:
     """Whether the emitter's irradiance is known without sampling directions."""
     return dr.dispatch(light.emitter, is_summed, si.p, light.found)

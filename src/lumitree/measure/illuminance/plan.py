@@ -84,11 +84,16 @@ def plan_pdf(plans: Sequence[Plan], direct_only: bool) -> bytes:
 
 
 def _draw(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None:
-    place, largest = plan.receivers.flat(), max(plan.area.largest, 1e-9)
+    place, largest = plan.receivers.flat(), _largest(plan)
     kind = "direct illuminance" if direct_only else "illuminance"
     axes.set_title(f"{shown(plan.area.name, 60)}: {kind}, lx", fontsize=10, parse_math=False)
     axes.set_aspect("equal")
     axes.tick_params(labelsize=7)
+    for set_label, axis in zip(
+        (axes.set_xlabel, axes.set_ylabel), plan.receivers.axes, strict=True
+    ):
+        set_label(f"from the centre along {_axis_name(axis)}", fontsize=7)
+    axes.set_facecolor("#a8a29e")
     levels = MaxNLocator(_LEVELS).tick_values(0, largest)
     limits = {"vmin": 0, "vmax": levels[-1], "cmap": _MAP}
     plane = plan.receivers.plane
@@ -99,23 +104,45 @@ def _draw(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None:
         sides = (-right, right, -top, top)
         grid = plan.lux.reshape(plane.shape)
         colours = axes.imshow(
-            grid, origin="lower", extent=sides, interpolation="bilinear", **limits
+            grid, origin="lower", extent=sides, interpolation=_smooth(grid), **limits
         )
         if min(plane.shape) > 1 and plan.area.largest > plan.area.smallest:
             u, v = place.reshape(*plane.shape, 2).transpose(2, 0, 1)
             lines = axes.contour(u, v, grid, levels=levels, colors="white", linewidths=0.7)
-            axes.clabel(lines, fontsize=7, fmt="%g")
+            if plan.area.count > _MAX_VALUES:
+                axes.clabel(lines, fontsize=7, fmt="%g")
     if plan.area.count <= _MAX_VALUES:
-        _values(axes, place, plan.lux)
+        _values(axes, place, plan.lux, largest)
     bar = figure.colorbar(colours, ax=axes, shrink=0.8)
     bar.ax.tick_params(labelsize=7)
 
 
-def _values(axes: Any, place: NDArray[np.float64], lux: NDArray[np.float64]) -> None:
+def _smooth(grid: NDArray[np.float64]) -> str:
+    """How values are interpolated: not at all where some are missing, which would spread."""
+    return "nearest" if np.isnan(grid).any() else "bilinear"
+
+
+def _largest(plan: Plan) -> float:
+    """The largest illuminance of a plan, or 1 lx where there is none."""
+    return plan.area.largest if plan.area.largest > 0 else 1.0
+
+
+def _axis_name(axis: NDArray[np.float64]) -> str:
+    """A direction [3] of the scene: an axis, or three numbers."""
+    along = int(np.abs(axis).argmax())
+    if abs(axis[along]) > 1 - 1e-6:
+        return ("-" if axis[along] < 0 else "") + "xyz"[along]
+    return "({:.2g}, {:.2g}, {:.2g})".format(*axis)
+
+
+def _values(
+    axes: Any, place: NDArray[np.float64], lux: NDArray[np.float64], largest: float
+) -> None:
     """The illuminance at each point, in a colour that is seen on the plan."""
-    largest = max(float(lux.max()), 1e-9)
     size = float(np.clip(90 / np.sqrt(len(lux)), 3.5, 7))
     for (u, v), value in zip(place, lux, strict=True):
+        if np.isnan(value):
+            continue
         colour = "#111111" if value > 0.6 * largest else "#e7e5e4"
         axes.text(u, v, f"{value:.3g}", fontsize=size, ha="center", va="center", color=colour)
 
@@ -123,14 +150,14 @@ def _values(axes: Any, place: NDArray[np.float64], lux: NDArray[np.float64]) -> 
 def _table(figure: Figure, plan: Plan) -> None:
     area = plan.area
     rows = [
-        ("points", f"{area.count:,}"),
+        ("points", f"{area.count:,}" + (f", {area.enclosed:,} in solids" if area.enclosed else "")),
         ("mean", f"{area.mean:.4g} lx ± {area.mean_error:.2g}"),
         ("smallest", f"{area.smallest:.4g} lx"),
         ("largest", f"{area.largest:.4g} lx"),
         ("uniformity U0", f"{area.uniformity:.3f}"),
         ("diversity Ud", f"{area.diversity:.3f}"),
-        ("mean of the direct part", f"{plan.direct.mean():.4g} lx"),
-        ("largest standard error of a point", f"{plan.error.max():.2g} lx"),
+        ("mean of the direct part", f"{np.nanmean(plan.direct):.4g} lx"),
+        ("largest standard error of a point", f"{np.nanmax(plan.error):.2g} lx"),
     ]
     for line, (name, value) in enumerate(rows):
         y = 0.36 - 0.026 * line

@@ -26,7 +26,7 @@ from lumitree.output.blender.nodes import (
     node,
     texture,
 )
-from lumitree.output.optics import normal_reflectance, relative_index
+from lumitree.output.optics import normal_reflectance, principled_index, relative_index
 
 # What Cycles has no equal for, by plugin.
 _LOST = {
@@ -173,7 +173,7 @@ class Surfaces:
         }
         if material.get("flatness") or material.get("spec_tint") or material.get("sheen_tint"):
             self.lost.add("flatness and tints of principled materials are left out")
-        inputs["IOR"] = _principled_index(material)
+        inputs["IOR"] = principled_index(material)
         return node("ShaderNodeBsdfPrincipled", inputs)
 
     def _principledthin(self, material: Json) -> Json:
@@ -227,11 +227,3 @@ def _product(colour: Any, factors: Sequence[float]) -> Any:
     inputs = {"Factor": 1.0, 6: colour, 7: list(factors)}
     attributes = {"data_type": "RGBA", "blend_type": "MULTIPLY"}
     return node("ShaderNodeMix", inputs, attributes, output=2)
-
-
-def _principled_index(material: Json) -> float:
-    if "eta" in material:
-        return float(material["eta"])
-    # As Mitsuba has it: the reflectance at normal incidence is 8 % of `specular`.
-    root = np.sqrt(0.08 * material.get("specular", 0.5))
-    return max(float((1 + root) / (1 - root)), 1.0)

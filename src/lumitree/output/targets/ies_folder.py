@@ -8,12 +8,11 @@ import csv
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lumitree.core.octahedral import bilinear_bins
 from lumitree.core.photometry import luminance
 from lumitree.formats.ies import write_ies
-from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of, z_up
+from lumitree.formats.type_c import z_up
+from lumitree.output.ies_profiles import light_distribution
 from lumitree.output.orientation import turn_up
 from lumitree.output.point_lights import place_lights
 from lumitree.output.targets.target import ExportRequest, Target, Written, file_orientation
@@ -34,32 +33,8 @@ _LOST = [
     "the lamp itself is not shown; its surfaces would block the light of the lights",
     "the lamp casts no shadow in the light of others",
 ]
-# Steps of the angles, degrees, and number of them in the mean side of a bin; see
-# docs/decisions/other-programs.md.
-_STEPS = (0.5, 0.75, 1, 1.5, 2, 2.5, 3, 5, 7.5, 10)
+# Steps of the angles in the mean side of a bin; see docs/decisions/other-programs.md.
 _STEPS_A_BIN = 6
-
-
-def distribution(
-    name: str, intensity: NDArray[np.float64], lumens: float, rotation: NDArray[np.float64]
-) -> IntensityDistribution:
-    """Luminous intensity of a light.
-
-    Args:
-        name: of the luminaire.
-        intensity: [R², 3] W/sr by octahedral bin.
-        lumens: its flux, which the interpolated intensity has too.
-        rotation: [3, 3], from the frame of the bins to one with y up.
-    """
-    resolution = round(len(intensity) ** 0.5)
-    largest = np.degrees(np.sqrt(4 * np.pi) / resolution) / _STEPS_A_BIN
-    grid = Grid(max((step for step in _STEPS if step <= largest), default=_STEPS[0]))
-    nodes = direction_of(grid.c[:, None], grid.gamma)
-    bins, weights = bilinear_bins(nodes.reshape(-1, 3) @ rotation, resolution)
-    values = (luminance(intensity)[bins] * weights).sum(axis=1).reshape(nodes.shape[:2])
-    found = IntensityDistribution(name, grid.c, grid.gamma, values)
-    factor = lumens / found.lumens if found.lumens > 0 else 1.0
-    return IntensityDistribution(name, grid.c, grid.gamma, values * factor)
 
 
 def _write(request: ExportRequest, folder: Path) -> Written:
@@ -73,7 +48,9 @@ def _write(request: ExportRequest, folder: Path) -> Written:
         intensity = lights.local.intensity[index] * lights.scale**2
         flux = float(lumens[index])
         name = f"{request.asset.luminaire} {index + 1}"
-        write_ies(folder / file, distribution(name, intensity, flux, lights.rotation))
+        write_ies(
+            folder / file, light_distribution(name, intensity, flux, lights.rotation, _STEPS_A_BIN)
+        )
         numbers = [*place, 0, 0, 0, flux, *colours[index].tolist()]
         rows.append([file, *(f"{each:.9g}" for each in numbers)])
     with open(folder / PLACEMENT, "w", encoding="utf-8", newline="") as table:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from lumitree.core.files import FilePath
 from lumitree.errors import LumitreeError, shown
-from lumitree.output.targets import blender, ies_folder, openvdb, pbrt, radiance
+from lumitree.output.targets import blender, gltf, ies_folder, openvdb, pbrt, radiance, usd
 from lumitree.output.targets.target import Target
 
 # A folder has no suffix.
@@ -15,6 +15,9 @@ TARGETS: dict[str, Target] = {
     ".vdb": openvdb.TARGET,
     ".rad": radiance.TARGET,
     ".pbrt": pbrt.TARGET,
+    ".usda": usd.STAGE,
+    ".usdz": usd.PACKAGE,
+    ".glb": gltf.TARGET,
     "": ies_folder.TARGET,
 }
 

@@ -66,7 +66,7 @@ class Target:
     """A program, or a kind of file, that assets are written for.
 
     Attributes:
-        name: of the program or the format, for messages.
+        name: of the program or the format.
         write: writes all files into an empty folder. The file with the name `ExportRequest.name`
             is the one to open; a target that is a folder writes files of any names.
         is_folder: whether the output is a folder.

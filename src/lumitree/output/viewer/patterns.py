@@ -76,12 +76,6 @@ class Patterns:
         self._values.append(np.maximum(linear_from_srgb(np.asarray(shown) / 255), _DARKEST))
 
 
-def transformed(texture: Json, texcoords: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Places [N, 2] on the image of a texture, of texture coordinates [N, 2]."""
-    matrix = np.array(texture["to_uv"], np.float64)
-    return texcoords @ matrix[:2, :2].T + matrix[:2, 3]
-
-
 def _texture(value: Any) -> Json | None:
     """The texture of an image that a colour is, or that a material has as its colour."""
     if not isinstance(value, dict):

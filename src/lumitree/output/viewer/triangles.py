@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.textures import Json
-from lumitree.output.viewer.patterns import Patterns, transformed
+from lumitree.asset.textures import Json, texture_map
+from lumitree.output.viewer.patterns import Patterns
 
 # Longest sides, local units.
 _LONGEST_SIDE, _MOST_DIVISIONS = 1 / 16, 8
@@ -50,7 +50,7 @@ class Triangles:
         places = np.zeros((len(vertices), 2))
         normals = mesh.get("normals", np.tile(_UPWARDS, (len(vertices), 1)))
         if pattern is not None and "texcoords" in mesh:
-            places = transformed(pattern[1], mesh["texcoords"])
+            places = texture_map(pattern[1]["to_uv"], mesh["texcoords"])
         if ends:
             if "normals" not in mesh:
                 # Each triangle by itself, as it has a radiance of its own.

@@ -18,7 +18,7 @@ from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import direction_in_bin, solid_angles
 from lumitree.core.photometry import luminance
-from lumitree.rendering.sampling.light_bins import smooth_bin, unpacked
+from lumitree.rendering.sampling.light_bins import bins_around, unpacked
 from lumitree.rendering.sampling.light_cells import LightCells
 from lumitree.rendering.sampling.samples import sample_row, scrambled
 
@@ -96,7 +96,9 @@ class EmittedLight:
             offset = mi.Vector3f(self.cells.point(cell, within, active) - x)
             projected = dr.dot(n, offset)
             faces = active & (projected > 0)
-            light = self.intensity(cell, smooth_bin(-offset, self._resolution), faces)
+            light = mi.Color3f(0)
+            for bins, weight in bins_around(-offset, self._resolution):
+                light += weight * self.intensity(cell, bins, faces)
             squared = dr.squared_norm(offset)
             total += dr.select(faces, light * projected * dr.rsqrt(squared) / squared, 0)
             cell += 1

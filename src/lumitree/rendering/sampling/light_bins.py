@@ -21,7 +21,7 @@ from lumitree.asset.light_field import (
 )
 from lumitree.asset.light_inside import parts_of_ending
 from lumitree.asset.lit_bins import by_coarse_bin, by_fine_bin, dense
-from lumitree.core.octahedral import bin_of, solid_angles
+from lumitree.core.octahedral import bin_of, octahedral, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.octree.build import morton
 from lumitree.rendering.sampling.samples import scrambled
@@ -62,6 +62,21 @@ def smooth_bin(direction: mi.Vector3f, resolution: int) -> mi.UInt32:
     """
     random = scrambled(mi.Point2f(direction.x, direction.y))
     return bin_of(direction, resolution, mi.Vector2f(random.x, random.y) - 0.5)
+
+
+def bins_around(direction: mi.Vector3f, resolution: int) -> list[tuple[mi.UInt32, mi.Float]]:
+    """The four bins whose middles are around a direction, and their weights.
+
+    The weights are the chances with which `smooth_bin` returns the bins.
+    """
+    place = (octahedral(direction) + 1) * (resolution / 2) - 0.5
+    part = place - dr.floor(place)
+    found = []
+    for x in (0, 1):
+        for y in (0, 1):
+            weight = (part.x if x else 1 - part.x) * (part.y if y else 1 - part.y)
+            found.append((bin_of(direction, resolution, mi.Vector2f(x, y) - part), weight))
+    return found
 
 
 def coarse_bin(index: mi.UInt32, resolution: int) -> mi.UInt32:

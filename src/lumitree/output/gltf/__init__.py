@@ -1,0 +1,1 @@
+"""glTF 2.0: meshes, materials, and lights with IES profiles."""

@@ -1,0 +1,75 @@
+"""OpenUSD: a layer with lights, surfaces and photometric files beside it, or one package."""
+
+from pathlib import Path
+
+from lumitree.core.files import FilePath
+from lumitree.core.work_folder import scratch_folder
+from lumitree.errors import LumitreeError, shown
+from lumitree.output.ies_profiles import LOST_COLOUR, ProfiledLight, profiled_lights
+from lumitree.output.orientation import turn_up
+from lumitree.output.pbr_meshes import LOST_GLOW, LOST_SHADOWS, Surface, surfaces_of
+from lumitree.output.point_lights import place_lights
+from lumitree.output.targets.target import ExportRequest, Target, Written, file_orientation
+from lumitree.output.usd.library import load_usd
+from lumitree.output.usd.stage import GLOW, HIDDEN, LampStage
+
+_LOST_PROFILES = (
+    "lights emit the same in all directions: a package may hold no photometric files; write .usda "
+    "for them"
+)
+_UNITS = (
+    "metres; luminance in cd/m² (683 times W/(m² sr)), so a light of the intensity 4 has a mean "
+    "of 1 cd"
+)
+
+
+def _write_stage(request: ExportRequest, folder: Path) -> Written:
+    pxr, (surfaces, lights, lost) = load_usd(), _contents(request)
+    stage = LampStage(pxr, folder, request.name, request.stem, request.asset)
+    return _written(surfaces, lights, [*lost, *stage.write_layers(surfaces, lights)])
+
+
+def _write_package(request: ExportRequest, folder: Path) -> Written:
+    """A package, which holds layers and images only, as its specification has it."""
+    pxr, (surfaces, lights, lost) = load_usd(), _contents(request)
+    with scratch_folder() as scratch:
+        name = f"{request.stem}.usdc"
+        stage = LampStage(pxr, scratch, name, request.stem, request.asset)
+        lost += stage.write_layer(surfaces, lights)
+        given = pxr.Sdf.AssetPath(str(scratch / name))
+        if not pxr.UsdUtils.CreateNewUsdzPackage(given, str(folder / request.name), name):
+            raise LumitreeError(f"OpenUSD did not write the package {shown(request.name, 200)}")
+    return _written(surfaces, lights, [_LOST_PROFILES, *lost])
+
+
+def _contents(
+    request: ExportRequest,
+) -> tuple[list[Surface], list[ProfiledLight], list[str]]:
+    """Surfaces and lights in the frame of the stage, and what surfaces lack."""
+    turn = turn_up(request.up, "y")
+    placed = place_lights(request.asset, turn, request.lights, request.seed)
+    surfaces, lost = surfaces_of(request.asset, turn)
+    return surfaces, profiled_lights(placed, request.asset.luminaire), lost
+
+
+def _written(surfaces: list[Surface], lights: list[ProfiledLight], lost: list[str]) -> Written:
+    lost = [LOST_COLOUR, *sorted(set(lost))]
+    if surfaces:
+        lost.append(LOST_SHADOWS)
+    if any(not surface.material.emission.is_black for surface in surfaces):
+        lost.append(f"{LOST_GLOW}: choose the variant {HIDDEN} of {GLOW} of the lamp there")
+    return Written(
+        units=_UNITS,
+        orientation=file_orientation("y"),
+        not_carried_over=lost,
+        lights=len(lights),
+        triangles=sum(len(surface.mesh["faces"]) for surface in surfaces),
+    )
+
+
+def _check(_: FilePath | None) -> None:
+    load_usd()
+
+
+STAGE = Target(name="OpenUSD", write=_write_stage, check=_check)
+PACKAGE = Target(name="USDZ", write=_write_package, check=_check)

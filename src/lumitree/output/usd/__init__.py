@@ -1,0 +1,1 @@
+"""OpenUSD: lights of UsdLux with IES profiles, meshes, and materials."""

@@ -1,0 +1,75 @@
+"""Glare of views, against the formula of CIE 117."""
+
+import math
+
+import numpy as np
+import pytest
+
+import lumitree
+
+pytest.importorskip("pyradiance", reason="glare needs pyradiance")
+
+
+@pytest.mark.parametrize(("offset", "side"), [((0, 0), 0.12), ((0, 0.35), 0.2)])
+def test_ugr_of_a_square_source(mi, offset, side):
+    """A square at a distance of 2 before a grey background, on the line of sight and above it."""
+    lit, grey = 5000.0, 50.0
+    scene = {
+        "type": "scene",
+        "square": {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f()
+            .translate([offset[0], offset[1], -2])
+            .scale([side / 2, side / 2, 1]),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": lit / 683}},
+        },
+        "background": {"type": "constant", "radiance": {"type": "rgb", "value": grey / 683}},
+        "camera": {
+            "type": "perspective",
+            "fov": 60,
+            "to_world": mi.ScalarTransform4f().look_at([0, 0, 0], [0, 0, -1], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 256, "height": 256, "rfilter": {"type": "box"}},
+        },
+        "integrator": {"type": "path"},
+    }
+    image = lumitree.render(scene, samples_per_pixel=4)
+    assert image.camera is not None
+    assert (image.camera.horizontal, image.camera.vertical) == pytest.approx((60, 60), abs=1e-3)
+    assert image.camera.direction == pytest.approx((0, 0, -1), abs=1e-6)
+    found = lumitree.glare(image, vertical_illuminance=200)
+    distance = math.hypot(2, *offset)
+    omega = side**2 * 2 / distance**3
+    # Position index above the line of sight by Luckiesh and Guth, as CIE 117 has it.
+    sigma, tau = math.degrees(math.atan(offset[1] / 2)), 0.0
+    position = math.exp(
+        (35.2 - 0.31889 * tau - 1.22 * math.exp(-2 * tau / 9)) * 1e-3 * sigma
+        + (21 + 0.26667 * tau - 0.002963 * tau**2) * 1e-5 * sigma**2
+    )
+    expected = 8 * math.log10(0.25 / grey * lit**2 * omega / position**2)
+    assert found.source_solid_angle == pytest.approx(omega, rel=0.06)
+    assert found.ugr == pytest.approx(expected, abs=0.4)
+    assert found.vertical_illuminance == pytest.approx(200, rel=1e-3)
+
+
+def test_an_even_view_has_no_source(mi):
+    scene = {
+        "type": "scene",
+        "background": {"type": "constant", "radiance": {"type": "rgb", "value": 0.1}},
+        "camera": {"type": "perspective", "fov": 60, "film": {"type": "hdrfilm", "width": 64}},
+        "integrator": {"type": "path"},
+    }
+    scene["camera"]["film"]["height"] = 64
+    found = lumitree.glare(lumitree.render(scene, samples_per_pixel=1), 200)
+    assert math.isnan(found.ugr)
+    assert found.source_solid_angle == 0
+    assert found.background == pytest.approx(68.3, rel=0.02)
+
+
+def test_what_has_no_glare_is_refused(mi):
+    camera = {"type": "orthographic", "film": {"type": "hdrfilm", "width": 64, "height": 64}}
+    scene = {"type": "scene", "camera": camera, "light": {"type": "constant"}}
+    scene["integrator"] = {"type": "path"}
+    image = lumitree.render(scene, samples_per_pixel=1)
+    with pytest.raises(lumitree.LumitreeError, match="not a perspective one"):
+        lumitree.glare(image, 100)
+    assert np.isfinite(image.luminance).all()

@@ -1,0 +1,356 @@
+"""`lumitree export -o lamp.glb`: the file, its validator, three.js and our own importer."""
+
+import base64
+import dataclasses
+import io
+import json
+import struct
+import warnings
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumitree
+from lumitree.core.frames import similarity
+from lumitree.core.photometry import LUMA, LUMENS_PER_WATT
+from lumitree.formats.ies import read_ies
+from lumitree.output.geometry_meshes import geometry_meshes
+from lumitree.output.orientation import turn_up
+from support.browser import CHROMIUM, evaluate
+from support.every_material import MATERIALS, TEXTURE, every_material
+from support.exported_lamps import beam, lamp
+from support.geometry_assets import small_geometry, with_geometry
+from support.node_packages import node_modules, run_node
+from support.profiled_lights import light_vectors, profile_vector
+
+pytestmark = pytest.mark.usefixtures("mi")
+_NUMPY = {5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+_COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
+
+
+class File:
+    """The JSON object of a file, and the bytes of its views."""
+
+    def __init__(self, path):
+        content = path.read_bytes()
+        magic, version, length = struct.unpack_from("<4sII", content)
+        assert (magic, version, length) == (b"glTF", 2, len(content))
+        size, kind = struct.unpack_from("<I4s", content, 12)
+        assert kind == b"JSON"
+        self.json = json.loads(content[20 : 20 + size])
+        self._data = content[28 + size :]
+
+    def view(self, index):
+        view = self.json["bufferViews"][index]
+        return self._data[view["byteOffset"] :][: view["byteLength"]]
+
+    def array(self, index):
+        accessor = self.json["accessors"][index]
+        found = np.frombuffer(self.view(accessor["bufferView"]), _NUMPY[accessor["componentType"]])
+        return found.reshape(-1, _COLUMNS[accessor["type"]])
+
+    def nodes(self, key):
+        """Nodes that have an entry, in the order of the file."""
+        return [each for each in self.json["nodes"] if key in each]
+
+    def lights(self):
+        """Node, punctual light and profile of each light."""
+        extensions = self.json["extensions"]
+        for node in self.nodes("extensions"):
+            used = node["extensions"]
+            point = extensions["KHR_lights_punctual"]["lights"][
+                used["KHR_lights_punctual"]["light"]
+            ]
+            profile = extensions["EXT_lights_ies"]["lights"][used["EXT_lights_ies"]["light"]]
+            yield node, point, profile
+
+
+def profile_of(file, profile, folder):
+    assert profile["mimeType"] == "application/x-ies-lm-63"
+    path = folder / "profile.ies"
+    path.write_bytes(file.view(profile["bufferView"]))
+    return read_ies(path)
+
+
+def rotated(quaternion, vector):
+    *axis, real = quaternion
+    return vector + 2 * np.cross(axis, np.cross(axis, vector) + real * np.array(vector))
+
+
+@pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (2.0, 1.0, 0.5)])
+def test_both_kinds_of_lights_have_the_flux_of_the_asset(tmp_path, gain):
+    from lumitree.rendering.asset_flux import asset_watts
+
+    asset = lamp(gain=gain)
+    result = lumitree.export(asset, tmp_path / "lamp.glb", lights=6)
+    file, punctual, profiled = File(result.file), np.zeros(3), np.zeros(3)
+    for node, point, profile in file.lights():
+        assert point["type"] == "point"
+        punctual += 4 * np.pi * point["intensity"] * np.array(point["color"])
+        used = node["extensions"]["EXT_lights_ies"]
+        # Colours above 1 are clipped.
+        assert max(used["color"]) == max(point["color"]) == 1
+        lumens = profile_of(file, profile, tmp_path).lumens
+        profiled += used["multiplier"] * lumens * np.array(used["color"])
+    np.testing.assert_allclose(punctual / LUMENS_PER_WATT, asset_watts(asset), rtol=1e-9)
+    np.testing.assert_allclose(profiled / LUMENS_PER_WATT, asset_watts(asset), rtol=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("up", "direction", "expected"),
+    [
+        ("y", (0.3, -0.8, 0.52), (0.3, -0.8, 0.52)),
+        ("z", (-0.9, 0.3, -0.3), (-0.9, -0.3, -0.3)),
+    ],
+)
+def test_the_brightest_direction_is_that_of_the_lamp(mi, tmp_path, up, direction, expected):
+    lumitree.export(beam(mi, direction), tmp_path / "beam.glb", up=up)
+    file = File(tmp_path / "beam.glb")
+    ((node, _, profile),) = file.lights()
+    profile = profile_of(file, profile, tmp_path)
+    c, gamma = np.unravel_index(profile.intensity.argmax(), profile.intensity.shape)
+    c, gamma = np.deg2rad(profile.c[c]), np.deg2rad(profile.gamma[gamma])
+    # γ from the node's -z, C from its +x towards its +y.
+    local = np.array([np.sin(gamma) * np.cos(c), np.sin(gamma) * np.sin(c), -np.cos(gamma)])
+    turned = rotated(node["rotation"], local)
+    assert turned @ np.array(expected) / np.linalg.norm(expected) > 0.98
+    place = turn_up(up, "y") @ [1, 2, 3]
+    np.testing.assert_allclose(node["translation"], place, atol=0.11)
+
+
+def test_each_light_has_the_mean_direction_of_its_cells(tmp_path):
+    from lumitree.output.point_lights import place_lights
+
+    asset = lamp()
+    lumitree.export(asset, tmp_path / "lamp.glb", lights=5, up="z")
+    file = File(tmp_path / "lamp.glb")
+    placed = place_lights(asset, turn_up("z", "y"), 5)
+    lights = list(file.lights())
+    found = [
+        rotated(node["rotation"], profile_vector(profile_of(file, profile, tmp_path)))
+        for node, _, profile in lights
+    ]
+    np.testing.assert_allclose(found, light_vectors(placed), atol=0.01)
+    places = [node["translation"] for node, _, _ in lights]
+    np.testing.assert_allclose(places, placed.position, atol=1e-12)
+
+
+def test_one_root_holds_everything(tmp_path):
+    asset = dataclasses.replace(with_geometry(small_geometry()), luminaire="a lamp")
+    result = lumitree.export(asset, tmp_path / "lamp.glb")
+    file = File(result.file)
+    (root,) = file.json["scenes"][0]["nodes"]
+    nodes = file.json["nodes"]
+    assert nodes[root]["name"] == "a lamp"
+    groups = {nodes[each]["name"]: nodes[each]["children"] for each in nodes[root]["children"]}
+    assert len(groups["surfaces"]) == 3
+    assert len(groups["lights"]) == result.lights
+    assert len({each["name"] for each in nodes}) == len(nodes)
+    assert "extensionsRequired" not in file.json
+
+
+def test_the_file_holds_the_surfaces(tmp_path):
+    geometry, turn = small_geometry(), turn_up("z", "y")
+    lumitree.export(with_geometry(geometry), tmp_path / "lamp.glb", up="z")
+    file = File(tmp_path / "lamp.glb")
+    expected = geometry_meshes(geometry, similarity(turn))
+    for mesh, arrays in zip(file.json["meshes"], expected, strict=True):
+        (primitive,) = mesh["primitives"]
+        attributes = primitive["attributes"]
+        np.testing.assert_array_equal(file.array(attributes["POSITION"]), arrays["vertices"])
+        faces = file.array(primitive["indices"]).reshape(-1, 3)
+        np.testing.assert_array_equal(faces, arrays["faces"])
+        if "TEXCOORD_0" in attributes:
+            np.testing.assert_array_equal(file.array(attributes["TEXCOORD_0"]), arrays["texcoords"])
+
+
+def test_materials_have_the_numbers_of_the_lamp(tmp_path):
+    lumitree.export(with_geometry(small_geometry()), tmp_path / "lamp.glb")
+    textured, metal, glass = File(tmp_path / "lamp.glb").json["materials"]
+    assert textured["doubleSided"] is True
+    assert textured["alphaMode"] == "BLEND"
+    assert textured["extensions"]["KHR_materials_specular"] == {"specularFactor": 0.0}
+    core = metal["pbrMetallicRoughness"]
+    assert core["metallicFactor"] == 1
+    assert core["roughnessFactor"] == pytest.approx(0.2**0.5)
+    strength = metal["extensions"]["KHR_materials_emissive_strength"]["emissiveStrength"]
+    emitted = strength * np.array(metal["emissiveFactor"])
+    np.testing.assert_allclose(emitted, 683 * np.array([3, 2, 1]))
+    extensions = glass["extensions"]
+    assert extensions["KHR_materials_transmission"] == {"transmissionFactor": 1.0}
+    # A sphere of the radius 0.2: twice its volume over its area.
+    thickness = extensions["KHR_materials_volume"]["thicknessFactor"]
+    assert thickness == pytest.approx(2 * 0.2 / 3, rel=2e-3)
+
+
+def test_a_medium_is_the_attenuation_of_a_volume(tmp_path):
+    absorption = np.array([2.0, 20, 70])
+    shapes = [dict(shape) for shape in small_geometry().shapes]
+    shapes[2]["interior"] = absorption.tolist()
+    lumitree.export(with_geometry(small_geometry(shapes=tuple(shapes))), tmp_path / "lamp.glb")
+    glass = File(tmp_path / "lamp.glb").json["materials"][2]
+    volume = glass["extensions"]["KHR_materials_volume"]
+    found = -np.log(volume["attenuationColor"]) / volume["attenuationDistance"]
+    np.testing.assert_allclose(found, absorption, rtol=1e-9)
+
+
+def test_roughness_and_metalness_share_an_image(tmp_path):
+    metalness = {**TEXTURE, "image": 0, "raw": True}
+    material = {"type": "principled", "roughness": {**TEXTURE, "raw": True}, "metallic": metalness}
+    geometry = small_geometry()
+    geometry = small_geometry(materials=(material, *geometry.materials[1:]))
+    lumitree.export(with_geometry(geometry), tmp_path / "lamp.glb")
+    file = File(tmp_path / "lamp.glb")
+    core = file.json["materials"][0]["pbrMetallicRoughness"]
+    assert (core["roughnessFactor"], core["metallicFactor"]) == (1, 1)
+    texture = file.json["textures"][core["metallicRoughnessTexture"]["index"]]
+    content = file.view(file.json["images"][texture["source"]]["bufferView"])
+    pixels = np.asarray(Image.open(io.BytesIO(content)))
+    roughness = geometry.images[1] @ np.array(LUMA)
+    np.testing.assert_allclose(pixels[..., 1], roughness, atol=0.51)
+    # The other image is larger or smaller, and is resampled.
+    assert pixels[..., 2].mean() == pytest.approx(255 * geometry.images[0].mean(), rel=0.1)
+
+
+def everything():
+    """A lamp with every material, and a mask and a colour of which one is larger."""
+    geometry = every_material()
+    masked = {"type": "mask", "opacity": {**TEXTURE, "image": 0}, "nested": [MATERIALS[1]]}
+    shape = {**geometry.shapes[0], "material": len(MATERIALS), "interior": [1.0, 2, 3]}
+    geometry = dataclasses.replace(
+        geometry, materials=(*geometry.materials, masked), shapes=(shape, *geometry.shapes[1:])
+    )
+    return with_geometry(geometry)
+
+
+def test_our_importer_reads_the_lamp(tmp_path):
+    from lumitree.lamp.importers.gltf.reader import read_gltf
+    from lumitree.lamp.parts import Glass
+
+    asset = with_geometry(small_geometry())
+    lumitree.export(asset, tmp_path / "lamp.glb", lights=3)
+    with pytest.warns(lumitree.LumitreeWarning) as caught:
+        model = read_gltf(tmp_path / "lamp.glb")
+    assert any("EXT_lights_ies" in str(each.message) for each in caught)
+    materials = {each.name: each for each in model.materials}
+    places = {part.name: part.places[0][:3, 3] for part in model.parts}
+    lights = list(File(tmp_path / "lamp.glb").lights())
+    assert len(lights) == 3
+    for node, point, _ in lights:
+        name = f"light_{node['name']}"
+        np.testing.assert_allclose(places[name], node["translation"], atol=1e-9)
+        # The luminous intensity of a small sphere, of whose triangles some more area is seen.
+        area = np.pi * 0.005**2
+        found = area * LUMENS_PER_WATT * np.array(materials[name].radiance)
+        expected = point["intensity"] * np.array(point["color"])
+        np.testing.assert_allclose(found, expected, rtol=0.02)
+    np.testing.assert_allclose(materials["material1"].radiance, [3, 2, 1], rtol=1e-6)
+    glass = materials["material2"].surface
+    assert isinstance(glass, Glass)
+    assert not glass.thin
+    assert glass.ior == pytest.approx(1.5, abs=1e-3)
+
+
+def test_our_importer_reads_every_material(tmp_path):
+    from lumitree.lamp.importers.gltf.reader import read_gltf
+
+    lumitree.export(everything(), tmp_path / "lamp.glb", lights=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", lumitree.LumitreeWarning)
+        model = read_gltf(tmp_path / "lamp.glb")
+    # A mesh with a normal map and mirrored texture coordinates becomes two parts.
+    names = {part.name.split("_")[0] for part in model.parts}
+    assert names == {"light", *(f"surface{index}" for index in range(len(MATERIALS)))}
+
+
+@pytest.fixture(scope="module")
+def packages(tmp_path_factory):
+    return node_modules(tmp_path_factory.mktemp("npm"))
+
+
+VALIDATE = """
+const validator = require('gltf-validator');
+const bytes = new Uint8Array(require('fs').readFileSync(process.argv[1]));
+validator.validateBytes(bytes).then(report => console.log(JSON.stringify(report)));
+"""
+
+
+@pytest.mark.slow
+def test_the_official_validator_finds_no_errors(tmp_path, packages):
+    lumitree.export(everything(), tmp_path / "lamp.glb")
+    report = json.loads(run_node(packages, VALIDATE, str(tmp_path / "lamp.glb")))
+    issues = report["issues"]
+    assert (issues["numErrors"], issues["truncated"]) == (0, False), issues
+    # It does not know EXT_lights_ies, the only user of the views of the profiles; a normal map has
+    # no tangents; and test images have two or three pixels a side.
+    assert {each["code"] for each in issues["messages"]} == {
+        "UNSUPPORTED_EXTENSION",
+        "UNUSED_OBJECT",
+        "MESH_PRIMITIVE_GENERATED_TANGENT_SPACE",
+        "IMAGE_NPOT_DIMENSIONS",
+    }
+    assert report["info"]["drawCallCount"] == len(MATERIALS)
+
+
+def three_page(packages):
+    """A page with three.js and its loader of glTF, as modules without a server."""
+    root = packages / "three"
+    files = {
+        "three-core": root / "build" / "three.core.js",
+        "three": root / "build" / "three.module.js",
+        "buffers": root / "examples" / "jsm" / "utils" / "BufferGeometryUtils.js",
+        "skeletons": root / "examples" / "jsm" / "utils" / "SkeletonUtils.js",
+        "loader": root / "examples" / "jsm" / "loaders" / "GLTFLoader.js",
+    }
+    relative = {
+        "./three.core.js": "three-core",
+        "../utils/BufferGeometryUtils.js": "buffers",
+        "../utils/SkeletonUtils.js": "skeletons",
+    }
+    imports = {}
+    for name, path in files.items():
+        text = path.read_text(encoding="utf-8")
+        for given, wanted in relative.items():
+            text = text.replace(f"'{given}'", f"'{wanted}'")
+        coded = base64.b64encode(text.encode()).decode()
+        imports[name] = f"data:text/javascript;base64,{coded}"
+    table = json.dumps({"imports": imports})
+    return f'<html><head><script type="importmap">{table}</script></head><body></body></html>'
+
+
+LOAD = """(async () => {
+  const { GLTFLoader } = await import('loader');
+  const { Vector3 } = await import('three');
+  const bytes = Uint8Array.from(atob('%s'), c => c.charCodeAt(0));
+  const model = await new GLTFLoader().parseAsync(bytes.buffer, '');
+  const lights = [], meshes = [];
+  model.scene.updateMatrixWorld(true);
+  model.scene.traverse(each => {
+    if (each.isLight) lights.push({
+      type: each.type, color: each.color.toArray(), intensity: each.intensity,
+      place: each.getWorldPosition(new Vector3()).toArray()});
+    if (each.isMesh) meshes.push([each.material.type, each.material.transmission || 0]);
+  });
+  return { lights, meshes, roots: model.scene.children.map(each => each.name) };
+})()"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no program chromium")
+def test_three_js_shows_the_lights_where_they_are(tmp_path, packages):
+    from lumitree.output.point_lights import place_lights
+
+    asset = dataclasses.replace(everything(), luminaire="lamp")
+    lumitree.export(asset, tmp_path / "lamp.glb", lights=4)
+    coded = base64.b64encode((tmp_path / "lamp.glb").read_bytes()).decode()
+    found = evaluate(three_page(packages), LOAD % coded, tmp_path / "profile")
+    assert found["roots"] == ["lamp"]
+    assert len(found["meshes"]) == len(MATERIALS)
+    assert any(transmission == 1 for _, transmission in found["meshes"])
+    expected = place_lights(asset, np.eye(3), 4)
+    places = [each["place"] for each in found["lights"]]
+    np.testing.assert_allclose(places, expected.position, atol=1e-5)
+    assert {each["type"] for each in found["lights"]} == {"PointLight"}
+    flux = [4 * np.pi * each["intensity"] * np.array(each["color"]) for each in found["lights"]]
+    np.testing.assert_allclose(np.array(flux) / LUMENS_PER_WATT, expected.watts, rtol=1e-6)

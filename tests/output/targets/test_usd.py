@@ -1,0 +1,289 @@
+"""`lumitree export -o lamp.usda` and `.usdz`, read by OpenUSD and judged by its validators."""
+
+import dataclasses
+import os
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+import lumitree
+from lumitree.cli import main
+from lumitree.core.frames import similarity
+from lumitree.errors import LumitreeError
+from lumitree.formats.ies import read_ies
+from lumitree.output.geometry_meshes import geometry_meshes
+from lumitree.output.orientation import turn_up
+from support.every_material import MATERIALS, TEXTURE, every_material
+from support.exported_lamps import beam, lamp
+from support.geometry_assets import small_geometry, with_geometry
+from support.profiled_lights import light_vectors, profile_vector
+
+pytestmark = pytest.mark.usefixtures("mi")
+
+
+@pytest.fixture
+def pxr():
+    pytest.importorskip("pxr", reason="the optional dependency usd is not installed")
+    from lumitree.output.usd.library import load_usd
+
+    return load_usd()
+
+
+def lights_of(pxr, stage):
+    return [prim for prim in stage.Traverse() if prim.IsA(pxr.UsdLux.SphereLight)]
+
+
+def meshes_of(pxr, stage):
+    return [prim for prim in stage.Traverse() if prim.IsA(pxr.UsdGeom.Mesh)]
+
+
+def value(prim, name):
+    return prim.GetAttribute(f"inputs:{name}").Get()
+
+
+def profile_of(prim):
+    return read_ies(prim.GetAttribute("inputs:shaping:ies:file").Get().resolvedPath)
+
+
+def world_from_light(pxr, prim):
+    """[4, 4], for columns."""
+    return np.array(pxr.UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(0)).T
+
+
+def flux_of(prim, lumens):
+    """Flux [3] of R, G and B, W, as the schema of UsdLux has it: see `output.usd.lights`."""
+    assert prim.GetAttribute("inputs:normalize").Get() is True
+    radius = value(prim, "radius")
+    luminance = value(prim, "intensity") / (4 * np.pi * radius**2)
+    return luminance * np.pi * radius**2 * np.array(value(prim, "color")) * lumens / 683
+
+
+def problems(stage_path):
+    """What the validators that are part of OpenUSD find.
+
+    The package usd-core has no definitions of the nodes of MaterialX, which OpenUSD can be built
+    with; that one is missing is not a problem.
+    """
+    validation = pytest.importorskip("pxr.UsdValidation", reason="this OpenUSD has no validators")
+    from pxr import Usd
+
+    registry = validation.ValidationRegistry()
+    context = validation.ValidationContext(registry.GetOrLoadAllValidators())
+    stage = Usd.Stage.Open(str(stage_path))
+    found = context.Validate(stage)
+    errors = [f"{each.GetName()}: {each.GetMessage()}" for each in found]
+    return [each for each in errors if "'ND_standard_surface_surfaceshader'" not in each]
+
+
+@pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (2.0, 1.0, 0.5)])
+def test_intensity_times_profile_is_the_flux_of_the_asset(pxr, tmp_path, gain):
+    from lumitree.rendering.asset_flux import asset_watts
+
+    asset = lamp(gain=gain)
+    result = lumitree.export(asset, tmp_path / "lamp.usda", lights=6)
+    stage = pxr.Usd.Stage.Open(str(result.file))
+    lights = lights_of(pxr, stage)
+    assert len(lights) == result.lights == 6
+    flux = sum(flux_of(prim, profile_of(prim).lumens) for prim in lights)
+    np.testing.assert_allclose(flux, asset_watts(asset), rtol=5e-3)
+    # A program that ignores the profiles shows the same flux.
+    flux = sum(flux_of(prim, 4 * np.pi) for prim in lights)
+    np.testing.assert_allclose(flux, asset_watts(asset), rtol=1e-6)
+
+
+def test_lights_stand_where_the_clusters_are_in_metres_with_y_up(pxr, tmp_path):
+    from lumitree.output.point_lights import place_lights
+
+    asset = lamp()
+    for up in ("y", "z"):
+        result = lumitree.export(asset, tmp_path / f"{up}.usda", lights=5, up=up)
+        stage = pxr.Usd.Stage.Open(str(result.file))
+        assert pxr.UsdGeom.GetStageUpAxis(stage) == "Y"
+        assert pxr.UsdGeom.GetStageMetersPerUnit(stage) == 1
+        expected = place_lights(asset, turn_up(up, "y"), 5).position
+        found = [world_from_light(pxr, prim)[:3, 3] for prim in lights_of(pxr, stage)]
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("up", "direction", "expected"),
+    [
+        ("y", (0.3, -0.8, 0.52), (0.3, -0.8, 0.52)),
+        ("y", (-0.9, 0.3, -0.3), (-0.9, 0.3, -0.3)),
+        ("z", (0.3, -0.8, 0.52), (0.3, 0.52, 0.8)),
+    ],
+)
+def test_the_brightest_direction_is_that_of_the_lamp(pxr, mi, tmp_path, up, direction, expected):
+    lumitree.export(beam(mi, direction), tmp_path / "beam.usda", up=up)
+    stage = pxr.Usd.Stage.Open(str(tmp_path / "beam.usda"))
+    (prim,) = lights_of(pxr, stage)
+    profile = profile_of(prim)
+    c, gamma = np.unravel_index(profile.intensity.argmax(), profile.intensity.shape)
+    c, gamma = np.deg2rad(profile.c[c]), np.deg2rad(profile.gamma[gamma])
+    # γ from the light's -z, C from its +x towards its +y.
+    local = [np.sin(gamma) * np.cos(c), np.sin(gamma) * np.sin(c), -np.cos(gamma)]
+    world = world_from_light(pxr, prim)[:3, :3] @ local
+    assert world @ np.array(expected) / np.linalg.norm(expected) > 0.98
+
+
+def test_each_light_has_the_mean_direction_of_its_cells(pxr, tmp_path):
+    from lumitree.output.point_lights import place_lights
+
+    asset = lamp()
+    for up in ("y", "z"):
+        result = lumitree.export(asset, tmp_path / f"{up}.usda", lights=5, up=up)
+        stage = pxr.Usd.Stage.Open(str(result.file))
+        expected = light_vectors(place_lights(asset, turn_up(up, "y"), 5))
+        found = [
+            world_from_light(pxr, prim)[:3, :3] @ profile_vector(profile_of(prim))
+            for prim in lights_of(pxr, stage)
+        ]
+        # Of random intensities the means are some hundredths long.
+        assert np.linalg.norm(expected, axis=1).max() > 0.05
+        np.testing.assert_allclose(found, expected, atol=0.01)
+
+
+def test_lights_are_shaped_by_their_profiles_alone(pxr, tmp_path):
+    lumitree.export(with_geometry(small_geometry()), tmp_path / "lamp.usda")
+    stage = pxr.Usd.Stage.Open(str(tmp_path / "lamp.usda"))
+    root = stage.GetDefaultPrim()
+    for prim in lights_of(pxr, stage):
+        # The schema's default cuts off all light above the horizontal.
+        assert value(prim, "shaping:cone:angle") == 180
+        assert value(prim, "shaping:ies:angleScale") == 0
+        assert value(prim, "shaping:ies:normalize") is False
+        assert prim.GetAttribute("treatAsPoint").Get() is True
+        assert prim.GetAttribute("inputs:radius").Get() < 2e-3
+        linked = pxr.UsdLux.LightAPI(prim).GetShadowLinkCollectionAPI().ComputeMembershipQuery()
+        assert linked.IsPathIncluded("/room/wall")
+        assert not linked.IsPathIncluded(f"{root.GetPath()}/surfaces/surface0")
+
+
+def test_the_stage_holds_the_surfaces(pxr, tmp_path):
+    geometry, turn = small_geometry(), turn_up("z", "y")
+    result = lumitree.export(with_geometry(geometry), tmp_path / "lamp.usda", up="z")
+    stage = pxr.Usd.Stage.Open(str(tmp_path / "lamp.usda"))
+    root = stage.GetDefaultPrim()
+    assert pxr.Usd.ModelAPI(root).GetKind() == "component"
+    meshes = meshes_of(pxr, stage)
+    expected = geometry_meshes(geometry, similarity(turn))
+    assert len(meshes) == len(expected) == 3
+    assert result.triangles == sum(len(each["faces"]) for each in expected)
+    for prim, arrays in zip(meshes, expected, strict=True):
+        mesh = pxr.UsdGeom.Mesh(prim)
+        points = np.array(mesh.GetPointsAttr().Get())
+        np.testing.assert_array_equal(points, arrays["vertices"])
+        faces = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+        np.testing.assert_array_equal(faces, arrays["faces"])
+        extent = np.array(mesh.GetExtentAttr().Get())
+        np.testing.assert_array_equal(extent, [points.min(axis=0), points.max(axis=0)])
+        if "normals" in arrays:
+            found = np.array(mesh.GetNormalsAttr().Get())
+            length = np.linalg.norm(arrays["normals"], axis=1, keepdims=True)
+            np.testing.assert_allclose(found, arrays["normals"] / length, atol=1e-6)
+        assert pxr.UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+    st = pxr.UsdGeom.PrimvarsAPI(meshes[0]).GetPrimvar("st").Get()
+    np.testing.assert_allclose(st, expected[0]["texcoords"] * [1, -1] + [0, 1], atol=1e-6)
+    shown = geometry.num_triangles
+    assert shown < result.triangles
+
+
+def surface_input(pxr, prim, name):
+    material = pxr.UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
+    shader = material.ComputeSurfaceSource()[0]
+    return shader.GetInput(name)
+
+
+def test_materials_have_the_numbers_of_the_lamp(pxr, tmp_path):
+    lumitree.export(with_geometry(small_geometry()), tmp_path / "lamp.usda")
+    stage = pxr.Usd.Stage.Open(str(tmp_path / "lamp.usda"))
+    textured, metal, glass = meshes_of(pxr, stage)
+    assert surface_input(pxr, metal, "metallic").Get() == 1
+    assert surface_input(pxr, metal, "roughness").Get() == pytest.approx(0.2**0.5)
+    emitted = surface_input(pxr, metal, "emissiveColor").Get()
+    np.testing.assert_allclose(emitted, 683 * np.array([3, 2, 1]), rtol=1e-6)
+    assert surface_input(pxr, glass, "ior").Get() == pytest.approx(1.5, abs=1e-3)
+    # What a smooth surface of glass reflects straight back.
+    assert surface_input(pxr, glass, "opacity").Get() == pytest.approx(0.04, abs=1e-3)
+    image = surface_input(pxr, textured, "diffuseColor").GetConnectedSources()[0][0].source
+    path = pxr.UsdShade.Shader(image).GetInput("file").Get().resolvedPath
+    from PIL import Image
+
+    with Image.open(path) as opened:
+        np.testing.assert_array_equal(np.asarray(opened), small_geometry().images[1])
+    material = pxr.UsdShade.MaterialBindingAPI(glass).ComputeBoundMaterial()[0]
+    standard = material.ComputeSurfaceSource("mtlx")[0]
+    assert standard.GetInput("transmission").Get() == 1
+    assert standard.GetInput("specular_IOR").Get() == pytest.approx(1.5, abs=1e-3)
+
+
+def test_the_variant_off_shows_no_emission(pxr, tmp_path):
+    asset = with_geometry(every_material())
+    lumitree.export(asset, tmp_path / "lamp.usda")
+    stage = pxr.Usd.Stage.Open(str(tmp_path / "lamp.usda"))
+    glow = stage.GetDefaultPrim().GetVariantSets().GetVariantSet("glow")
+    assert glow.GetVariantSelection() == "on"
+    for selection, emits in (("on", True), ("off", False)):
+        glow.SetVariantSelection(selection)
+        for prim in meshes_of(pxr, stage):
+            assert bool(surface_input(pxr, prim, "emissiveColor")) == emits
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdz"])
+def test_the_validators_of_usd_find_nothing(pxr, tmp_path, suffix):
+    geometry = every_material()
+    moved = {**TEXTURE, "to_uv": np.diag([2.0, 3, 1, 1]).tolist(), "filter_type": "nearest"}
+    masked = {"type": "mask", "opacity": moved, "nested": [MATERIALS[1]]}
+    shape = {**geometry.shapes[0], "material": len(MATERIALS)}
+    geometry = dataclasses.replace(
+        geometry,
+        materials=(*geometry.materials, masked),
+        shapes=(
+            shape,
+            *({**each, "radiance": None} for each in geometry.shapes[1:8]),
+            *geometry.shapes[8:],
+        ),
+    )
+    asset = dataclasses.replace(with_geometry(geometry), luminaire="12 every @material@, ö")
+    path = tmp_path / f"every one{suffix}"
+    lumitree.export(asset, path)
+    assert problems(path) == []
+
+
+def test_a_package_holds_layers_and_images_only(pxr, tmp_path):
+    from lumitree.rendering.asset_flux import asset_watts
+
+    asset = with_geometry(small_geometry())
+    result = lumitree.export(asset, tmp_path / "lamp.usdz")
+    assert os.listdir(tmp_path) == ["lamp.usdz"]
+    with zipfile.ZipFile(result.file) as archive:
+        names = archive.namelist()
+    assert names[0] == "lamp.usdc"
+    assert {os.path.splitext(name)[1] for name in names} == {".usdc", ".png"}
+    assert any("same in all directions" in line for line in result.not_carried_over)
+    stage = pxr.Usd.Stage.Open(str(result.file))
+    flux = sum(flux_of(prim, 4 * np.pi) for prim in lights_of(pxr, stage))
+    np.testing.assert_allclose(flux, asset_watts(asset), rtol=1e-6)
+    assert len(meshes_of(pxr, stage)) == 3
+
+
+def test_a_lamp_without_surfaces_has_lights(pxr, tmp_path):
+    result = lumitree.export(lamp(), tmp_path / "lamp.usda", lights=2)
+    names = sorted(path.name for path in result.files)
+    assert names == ["lamp.light0.ies", "lamp.light1.ies", "lamp.usda"]
+    assert any("no geometry" in line for line in result.not_carried_over)
+    assert problems(result.file) == []
+
+
+def test_a_missing_package_is_explained(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    with pytest.raises(LumitreeError, match=r"need the package usd-core .* 'lumitree\[usd\]'"):
+        lumitree.export(lamp(), tmp_path / "lamp.usda")
+    lumitree.save(lamp(), tmp_path / "lamp.lumitree")
+    before = sorted(os.listdir(tmp_path))
+    arguments = ["export", str(tmp_path / "lamp.lumitree"), "-o", str(tmp_path / "lamp.usdz")]
+    assert main(arguments) == 2
+    assert "usd-core" in capsys.readouterr().err
+    assert sorted(os.listdir(tmp_path)) == before
