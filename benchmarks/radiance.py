@@ -173,7 +173,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def on_grid(values: list[float]) -> Array:
-    """Values of the points of the plane by rows of z and columns of x."""
+    """Values of the points of the plane, by rows of -z and columns of x."""
     return np.array(values).reshape([round(side / SPACING) for side in reversed(EXTENT)])
 
 

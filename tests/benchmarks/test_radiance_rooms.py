@@ -94,7 +94,7 @@ def test_figures_of_points():
     assert found["worst_error"] == pytest.approx(0.01)
 
 
-def test_a_grid_has_rows_of_z():
+def test_a_grid_has_rows_and_columns():
     columns, rows = (round(side / radiance.SPACING) for side in radiance.EXTENT)
     assert radiance.on_grid(list(range(columns * rows))).shape == (rows, columns)
 

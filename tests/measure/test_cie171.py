@@ -285,7 +285,7 @@ def test_light_that_a_diffuse_square_reflects(mi, tmp_path, obstructed):
     agree(found.total, found.total_error, reflectance * lit * seen)
 
 
-@pytest.mark.parametrize("reflectance", [0.3, 0.8])
+@pytest.mark.parametrize("reflectance", [0.3, pytest.param(0.8, marks=pytest.mark.slow)])
 def test_light_that_a_cube_reflects(mi, tmp_path, reflectance):
     """(5.8) Points of the inner faces of a cube, by radiosity with configuration factors."""
     half, source = 2.0, np.array([0.57, 0.6, -0.43])
