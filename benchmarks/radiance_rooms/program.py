@@ -20,7 +20,7 @@ LUMENS_PER_WATT = 179.0
 _LUMA = (0.265074126, 0.670114631, 0.064811243)
 # Distance beyond which a part of a light source is not divided further, and how far the samples of
 # a part are from its centre, relative to its size.
-_DIRECT = "-ds .05 -dj .9 -dt 0 -dc 1 -dp 0 -st 0"
+_DIRECT = "-ds .1 -dj .9 -dt 0 -dc 1 -dp 0 -st 0"
 # No interpolation of indirect light. The limit of all reflections (-lr) has to be above that of
 # diffuse ones.
 _INDIRECT = "-aa 0 -as 0 -lw 1e-8 -u+"
@@ -70,10 +70,13 @@ class Radiance:
     def photometric_source(self, file: Path, at: ArrayLike) -> str:
         """Text of a light of an IES file whose luminous opening is centred at a point [3].
 
-        The colour is white and the lamp depreciation factor 1, whatever lamp the file names.
+        The colour is white and the lamp depreciation factor 1, whatever lamp the file names. The
+        opening is of the type `illum`, which lets the light of others through, as in lumitree; with
+        `light`, as `ies2rad` writes it, it is a black surface.
         """
         self._run("ies2rad", "-dm", "-t", "default", "-o", file.stem, os.path.abspath(file))
-        return self.moved((self.folder / f"{file.stem}.rad").read_text(), at)
+        text = (self.folder / f"{file.stem}.rad").read_text()
+        return self.moved(text.replace("_dist' light '", "_dist' illum '"), at)
 
     def moved(self, text: str, at: ArrayLike) -> str:
         """Text of a scene that is moved from the origin to a point [3]."""

@@ -88,6 +88,8 @@ def test_figures_of_points():
     assert (found["points"], found["compared"]) == (4, 3)
     assert found["ratio"] == pytest.approx(403 / 401)
     assert found["ratio_error"] == pytest.approx(np.sqrt(7) / 401)
+    # Differences are 10, -10, 0 and 2 of a mean of 100.25; the noise is 1, 1, 2 and 1.
+    assert found["rms_of_mean"] == pytest.approx(np.sqrt((204 - 7) / 4) / 100.25)
     assert found["rms"] == pytest.approx(np.sqrt(0.02 / 3 - 1e-4))
     assert found["noise"] == pytest.approx(0.01)
     assert abs(found["worst"]) == pytest.approx(0.1)
