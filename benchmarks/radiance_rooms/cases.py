@@ -43,10 +43,12 @@ def cases() -> list[Case]:
     panel = _lamp("panel", _batwing, Opening((1.2, 0.0, 0.3)))
     pendant = _lamp("pendant", _up_and_down, Opening((1.2, 0.05, 0.1)))
     furnished = grey + furniture()
+    # Radiance's panel is a surface that hides the ceiling behind it, lumitree's is none.
+    housing = Box((-0.4, 2.752, -0.25), (0.8, 2.799, 0.05), 0.0)
     return [
         Case("spot, black room", spot, (-0.4, 2.5, 0.3), black, black=True),
-        Case("panel, empty room", panel, (0.2, 2.75, -0.1), grey),
-        Case("panel, furnished room", panel, (0.2, 2.75, -0.1), furnished),
+        Case("panel, empty room", panel, (0.2, 2.75, -0.1), [*grey, housing]),
+        Case("panel, furnished room", panel, (0.2, 2.75, -0.1), [*furnished, housing]),
         Case("pendant, furnished room", pendant, (-0.2, 2.0, 0.0), furnished),
         Case("baked lamp, furnished room", ShadedLamp(), (-0.2, 2.0, 0.0), furnished),
         Case(

@@ -71,12 +71,10 @@ class Radiance:
         """Text of a light of an IES file whose luminous opening is centred at a point [3].
 
         The colour is white and the lamp depreciation factor 1, whatever lamp the file names. The
-        opening is of the type `illum`, which lets the light of others through, as in lumitree; with
-        `light`, as `ies2rad` writes it, it is a black surface.
+        opening is a surface that absorbs the light of others.
         """
         self._run("ies2rad", "-dm", "-t", "default", "-o", file.stem, os.path.abspath(file))
-        text = (self.folder / f"{file.stem}.rad").read_text()
-        return self.moved(text.replace("_dist' light '", "_dist' illum '"), at)
+        return self.moved((self.folder / f"{file.stem}.rad").read_text(), at)
 
     def moved(self, text: str, at: ArrayLike) -> str:
         """Text of a scene that is moved from the origin to a point [3]."""
