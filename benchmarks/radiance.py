@@ -216,6 +216,6 @@ def run(options: argparse.Namespace) -> None:
         text = "# Illuminance, against Radiance\n\n![Illuminance and differences](radiance.png)"
         text += f"\n\n{table(rows).markdown()}\n{notes(facts)}"
         results.write({"setting": facts, "rows": rows}, text)
+        draw(rows, results.folder / "radiance.png")
         print(f"measured {case.name}", file=sys.stderr)
-    draw(rows, results.folder / "radiance.png")
     print(table(rows).text())

@@ -50,7 +50,7 @@ def cases() -> list[Case]:
         Case("panel, empty room", panel, (0.2, 2.75, -0.1), [*grey, housing]),
         Case("panel, furnished room", panel, (0.2, 2.75, -0.1), [*furnished, housing]),
         Case("pendant, furnished room", pendant, (-0.2, 2.0, 0.0), furnished),
-        Case("baked lamp, furnished room", ShadedLamp(), (-0.2, 2.0, 0.0), furnished),
+        Case("baked lamp, black room", ShadedLamp(), (-0.2, 2.0, 0.0), black, black=True),
         Case(
             "dallas, exported, furnished room",
             ExportedLamp("dallas", 64),

@@ -18,9 +18,10 @@ from lumitree.errors import LumitreeError
 
 LUMENS_PER_WATT = 179.0
 _LUMA = (0.265074126, 0.670114631, 0.064811243)
-# Distance beyond which a part of a light source is not divided further, and how far the samples of
-# a part are from its centre, relative to its size.
-_DIRECT = "-ds .1 -dj .9 -dt 0 -dc 1 -dp 0 -st 0"
+# How far the samples of a part of a light source are from its centre, relative to its size.
+_DIRECT = "-dj .9 -dt 0 -dc 1 -dp 0 -st 0"
+# Largest parts of light sources over their distance: for direct light alone, and else.
+_FINE, _COARSE = 0.02, 0.1
 # No interpolation of indirect light. The limit of all reflections (-lr) has to be above that of
 # diffuse ones.
 _INDIRECT = "-aa 0 -as 0 -lw 1e-8 -u+"
@@ -104,7 +105,8 @@ class Radiance:
         octree.write_bytes(self._bytes("oconv", "scene.rad"))
         rays = np.concatenate([_z_up(points), _z_up(normals)], axis=1)
         lines = [" ".join(f"{each:.9g}" for each in ray) for ray in rays for _ in range(repeats)]
-        options = f"-h -I {_DIRECT} -ab {bounces} -lr {bounces + 1} -ad {divisions} {_INDIRECT}"
+        parts = _COARSE if bounces else _FINE
+        options = f"-h -I -ds {parts} {_DIRECT} -ab {bounces} -lr {bounces + 1} -ad {divisions} {_INDIRECT}"
         start = resource.getrusage(resource.RUSAGE_CHILDREN)
         text = self._run("rtrace", *options.split(), octree.name, given="\n".join(lines) + "\n")
         end = resource.getrusage(resource.RUSAGE_CHILDREN)
