@@ -106,9 +106,15 @@ class Radiance:
         rays = np.concatenate([_z_up(points), _z_up(normals)], axis=1)
         lines = [" ".join(f"{each:.9g}" for each in ray) for ray in rays for _ in range(repeats)]
         parts = _COARSE if bounces else _FINE
-        options = f"-h -I -ds {parts} {_DIRECT} -ab {bounces} -lr {bounces + 1} -ad {divisions} {_INDIRECT}"
+        options = f"-h -I -ds {parts} {_DIRECT} -ab {bounces} -lr {bounces + 1} -ad {divisions}"
         start = resource.getrusage(resource.RUSAGE_CHILDREN)
-        text = self._run("rtrace", *options.split(), octree.name, given="\n".join(lines) + "\n")
+        text = self._run(
+            "rtrace",
+            *options.split(),
+            *_INDIRECT.split(),
+            octree.name,
+            given="\n".join(lines) + "\n",
+        )
         end = resource.getrusage(resource.RUSAGE_CHILDREN)
         rgb = np.array(text.split(), np.float64).reshape(-1, repeats, 3)
         lux = LUMENS_PER_WATT * (rgb @ np.array(_LUMA))
