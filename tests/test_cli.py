@@ -214,10 +214,10 @@ def test_what_a_command_cannot_do_is_refused_before_it_works(capsys, monkeypatch
     def work(*_, **__):
         raise AssertionError("worked before it refused")
 
-    monkeypatch.setattr("lumitree.fit.bake.load_mitsuba", work)
-    monkeypatch.setattr("lumitree.fit.bake_network.load_mitsuba", work)
-    monkeypatch.setattr("lumitree.measure.evaluate.load_mitsuba", work)
-    monkeypatch.setattr("lumitree.output.preview.load_mitsuba", work)
+    monkeypatch.setattr("lumitree.fit.bake.load_rgb", work)
+    monkeypatch.setattr("lumitree.fit.bake_network.load_rgb", work)
+    monkeypatch.setattr("lumitree.measure.evaluate.load_rgb", work)
+    monkeypatch.setattr("lumitree.output.preview.load_rgb", work)
     for arguments in (
         ["bake", "bulbs", "-o", "a.lumitree", "--method", "network", "--seed", "-1"],
         ["bake", "bulbs", "-o", "a.lumitree", "--seed", "-1"],

@@ -10,7 +10,7 @@ from lumitree.cli import main
 from lumitree.core.dataset import MANIFEST
 from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.formats import light_field as baking
+from lumitree.formats import file_bakes as baking
 from lumitree.formats.ies import write_ies
 from lumitree.formats.ldt import write_ldt
 from lumitree.formats.opening import Opening

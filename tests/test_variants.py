@@ -120,7 +120,7 @@ import mitsuba as mi
 mi.set_variant("scalar_rgb")
 import lumitree
 
-for variant in (None, "llvm_ad_rgb", None, "llvm_ad_spectral", "nonsense", "cuda_ad_rgb"):
+for variant in (None, "llvm_ad_rgb", None, "llvm_ad_mono", "nonsense", "cuda_ad_rgb"):
     try:
         print(lumitree.load_luminaire(sys.argv[1], variant=variant).num_emitters, mi.variant())
     except lumitree.LumitreeError as error:

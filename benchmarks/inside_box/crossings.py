@@ -111,7 +111,7 @@ def _trace(scene: Any, sampler: Any, counter: _Counter) -> None:
     """Trace a light path for each sample of the sampler, as `light_paths.trace_light` does."""
     context = mi.BSDFContext(mi.TransportMode.Importance)
     extent = scene_extent(scene)
-    ray, light = light_paths._emit(scene, sampler, extent)
+    ray, light = light_paths._emit(scene, sampler, extent)[:2]
     flux = mi.Color3f(light)
     depth = mi.UInt32(0)
     active = dr.max(flux) > 0

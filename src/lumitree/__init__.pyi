@@ -71,6 +71,12 @@ from .measure.photometry.photometry import (
 from .measure.photometry.photometry import (
     photometry as photometry,
 )
+from .output.blender.extension_archive import (
+    BlenderExtensionResult as BlenderExtensionResult,
+)
+from .output.blender.extension_archive import (
+    blender_extension as blender_extension,
+)
 from .output.export import ExportResult as ExportResult
 from .output.export import export as export
 from .output.preview import (

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import PARTS
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.files import write_json
 from lumitree.core.image_settings import image_settings
 from lumitree.core.interrupt import Interrupted
@@ -72,7 +72,7 @@ def run(
 
 def _render_room(output: Path, asset: str, seconds: float) -> dict[str, RenderResult]:
     """Render the room with both lamps in equal time, and write the images."""
-    load_mitsuba()
+    load_rgb()
     from lumitree.core.view_transform import room_exposure
     from lumitree.output.strip import write_strip
     from lumitree.rendering.demo_room import demo_room, lamp

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from lumitree.asset.asset import light_field_asset
 from lumitree.asset.file import as_stored, load, save
 from lumitree.asset.light_field import TracedPaths, make_light_field
+from lumitree.asset.spectrum import EmittedSpectrum
 from lumitree.errors import LumitreeError
 from support import damage
 from support.fields import make_asset, random_asset
@@ -54,6 +55,15 @@ def with_gain(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def with_spectrum(tmp_path_factory):
+    """An asset with a light field, whose emitters have a spectrum."""
+    path = tmp_path_factory.mktemp("spectrum") / "lamp.lumitree"
+    frame = random_asset(0).frame
+    save(light_field_asset(random_light_field(0), frame, "test", SPECTRUM), path)
+    return path
+
+
+@pytest.fixture(scope="module")
 def lit_inside(tmp_path_factory):
     """An asset with a light field, light inside its box and geometry."""
     path = tmp_path_factory.mktemp("inside") / "lamp.lumitree"
@@ -64,6 +74,7 @@ def lit_inside(tmp_path_factory):
 INSIDE = with_inside(
     1, random_light_field(0, resolution=16, traced=TracedPaths(3, (1, 5), 64 * "0", 0.5))
 )
+SPECTRUM = EmittedSpectrum.of(np.random.default_rng(0).random(471), 0.75)
 TRACED = {"count": 3, "seeds": [1, 5], "luminaire": 64 * "0", "noise": 0.5}
 
 
@@ -78,12 +89,15 @@ def test_the_record_of_light_paths_is_kept(tmp_path, noise):
     assert random_asset(0).info.light_field_paths is None
 
 
-FILES = ("original", "with_light_field", "light_field_only", "with_gain", "lit_inside")
+FILES = (
+    *("original", "with_light_field", "light_field_only", "with_spectrum", "with_gain"),
+    "lit_inside",
+)
 
 
 @pytest.fixture(params=FILES)
 def any_file(request):
-    """A file without a light field, with one, alone, with a gain, or light inside."""
+    """A file without a light field, with one, alone, with a spectrum, a gain, or light inside."""
     return request.getfixturevalue(request.param)
 
 
@@ -493,6 +507,69 @@ def test_a_gain_is_kept(original, with_gain):
     assert asset.gain == asset.info.gain == (0.5, 0.0, 2e3)
     assert asset.parts == ("light", "geometry")
     assert asset.without_gain.gain == load(original).gain == (1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (None, "spectrum of the description is null"),
+        ([0.75], "spectrum of the description is a list"),
+        ({}, 'lacks "share"'),
+        ({"share": 0.5, "unit": 1}, 'unknown key "unit"'),
+        ({"share": "1"}, "share of spectrum"),
+        ({"share": 0}, r"share 0\.0, expected a number above 0"),
+        ({"share": 1.5}, r"share 1\.5, expected"),
+        ({"share": -1.0}, r"share -1\.0, expected"),
+    ],
+)
+def test_broken_descriptions_of_the_spectrum_are_refused(with_spectrum, tmp_path, value, message):
+    path = tmp_path / "bad.lumitree"
+    rewrite(with_spectrum, path, change_text=lambda d: d.update(spectrum=value))
+    with pytest.raises(LumitreeError, match=message):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda a: a[:-1], r"power is float32 \(470,\), expected"),
+        (lambda a: a[None], "power is float32"),
+        (lambda a: a[:0], "power is float32"),
+        (lambda a: a.astype(np.float64), 'dtype of spectrum.power of the header is "F64"'),
+        (lambda a: a / 2, "with 1 as the largest"),
+        (lambda a: a * 2, "power is not 0 to 1"),
+        (lambda a: 0 * a, "with 1 as the largest"),
+        (lambda a: changed(a, 5, np.nan), "power is not 0 to 1"),
+        (lambda a: changed(a, 5, np.inf), "power is not 0 to 1"),
+        (lambda a: changed(a, 5, -1e-9), "power is not 0 to 1"),
+    ],
+)
+def test_broken_spectra_are_refused(with_spectrum, tmp_path, change, message):
+    def apply(tensors):
+        tensors["spectrum.power"] = change(tensors["spectrum.power"])
+
+    rewrite(with_spectrum, tmp_path / "bad.lumitree", change_tensors=apply)
+    with pytest.raises(LumitreeError, match=message):
+        load(tmp_path / "bad.lumitree")
+
+
+def test_a_spectrum_and_its_tensor_belong_together(with_spectrum, tmp_path):
+    path = tmp_path / "bad.lumitree"
+    rewrite(with_spectrum, path, change_text=lambda d: d.pop("spectrum"))
+    with pytest.raises(LumitreeError, match=r'unknown key "spectrum\.power"'):
+        load(path)
+    rewrite(with_spectrum, path, change_tensors=lambda t: t.pop("spectrum.power"))
+    with pytest.raises(LumitreeError, match=r'lacks "spectrum\.power"'):
+        load(path)
+
+
+def test_a_spectrum_is_kept_and_changes_nothing_else(with_spectrum, light_field_only):
+    found, without = load(with_spectrum), load(light_field_only)
+    assert found.spectrum.power.tolist() == SPECTRUM.power.tolist()
+    assert found.spectrum.share == found.info.spectrum_share == 0.75
+    assert without.spectrum is None
+    assert without.info.spectrum_share is None
+    assert_equal_fields(found.light_field, without.light_field)
 
 
 def put_bytes(start, stop, value):

@@ -18,6 +18,7 @@ from lumitree.asset.field_bytes import field_description, field_tensors
 from lumitree.asset.file import _digest, load, save
 from lumitree.asset.light_field import MAX_BINS, MAX_DEPTH, MAX_RESOLUTION, TracedPaths, unpack
 from lumitree.asset.light_field_bytes import light_field_description, light_field_tensors
+from lumitree.asset.spectrum import EmittedSpectrum, spectrum_description, spectrum_tensors
 from lumitree.core.frames import MAX_SCALE, MIN_HALF_EXTENT, MIN_SCALE, similarity_scale
 from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import MAX_LABEL
@@ -30,6 +31,7 @@ from support.stored_arrays import change_field_arrays
 
 ROUNDS = 100
 TRACED = TracedPaths(1 << 20, (0, 7), 64 * "a", 0.02)
+SPECTRUM = EmittedSpectrum.of(np.random.default_rng(0).random(471), 0.75)
 DEEP = "[" * 100_000 + "]" * 100_000
 # JSON texts in place of a value.
 VALUES = [
@@ -71,6 +73,9 @@ class Draft:
         if (field := asset.light_field) is not None:
             self.tensors |= {name: each.copy() for name, each in light_field_tensors(field).items()}
             self.members.append(("light", json.dumps(light_field_description(field))))
+        if asset.spectrum is not None:
+            self.tensors |= {n: each.copy() for n, each in spectrum_tensors(asset.spectrum).items()}
+            self.members.append(("spectrum", json.dumps(spectrum_description(asset.spectrum))))
 
     @property
     def full(self):
@@ -258,6 +263,12 @@ def assert_sound(asset):
     assert ((upper - lower) ** 3)[:, 0].sum() <= 8
     if asset.light_field is not None:
         assert_sound_field(asset.light_field)
+    if asset.spectrum is not None:
+        assert asset.spectrum.power.dtype == np.float32
+        assert asset.spectrum.power.shape == (471,)
+        assert asset.spectrum.power.min() >= 0
+        assert asset.spectrum.power.max() == 1
+        assert 0 < asset.spectrum.share <= 1
 
 
 def assert_sound_field(field):
@@ -282,14 +293,15 @@ def assert_sound_field(field):
     assert (intensity.max(axis=1) > 0).all()
 
 
-@pytest.fixture(scope="module", params=["field", "both", "light"])
+@pytest.fixture(scope="module", params=["field", "both", "light", "spectrum"])
 def asset(request):
-    """An asset with a radiance field, with a light field too, or with the latter alone."""
+    """An asset with a field, with a light field too, with the latter alone, or with a spectrum."""
     plain = random_asset(0, tree_depth=3, l_max=1, half_extents=np.array([1.0, 0.5, 0.25]))
     return {
         "field": plain,
         "both": replace(plain, light_field=random_light_field(0, traced=TRACED)),
         "light": light_field_asset(random_light_field(0), plain.frame, "test"),
+        "spectrum": light_field_asset(random_light_field(0), plain.frame, "test", SPECTRUM),
     }[request.param]
 
 
@@ -336,6 +348,7 @@ def test_mutations_are_sound_or_refused(asset, tmp_path, mutate):
             loaded = load(again)
             assert loaded.luminaire == mutant.luminaire
             assert (loaded.light_field is None) == (mutant.light_field is None)
+            assert (loaded.spectrum is None) == (mutant.spectrum is None)
             if mutant.light_field is not None:
                 assert_equal_fields(loaded.light_field, mutant.light_field)
     assert refused > ROUNDS // 8

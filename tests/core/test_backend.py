@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from lumitree.core.backend import check_llvm, load_mitsuba
+from lumitree.core.backend import check_llvm, load_mitsuba, load_rgb
 from lumitree.errors import LumitreeError
 
 
@@ -26,10 +26,17 @@ def test_good_versions_pass(version):
     check_llvm(version, None)
 
 
-@pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_spectral", "nonsense"])
+@pytest.mark.parametrize("variant", ["scalar_rgb", "scalar_spectral", "llvm_ad_mono", "nonsense"])
 def test_other_variants_are_refused(mi, variant):
     with pytest.raises(LumitreeError, match="llvm_ad_rgb"):
         load_mitsuba(variant)
+
+
+def test_spectral_variants_only_render(mi):
+    before = mi.variant()
+    with pytest.raises(LumitreeError, match="'; spectral variants only render scenes"):
+        load_rgb("llvm_ad_spectral")
+    assert mi.variant() == before
 
 
 def run(code, **environment):

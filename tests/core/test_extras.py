@@ -31,7 +31,7 @@ class Hider:
 
 sys.meta_path.insert(0, Hider())
 """
-# Scripts that Blender runs import its own module.
+# Scripts and extensions that Blender runs import its own module.
 IMPORT_ALL = """
 import importlib, pkgutil
 import lumitree, lumitree.cli
@@ -40,7 +40,8 @@ from lumitree.core.backend import load_mitsuba
 load_mitsuba("llvm_ad_rgb")
 for module in pkgutil.walk_packages(lumitree.__path__, "lumitree."):
     name = module.name
-    if not name.startswith("lumitree.fit.network.") and not name.endswith(("__main__", "_script")):
+    apart = name.startswith(("lumitree.fit.network.", "lumitree.output.blender.extension."))
+    if not apart and not name.endswith(("__main__", "_script")):
         importlib.import_module(name)
 import lumitree.fit.network.config
 for name in lumitree.__all__:

@@ -7,6 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
+import lumitree
 from lumitree.core.photometry import LUMENS_PER_WATT, colour_temperature, luminance
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.formats.rays import Rays
@@ -253,3 +254,16 @@ def test_damaged_files_are_refused_or_read(path, mi):
         path.write_bytes(data if round_ % 5 else damaged(bytes(data), random))
         outcomes.add(refused(check))
     assert outcomes == {True, False}
+
+
+def test_the_asset_of_a_ray_file_has_its_spectrum(mi, path, tmp_path):
+    rows = [[*geometry, 1.0] for geometry in GEOMETRY]
+    path.write_bytes(
+        file_bytes(rows, [1, 1, 0, 0, 1, 0, 0, 0], 3, tables=[[[440, 0], [450, 2], [460, 0]]])
+    )
+    assert lumitree.load(path).spectrum.power.argmax() == 450 - 360
+    baked = lumitree.bake_photometric(path, tmp_path / "lamp.lumitree").asset
+    assert lumitree.load(tmp_path / "lamp.lumitree").spectrum.power.tolist() == (
+        baked.spectrum.power.tolist()
+    )
+    assert baked.info.spectrum_share == 1

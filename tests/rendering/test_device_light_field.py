@@ -471,3 +471,46 @@ def test_beyond_a_side_of_the_map_are_the_next_directions(mi):
             assert (middles * middles[found]).sum(axis=1).min() > np.cos(9 / resolution)
             if x or y:
                 assert (found != np.arange(resolution**2)).mean() > 0.95
+
+
+def test_bins_around_a_direction_are_those_of_the_slow_interpolation(mi):
+    from lumitree.core.octahedral import bilinear_bins
+    from lumitree.rendering.sampling.light_bins import bins_around
+
+    random = np.random.default_rng(0)
+    directions = random.normal(size=(500, 3))
+    found = bins_around(on_device(mi.Vector3f, directions), RESOLUTION)
+    fast, slow = np.zeros((2, 500, RESOLUTION**2))
+    everyone = np.arange(500)
+    for index, weight in found:
+        np.add.at(fast, (everyone, np.array(index)), np.array(weight))
+    index, weight = bilinear_bins(directions, RESOLUTION)
+    np.add.at(slow, (everyone[:, None], index), weight)
+    assert fast == pytest.approx(slow, abs=1e-4)
+
+
+def test_irradiance_is_the_sum_over_all_cells(mi, light):
+    """Against many points of each cell, in NumPy."""
+    from lumitree.core.octahedral import bilinear_bins
+
+    field, samples = some_light(), 4000
+    x, n = np.array([[1.7, 0.4, -0.9]]), np.array([[-1.0, 0.2, 0.3]])
+    n /= np.linalg.norm(n)
+    lower, upper = boxes(field)
+    random = np.random.default_rng(0)
+    within = random.random((len(lower), samples, 3))
+    offset = lower[:, None] + within * (upper - lower)[:, None] - x
+    bins, weights = bilinear_bins(-offset.reshape(-1, 3), RESOLUTION)
+    intensity = field.dense(unpack(field.intensity)) * field.scale
+    cells = np.repeat(np.arange(len(lower)), samples)
+    value = (intensity[cells[:, None], bins] * weights[..., None]).sum(axis=1)
+    squared = (offset.reshape(-1, 3) ** 2).sum(axis=1)
+    cosine = np.maximum(offset.reshape(-1, 3) @ n[0], 0) / np.sqrt(squared)
+    expected = (value * (cosine / squared)[:, None]).sum(axis=0) / samples
+    count = 4000
+    place = [np.repeat(each, count, axis=0) for each in (x, n)]
+    random = mi.PCG32(count, 1)
+    found = light.emitted.irradiance(
+        on_device(mi.Point3f, place[0]), on_device(mi.Vector3f, place[1]), random, mi.Bool(True)
+    )
+    assert np.array(found).mean(axis=1) == pytest.approx(expected, rel=5e-3)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.asset.checks import expect, expect_arrays
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.light_field import LightField
+from lumitree.asset.spectrum import EmittedSpectrum
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import MAX_L, num_coefficients
@@ -58,6 +59,7 @@ class Asset:
             there is none.
         gain: [3] factors on the R, G and B of all light of the asset: of the field, the
             light field and the geometry, which are stored without them. At least 0, not all 0.
+        spectrum: of the luminaire's bare emitters; None if only their RGB colours are known.
 
     Raises:
         LumitreeError: a member has a wrong type, shape or range, or the tree is inconsistent.
@@ -75,6 +77,7 @@ class Asset:
     light_field: LightField | None = None
     geometry: AssetGeometry | None = None
     gain: tuple[float, float, float] = NO_GAIN
+    spectrum: EmittedSpectrum | None = None
 
     def __post_init__(self) -> None:
         """Refuse anything that a renderer could not traverse safely."""
@@ -160,6 +163,7 @@ class Asset:
             parts=self.parts,
             appearance=self.appearance,
             gain=self.gain,
+            spectrum_share=None if self.spectrum is None else self.spectrum.share,
         )
 
     def eval(
@@ -225,6 +229,8 @@ class AssetInfo:
         appearance: which of them images show under `lumitree_path`.
         gain: [3] factors on the R, G and B of its light, which a luminous flux or a colour
             temperature that was asked for has made other than 1.
+        spectrum_share: part of the luminous flux of the luminaire's emitters whose spectrum is
+            known; None if it is that of none.
     """
 
     luminaire: str
@@ -244,9 +250,15 @@ class AssetInfo:
     light_field_paths: int | None = None
     light_field_noise: float | None = None
     gain: tuple[float, float, float] = NO_GAIN
+    spectrum_share: float | None = None
 
 
-def light_field_asset(light_field: LightField, frame: LocalFrame, luminaire: str) -> Asset:
+def light_field_asset(
+    light_field: LightField,
+    frame: LocalFrame,
+    luminaire: str,
+    spectrum: EmittedSpectrum | None = None,
+) -> Asset:
     """An asset whose field is empty: it lights its surroundings, and lets all light through."""
     return Asset(
         children=np.zeros((1, 8), np.int32),
@@ -259,6 +271,7 @@ def light_field_asset(light_field: LightField, frame: LocalFrame, luminaire: str
         frame=frame,
         luminaire=luminaire,
         light_field=light_field,
+        spectrum=spectrum,
     )
 
 

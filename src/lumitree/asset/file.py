@@ -32,6 +32,12 @@ from lumitree.asset.light_field_bytes import (
     light_field_description,
     light_field_tensors,
 )
+from lumitree.asset.spectrum import (
+    SPECTRUM_TENSORS,
+    build_spectrum,
+    spectrum_description,
+    spectrum_tensors,
+)
 from lumitree.core.file_kinds import ASSET, what_it_is
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import FRAME_KEYS, LocalFrame
@@ -63,8 +69,8 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
     """Write an asset to a file; equal assets give equal bytes.
 
     The field is rounded: densities by at most 3.2 %, and coefficients by at most 1/64 in band 0 and
-    by 1/8 to 1 in the others, less the brighter a leaf is. The light field and the geometry are
-    stored as they are.
+    by 1/8 to 1 in the others, less the brighter a leaf is. The light field, the geometry and
+    the spectrum are stored as they are.
 
     The file appears, or replaces another one, only when it is complete.
 
@@ -94,6 +100,9 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
         description["light"] = light_field_description(asset.light_field)
     if asset.geometry is not None:
         tensors |= geometry_tensors(asset.geometry)
+    if asset.spectrum is not None:
+        tensors |= spectrum_tensors(asset.spectrum)
+        description["spectrum"] = spectrum_description(asset.spectrum)
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     # One key only: safetensors does not keep the order of several keys.
     metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
@@ -142,7 +151,7 @@ def load(path: str | os.PathLike[str]) -> Asset:
 
 
 def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
-    description.expect_keys(*_KEYS, optional=("light",))
+    description.expect_keys(*_KEYS, optional=("light", "spectrum"))
     description.choice("activation", (ACTIVATION,))
     has_light_field, has_geometry = description.has("light"), GEOMETRY_SHAPES in tensors
     red, green, blue = description.array("gain", 3).tolist()
@@ -160,6 +169,9 @@ def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
         else None,
         geometry=build_geometry(tensors) if has_geometry else None,
         gain=(red, green, blue),
+        spectrum=build_spectrum(description.record("spectrum"), tensors)
+        if description.has("spectrum")
+        else None,
     )
 
 
@@ -199,6 +211,8 @@ def _read_header(content: bytes) -> tuple[str, str, Record]:
         tensors |= LIGHT_FIELD_TENSORS
     if header.has(GEOMETRY_SHAPES):
         tensors |= GEOMETRY_TENSORS
+    if description.has("spectrum"):
+        tensors |= SPECTRUM_TENSORS
     header.expect_keys("__metadata__", *tensors)
     for name, dtype in tensors.items():
         tensor = header.record(name)

@@ -9,6 +9,7 @@ from typing import Any
 
 from lumitree.cli import (
     bake,
+    blender_extension,
     capture,
     demo,
     evaluate,
@@ -54,6 +55,7 @@ _COMMANDS = (
     render,
     view,
     export,
+    blender_extension,
     demo,
 )
 

@@ -67,7 +67,7 @@ def add(commands: Any) -> None:
         metavar="LUMINAIRE",
         nargs="*",
         help=options.LUMINAIRE + "; or the folder of a dataset, or a photometric file (.ies, .ldt, "
-        ".ray, .tm25ray). Several are baked into a folder",
+        ".gldf, .tm33, .ray, .tm25ray). Several are baked into a folder",
     )
     options.add_reading(parser)
     parser.add_argument(

@@ -10,7 +10,7 @@ from lumitree.errors import LumitreeError
 LUMINAIRE = "built-in name, Mitsuba 3 scene (.xml) or model (.obj, .gltf, .glb)"
 
 # What is taken wherever an asset is.
-PHOTOMETRIC = ", or a photometric file (.ies, .ldt, .ray, .tm25ray)"
+PHOTOMETRIC = ", or a photometric file (.ies, .ldt, .gldf, .tm33, .ray, .tm25ray)"
 
 
 class Parser(argparse.ArgumentParser):
@@ -101,12 +101,12 @@ def add_output(parser: argparse.ArgumentParser, metavar: str, text: str) -> None
     parser.add_argument("-o", dest="output", metavar=metavar, required=True, help=text)
 
 
-def add_variant(parser: argparse.ArgumentParser) -> None:
-    """Add `--variant`."""
+def add_variant(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """Add `--variant`; its help ends with `more`."""
     parser.add_argument(
         "--variant",
         metavar="NAME",
-        help="Mitsuba variant (default: cuda_ad_rgb where there is a GPU, else llvm_ad_rgb)",
+        help="Mitsuba variant (default: cuda_ad_rgb where there is a GPU, else llvm_ad_rgb)" + more,
     )
 
 

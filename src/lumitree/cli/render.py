@@ -80,12 +80,13 @@ def add(commands: Any) -> None:
         default="box",
         help="surface that carries a baked luminaire",
     )
-    options.add_variant(parser)
+    options.add_variant(parser, "; llvm_ad_spectral or cuda_ad_spectral to render spectra")
 
 
 def run(args: argparse.Namespace) -> Any:
     import lumitree
     from lumitree.core.arguments import check_sheet_output
+    from lumitree.core.backend import load_rgb
     from lumitree.measure.glare import check_evalglare
 
     check_outputs(args.output, args.layers, args.aov)
@@ -93,6 +94,8 @@ def run(args: argparse.Namespace) -> Any:
         check_sheet_output(args.luminance, "luminance image")
     if args.glare:
         check_evalglare()
+        # For the illuminance at the camera.
+        load_rgb(args.variant)
     result = lumitree.render(
         args.scene,
         placements(args),

@@ -16,6 +16,8 @@ from lumitree.errors import LumitreeError
 
 CPU_VARIANT = "llvm_ad_rgb"
 GPU_VARIANT = "cuda_ad_rgb"
+# What the names of variants end in.
+_RGB, _SPECTRAL = "_ad_rgb", "_ad_spectral"
 # The AVX-512 back end of older versions cannot compile the `fminimum` that Dr.Jit emits.
 MIN_LLVM = 17
 # Whether `quieten` was called.
@@ -32,16 +34,31 @@ def select_llvm() -> None:
         os.environ["DRJIT_LIBLLVM_PATH"] = str(bundled)
 
 
-def load_mitsuba(variant: str | None = None) -> Any:
-    """Import Mitsuba with a working libLLVM and an RGB variant set; returns the module.
-
-    Args:
-        variant: Mitsuba variant; by default the one already set, else `cuda_ad_rgb` where a GPU
-            is found and `llvm_ad_rgb` elsewhere.
+def load_rgb(variant: str | None = None) -> Any:
+    """As `load_mitsuba`, with an RGB variant: for all that traces lamps.
 
     Raises:
-        LumitreeError: unusable libLLVM, or a variant that is unknown or not RGB.
+        LumitreeError: as for `load_mitsuba`, or the variant renders spectra.
     """
+    return _load(variant, (_RGB,))
+
+
+def load_mitsuba(variant: str | None = None) -> Any:
+    """Import Mitsuba with a working libLLVM and a variant set; returns the module.
+
+    Args:
+        variant: Mitsuba variant, RGB or spectral; by default the one already set, else
+            `cuda_ad_rgb` where a GPU is found and `llvm_ad_rgb` elsewhere.
+
+    Raises:
+        LumitreeError: unusable libLLVM, or a variant that is unknown, not vectorised, monochrome or
+            polarised.
+    """
+    return _load(variant, (_RGB, _SPECTRAL))
+
+
+def _load(variant: str | None, kinds: tuple[str, ...]) -> Any:
+    """Import Mitsuba with a variant whose name ends in one of `kinds`."""
     select_llvm()
     chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
     if chosen and not Path(chosen).is_file():
@@ -52,9 +69,10 @@ def load_mitsuba(variant: str | None = None) -> Any:
         raise LumitreeError(
             f"this Mitsuba has no variant {variant!r}; choose {CPU_VARIANT} or {GPU_VARIANT}"
         )
-    if not variant.endswith("_ad_rgb"):
+    if not variant.endswith(kinds):
+        only = "; spectral variants only render scenes" if variant.endswith(_SPECTRAL) else ""
         raise LumitreeError(
-            f"lumitree needs a vectorised RGB variant of Mitsuba, not {variant!r}; "
+            f"lumitree needs a vectorised RGB variant of Mitsuba, not {variant!r}{only}; "
             f"choose {CPU_VARIANT} or {GPU_VARIANT}"
         )
     if variant.startswith("llvm"):

@@ -2,10 +2,14 @@
 
 import codecs
 import os
+import re
 from pathlib import Path
+
+from lumitree.core.text import in_utf8
 
 ASSET, EXR = "a lumitree asset", "an OpenEXR image"
 SCENE, XML = "a Mitsuba scene", "an XML file"
+TM33 = "a photometric file (IES TM-33)"
 # First bytes.
 _STARTS = {
     b"\x89PNG": "a PNG image",
@@ -32,6 +36,8 @@ _SUFFIXES = {
     ".ldt": "a photometric file (EULUMDAT)",
     ".ray": "a ray file (IES TM-25)",
     ".tm25ray": "a ray file (IES TM-25)",
+    ".tm33": TM33,
+    ".gldf": "a GLDF file",
     ".obj": "an OBJ model",
     ".mtl": "a material file of an OBJ model",
     ".gltf": "a glTF model",
@@ -43,6 +49,9 @@ _SUFFIXES = {
     ".json": "a JSON file",
 }
 _LOOKED_AT = 1 << 12
+# What may come before the root of XML; and roots of IES TM-33 and UNI 11733.
+_PROLOGUE = re.compile(rb"<\?.*?\?>|<!--.*?-->|\s+", re.DOTALL)
+_TM33_ROOT = re.compile(rb"<([\w.-]+:)?(IESTM33[\w.-]*|LuminaireOpticalData)[\s/>]")
 
 
 def what_it_is(path: str | os.PathLike[str], content: bytes | None = None) -> str | None:
@@ -63,15 +72,25 @@ def what_it_is(path: str | os.PathLike[str], content: bytes | None = None) -> st
     start = content[:_LOOKED_AT].removeprefix(b"\xef\xbb\xbf")
     if not start:
         return "an empty file"
+    by_suffix = _SUFFIXES.get(path.suffix.lower())
     for first, kind in _STARTS.items():
         if start.startswith(first):
-            return kind
-    if start.lstrip().startswith(b"<"):
+            return by_suffix if (first, path.suffix.lower()) == (b"PK\x03\x04", ".gldf") else kind
+    if (text := in_utf8(start).lstrip()).startswith(b"<"):
+        if _is_tm33(text):
+            return TM33
         if b"<scene" in start:
             return SCENE
         return "a web page" if b"<html" in start.lower() else XML
-    by_suffix = _SUFFIXES.get(path.suffix.lower())
     return "a text file" if by_suffix in (None, ASSET) and _is_text(start) else by_suffix
+
+
+def _is_tm33(text: bytes) -> bool:
+    """Whether XML begins as a file of IES TM-33 does."""
+    at = 0
+    while (skipped := _PROLOGUE.match(text, at)) is not None:
+        at = skipped.end()
+    return _TM33_ROOT.match(text, at) is not None
 
 
 def _is_text(start: bytes) -> bool:

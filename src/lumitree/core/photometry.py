@@ -31,12 +31,14 @@ _SRGB_FROM_XYZ = np.array(
 )
 # The other way; the rows are x, y and z, so the second is `LUMA` of IEC 61966-2-1, rounded.
 _XYZ_FROM_SRGB = np.linalg.inv(_SRGB_FROM_XYZ)
-# Wavelengths, nm, over which spectra are summed, 1 nm each.
-_VISIBLE = np.arange(360.0, 831.0)
+# Wavelengths, nm, at which spectra are sampled and over which they are summed, 1 nm each.
+WAVELENGTHS = np.arange(360.0, 831.0)
 # 2hc² for wavelengths in nm and radiance per nm, W/(m² sr).
 _PLANCK = 1.191043e20
 # Temperatures of the Planckian locus, K: neighbours differ by 0.5 %.
 _LOCUS_TEMPERATURES = np.geomspace(900.0, 1e5, 950)
+# Luminance of a spectrum of 1 per nm, for which Mitsuba's images of spectra have a luminance of 1.
+FILM_LUMINANCE = 106.7502593994140625
 # Largest distance from the locus for which a correlated colour temperature is defined (CIE 15).
 MAX_DUV = 0.05
 
@@ -90,13 +92,34 @@ def blackbody_radiance(temperature: float, shortest: float = 360.0, longest: flo
     Raises:
         LumitreeError: the temperature is out of range.
     """
-    if not 100 <= temperature <= 1e5:
-        raise LumitreeError(f"a black body of {temperature:g} K; expected 100 to 100000 K")
-    wavelength = np.array([each for each in _VISIBLE if shortest <= each <= longest])
-    xyz = _PLANCK * _blackbody_xyz(np.array([temperature]), wavelength)[0]
+    xyz = _PLANCK * xyz_of_spectrum(blackbody_spectrum(temperature, shortest, longest))
     rgb = np.maximum(_SRGB_FROM_XYZ @ xyz, 0.0)
     rgb *= xyz[1] / max(rgb @ LUMA, np.finfo(float).tiny)
     return (float(rgb[0]), float(rgb[1]), float(rgb[2]))
+
+
+def blackbody_spectrum(
+    temperature: float, shortest: float = 360.0, longest: float = 830.0
+) -> NDArray[np.float64]:
+    """Spectral radiance of a black body at `WAVELENGTHS`, divided by `_PLANCK`.
+
+    Args and errors as for `blackbody_radiance`.
+    """
+    if not 100 <= temperature <= 1e5:
+        raise LumitreeError(f"a black body of {temperature:g} K; expected 100 to 100000 K")
+    power = _planck(np.array([temperature]))[0]
+    return np.where(np.clip(WAVELENGTHS, shortest, longest) == WAVELENGTHS, power, 0.0)
+
+
+def xyz_of_spectrum(spectrum: ArrayLike) -> NDArray[np.float64]:
+    """CIE 1931 XYZ [..., 3] of spectra [..., 471] at `WAVELENGTHS`, per nm; Y is Σ V(λ) S(λ)."""
+    return np.asarray(spectrum, np.float64) @ matching_functions().T
+
+
+def matching_functions() -> NDArray[np.float64]:
+    """CIE 1931 colour matching functions [3, 471] at `WAVELENGTHS`."""
+    mi = load_mitsuba()
+    return np.array(mi.cie1931_xyz(on_device(mi.Float, WAVELENGTHS)), np.float64)
 
 
 def xyz_from_srgb(rgb: ArrayLike) -> NDArray[np.float64]:
@@ -110,19 +133,23 @@ def srgb_from_xyz(xyz: ArrayLike) -> NDArray[np.float64]:
 
 
 def colour_temperature(rgb: ArrayLike) -> tuple[float, float]:
+    """Correlated colour temperature and Duv of a colour, [3] linear sRGB, as `xyz_temperature`."""
+    return xyz_temperature(xyz_from_srgb(rgb))
+
+
+def xyz_temperature(xyz: NDArray[np.float64]) -> tuple[float, float]:
     """Correlated colour temperature and Duv of a colour (CIE 15; ANSI C78.377).
 
     The nearest point of the Planckian locus in the CIE 1960 (u, v) diagram.
 
     Args:
-        rgb: [3] linear sRGB; only its ratios matter.
+        xyz: [3] CIE 1931 XYZ; only its ratios matter.
 
     Returns:
         Temperature, K: NaN if the colour is black, more than 0.05 from the locus, or its
         temperature is not within 1000 to 90000 K. And Duv, the distance from the locus, positive
         above it (greenish); NaN for black.
     """
-    xyz = xyz_from_srgb(rgb)
     if not (xyz.sum() > 0):
         return math.nan, math.nan
     locus, point = _uv(_blackbody_xyz(_LOCUS_TEMPERATURES)), _uv(xyz)
@@ -148,12 +175,21 @@ def _uv(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([4 * x, 6 * y], axis=-1) / (x + 15 * y + 3 * z)[..., None]
 
 
-def _blackbody_xyz(
-    temperature: NDArray[np.float64], wavelength: NDArray[np.float64] = _VISIBLE
-) -> NDArray[np.float64]:
-    """CIE 1931 XYZ [N, 3], divided by `_PLANCK`, of black bodies [N], K, at wavelengths in nm."""
-    # Planck's law; 1.438777e7 nm K is hc/k.
-    spectrum = wavelength**-5 / np.expm1(1.438777e7 / (wavelength * temperature[:, None]))
-    mi = load_mitsuba()
-    matching = np.array(mi.cie1931_xyz(on_device(mi.Float, wavelength)), np.float64)
-    return spectrum @ matching.T
+def chromaticity_difference(first: ArrayLike, second: ArrayLike) -> float:
+    """Distance of two colours, [3] XYZ, in the CIE 1976 (u', v') diagram; NaN if one is black."""
+    colours = np.array([first, second], np.float64)
+    if not (colours.sum(axis=1) > 0).all():
+        return math.nan
+    # v' is 1.5 v of CIE 1960.
+    return float(np.linalg.norm(np.diff(_uv(colours), axis=0) * [1, 1.5]))
+
+
+def _blackbody_xyz(temperature: NDArray[np.float64]) -> NDArray[np.float64]:
+    """CIE 1931 XYZ [N, 3], divided by `_PLANCK`, of black bodies [N], K."""
+    return xyz_of_spectrum(_planck(temperature))
+
+
+def _planck(temperature: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Planck's law, divided by `_PLANCK`, at `WAVELENGTHS`: [N, 471] for temperatures [N], K."""
+    # 1.438777e7 nm K is hc/k.
+    return WAVELENGTHS**-5 / np.expm1(1.438777e7 / (WAVELENGTHS * temperature[:, None]))

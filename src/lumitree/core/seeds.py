@@ -51,6 +51,7 @@ class Purpose(enum.IntEnum):
     # Illuminance at points of a scene; draw 0: paths, step: pass; draw 1: places in cells of light
     # fields, step: sums at once; draw 2: points of a surface; draw 3: rays that find solids.
     ILLUMINANCE = 26
+    SPECTRUM = 27  # flux of each emitter of a luminaire, by which its spectrum is weighted
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from lumitree.asset.asset import Asset, Part, light_field_asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.arguments import check_asset_output, check_light
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import Dataset
 from lumitree.core.files import FilePath
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
@@ -92,7 +92,7 @@ def bake(
     if output is not None:
         check_asset_output(output)
     _check_kind(luminaire)
-    load_mitsuba(variant)
+    load_rgb(variant)
     from lumitree.lamp.loading import load_luminaire
 
     with reporting(progress), open_work_folder(output, work) as folder:
@@ -207,7 +207,7 @@ def bake_views(
     folder = dataset_folder(dataset)
     if folder is None:
         raise LumitreeError(f"{shown(dataset, 300)} is not the folder of a dataset; see capture")
-    load_mitsuba(variant)
+    load_rgb(variant)
     from lumitree.fit.octree import bake as octree_fit
     from lumitree.rendering.asset_flux import with_light
 
@@ -270,7 +270,7 @@ def refine(
     if irradiance_paths is None:
         irradiance_paths = standard.irradiance_paths
     check_irradiance_paths(irradiance_paths)
-    load_mitsuba(variant)
+    load_rgb(variant)
     from lumitree.fit.octree import bake as octree_fit
     from lumitree.lamp.loading import load_luminaire
 

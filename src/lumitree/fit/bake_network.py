@@ -12,7 +12,7 @@ from lumitree.core.arguments import (
     check_image_settings,
     check_range,
 )
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
 from lumitree.core.extras import check_network
 from lumitree.core.files import FilePath, WriteError, check_writable
@@ -75,7 +75,7 @@ def bake_network(
     config = NetworkConfig.preview() if config is None else config
     check_asset_output(output)
     check_network()
-    load_mitsuba(variant)
+    load_rgb(variant)
     from lumitree.lamp.loading import load_luminaire
 
     watch, light_field = Stopwatch(), None
@@ -156,7 +156,7 @@ def capture(
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     check_choice("split", split, get_args(Split))
     check_writable(Path(output) / MANIFEST)
-    load_mitsuba(variant)
+    load_rgb(variant)
     from lumitree.lamp.loading import load_luminaire
     from lumitree.trace.capture import capture as capture_views
 
@@ -304,7 +304,7 @@ def extract(
     if luminaire is None:
         with reporting(progress):
             return _extract(run, output, tree_depth, samples_per_leaf)
-    load_mitsuba(variant)
+    load_rgb(variant)
     from lumitree.fit.network.trained_field import load_field
     from lumitree.lamp.loading import load_luminaire
 

@@ -1,5 +1,6 @@
 """The end of every bake: the asset is written, and the irradiance around it is measured."""
 
+import dataclasses
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -26,12 +27,13 @@ def finish_bake(
     stopped_by: int | None = None,
     **figures: Any,
 ) -> BakeResult:
-    """Write an asset, and compare the irradiance around it with that around its luminaire.
+    """Write an asset with the spectrum of its luminaire, and compare the irradiance around both.
 
     Args:
         output: path of the file to write; None: no file is written.
         watch: measures the stage "irradiance"; all its times become the result's.
-        luminaire: what was baked; None: the irradiance is not compared.
+        luminaire: what was baked; None: the asset keeps its spectrum, and the irradiance is not
+            compared.
         irradiance_paths: as for `measure_irradiance`.
         stopped_by: number of the signal that interrupted the bake; the irradiance is not compared
             then.
@@ -41,6 +43,10 @@ def finish_bake(
         The result. `stopped_by` is set if a signal arrived here, too: the asset is written then,
         but its irradiance is not known.
     """
+    if luminaire is not None:
+        from lumitree.trace.emitted_spectrum import emitted_spectrum
+
+        asset = dataclasses.replace(asset, spectrum=emitted_spectrum(luminaire))
     asset = as_stored(asset)
     irradiance, complete = None, stopped_by is None
     with deferred_interrupt() as interruption:

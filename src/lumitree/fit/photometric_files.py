@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from lumitree.core.arguments import check_asset_output, check_light
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as steps
@@ -29,11 +29,12 @@ def bake_photometric(
     """Make an asset that has the light field of a photometric file or a ray file.
 
     Args:
-        file: an IES or EULUMDAT file (`.ies`, `.ldt`), or an IES TM-25 ray file (`.ray`,
-            `.tm25ray`).
+        file: an IES or EULUMDAT file (`.ies`, `.ldt`); a GLDF file (`.gldf`), with # and a variant
+            for another than the first; luminaire data of IES TM-33 (`.tm33`, `.xml`); or an IES
+            TM-25 ray file (`.ray`, `.tm25ray`).
         output: path of the `.lumitree` file to write. Default: no file is written.
-        light_field: cells and bins of direction of a ray file's light field. Those of an IES or
-            EULUMDAT file depend on its intensities. Default: `LightFieldConfig()`.
+        light_field: cells and bins of direction of a ray file's light field. Those of another file
+            depend on its intensities. Default: `LightFieldConfig()`.
         lumens: luminous flux of the asset, lm, 10⁻⁶ to 10⁹. Default: that of the file.
         temperature: colour temperature of the whole flux, K, 1000 to 20,000; see `BakeConfig`.
             Default: the colours of a ray file; R = G = B for the others.
@@ -54,11 +55,12 @@ def bake_photometric(
     path = described.name
     if source_kind(described) != "photometric":
         raise LumitreeError(
-            f"{shown(path, 300)} is not a photometric file; expected .ies, .ldt, .ray or .tm25ray"
+            f"{shown(path, 300)} is not a photometric file; expected .ies, .ldt, .gldf, .tm33, "
+            ".ray or .tm25ray"
         )
     refuse_options(described, "a photometric file")
-    load_mitsuba(variant)
-    from lumitree.formats.light_field import bake_file
+    load_rgb(variant)
+    from lumitree.formats.file_bakes import bake_file
     from lumitree.rendering.asset_flux import with_light
 
     watch = Stopwatch()

@@ -15,11 +15,14 @@ class Rays:
         origin: [N, 3] where each starts, m.
         direction: [N, 3] unit direction of travel.
         flux: [N, 3] radiant flux of R, G and B, W; the sum is the flux of the source.
+        spectrum: [471] power per nm of all rays together at `core.photometry.WAVELENGTHS`, in any
+            unit; None if it is not known.
     """
 
     origin: NDArray[np.float64]
     direction: NDArray[np.float64]
     flux: NDArray[np.float64]
+    spectrum: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.origin)

@@ -53,6 +53,7 @@ from lumitree.core.photometry import (
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.photometric_text import warn_of_file
+from lumitree.formats.ray_spectrum import rays_spectrum
 from lumitree.formats.rays import Rays
 from lumitree.formats.type_c import y_up, z_up
 
@@ -182,7 +183,8 @@ def _parse(content: bytes, path: str | os.PathLike[str]) -> tuple[Rays, str]:
         kind, total, unit = ("radiant", "watts", "W")
     _compare_totals(path, float(header[total]), float(items[kind].sum()), kind, unit)
     name = "".join(chr(code) for code in header["texts"][0] if 0 < code < 0x110000)
-    rays = Rays(y_up(position) / _MM_PER_M, y_up(direction / length), flux)
+    spectrum = rays_spectrum(items, tables, int(header["spectrum"]), header["wavelengths"][0])
+    rays = Rays(y_up(position) / _MM_PER_M, y_up(direction / length), flux, spectrum)
     return rays, shown(name) or "rays"
 
 

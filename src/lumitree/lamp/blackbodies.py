@@ -3,8 +3,18 @@
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.photometry import blackbody_radiance
+from lumitree.core.photometry import (
+    FILM_LUMINANCE,
+    LUMA,
+    RGB,
+    WAVELENGTHS,
+    blackbody_radiance,
+    blackbody_spectrum,
+    xyz_of_spectrum,
+)
 from lumitree.errors import LumitreeError, shown, shown_names
 
 # With their defaults: K, and the range of wavelengths, nm.
@@ -37,21 +47,40 @@ def replace_blackbodies(file: Any) -> list[str]:
 def _replaced(file: Any, emitter: Any) -> Iterator[str]:
     for name, node in file.children(emitter).items():
         if node.props.plugin_name() == "blackbody":
-            temperature, radiance = _radiance(node.props)
+            body = blackbody_of(node.props)
+            temperature, radiance = body[0], blackbody_radiance(*body)
             del emitter[name]
-            emitter[name] = load_mitsuba().ScalarColor3d(radiance)
+            emitter[name] = _radiance_property(radiance, body)
             colour = ", ".join(f"{channel:.4g}" for channel in radiance)
             yield (
                 f"a blackbody of {temperature:g} K is taken as the RGB {colour} W/(m² sr), which "
-                "has its luminance; images of Mitsuba's spectral variants are 106.9 times darker"
+                "has its luminance; Mitsuba's own integrators render it 106.9 times darker in "
+                "spectral variants"
             )
 
 
-def _radiance(props: Any) -> tuple[float, tuple[float, float, float]]:
+def _radiance_property(radiance: RGB, body: tuple[float, float, float]) -> Any:
+    """A property of an emitter: RGB, or in spectral variants the spectrum with this luminance."""
+    mi = load_mitsuba()
+    if not mi.is_spectral:
+        return mi.ScalarColor3d(radiance)
+    spectrum = blackbody_spectrum(*body)
+    spectrum *= (np.array(radiance) @ LUMA) * FILM_LUMINANCE / xyz_of_spectrum(spectrum)[1]
+    values = ", ".join(map(repr, spectrum.tolist()))
+    ends = {"wavelength_min": WAVELENGTHS[0], "wavelength_max": WAVELENGTHS[-1]}
+    return mi.load_dict({"type": "regular", "values": values, **ends})
+
+
+def blackbody_of(props: Any) -> tuple[float, float, float]:
+    """Temperature, K, and shortest and longest wavelength, nm, of the plugin `blackbody`.
+
+    Raises:
+        LumitreeError: one of them is no number.
+    """
     values = []
     for name, default in _PARAMETERS.items():
         value = props.get(name, default)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise LumitreeError(f"{name} of a blackbody is {shown(value, 60)}; expected a number")
         values.append(float(value))
-    return values[0], blackbody_radiance(*values)
+    return values[0], values[1], values[2]

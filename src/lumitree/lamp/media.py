@@ -11,6 +11,8 @@ from lumitree.errors import LumitreeError
 
 # Smallest extinction of a channel of a medium, relative to its largest one.
 _CLEAR = 1e-5
+# Where spectra are looked at, nm.
+_WAVELENGTHS = (450.0, 520.0, 580.0, 630.0)
 _EXTINCTION = "sigma_t.value.value"
 
 
@@ -92,6 +94,9 @@ def keep_clear_channels(scene: Any) -> None:
     With an extinction of 0, `volpath` divides 0 by 0, and `volpathmis` loses scattered light.
     """
     mi = load_mitsuba()
+    if mi.is_spectral:
+        # Coefficients are functions of the wavelength, none of which is 0.
+        return
     for medium in media(scene):
         parameters = mi.traverse(medium)
         # Heterogeneous and grey media have no such parameter.
@@ -110,4 +115,6 @@ def _coefficients(medium: Any) -> tuple[Any, Any, Any]:
     import drjit as dr
 
     anywhere = dr.zeros(mi.MediumInteraction3f)
+    if mi.is_spectral:
+        anywhere.wavelengths = mi.Spectrum(*_WAVELENGTHS)
     return medium.get_scattering_coefficients(anywhere)

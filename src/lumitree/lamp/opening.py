@@ -109,6 +109,8 @@ def fingerprint_of(file: SceneFile, source: LuminaireSource) -> str:
     digest = hashlib.sha256(read_bytes(file.path, "a Mitsuba scene", MAX_MODEL_BYTES))
     if file.path == Path(source.name) and (source.keep or source.drop):
         digest.update(repr((source.keep, source.drop)).encode())
+    for spectrum in file.listed_spectra():
+        digest.update(spectrum.tobytes())
     for path in file.references():
         if os.path.isfile(path):
             digest.update(read_bytes(path, "a file of a scene", _MAX_FILE_BYTES))

@@ -21,6 +21,7 @@ from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.lamp.importers.overrides import select_names
 from lumitree.lamp.media import keep_clear_channels
 from lumitree.lamp.scene_shapes import SceneShape, shape_of_node
+from lumitree.lamp.spectra import spectra_of_emitters
 
 # Largest nesting depths; in a luminaire's file they are about 8 and 6.
 _MAX_ELEMENTS, _MAX_OBJECTS = 64, 16
@@ -65,7 +66,8 @@ class SceneFile:
         # Shapes keep the ids of the file; unused parameters are not reported.
         self._config.merge_meshes = self._config.merge_equivalent = False
         self._config.unused_parameters = mi.LogLevel.Debug
-        with self._readable():
+        # Files of spectra are read here.
+        with self._searching(), self._readable():
             if described is None:
                 self._state = mi.parser.parse_file(self._config, str(source))
             else:
@@ -81,6 +83,8 @@ class SceneFile:
             self._select(keep, drop)
         # Last, because equal BSDFs become one, with one id.
         mi.parser.transform_merge_equivalent(self._config, self._state)
+        # Of emitters, by their ids.
+        self.spectra = spectra_of_emitters(self)
         # What has been read in another way than Mitsuba would; one line each.
         self.notes = replace_blackbodies(self)
 
@@ -294,6 +298,13 @@ class SceneFile:
             waiting += inner - found
             found |= inner
         return found
+
+    def listed_spectra(self) -> Iterator[NDArray[np.float64]]:
+        """Wavelengths and values of all spectra of the scene, also of those that files list."""
+        kind = load_mitsuba().Properties.Type.Spectrum
+        for props in (node.props for node in self._used()):
+            for name in (key for key in list(props.keys()) if props.type(key) == kind):
+                yield np.array([*props[name].wavelengths, *props[name].values], np.float64)
 
     def references(self) -> list[Path]:
         """Paths of the files that the scene refers to."""

@@ -2,17 +2,22 @@
 
 import dataclasses
 import os
+import re
 from pathlib import Path
 from typing import Any, Literal, cast
 
 from lumitree.asset.asset import Asset
 from lumitree.core.dataset import MANIFEST
+from lumitree.core.file_kinds import TM33, what_it_is
 from lumitree.errors import LumitreeError, shown
 
 # Files that are assets once they are opened, see `rendering.asset_cache.open_asset`.
 ASSET_SUFFIX = ".lumitree"
 RAY_SUFFIXES = (".ray", ".tm25ray")
-PHOTOMETRIC_SUFFIXES = (".ies", ".ldt", *RAY_SUFFIXES)
+# Files that are written, too; and files that are only read.
+WRITTEN_SUFFIXES = (".ies", ".ldt", *RAY_SUFFIXES)
+PHOTOMETRIC_SUFFIXES = (*WRITTEN_SUFFIXES, ".gldf", ".tm33")
+_VARIANT = re.compile(r"(.*\.gldf)#(.*)", re.IGNORECASE | re.DOTALL)
 Kind = Literal["asset", "photometric", "dataset", "luminaire"]
 
 
@@ -50,7 +55,8 @@ def as_source(source: str | os.PathLike[str] | LuminaireSource) -> LuminaireSour
 
 
 def source_kind(source: object) -> Kind:
-    """What a source of light is. Of a path its suffix decides, in upper or lower case.
+    """What a source of light is. Of a path its suffix decides, in upper or lower case; of .xml
+    files how they begin.
 
     "asset": an `Asset` or a `.lumitree` file. "photometric": a photometric file or a ray file,
     which is an asset once it is opened. "dataset": the folder of one. "luminaire": all else.
@@ -63,9 +69,30 @@ def source_kind(source: object) -> Kind:
     suffix = Path(name).suffix.lower()
     if suffix == ASSET_SUFFIX:
         return "asset"
-    if suffix in PHOTOMETRIC_SUFFIXES:
+    if photometric_suffix(name) is not None:
         return "photometric"
     return "dataset" if os.path.isfile(Path(name) / MANIFEST) else "luminaire"
+
+
+def photometric_suffix(name: str | os.PathLike[str]) -> str | None:
+    """Suffix of a photometric file or ray file in lower case; None for other files.
+
+    A file .xml is one if it begins as a file of IES TM-33 does.
+    """
+    path = gldf_variant(name)[0]
+    suffix = Path(path).suffix.lower()
+    if suffix in PHOTOMETRIC_SUFFIXES:
+        return suffix
+    return suffix if suffix == ".xml" and what_it_is(path) == TM33 else None
+
+
+def gldf_variant(name: str | os.PathLike[str]) -> tuple[str, str | None]:
+    """Path of a file, and the variant that follows the path of a GLDF file after #."""
+    name = os.fspath(name)
+    match = _VARIANT.fullmatch(name)
+    if match is None or os.path.exists(name):
+        return name, None
+    return match[1], match[2]
 
 
 def refuse_options(source: LuminaireSource, kind: str) -> None:

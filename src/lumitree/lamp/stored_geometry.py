@@ -127,7 +127,8 @@ class _Reader:
         for name in list(props.keys()):
             child = children.get(name)
             if child is None:
-                values[name] = _plain(name, props[name])
+                listed = props.type(name) == mi.Properties.Type.Spectrum
+                values[name] = _colour(props, name) if listed else _plain(name, props[name])
             elif child.type == mi.ObjectType.Texture:
                 # Mitsuba takes the texture of a bump map by any name.
                 key = "bumpmap" if props.plugin_name() == "bumpmap" else name
@@ -190,6 +191,19 @@ def _plain(name: str, value: Any) -> Any:
     if numbers.shape != (3,):
         raise LumitreeError(f"a parameter {shown(name, 60)!r} of a BSDF is not stored")
     return numbers.tolist()
+
+
+def _colour(props: Any, name: str) -> Any:
+    """A spectrum as the RGB, or the number, that RGB variants of Mitsuba take it for."""
+    # What may exceed 1, and what is light.
+    if name == "radiance":
+        texture = props.get_emissive_texture(name)
+    elif name in ("eta", "k"):
+        texture = props.get_unbounded_texture(name)
+    else:
+        texture = props.get_texture(name)
+    value = np.ravel(np.array(load_mitsuba().traverse(texture)["value"], np.float64)).tolist()
+    return value if len(value) == 3 else value[0]
 
 
 def _media(shape: Any) -> Json:

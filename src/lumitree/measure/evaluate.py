@@ -13,7 +13,7 @@ from lumitree.core.arguments import (
     check_range,
     check_sheet_output,
 )
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import MAX_VIEWS, Dataset
 from lumitree.core.files import FilePath, write_bytes
 from lumitree.core.image_settings import image_settings
@@ -128,7 +128,7 @@ def evaluate(
     check_range("views", num_views, 1, MAX_VIEWS)
     check_irradiance_paths(irradiance_paths)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
-    mi = load_mitsuba(variant)
+    mi = load_rgb(variant)
     from lumitree.measure.irradiance import evaluate_irradiance
     from lumitree.measure.irradiance_figure import draw_irradiance
     from lumitree.measure.view_errors import evaluate_views

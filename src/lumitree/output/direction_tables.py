@@ -5,12 +5,10 @@ Symbols
     H           rows of a table
 """
 
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device
-from lumitree.core.octahedral import bin_of
+from lumitree.core.octahedral import bilinear_bins
 from lumitree.output.point_lights import PointLights
 
 # Directions in a texel of a table, a side, that its value is the mean of.
@@ -49,7 +47,7 @@ def table_angles(height: int) -> NDArray[np.float64]:
 def direction_tables(
     lights: PointLights, local_from_table: NDArray[np.float64], height: int
 ) -> NDArray[np.float64]:
-    """Intensities [S, H, 2H, 3] of lights by direction, interpolated linearly as Cycles does.
+    """Intensities [S, H, 2H, 3] of lights by direction, between which Cycles is linear.
 
     Each table has the flux of its light, channel by channel.
 
@@ -59,16 +57,15 @@ def direction_tables(
     """
     fine = table_directions(height * _SUPERSAMPLED)
     weight = np.hypot(fine[..., 0], fine[..., 1])
-    local = on_device(mi.Vector3f, (fine.reshape(-1, 3) @ local_from_table.T).astype(np.float32))
-    bins = np.array(bin_of(local, lights.resolution)).astype(np.int64)
+    bins, parts = bilinear_bins(fine.reshape(-1, 3) @ local_from_table.T, lights.resolution)
     blocks = (height, _SUPERSAMPLED, 2 * height, _SUPERSAMPLED)
     share = weight.reshape(blocks)
     share = share / share.sum(axis=(1, 3), keepdims=True)
     tables = np.empty((len(lights.position), height, 2 * height, 3))
     for table, intensity in zip(tables, lights.intensity, strict=True):
         for channel in range(3):
-            values = intensity[:, channel][bins].reshape(blocks)
-            table[..., channel] = (values * share).sum(axis=(1, 3))
+            values = (intensity[:, channel][bins] * parts).sum(axis=1)
+            table[..., channel] = (values.reshape(blocks) * share).sum(axis=(1, 3))
     have = np.einsum("shwc,h->sc", tables, table_angles(height))
     want = lights.flux
     factor = np.divide(want, have, out=np.zeros_like(want), where=have > 0)

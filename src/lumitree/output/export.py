@@ -6,7 +6,7 @@ from typing import Literal
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_choice, check_range
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, check_writable
 from lumitree.core.results import Result
 from lumitree.core.seeds import check_seed
@@ -112,7 +112,7 @@ def export(
     check_seed(seed)
     if target.check is not None:
         target.check(blender)
-    load_mitsuba()
+    load_rgb()
     watch = Stopwatch()
     with watch.stage("load"):
         given = open_asset(asset)

@@ -115,13 +115,36 @@ def cluster_points(
     """
     from scipy.cluster.vq import kmeans2
 
+    points = points.astype(np.float64)
+    seeds = _seeds(points, count, random)
     with warnings.catch_warnings():
         # "One of the clusters is empty": it is left out below.
         warnings.simplefilter("ignore", UserWarning)
-        centres, index = kmeans2(
-            points.astype(np.float64), count, _ROUNDS, minit="++", missing="warn", rng=random
-        )
+        centres, index = kmeans2(points, seeds, _ROUNDS, minit="matrix", missing="warn")
     return centres[np.unique(index)]
+
+
+def _seeds(
+    points: NDArray[np.float64], count: int, random: np.random.Generator
+) -> NDArray[np.float64]:
+    """Points [S, 3] at which k-means begins, by k-means++ (Arthur and Vassilvitskii 2007).
+
+    They are those that `kmeans2` of SciPy chooses, in time that grows with the square of `count`.
+    There are fewer than `count` if there are fewer different points.
+    """
+    from scipy.spatial.distance import cdist
+
+    chosen = [int(random.integers(len(points)))]
+    nearest = np.full(len(points), np.inf)
+    while len(chosen) < count:
+        nearest = np.minimum(nearest, cdist(points[chosen[-1:]], points, "sqeuclidean")[0])
+        total = nearest.sum()
+        if not total:
+            break
+        ends = np.cumsum(nearest / total)
+        # Rounding may leave the last end below 1.
+        chosen.append(min(int(np.searchsorted(ends, random.uniform())), len(points) - 1))
+    return points[chosen]
 
 
 def cluster_lights(

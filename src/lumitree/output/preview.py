@@ -9,7 +9,7 @@ from lumitree.core.arguments import (
     check_image_settings,
     check_sheet_output,
 )
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, write_bytes
 from lumitree.core.image_settings import image_settings
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
@@ -134,7 +134,7 @@ def preview(
     if sheet is not None:
         check_sheet_output(sheet)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
-    mi = load_mitsuba(variant)
+    mi = load_rgb(variant)
     if (asset := asset_of(luminaire)) is not None:
         if bounces:
             raise LumitreeError("an asset has no paths to count the bounces of; leave bounces out")

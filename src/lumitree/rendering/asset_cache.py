@@ -16,7 +16,12 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import FilePath
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.lamp.builtin.registry import BUILTIN
-from lumitree.lamp.source import LuminaireSource, refuse_options, source_kind
+from lumitree.lamp.source import (
+    LuminaireSource,
+    gldf_variant,
+    refuse_options,
+    source_kind,
+)
 from lumitree.trace.light_field_config import LightFieldConfig
 
 if TYPE_CHECKING:
@@ -57,11 +62,12 @@ def open_asset(asset: Asset | str | os.PathLike[str]) -> Asset:
         return asset
     if (named := _NAMED.get(os.path.basename(asset))) is not None:
         return named
-    if not os.path.exists(asset):
+    file, variant = gldf_variant(asset)
+    if not os.path.exists(file):
         return _read(asset)
-    path = Path(asset).resolve()
+    path = Path(file).resolve()
     stamp = path.stat()
-    key = (path, stamp.st_mtime_ns, stamp.st_size, stamp.st_ino)
+    key = (path, variant, stamp.st_mtime_ns, stamp.st_size, stamp.st_ino)
     found = _READ.get(key)
     if found is None:
         # As in `shared_field`: of two threads that read a file the first's asset is kept.
@@ -76,7 +82,7 @@ def _read(path: str | os.PathLike[str]) -> Asset:
     if kind == "photometric":
         load_mitsuba()
         # Assets are read without Mitsuba.
-        from lumitree.formats.light_field import bake_file
+        from lumitree.formats.file_bakes import bake_file
 
         return bake_file(path, LightFieldConfig())
     name = os.fspath(path)
@@ -102,9 +108,9 @@ def load(path: FilePath) -> Asset:
     """Read an asset from a file, and check it. Nothing in the file is executed.
 
     Args:
-        path: path of a `.lumitree` file; or of a photometric file (`.ies`, `.ldt`) or a ray file
-            (`.ray`, `.tm25ray`), of which an asset is made as by `bake`. While an asset is in use,
-            further calls for its file return the same one.
+        path: path of a `.lumitree` file; or of a photometric file (`.ies`, `.ldt`, `.gldf`,
+            `.tm33`) or a ray file (`.ray`, `.tm25ray`), of which an asset is made as by `bake`.
+            While an asset is in use, further calls for its file return the same one.
 
     Returns:
         The asset.

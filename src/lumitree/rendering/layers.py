@@ -54,14 +54,14 @@ class Unrecorded:
         self,
         record: dict[str, Any],
         emitter: mi.EmitterPtr,
-        radiance: mi.Color3f,
+        radiance: mi.Spectrum,
         seen: mi.Bool,
         active: mi.Bool,
     ) -> None:
         pass
 
     def add_surface(
-        self, record: dict[str, Any], si: mi.SurfaceInteraction3f, β: mi.Color3f, active: mi.Bool
+        self, record: dict[str, Any], si: mi.SurfaceInteraction3f, β: mi.Spectrum, active: mi.Bool
     ) -> None:
         pass
 
@@ -111,7 +111,7 @@ class Layers(Unrecorded):
         self,
         record: dict[str, Any],
         emitter: mi.EmitterPtr,
-        radiance: mi.Color3f,
+        radiance: mi.Spectrum,
         seen: mi.Bool,
         active: mi.Bool,
     ) -> None:
@@ -131,7 +131,7 @@ class Layers(Unrecorded):
                 record[kind][index] += radiance & (active & mask & (group == index))
 
     def add_surface(
-        self, record: dict[str, Any], si: mi.SurfaceInteraction3f, β: mi.Color3f, active: mi.Bool
+        self, record: dict[str, Any], si: mi.SurfaceInteraction3f, β: mi.Spectrum, active: mi.Bool
     ) -> None:
         """Record the first surface of each path that is not specular."""
         first = active & ~record["found"]

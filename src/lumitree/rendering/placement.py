@@ -18,9 +18,9 @@ class Placement:
     """A luminaire in a scene.
 
     Attributes:
-        source: an asset, or the path of a `.lumitree` file, a photometric file (`.ies`, `.ldt`) or
-            a ray file (`.ray`, `.tm25ray`); or a luminaire, as for `lumitree.bake`, whose explicit
-            geometry is placed.
+        source: an asset, or the path of a `.lumitree` file, a photometric file (`.ies`, `.ldt`,
+            `.gldf`, `.tm33`) or a ray file (`.ray`, `.tm25ray`); or a luminaire, as for
+            `lumitree.bake`, whose explicit geometry is placed.
         at: [3] centre of its bounding box, scene units; default: where its own file has it.
         size: largest side of its bounding box, scene units; default: its own size.
         rotate: [4] axis x, y, z and angle in degrees, about the centre.

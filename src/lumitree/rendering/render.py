@@ -156,7 +156,8 @@ def render(
         so_far: function that is called with the image so far, without layers and before denoising,
             after the first pass and then every two seconds or more.
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
-        variant: Mitsuba variant; see `bake`.
+        variant: Mitsuba variant, as for `bake`; or "llvm_ad_spectral" or "cuda_ad_spectral", which
+            render spectra, but neither `denoise`, `layers` nor `aov`.
         progress: function that is called with a `Progress` after each pass; see `bake`.
 
     Returns:
@@ -175,6 +176,10 @@ def render(
     check_seed(seed)
     check_view(view)
     mi = load_mitsuba(variant)
+    if mi.is_spectral and (denoise or layers or aov):
+        raise LumitreeError(
+            f"denoise, layers and aov need an RGB variant of Mitsuba, not {mi.variant()}"
+        )
     from lumitree.rendering.denoise import check_denoiser, denoised
     from lumitree.rendering.passes import Budget
 

@@ -47,4 +47,4 @@ class LampRays:
         It is an estimate of the flux of the bare emitters, local units.
         """
         sampler = seeded_sampler(seed, count)
-        return as_rows(emitted_flux(self._luminaire, sampler, count)).sum(axis=0)
+        return as_rows(emitted_flux(self._luminaire, sampler, count)[0]).sum(axis=0)

@@ -87,19 +87,20 @@ def trace_light(
     return paths
 
 
-def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> Any:
-    """Flux (mi.Color3f) with which `count` light paths start, before the luminaire absorbs any.
+def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> tuple[Any, Any]:
+    """Flux with which `count` light paths start, before the luminaire absorbs any.
 
     Args:
         sampler: mi.Sampler, seeded for as many paths. Seeded as for `trace_light`, the paths start
             alike.
 
     Returns:
-        Flux of each path, local units; the sum is an estimate of the flux of the bare emitters.
+        mi.Color3f, flux of each path, local units, whose sum is an estimate of the flux of the bare
+        emitters; and mi.UInt32, the path's emitter as its index in the scene.
     """
     scene = luminaire.scene
-    _, flux = _emit(scene, sampler, scene_extent(scene))
-    return flux * dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2))
+    _, flux, emitter = _emit(scene, sampler, scene_extent(scene))
+    return flux * dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2)), emitter
 
 
 def _shading_correction(si, bsdf, sample, arriving, leaving):
@@ -119,7 +120,7 @@ def _shading_correction(si, bsdf, sample, arriving, leaving):
 def _trace(scene, sampler, path_depth, reservoir):
     context = mi.BSDFContext(mi.TransportMode.Importance)
     extent = scene_extent(scene)
-    ray, light = _emit(scene, sampler, extent)
+    ray, light = _emit(scene, sampler, extent)[:2]
     flux = mi.Color3f(light)
     # Where the last chain of transmissions began, and its direction there.
     start, start_direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
@@ -196,13 +197,13 @@ def _trace(scene, sampler, path_depth, reservoir):
 
 
 def _emit(scene, sampler, extent):
-    """Rays of light paths that start, and their flux (mi.Color3f), world units."""
+    """Rays of light paths that start; their flux (mi.Color3f), world units; and their emitters."""
     index, chance, _ = scene.sample_emitter(sampler.next_1d())
     emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index)
     samples = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
     ray, weight = emitter.sample_ray(0, *samples)
     ray, factor = _emit_about_true_normal(scene, emitter, *samples, mi.Ray3f(ray), extent)
-    return ray, mi.Color3f(weight * chance * factor)
+    return ray, mi.Color3f(weight * chance * factor), index
 
 
 def _emit_about_true_normal(scene, emitter, wavelength, place, chosen, ray, extent):

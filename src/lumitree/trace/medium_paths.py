@@ -6,12 +6,13 @@ weight is over the mean density of all three along the whole path (Wilkie et al.
 Wavelength Spectral Sampling). A medium that only absorbs attenuates a segment exactly and needs no
 random number.
 
-All functions take the mi.MediumPtr of each path, which may be none.
+All functions take the mi.MediumPtr of each path, which may be none. In spectral variants they need
+its wavelengths.
 
 Symbols
     σ_s, σ_t    scattering and extinction, per scene unit
     T           transmittance of a segment: exp(-σ_t · length)
-    ρ           mi.Color3f, densities of the path so far, if sampled for R, G and B, over their mean
+    ρ           mi.Spectrum, densities of the path so far, sampled for each channel, over their mean
 """
 
 from typing import Any
@@ -20,52 +21,60 @@ import drjit as dr
 import mitsuba as mi
 
 
-def coefficients(medium: Any, active: Any) -> tuple[Any, Any]:
-    """σ_s and σ_t (mi.Color3f), 0 outside of media: any point of a homogeneous medium will do."""
+def coefficients(medium: Any, active: Any, wavelengths: Any = None) -> tuple[Any, Any]:
+    """σ_s and σ_t (mi.Spectrum), 0 outside of media: any point of a homogeneous medium will do."""
     inside = active & (medium != None)  # noqa: E711 (a vector comparison)
-    scattering, _, extinction = medium.get_scattering_coefficients(
-        dr.zeros(mi.MediumInteraction3f), inside
-    )
-    return scattering, extinction
+    anywhere = dr.zeros(mi.MediumInteraction3f)
+    if wavelengths is not None and mi.is_spectral:
+        anywhere.wavelengths = wavelengths
+    scattering, _, extinction = medium.get_scattering_coefficients(anywhere, inside)
+    return mi.Spectrum(scattering), mi.Spectrum(extinction)
 
 
 def draw_channel(sampler: Any) -> Any:
     """Index (mi.UInt32) of the channel for which a path is sampled."""
-    return mi.UInt32(dr.minimum(3 * sampler.next_1d(), 2))
+    channels = dr.size_v(mi.Spectrum)
+    return mi.UInt32(dr.minimum(channels * sampler.next_1d(), channels - 1))
 
 
-def free_flight(medium: Any, channel: Any, sampler: Any, active: Any) -> Any:
+def free_flight(
+    medium: Any, channel: Any, sampler: Any, active: Any, wavelengths: Any = None
+) -> Any:
     """Distance (mi.Float) to the next scattering in a medium; infinite where nothing scatters."""
-    scattering, extinction = coefficients(medium, active)
+    scattering, extinction = coefficients(medium, active, wavelengths)
     scatters = active & (dr.max(scattering) > 0)
-    rate = dr.select(
-        channel == 0, extinction.x, dr.select(channel == 1, extinction.y, extinction.z)
-    )
+    *others, rate = extinction
+    for index in reversed(range(len(others))):
+        rate = dr.select(channel == index, others[index], rate)
     distance = -dr.log(1 - sampler.next_1d(scatters)) * dr.rcp(rate)
     return dr.select(scatters & (rate > 0), distance, dr.inf)
 
 
-def segment_weight(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[Any, Any]:
+def segment_weight(
+    medium: Any, distance: Any, ρ: Any, active: Any, wavelengths: Any = None
+) -> tuple[Any, Any]:
     """A segment that ends before the `free_flight`.
 
     Returns:
-        Its weight (mi.Color3f), T over the chance of that; and ρ after it.
+        Its weight (mi.Spectrum), T over the chance of that; and ρ after it.
     """
-    scattering, extinction = coefficients(medium, active)
+    scattering, extinction = coefficients(medium, active, wavelengths)
     through = _transmittance(extinction, distance)
     return _weighted(through, dr.select(dr.max(scattering) > 0, through, 1), ρ)
 
 
-def scattering_weight(medium: Any, distance: Any, ρ: Any, active: Any) -> tuple[Any, Any]:
+def scattering_weight(
+    medium: Any, distance: Any, ρ: Any, active: Any, wavelengths: Any = None
+) -> tuple[Any, Any]:
     """A segment that ends by scattering, as `segment_weight`: σ_s T over its density."""
-    scattering, extinction = coefficients(medium, active)
+    scattering, extinction = coefficients(medium, active, wavelengths)
     through = _transmittance(extinction, distance)
     return _weighted(scattering * through, extinction * through, ρ)
 
 
-def transmittance(medium: Any, distance: Any, active: Any) -> Any:
-    """T (mi.Color3f) of a segment."""
-    return _transmittance(coefficients(medium, active)[1], distance)
+def transmittance(medium: Any, distance: Any, active: Any, wavelengths: Any = None) -> Any:
+    """T (mi.Spectrum) of a segment."""
+    return _transmittance(coefficients(medium, active, wavelengths)[1], distance)
 
 
 def medium_after(si: Any, direction: Any, medium: Any, active: Any) -> Any:
@@ -85,7 +94,7 @@ def scattering_point(ray: Any, distance: Any) -> Any:
 
 
 def eval_phase(medium: Any, ray: Any, wo: Any, active: Any) -> tuple[Any, Any]:
-    """Value (mi.Color3f) and density of the phase function for a ray that arrives.
+    """Value (mi.Spectrum) and density of the phase function for a ray that arrives.
 
     Args:
         ray: mi.Ray3f.
@@ -93,7 +102,7 @@ def eval_phase(medium: Any, ray: Any, wo: Any, active: Any) -> tuple[Any, Any]:
     """
     context = mi.PhaseFunctionContext(None)
     value, pdf = medium.phase_function().eval_pdf(context, _scattering(ray), wo, active)
-    return mi.Color3f(value), pdf
+    return mi.Spectrum(value), pdf
 
 
 def sample_phase(medium: Any, ray: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
@@ -120,4 +129,4 @@ def _weighted(value: Any, density: Any, ρ: Any) -> tuple[Any, Any]:
 
 def _transmittance(extinction: Any, distance: Any) -> Any:
     # A ray that meets nothing is infinite, and 0 · ∞ is not a number.
-    return dr.select(extinction > 0, dr.exp(-extinction * distance), 1)
+    return mi.Spectrum(dr.select(extinction > 0, dr.exp(-extinction * distance), 1))

@@ -26,8 +26,8 @@ def nodes_of(tree):
             yield from nodes_of(value)
 
 
-def test_emission_has_the_gain_of_the_asset():
-    """As numbers, and as a node where a texture emits."""
+def test_emission_has_the_gain_of_the_asset_and_the_tint_of_the_lamp():
+    """The gain as numbers, or as a node where a texture emits; the tint as a node with a driver."""
     from lumitree.output.blender.surfaces import Surfaces
 
     geometry = small_geometry()
@@ -39,7 +39,10 @@ def test_emission_has_the_gain_of_the_asset():
             for each in nodes_of(Surfaces(geometry, (2.0, 1.0, 0.5)).tree(shape))
             if each["node"] == "ShaderNodeEmission"
         )
-        colours.append(emission["inputs"]["Color"])
+        product = emission["inputs"]["Color"]
+        assert product["set"]["blend_type"] == "MULTIPLY"
+        assert product["inputs"][7]["set"]["name"] == "lumitree tint"
+        colours.append(product["inputs"][6])
     assert colours[:2] == [[6.0, 2.0, 0.5], [5.0, 2.5, 1.25]]
     assert colours[2]["set"]["blend_type"] == "MULTIPLY"
     assert colours[2]["inputs"][7] == [2.0, 1.0, 0.5]

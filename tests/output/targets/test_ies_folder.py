@@ -38,7 +38,7 @@ def lobes():
     random = np.random.default_rng(3)
     axes = random.normal(size=(6, 3, 3))
     axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-    lobe = np.exp(8 * (np.einsum("ckx,bx->cbk", axes, middle_directions(32)) - 1))
+    lobe = np.exp(4 * (np.einsum("ckx,bx->cbk", axes, middle_directions(16)) - 1))
     intensity = lobe @ random.random((3, 3)) + 0.05
     cells = np.array([[1, 2, 3], [6, 2, 3], [4, 4, 4], [5, 7, 0], [0, 0, 0], [2, 6, 7]])
     return light_field_asset(make_light_field(cells, intensity, 3), FRAME, "lobes")

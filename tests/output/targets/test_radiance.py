@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lumitree
+from lumitree.core.frames import rotation
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.output.targets.radiance import EFFICACY, LUMA, radiance_intensity
@@ -29,7 +30,8 @@ def lumens(rgb):
 def radiance(folder, *command, text=""):
     """Output of one of Radiance's programs, from the package pyradiance."""
     home = Path(found.submodule_search_locations[0])
-    environment = {**os.environ, "RAYPATH": f".:{home / 'lib'}"}
+    path = f"{home / 'bin'}:{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "RAYPATH": f".:{home / 'lib'}"}
     program = [str(home / "bin" / command[0]), *map(str, command[1:])]
     run = subprocess.run(
         program, cwd=folder, env=environment, input=text.encode(), capture_output=True
@@ -109,6 +111,27 @@ def test_radiance_illuminates_planes_as_lumitree_does(mi, tmp_path, name):
     have = illuminance(tmp_path, z_up(points), z_up(normals), "-ab", 0, "-dt", 0)
     assert np.sqrt(np.mean((have - expected) ** 2) / np.mean(expected**2)) < 0.02
     assert have.mean() == pytest.approx(expected.mean(), rel=0.01)
+
+
+@needs_radiance
+def test_a_lamp_is_moved_by_xform(tmp_path):
+    """As the how-to page says; the lamp, its tables and the points turn together."""
+    lumitree.export(lamp(), tmp_path / "lamp.rad", lights=4)
+    (tmp_path / "moved.rad").write_text("!xform -s 2 -rz 30 -t 1 2 0 lamp.rad\n")
+    random = np.random.default_rng(1)
+    points = z_up(FRAME.centre + 10 * random.normal(size=(50, 3)))
+    normals = random.normal(size=(50, 3))
+    have = []
+    turn = rotation([0, 0, 1], 30)
+    for name, scale, matrix, offset in (
+        ("lamp.rad", 1, np.eye(3), 0), ("moved.rad", 2, turn, [1, 2, 0]),
+    ):  # fmt: skip
+        (tmp_path / "scene.oct").write_bytes(radiance(tmp_path, "oconv", name))
+        places = scale * points @ matrix.T + offset
+        have.append(illuminance(tmp_path, places, normals @ matrix.T, "-ab", 0, "-dt", 0))
+    assert have[0].max() > 0
+    # Radiance of the same surfaces, all sizes doubled.
+    np.testing.assert_allclose(have[1], have[0], rtol=1e-3, atol=1e-4 * have[0].max())
 
 
 HALF, GREY = 8.0, 0.3

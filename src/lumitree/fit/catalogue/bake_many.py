@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lumitree.core.arguments import check_asset_output
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import MANIFEST
 from lumitree.core.files import FilePath, WriteError, exclusive
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
@@ -26,7 +26,13 @@ from lumitree.fit.catalogue.record import LampFiles, LampRecord, settings_text
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.sources import applicable, bake_source, warn_of_unused
 from lumitree.lamp.builtin.registry import BUILTIN
-from lumitree.lamp.source import LuminaireSource, as_source, dataset_folder, source_kind
+from lumitree.lamp.source import (
+    LuminaireSource,
+    as_source,
+    dataset_folder,
+    gldf_variant,
+    source_kind,
+)
 
 # Interval at which a lamp is tried again that another process works on, s.
 _AGAIN_SECONDS = 0.5
@@ -108,7 +114,7 @@ def bake_many(
     named = _named([as_source(each) for each in luminaires], root)
     config = BakeConfig.standard() if config is None else config
     warn_of_unused(named.values(), config)
-    load_mitsuba(variant)
+    load_rgb(variant)
     lamps = [BakedLamp(name, source.name, "waiting") for name, source in named.items()]
     stopped_by = None
     jobs = deque(
@@ -162,7 +168,7 @@ def _named(sources: Sequence[LuminaireSource], folder: Path) -> dict[str, Lumina
     # Some file systems do not distinguish upper and lower case.
     taken: dict[str, str] = {}
     for source in sources:
-        name = source.name if source.name in BUILTIN else Path(source.name).stem
+        name = source.name if source.name in BUILTIN else Path(gldf_variant(source.name)[0]).stem
         if (other := taken.get(name.casefold())) is not None:
             raise LumitreeError(
                 f"{shown(other, 200)} and {shown(source.name, 200)} would both be written to "
@@ -241,9 +247,10 @@ class _Job:
 
     def _loaded(self) -> tuple[str, Any]:
         """Fingerprint of the luminaire, and what `bake` gets for it."""
-        path = Path(self.source.name)
         if source_kind(self.source) == "photometric":
-            return _digest(path, "a photometric file"), self.source
+            path, variant = gldf_variant(self.source.name)
+            digest = _digest(Path(path), "a photometric file")
+            return digest if variant is None else f"{digest}#{variant}", self.source
         if (dataset := dataset_folder(self.source)) is not None:
             return _digest(dataset / MANIFEST, "a dataset"), self.source
         from lumitree.lamp.loading import load_luminaire

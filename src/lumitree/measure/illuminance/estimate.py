@@ -173,17 +173,17 @@ def estimate(
             samples = int(np.clip(_AT_ONCE // max(len(left), 1), _MIN_SAMPLES, _MAX_SAMPLES))
     # Samples share the error of S.
     rest = largest**2 * summed_variance
-    found = [
-        direct.mean,
-        np.sqrt(direct.variance + rest),
-        total.mean,
-        np.sqrt(total.variance + rest),
-    ]
-    dark = np.flatnonzero(found[2] == 0)
-    enclosed = dark[sampler.enclosed(dark)]
-    for values in found:
-        values[enclosed] = np.nan
-    return Estimate(*found, total.number)
+    dark = np.flatnonzero(total.mean == 0)
+    # Unknown inside solids: NaN.
+    known = np.ones(count)
+    known[dark[sampler.enclosed(dark)]] = np.nan
+    return Estimate(
+        known * direct.mean,
+        known * np.sqrt(direct.variance + rest),
+        known * total.mean,
+        known * np.sqrt(total.variance + rest),
+        total.number,
+    )
 
 
 class _Sampler:

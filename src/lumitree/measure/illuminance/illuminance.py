@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.arguments import check_range
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, check_writable, write_bytes, write_json
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import Result
@@ -185,7 +185,7 @@ def illuminance(
         check_range("time", time, 1e-3, 1e7)
     check_seed(seed)
     metres = metres_of(unit)
-    load_mitsuba(variant)
+    load_rgb(variant)
     from lumitree.measure.illuminance.estimate import estimate
     from lumitree.rendering.scene import load_room, open_placements, place_luminaires, scene_title
 

@@ -47,7 +47,7 @@ def receivers(
     place = [np.repeat(each, count, axis=0) for each in (points, normals)]
     si = dr.zeros(mi.SurfaceInteraction3f, len(points) * count)
     si.p = on_device(mi.Point3f, place[0])
-    si.n = mi.Normal3f(dr.normalize(on_device(mi.Vector3f, place[1])))
+    si.n = dr.normalize(on_device(mi.Vector3f, place[1]))
     si.sh_frame = mi.Frame3f(si.n)
     return si
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
+from lumitree.asset.spectrum import EmittedSpectrum
 from lumitree.core.frames import LocalFrame, similarity
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
@@ -23,6 +24,7 @@ from lumitree.measure.batches import BATCHES, RayBatches
 from lumitree.measure.photometry.near_field import NearFieldTest
 from lumitree.rendering.asset_rays import AssetRays
 from lumitree.trace.emitted_rays import EmittedRays, RayBatch
+from lumitree.trace.emitted_spectrum import emitted_spectrum
 from lumitree.trace.lamp_rays import LampRays
 
 Up = Literal["y", "z"]
@@ -45,12 +47,14 @@ class Source:
         rays: that leave it.
         bare_flux: function of a number of samples and a seed: flux [3] of the bare emitters of the
             rays of that draw, local units; None if it is not known.
+        spectrum: of the bare emitters; None if it is not known.
     """
 
     name: str
     frame: LocalFrame
     rays: EmittedRays
     bare_flux: Callable[[int, int], NDArray[np.float64]] | None = None
+    spectrum: EmittedSpectrum | None = None
 
 
 def oriented(source: Source, unit: float, up: Up) -> Source:
@@ -73,12 +77,13 @@ def oriented(source: Source, unit: float, up: Up) -> Source:
 def luminaire_source(luminaire: Luminaire) -> Source:
     """Light paths of a luminaire."""
     rays = LampRays(luminaire)
-    return Source(luminaire.name, luminaire.frame, rays, rays.bare_flux)
+    spectrum = emitted_spectrum(luminaire)
+    return Source(luminaire.name, luminaire.frame, rays, rays.bare_flux, spectrum)
 
 
 def asset_source(asset: Asset) -> Source:
     """Rays sampled from the emission of an asset: of its light field if it has one."""
-    return Source(asset.luminaire, asset.frame, AssetRays(asset))
+    return Source(asset.luminaire, asset.frame, AssetRays(asset), spectrum=asset.spectrum)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -96,6 +101,7 @@ class Measurement:
         size: [3] sides of the bounding box, m.
         num_rays: number of samples.
         rays: rays that were kept.
+        spectrum: of the bare emitters; None if it is not known.
     """
 
     name: str
@@ -108,6 +114,7 @@ class Measurement:
     size: NDArray[np.float64]
     num_rays: int
     rays: Rays
+    spectrum: EmittedSpectrum | None
 
 
 def measure(
@@ -160,6 +167,7 @@ def measure(
         size=np.abs(source.frame.rotation) @ source.frame.size,
         num_rays=pieces.count * pieces.size,
         rays=Rays.joined(kept),
+        spectrum=source.spectrum,
     )
 
 

@@ -10,6 +10,7 @@ from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import IntensityDistribution
 from lumitree.measure.batches import jackknife
+from lumitree.measure.photometry.colour import colour_figures
 from lumitree.measure.photometry.far_field import Measurement
 from lumitree.measure.photometry.figures import (
     BEAM,
@@ -70,6 +71,8 @@ def evaluated(measurement: Measurement) -> PhotometricData:
         field_angles=angles[FIELD],
         colour_temperature=Estimate(kelvin, kelvin_error) if math.isfinite(kelvin_error) else None,
         duv=Estimate(duv, duv_error) if math.isfinite(duv_error) else None,
+        spectrum_share=0.0 if measurement.spectrum is None else measurement.spectrum.share,
+        emitted_colour=colour_figures(measurement.spectrum, measurement.watts.mean(axis=0)),
     )
     size = measurement.size
     distribution = IntensityDistribution(

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.formats.type_c import Grid, IntensityDistribution
+from lumitree.measure.photometry.colour import ColourFigures
 from lumitree.measure.photometry.near_field import NearFieldLimit
 
 # Parts of the largest intensity of a plane at which the beam and the field end.
@@ -56,9 +57,11 @@ class PhotometricFigures:
         beam_angles: by plane, "C0-C180" and "C90-C270": angle around the plane's largest intensity
             in which the intensity is at least half of it, degrees; 360 if it is so everywhere.
         field_angles: the same for a tenth.
-        colour_temperature: correlated colour temperature of the mean colour, K; None if it is not
-            defined for this colour.
-        duv: distance of the mean colour from the Planckian locus, CIE 1960 (u, v); positive above.
+        colour_temperature: correlated colour temperature of the mean colour of the light that
+            leaves, by its RGB, K; None if it is not defined for this colour.
+        duv: distance of this colour from the Planckian locus, CIE 1960 (u, v); positive above.
+        spectrum_share: part of the luminous flux of the bare emitters whose spectrum is known.
+        emitted_colour: colour of the bare emitters by their spectrum; None if it is not known.
     """
 
     lumens: Estimate
@@ -72,6 +75,8 @@ class PhotometricFigures:
     field_angles: dict[str, Estimate]
     colour_temperature: Estimate | None
     duv: Estimate | None
+    spectrum_share: float
+    emitted_colour: ColourFigures | None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

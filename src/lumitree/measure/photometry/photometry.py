@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_choice, check_range
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, check_writable
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import ImageResult
@@ -20,11 +20,7 @@ from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.units import metres_of
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
-from lumitree.lamp.source import (
-    PHOTOMETRIC_SUFFIXES,
-    RAY_SUFFIXES,
-    source_kind,
-)
+from lumitree.lamp.source import RAY_SUFFIXES, WRITTEN_SUFFIXES, source_kind
 from lumitree.measure.photometry.figures import PhotometricFigures
 from lumitree.measure.photometry.near_field import NearFieldLimit
 from lumitree.rendering.asset_cache import asset_of
@@ -42,7 +38,7 @@ MIN_PATHS = 1 << 14
 MAX_PATHS, MAX_FILE_RAYS = 1 << 32, 1 << 24
 # Samples whose rays a ray file gets.
 FILE_RAYS = 1 << 18
-OUTPUTS = (*PHOTOMETRIC_SUFFIXES, ".html", ".pdf")
+OUTPUTS = (*WRITTEN_SUFFIXES, ".html", ".pdf")
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -137,7 +133,7 @@ def photometry(
     check_seed(seed)
     check_choice("up", up, ("y", "z"))
     metres = metres_of(unit)
-    load_mitsuba(variant)
+    load_rgb(variant)
     from lumitree.formats.type_c import Grid
     from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.photometry.far_field import (

@@ -47,6 +47,11 @@ _NOTES = (
     "within 5 % of intensity / distance², in a cone of 5 degrees. At shorter distances a "
     "photometric file is wrong by more; use the asset instead.",
 )
+_COLOUR_NOTE = (
+    "Colour rendering is that of the spectrum of the bare emitters. Glass, shades and a gain shift "
+    "the colour by the distance that is stated; above about 0.003 the light that leaves renders "
+    "colours differently."
+)
 _UGR_TITLE = "UGR: five columns crosswise, five endwise"
 _UGR_NOTE = (
     "Unified Glare Rating by CIE 117:1995 and CIE 190:2010, for a ceiling of equal luminaires, a "
@@ -84,9 +89,9 @@ def write_pdf(path: str | os.PathLike[str], data: PhotometricData) -> None:
         [NEAR_FIELD_HEADER, *near_field_rows(data.near_field)],
         (0.08, 0.32, 0.47, 0.66),
     )
-    for note in _NOTES:
+    for note in _notes(data):
         figure.text(0.08, y - 0.012, _wrapped(note), fontsize=7.5, va="top", color="#57534e")
-        y -= 0.042
+        y -= 0.03
     pages = [figure] if data.ugr is None else [figure, _ugr_page(data.ugr)]
     stream = io.BytesIO()
     with PdfPages(stream) as file:
@@ -109,7 +114,7 @@ def write_html(path: str | os.PathLike[str], data: PhotometricData) -> None:
     """Write the report as an HTML file that loads nothing."""
     name = html.escape(shown(data.distribution.name))
     image = base64.b64encode(plots_png(data)).decode()
-    notes = "\n".join(f'<p class="note">{html.escape(note)}</p>' for note in _NOTES)
+    notes = "\n".join(f'<p class="note">{html.escape(note)}</p>' for note in _notes(data))
     text = f"""<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
@@ -134,6 +139,10 @@ def _html_ugr(ugr: NDArray[np.float64] | None) -> str:
         return ""
     table = _html_table(ugr_rows(ugr), UGR_HEADER)
     return f'<h2>{_UGR_TITLE}</h2>\n{table}\n<p class="note">{html.escape(_UGR_NOTE)}</p>'
+
+
+def _notes(data: PhotometricData) -> tuple[str, ...]:
+    return _NOTES if data.figures.emitted_colour is None else (*_NOTES, _COLOUR_NOTE)
 
 
 def _figure_rows(data: PhotometricData) -> list[tuple[str, str]]:
@@ -185,7 +194,7 @@ def _table(
     for row in rows:
         for x, text in zip(columns, row, strict=True):
             figure.text(x, y, text, fontsize=8.5)
-        y -= 0.0165
+        y -= 0.015
     return y
 
 

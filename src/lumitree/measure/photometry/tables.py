@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.measure.photometry.colour import RenderingIndices
 from lumitree.measure.photometry.figures import PLANES, Estimate, PhotometricFigures
 from lumitree.measure.photometry.near_field import NearFieldLimit
 from lumitree.measure.photometry.ugr import CATALOGUE_ROOM, REFLECTANCES, ROOMS
@@ -51,12 +52,41 @@ def figure_rows(
     rows += [
         ("colour temperature", "not defined" if temperature is None else f"{temperature} K"),
         ("Duv", "not defined" if figures.duv is None else str(figures.duv)),
+        *_colour_rows(figures),
         ("UGR, 4H x 8H, 70/50/20", _catalogue_ugr(ugr)),
         ("size of the bounding box", " x ".join(f"{side:.4g}" for side in size) + " m"),
         ("angular step", f"{step:g}°"),
         ("rays", f"{rays:,}"),
     ]
     return rows
+
+
+def _colour_rows(figures: PhotometricFigures) -> list[tuple[str, str]]:
+    """Rows of the bare emitters' spectrum, or one that says why there are none."""
+    colour, share = figures.emitted_colour, figures.spectrum_share
+    if colour is None:
+        why = "the emitters have RGB colours, no spectrum"
+        if share > 0:
+            why = f"emitters with {1 - share:.1%} of the flux have RGB colours, no spectrum"
+        return [("colour rendering", f"not known: {why}")]
+    kelvin = colour.colour_temperature
+    cct = "not defined" if kelvin is None else f"{kelvin:,.0f} K"
+    return [
+        ("CCT of the emitters", f"{cct}, Duv {colour.duv:.4f}, by their spectrum"),
+        *([] if kelvin is None else _rendering_rows(colour.rendering)),
+        ("colour shift by the lamp", f"{colour.shift:.4f} in (u', v')"),
+    ]
+
+
+def _rendering_rows(rendering: RenderingIndices | None) -> list[tuple[str, str]]:
+    cri, tm30 = "CRI of the emitters", "TM-30 of the emitters"
+    if rendering is None:
+        needed = "needs the package colour-science: pip install 'lumitree[colour]'"
+        return [(cri, needed), (tm30, needed)]
+    return [
+        (cri, f"Ra {rendering.ra:.0f}, R9 {rendering.r9:.0f}"),
+        (tm30, f"Rf {rendering.rf:.0f}, Rg {rendering.rg:.0f}"),
+    ]
 
 
 def _catalogue_ugr(ugr: NDArray[np.float64] | None) -> str:

@@ -5,9 +5,10 @@
     python lamp.py lamp.blend                                 # the same, with the module bpy
 
 In Blender: Scripting, Open, Run Script. The lamp is a collection of the scene. Move, rotate and
-scale its empty; the property "gain" of the empty is a factor on the light. Lengths are metres, z is
-up. Point lights illuminate the scene. Camera rays and mirror images show the lamp's own surfaces,
-which neither illuminate nor cast shadows.
+scale its empty. Its property "gain" is a factor on the light, and "tint" has factors on red, green
+and blue; "watts" is the flux without these factors at a scale of 1. Lengths are metres, z is up.
+Point lights illuminate the scene. Camera rays and mirror images show the lamp's own surfaces, which
+neither illuminate nor cast shadows.
 """
 
 import base64
@@ -20,6 +21,9 @@ import bpy  # type: ignore[import-not-found]
 import numpy as np
 
 DATA = """@@DATA@@"""
+# Variables of drivers: paths of properties of the lamp's empty. Besides, there is its "scale".
+VARIABLES = {"gain": '["gain"]'}
+VARIABLES |= {name: f'["tint"][{i}]' for i, name in enumerate(("red", "green", "blue"))}
 
 
 def read_data():
@@ -40,6 +44,12 @@ class Lamp:
         self.empty.empty_display_size = description["radius"]
         self.empty["gain"] = 1.0
         self.empty.id_properties_ui("gain").update(min=0.0, description="Factor on the light")
+        self.empty["tint"] = [1.0, 1.0, 1.0]
+        text = "Factors on the red, green and blue of the light"
+        self.empty.id_properties_ui("tint").update(min=0.0, description=text)
+        for name in ("watts", "temperature"):
+            if name in description:
+                self.empty[name] = description[name]
         self.collection.objects.link(self.empty)
 
     def build(self):
@@ -73,6 +83,8 @@ class Lamp:
         tree.links.new(emission.outputs[0], output.inputs["Surface"])
         # Flux grows as the area of what emits.
         drive(data, "energy", self.empty, f"{light['watts']!r} * gain * scale * scale")
+        for channel, factor in enumerate(("red", "green", "blue")):
+            drive(data, "color", self.empty, factor, channel)
         self.add(data.name, data).location = light["position"]
 
     def add_mesh(self, index, tree, absorption):
@@ -113,6 +125,9 @@ class Lamp:
             made.image = self.image(*tree["image"])
         if made.name == "lumitree gain":
             drive(made.outputs[0], "default_value", self.empty, "gain")
+        if made.name == "lumitree tint":
+            for channel, factor in enumerate(("red", "green", "blue")):
+                drive(made.inputs[channel], "default_value", self.empty, factor)
         for key, value in tree["inputs"].items():
             socket = made.inputs[int(key) if key.isdigit() else key]
             if isinstance(value, dict):
@@ -163,20 +178,24 @@ def set_value(socket, value):
     socket.default_value = [*colour, 1.0] if socket.type == "RGBA" else colour
 
 
-def drive(owner, path, empty, expression):
-    """A driver with `gain` and `scale` of the lamp's empty; Blender needs no permission for it."""
-    driver = owner.driver_add(path).driver
-    for name in ("gain", "scale"):
+def drive(owner, path, empty, expression, channel=-1):
+    """A driver by `VARIABLES` and `scale` of the lamp's empty; Blender needs no permission for it.
+
+    Names in the expression stand between spaces. `channel` is that of a colour.
+    """
+    driver = owner.driver_add(path, channel).driver
+    words = set(expression.split())
+    for name in sorted(words & {"scale", *VARIABLES}):
         variable = driver.variables.new()
         variable.name = name
-        if name == "gain":
-            variable.targets[0].id = empty
-            variable.targets[0].data_path = '["gain"]'
-        else:
+        if name == "scale":
             variable.type = "TRANSFORMS"
             variable.targets[0].id = empty
             variable.targets[0].transform_type = "SCALE_AVG"
             variable.targets[0].transform_space = "WORLD_SPACE"
+        else:
+            variable.targets[0].id = empty
+            variable.targets[0].data_path = VARIABLES[name]
     driver.expression = expression
 
 

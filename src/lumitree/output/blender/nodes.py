@@ -22,6 +22,13 @@ SCALED_GAIN: Json = {
     "inputs": {},
     "output": 0,
 }
+# The lamp's factors on red, green and blue, likewise.
+TINT: Json = {
+    "node": "ShaderNodeCombineXYZ",
+    "set": {"name": "lumitree tint"},
+    "inputs": {},
+    "output": 0,
+}
 _EXTENSIONS = {"repeat": "REPEAT", "mirror": "MIRROR", "clamp": "EXTEND"}
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lumitree.asset.asset import Asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.frames import similarity
+from lumitree.core.photometry import colour_temperature
 from lumitree.errors import shown
 from lumitree.output.blender.surfaces import Surfaces, absorption_inside
 from lumitree.output.direction_tables import direction_tables
@@ -111,7 +112,7 @@ def _light_data(
     # A point light of P watts has the intensity P / 4π, times its texture. Cycles chooses lights by
     # their watts, whatever the texture, so these are the flux: the mean of R, G and B.
     relative = tables * (4 * np.pi / local.flux.mean(axis=1))[:, None, None, None]
-    watts = points.watts.mean(axis=1)
+    watts, total = points.watts.mean(axis=1), points.watts.sum(axis=0)
     description = {
         "name": shown(asset.luminaire, _NAME_CHARACTERS),
         "radius": float(frame.scale * np.linalg.norm(frame.half_extents)),
@@ -119,7 +120,11 @@ def _light_data(
             {"position": place, "watts": power}
             for place, power in zip(points.position.tolist(), watts.tolist(), strict=True)
         ],
+        "watts": total.tolist(),
     }
+    temperature = colour_temperature(total)[0]
+    if np.isfinite(temperature):
+        description["temperature"] = temperature
     return description, {"tables": relative.astype(np.float16)}
 
 

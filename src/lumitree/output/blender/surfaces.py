@@ -19,6 +19,7 @@ from lumitree.asset.geometry_media import scattering_sides, side_medium
 from lumitree.asset.textures import Json
 from lumitree.output.blender.nodes import (
     SCALED_GAIN,
+    TINT,
     VISIBLE,
     add_shaders,
     math,
@@ -73,7 +74,7 @@ class Surfaces:
         front = math("SUBTRACT", 1.0, node("ShaderNodeNewGeometry", output="Backfacing"))
         strength = math("MULTIPLY", math("MULTIPLY", front, VISIBLE), SCALED_GAIN)
         colour = _product(self._value(shape["radiance"]), self._gain)
-        inputs = {"Color": colour, "Strength": strength}
+        inputs = {"Color": _times(colour, TINT), "Strength": strength}
         return add_shaders(surface, node("ShaderNodeEmission", inputs))
 
     def _surface(self, material: Json, normal: Json | None) -> Json:
@@ -224,6 +225,11 @@ def _product(colour: Any, factors: Sequence[float]) -> Any:
         return colour
     if not isinstance(colour, dict):
         return (np.array(factors) * colour).tolist()
-    inputs = {"Factor": 1.0, 6: colour, 7: list(factors)}
+    return _times(colour, list(factors))
+
+
+def _times(first: Any, second: Any) -> Json:
+    """Tree of the product of two colours."""
     attributes = {"data_type": "RGBA", "blend_type": "MULTIPLY"}
+    inputs = {"Factor": 1.0, 6: first, 7: second}
     return node("ShaderNodeMix", inputs, attributes, output=2)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lumitree.core.photometry import luminance
+from lumitree.core.progress import progress
 from lumitree.formats.ies import write_ies
 from lumitree.formats.type_c import z_up
 from lumitree.output.ies_profiles import light_distribution
@@ -42,17 +43,18 @@ def _write(request: ExportRequest, folder: Path) -> Written:
     count = len(lights.position)
     lumens = luminance(lights.watts)
     colours = lights.watts / np.maximum(lumens / luminance([1, 1, 1]), 1e-300)[:, None]
+    luminaire = request.asset.luminaire
     rows = []
-    for index, place in enumerate(z_up(lights.position).tolist()):
-        file = f"light-{index + 1:0{len(str(count))}}.ies"
-        intensity = lights.local.intensity[index] * lights.scale**2
-        flux = float(lumens[index])
-        name = f"{request.asset.luminaire} {index + 1}"
-        write_ies(
-            folder / file, light_distribution(name, intensity, flux, lights.rotation, _STEPS_A_BIN)
-        )
-        numbers = [*place, 0, 0, 0, flux, *colours[index].tolist()]
-        rows.append([file, *(f"{each:.9g}" for each in numbers)])
+    with progress(f"IES files of {luminaire}", count) as advance:
+        for index, place in enumerate(z_up(lights.position).tolist()):
+            file = f"light-{index + 1:0{len(str(count))}}.ies"
+            intensity = lights.local.intensity[index] * lights.scale**2
+            flux, name = float(lumens[index]), f"{luminaire} {index + 1}"
+            profile = light_distribution(name, intensity, flux, lights.rotation, _STEPS_A_BIN)
+            write_ies(folder / file, profile)
+            numbers = [*place, 0, 0, 0, flux, *colours[index].tolist()]
+            rows.append([file, *(f"{each:.9g}" for each in numbers)])
+            advance(1)
     with open(folder / PLACEMENT, "w", encoding="utf-8", newline="") as table:
         table.write(_README + "\n")
         csv.writer(table, lineterminator="\n").writerows([COLUMNS, *rows])

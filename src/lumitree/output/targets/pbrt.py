@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from lumitree.core.images import write_exr
 from lumitree.core.octahedral import bilinear_bins
 from lumitree.core.photometry import LUMA, LUMENS_PER_WATT
+from lumitree.core.progress import progress
 from lumitree.errors import shown
 from lumitree.output.orientation import turn_up
 from lumitree.output.point_lights import PlacedLights, place_lights
@@ -109,22 +110,22 @@ class _Images:
 
 def _write(request: ExportRequest, folder: Path) -> Written:
     lights = place_lights(request.asset, turn_up(request.up, "y"), request.lights, request.seed)
-    images = _Images(lights)
-    with open(folder / request.name, "w", encoding="utf-8") as file:
-        for line in _heading(request.asset.luminaire, len(lights.position)):
-            file.write(line + "\n")
+    images, luminaire, count = _Images(lights), request.asset.luminaire, len(lights.position)
+    lines = list(_heading(luminaire, count))
+    with progress(f"images of {luminaire}", count) as advance:
         for index, position in enumerate(lights.position.tolist()):
             for number, image in enumerate(images.of(index)):
                 name = f"{request.stem}.{index}.{number}.exr"
                 write_exr(folder / name, {"Y": image.watts.astype(np.float32)})
-                for line in _light(position, image.colour.tolist(), name):
-                    file.write(line + "\n")
+                lines += _light(position, image.colour.tolist(), name)
+            advance(1)
+    (folder / request.name).write_text("\n".join(lines) + "\n", encoding="utf-8")
     return Written(
         units=_UNITS,
         orientation=file_orientation("y") + "; coordinates are right-handed, those of pbrt's "
         "cameras are not: write Scale -1 1 1 before LookAt",
         not_carried_over=_LOST,
-        lights=len(lights.position),
+        lights=count,
     )
 
 

@@ -31,9 +31,8 @@ def find_target(output: FilePath) -> Target:
     text = os.fspath(output)
     suffix = "" if text.endswith("/") else Path(text).suffix
     if suffix not in TARGETS:
-        known = ", ".join(filter(None, TARGETS))
-        folder = ", and is not a folder (a name without an ending, or with a / at the end)"
         raise LumitreeError(
-            f"output {shown(repr(text), 300)} does not end in {known}{folder * ('' in TARGETS)}"
+            f"output {shown(repr(text), 300)} does not end in {', '.join(filter(None, TARGETS))}, "
+            "and is not a folder (a name without an ending, or with a / at its end)"
         )
     return TARGETS[suffix]

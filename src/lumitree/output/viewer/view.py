@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 
 from lumitree.asset.asset import Asset
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, check_writable, write_bytes
 from lumitree.core.results import Result
 from lumitree.core.stopwatch import Stopwatch
@@ -60,7 +60,7 @@ def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
     if output is not None:
         check_writable(output)
     # The surfaces of geometry are traced, and directions go through Dr.Jit.
-    load_mitsuba()
+    load_rgb()
     from lumitree.output.viewer.page import make_page
 
     watch = Stopwatch()

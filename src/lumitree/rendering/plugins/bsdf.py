@@ -37,10 +37,10 @@ def null_bsdf_class() -> type:
 
         def eval_null_transmission(self, si, active=True):
             if self.placed.shows_geometry:
-                return mi.Color3f(1) & active
+                return mi.Spectrum(1) & active
             line, entering = self.placed.entering_line(si, active)
             through = self.placed.field.transmittance(*line, entering)
-            return mi.Color3f(dr.select(entering, through, 1))
+            return mi.Spectrum(dr.select(entering, through, 1))
 
         def to_string(self) -> str:
             return f"LumitreeNull[luminaire={self.placed.field.asset.luminaire}]"

@@ -27,7 +27,7 @@ class EmitterSample:
     """
 
     ds: mi.DirectionSample3f
-    weight: mi.Color3f
+    weight: mi.Spectrum
     valid: mi.Bool
     includes_mis: mi.Bool
     target: Target
@@ -89,7 +89,7 @@ class DeferredEmitter(Protocol):
         bsdf_pdf: mi.Float,
         emitter_pmf: mi.Float,
         active: mi.Bool,
-    ) -> tuple[mi.Color3f, mi.Float]:
+    ) -> tuple[mi.Spectrum, mi.Float]:
         """Second half of `sample_direction`: what a sampled direction is worth.
 
         Args:
@@ -115,7 +115,7 @@ class DeferredEmitter(Protocol):
         emitter_pmf: mi.Float,
         ends: tuple[mi.Float, mi.Float],
         active: mi.Bool,
-    ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
+    ) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
         """`eval`, `eval_null_transmission` and `pdf_direction` in one traversal.
 
         Args:

@@ -8,12 +8,12 @@ def delta_bsdf_class() -> type:
 
     class DeltaBSDF(mi.BSDF):
         def eval(self, ctx, si, wo, active=True):
-            return mi.Color3f(0)
+            return mi.Spectrum(0)
 
         def pdf(self, ctx, si, wo, active=True):
             return mi.Float(0)
 
         def eval_pdf(self, ctx, si, wo, active=True):
-            return mi.Color3f(0), mi.Float(0)
+            return mi.Spectrum(0), mi.Float(0)
 
     return DeltaBSDF

@@ -10,6 +10,7 @@ import mitsuba as mi
 from lumitree.core.arguments import check_gain
 from lumitree.errors import LumitreeError
 from lumitree.rendering.plugins.deferred_emitter import EmitterSample
+from lumitree.rendering.plugins.light_colour import light_colour
 from lumitree.rendering.plugins.objects import complete_later
 from lumitree.rendering.plugins.placed import Placed
 from lumitree.rendering.sampling.divided_sampling import emitter_sampler
@@ -31,7 +32,7 @@ def emitter_class() -> type:
             super().__init__(props)
             self.placed = Placed(props)
             # Its tables are made while the scene is loaded, and not by the first image.
-            complete_later(lambda: self.sampler)
+            complete_later(lambda: (self.sampler, self.light_colour))
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
             self.gain = mi.Color3f(*check_gain(props.get("gain", 1.0)))
             self._accept_gain()
@@ -43,6 +44,10 @@ def emitter_class() -> type:
             return emitter_sampler(
                 placed.asset, placed.field, placed.proxy, placed.sampling, blocked=blocked
             )
+
+        @functools.cached_property
+        def light_colour(self):
+            return light_colour(self.placed.asset)
 
         def light_inside(self):
             placed = self.placed
@@ -82,7 +87,8 @@ def emitter_class() -> type:
 
         def eval(self, si, active=True):
             line, entering = self.placed.entering_line(si, active)
-            return self.gain * self.sampler.look(*line, entering)[0] & entering
+            radiance = self.gain * self.sampler.look(*line, entering)[0]
+            return self.light_colour(radiance, si.wavelengths) & entering
 
         def eval_entered(
             self, ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, ends, active
@@ -113,7 +119,8 @@ def emitter_class() -> type:
             )
             if not placed.dims:
                 through = mi.Float(1)
-            return self.gain * radiance & active, dr.select(active, through, 1), density
+            radiance = self.light_colour(self.gain * radiance, ray.wavelengths)
+            return radiance & active, dr.select(active, through, 1), density
 
         def sample_self_emission(self, sample, active):
             return self.placed.self_lights.sample(sample, active)
@@ -139,7 +146,8 @@ def emitter_class() -> type:
             radiance, _, ds.pdf = self.sampler.eval(
                 x, entry, direction, near, active, target, specular_chain=True
             )
-            return ds, dr.select(ds.pdf > 0, self.gain * radiance / ds.pdf, 0)
+            radiance = self.light_colour(self.gain * radiance, it.wavelengths)
+            return ds, dr.select(ds.pdf > 0, radiance / ds.pdf, 0)
 
         def sample_target(self, it, sample, active):
             placed = self.placed
@@ -162,7 +170,7 @@ def emitter_class() -> type:
             ds.p = dr.select(ds.dist == end, ds.p, dr.fma(end, ds.d, it.p))
             ds.dist = end
             includes_mis = mi.Bool(self.sampler.includes_mis)
-            return EmitterSample(ds, mi.Color3f(1), valid, includes_mis, target, beyond)
+            return EmitterSample(ds, mi.Spectrum(1), valid, includes_mis, target, beyond)
 
         def _towards(self, it, origin, direction, active):
             """Sample of a direction (local frame), without its density, and whether it is valid."""
@@ -190,7 +198,7 @@ def emitter_class() -> type:
             weight, density = self.sampler.eval_target(
                 x, direction, near, sampled.target, bsdf_pdf, emitter_pmf, active
             )
-            return self.gain * weight, density
+            return self.light_colour(self.gain * weight, it.wavelengths), density
 
         def pdf_direction(self, it, ds, active=True):
             entry, direction = self.placed.local_line(ds.p, ds.d)
@@ -203,12 +211,17 @@ def emitter_class() -> type:
             line = self.placed.local_line(it.p, ds.d)
             facing = active & (dr.dot(ds.d, ds.n) < 0)
             radiance, _ = self.sampler.look(*line, facing)
-            return self.gain * radiance & facing
+            return self.light_colour(self.gain * radiance, it.wavelengths) & facing
 
         def sample_wavelengths(self, si, sample, active=True):
             return mi.Color0f(), self.eval(si, active)
 
         def sample_ray(self, time, sample1, sample2, sample3, active=True):
+            if mi.is_spectral:
+                raise LumitreeError(
+                    "integrators that trace from the light need an RGB variant for the 'lumitree' "
+                    "emitter"
+                )
             placed = self.placed
             p, direction, flux = self.sampler.sample_ray(sample1, sample2, sample3, active)
             # Where the line leaves the proxy is where its reverse enters.

@@ -20,7 +20,7 @@ def hit_light(
     bsdf_pdf: mi.Float,
     emitter_pmf: mi.Float,
     active: mi.Bool,
-) -> tuple[mi.Color3f, mi.Float, mi.Float, mi.Bool, mi.Bool]:
+) -> tuple[mi.Spectrum, mi.Float, mi.Float, mi.Bool, mi.Bool]:
     """Light of an emitter that a ray has hit.
 
     Args:
@@ -62,13 +62,13 @@ def entered_light(
     emitter_pmf: mi.Float,
     ends: tuple[mi.Float, mi.Float],
     active: mi.Bool,
-) -> tuple[mi.Color3f, mi.Float, mi.Float]:
+) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
     """Radiance, transmittance and density of a lamp whose proxy a ray enters."""
     if isinstance(emitter, DeferredEmitter):
         return emitter.eval_entered(
             ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, ends, active
         )
-    return mi.Color3f(0), mi.Float(1), mi.Float(0)
+    return mi.Spectrum(0), mi.Float(1), mi.Float(0)
 
 
 def entered_transmittance(
@@ -98,11 +98,11 @@ def eval_target(
     bsdf_pdf: mi.Float,
     emitter_pmf: mi.Float,
     active: mi.Bool,
-) -> tuple[mi.Color3f, mi.Float]:
+) -> tuple[mi.Spectrum, mi.Float]:
     """Weight and density of a direction of `sample_target`."""
     if isinstance(emitter, DeferredEmitter):
         return emitter.eval_target(it, sampled, bsdf_pdf, emitter_pmf, active)
-    return mi.Color3f(sampled.weight), mi.Float(sampled.ds.pdf)
+    return mi.Spectrum(sampled.weight), mi.Float(sampled.ds.pdf)
 
 
 def is_summed(emitter: mi.Emitter, point: mi.Point3f, active: mi.Bool) -> mi.Bool:
@@ -121,8 +121,10 @@ def sample_self_emission(
     return dr.zeros(mi.ShapePtr), mi.Float(0), mi.Float(0)
 
 
-def self_radiance(emitter: mi.Emitter, ds: mi.DirectionSample3f, active: mi.Bool) -> mi.Color3f:
+def self_radiance(
+    emitter: mi.Emitter, ds: mi.DirectionSample3f, wavelengths: mi.Spectrum, active: mi.Bool
+) -> mi.Spectrum:
     """Radiance of a sampled point of a lamp's shape."""
     if isinstance(emitter, GeometryEmitter):
-        return emitter.radiance_at(ds, active)
-    return mi.Color3f(0)
+        return emitter.radiance_at(ds, wavelengths, active)
+    return mi.Spectrum(0)

@@ -5,12 +5,41 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.textures import Json
+from lumitree.core.device import parameter
+from lumitree.errors import LumitreeError
 from lumitree.rendering.plugins.objects import load_ordered, make_object, make_properties
+
+
+class Radiance:
+    """RGB radiance of the front of a surface.
+
+    Args:
+        source: a texture that has it, or R, G and B.
+    """
+
+    def __init__(self, source: mi.Texture | Sequence[float]) -> None:
+        self._texture = source if isinstance(source, mi.Texture) else None
+        if not isinstance(source, mi.Texture):
+            self._constant = parameter(mi.Color3f, *source)
+
+    def __call__(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
+        """Radiance of a point."""
+        if self._texture is None:
+            return self._constant
+        if mi.is_spectral:
+            return self._texture.eval_3(si, active)
+        return mi.Color3f(self._texture.eval(si, active))
+
+    def mean(self) -> float:
+        """Mean over the surface and the channels."""
+        mean = dr.mean(self._constant) if self._texture is None else self._texture.mean()
+        return float(np.ravel(mean)[0])
 
 
 class Materials:
@@ -36,10 +65,23 @@ class Materials:
         # JSON writes 1.0 as 1, too; Mitsuba refuses an integer as an index of refraction.
         return float(value) if type(value) is int else value
 
-    def radiance(self, radiance: Any) -> mi.Texture:
-        """The texture of what a shape emits."""
-        values = {"radiance": self._value(radiance)}
-        return make_properties("", values).get_emissive_texture("radiance")
+    def radiance(self, radiance: Any) -> Radiance:
+        """What a shape emits."""
+        if not mi.is_spectral:
+            values = {"radiance": self._value(radiance)}
+            return Radiance(make_properties("", values).get_emissive_texture("radiance"))
+        if not isinstance(radiance, dict):
+            # As a texture it would be a spectrum already.
+            return Radiance(np.broadcast_to(radiance, 3).tolist())
+        if "attribute" in radiance:
+            raise LumitreeError(
+                "a surface of the lamp emits by the colours of its vertices, which spectral "
+                "variants do not render; use an RGB variant"
+            )
+        description = self._description(radiance)
+        pixels = mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False
+        description["bitmap"] = description["bitmap"].convert(*pixels)
+        return Radiance(load_ordered(description | {"raw": True}))
 
     def _texture(self, texture: Json) -> mi.Texture:
         key = repr(sorted(texture.items()))

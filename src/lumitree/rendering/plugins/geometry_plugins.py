@@ -19,6 +19,7 @@ import mitsuba as mi
 
 from lumitree.core.device import parameter
 from lumitree.rendering.plugins.delta_bsdf import delta_bsdf_class
+from lumitree.rendering.plugins.geometry_materials import Radiance
 from lumitree.rendering.plugins.objects import make_properties
 from lumitree.rendering.sampling.self_lights import SelfLights
 
@@ -36,7 +37,7 @@ class GeometryEmitter(Protocol):
         it: mi.Interaction3f,
         ds: mi.DirectionSample3f,
         active: mi.Bool,
-    ) -> tuple[mi.Color3f, mi.Float]:
+    ) -> tuple[mi.Spectrum, mi.Float]:
         """Radiance of a point that a ray has hit.
 
         Args:
@@ -51,7 +52,9 @@ class GeometryEmitter(Protocol):
         """
         ...
 
-    def radiance_at(self, ds: mi.DirectionSample3f, active: mi.Bool) -> mi.Color3f:
+    def radiance_at(
+        self, ds: mi.DirectionSample3f, wavelengths: mi.Spectrum, active: mi.Bool
+    ) -> mi.Spectrum:
         """Radiance of a point that was sampled on the shape, towards the vertex."""
         ...
 
@@ -64,7 +67,7 @@ def geometry_emitter_class() -> type:
             self,
             lamp: Any,
             lights: SelfLights,
-            radiance: mi.Texture | None = None,
+            radiance: Radiance | None = None,
             index: int = 0,
         ) -> None:
             """Emitter of one shape.
@@ -83,38 +86,38 @@ def geometry_emitter_class() -> type:
 
         def eval_self_emission(self, si, it, ds, active):
             if self._radiance is None:
-                return mi.Color3f(0), mi.Float(0)
+                return mi.Spectrum(0), mi.Float(0)
             pdf = self.get_shape().pdf_direction(it, ds, active) * self._lights.pmf(self._index)
             return self._eval(si, active), pdf
 
-        def radiance_at(self, ds, active):
+        def radiance_at(self, ds, wavelengths, active):
             if self._radiance is None:
-                return mi.Color3f(0)
-            si = mi.SurfaceInteraction3f(ds, [])
+                return mi.Spectrum(0)
+            si = mi.SurfaceInteraction3f(ds, wavelengths)
             si.wi = mi.Vector3f(0, 0, -dr.dot(ds.d, ds.n))
             return self._eval(si, active)
 
         def _eval(self, si, active):
             assert self._radiance is not None
             front = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-            radiance = self._lamp.gain * self._gain * mi.Color3f(self._radiance.eval(si, front))
-            return dr.select(front, radiance, 0)
+            radiance = self._lamp.gain * self._gain * self._radiance(si, front)
+            return dr.select(front, self._lamp.light_colour(radiance, si.wavelengths), 0)
 
         def eval(self, si, active=True):
-            return mi.Color3f(0)
+            return mi.Spectrum(0)
 
         def sample_direction(self, it, sample, active=True):
-            return dr.zeros(mi.DirectionSample3f), mi.Color3f(0)
+            return dr.zeros(mi.DirectionSample3f), mi.Spectrum(0)
 
         def pdf_direction(self, it, ds, active=True):
             return mi.Float(0)
 
         def eval_direction(self, it, ds, active=True):
-            return mi.Color3f(0)
+            return mi.Spectrum(0)
 
         def sample_ray(self, time, sample1, sample2, sample3, active=True):
             # `ptracer` compiles this for the emitters of every scene in the process.
-            return dr.zeros(mi.Ray3f), mi.Color3f(0)
+            return dr.zeros(mi.Ray3f), mi.Spectrum(0)
 
         def to_string(self) -> str:
             return "LumitreeGeometryEmitter[]"
@@ -151,7 +154,7 @@ def geometry_glass_class() -> type:
             unused = mi.Float(0.5), mi.Point2f(0.5)
             bs, weight = self._glass.sample(self._transmission, outside, *unused, active)
             # Without the compression of radiance in a denser medium.
-            return mi.Color3f(weight * dr.square(bs.eta)) & active
+            return mi.Spectrum(weight * dr.square(bs.eta)) & active
 
         def to_string(self) -> str:
             return f"LumitreeGeometryGlass[{self._glass}]"

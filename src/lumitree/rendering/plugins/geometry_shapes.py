@@ -15,7 +15,7 @@ from lumitree.asset.materials import is_specular
 from lumitree.asset.textures import VERTEX_COLOUR, Json
 from lumitree.core.device import on_device
 from lumitree.core.frames import similarity_scale
-from lumitree.rendering.plugins.geometry_materials import Materials
+from lumitree.rendering.plugins.geometry_materials import Materials, Radiance
 from lumitree.rendering.plugins.geometry_plugins import geometry_emitter_class, geometry_glass_class
 from lumitree.rendering.plugins.objects import make_object, make_properties
 
@@ -88,7 +88,7 @@ class _Builder:
         if self._emitting:
             shapes, radiances = zip(*self._emitting, strict=True)
             area = [float(np.ravel(shape.surface_area())[0]) for shape in shapes]
-            mean = [float(np.ravel(radiance.mean())[0]) for radiance in radiances]
+            mean = [radiance.mean() for radiance in radiances]
             # A shape of which nothing is known is not left out.
             power = np.maximum(np.array(area) * np.array(mean), 1e-30)
             self._lights.set_shapes(list(shapes), power)
@@ -167,8 +167,8 @@ class _Surfaces:
         straight = not scattering_sides(shape)
         return (self._crossed if straight else self._bsdfs)[shape["material"]]
 
-    def emitted(self, radiance: Any) -> Any:
-        """Radiance as a texture."""
+    def emitted(self, radiance: Any) -> Radiance:
+        """Radiance of a shape."""
         return self._materials.radiance(radiance)
 
     def _top(self, kind: str, bsdf: mi.BSDF) -> mi.BSDF:

@@ -96,10 +96,10 @@ def integrator_class() -> type:
             ray: mi.RayDifferential3f,
             medium: mi.Medium | None = None,
             active: mi.Bool | bool = True,
-        ) -> tuple[mi.Color3f, mi.Bool, Sequence[mi.Float]]:
+        ) -> tuple[mi.Spectrum, mi.Bool, Sequence[mi.Float]]:
             if not scene.emitters():
                 nothing = [mi.Float(0) for _ in self.aov_names()]
-                return mi.Color3f(0), scene.ray_test(ray, active), nothing
+                return mi.Spectrum(0), scene.ray_test(ray, active), nothing
             crossed = [*media(scene), *([] if medium is None else [medium])]
             if not all(each.is_homogeneous() for each in crossed):
                 raise LumitreeError(
@@ -129,7 +129,7 @@ def integrator_class() -> type:
 @dr.syntax
 def trace_paths(
     scene: PathScene, path: PathState, sampler: mi.Sampler, max_depth: int, rr_depth: int
-) -> tuple[mi.Color3f, mi.Bool, list[mi.Float]]:
+) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float]]:
     """Radiance along rays, whether they met something (for the film's alpha), and layers.
 
     Args:

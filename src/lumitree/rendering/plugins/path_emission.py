@@ -114,7 +114,7 @@ def add_self_emission(
     shows = vertex.active_surface & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Smooth)
     shows = (shows | vertex.active_medium) & vertex.shown & (vertex.owner != NONE)
     sample = sampler.next_2d()
-    light, emitter = mi.Color3f(0), dr.zeros(mi.EmitterPtr)
+    light, emitter = mi.Spectrum(0), dr.zeros(mi.EmitterPtr)
     # A branch: most packets of rays have no such vertex, and skip the code.
     if shows:
         light, emitter = _self_emission(scene, path, vertex, sample, shows)
@@ -124,7 +124,7 @@ def add_self_emission(
 
 def _self_emission(
     scene: PathScene, path: PathState, vertex: Vertex, sample: mi.Point2f, shows: mi.Bool
-) -> tuple[mi.Color3f, mi.EmitterPtr]:
+) -> tuple[mi.Spectrum, mi.EmitterPtr]:
     """Light of a sampled point of a lamp's emitting shapes, and their emitter."""
     si, bsdf = vertex.si, vertex.bsdf
     shape, pmf, sample.x = dr.dispatch(
@@ -143,6 +143,6 @@ def _self_emission(
     through = visible(scene, si, ds, mi.Float(0), mi.UInt32(NONE), path.medium, active)
     light = path.β * value * through
     active &= dr.max(light) > 0
-    light *= dr.dispatch(shape.emitter(), self_radiance, ds, active)
+    light *= dr.dispatch(shape.emitter(), self_radiance, ds, si.wavelengths, active)
     light *= mis_weight(ds.pdf, pdf) / ds.pdf
     return light & active, shape.emitter()

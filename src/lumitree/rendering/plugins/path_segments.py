@@ -17,7 +17,9 @@ def sample_free_flight(scene: PathScene, path: PathState, sampler: mi.Sampler) -
     """Where the medium scatters, if it does before the ray meets anything."""
     if not scene.has_scattering:
         return FreeFlight(mi.Float(dr.inf), mi.Bool(False))
-    distance = medium_paths.free_flight(path.medium, path.channel, sampler, path.active)
+    distance = medium_paths.free_flight(
+        path.medium, path.channel, sampler, path.active, path.ray.wavelengths
+    )
     return FreeFlight(distance, path.active & (distance < path.pi.t))
 
 
@@ -39,7 +41,7 @@ def skip_emitters(
         path.active &= path.crossings < MAX_CROSSINGS
         if dr.hint(scene.has_scattering, mode="scalar"):
             free_flight.distance[skip] = medium_paths.free_flight(
-                path.medium, path.channel, sampler, skip
+                path.medium, path.channel, sampler, skip, path.ray.wavelengths
             )
             free_flight.collides |= skip & (free_flight.distance < path.pi.t)
         skip &= path.active & ~free_flight.collides & _emits(path.pi)
@@ -79,7 +81,9 @@ def add_entered_light(scene: PathScene, path: PathState, free_flight: FreeFlight
         )
         light *= path.β * mis_weight(path.bsdf_pdf_prev, emitter_pdf * emitter_pmf)
         if dr.hint(scene.has_media, mode="scalar"):
-            light *= medium_paths.segment_weight(path.medium, distance, path.ρ, active)[0]
+            light *= medium_paths.segment_weight(
+                path.medium, distance, path.ρ, active, path.ray.wavelengths
+            )[0]
         path.add_light(scene, emitter, light, path.specular_chain, active)
         path.β[active] *= through
         path.valid_ray |= active & (dr.max(light) > 0)
@@ -97,7 +101,7 @@ def end_segment(scene: PathScene, path: PathState, free_flight: FreeFlight) -> H
         _attenuate(path, si.t, hit_surface)
     if scene.has_scattering:
         weight, densities = medium_paths.scattering_weight(
-            path.medium, free_flight.distance, path.ρ, hit_medium
+            path.medium, free_flight.distance, path.ρ, hit_medium, path.ray.wavelengths
         )
         path.β[hit_medium] *= weight
         path.ρ[hit_medium] = densities
@@ -114,7 +118,9 @@ def end_segment(scene: PathScene, path: PathState, free_flight: FreeFlight) -> H
 
 def _attenuate(path: PathState, distance: mi.Float, active: mi.Bool) -> None:
     """Multiply a path by the weight of a segment of its medium."""
-    weight, densities = medium_paths.segment_weight(path.medium, distance, path.ρ, active)
+    weight, densities = medium_paths.segment_weight(
+        path.medium, distance, path.ρ, active, path.ray.wavelengths
+    )
     path.β[active] *= weight
     path.ρ[active] = densities
 

@@ -29,14 +29,14 @@ class PathState:
     medium: mi.MediumPtr               # Medium that it is in
     active: mi.Bool                    # Active SIMD lanes
 
-    L: mi.Color3f                      # Radiance accumulator
+    L: mi.Spectrum                      # Radiance accumulator
     valid_ray: mi.Bool                 # Whether the camera ray met something
     record: dict[str, Any]             # What is recorded beside the image (`Layers`)
 
-    β: mi.Color3f                      # Path throughput weight
+    β: mi.Spectrum                      # Path throughput weight
     η: mi.Float                        # Product of relative indices of refraction
     channel: mi.UInt32                 # Channel for which media that scatter are sampled
-    ρ: mi.Color3f                      # Densities of the path by channel (`medium_paths`)
+    ρ: mi.Spectrum                      # Densities of the path by channel (`medium_paths`)
 
     depth: mi.UInt32                   # Depth of current vertex
     depth_freed: mi.UInt32             # Part of it that does not count towards `max_depth`
@@ -59,13 +59,13 @@ class PathState:
             pi=dr.zeros(mi.PreliminaryIntersection3f),
             medium=medium,
             active=mi.Bool(active),
-            L=mi.Color3f(0),
+            L=mi.Spectrum(0),
             valid_ray=mi.Bool(False),
             record={},
-            β=mi.Color3f(1),
+            β=mi.Spectrum(1),
             η=mi.Float(1),
             channel=mi.UInt32(0),
-            ρ=mi.Color3f(1),
+            ρ=mi.Spectrum(1),
             depth=mi.UInt32(0),
             depth_freed=mi.UInt32(0),
             crossings=mi.UInt32(0),
@@ -103,7 +103,7 @@ class PathState:
         self,
         scene: PathScene,
         emitter: mi.EmitterPtr,
-        light: mi.Color3f,
+        light: mi.Spectrum,
         seen: mi.Bool,
         active: mi.Bool,
     ) -> None:
@@ -172,9 +172,9 @@ class Scattering:
     """What the BSDF or the phase function of a vertex says."""
 
     # fmt: off
-    value_em: mi.Color3f     # BSDF times cosine, or phase function, of the emitter's direction
+    value_em: mi.Spectrum     # BSDF times cosine, or phase function, of the emitter's direction
     pdf_em: mi.Float         # Density with which that direction is sampled
     bs: mi.BSDFSample3f      # Sampled direction; in a medium its `pdf` alone
-    weight: mi.Color3f       # Value over density of it
+    weight: mi.Spectrum       # Value over density of it
     phase_wo: mi.Vector3f    # Direction sampled in a medium, in the scene
     # fmt: on

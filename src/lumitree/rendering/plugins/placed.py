@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lumitree.asset.asset import Asset
 from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError
+from lumitree.lamp.source import gldf_variant
 from lumitree.octree.field import Field
 from lumitree.octree.field_data import FieldData
 from lumitree.rendering.asset_cache import open_asset, open_field
@@ -40,7 +41,9 @@ def plugin_options(props: mi.Properties) -> dict[str, Any]:
             "plugin 'lumitree' needs a 'filename': a .lumitree asset or a photometric file"
         )
     # Looked up relative to the scene file, as Mitsuba does.
-    return {"asset": str(mi.file_resolver().resolve(props["filename"])), **options}
+    path, variant = gldf_variant(props["filename"])
+    found = str(mi.file_resolver().resolve(path))
+    return {"asset": found if variant is None else f"{found}#{variant}", **options}
 
 
 def shows_geometry(asset: FieldData, appearance: Appearance) -> bool:

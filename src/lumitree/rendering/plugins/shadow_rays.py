@@ -22,7 +22,7 @@ def visible(
     target: mi.UInt32,
     medium: mi.MediumPtr,
     active: mi.Bool,
-) -> mi.Color3f:
+) -> mi.Spectrum:
     """Transmittance from a surface to a sampled point: 0 behind what is not null.
 
     For a length `beyond` after the point, surfaces of the room block, but not those of the lamp
@@ -69,16 +69,16 @@ def _transmittance(
     goal: mi.Point3f,
     medium: mi.MediumPtr,
     active: mi.Bool,
-) -> mi.Color3f:
+) -> mi.Spectrum:
     """Transmittance of surfaces (`traced`), and of media, along a ray towards a sampled point.
 
     Glass of the lamp `target` blocks: what passes it is contained in the lamp's light.
     """
-    through, ray, direction = mi.Color3f(1), mi.Ray3f(ray), mi.Vector3f(ray.d)
+    through, ray, direction = mi.Spectrum(1), mi.Ray3f(ray), mi.Vector3f(ray.d)
     if dr.hint(not scene.has_null_surfaces, mode="scalar"):
         through[traced.ray_test(ray, active)] = 0
         if dr.hint(scene.has_media, mode="scalar"):
-            through *= medium_paths.transmittance(medium, ray.maxt, active)
+            through *= medium_paths.transmittance(medium, ray.maxt, active, ray.wavelengths)
     else:
         owners = scene.divided.owners
         crossings = mi.UInt32(0)
@@ -87,7 +87,7 @@ def _transmittance(
             hit = active & pi.is_valid()
             if dr.hint(scene.has_media, mode="scalar"):
                 length = dr.minimum(pi.t, ray.maxt)
-                through *= medium_paths.transmittance(medium, length, active)
+                through *= medium_paths.transmittance(medium, length, active, ray.wavelengths)
             bsdf = pi.shape.bsdf()
             flags = bsdf.flags()
             null = hit & mi.has_flag(flags, mi.BSDFFlags.Null)

@@ -34,6 +34,18 @@ def test_factors(tmp_path):
     assert material.name == "brass_knob"
 
 
+@pytest.mark.parametrize(
+    "extension", [{"ior": {"ior": 1.0}}, {"specular": {"specularFactor": 0.0}}]
+)
+def test_surfaces_without_reflection_can_be_stored_in_an_asset(tmp_path, extension):
+    from lumitree.asset.plugins import PLUGINS
+
+    material = material_of(tmp_path, Gltf(), extended({"metallicFactor": 0.0}, **extension))
+    low, high = PLUGINS["principled"].parameters["eta"].range
+    assert low <= np.float32(material.surface.ior) <= high
+    assert material.surface.ior < 1.01
+
+
 def test_textures_keep_their_bytes_without_factors(tmp_path):
     gltf = Gltf()
     core = {"baseColorTexture": gltf.texture(RAMP), "metallicRoughnessTexture": gltf.texture(RAMP)}

@@ -12,9 +12,9 @@ from lumitree.lamp.parts import RGB, Diffuse, Glass, Medium, Principled, Surface
 # Roughness below which a surface is smooth: alpha would be less than 0.001, the smallest of
 # Mitsuba's rough models.
 SMOOTH = 0.03
-# The index of Mitsuba's rough glass must differ from that of air. An attenuation colour of 0 has no
-# logarithm.
-_MIN_IOR, _MIN_ATTENUATION = 1.0001, 1e-4
+# The index of Mitsuba's rough glass must differ from that of air, and that of its principled BSDF
+# must be at least 1.001 in the geometry of an asset. An attenuation colour of 0 has no logarithm.
+_MIN_IOR, _MIN_PRINCIPLED_IOR, _MIN_ATTENUATION = 1.0001, 1.001, 1e-4
 _MAX_SPECULAR = 0.9
 
 
@@ -119,7 +119,7 @@ def _principled(
         0.0 if thin else textures.value(base.metallic),
         textures.value(roughness),
         textures.value(anisotropy),
-        max(_ior(layers, transmits=not transmission.black()), _MIN_IOR),
+        max(_ior(layers, transmits=not transmission.black()), _MIN_PRINCIPLED_IOR),
         sheen=textures.value(_sheen(layers)),
         clearcoat=0.0 if thin else textures.value(clearcoat),
         clearcoat_gloss=gloss,

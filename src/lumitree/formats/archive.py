@@ -1,0 +1,118 @@
+"""Zip archives that may be damaged or hostile: members are read into memory, within limits.
+
+Nothing is unpacked under a name that an archive states.
+"""
+
+import io
+import lzma
+import os
+import struct
+import zipfile
+import zlib
+
+from lumitree.core.reading import read_bytes
+from lumitree.errors import LumitreeError, shown
+
+MAX_ARCHIVE_BYTES = 512 * 2**20
+# Bytes of all members that are read of one archive and of those inside it.
+_MAX_UNPACKED = 1 << 30
+_MAX_MEMBERS = 1 << 14
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError)
+_DAMAGED += (NotImplementedError, KeyError, MemoryError, lzma.LZMAError, struct.error)
+
+
+class Archive:
+    """A zip archive, whose members are found by their names in any case.
+
+    Args:
+        content: of the archive.
+        name: of the archive, for messages.
+        expected: what it should be, for messages.
+        outer: the archive that it is a member of, with which it shares the limit of size.
+
+    Raises:
+        LumitreeError: it is not a zip archive, or has too many members.
+    """
+
+    def __init__(
+        self, content: bytes, name: str, expected: str, outer: "Archive | None" = None
+    ) -> None:
+        self.name, self._outer, self._unpacked = name, outer, 0
+        try:
+            self._zip = zipfile.ZipFile(io.BytesIO(content))
+            members = self._zip.infolist()
+        except _DAMAGED as error:
+            raise LumitreeError(
+                f"{name} is damaged, or no zip archive ({type(error).__name__}); expected "
+                f"{expected}"
+            ) from None
+        if len(members) > _MAX_MEMBERS:
+            raise LumitreeError(
+                f"{name} has {len(members)} members; at most {_MAX_MEMBERS} are read"
+            )
+        # The first of a name counts; exact names come before others.
+        self._members: dict[str, zipfile.ZipInfo] = {}
+        for key in (_plain, _folded):
+            for member in members:
+                self._members.setdefault(key(member.filename), member)
+
+    @staticmethod
+    def open(path: str | os.PathLike[str], expected: str) -> "Archive":
+        """The archive that a file is."""
+        content = read_bytes(path, expected, MAX_ARCHIVE_BYTES)
+        return Archive(content, shown(path, 300), expected)
+
+    def find(self, *names: str) -> str | None:
+        """The first of some names that is in the archive."""
+        return next((name for name in names if self._member(name) is not None), None)
+
+    def names(self, folder: str) -> list[str]:
+        """Names of the files directly in a folder, without the folder."""
+        start = _folded(folder) + "/"
+        found = {_plain(each.filename) for each in self._members.values() if not each.is_dir()}
+        below = (name[len(start) :] for name in sorted(found) if _folded(name).startswith(start))
+        return [name for name in below if name and "/" not in name]
+
+    def read(self, name: str, expected: str) -> bytes:
+        """Content of a member.
+
+        Raises:
+            LumitreeError: it is missing, damaged, encrypted or too large.
+        """
+        member = self._member(name)
+        where = f"{shown(name, 200)} in {self.name}"
+        if member is None:
+            raise LumitreeError(f"{where} is missing; expected {expected}")
+        try:
+            with self._zip.open(member) as file:
+                # The header may state another size.
+                content = file.read(self._left() + 1)
+        except _DAMAGED as error:
+            raise LumitreeError(
+                f"{where} is damaged or encrypted ({type(error).__name__}); expected {expected}"
+            ) from None
+        if len(content) > self._left():
+            raise LumitreeError(
+                f"{where} is too large: more than {_MAX_UNPACKED >> 20} MiB would be unpacked"
+            )
+        self._count(len(content))
+        return content
+
+    def _member(self, name: str) -> zipfile.ZipInfo | None:
+        return self._members.get(_plain(name)) or self._members.get(_folded(name))
+
+    def _left(self) -> int:
+        return _MAX_UNPACKED - self._unpacked if self._outer is None else self._outer._left()
+
+    def _count(self, size: int) -> None:
+        self._unpacked += size
+        if self._outer is not None:
+            self._outer._count(size)
+
+
+def _plain(name: str) -> str:
+    return name.replace("\\", "/").removeprefix("./")
+
+
+def _folded(name: str) -> str:
+    return _plain(name).casefold()

@@ -1,0 +1,238 @@
+"""The OBJ models of an L3D file as the geometry of an asset.
+
+Faces that the file marks as luminous emit as Lambertian surfaces do, with the luminous flux of
+their light emitting object; an object without such faces emits from its own rectangle or disk. This
+light is for images of the luminaire alone. Materials are those of the MTL files; they emit nothing.
+"""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.files import write_bytes
+from lumitree.core.photometry import radiance_from_flux
+from lumitree.core.text import in_utf8
+from lumitree.formats.archive import Archive
+from lumitree.formats.l3d import L3d, L3dPart, LightObject
+from lumitree.lamp.importers.obj.reader import part_names, read_obj
+from lumitree.lamp.importers.overrides import material_area
+from lumitree.lamp.meshes import Mesh
+from lumitree.lamp.names import Names
+from lumitree.lamp.parts import WHITE, Diffuse, Geometry, Material, Part
+
+Matrix = NDArray[np.float64]
+# y up, from z up.
+Y_UP: Matrix = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+_LIGHTS = "lumitree-lights.mtl"
+_FILES = (".mtl", ".png", ".jpg", ".jpeg")
+# Begins the names of luminous materials; what follows is the index in a part's `lights`.
+_LIGHT = "lumitree-light-"
+_SEGMENTS = 64
+# Distance of an object's own shape from its plane, in front of it, as a part of its longest side.
+_BEFORE = 2e-3
+
+
+def l3d_geometry(
+    archive: Archive, model: L3d, lumens: Mapping[str, float], folder: Path
+) -> Geometry:
+    """Parts and materials of a luminaire, in metres, y up.
+
+    Args:
+        archive: the L3D file.
+        model: its structure.
+        lumens: luminous flux of light emitting objects by name; faces of others do not emit.
+        folder: an empty one, for the files of the models.
+
+    Raises:
+        LumitreeError: a model is missing or damaged.
+    """
+    return _Builder(archive, model, lumens, folder).build()
+
+
+class _Builder:
+    def __init__(
+        self, archive: Archive, model: L3d, lumens: Mapping[str, float], folder: Path
+    ) -> None:
+        self._archive, self._model, self._lumens = archive, model, lumens
+        self._folder = folder
+        self._read: dict[tuple[object, ...], Geometry] = {}
+        self._names = Names("-")
+        self._parts: list[Part] = []
+        self._materials: dict[str, Material] = {}
+        # Of luminous materials: the light emitting object, and the weight of its area.
+        self._lit: dict[str, tuple[str, float]] = {}
+
+    def build(self) -> Geometry:
+        for part in self._model.parts:
+            self._add(part)
+        shining = {name for name, _ in self._lit.values()}
+        for each in self._model.objects:
+            if self._lumens.get(each.name, 0) > 0 and each.name not in shining:
+                self._add_shape(each)
+        geometry = Geometry(tuple(self._parts), tuple(self._materials.values()))
+        return dataclasses.replace(geometry, materials=self._emitting(geometry))
+
+    def _add(self, part: L3dPart) -> None:
+        """The meshes of a part, in its place."""
+        read = self._obj(part)
+        place = Y_UP @ part.place
+        lights = {f"{_LIGHT}{index}": light for index, light in enumerate(part.lights)}
+        names = {}
+        for material in read.materials:
+            light = lights.get(material.name)
+            if light is not None and self._lumens.get(light.object_name, 0) > 0:
+                made = self._luminous(light.object_name, light.weight)
+            else:
+                name = f"{part.folder}/{material.name}"
+                made = dataclasses.replace(material, name=name, radiance=None)
+            names[material.name] = made.name
+            self._materials[made.name] = made
+        for title, each in zip(part_names(names.values()), read.parts, strict=True):
+            self._parts.append(
+                Part(self._names.unique(title), each.mesh, names[each.material], (place,))
+            )
+
+    def _luminous(self, name: str, weight: float) -> Material:
+        """A new luminous material, black and without its radiance."""
+        material = Material(f"{_LIGHT}{len(self._lit)}", Diffuse((0.0, 0.0, 0.0)))
+        self._lit[material.name] = (name, weight)
+        return material
+
+    def _add_shape(self, light: LightObject) -> None:
+        """The rectangle or disk of an object, whose light goes along -z."""
+        x, _, y = light.opening.sides
+        if not min(x, y) > 0:
+            return
+        corners = np.array([[-1.0, -1], [-1, 1], [1, 1], [1, -1]])
+        if light.opening.shape == "cylinder":
+            angle = -2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
+            corners = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        # Before the surface of the model that it may lie on.
+        vertices = np.insert(corners * [x / 2, y / 2], 2, -_BEFORE * max(x, y), axis=1)
+        count = len(corners)
+        faces = np.stack([np.zeros(count - 2), np.arange(1, count - 1), np.arange(2, count)], 1)
+        normals = np.broadcast_to([0.0, 0.0, -1.0], vertices.shape)
+        material = self._luminous(light.name, 1.0)
+        self._materials[material.name] = material
+        mesh = Mesh(vertices, normals, faces.astype(np.int64))
+        name = self._names.unique(part_names([light.name])[0])
+        self._parts.append(Part(name, mesh, material.name, (Y_UP @ light.place,)))
+
+    def _emitting(self, geometry: Geometry) -> tuple[Material, ...]:
+        """The materials, with the radiance that gives each object its luminous flux."""
+        areas = {name: material_area(geometry, name) for name in self._lit}
+        total = dict.fromkeys(self._lumens, 0.0)
+        for name, (owner, weight) in self._lit.items():
+            total[owner] += weight * areas[name]
+        found = []
+        for material in geometry.materials:
+            if material.name in self._lit:
+                owner, weight = self._lit[material.name]
+                if total[owner] > 0 and weight > 0:
+                    lumens = self._lumens[owner] * weight
+                    radiance = radiance_from_flux(lumens, total[owner], WHITE)
+                    material = dataclasses.replace(material, radiance=radiance)
+            found.append(material)
+        return tuple(found)
+
+    def _obj(self, part: L3dPart) -> Geometry:
+        """The OBJ model of a part, whose luminous faces have materials of their own."""
+        lit = tuple(
+            (index, light.ranges)
+            for index, light in enumerate(part.lights)
+            if self._lumens.get(light.object_name, 0) > 0
+        )
+        key = (part.folder, part.file, lit)
+        if key not in self._read:
+            folder = self._folder / f"{plain_name(part.folder)}-{len(self._read)}"
+            path = folder / f"{plain_name(Path(part.file).stem)}.obj"
+            content = self._archive.read(f"{part.folder}/{part.file}", "an OBJ model")
+            names = self._archive.names(part.folder)
+            for name in names:
+                if name.lower().endswith(_FILES) and Path(name).name == name and len(name) < 200:
+                    data = self._archive.read(f"{part.folder}/{name}", "a file of an OBJ model")
+                    write_bytes(folder / name, data)
+            write_bytes(folder / _LIGHTS, b"".join(_mtl(index) for index, _ in lit))
+            libraries = any(name.lower().endswith(".mtl") for name in names)
+            write_bytes(path, _marked(content, dict(lit), libraries))
+            self._read[key] = read_obj(path)
+        return self._read[key]
+
+
+def plain_name(name: str) -> str:
+    """A name of a member of an archive, made fit for a file."""
+    kept = "".join(char if char.isalnum() or char in " -_." else "_" for char in name[:80])
+    return kept.strip(" .") or "file"
+
+
+def _mtl(index: int) -> bytes:
+    return f"newmtl {_LIGHT}{index}\nKd 0 0 0\nKe 1 1 1\n".encode()
+
+
+def _marked(
+    content: bytes, lights: Mapping[int, tuple[tuple[int, int, int], ...]], libraries: bool
+) -> bytes:
+    """The text of an OBJ model in which faces of each light use a material of their own.
+
+    Faces are counted from 0 within their group; a model without groups is one.
+
+    Args:
+        content: of the file.
+        lights: group, first and last face of each range by the index of the light.
+        libraries: whether there are MTL files; else the text names none of its own.
+    """
+    lines = in_utf8(content).replace(b"\\\n", b" ").split(b"\n")
+    places = _face_places(lines)
+    counts = Counter(place[0] for place in places if place is not None)
+    lit = {group: np.full(count, -1) for group, count in counts.items()}
+    for index, ranges in lights.items():
+        for group, first, last in ranges:
+            if group in lit:
+                lit[group][max(first, 0) : max(last + 1, 0)] = index
+    result = [f"mtllib {_LIGHTS}".encode()] if lights else []
+    material, marked = b"usemtl", False
+    for line, place in zip(lines, places, strict=True):
+        key = line.split(None, 1)[:1]
+        if place is not None:
+            index = int(lit[place[0]][place[1]])
+            if index >= 0:
+                result.append(f"usemtl {_LIGHT}{index}".encode())
+            elif marked:
+                result.append(material)
+            marked = index >= 0
+        elif key == [b"usemtl"]:
+            material, marked = line, False
+        if key != [b"mtllib"] or libraries:
+            result.append(line)
+    return b"\n".join(result)
+
+
+def _face_places(lines: list[bytes]) -> list[tuple[int, int] | None]:
+    """Group of each line that is a face, and its number there; None for other lines.
+
+    Groups without faces do not count. If there are others, faces before the first group are in -1.
+    """
+    current: bytes | None = None
+    owners: list[bytes | None] = []
+    faces: list[bool] = []
+    for line in lines:
+        words = line.split(None, 1) or [b""]
+        if words[0] in (b"g", b"o"):
+            current = words[-1].strip()
+        owners.append(current)
+        faces.append(words[0] == b"f")
+    used = dict.fromkeys(owner for owner, face in zip(owners, faces, strict=True) if face)
+    named = [owner for owner in used if owner is not None]
+    order: dict[bytes | None, int] = {None: -1 if named else 0}
+    order |= {owner: index for index, owner in enumerate(named)}
+    counts: Counter[int] = Counter()
+    places: list[tuple[int, int] | None] = []
+    for owner, face in zip(owners, faces, strict=True):
+        group = order.get(owner, -1)
+        places.append((group, counts[group]) if face else None)
+        counts[group] += face
+    return places

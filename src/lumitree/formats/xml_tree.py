@@ -1,0 +1,85 @@
+"""XML of luminaire data, read without entities and within limits."""
+
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+
+from lumitree.errors import LumitreeError, shown
+from lumitree.formats.photometric_text import number
+
+MAX_BYTES = 1 << 26
+_MAX_DEPTH, _MAX_ELEMENTS = 256, 1 << 20
+
+
+def parse_xml(content: bytes, name: str, expected: str) -> Element:
+    """Root of an XML file, whose tags and attributes are without namespaces.
+
+    Args:
+        content: of the file.
+        name: of the file, for messages.
+        expected: what it should be, for messages.
+
+    Raises:
+        LumitreeError: it is not well-formed, declares entities, or is too large or nested too
+            deeply.
+    """
+    if len(content) > MAX_BYTES:
+        raise LumitreeError(
+            f"{name} is larger than {MAX_BYTES >> 20} MiB, the limit for {expected}"
+        )
+    builder, depth, count = TreeBuilder(), 0, 0
+
+    def opened(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth, count
+        depth, count = depth + 1, count + 1
+        if depth > _MAX_DEPTH or count > _MAX_ELEMENTS:
+            raise LumitreeError(
+                f"{name} has more than {_MAX_ELEMENTS} elements, or they are nested more than "
+                f"{_MAX_DEPTH} deep; expected {expected}"
+            )
+        builder.start(_local(tag), {_local(key): value for key, value in attributes.items()})
+
+    def closed(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(_local(tag))
+
+    def declared(*_: object) -> None:
+        raise LumitreeError(f"{name} declares XML entities, which are not read; remove them")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = opened, closed
+    parser.CharacterDataHandler = builder.data
+    parser.EntityDeclHandler = declared
+    try:
+        parser.Parse(content, True)
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise LumitreeError(
+            f"{name} is not well-formed XML ({shown(error)}); expected {expected}"
+        ) from None
+    return builder.close()
+
+
+def number_of(element: Element, name: str, default: float | None = None) -> float:
+    """A number that is an attribute, or the text of a child element.
+
+    Args:
+        element: that has it.
+        name: of the attribute or child.
+        default: if it is missing or blank; None if it must be there.
+
+    Raises:
+        LumitreeError: it is missing, or not a finite number.
+    """
+    text = (element.get(name) or element.findtext(name) or "").strip()
+    if not text and default is not None:
+        return default
+    return number(text, f"{name} of {element.tag}")
+
+
+def text_of(element: Element, path: str) -> str:
+    """Text of an element below, on one line; empty if there is none."""
+    return " ".join((element.findtext(path) or "").split())
+
+
+def _local(tag: str) -> str:
+    return tag.rpartition(":")[2]

@@ -1,0 +1,236 @@
+"""IES TM-33 files as lamps, against the intensities that they state."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumitree
+from lumitree.cli import main
+from lumitree.core.file_kinds import SCENE, TM33, what_it_is
+from lumitree.core.octahedral import middle_directions
+from lumitree.core.photometry import blackbody_colour, colour_temperature, luminance
+from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.formats.opening import POINT, Opening
+from lumitree.formats.tm33 import read_tm33
+from lumitree.formats.type_c import direction_of
+from lumitree.lamp.source import source_kind
+from lumitree.rendering.asset_flux import asset_lumens, asset_watts
+from support.damage import damaged, refused
+
+C, GAMMA = np.arange(0, 360, 22.5), np.arange(0, 181, 5.0)
+AREA = (
+    "<EmissionAreas><BottomFace><NumberBottom>1</NumberBottom><BottomArea><Length>0.6</Length>"
+    "<Width>0.2</Width><LengthOffset>0</LengthOffset><WidthOffset>0</WidthOffset></BottomArea>"
+    "</BottomFace></EmissionAreas>"
+)
+
+
+def candela(c, gamma):
+    """300 cos γ cd below, with a part that depends on C."""
+    c, gamma = np.deg2rad(c), np.deg2rad(gamma)
+    return 300 * np.maximum(np.cos(gamma), 0) * (1 + 0.5 * np.sin(gamma) * np.cos(c))
+
+
+def table(c=C, gamma=GAMMA, scale=1.0, extra="", point="IntData", keys=("h", "v")):
+    """XML of intensities."""
+    rows = "".join(
+        f'<{point} {keys[0]}="{h:g}" {keys[1]}="{v:g}">{scale * candela(h, v):.6g}</{point}>'
+        for h in c
+        for v in gamma
+    )
+    return f"<LuminousIntensity>{extra}{rows}</LuminousIntensity>"
+
+
+def tm33(data=None, areas=AREA, before="", after="", root="IESTM33-22", top="", emitters=1):
+    """Text of a TM-33 file."""
+    data = table() if data is None else data
+    emitter = (
+        f"<Emitter><Quantity>1</Quantity>{before}<LuminousData>{data}</LuminousData>{after}{areas}"
+        "</Emitter>"
+    )
+    return (
+        '<?xml version="1.0" encoding="utf-8"?>\n<!-- Of a <scene> in a hall -->\n'
+        f"<{root}><Version>1.1</Version><Header><Description>A lamp</Description></Header>"
+        "<Luminaire><Dimensions><Length>0.7</Length><Width>0.3</Width><Height>0.1</Height>"
+        f"</Dimensions><NumEmitter>1</NumEmitter></Luminaire>{top}{emitters * emitter}</{root}>"
+    )
+
+
+@pytest.fixture
+def made(mi, tmp_path, monkeypatch):
+    """Function that writes a file."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(*args, name="lamp.xml", **others):
+        Path(name).write_text(tm33(*args, **others))
+        return name
+
+    return write
+
+
+def exact(direction):
+    x, y, _ = np.moveaxis(direction, -1, 0)
+    return 300 * np.maximum(-y, 0) * (1 + 0.5 * x)
+
+
+@pytest.mark.parametrize("name", ["lamp.xml", "lamp.tm33", "LAMP.XML"])
+def test_a_file_is_a_lamp(made, name):
+    """∫ 300 cos γ dω over the half-sphere is 300 π lm."""
+    asset = lumitree.load(made(name=name))
+    assert asset.luminaire == "A lamp"
+    distribution, colour = read_tm33(name)
+    assert colour == (1, 1, 1)
+    assert asset_lumens(asset) == pytest.approx(distribution.lumens, rel=5e-3)
+    assert asset_lumens(asset) == pytest.approx(300 * np.pi, rel=5e-3)
+    # Width along C = 0, and length along C = 90.
+    assert asset.frame.size == pytest.approx([0.2, 6e-4, 0.6])
+    directions = middle_directions(32)
+    assert distribution.at(directions) == pytest.approx(exact(directions), abs=6)
+    assert main(["info", name]) == 0
+    assert main(["bake", name, "-o", "lamp.lumitree"]) == 0
+
+
+def test_the_root_tells_it_from_scenes(made, tmp_path):
+    assert source_kind(made()) == "photometric"
+    assert what_it_is("lamp.xml") == TM33
+    for text, kind in (
+        ('<scene version="3.0.0"></scene>', SCENE),
+        ("<!-- <IESTM33> --><scene version='3.0.0'/>", SCENE),
+        ("<Root><IESTM33/></Root>", "an XML file"),
+        (tm33(root="IESTM33"), TM33),
+        (tm33(root="IESTM33-18"), TM33),
+    ):
+        Path("other.xml").write_text(text)
+        assert what_it_is("other.xml") == kind
+        assert source_kind("other.xml") == ("photometric" if kind == TM33 else "luminaire")
+    Path("other.xml").write_bytes(tm33().replace("utf-8", "utf-16").encode("utf-16"))
+    assert lumitree.load("other.xml").luminaire == "A lamp"
+    assert source_kind("missing.xml") == "luminaire"
+
+
+def test_symmetry_and_other_spellings(made):
+    """Half of the circle, one plane, and names as other programs write them."""
+    half = read_tm33(made(table(c=np.arange(0, 181, 22.5))))[0]
+    assert half.intensity == pytest.approx(read_tm33(made())[0].intensity)
+    alone = read_tm33(made(table(c=[0.0])))[0]
+    assert alone.at(direction_of([10, 200], 45)) == pytest.approx(candela(0, 45))
+    other = table(point="IntensityData", keys=("horz", "vert"))
+    other = other.replace("<LuminousIntensity>", "").replace("</LuminousIntensity>", "")
+    found, first = read_tm33(made(other))[0], read_tm33(made())[0]
+    assert found.intensity.tolist() == first.intensity.tolist()
+
+
+def test_factors(made):
+    plain = read_tm33(made())[0].lumens
+    doubled = read_tm33(made(table(extra="<Multiplier>2</Multiplier>")))[0].lumens
+    assert doubled == pytest.approx(2 * plain)
+    ballast = "<BallastFactor>0.9</BallastFactor>"
+    assert read_tm33(made(before=ballast))[0].lumens == pytest.approx(0.9 * plain)
+    absolute = table(extra="<AbsolutePhotometry>true</AbsolutePhotometry>")
+    assert read_tm33(made(absolute, before=ballast))[0].lumens == pytest.approx(plain)
+    tilt = (
+        '<TiltAngles><NumberAngles>2</NumberAngles><Tilt angle="0">0.5</Tilt>'
+        '<Tilt angle="90">0.2</Tilt></TiltAngles>'
+    )
+    with pytest.warns(LumitreeWarning, match="the one for 0 degrees, 0.5, is used"):
+        assert read_tm33(made(before=tilt))[0].lumens == pytest.approx(0.5 * plain)
+    with pytest.warns(LumitreeWarning, match="where it states 500 lm"):
+        read_tm33(made(table() + "<LuminousFlux>500</LuminousFlux>"))
+    assert read_tm33(made(emitters=2))[0].lumens == pytest.approx(2 * plain)
+
+
+def area(face, circular="", **sizes):
+    values = "".join(f"<{key}>{value}</{key}>" for key, value in sizes.items())
+    circular = f"<Circular>{circular}</Circular>" if circular else ""
+    return f"<{face}Face><{face}Area>{values}{circular}</{face}Area></{face}Face>"
+
+
+@pytest.mark.parametrize(
+    ("areas", "opening"),
+    [
+        (area("Top", Length=0.4, Width=0.4, circular="true"),
+         Opening((0.4, 0, 0.4), "cylinder")),
+        # Two areas beside each other.
+        (area("Bottom", Length=0.2, Width=0.1, LengthOffset=-0.3, WidthOffset=0)
+         + area("Bottom", Length=0.2, Width=0.1, LengthOffset=0.3, WidthOffset=0),
+         Opening((0.1, 0, 0.8))),
+        (area("C0", Length=0.2, Height=0.1), Opening((0, 0.1, 0.2))),
+        # Below and above: the height of the luminaire.
+        (area("Top", Length=0.4, Width=0.2) + area("Bottom", Length=0.4, Width=0.2),
+         Opening((0.2, 0.1, 0.4))),
+    ],
+)  # fmt: skip
+def test_openings(made, areas, opening):
+    found = read_tm33(made(areas=f"<EmissionAreas>{areas}</EmissionAreas>"))[0].opening
+    assert found.sides == pytest.approx(opening.sides)
+    assert (found.shape, found.axis) == (opening.shape, opening.axis)
+
+
+def test_no_emission_areas(made):
+    with pytest.warns(LumitreeWarning, match="no emission areas"):
+        assert read_tm33(made(areas=""))[0].opening == POINT
+
+
+def test_a_spectrum_gives_the_colour(made):
+    """Of a black body, in steps of 5 nm."""
+    wavelength = np.arange(360, 835, 5.0)
+    power = wavelength**-5 / np.expm1(1.438777e7 / (wavelength * 2700))
+    rows = "".join(f'<PwrData w="{w:g}">{p / power.max():.6g}</PwrData>'
+                   for w, p in zip(wavelength, power, strict=True))  # fmt: skip
+    spectrum = f"<SpectralData><EmitterSpectral>{rows}</EmitterSpectral></SpectralData>"
+    asset = lumitree.load(made(after=spectrum))
+    watts = asset_watts(asset)
+    assert asset_lumens(asset) == pytest.approx(300 * np.pi, rel=5e-3)
+    assert colour_temperature(watts)[0] == pytest.approx(2700, rel=5e-3)
+    assert watts / luminance(watts) * 683 == pytest.approx(blackbody_colour(2700), abs=0.01)
+
+
+@pytest.mark.parametrize("kind", ["CIE_C", "IES _ C", "TypeC", "B"])
+def test_types(made, kind):
+    top = f"<Equipment><Gonioradiometer><Type>{kind}</Type></Gonioradiometer></Equipment>"
+    if kind != "B":
+        assert read_tm33(made(top=top))[0].lumens == read_tm33(made())[0].lumens
+        return
+    # Type B: H = V = 0 is down, H = 90 towards C = 270.
+    rows = "".join(f'<IntData h="{h}" v="{v}">{100 + (h > 0)}</IntData>'
+                   for h in range(-90, 91, 10) for v in range(-90, 91, 10))  # fmt: skip
+    found = read_tm33(made(f"<LuminousIntensity>{rows}</LuminousIntensity>", top=top))[0]
+    assert found.at(direction_of([0, 270, 90], [1, 45, 45])) == pytest.approx([100.1, 101, 100],
+                                                                              abs=0.2)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (tm33(data=""), "table of intensities is empty"),
+        (tm33().replace("LuminousData", "PhotonData"), "an emitter has PhotonData; expected"),
+        (tm33(emitters=0), "it has 0 emitters"),
+        (tm33(table(c=[0, 90, 100])), "C angles are 0 to 100"),
+        (tm33().replace('h="22.5" v="5"', 'h="23" v="5"'), "expected one for each pair"),
+        (tm33().replace('v="5"', 'v="x"'), "the angle v of an intensity is 'x'"),
+        (tm33(table(scale=-1)), "negative intensity"),
+        (tm33(table(scale=0)), "emits nothing"),
+        (tm33(top="<Equipment><Gonioradiometer><Type>CUSTOM</Type></Gonioradiometer></Equipment>"),
+         "type of photometry is 'CUSTOM'"),
+        (tm33()[:-5], "not well-formed"),
+        (tm33().replace("<Version>", "<!-- -->&a;<Version>"), "not well-formed"),
+        (tm33().replace("<IESTM33-22>", '<!DOCTYPE a [<!ENTITY a "b">]><IESTM33-22>'), "entities"),
+    ],
+)  # fmt: skip
+def test_refusals(mi, tmp_path, text, message):
+    path = tmp_path / "lamp.tm33"
+    path.write_text(text)
+    with pytest.raises(LumitreeError, match=message) as found:
+        lumitree.load(path)
+    assert "\n" not in str(found.value)
+
+
+def test_damage_is_refused_in_a_line(mi, tmp_path):
+    path, rng = tmp_path / "lamp.tm33", np.random.default_rng(0)
+    whole = tm33(table(c=[0, 90, 180, 270], gamma=[0, 45, 90])).encode()
+    refusals = 0
+    for _ in range(300):
+        path.write_bytes(damaged(whole, rng))
+        refusals += refused(lambda: read_tm33(path))
+    assert refusals > 100
