@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.radiance_rooms.lamps import ExportedLamp, FileLamp, ShadedLamp
+from benchmarks.radiance_rooms.lamps import FileLamp, ShadedLamp
 from benchmarks.radiance_rooms.rooms import Box, furniture, walls
 from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import Grid, IntensityDistribution
@@ -30,7 +30,7 @@ class Case:
     """
 
     name: str
-    lamp: FileLamp | ShadedLamp | ExportedLamp
+    lamp: FileLamp | ShadedLamp
     at: tuple[float, float, float]
     boxes: list[Box]
     black: bool = False
@@ -51,12 +51,6 @@ def cases() -> list[Case]:
         Case("panel, furnished room", panel, (0.2, 2.75, -0.1), [*furnished, housing]),
         Case("pendant, furnished room", pendant, (-0.2, 2.0, 0.0), furnished),
         Case("baked lamp, black room", ShadedLamp(), (-0.2, 2.0, 0.0), black, black=True),
-        Case(
-            "dallas, exported, furnished room",
-            ExportedLamp("dallas", 64),
-            (-0.2, 2.0, 0.0),
-            furnished,
-        ),
     ]
 
 

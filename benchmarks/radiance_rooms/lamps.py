@@ -1,11 +1,10 @@
-"""Lamps that both programs get: photometric files, a lamp by its surfaces, and exported lamps.
+"""Lamps that both programs get: photometric files, and a lamp by its surfaces.
 
 Each class has `placement(folder, at)`, the lamp in lumitree with the centre of its box at a point
 [3], and `radiance(program, placement)`, the text of the same lamp in Radiance.
 """
 
 import dataclasses
-import functools
 from pathlib import Path
 from typing import Any
 
@@ -89,38 +88,6 @@ class ShadedLamp:
         places = " ".join(f"{x:.9g} {y:.9g} {_SQUARE:.9g}" for x, y in corners)
         text = f"void light glowing 0 0 3 {watts}\nglowing polygon square 0 0 12 {places}\n"
         return program.moved(radiance_text(_shade(), "shade") + text, _place(placement))
-
-
-@dataclasses.dataclass(frozen=True)
-class ExportedLamp:
-    """A built-in luminaire, baked, and exported to Radiance.
-
-    Attributes:
-        name: of the luminaire.
-        lights: largest number of point lights.
-    """
-
-    name: str
-    lights: int
-
-    def placement(self, folder: Path, at: Point) -> Placement:
-        return Placement(_baked(self.name), at=at)
-
-    def radiance(self, program: Radiance, placement: Placement) -> str:
-        import lumitree
-
-        asset = _baked(self.name)
-        path = program.folder / "exported.rad"
-        lumitree.export(asset, path, lights=self.lights)
-        return program.moved(path.read_text(), np.array(_place(placement)) - asset.frame.centre)
-
-
-@functools.cache
-def _baked(name: str) -> Any:
-    import lumitree
-
-    config = lumitree.BakeConfig(parts=("light", "geometry"), irradiance_paths=0)
-    return lumitree.bake(name, None, config).asset
 
 
 def _place(placement: Placement) -> Point:

@@ -279,7 +279,7 @@ def test_light_that_a_diffuse_square_reflects(mi, tmp_path, obstructed):
         placed(path, (0, height, 0)),
         points=points,
         normals=normals,
-        error=ERROR,
+        error=0.0055,
     )
     assert not found.direct.any()
     agree(found.total, found.total_error, reflectance * lit * seen)
