@@ -1,0 +1,1 @@
+"""The same rooms and photometric files in Radiance and in Mitsuba."""

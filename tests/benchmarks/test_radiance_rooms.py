@@ -1,0 +1,127 @@
+"""Illuminance of photometric files in rooms: lumitree against Radiance."""
+
+import importlib.util
+import json
+
+import numpy as np
+import pytest
+
+import lumitree
+from benchmarks import radiance
+from benchmarks.__main__ import main
+from benchmarks.radiance_rooms.program import Radiance
+from benchmarks.radiance_rooms.rooms import furniture, mitsuba_scene, radiance_text, walls
+from lumitree.errors import LumitreeError
+from support.ies_text import ies_text
+
+needs_radiance = pytest.mark.skipif(
+    importlib.util.find_spec("pyradiance") is None, reason="pyradiance is not installed"
+)
+GAMMA = np.arange(0, 95, 5.0)
+# Symmetric about C = 0 and C = 90 in one file, of no symmetry in the other.
+QUADRANT, ROUND = np.arange(0, 91, 22.5), np.arange(0, 361, 15.0)
+# In the frame of the room, y up: on a plane, and at two walls.
+POINTS = np.array(
+    [(x, 0.85, z) for x in (-1.6, -0.3, 0.9) for z in (-1.1, 0.5)]
+    + [(-1.99, 1.2, 0.3), (0.4, 1.0, 1.49)]
+)
+NORMALS = np.array([(0, 1, 0)] * 6 + [(1, 0, 0), (0, 0, -1)], float)
+
+
+def lamp(kind):
+    """Text of an IES file."""
+    cosine = np.cos(np.deg2rad(GAMMA))
+    sine = np.sin(np.deg2rad(GAMMA))
+    if kind == "panel":
+        c = np.deg2rad(QUADRANT)[:, None]
+        intensity = 500 * cosine * (1 + sine**2 * (1 - 0.5 * np.cos(2 * c)))
+        return ies_text(intensity, QUADRANT, GAMMA, (0.3, 1.2, 0))
+    c = np.deg2rad(ROUND)[:, None]
+    return ies_text(800 * cosine**2 * (1 + 0.5 * sine * np.cos(c - 0.7)), ROUND, GAMMA)
+
+
+def both(folder, kind, boxes, bounces, error, **options):
+    """Illuminance of the points by lumitree and by Radiance."""
+    file = folder / f"{kind}.ies"
+    file.write_text(lamp(kind))
+    at = (0.3, 2.4, -0.2)
+    ours = lumitree.illuminance(
+        mitsuba_scene(boxes),
+        [lumitree.Placement(file, at=at)],
+        points=POINTS,
+        normals=NORMALS,
+        error=error,
+        direct_only=bounces == 0,
+    )
+    program = Radiance(folder)
+    scene = radiance_text(boxes) + program.photometric_source(file, at)
+    return ours, program.illuminance(scene, POINTS, NORMALS, bounces, **options)
+
+
+def agree(ours, error, theirs):
+    """Each point within 2 %, with errors that are small enough to tell."""
+    noise = np.hypot(error, theirs.error)
+    assert (noise < 0.006 * theirs.lux).all()
+    assert ours == pytest.approx(theirs.lux, rel=0.02)
+    assert ours.mean() == pytest.approx(theirs.lux.mean(), rel=0.01)
+
+
+@needs_radiance
+@pytest.mark.parametrize("kind", ["point", "panel"])
+def test_direct_illuminance_is_that_of_radiance(mi, tmp_path, kind):
+    ours, theirs = both(tmp_path, kind, walls(0.3, 0.5, 0.7), 0, 0.003)
+    agree(ours.direct, ours.direct_error, theirs)
+
+
+@needs_radiance
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["point", "panel"])
+def test_the_illuminance_in_a_furnished_room_is_that_of_radiance(mi, tmp_path, kind):
+    boxes = walls(0.3, 0.5, 0.7) + furniture()
+    ours, theirs = both(tmp_path, kind, boxes, 24, 0.004, divisions=512, repeats=12)
+    agree(ours.total, ours.total_error, theirs)
+
+
+def test_figures_of_points():
+    baseline, error = np.array([100.0, 100.0, 200.0, 1.0]), np.array([1.0, 1.0, 2.0, 1.0])
+    found = radiance.compared(baseline * [1.1, 0.9, 1.0, 3.0], error, baseline, 0 * error)
+    assert (found["points"], found["compared"]) == (4, 3)
+    assert found["ratio"] == pytest.approx(403 / 401)
+    assert found["ratio_error"] == pytest.approx(np.sqrt(7) / 401)
+    # Differences are 10, -10, 0 and 2 of a mean of 100.25; the noise is 1, 1, 2 and 1.
+    assert found["rms_of_mean"] == pytest.approx(np.sqrt((204 - 7) / 4) / 100.25)
+    assert found["rms"] == pytest.approx(np.sqrt(0.02 / 3 - 1e-4))
+    assert found["noise"] == pytest.approx(0.01)
+    assert abs(found["worst"]) == pytest.approx(0.1)
+    assert found["worst_error"] == pytest.approx(0.01)
+
+
+def test_a_grid_has_rows_and_columns():
+    columns, rows = (round(side / radiance.SPACING) for side in radiance.EXTENT)
+    assert radiance.on_grid(list(range(columns * rows))).shape == (rows, columns)
+
+
+@needs_radiance
+@pytest.mark.slow
+def test_the_benchmark_from_end_to_end(mi, tmp_path, monkeypatch):
+    monkeypatch.setattr(radiance, "SPACING", 1.3)
+    monkeypatch.setattr(radiance, "EXTENT", (2.6, 2.6))
+    options = ["--repeats", "4", "--error", "0.02", "-o", str(tmp_path)]
+    assert main(["radiance", "spot, black room", "panel, furnished room", *options]) == 0
+    report = json.loads((tmp_path / "radiance.json").read_text())
+    assert [row["quantity"] for row in report["rows"]] == ["direct", "direct", "total"]
+    assert all(abs(row["ratio"] - 1) < 0.1 for row in report["rows"])
+    assert report["setting"]["radiance"].startswith("RADIANCE")
+    assert (tmp_path / "radiance.png").stat().st_size > 10_000
+    assert "spot, black room" in (tmp_path / "radiance.md").read_text()
+
+
+def test_a_case_that_there_is_not_is_one_line():
+    with pytest.raises(LumitreeError, match="there is no case 'none'; expected one of"):
+        radiance.chosen(["none"])
+
+
+def test_without_radiance_the_error_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(LumitreeError, match=r"pip install 'lumitree\[radiance\]'"):
+        Radiance(tmp_path)
