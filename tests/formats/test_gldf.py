@@ -14,7 +14,7 @@ from lumitree.core.octahedral import middle_directions
 from lumitree.core.photometry import flux_from_radiance, luminance
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.formats import archive as archives
-from lumitree.formats import l3d_geometry, light_field, light_sources, xml_tree
+from lumitree.formats import l3d_geometry, light_sources, xml_tree
 from lumitree.formats.archive import Archive
 from lumitree.formats.gldf import read_variant
 from lumitree.formats.ies import write_ies
@@ -66,7 +66,6 @@ def lobe(power=1.0, tilt=0.0, peak=PEAK):
 @pytest.fixture
 def quick(monkeypatch):
     """Coarse intensities, whose flux is exact nevertheless."""
-    monkeypatch.setattr(light_field, "_FINE", 2)
     monkeypatch.setattr(light_sources, "_COARSE", 8)
     monkeypatch.setattr(light_sources, "_MAX_BINS", 1 << 18)
 
