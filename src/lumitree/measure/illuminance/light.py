@@ -29,8 +29,8 @@ class EmitterLight:
 
     # fmt: off
     emitter: mi.EmitterPtr
-    unshadowed: mi.Color3f   # Irradiance if nothing is in between
-    through: mi.Color3f      # Transmittance of what is in between
+    unshadowed: mi.Spectrum  # Irradiance if nothing is in between
+    through: mi.Spectrum     # Transmittance of what is in between
     found: mi.Bool           # Whether there is any light
     # fmt: on
 
@@ -100,7 +100,7 @@ def summed_part(scene: PathScene, si: mi.SurfaceInteraction3f, light: EmitterLig
 
 def reflected_light(
     scene: PathScene, si: mi.SurfaceInteraction3f, sampler: mi.Sampler
-) -> mi.Color3f:
+) -> mi.Spectrum:
     """Irradiance by one path of light from surfaces and media, of any length."""
     local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
     # A ray along the surface has no density, and brings nothing.
