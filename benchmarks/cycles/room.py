@@ -46,7 +46,10 @@ class CyclesJob:
         gain: of the lamp.
         scale: of the lamp, scene units in one of its file.
         room: script of another room, by `geometry_script`, in place of this one.
-        camera: `origin`, `target` and `fov` (horizontal, degrees).
+        walls: of the room, as `WALLS`.
+        camera: `origin`, `target` and `fov` (horizontal, degrees), or, of an orthographic one,
+            `width` (m).
+        pixel_centres: whether a pixel shows its centre alone, and not the mean over its area.
         diffuse_bounces, bounces: largest numbers of diffuse bounces, and of all together.
         guiding: whether Cycles guides paths.
         warm_up: whether the scene is prepared first, and seconds are those of the samples alone:
@@ -63,7 +66,9 @@ class CyclesJob:
     gain: float = 1.0
     scale: float = 1.0
     room: str | None = None
+    walls: dict[str, dict[str, Any]] = dataclasses.field(default_factory=lambda: WALLS)
     camera: dict[str, Any] = dataclasses.field(default_factory=lambda: CAMERA)
+    pixel_centres: bool = False
     diffuse_bounces: int = DIFFUSE_BOUNCES
     bounces: int = OTHER_BOUNCES
     guiding: bool = False
@@ -93,7 +98,7 @@ def render_cycles(program: str, job: CyclesJob) -> Images:
     script = Path(__file__).with_name("room_script.py")
     with tempfile.TemporaryDirectory() as folder:
         members = dataclasses.asdict(job)
-        facts = {**members, "walls": WALLS, "folder": folder}
+        facts = {**members, "folder": folder}
         path = Path(folder) / "job.json"
         path.write_text(json.dumps(facts), encoding="utf-8")
         run_script(program, script, [str(path)], _LIMIT)

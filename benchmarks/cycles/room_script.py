@@ -38,7 +38,11 @@ def add_walls(scene, walls, node_tree):
 
 def add_camera(scene, camera):
     data = bpy.data.cameras.new("camera")
-    data.sensor_fit, data.angle = "HORIZONTAL", np.radians(camera["fov"])
+    data.sensor_fit = "HORIZONTAL"
+    if "width" in camera:
+        data.type, data.ortho_scale = "ORTHO", camera["width"]
+    else:
+        data.angle = np.radians(camera["fov"])
     data.clip_start = 0.01
     thing = bpy.data.objects.new("camera", data)
     origin, target = z_up(camera["origin"]), z_up(camera["target"])
@@ -76,6 +80,9 @@ def set_up(scene, job, node_tree):
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = cycles.blur_glossy = 0.0
     cycles.light_sampling_threshold = 0.0
     cycles.pixel_filter_type = "BOX"
+    if job["pixel_centres"]:
+        # The width of a box cannot be changed.
+        cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 0.01
     cycles.max_bounces = job["bounces"]
     cycles.glossy_bounces = cycles.transmission_bounces = job["bounces"]
     cycles.transparent_max_bounces = cycles.volume_bounces = job["bounces"]

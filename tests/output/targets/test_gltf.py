@@ -4,7 +4,6 @@ import base64
 import dataclasses
 import io
 import json
-import struct
 import warnings
 
 import numpy as np
@@ -12,9 +11,9 @@ import pytest
 from PIL import Image
 
 import lumitree
+from benchmarks.exported_files.gltf import GltfFile
 from lumitree.core.frames import similarity
 from lumitree.core.photometry import LUMA, LUMENS_PER_WATT
-from lumitree.formats.ies import read_ies
 from lumitree.output.geometry_meshes import geometry_meshes
 from lumitree.output.orientation import turn_up
 from support.browser import CHROMIUM, evaluate
@@ -25,52 +24,6 @@ from support.node_packages import node_modules, run_node
 from support.profiled_lights import light_vectors, profile_vector
 
 pytestmark = pytest.mark.usefixtures("mi")
-_NUMPY = {5123: np.uint16, 5125: np.uint32, 5126: np.float32}
-_COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
-
-
-class File:
-    """The JSON object of a file, and the bytes of its views."""
-
-    def __init__(self, path):
-        content = path.read_bytes()
-        magic, version, length = struct.unpack_from("<4sII", content)
-        assert (magic, version, length) == (b"glTF", 2, len(content))
-        size, kind = struct.unpack_from("<I4s", content, 12)
-        assert kind == b"JSON"
-        self.json = json.loads(content[20 : 20 + size])
-        self._data = content[28 + size :]
-
-    def view(self, index):
-        view = self.json["bufferViews"][index]
-        return self._data[view["byteOffset"] :][: view["byteLength"]]
-
-    def array(self, index):
-        accessor = self.json["accessors"][index]
-        found = np.frombuffer(self.view(accessor["bufferView"]), _NUMPY[accessor["componentType"]])
-        return found.reshape(-1, _COLUMNS[accessor["type"]])
-
-    def nodes(self, key):
-        """Nodes that have an entry, in the order of the file."""
-        return [each for each in self.json["nodes"] if key in each]
-
-    def lights(self):
-        """Node, punctual light and profile of each light."""
-        extensions = self.json["extensions"]
-        for node in self.nodes("extensions"):
-            used = node["extensions"]
-            point = extensions["KHR_lights_punctual"]["lights"][
-                used["KHR_lights_punctual"]["light"]
-            ]
-            profile = extensions["EXT_lights_ies"]["lights"][used["EXT_lights_ies"]["light"]]
-            yield node, point, profile
-
-
-def profile_of(file, profile, folder):
-    assert profile["mimeType"] == "application/x-ies-lm-63"
-    path = folder / "profile.ies"
-    path.write_bytes(file.view(profile["bufferView"]))
-    return read_ies(path)
 
 
 def rotated(quaternion, vector):
@@ -84,14 +37,14 @@ def test_both_kinds_of_lights_have_the_flux_of_the_asset(tmp_path, gain):
 
     asset = lamp(gain=gain)
     result = lumitree.export(asset, tmp_path / "lamp.glb", lights=6)
-    file, punctual, profiled = File(result.file), np.zeros(3), np.zeros(3)
+    file, punctual, profiled = GltfFile(result.file), np.zeros(3), np.zeros(3)
     for node, point, profile in file.lights():
         assert point["type"] == "point"
         punctual += 4 * np.pi * point["intensity"] * np.array(point["color"])
         used = node["extensions"]["EXT_lights_ies"]
         # Colours above 1 are clipped.
         assert max(used["color"]) == max(point["color"]) == 1
-        lumens = profile_of(file, profile, tmp_path).lumens
+        lumens = file.profile(profile).lumens
         profiled += used["multiplier"] * lumens * np.array(used["color"])
     np.testing.assert_allclose(punctual / LUMENS_PER_WATT, asset_watts(asset), rtol=1e-9)
     np.testing.assert_allclose(profiled / LUMENS_PER_WATT, asset_watts(asset), rtol=5e-3)
@@ -106,9 +59,9 @@ def test_both_kinds_of_lights_have_the_flux_of_the_asset(tmp_path, gain):
 )
 def test_the_brightest_direction_is_that_of_the_lamp(mi, tmp_path, up, direction, expected):
     lumitree.export(beam(mi, direction), tmp_path / "beam.glb", up=up)
-    file = File(tmp_path / "beam.glb")
+    file = GltfFile(tmp_path / "beam.glb")
     ((node, _, profile),) = file.lights()
-    profile = profile_of(file, profile, tmp_path)
+    profile = file.profile(profile)
     c, gamma = np.unravel_index(profile.intensity.argmax(), profile.intensity.shape)
     c, gamma = np.deg2rad(profile.c[c]), np.deg2rad(profile.gamma[gamma])
     # γ from the node's -z, C from its +x towards its +y.
@@ -124,11 +77,11 @@ def test_each_light_has_the_mean_direction_of_its_cells(tmp_path):
 
     asset = lamp()
     lumitree.export(asset, tmp_path / "lamp.glb", lights=5, up="z")
-    file = File(tmp_path / "lamp.glb")
+    file = GltfFile(tmp_path / "lamp.glb")
     placed = place_lights(asset, turn_up("z", "y"), 5)
     lights = list(file.lights())
     found = [
-        rotated(node["rotation"], profile_vector(profile_of(file, profile, tmp_path)))
+        rotated(node["rotation"], profile_vector(file.profile(profile)))
         for node, _, profile in lights
     ]
     np.testing.assert_allclose(found, light_vectors(placed), atol=0.01)
@@ -139,7 +92,7 @@ def test_each_light_has_the_mean_direction_of_its_cells(tmp_path):
 def test_one_root_holds_everything(tmp_path):
     asset = dataclasses.replace(with_geometry(small_geometry()), luminaire="a lamp")
     result = lumitree.export(asset, tmp_path / "lamp.glb")
-    file = File(result.file)
+    file = GltfFile(result.file)
     (root,) = file.json["scenes"][0]["nodes"]
     nodes = file.json["nodes"]
     assert nodes[root]["name"] == "a lamp"
@@ -153,7 +106,7 @@ def test_one_root_holds_everything(tmp_path):
 def test_the_file_holds_the_surfaces(tmp_path):
     geometry, turn = small_geometry(), turn_up("z", "y")
     lumitree.export(with_geometry(geometry), tmp_path / "lamp.glb", up="z")
-    file = File(tmp_path / "lamp.glb")
+    file = GltfFile(tmp_path / "lamp.glb")
     expected = geometry_meshes(geometry, similarity(turn))
     for mesh, arrays in zip(file.json["meshes"], expected, strict=True):
         (primitive,) = mesh["primitives"]
@@ -167,7 +120,7 @@ def test_the_file_holds_the_surfaces(tmp_path):
 
 def test_materials_have_the_numbers_of_the_lamp(tmp_path):
     lumitree.export(with_geometry(small_geometry()), tmp_path / "lamp.glb")
-    textured, metal, glass = File(tmp_path / "lamp.glb").json["materials"]
+    textured, metal, glass = GltfFile(tmp_path / "lamp.glb").json["materials"]
     assert textured["doubleSided"] is True
     assert textured["alphaMode"] == "BLEND"
     assert textured["extensions"]["KHR_materials_specular"] == {"specularFactor": 0.0}
@@ -189,7 +142,7 @@ def test_a_medium_is_the_attenuation_of_a_volume(tmp_path):
     shapes = [dict(shape) for shape in small_geometry().shapes]
     shapes[2]["interior"] = absorption.tolist()
     lumitree.export(with_geometry(small_geometry(shapes=tuple(shapes))), tmp_path / "lamp.glb")
-    glass = File(tmp_path / "lamp.glb").json["materials"][2]
+    glass = GltfFile(tmp_path / "lamp.glb").json["materials"][2]
     volume = glass["extensions"]["KHR_materials_volume"]
     found = -np.log(volume["attenuationColor"]) / volume["attenuationDistance"]
     np.testing.assert_allclose(found, absorption, rtol=1e-9)
@@ -201,7 +154,7 @@ def test_roughness_and_metalness_share_an_image(tmp_path):
     geometry = small_geometry()
     geometry = small_geometry(materials=(material, *geometry.materials[1:]))
     lumitree.export(with_geometry(geometry), tmp_path / "lamp.glb")
-    file = File(tmp_path / "lamp.glb")
+    file = GltfFile(tmp_path / "lamp.glb")
     core = file.json["materials"][0]["pbrMetallicRoughness"]
     assert (core["roughnessFactor"], core["metallicFactor"]) == (1, 1)
     texture = file.json["textures"][core["metallicRoughnessTexture"]["index"]]
@@ -235,7 +188,7 @@ def test_our_importer_reads_the_lamp(tmp_path):
     assert any("EXT_lights_ies" in str(each.message) for each in caught)
     materials = {each.name: each for each in model.materials}
     places = {part.name: part.places[0][:3, 3] for part in model.parts}
-    lights = list(File(tmp_path / "lamp.glb").lights())
+    lights = list(GltfFile(tmp_path / "lamp.glb").lights())
     assert len(lights) == 3
     for node, point, _ in lights:
         name = f"light_{node['name']}"

@@ -1,17 +1,15 @@
 """`lumitree export` into a folder of IES files: flux, far field, places and errors."""
 
-import csv
-
 import numpy as np
 import pytest
 
 import lumitree
+from benchmarks.exported_files.ies_folder import placed_profiles
 from lumitree.asset.asset import light_field_asset
 from lumitree.asset.light_field import make_light_field
 from lumitree.cli import main
 from lumitree.core.octahedral import bilinear_bins, middle_directions
 from lumitree.core.photometry import luminance
-from lumitree.formats.ies import read_ies
 from lumitree.formats.type_c import y_up
 from lumitree.output.targets.ies_folder import COLUMNS, PLACEMENT
 from lumitree.rendering.asset_flux import asset_watts
@@ -22,11 +20,10 @@ pytestmark = pytest.mark.usefixtures("mi")
 
 def read(folder):
     """Rows of the table, with the distribution of each file."""
-    with open(folder / PLACEMENT, encoding="utf-8", newline="") as file:
-        assert file.readline().startswith("# ")
-        rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == COLUMNS
-    return [(row, read_ies(folder / row["file"])) for row in rows]
+    assert (folder / PLACEMENT).read_text(encoding="utf-8").startswith("# ")
+    lights = placed_profiles(folder)
+    assert tuple(lights[0][0]) == COLUMNS
+    return lights
 
 
 def number(row, *names):

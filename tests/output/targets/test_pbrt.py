@@ -1,67 +1,22 @@
-"""`lumitree export` for pbrt-v4, read by a reader of the tests: flux, directions and units."""
-
-import re
+"""`lumitree export` for pbrt-v4, read by the benchmarks: flux, directions and units."""
 
 import numpy as np
 import pytest
 
 import lumitree
-from lumitree.core.images import read_exr
+from benchmarks.exported_files.pbrt import pbrt_lights, square_of
 from lumitree.core.photometry import luminance
 from lumitree.rendering.asset_flux import asset_watts
 from support.exported_lamps import FRAME, GAIN, beam, lamp
 
 pytestmark = pytest.mark.usefixtures("mi")
 
-LIGHT = re.compile(
-    r"AttributeBegin\s+Translate (?P<place>[^\n]+)\s+"
-    r'LightSource "goniometric" "string filename" "(?P<name>[^"]+)"\s+'
-    r'"rgb I" \[(?P<colour>[^]]+)\]\s+"float scale" (?P<scale>\S+)\s+AttributeEnd'
-)
-
-
-def square_of(direction):
-    """Place in the unit square of directions [N, 3]; pbrt's EqualAreaSphereToSquare, exactly."""
-    x, y, z = np.abs(direction).T
-    radius = np.sqrt(1 - z)
-    part = np.arctan2(y, x) * 2 / np.pi
-    u, v = radius * (1 - part), radius * part
-    below = direction[:, 2] < 0
-    u, v = np.where(below, 1 - v, u), np.where(below, 1 - u, v)
-    signed = np.copysign(u, direction[:, 0]), np.copysign(v, direction[:, 1])
-    return (np.stack(signed, axis=-1) + 1) / 2
-
-
-class Light:
-    """A light as pbrt reads it."""
-
-    def __init__(self, folder, found):
-        self.place = np.array(found["place"].split(), float)
-        self.colour = np.array(found["colour"].split(), float)
-        self.scale = float(found["scale"])
-        channels = read_exr(folder / found["name"])
-        assert list(channels) == ["Y"]
-        self.image = channels["Y"].astype(np.float64)
-        assert self.image.shape[0] == self.image.shape[1]
-
-    def intensity(self, direction):
-        """Candela per R, G and B for directions [N, 3]; pbrt exchanges y and z of the image."""
-        side = len(self.image)
-        column, row = np.minimum(
-            (square_of(direction[:, [0, 2, 1]]) * side).astype(int), side - 1
-        ).T
-        return self.scale * self.image[row, column, None] * self.colour
-
-    @property
-    def power(self):
-        """Texels have equal areas."""
-        return 4 * np.pi * self.image.mean() * self.scale * self.colour
-
 
 def read(path):
-    text = path.read_text()
-    lights = [Light(path.parent, found.groupdict()) for found in LIGHT.finditer(text)]
-    assert len(lights) == text.count("LightSource")
+    lights = pbrt_lights(path)
+    assert len(lights) == path.read_text().count("LightSource")
+    for light in lights:
+        assert light.image.shape[0] == light.image.shape[1]
     return lights
 
 

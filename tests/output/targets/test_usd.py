@@ -9,10 +9,16 @@ import numpy as np
 import pytest
 
 import lumitree
+from benchmarks.exported_files.usd import (
+    lights_of,
+    luminous_intensity,
+    profile_of,
+    value,
+    world_from_light,
+)
 from lumitree.cli import main
 from lumitree.core.frames import similarity
 from lumitree.errors import LumitreeError
-from lumitree.formats.ies import read_ies
 from lumitree.output.geometry_meshes import geometry_meshes
 from lumitree.output.orientation import turn_up
 from support.every_material import MATERIALS, TEXTURE, every_material
@@ -31,33 +37,14 @@ def pxr():
     return load_usd()
 
 
-def lights_of(pxr, stage):
-    return [prim for prim in stage.Traverse() if prim.IsA(pxr.UsdLux.SphereLight)]
-
-
 def meshes_of(pxr, stage):
     return [prim for prim in stage.Traverse() if prim.IsA(pxr.UsdGeom.Mesh)]
-
-
-def value(prim, name):
-    return prim.GetAttribute(f"inputs:{name}").Get()
-
-
-def profile_of(prim):
-    return read_ies(prim.GetAttribute("inputs:shaping:ies:file").Get().resolvedPath)
-
-
-def world_from_light(pxr, prim):
-    """[4, 4], for columns."""
-    return np.array(pxr.UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(0)).T
 
 
 def flux_of(prim, lumens):
     """Flux [3] of R, G and B, W, as the schema of UsdLux has it: see `output.usd.lights`."""
     assert prim.GetAttribute("inputs:normalize").Get() is True
-    radius = value(prim, "radius")
-    luminance = value(prim, "intensity") / (4 * np.pi * radius**2)
-    return luminance * np.pi * radius**2 * np.array(value(prim, "color")) * lumens / 683
+    return luminous_intensity(prim) * lumens / 683
 
 
 def problems(stage_path):

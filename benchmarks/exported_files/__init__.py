@@ -1,0 +1,1 @@
+"""Readers of exported lamps, independent of their writers; and their lights, summed."""
