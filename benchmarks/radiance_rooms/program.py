@@ -10,6 +10,7 @@ import os
 import resource
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.errors import LumitreeError
 
 LUMENS_PER_WATT = 179.0
-_LUMA = (0.265074126, 0.670114631, 0.064811243)
+LUMA = (0.265074126, 0.670114631, 0.064811243)
 # How far the samples of a part of a light source are from its centre, relative to its size.
 _DIRECT = "-dj .9 -dt 0 -dc 1 -dp 0 -st 0"
 # Largest parts of light sources over their distance: for direct light alone, and else.
@@ -117,12 +118,32 @@ class Radiance:
         )
         end = resource.getrusage(resource.RUSAGE_CHILDREN)
         rgb = np.array(text.split(), np.float64).reshape(-1, repeats, 3)
-        lux = LUMENS_PER_WATT * (rgb @ np.array(_LUMA))
+        lux = LUMENS_PER_WATT * (rgb @ np.array(LUMA))
         return TracedIlluminance(
             lux.mean(axis=1),
             lux.std(axis=1, ddof=1) / np.sqrt(repeats),
             end.ru_utime + end.ru_stime - start.ru_utime - start.ru_stime,
         )
+
+    def image(self, scene: str, camera: dict[str, Any], width: int, height: int) -> bytes:
+        """Image (.hdr) of a scene by `rpict`, with three diffuse reflections.
+
+        Args:
+            scene: text of all its parts.
+            camera: `origin`, `target`, y up, and `fov` (horizontal, degrees).
+            width, height: pixels.
+        """
+        (self.folder / "scene.rad").write_text(scene)
+        octree = self.folder / "scene.oct"
+        octree.write_bytes(self._bytes("oconv", "scene.rad"))
+        eye, target = (_z_up(camera[name]) for name in ("origin", "target"))
+        angle = np.radians(camera["fov"])
+        vertical = np.degrees(2 * np.arctan(np.tan(angle / 2) * height / width))
+        place, direction = (" ".join(f"{each:.9g}" for each in v) for v in (eye, target - eye))
+        view = f"-vtv -vp {place} -vd {direction} -vu 0 0 1 -vh {camera['fov']} -vv {vertical:.9g}"
+        quality = "-ab 3 -ad 1024 -as 0 -aa .12 -ar 64 -dt 0 -ps 1"
+        size = f"-x {width} -y {height} -pa 1"
+        return self._bytes("rpict", *f"{view} {quality} {size}".split(), octree.name)
 
     def _run(self, program: str, *options: str, given: str = "") -> str:
         return self._bytes(program, *options, given=given).decode()

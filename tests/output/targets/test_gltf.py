@@ -22,6 +22,7 @@ from support.exported_lamps import beam, lamp
 from support.geometry_assets import small_geometry, with_geometry
 from support.node_packages import node_modules, run_node
 from support.profiled_lights import light_vectors, profile_vector
+from support.three_page import three_page
 
 pytestmark = pytest.mark.usefixtures("mi")
 
@@ -244,32 +245,6 @@ def test_the_official_validator_finds_no_errors(tmp_path, packages):
         "IMAGE_NPOT_DIMENSIONS",
     }
     assert report["info"]["drawCallCount"] == len(MATERIALS)
-
-
-def three_page(packages):
-    """A page with three.js and its loader of glTF, as modules without a server."""
-    root = packages / "three"
-    files = {
-        "three-core": root / "build" / "three.core.js",
-        "three": root / "build" / "three.module.js",
-        "buffers": root / "examples" / "jsm" / "utils" / "BufferGeometryUtils.js",
-        "skeletons": root / "examples" / "jsm" / "utils" / "SkeletonUtils.js",
-        "loader": root / "examples" / "jsm" / "loaders" / "GLTFLoader.js",
-    }
-    relative = {
-        "./three.core.js": "three-core",
-        "../utils/BufferGeometryUtils.js": "buffers",
-        "../utils/SkeletonUtils.js": "skeletons",
-    }
-    imports = {}
-    for name, path in files.items():
-        text = path.read_text(encoding="utf-8")
-        for given, wanted in relative.items():
-            text = text.replace(f"'{given}'", f"'{wanted}'")
-        coded = base64.b64encode(text.encode()).decode()
-        imports[name] = f"data:text/javascript;base64,{coded}"
-    table = json.dumps({"imports": imports})
-    return f'<html><head><script type="importmap">{table}</script></head><body></body></html>'
 
 
 LOAD = """(async () => {
