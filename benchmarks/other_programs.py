@@ -109,13 +109,17 @@ def by_radiance(path: Path, plane: Plane, options: argparse.Namespace) -> Found:
     return Found(found.lux, found.error, radiance.version())
 
 
-def by_ies2rad(path: Path, plane: Plane, options: argparse.Namespace) -> Found:
-    """Radiance with the IES files, each at its place."""
-    radiance = Radiance(path.parent)
-    text = "".join(
-        radiance.photometric_source(path / row["file"], ies_folder.place(row))
-        for row, _ in ies_folder.placed_profiles(path)
+def ies_text(radiance: Radiance, folder: Path) -> str:
+    """Scene of Radiance with the IES files of a folder, by `ies2rad`, each at its place."""
+    return "".join(
+        radiance.photometric_source(folder / row["file"], ies_folder.place(row))
+        for row, _ in ies_folder.placed_profiles(folder)
     )
+
+
+def by_ies2rad(path: Path, plane: Plane, options: argparse.Namespace) -> Found:
+    radiance = Radiance(path.parent)
+    text = ies_text(radiance, path)
     found = radiance.illuminance(text, plane.points, plane.normals, bounces=0, repeats=4)
     return Found(found.lux, found.error, radiance.version())
 

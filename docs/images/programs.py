@@ -21,6 +21,7 @@ ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from benchmarks.cycles.room import CyclesJob, render_cycles  # noqa: E402
+from benchmarks.other_programs import ies_text  # noqa: E402
 from benchmarks.radiance_rooms.program import LUMA, LUMENS_PER_WATT, Radiance  # noqa: E402
 from lumitree.core.backend import load_mitsuba  # noqa: E402
 from lumitree.core.photometry import LUMENS_PER_WATT as LUMENS  # noqa: E402
@@ -110,11 +111,9 @@ def by_mitsuba(asset: Any, scene: Scene, folder: Path) -> np.ndarray:
     return found.pixels
 
 
-def by_radiance(asset: Any, scene: Scene, folder: Path) -> np.ndarray:
-    import lumitree
-
+def _radiance(lamp: str, radiance: Radiance, scene: Scene) -> np.ndarray:
+    """Image with the text of a lamp."""
     mi = load_mitsuba()
-    lumitree.export(asset, folder / "lamp.rad")
     lines = []
     for name, quad in scene.walls.items():
         colour = " ".join(map(str, quad["reflectance"]))
@@ -122,12 +121,27 @@ def by_radiance(asset: Any, scene: Scene, folder: Path) -> np.ndarray:
         numbers = " ".join(f"{each:.9g}" for each in np.stack([x, -z, y], axis=-1).ravel())
         lines.append(f"void plastic paint_{name} 0 0 5 {colour} 0 0")
         lines.append(f"paint_{name} polygon {name} 0 0 12 {numbers}")
-    text = "\n".join([*lines, "!xform lamp.rad"]) + "\n"
-    (folder / "image.hdr").write_bytes(Radiance(folder).image(text, scene.camera, WIDTH, HEIGHT))
-    pixels = np.array(mi.Bitmap(str(folder / "image.hdr")), np.float64)[..., :3]
+    path = radiance.folder / "image.hdr"
+    path.write_bytes(radiance.image("\n".join([*lines, lamp]), scene.camera, WIDTH, HEIGHT))
+    pixels = np.array(mi.Bitmap(str(path)), np.float64)[..., :3]
     # Luminance stays, and the ratios of R, G and B.
     theirs = LUMENS_PER_WATT * (pixels @ np.array(LUMA))
     return pixels * (theirs / np.maximum(luminance(pixels), 1e-30))[..., None]
+
+
+def by_radiance(asset: Any, scene: Scene, folder: Path) -> np.ndarray:
+    import lumitree
+
+    lumitree.export(asset, folder / "lamp.rad")
+    return _radiance("!xform lamp.rad\n", Radiance(folder), scene)
+
+
+def by_ies(asset: Any, scene: Scene, folder: Path) -> np.ndarray:
+    import lumitree
+
+    lumitree.export(asset, folder / "lamp")
+    radiance = Radiance(folder)
+    return _radiance(ies_text(radiance, folder / "lamp"), radiance, scene)
 
 
 def _cycles(script: Path, scene: Scene, samples: int) -> np.ndarray:
@@ -240,6 +254,10 @@ PROGRAMS = (
     ("Blender's Cycles, .py\n16 lights", by_cycles),
     ("three.js, .glb\nlights even in all directions; no shadows, no reflections", by_three),
     ("OpenUSD, .usdz, in Blender's Cycles\nlights even in all directions", by_usd),
+    (
+        "IES files, in Radiance by ies2rad\n16 lights without colour; surfaces are not shown",
+        by_ies,
+    ),
 )
 
 
