@@ -8,6 +8,7 @@ import pytest
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
+from lumitree.asset.light_field import make_light_field
 from lumitree.core.frames import LocalFrame
 from lumitree.core.photometry import LUMENS_PER_WATT, luminance
 from support.light_fields import random_light_field
@@ -124,6 +125,19 @@ def test_what_shadows_a_lamp_is_sampled(mi):
     free = lumitree.illuminance(room(mi), [placed()], direct_only=True, **at(*points)).direct
     assert 0.1 * free[1] < result.direct[1] < 0.9 * free[1]
     assert result.direct[2] == result.direct[3] == 0
+
+
+def test_a_full_shadow_is_black_where_all_samples_are_equal(mi):
+    """Of a lamp of one cell, even in all directions."""
+    frame = LocalFrame(np.ones(3), np.eye(4))
+    field = make_light_field(np.zeros((1, 3), int), np.ones((1, 64, 3)), 2)
+    even = lumitree.Placement(light_field_asset(field, frame, "even"), at=(0, 40, 0), size=0.2)
+    plate = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 20, 0]).scale(9)}
+    plate["to_world"] = plate["to_world"] @ mi.ScalarTransform4f().rotate([1, 0, 0], 90)
+    points = np.array([[0, 0, 0], [0, 25, 0]])
+    result = lumitree.illuminance(room(mi, plate=plate), [even], direct_only=True, **at(*points))
+    assert result.direct[0] == 0
+    assert result.direct[1] > 0
 
 
 def test_errors_are_those_of_repetitions(mi):

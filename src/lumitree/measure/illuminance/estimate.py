@@ -109,12 +109,17 @@ class _Control:
             total[index] += product.sum(axis=1)
 
     def coefficient(self, index: NDArray[np.int64]) -> _Array:
-        """c [M]: the covariance of t and w over the variance of w."""
+        """c [M]: the covariance of t and w over the variance of w.
+
+        Where w is constant, it is what is not shadowed of it.
+        """
         n, w, t = self._number[index], self._w[index], self._t[index]
         variance = self._ww[index] - w * w / n
         covariance = self._tw[index] - t * w / n
         some = variance > 1e-9 * self._ww[index]
-        ratio = np.divide(covariance, variance, out=np.ones(len(index)), where=some)
+        squares = self._ww[index]
+        ratio = np.divide(self._tw[index], squares, out=np.ones(len(index)), where=squares > 0)
+        np.divide(covariance, variance, out=ratio, where=some)
         return np.clip(ratio, 0, 1)
 
 
