@@ -83,7 +83,11 @@ def photometric_suffix(name: str | os.PathLike[str]) -> str | None:
     suffix = Path(path).suffix.lower()
     if suffix in PHOTOMETRIC_SUFFIXES:
         return suffix
-    return suffix if suffix == ".xml" and what_it_is(path) == TM33 else None
+    try:
+        return suffix if suffix == ".xml" and what_it_is(path) == TM33 else None
+    except OSError:
+        # What opens it says why it cannot be read.
+        return None
 
 
 def gldf_variant(name: str | os.PathLike[str]) -> tuple[str, str | None]:

@@ -47,7 +47,7 @@ def _samples(file: Any, emitter: Any) -> Samples | None:
 
 def _listed(props: Any, name: str) -> Samples | None:
     """A property that is a list of wavelengths and values, or a constant spectrum."""
-    if not props.has_property(name):
+    if name not in props:
         return None
     if props.type(name) != load_mitsuba().Properties.Type.Spectrum:
         return None

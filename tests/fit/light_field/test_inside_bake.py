@@ -210,6 +210,7 @@ def test_no_light_ends_on_a_bare_ball(mi, tmp_path):
     assert (inside.visibility_curves <= MAX_FACTOR).all()
 
 
+@pytest.mark.slow
 def test_null_surfaces_do_not_block(mi, lamp, field, tmp_path):
     """A null sphere around the ball: the exitant light begins there, so that κ is 1 beyond it."""
     other = disc_lamp(tmp_path, sphere("null", 0.9, inside=NULL))
