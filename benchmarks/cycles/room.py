@@ -112,14 +112,12 @@ def render_cycles(program: str, job: CyclesJob) -> Images:
             )
 
 
-def mitsuba_room(width: int, height: int) -> Any:
-    """The room (mi.Scene)."""
+def mitsuba_walls(walls: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Shapes for `mitsuba.load_dict`, of walls as of `WALLS`."""
     import mitsuba as mi
 
-    from lumitree.rendering.plugins.objects import load_ordered
-
-    scene: dict[str, Any] = {"type": "scene"}
-    for name, wall in WALLS.items():
+    shapes: dict[str, Any] = {}
+    for name, wall in walls.items():
         first, second = np.array(wall["first"]), np.array(wall["second"])
         normal = np.cross(first, second)
         matrix = np.eye(4)
@@ -127,11 +125,21 @@ def mitsuba_room(width: int, height: int) -> Any:
             [first, second, normal / np.linalg.norm(normal), wall["centre"]], axis=-1
         )
         reflectance = {"type": "rgb", "value": wall["reflectance"]}
-        scene[name] = {
+        shapes[name] = {
             "type": "rectangle",
             "to_world": mi.ScalarTransform4f(matrix),
             "bsdf": {"type": "diffuse", "reflectance": reflectance},
         }
+    return shapes
+
+
+def mitsuba_room(width: int, height: int) -> Any:
+    """The room (mi.Scene)."""
+    import mitsuba as mi
+
+    from lumitree.rendering.plugins.objects import load_ordered
+
+    scene: dict[str, Any] = {"type": "scene", **mitsuba_walls(WALLS)}
     look = mi.ScalarTransform4f().look_at(CAMERA["origin"], CAMERA["target"], [0, 1, 0])
     scene["sensor"] = {
         "type": "perspective",

@@ -20,7 +20,7 @@ from PIL import Image
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from benchmarks.cycles.room import CyclesJob, render_cycles  # noqa: E402
+from benchmarks.cycles.room import CyclesJob, mitsuba_walls, render_cycles  # noqa: E402
 from benchmarks.other_programs import ies_text  # noqa: E402
 from benchmarks.radiance_rooms.program import LUMA, LUMENS_PER_WATT, Radiance  # noqa: E402
 from lumitree.core.backend import load_mitsuba  # noqa: E402
@@ -93,20 +93,8 @@ def by_mitsuba(asset: Any, scene: Scene, folder: Path) -> np.ndarray:
         # The glass takes more of a path than the surfaces around it.
         "integrator": {"type": "path", "max_depth": 24},
         "sensor": {"type": "perspective", "fov": camera["fov"], "to_world": look, "film": film},
+        **mitsuba_walls(scene.walls),
     }
-    for name, quad in scene.walls.items():
-        first, second = np.array(quad["first"]), np.array(quad["second"])
-        normal = np.cross(first, second)
-        matrix = np.eye(4)
-        matrix[:3] = np.stack(
-            [first, second, normal / np.linalg.norm(normal), quad["centre"]], axis=-1
-        )
-        grey = {"type": "rgb", "value": quad["reflectance"]}
-        things[name] = {
-            "type": "rectangle",
-            "to_world": mi.ScalarTransform4f(matrix),
-            "bsdf": {"type": "diffuse", "reflectance": grey},
-        }
     found = lumitree.render(things, [lumitree.Placement(asset)], samples_per_pixel=64)
     return found.pixels
 

@@ -67,7 +67,7 @@ def lobe(power=1.0, tilt=0.0, peak=PEAK):
 def quick(monkeypatch):
     """Coarse intensities, whose flux is exact nevertheless."""
     monkeypatch.setattr(light_sources, "_COARSE", 8)
-    monkeypatch.setattr(light_sources, "_MAX_BINS", 1 << 18)
+    monkeypatch.setattr(light_sources, "MAX_BINS", 1 << 18)
 
 
 @pytest.fixture

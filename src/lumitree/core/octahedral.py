@@ -4,7 +4,6 @@ The sphere is projected on an octahedron, whose lower half is folded out into th
 square, which is cut into `resolution`² bins.
 """
 
-import itertools
 import math
 from typing import Any
 
@@ -12,8 +11,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-
-from lumitree.core.device import on_device
 
 
 def octahedral(direction: Any) -> Any:
@@ -70,18 +67,8 @@ def interpolated(values: NDArray[Any], direction: NDArray[Any]) -> NDArray[np.fl
         values: [R²] by bin.
         direction: of any length.
     """
-    resolution = math.isqrt(len(values))
-    place = (octahedral(on_device(mi.Vector3f, direction)) + 1) * (resolution / 2) - 0.5
-    lower = dr.floor(place)
-    u, v = (np.array(each, np.float64) for each in place - lower)
-    total = np.zeros(len(direction))
-    for across, along in itertools.product((0, 1), repeat=2):
-        middle = lower + mi.Vector2f(across, along) + 0.5
-        cell = mi.Point2i((_on_map(middle * (2 / resolution) - 1) + 1) * (resolution / 2))
-        index = np.array(dr.clip(cell.y, 0, resolution - 1) * resolution, np.int64)
-        index += np.array(dr.clip(cell.x, 0, resolution - 1), np.int64)
-        total += np.where(across, u, 1 - u) * np.where(along, v, 1 - v) * values[index]
-    return total
+    bins, weights = bilinear_bins(np.asarray(direction, np.float64), math.isqrt(len(values)))
+    return (values[bins] * weights).sum(axis=1)
 
 
 def bin_density(direction: Any, resolution: int) -> Any:

@@ -37,7 +37,7 @@ _MIN_EXTENT = 1e-6
 # Bins of direction a side of an asset of a photometric file: of any opening, and of flat ones.
 RESOLUTIONS, _FLAT_RESOLUTIONS = (64, 128), (64, 128, 256, 512)
 # Number of its bins, cells times bins of direction; 4 bytes each.
-_MAX_BINS = 1 << 22
+MAX_BINS = 1 << 22
 _MAX_DEPTH, _DISK_DEPTH = 3, 3
 # Bins of direction a side in which the light starts in the same cells, and how many at once.
 _COARSE, _BINS_AT_ONCE = 32, 32
@@ -61,7 +61,7 @@ def bake_distribution(distribution: IntensityDistribution, colour: RGB = WHITE) 
     frame = LocalFrame.of_box(-sides / 2, sides / 2)
     if opening.is_flat or opening.sides != distribution.opening.sides:
         depth, cells, area = _flat_shares(opening, frame)
-        resolutions = [each for each in _FLAT_RESOLUTIONS if len(cells) * each**2 <= _MAX_BINS]
+        resolutions = [each for each in _FLAT_RESOLUTIONS if len(cells) * each**2 <= MAX_BINS]
         candela, shares = intensity_by_bin(distribution, resolutions), area[:, None]
     else:
         candela = intensity_by_bin(distribution)
@@ -103,7 +103,7 @@ def _projected_shares(
         flux = np.concatenate(
             [starts.flux(directions[at : at + _BINS_AT_ONCE]) for at in parts], axis=1
         )
-        if np.count_nonzero(flux.any(axis=1)) * resolution**2 <= _MAX_BINS:
+        if np.count_nonzero(flux.any(axis=1)) * resolution**2 <= MAX_BINS:
             break
         depth -= 1
     cells = np.flatnonzero(flux.any(axis=1))

@@ -26,15 +26,13 @@ from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import middle_directions, solid_angles
 from lumitree.core.photometry import LUMENS_PER_WATT
 from lumitree.errors import LumitreeError
-from lumitree.formats.light_field import POINT_SIZE, intensity_by_bin
+from lumitree.formats.light_field import MAX_BINS, POINT_SIZE, intensity_by_bin
 from lumitree.formats.opening import Opening
 from lumitree.formats.start_cells import StartCells
 from lumitree.formats.type_c import IntensityDistribution
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.int64]
-# Bins of an asset, cells times bins of direction; 4 bytes each that emits.
-_MAX_BINS = 1 << 22
 _MAX_DEPTH = 6
 # Bins a side of flat openings and of those with a volume, and how many at once.
 _COARSE, _COARSE_OF_VOLUME, _BINS_AT_ONCE = 32, 16, 32
@@ -141,7 +139,7 @@ def _all_starts(
     """Depth of the grid, and the starts of each source, of which there are not too many."""
     depth = _estimated_depth(sources, frame, resolution)
     while depth > 1:
-        limit = _MAX_BINS // resolution**2
+        limit = MAX_BINS // resolution**2
         starts = [_Starts(source, frame, depth).shares(limit) for source in sources]
         if len(np.unique(np.concatenate([codes for codes, _ in starts]))) <= limit:
             return depth, starts
@@ -186,7 +184,7 @@ def _estimated_depth(sources: Sequence[LightSource], frame: LocalFrame, resoluti
         cells = sum(float(span[1:].prod()) for span in spans)
         # The points of an opening with a volume are a fixed number.
         deep = [span.max() for span in spans if span.min() > 1]
-        if cells * resolution**2 <= _MAX_BINS and max(deep, default=0) <= _MAX_SPAN:
+        if cells * resolution**2 <= MAX_BINS and max(deep, default=0) <= _MAX_SPAN:
             return depth
     return 1
 

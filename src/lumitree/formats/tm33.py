@@ -27,9 +27,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.backend import load_mitsuba
-from lumitree.core.device import on_device
-from lumitree.core.photometry import LUMA, RGB, srgb_from_xyz
+from lumitree.core.photometry import LUMA, RGB, WAVELENGTHS, srgb_from_xyz, xyz_of_spectrum
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.opening import POINT, Opening
@@ -53,8 +51,6 @@ _OTHERS = ("RadiantData", "PhotonData")
 # Of the stated luminous flux, beyond which it is warned of.
 _TOLERANCE = 0.05
 _MAX_EMITTERS = 100
-# Wavelengths, nm, at which spectra are summed.
-_VISIBLE = np.arange(360.0, 831.0)
 # Faces of a luminaire: the names of the two sides of an area, and their axes with y up.
 _FACES: dict[str, tuple[tuple[str, int], tuple[str, int]]] = {
     "Top": (("Width", 0), ("Length", 2)),
@@ -248,17 +244,12 @@ def _colour(emitters: list[Element], lumens: list[float]) -> RGB:
             return (1.0, 1.0, 1.0)
         points = [(number_of(each, "w"), number(each.text or "", "a power")) for each in table]
         wavelength, power = np.array(sorted(points)).T
-        xyz = _xyz(wavelength, power)
+        # 0 beyond its ends.
+        visible = np.interp(WAVELENGTHS, wavelength, np.maximum(power, 0), left=0, right=0)
+        xyz = xyz_of_spectrum(visible)
         if not xyz[1] > 0:
             raise LumitreeError("a spectrum has no visible light, or negative numbers")
         total += xyz / xyz[1] * flux
     rgb = np.maximum(srgb_from_xyz(total), 0)
     red, green, blue = (rgb / (rgb @ LUMA)).tolist()
     return red, green, blue
-
-
-def _xyz(wavelength: Array, power: Array) -> Array:
-    """CIE 1931 XYZ [3] of a spectrum, interpolated linearly; 0 beyond its ends."""
-    mi = load_mitsuba()
-    matching = np.array(mi.cie1931_xyz(on_device(mi.Float, _VISIBLE)), np.float64)
-    return matching @ np.interp(_VISIBLE, wavelength, np.maximum(power, 0), left=0, right=0)
