@@ -7,12 +7,15 @@ Symbols
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from lumitree.core.octahedral import bilinear_bins
 from lumitree.output.point_lights import PointLights
 
 # Directions in a texel of a table, a side, that its value is the mean of.
 _SUPERSAMPLED = 4
+# Directions whose bins are found at once, which bounds memory.
+_DIRECTIONS = 1 << 19
 
 
 def table_directions(height: int) -> NDArray[np.float64]:
@@ -56,17 +59,28 @@ def direction_tables(
         height: rows, H.
     """
     fine = table_directions(height * _SUPERSAMPLED)
-    weight = np.hypot(fine[..., 0], fine[..., 1])
-    bins, parts = bilinear_bins(fine.reshape(-1, 3) @ local_from_table.T, lights.resolution)
-    blocks = (height, _SUPERSAMPLED, 2 * height, _SUPERSAMPLED)
-    share = weight.reshape(blocks)
-    share = share / share.sum(axis=(1, 3), keepdims=True)
-    tables = np.empty((len(lights.position), height, 2 * height, 3))
-    for table, intensity in zip(tables, lights.intensity, strict=True):
-        for channel in range(3):
-            values = (intensity[:, channel][bins] * parts).sum(axis=1)
-            table[..., channel] = (values.reshape(blocks) * share).sum(axis=(1, 3))
+    rows = max(1, _DIRECTIONS // (fine.shape[1] * _SUPERSAMPLED))
+    intensity = lights.intensity.transpose(1, 0, 2).reshape(lights.resolution**2, -1)
+    texels = [
+        _texel_weights(part @ local_from_table.T, lights.resolution) @ intensity
+        for part in np.split(fine, np.arange(rows, height, rows) * _SUPERSAMPLED)
+    ]
+    tables = np.concatenate(texels).reshape(height, 2 * height, len(lights.position), 3)
+    tables = np.moveaxis(tables, 2, 0)
     have = np.einsum("shwc,h->sc", tables, table_angles(height))
     want = lights.flux
     factor = np.divide(want, have, out=np.zeros_like(want), where=have > 0)
     return tables * factor[:, None, None, :]
+
+
+def _texel_weights(fine: NDArray[np.float64], resolution: int) -> csr_array:
+    """Matrix [texels, R²] of mean intensities, from the directions [h, w, 3] in them."""
+    height, width = (length // _SUPERSAMPLED for length in fine.shape[:2])
+    share = np.hypot(fine[..., 0], fine[..., 1])
+    blocks = share.reshape(height, _SUPERSAMPLED, width, _SUPERSAMPLED)
+    share = (blocks / blocks.sum(axis=(1, 3), keepdims=True)).reshape(-1, 1)
+    bins, parts = bilinear_bins(fine.reshape(-1, 3), resolution)
+    row, column = np.divmod(np.arange(len(bins)), fine.shape[1])
+    texel = row // _SUPERSAMPLED * width + column // _SUPERSAMPLED
+    entries = (share * parts).ravel(), (np.repeat(texel, bins.shape[1]), bins.ravel())
+    return csr_array(entries, shape=(height * width, resolution**2))
