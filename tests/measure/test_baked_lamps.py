@@ -29,7 +29,8 @@ def bake(mi, monkeypatch):
     return lambda name: lumitree.bake(name, config=standard(parts=["field"]), progress=None).asset
 
 
-@pytest.mark.parametrize("name", ["bulbs", pytest.param("dallas", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bulbs", "dallas"])
 def test_a_room_receives_the_light_of_the_explicit_lamp(bake, name):
     """What the method is for: the same irradiance on all sides, and on a table below."""
     error = evaluate_irradiance(bake(name), load_luminaire(name), PATHS).error

@@ -197,7 +197,7 @@ def test_the_filter_becomes_a_box(mi, tmp_path, film):
 def test_denoising_reduces_the_error_and_leaves_what_is_seen(mi, room, lamps):
     pytest.importorskip("mitsuba_oidn", reason="the optional dependency denoise is not installed")
     room.write_text(ROOM.format('<rfilter type="box"/>'))
-    reference = render(room, lamps, samples_per_pixel=2048, width=96)
+    reference = render(room, lamps, samples_per_pixel=512, width=96)
     noisy = render(room, lamps, samples_per_pixel=4, width=96)
     clean = render(room, lamps, samples_per_pixel=4, width=96, denoise=True)
     errors = [np.abs(each.pixels - reference.pixels).mean() for each in (noisy, clean)]

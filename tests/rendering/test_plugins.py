@@ -154,8 +154,8 @@ def test_emitter_bsdf_and_mis_sampling_agree(mi, asset_file, proxy):
     path = asset_file(random_asset(11, density_scale=3.0))
     lamp = lumitree.shape(path, similarity(rotation([0, 0, 1], 30), 0.5, [0, 1.2, 0]), proxy)
     scene = room(lamp)
-    volpath = render(scene, 2048)
-    emitter_only, bsdf_only = (render_direct(mi, scene, 2048, use) for use in ("emitter", "bsdf"))
+    volpath = render(scene, 512)
+    emitter_only, bsdf_only = (render_direct(mi, scene, 512, use) for use in ("emitter", "bsdf"))
     assert agree(volpath_direct(scene), emitter_only)
     assert agree(volpath_direct(scene, 100), bsdf_only)
     assert agree(emitter_only, bsdf_only)
@@ -163,7 +163,7 @@ def test_emitter_bsdf_and_mis_sampling_agree(mi, asset_file, proxy):
 
 
 def volpath_direct(scene, seed=50):
-    return render(scene, 2048, seed, max_depth=2)
+    return render(scene, 512, seed, max_depth=2)
 
 
 def render_direct(mi, scene, spp, use):
@@ -252,7 +252,7 @@ def test_empty_field_is_not_there(mi, asset_file, proxy):
         "ball": {"type": "sphere", "center": [0, 1.6, -1.2], "radius": 0.2},
     }
     lamp = lumitree.shape(asset_file(empty), similarity(np.eye(3), 0.6, [0, 1.0, 0]), proxy)
-    assert agree(render(room(lamp, **extra), 2048), render(room(None, **extra), 2048, seed=99))
+    assert agree(render(room(lamp, **extra), 512), render(room(None, **extra), 512, seed=99))
 
 
 def test_half_transparent_field_lets_half_of_other_light_through(mi, asset_file):

@@ -173,6 +173,7 @@ def test_a_lamp_too_far_or_too_small_for_volpath_is_warned_of(
     assert any("volpath starts rays" in message for message in messages) == warned
 
 
+@pytest.mark.slow
 def test_volpath_is_off_where_it_is_warned_of(mi, asset):
     """Light on a floor below a lamp that is 3,000 times its size from the origin."""
     from test_coordinates import mean_radiance

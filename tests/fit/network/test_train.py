@@ -64,6 +64,7 @@ def test_finished_run_may_be_resumed_again(dataset, tiny_run, tmp_path):
     _assert_same(_final_state(tiny_run), _final_state(tmp_path / "run"))
 
 
+@pytest.mark.slow
 def test_training_learns_the_sphere(dataset, tmp_path):
     config = dataclasses.replace(TINY, width=32, output_width=32, rays_per_batch=256, num_steps=160)
     result = train(dataset, tmp_path / "run", config)

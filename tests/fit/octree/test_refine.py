@@ -30,8 +30,9 @@ def score(mi, truth, field):
     return psnr, np.sqrt((difference**2).mean())
 
 
-@pytest.mark.parametrize("split", [pytest.param(False, marks=pytest.mark.slow), True])
-@pytest.mark.parametrize("law", [pytest.param("linear", marks=pytest.mark.slow), "exponential"])
+@pytest.mark.slow
+@pytest.mark.parametrize("split", [False, True])
+@pytest.mark.parametrize("law", ["linear", "exponential"])
 def test_a_wrong_start_becomes_the_truth(mi, law, split):
     truth, start = truth_and_start(law)
     before, opacity_before = score(mi, truth, start)

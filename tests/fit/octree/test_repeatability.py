@@ -77,14 +77,14 @@ def test_equal_seeds_give_equal_assets_with_any_number_of_threads(bulb, small, t
     threads = dr.thread_count()
     contents = []
     try:
-        for number, count in enumerate((threads, threads, 1, 2 * threads)):
+        for number, count in enumerate((1, 2 * threads)):
             dr.set_thread_count(count)
             asset = bake(bulb, small, tmp_path / f"{number}").asset
             save(asset, tmp_path / f"{number}.lumitree")
             contents.append((tmp_path / f"{number}.lumitree").read_bytes())
     finally:
         dr.set_thread_count(threads)
-    assert contents[1:] == contents[:1] * 3
+    assert contents[0] == contents[1]
     other = dataclasses.replace(small, seed=1)
     save(bake(bulb, other, tmp_path / "other").asset, tmp_path / "other.lumitree")
     assert (tmp_path / "other.lumitree").read_bytes() != contents[0]
