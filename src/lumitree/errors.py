@@ -1,5 +1,6 @@
 """The exception and the warning of lumitree, and functions that format their messages."""
 
+import copyreg
 import functools
 import re
 from collections.abc import Callable, Iterable
@@ -18,6 +19,11 @@ class LumitreeError(Exception):
     The message is one line. It states what was found, what was expected and what to do. The
     command line prints it and exits with status 2.
     """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Subclasses have constructors with arguments of their own. They are not called, so that the
+        # errors of tasks in other processes keep type, text and attributes.
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__ or None  # pyright: ignore
 
 
 class LumitreeWarning(UserWarning):

@@ -1,8 +1,10 @@
 """Options that several commands have."""
 
 import argparse
+import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from typing import Any, NoReturn
 
 from lumitree.errors import LumitreeError
@@ -201,6 +203,43 @@ def add_work(parser: argparse.ArgumentParser) -> None:
         help="folder for the state, which is kept; it must be new, empty or that of an earlier "
         "call (default: the name of ASSET with .work, removed at the end)",
     )
+
+
+def add_executor(parser: argparse.ArgumentParser, tasks: str) -> None:
+    """Add `--workers` and `--scheduler`; `tasks`, in the plural, is what workers share."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--workers",
+        type=int,
+        metavar="N",
+        help=f"divide {tasks} among N processes, each of which takes an equal share of the cores "
+        "(default: this process does all)",
+    )
+    group.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help=f"divide {tasks} among the workers of a Dask scheduler, such as "
+        "tcp://192.168.0.2:8786 (`pip install 'lumitree[cluster]'`)",
+    )
+
+
+@contextlib.contextmanager
+def executor(args: argparse.Namespace) -> Iterator[Executor | None]:
+    """Context with the executor of the options of `add_executor`; None if they are not given.
+
+    At its end tasks that are not finished are stopped.
+    """
+    from lumitree.core.dask_executor import dask_executor
+    from lumitree.core.process_pool import process_pool
+
+    if args.workers is not None:
+        with process_pool(args.workers) as pool:
+            yield pool
+    elif args.scheduler is not None:
+        with dask_executor(args.scheduler) as cluster:
+            yield cluster
+    else:
+        yield None
 
 
 def duration(text: str) -> float:

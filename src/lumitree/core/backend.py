@@ -22,6 +22,8 @@ _RGB, _SPECTRAL = "_ad_rgb", "_ad_spectral"
 MIN_LLVM = 17
 # Whether `quieten` was called.
 _quiet = False
+# Threads of CPU variants; None for as many as there are cores.
+_threads: int | None = None
 _REMEDY = "unset DRJIT_LIBLLVM_PATH to use the one that comes with lumitree"
 
 
@@ -84,6 +86,8 @@ def _load(variant: str | None, kinds: tuple[str, ...]) -> Any:
             raise LumitreeError(
                 f"Mitsuba variant {variant} cannot start: {str(error).splitlines()[0]}"
             ) from error
+    if _threads is not None:
+        importlib.import_module("drjit").set_thread_count(_threads)
     if _quiet:
         mi.set_log_level(mi.LogLevel.Error)
     return mi
@@ -96,6 +100,20 @@ def quieten() -> None:
     """
     global _quiet
     _quiet = True
+
+
+def is_quiet() -> bool:
+    """Whether `quieten` was called."""
+    return _quiet
+
+
+def use_threads(count: int) -> None:
+    """Make CPU variants compute in so many threads once Mitsuba is loaded.
+
+    Called in processes that share the cores of a machine.
+    """
+    global _threads
+    _threads = count
 
 
 def check_llvm(version: tuple[int, ...] | None, path: str | None) -> None:

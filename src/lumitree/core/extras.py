@@ -1,4 +1,4 @@
-"""The optional dependencies of the network: the extra `network` of lumitree."""
+"""Optional dependencies: those of the network and of clusters."""
 
 import importlib.util
 
@@ -13,6 +13,10 @@ NETWORK = {
 }
 
 
+# Those of work on several machines.
+CLUSTER = {"distributed": "distributed"}
+
+
 def check_network() -> None:
     """Refuse to use the network without its packages, before any work is done.
 
@@ -21,11 +25,25 @@ def check_network() -> None:
     Raises:
         LumitreeError: a package is not installed.
     """
-    missing = [package for module, package in NETWORK.items() if not _is_installed(module)]
+    _check("the network needs", NETWORK, "network")
+
+
+def check_cluster() -> None:
+    """Refuse to use a Dask scheduler without its package; imports nothing.
+
+    Raises:
+        LumitreeError: the package is not installed.
+    """
+    _check("a Dask scheduler needs", CLUSTER, "cluster")
+
+
+def _check(what: str, packages: dict[str, str], extra: str) -> None:
+    """Refuse what needs packages, by module, of which one is not installed."""
+    missing = [package for module, package in packages.items() if not _is_installed(module)]
     if missing:
         raise LumitreeError(
-            f"the network needs packages that are not installed ({', '.join(missing)}); install "
-            "them with `pip install 'lumitree[network]'`"
+            f"{what} packages that are not installed ({', '.join(missing)}); install "
+            f"them with `pip install 'lumitree[{extra}]'`"
         )
 
 

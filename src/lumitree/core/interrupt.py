@@ -29,6 +29,9 @@ _AGAIN_SECONDS = 0.02
 # File name of the frames that import a module.
 _IMPORTS = "<frozen importlib._bootstrap>"
 
+# Whether signals are handled without a line on standard error.
+_silent = False
+
 _Handler = Callable[[int, FrameType | None], None]
 
 
@@ -175,6 +178,12 @@ def deferred_interrupt(
         yield interruption
 
 
+def announce_nothing() -> None:
+    """Handle signals without a line on standard error, in processes whose parent writes it."""
+    global _silent
+    _silent = True
+
+
 def _in_main_thread() -> bool:
     return threading.current_thread() is threading.main_thread()
 
@@ -217,6 +226,8 @@ def _announce(text: str, number: int) -> None:
     """Write a line to standard error without its buffer, which a signal may have interrupted."""
     if number == signal.SIGHUP:
         _leave_terminal()
+    if _silent:
+        return
     # On a terminal the current line already shows ^C, and perhaps a progress bar.
     line = ("\n" if sys.stderr.isatty() else "") + f"lumitree: {text}\n"
     try:

@@ -1,0 +1,150 @@
+"""A pool of processes on this machine, whose workers share its cores.
+
+Workers are spawned, never forked: Mitsuba and JAX have threads, which a fork does not copy. They
+import what their tasks need, and nothing else.
+
+Ctrl-C and the closing of a terminal reach all processes of a command. The workers ignore them, and
+the parent decides. At the end of the pool it sends SIGTERM to workers that have a task, by which
+the task ends as any work of lumitree does, with its state saved.
+"""
+
+import contextlib
+import ctypes
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from multiprocessing.context import SpawnContext, SpawnProcess
+from multiprocessing.sharedctypes import RawValue
+from typing import Any
+
+from lumitree.core import backend
+from lumitree.core.arguments import check_range
+from lumitree.core.interrupt import Interrupted, announce_nothing, interruptible
+from lumitree.core.program import STOP_SIGNALS
+
+MAX_WORKERS = 1024
+# In a worker: whether its pool has ended (a shared flag); None in other processes.
+_ended: Any = None
+
+
+@contextlib.contextmanager
+def process_pool(workers: int) -> Iterator[Executor]:
+    """Context with an executor that runs tasks in processes of this machine.
+
+    Each process takes an equal share of the cores. A process begins when there is a task for it. At
+    the end of the block tasks that are not finished are stopped.
+
+    As all processes that are spawned, these import the script that is run, which therefore begins
+    its work below `if __name__ == "__main__":`.
+
+    Args:
+        workers: number of processes, 1 to 1024.
+
+    Raises:
+        LumitreeError: the number is out of range.
+
+    Example:
+        >>> with lumitree.process_pool(4) as executor:
+        ...     lumitree.render("room.xml", executor=executor).save("room.exr")
+    """
+    check_range("workers", workers, 1, MAX_WORKERS)
+    context, ended = _Context(), RawValue(ctypes.c_bool, False)
+    threads = max(1, _num_cores() // workers)
+    settings = (ended, threads, backend.is_quiet())
+    # It starts the process that removes Python's semaphores, which the signals would end too.
+    with _signals_blocked():
+        executor = ProcessPoolExecutor(workers, context, _begin_worker, settings)
+    try:
+        yield executor
+    finally:
+        ended.value = True
+        for process in context.started:
+            process.terminate()
+        try:
+            executor.shutdown(cancel_futures=True)
+        except BaseException:
+            # A second signal.
+            for process in context.started:
+                process.kill()
+            raise
+
+
+@contextlib.contextmanager
+def stopped_by_pool() -> Iterator[None]:
+    """Context of a task: in a worker of a pool the end of the pool raises `Interrupted` in it."""
+    if _ended is None:
+        yield
+        return
+    with interruptible():
+        if _ended.value:
+            raise Interrupted(number=signal.SIGTERM)
+        yield
+
+
+class _Process(SpawnProcess):
+    """A process that receives stop signals only when it can handle them, see `_begin_worker`."""
+
+    def start(self) -> None:
+        with _signals_blocked():
+            super().start()
+
+
+class _Context(SpawnContext):
+    """Start method of a pool.
+
+    Attributes:
+        started: its processes.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.started: list[_Process] = []
+
+    def Process(self, *args: Any, **kwargs: Any) -> _Process:  # noqa: N802  # pyright: ignore
+        process = _Process(*args, **kwargs)
+        self.started.append(process)
+        return process
+
+
+@contextlib.contextmanager
+def _signals_blocked() -> Iterator[None]:
+    """Context whose processes are started with stop signals blocked."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin_worker(ended: Any, threads: int, quiet: bool) -> None:
+    """Prepare a worker; imports neither Mitsuba nor JAX."""
+    global _ended
+    _ended = ended
+    announce_nothing()
+    for number in STOP_SIGNALS:
+        # Between tasks there is nothing to stop, but an ignored signal would stay so in them.
+        between = (lambda *_: None) if number == signal.SIGTERM else signal.SIG_IGN
+        signal.signal(number, between)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    backend.use_threads(threads)
+    if quiet:
+        backend.quieten()
+
+
+def _end_with_parent() -> None:
+    """End this worker when its parent was killed: its queue of tasks would stay open."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def _num_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -1,0 +1,285 @@
+"""Lists of independent tasks on an executor."""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from lumitree.core.executor import check_executor, run_tasks, tasks_at_once
+from lumitree.core.files import WriteError
+from lumitree.core.process_pool import process_pool
+from lumitree.core.work_folder import BusyFolderError
+from lumitree.errors import LumitreeError, LumitreeWarning
+from support import executors
+from support.executors import LastFirst
+
+TESTS = Path(__file__).parents[1]
+# Longer than any test waits.
+LONG = 60.0
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with process_pool(2) as executor:
+        yield executor
+
+
+def results(executor, function, values, **kwargs):
+    arguments = [value if isinstance(value, tuple) else (value,) for value in values]
+    with run_tasks(executor, function, arguments, what="numbers", **kwargs) as found:
+        return list(found)
+
+
+def test_results_have_the_index_of_their_task():
+    executor = LastFirst()
+    found = results(executor, executors.double, range(10))
+    assert sorted(found) == [(index, 2 * index) for index in range(10)]
+    assert executor.order != sorted(executor.order)
+
+
+def test_results_come_in_order_if_asked_for():
+    executor = LastFirst()
+    found = results(executor, executors.double, range(20), in_order=True)
+    assert found == [(index, 2 * index) for index in range(20)]
+    assert executor.order != sorted(executor.order)
+
+
+@pytest.mark.parametrize("in_order", [False, True])
+def test_few_results_are_held(in_order):
+    executor, read = LastFirst(3), []
+
+    def arguments():
+        for index in range(100):
+            read.append(index)
+            yield (index,)
+
+    with run_tasks(
+        executor, executors.double, arguments(), what="numbers", in_order=in_order
+    ) as found:
+        assert read == []
+        next(found)
+        assert len(read) == tasks_at_once(executor) == 6
+        list(found)
+    assert len(read) == 100
+    assert executor.most <= 6
+
+
+def test_no_tasks_give_no_results():
+    assert results(LastFirst(), executors.double, []) == []
+
+
+def test_what_has_not_begun_is_cancelled_at_the_end_of_the_block():
+    executor = LastFirst(8)
+    with run_tasks(
+        executor, executors.double, ((index,) for index in range(100)), what="numbers"
+    ) as found:
+        next(found)
+    time.sleep(0.2)
+    assert len(executor.order) < 16
+
+
+def test_warnings_of_tasks_are_given_once():
+    with pytest.warns(LumitreeWarning) as caught:
+        results(LastFirst(), executors.warn, [1, 1, 2, 1])
+    assert sorted(str(each.message) for each in caught) == ["only 1", "only 2"]
+
+
+def test_errors_of_tasks_are_raised():
+    with pytest.raises(LumitreeError, match="no 3"):
+        results(LastFirst(), executors.fail, [3])
+    with pytest.raises(ZeroDivisionError):
+        results(LastFirst(), executors.fail_unexpectedly, [3])
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        LumitreeError("a line"),
+        WriteError(Path("a/b.exr"), OSError(28, "No space left on device")),
+        BusyFolderError(Path("a"), "taken"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_errors_can_be_pickled(error):
+    copy = pickle.loads(pickle.dumps(error))
+    assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
+
+
+def test_an_executor_of_another_kind_is_refused():
+    check_executor(None)
+    with pytest.raises(LumitreeError, match=r"executor is a builtins\.int; expected a concurrent"):
+        check_executor(3)
+    with (
+        pytest.raises(LumitreeError, match="executor is a"),
+        run_tasks(object(), executors.double, [(1,)], what="numbers"),
+    ):
+        pass
+
+
+class Lossy(Executor):
+    """Loses its workers with an exception after some tasks."""
+
+    def __init__(self, error, after):
+        self.error, self.left = error, after
+
+    def submit(self, function, /, *args, **kwargs):
+        future = Future()
+        if self.left:
+            future.set_result(function(*args, **kwargs))
+            self.left -= 1
+        else:
+            future.set_exception(self.error)
+        return future
+
+
+class KilledWorker(Exception):  # noqa: N818
+    """As Dask's."""
+
+
+@pytest.mark.parametrize("error", [BrokenExecutor("broken"), KilledWorker("a task")])
+def test_the_loss_of_a_worker_is_one_line(error):
+    expected = (
+        "^a worker ended unexpectedly, perhaps for lack of memory; 3 of 5 numbers are finished; "
+        "the same command continues$"
+    )
+    with pytest.raises(LumitreeError, match=expected):
+        results(Lossy(error, 3), executors.double, range(5), total=5, in_order=True)
+
+
+def test_a_pool_runs_tasks_in_its_processes(pool):
+    found = results(pool, executors.pid, range(8))
+    processes = {process for _, process in found}
+    assert 1 <= len(processes) <= 2
+    assert os.getpid() not in processes
+
+
+def test_errors_and_warnings_cross_processes(pool):
+    with pytest.warns(LumitreeWarning, match="^only 4$"):
+        results(pool, executors.warn, [4, 4])
+    with pytest.raises(LumitreeError, match="no 3"):
+        results(pool, executors.fail, [3])
+    with pytest.raises(WriteError, match=r"^cannot write a/b: No space left") as raised:
+        results(pool, executors.fail_to_write, ["a/b"])
+    assert raised.value.full
+    # The pool is whole.
+    assert results(pool, executors.double, [1]) == [(0, 2)]
+
+
+def test_a_killed_worker_is_one_line():
+    with process_pool(1) as executor, pytest.raises(LumitreeError) as raised:
+        results(executor, executors.kill_itself, range(5), total=5, remedy="run it again")
+    assert str(raised.value) == (
+        "a worker ended unexpectedly, perhaps for lack of memory; 2 of 5 numbers are finished; "
+        "run it again"
+    )
+
+
+def test_the_end_of_a_pool_stops_tasks(tmp_path):
+    """Those that save their state do so; what waits does not begin."""
+    with process_pool(2) as executor:
+        for name, task in (
+            ("a", executors.begin_and_wait),
+            ("b", executors.begin_and_save),
+            ("c", executors.begin_and_save),
+        ):
+            executor.submit(_task, task, tmp_path, name)
+        while len(list(tmp_path.iterdir())) < 2:
+            time.sleep(0.01)
+    assert sorted(path.name.partition(".")[0] for path in tmp_path.iterdir()) == ["a", "b", "b"]
+    assert (tmp_path / "b.saved").exists()
+
+
+def _task(*arguments):
+    from lumitree._version import __version__
+    from lumitree.core.executor import _run
+
+    return _run(__version__, arguments[0], arguments[1:])
+
+
+SCRIPT = """
+import sys
+from lumitree.core.executor import run_tasks
+from lumitree.core.interrupt import interruptible
+from lumitree.core.process_pool import process_pool
+from support import executors
+
+if __name__ == "__main__":
+    tasks = [(sys.argv[1], str(index)) for index in range(9)]
+    with interruptible(), process_pool(2) as executor:
+        with run_tasks(executor, executors.begin_and_wait, tasks, what="tasks") as results:
+            list(results)
+"""
+
+
+def start_script(folder):
+    """A script with two workers, each of which has begun a task; and their process ids."""
+    script = folder / "script.py"
+    script.write_text(textwrap.dedent(SCRIPT))
+    tasks = folder / "tasks"
+    tasks.mkdir()
+    process = subprocess.Popen(
+        [sys.executable, script, tasks],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS), *sys.path])},
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + LONG
+    while len(list(tasks.iterdir())) < 2:
+        assert time.monotonic() < deadline
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.01)
+    return process, [int(path.name.partition(".")[2]) for path in tasks.iterdir()]
+
+
+def is_running(process):
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"
+
+
+def wait_for_end(processes):
+    deadline = time.monotonic() + LONG
+    while any(map(is_running, processes)):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_to_all_processes_ends_them(number, tmp_path):
+    """As Ctrl-C does; only the parent writes of it."""
+    process, workers = start_script(tmp_path)
+    os.killpg(process.pid, number)
+    _, error = process.communicate(timeout=LONG)
+    wait_for_end(workers)
+    assert error.count("lumitree: stopping ...") == 1
+    assert error.rstrip().splitlines()[-1].startswith("lumitree.core.interrupt.Interrupted")
+    assert len(list((tmp_path / "tasks").iterdir())) == 2
+
+
+def test_workers_end_with_a_parent_that_is_killed(tmp_path):
+    process, workers = start_script(tmp_path)
+    process.kill()
+    process.communicate()
+    wait_for_end(workers)
+
+
+def test_other_process_pools_run_tasks():
+    import multiprocessing
+
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, context) as executor:
+        assert results(executor, executors.double, range(3), in_order=True) == [
+            (0, 0),
+            (1, 2),
+            (2, 4),
+        ]
