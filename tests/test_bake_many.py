@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -21,7 +22,7 @@ from lumitree.fit.catalogue import lamp_job
 from lumitree.fit.catalogue.claim import claimed
 from lumitree.fit.catalogue.index import FolderIndex
 from lumitree.fit.catalogue.record import BakedLamp, LampFiles
-from support.executors import LastFirst
+from support import tiny_bakes
 from support.lamps import AREA, scene, sphere
 from support.tiny_bakes import set_qualities, standard
 
@@ -64,12 +65,6 @@ def contents(folder):
 def files_of_lamps(folder):
     """Names in the folder of the records, without the folder of the pages."""
     return sorted(each.name for each in (folder / "index-files").iterdir() if each.is_file())
-
-
-def make_old(*paths):
-    """Files that have not been changed for long, so that they are not compared by content."""
-    for path in paths:
-        os.utime(path, (1_000_000_000, 1_000_000_000))
 
 
 def test_lamps_are_baked_and_kept_while_source_and_settings_are_equal(folder, baked):
@@ -126,6 +121,7 @@ def test_an_unexpected_error_is_a_failure_too(monkeypatch):
 
 OTHER = """
 import sys
+import time
 import lumitree
 from support.tiny_bakes import set_qualities, standard
 
@@ -142,59 +138,6 @@ print([(lamp.name, lamp.state) for lamp in result.lamps])
 """
 
 
-def test_lamps_are_kept_without_being_loaded(folder, monkeypatch):
-    make_old(folder / "a.xml", folder / "b.xml")
-    lumitree.bake_many(["a.xml", "b.xml"], "out", standard(**SETTINGS))
-    monkeypatch.setattr(
-        "lumitree.lamp.loading.load_luminaire", lambda *_: pytest.fail("a lamp was loaded")
-    )
-    kept = lumitree.bake_many(["a.xml", "b.xml"], "out", standard(**SETTINGS))
-    assert states(kept) == [("a", "kept"), ("b", "kept")]
-    # The same content, written again.
-    (folder / "a.xml").write_bytes((folder / "a.xml").read_bytes())
-    kept = lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
-    assert states(kept) == [("a", "kept")]
-
-
-def test_a_folder_of_the_first_version_is_kept(folder, baked):
-    """Once the lamps are loaded; the records then are of this version."""
-    lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
-    path = folder / "out/index-files/a.json"
-    record = json.loads(path.read_text())
-    first = {key: record[key] for key in ("fingerprint", "settings", "seconds", "figures", "state")}
-    path.write_text(json.dumps({"version": 1, "asset_sha256": record["asset"][-1], **first}))
-    make_old(folder / "a.xml")
-    again = lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
-    assert states(again) == [("a", "kept")]
-    assert baked == ["a"]
-    after = json.loads(path.read_text())
-    assert after["version"] == 2
-    assert [name for name, *_ in after["files"]] == ["../a.xml"]
-    (folder / "out/index-files/folder/version.json").write_text('{"version": 3}')
-    with pytest.raises(lumitree.LumitreeError, match="out has records of version 3"):
-        lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
-
-
-def test_an_executor_gives_the_same_bytes(folder):
-    names = ["a.xml", "dark.xml", "b.xml"]
-    lumitree.bake_many(names, "one", standard(**SETTINGS))
-    executor = LastFirst()
-    result = lumitree.bake_many(names, "out", standard(**SETTINGS), executor=executor)
-    assert states(result) == [("a", "baked"), ("dark", "failed"), ("b", "baked")]
-    assert {job.name for job in executor.order} == {"a", "b", "dark"}
-    assert [lamp.source for lamp in result.lamps] == names
-    assert result.lamps[0].path == Path("out/a.lumitree")
-    assert contents("out") == contents("one")
-    assert result.index.read_text().count("<dt>flux</dt>") == 2
-    again = lumitree.bake_many(names[::2], "out", standard(**SETTINGS), executor=executor)
-    assert states(again) == [("a", "kept"), ("b", "kept")]
-    # The records of both are the same but for their times.
-    for name in ("a", "b"):
-        records = [LampFiles(folder / each, name).read() for each in ("one", "out")]
-        assert records[0].options == records[1].options
-        assert records[0].figures == records[1].figures
-
-
 @pytest.mark.slow
 def test_processes_give_the_same_bytes(folder):
     names = ["a.xml", "b.xml"]
@@ -203,46 +146,6 @@ def test_processes_give_the_same_bytes(folder):
         result = lumitree.bake_many(names, "out", standard(**SETTINGS), executor=executor)
     assert states(result) == [("a", "baked"), ("b", "baked")]
     assert contents("out") == contents("one")
-
-
-def test_parts_of_a_list_are_baked_and_collected(folder, capsys):
-    (folder / "c.xml").write_text(scene(sphere("ball", 0.25, inside=AREA)))
-    (folder / "lamps.txt").write_text("a.xml\n\n b.xml\nc.xml\n")
-    line = ["bake", "@lamps.txt", "-o", "out/", *ARGUMENTS, "--task"]
-    assert main([*line, "1/2"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [each.split()[0] for each in lines] == ["a", "c", "Open:"]
-    assert lines[-1] == "Open: out"
-    assert not (folder / "out/index.html").exists()
-    assert main(["collect", "out"]) == 2
-    captured = capsys.readouterr()
-    assert "1 tasks have not begun (2); the same tasks bake what is missing" in captured.err
-    assert "Open: out/index.html" in captured.out
-    assert main([*line, "2/2"]) == 0
-    assert main(["collect", "out"]) == 0
-    assert (folder / "out/index.html").read_text().count("<dt>flux</dt>") == 3
-    assert sorted(contents("out")) == ["a.lumitree", "b.lumitree", "c.lumitree"]
-    found = lumitree.collect("out")
-    assert (found.problem, found.missing_tasks) == (None, [])
-    with pytest.raises(lumitree.LumitreeError, match="sub is not a folder of baked lamps"):
-        lumitree.collect("sub")
-
-
-def test_a_part_that_is_stopped_is_missing(folder, monkeypatch, capsys):
-    def stop(*_):
-        raise lumitree.Interrupted(number=signal.SIGTERM)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(lamp_job, "bake_source", stop)
-        stopped = lumitree.bake_many(
-            ["a.xml", "dark.xml"], "out", standard(**SETTINGS), task=(1, 1)
-        )
-    assert stopped.stopped_by == signal.SIGTERM
-    found = lumitree.collect("out")
-    assert found.problem.startswith("of 2 lamps 2 not baked yet (a, dark); the same tasks")
-    lumitree.bake_many(["a.xml", "dark.xml"], "out", standard(**SETTINGS), task=(1, 1))
-    problem = lumitree.collect("out").problem
-    assert problem.startswith("of 2 lamps 1 failed (dark); ")
 
 
 KILLED = """
@@ -259,6 +162,7 @@ lumitree.bake_many(["a.xml", "b.xml", "c.xml"], "out", standard(parts=("light",)
 """
 
 
+@pytest.mark.slow
 def test_a_killed_process_leaves_a_folder_that_continues(folder):
     """With the same bytes as if it had not been killed."""
     (folder / "c.xml").write_text(scene(sphere("ball", 0.25, inside=AREA)))
@@ -293,7 +197,7 @@ def test_two_processes_share_a_folder(folder, baked, monkeypatch):
     try:
         assert other.stdout.readline() == "working\n"
         with pytest.warns(
-            lumitree.LumitreeWarning, match=r"^process \d+ on .* \(since .*\) works on a; it"
+            lumitree.LumitreeWarning, match=r"^process \d+ on .* \(since .*\) works on a; the"
         ):
             result = lumitree.bake_many(["a.xml", "b.xml"], "out", standard(**SETTINGS))
     finally:
@@ -337,7 +241,9 @@ def test_a_signal_while_a_list_waits_is_heeded(folder, monkeypatch):
     )
     with claimed(folder / "out/index-files/a.claim") as owner:
         assert owner is None
-        with pytest.warns(lumitree.LumitreeWarning, match=f"^process {os.getpid()} on .* on a; it"):
+        with pytest.warns(
+            lumitree.LumitreeWarning, match=f"^process {os.getpid()} on .* works on a; the"
+        ):
             result = lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
     assert result.stopped_by == signal.SIGTERM
     assert not result.finished
@@ -459,3 +365,36 @@ def test_the_page_loads_files_beside_it_and_escapes_names(folder):
     assert record["figures"]["size"] == [2, 2, 2]
     assert record["figures"]["irradiance_rms"] > 0
     assert LampFiles(folder / "out", name).read().finished
+
+
+@pytest.mark.slow
+def test_a_killed_worker_ends_a_command_that_continues(folder):
+    names = ["a.xml", "b.xml", "c.xml"]
+    (folder / "c.xml").write_text(scene(sphere("ball", 0.25, inside=AREA)))
+    lumitree.bake_many(names, "one", standard(**SETTINGS))
+    command = [sys.executable, tiny_bakes.__file__, "bake", *names, "-o", "out/", *ARGUMENTS]
+    command += ["--workers", "1"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    process = subprocess.Popen(
+        command, cwd=folder, env=environment, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 300
+    while not (content := read_claim(folder / "out/index-files/b.claim")):
+        assert process.poll() is None, process.stderr.read()
+        assert time.monotonic() < deadline
+    os.kill(json.loads(content)["process"], signal.SIGKILL)
+    error = process.communicate(timeout=300)[1]
+    assert process.returncode == 2
+    assert "a worker ended unexpectedly" in error
+    assert "the same command continues" in error
+    assert sorted(contents("out")) == ["a.lumitree"]
+    subprocess.run(command, cwd=folder, env=environment, check=True, timeout=600)
+    assert contents("out") == contents("one")
+
+
+def read_claim(path):
+    """Text of a claim; empty if it is not there."""
+    time.sleep(0.01)
+    with contextlib.suppress(FileNotFoundError):
+        return path.read_text()
+    return ""

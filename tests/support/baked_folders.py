@@ -12,10 +12,16 @@ from lumitree.lamp.source import LuminaireSource
 LONG_AGO = 1_000_000_000
 
 
+def make_old(*paths):
+    """Files that have not been changed for long."""
+    for path in paths:
+        os.utime(path, (LONG_AGO, LONG_AGO))
+
+
 def write_old(path, content):
     """A file that has not been changed for long."""
     path.write_bytes(content)
-    os.utime(path, (LONG_AGO, LONG_AGO))
+    make_old(path)
 
 
 def record_of(files, options="[]", stamps=None, settings="{}", **changes):

@@ -11,6 +11,7 @@ import pytest
 from lumitree.core.files import exclusive
 from lumitree.errors import LumitreeError
 from lumitree.fit.catalogue import index as folder_index
+from lumitree.fit.catalogue import page as page_module
 from lumitree.fit.catalogue.folder import Part, write_part
 from lumitree.fit.catalogue.index import FolderIndex, check_index
 from lumitree.fit.catalogue.record import BakedLamp, LampFiles
@@ -49,30 +50,32 @@ def test_a_page_links_to_files_beside_it(tmp_path):
     assert not re.search(r"https?:|url\(|@import|<link|base64", page)
 
 
-def test_two_hundred_lamps_a_page(tmp_path):
-    for number in range(405):
+def test_lamps_are_divided_into_pages(tmp_path, monkeypatch):
+    monkeypatch.setattr(page_module, "LAMPS_A_PAGE", 4)
+    for number in range(10):
         write_lamp(tmp_path, f"{number:03d}")
     first = write(tmp_path)
     second = (tmp_path / PAGES / "2.html").read_text()
     third = (tmp_path / PAGES / "3.html").read_text()
-    assert [page.count("<article>") for page in (first, second, third)] == [200, 200, 5]
-    assert "405 lamps." in second
+    assert [page.count("<article>") for page in (first, second, third)] == [4, 4, 2]
+    assert "10 lamps." in second
     assert links(first, "href")[:2] == [f"{PAGES}/2.html", f"{PAGES}/3.html"]
     for page in (second, third):
         for each in links(page, "href") + links(page, "src"):
             assert (tmp_path / PAGES / each).resolve().is_file()
-    for number in range(200, 405):
+    for number in range(4, 10):
         (tmp_path / f"{number:03d}.lumitree").unlink()
     write(tmp_path)
     assert sorted(os.listdir(tmp_path / PAGES)) == ["names.js", "search.js"]
 
 
-def test_only_pages_that_change_are_written(tmp_path):
-    for number in range(401):
-        write_lamp(tmp_path, f"{number:03d}")
+def test_only_pages_that_change_are_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(page_module, "LAMPS_A_PAGE", 2)
+    for number in range(5):
+        write_lamp(tmp_path, str(number))
     write(tmp_path)
     times = {name: (tmp_path / PAGES / name).stat().st_mtime_ns for name in ("2.html", "3.html")}
-    write_lamp(tmp_path, "400", seconds=77.0)
+    write_lamp(tmp_path, "4", seconds=77.0)
     write(tmp_path)
     after = {name: (tmp_path / PAGES / name).stat().st_mtime_ns for name in times}
     assert after["2.html"] == times["2.html"]

@@ -6,9 +6,9 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
+from typing import Any
 
 from lumitree.core.arguments import check_asset_output
-from lumitree.core.backend import load_rgb
 from lumitree.core.executor import check_executor, run_tasks
 from lumitree.core.files import FilePath
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
@@ -16,6 +16,7 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_of
 from lumitree.core.stopwatch import peak_memory_bytes
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
+from lumitree.fit.catalogue.claim import UNKNOWN
 from lumitree.fit.catalogue.folder import Part, check_folder, mark_folder, write_part
 from lumitree.fit.catalogue.index import FolderIndex, check_index
 from lumitree.fit.catalogue.lamp_job import LampJob, Outcome, bake_lamp
@@ -99,7 +100,7 @@ def bake_many(
     jobs = _jobs(root, named, config, variant)
     bakes = _Bakes(jobs, None if task is not None else FolderIndex(root))
     with reporting(progress), progress_of(f"bake {len(jobs)} lamps", len(jobs)) as advance:
-        bakes.run(executor, variant, progress, advance)
+        bakes.run(executor, progress, advance)
     return BakeManyResult(
         folder=root,
         index=root / INDEX,
@@ -142,17 +143,14 @@ class _Bakes:
     def run(
         self,
         executor: Executor | None,
-        variant: str | None,
         progress: ProgressCallback | None,
         advance: Callable[[float], None],
     ) -> None:
         """Bake the lamps that are not kept, until all are finished or a signal ends it."""
-        told: set[str] = set()
+        told: set[Any] = set()
         try:
             with interruptible():
                 waiting = self._not_kept(advance)
-                if waiting and executor is None:
-                    load_rgb(variant)
                 while waiting:
                     waiting = self._round(waiting, executor, progress, advance, told)
                     if waiting:
@@ -183,7 +181,7 @@ class _Bakes:
         executor: Executor | None,
         progress: ProgressCallback | None,
         advance: Callable[[float], None],
-        told: set[str],
+        told: set[Any],
     ) -> list[int]:
         """Bake each lamp once; returns those on which other processes work."""
         left = []
@@ -223,13 +221,14 @@ class _Bakes:
             )
 
 
-def _warn_of_other(outcome: Outcome, told: set[str]) -> None:
-    """Warn once that another process works on a lamp."""
-    name = outcome.lamp.name
-    if name not in told:
-        told.add(name)
+def _warn_of_other(outcome: Outcome, told: set[Any]) -> None:
+    """Warn once of each process that works on a lamp."""
+    owner = outcome.owner or UNKNOWN
+    if (owner.host, owner.process) not in told:
+        told.add((owner.host, owner.process))
         warnings.warn(
-            f"{outcome.owner} works on {shown(name, 200)}; it is left until the end",
+            f"{owner} works on {shown(outcome.lamp.name, 200)}; the lamps on which it works are "
+            "left until the end",
             LumitreeWarning,
             stacklevel=4,
         )

@@ -25,6 +25,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from lumitree.core.files import WriteError, lock
+from lumitree.core.interrupt import Interrupted, deferred_interrupt
 from lumitree.core.reading import Record, parse_json
 from lumitree.errors import LumitreeError, shown
 
@@ -62,12 +63,17 @@ def claimed(path: Path) -> Iterator[Owner | None]:
 
     Raises:
         WriteError: the folder cannot be written, or the disk is full.
+        Interrupted: a signal arrived while it was taken.
     """
     try:
-        handle, owner = _take(path)
+        # Else a signal could leave a file that stays open, and so locked.
+        with deferred_interrupt() as interruption:
+            handle, owner = _take(path)
     except OSError as error:
         raise WriteError(path.parent, error) from error
     try:
+        if interruption.number is not None:
+            raise Interrupted(number=interruption.number)
         with _renewed(handle) if owner is None else contextlib.nullcontext():
             yield owner
     finally:

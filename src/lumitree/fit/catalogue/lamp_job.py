@@ -108,9 +108,11 @@ class LampJob:
         """Bake the lamp, or keep it. The state is "waiting" if another process works on it.
 
         Raises:
-            WriteError: the disk is full, so that no other lamp could be written either.
+            LumitreeError: no lamp can be baked here: Mitsuba or its variant cannot be used.
+            WriteError: the disk is full.
         """
         files = LampFiles(self.folder, self.name)
+        load_rgb(self.variant)
         try:
             with interruptible(), claimed(files.claim) as owner:
                 if owner is not None:
@@ -137,7 +139,6 @@ class LampJob:
         # Another process may have baked it meanwhile.
         if (kept := self.kept()) is not None:
             return Outcome(kept)
-        load_rgb(self.variant)
         with passing_scenes():
             return self._bake(files, progress)
 
