@@ -89,16 +89,16 @@ def bake_many(
     check_index(root / INDEX)
     check_folder(root)
     named = _named([as_source(each) for each in luminaires], root)
-    if task is not None:
-        part = Part(*task)
+    part = None if task is None else Part(*task)
+    if part is not None:
         named = dict(list(named.items())[part.number - 1 :: part.count])
     config = BakeConfig.standard() if config is None else config
     warn_of_unused(named.values(), config)
     mark_folder(root)
-    if task is not None:
+    if part is not None:
         write_part(root, part, named)
     jobs = _jobs(root, named, config, variant)
-    bakes = _Bakes(jobs, None if task is not None else FolderIndex(root))
+    bakes = _Bakes(jobs, FolderIndex(root) if part is None else None)
     with reporting(progress), progress_of(f"bake {len(jobs)} lamps", len(jobs)) as advance:
         bakes.run(executor, progress, advance)
     return BakeManyResult(
