@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from lumitree.core.executor import check_executor, packed, run_tasks, tasks_at_once
+from lumitree.core.executor import check_executor, run_tasks, tasks_at_once
 from lumitree.core.files import WriteError
 from lumitree.core.process_pool import process_pool
 from lumitree.core.work_folder import BusyFolderError
@@ -121,13 +121,6 @@ def test_an_executor_of_another_kind_is_refused():
         run_tasks(object(), executors.double, [(1,)], what="numbers"),
     ):
         pass
-
-
-def test_what_cannot_be_pickled_is_refused():
-    assert pickle.loads(packed({"a": 1}, "the scene", "a path")) == {"a": 1}
-    expected = r"^the scene cannot be sent to other processes \(.*\); give a path$"
-    with pytest.raises(LumitreeError, match=expected):
-        packed(lambda: 0, "the scene", "a path")
 
 
 class Lossy(Executor):

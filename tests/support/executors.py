@@ -61,6 +61,14 @@ class LastFirst(Executor):
                 future.set_exception(error)
 
 
+# Arguments of `count` in this process.
+calls = []
+
+
+def count(value):
+    calls.append(value)
+
+
 def double(value):
     return 2 * value
 

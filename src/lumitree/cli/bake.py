@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 # Options that are fields of the settings.
 _FIELDS = ("time", "seed", "parts", "lumens", "temperature")
+# Options that choose who traces light paths.
+_WORKERS = ("workers", "scheduler")
 # Of these and of the group `octree` only the radiance field depends.
 _OF_FIELD = ("time", "rays", "tree_depth", "l_max", "law", "octree")
 _SHOWN = {
@@ -44,7 +46,8 @@ class _Settings:
 
     Attributes:
         config: settings of the bake.
-        given: the fields of `config` that are given, with the names by which they are given.
+        given: the fields of `config` that are given, with the names by which they are given; also
+            "work", "quality", "workers" and "scheduler".
         work, variant: as for `lumitree.bake`.
     """
 
@@ -122,6 +125,7 @@ def add(commands: Any) -> None:
         help="colour temperature of the whole flux, 1000 to 20000 K; all colours get the same "
         "factors (default: the colours of the luminaire)",
     )
+    options.add_executor(parser, "several luminaires, or the light paths of one,")
     parser.add_argument(
         "--config",
         metavar="FILE",
@@ -144,7 +148,6 @@ def add(commands: Any) -> None:
         help="of several luminaires bake only those at positions K, K + N, K + 2 N and so on, "
         "counted from 1: one of N tasks of a farm; 'collect' then writes the index page",
     )
-    options.add_executor(parser, "several luminaires")
 
 
 def _task(text: str) -> tuple[int, int]:
@@ -178,24 +181,32 @@ def run(args: argparse.Namespace) -> Any:
     luminaires = [options.luminaire(args, name) for name in _listed(args.luminaires)]
     if len(luminaires) != 1 or args.output.endswith("/"):
         return _run_many(args, luminaires, settings)
-    _refuse_shared(args)
+    if args.task is not None:
+        raise LumitreeError(
+            "--task: for several luminaires; leave it out, or give a folder with / at its end "
+            "after -o"
+        )
     (luminaire,) = luminaires
     if isinstance(settings.config, BakeConfig):
         _refuse_inapplicable(luminaire, settings)
-        return bake_source(
+    with options.executor(args) as executor:
+        if isinstance(settings.config, BakeConfig):
+            return bake_source(
+                luminaire,
+                args.output,
+                settings.config,
+                work=settings.work,
+                variant=settings.variant,
+                executor=executor,
+            )
+        return lumitree.bake_network(
             luminaire,
             args.output,
             settings.config,
             work=settings.work,
             variant=settings.variant,
+            executor=executor,
         )
-    return lumitree.bake_network(
-        luminaire,
-        args.output,
-        settings.config,
-        work=settings.work,
-        variant=settings.variant,
-    )
 
 
 def show(args: argparse.Namespace, result: Any) -> None:
@@ -259,6 +270,8 @@ def _settings(args: argparse.Namespace) -> _Settings:
         names = ", ".join(unknown)
         raise LumitreeError(f"{names}: not for --method {args.method}; leave it out")
     given |= {name: f"--{name}" for name in values}
+    for name in _WORKERS:
+        given |= {name: f"--{name}"} if getattr(args, name) is not None else {}
     return _Settings(dataclasses.replace(config, **values), given, work, variant)
 
 
@@ -268,9 +281,13 @@ def _refuse_inapplicable(luminaire: Any, settings: _Settings) -> None:
     from lumitree.lamp.source import source_kind
 
     kind = source_kind(luminaire)
+    unused = inapplicable(luminaire)
     if kind == "luminaire":
         _refuse_without_field(settings)
-    unused = inapplicable(luminaire)
+        if "light" not in (settings.config.parts or ("light",)):
+            _refuse_workers(settings)
+    else:
+        unused += _WORKERS
     if kind == "photometric":
         unused += ("work",) if "light_field" not in unused else ("work", "quality")
     names = settings.given_of(unused)
@@ -290,6 +307,15 @@ def _refuse_without_field(settings: _Settings) -> None:
         raise LumitreeError(
             f"{', '.join(names)}: for the radiance field, which is not made; add --parts all, or "
             "leave it out"
+        )
+
+
+def _refuse_workers(settings: _Settings) -> None:
+    """Refuse workers where no light paths are traced."""
+    if names := settings.given_of(_WORKERS):
+        raise LumitreeError(
+            f"{', '.join(names)}: for the light paths of the part light, which is not made; leave "
+            "it out"
         )
 
 
@@ -329,16 +355,6 @@ def _listed(names: list[str]) -> list[str]:
         content = read_bytes(name[1:], "a list of luminaires", _MAX_LIST_BYTES)
         found += [line.strip() for line in os.fsdecode(content).splitlines() if line.strip()]
     return found
-
-
-def _refuse_shared(args: argparse.Namespace) -> None:
-    """Refuse options of a bake of many lamps that are given for one."""
-    given = [name for name in ("task", "workers", "scheduler") if getattr(args, name) is not None]
-    if given:
-        raise LumitreeError(
-            f"--{given[0]}: for several luminaires; leave it out, or give a folder with / at its "
-            "end after -o"
-        )
 
 
 def _write_config(args: argparse.Namespace) -> dict[str, str]:

@@ -22,20 +22,23 @@ def add(commands: Any) -> None:
     )
     options.add_views(parser, 100, 256, 128)
     options.add_variant(parser)
+    options.add_executor(parser, "the views")
 
 
 def run(args: argparse.Namespace) -> Any:
     import lumitree
 
-    return lumitree.capture(
-        options.luminaire(args, args.luminaire),
-        args.output,
-        num_views=args.views,
-        resolution=args.resolution,
-        samples_per_pixel=args.spp,
-        split=args.split,
-        variant=args.variant,
-    )
+    with options.executor(args) as executor:
+        return lumitree.capture(
+            options.luminaire(args, args.luminaire),
+            args.output,
+            num_views=args.views,
+            resolution=args.resolution,
+            samples_per_pixel=args.spp,
+            split=args.split,
+            variant=args.variant,
+            executor=executor,
+        )
 
 
 def show(args: argparse.Namespace, result: Any) -> None:

@@ -81,6 +81,7 @@ def add(commands: Any) -> None:
         help="surface that carries a baked luminaire",
     )
     options.add_variant(parser, "; llvm_ad_spectral or cuda_ad_spectral to render spectra")
+    options.add_executor(parser, "the samples")
 
 
 def run(args: argparse.Namespace) -> Any:
@@ -96,21 +97,23 @@ def run(args: argparse.Namespace) -> Any:
         check_evalglare()
         # For the illuminance at the camera.
         load_rgb(args.variant)
-    result = lumitree.render(
-        args.scene,
-        placements(args),
-        samples_per_pixel=args.spp,
-        time=args.time,
-        noise=args.noise,
-        denoise=args.denoise,
-        layers=args.layers is not None,
-        aov=args.aov is not None,
-        width=args.width,
-        view=args.view,
-        so_far=(lambda image: image.save(args.output)) if args.progressive else None,
-        proxy=args.proxy,
-        variant=args.variant,
-    )
+    with options.executor(args) as executor:
+        result = lumitree.render(
+            args.scene,
+            placements(args),
+            samples_per_pixel=args.spp,
+            time=args.time,
+            noise=args.noise,
+            denoise=args.denoise,
+            layers=args.layers is not None,
+            aov=args.aov is not None,
+            width=args.width,
+            view=args.view,
+            so_far=(lambda image: image.save(args.output)) if args.progressive else None,
+            proxy=args.proxy,
+            variant=args.variant,
+            executor=executor,
+        )
     if args.aov is not None:
         result.save_aov(args.aov)
     if args.layers is not None:

@@ -1,6 +1,7 @@
 """The executor of a Dask scheduler: an optional dependency, `lumitree[cluster]`."""
 
 import contextlib
+import importlib
 import logging
 from collections.abc import Iterator
 from concurrent.futures import Executor
@@ -23,13 +24,15 @@ def dask_executor(address: str) -> Iterator[Executor]:
         LumitreeError: Dask is not installed, there is no scheduler, or it has no workers.
     """
     check_cluster()
-    from distributed import Client
+    distributed = importlib.import_module("distributed")
 
     # Loss of connection is an exception; Dask logs it on many lines too.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
-        client = Client(address, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
+        # A client of a wrong address cannot be closed.
+        distributed.comm.get_address_host_port(address)
+        client = distributed.Client(address, set_as_default=False)
+    except (OSError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise LumitreeError(
             f"no Dask scheduler answers at {shown(address)} ({shown(reason, 200)}); start one with "

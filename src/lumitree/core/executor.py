@@ -7,7 +7,6 @@ arguments, all of which can be pickled.
 
 import contextlib
 import itertools
-import pickle
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -99,25 +98,6 @@ def run_tasks(
 def tasks_at_once(executor: Executor) -> int:
     """How many tasks are submitted before the result of one is read."""
     return _TASKS_PER_WORKER * _num_workers(executor)
-
-
-def packed(value: Any, name: str, expected: str) -> bytes:
-    """A value as bytes for the arguments of tasks, of which workers can keep what it describes.
-
-    Args:
-        name: what the value is, for the message.
-        expected: what can be given in its place, for the message.
-
-    Raises:
-        LumitreeError: it cannot be pickled.
-    """
-    try:
-        return pickle.dumps(value)
-    except Exception as error:
-        reason = " ".join(str(error).split())
-        raise LumitreeError(
-            f"{name} cannot be sent to other processes ({shown(reason, 200)}); give {expected}"
-        ) from error
 
 
 def _results(

@@ -3,6 +3,7 @@
 import dataclasses
 import warnings
 from collections.abc import Collection
+from concurrent.futures import Executor
 from typing import TYPE_CHECKING
 
 from lumitree.asset.asset import Asset, Part, light_field_asset
@@ -10,6 +11,7 @@ from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.arguments import check_asset_output, check_light
 from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import Dataset
+from lumitree.core.executor import check_executor
 from lumitree.core.files import FilePath
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.stopwatch import Stopwatch
@@ -29,6 +31,7 @@ from lumitree.rendering.asset_cache import open_asset
 if TYPE_CHECKING:
     from lumitree.fit.octree.bake import OctreeFitResult
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
+    from lumitree.lamp.sent import LampWorkers
 
 # What `bake` does not take, and the functions for it.
 _OTHERS = {
@@ -45,6 +48,7 @@ def bake(
     *,
     work: FilePath | None = None,
     variant: str | None = None,
+    executor: Executor | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> BakeResult:
     """Bake a luminaire into an asset.
@@ -71,6 +75,8 @@ def bake(
             `output` with the suffix `.work`, or a temporary folder; it is removed at the end.
         variant: Mitsuba variant, "llvm_ad_rgb" or "cuda_ad_rgb". Default: the variant that is set;
             if none is set, "cuda_ad_rgb" if there is a GPU, else "llvm_ad_rgb".
+        executor: whose workers trace the light paths of the light field; each loads the luminaire.
+            The asset is the same. All other work is done by this process, and by default this too.
         progress: function that is called with a `Progress` after each step. Default: a progress
             bar, or lines on standard error if that is not a terminal. None shows nothing.
 
@@ -81,8 +87,9 @@ def bake(
 
     Raises:
         LumitreeError: the luminaire cannot be read or emits no light; the work folder holds the
-            state of another bake; no usable variant of Mitsuba is available; or a file cannot be
-            written.
+            state of another bake; no usable variant of Mitsuba is available; a file cannot be
+            written; a worker is lost; or the luminaire cannot be sent to the workers of
+            `executor`, such as a `mitsuba.Scene` or a `Luminaire`.
 
     Example:
         >>> result = lumitree.bake("bulbs", "bulbs.lumitree", lumitree.BakeConfig.preview())
@@ -92,13 +99,16 @@ def bake(
     if output is not None:
         check_asset_output(output)
     _check_kind(luminaire)
+    check_executor(executor)
     load_rgb(variant)
     from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.sent import lamp_workers
 
     with reporting(progress), open_work_folder(output, work) as folder:
         lamp = load_luminaire(luminaire)
+        workers = lamp_workers(executor, luminaire, lamp)
         warn_of_faults(lamp)
-        return _bake(lamp, output, config, folder, work)
+        return _bake(lamp, output, config, folder, work, workers)
 
 
 def _bake(
@@ -107,6 +117,7 @@ def _bake(
     config: BakeConfig,
     folder: WorkFolder,
     work: FilePath | None,
+    workers: "LampWorkers | None",
 ) -> BakeResult:
     """`bake` of a luminaire that is loaded, with the state in a folder that is open."""
     from lumitree.fit.light_field.bake import bake_light_field
@@ -118,7 +129,7 @@ def _bake(
     light_field = None
     if "light" in parts:
         with watch.stage("light"):
-            light_field = bake_light_field(lamp, config.light_field_fit, folder.path)
+            light_field = bake_light_field(lamp, config.light_field_fit, folder.path, workers)
         # Before the field: refuses a colour that the light of the luminaire cannot have.
         lit = dataclasses.replace(
             light_field_asset(light_field, lamp.frame, lamp.name), geometry=geometry

@@ -1,6 +1,7 @@
 """The bake by the paper's network: `bake_network`, and its steps `capture`, `train`, `extract`."""
 
 import dataclasses
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -14,6 +15,7 @@ from lumitree.core.arguments import (
 )
 from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
+from lumitree.core.executor import check_executor
 from lumitree.core.extras import check_network
 from lumitree.core.files import FilePath, WriteError, check_writable
 from lumitree.core.interrupt import Interrupted
@@ -36,6 +38,7 @@ from lumitree.trace.light_field_config import LightFieldFitConfig
 if TYPE_CHECKING:
     from lumitree.asset.light_field import LightField
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
+    from lumitree.lamp.sent import LampWorkers
 
 
 @explained
@@ -46,6 +49,7 @@ def bake_network(
     *,
     work: FilePath | None = None,
     variant: str | None = None,
+    executor: Executor | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> BakeResult:
     """Bake a luminaire with the method of the paper: `capture`, `train` and `extract` in one call.
@@ -59,6 +63,7 @@ def bake_network(
         config: settings of the bake. Default: `NetworkConfig.preview()`.
         work: folder for the dataset and the run; see `bake`.
         variant: Mitsuba variant; see `bake`.
+        executor: whose workers trace the light paths and render the views; see `bake`.
         progress: function that is called with a `Progress` after each step; see `bake`.
 
     Returns:
@@ -68,29 +73,36 @@ def bake_network(
 
     Raises:
         LumitreeError: the luminaire cannot be read; the work folder holds the state of another
-            bake; a file cannot be written; or the extra `network` of lumitree is not installed.
+            bake; a file cannot be written; the extra `network` of lumitree is not installed; or as
+            for the `executor` of `bake`.
         Interrupted: SIGINT, SIGTERM or SIGHUP was received before the asset was complete. The work
             folder is kept.
     """
     config = NetworkConfig.preview() if config is None else config
     check_asset_output(output)
     check_network()
+    check_executor(executor)
     load_rgb(variant)
     from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.sent import lamp_workers
 
     watch, light_field = Stopwatch(), None
     with open_work_folder(output, work) as folder:
         with reporting(progress):
             lamp = load_luminaire(luminaire)
+            workers = lamp_workers(executor, luminaire, lamp)
             if "light" in config.parts:
-                light_field = _bake_light_field(lamp, config.light_field_fit, folder.path, watch)
+                light_field = _bake_light_field(
+                    lamp, config.light_field_fit, folder.path, watch, workers
+                )
         captured = capture(
-            lamp,
+            lamp if executor is None else luminaire,
             folder.path / "dataset",
             num_views=config.num_views,
             resolution=config.resolution,
             samples_per_pixel=config.samples_per_pixel,
             variant=variant,
+            executor=executor,
             progress=progress,
         )
         from lumitree.fit.network.run import RUN_FILES
@@ -127,6 +139,7 @@ def capture(
     samples_per_pixel: int = 128,
     split: Split = "train",
     variant: str | None = None,
+    executor: Executor | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> CaptureResult:
     """Render views of a luminaire into a dataset: radiance and two kinds of opacity, as OpenEXR.
@@ -142,27 +155,32 @@ def capture(
         samples_per_pixel: paths per pixel, 1 to 1,048,576.
         split: "train" or "test". The two have no direction in common.
         variant: Mitsuba variant; see `bake`.
+        executor: whose workers render the views; each loads the luminaire. The views are those of
+            one process. Default: this process, which also writes them.
         progress: function that is called with a `Progress` after each view; see `bake`.
 
     Returns:
         The folder (`dataset`), the name of the luminaire, and the number of views.
 
     Raises:
-        LumitreeError: an argument is out of range; the luminaire cannot be read; or the folder
-            holds another capture.
+        LumitreeError: an argument is out of range; the luminaire cannot be read; the folder
+            holds another capture; or as for the `executor` of `bake`.
         Interrupted: SIGINT, SIGTERM or SIGHUP was received. Finished views are kept.
     """
     check_range("views", num_views, 1, MAX_VIEWS)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     check_choice("split", split, get_args(Split))
     check_writable(Path(output) / MANIFEST)
+    check_executor(executor)
     load_rgb(variant)
     from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.sent import lamp_workers
     from lumitree.trace.capture import capture as capture_views
 
     watch = Stopwatch()
     with reporting(progress), watch.stage("capture"):
         lamp = load_luminaire(luminaire)
+        workers = lamp_workers(executor, luminaire, lamp)
         warn_of_faults(lamp)
         try:
             dataset = capture_views(
@@ -172,6 +190,7 @@ def capture(
                 resolution=resolution,
                 samples_per_pixel=samples_per_pixel,
                 split=split,
+                workers=workers,
             )
         except WriteError as error:
             if not (Path(output) / MANIFEST).exists():
@@ -330,13 +349,17 @@ def _sides(size: Any) -> str:
 
 
 def _bake_light_field(
-    lamp: "Luminaire", config: LightFieldFitConfig, folder: Path, watch: Stopwatch
+    lamp: "Luminaire",
+    config: LightFieldFitConfig,
+    folder: Path,
+    watch: Stopwatch,
+    workers: "LampWorkers | None" = None,
 ) -> "LightField":
     """`bake_light_field`, and the time that it takes."""
     from lumitree.fit.light_field.bake import bake_light_field
 
     with watch.stage("light"):
-        return bake_light_field(lamp, config, folder)
+        return bake_light_field(lamp, config, folder, workers)
 
 
 def _extract(

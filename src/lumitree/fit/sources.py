@@ -3,6 +3,7 @@
 import dataclasses
 import warnings
 from collections.abc import Iterable
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ def bake_source(
     *,
     work: FilePath | None = None,
     variant: str | None = None,
+    executor: Executor | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> BakeResult:
     """Bake what `bake`, `bake_views` or `bake_photometric` take.
@@ -36,6 +38,7 @@ def bake_source(
         output, work, variant, progress: as for `bake`.
         config: settings, of which those are used that apply to the source; see
             `inapplicable`.
+        executor: as for `bake`; not used for other sources, of which no light paths are traced.
 
     Raises:
         LumitreeError: the parts of `config` cannot be made of the source; or as for the function.
@@ -68,7 +71,15 @@ def bake_source(
                 progress=progress,
             )
         case _:
-            return bake(source, output, config, work=work, variant=variant, progress=progress)
+            return bake(
+                source,
+                output,
+                config,
+                work=work,
+                variant=variant,
+                executor=executor,
+                progress=progress,
+            )
 
 
 def _parts_error(config: BakeConfig, source: Any, kind: str, part: Part) -> LumitreeError:

@@ -7,9 +7,12 @@ Symbols
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
 from typing import Any
 
 import drjit as dr
@@ -121,6 +124,27 @@ class _Mean:
         return float(error.sum() / mean.sum()) if mean.any() else 0.0
 
 
+# Renders passes, given as seed and samples per pixel, and returns their images in the same order.
+# It may read some passes ahead.
+Renderer = Callable[
+    [Iterable[tuple[int, int]]], AbstractContextManager[Iterator[NDArray[np.float32]]]
+]
+
+
+def render_pass(
+    scene: mi.Scene, integrator: mi.Integrator, seed: int, samples: int
+) -> NDArray[np.float32]:
+    """Image [H, W, C] of one pass of the scene's first sensor; channels as `Rendering.channels`.
+
+    Args:
+        scene, integrator: what is rendered, and how.
+        seed: of the pass, 32 bits.
+        samples: samples per pixel.
+    """
+    sensor = scene.sensors()[0]
+    return np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=samples, seed=seed))
+
+
 def render_passes(
     scene: mi.Scene,
     integrator: mi.Integrator,
@@ -129,6 +153,7 @@ def render_passes(
     seed: int = 0,
     name: str = "render",
     so_far: Callable[[Rendering], None] | None = None,
+    renderer: Renderer | None = None,
 ) -> Rendering:
     """Render the scene's first sensor until a budget is spent.
 
@@ -142,41 +167,85 @@ def render_passes(
         name: for the display of progress.
         so_far: called with the image so far after the first pass and then every two seconds or
             more, so that it takes no more than a tenth of the time.
+        renderer: what renders the passes. Default: `render_pass`, one after another.
     """
-    sensor = scene.sensors()[0]
-    pixels = int(dr.prod(sensor.film().crop_size()))
-    limit = budget.samples_per_pixel or MAX_SAMPLES
-    batch = _SAMPLES_PER_PASS[dr.backend_v(mi.Float)] // pixels
-    if (budget.seconds, budget.noise) != (None, None):
-        batch = min(batch, _MAX_SAMPLES_PER_PIXEL, limit // _MIN_PASSES)
-    batch = max(1, batch)
-    mean, start = _Mean(), time.perf_counter()
-    spent, seconds, noise, ended = 0.0, 0.0, None, False
+    pixels = int(dr.prod(scene.sensors()[0].film().crop_size()))
+    plan, mean = _Plan(budget, pixels, seed), _Mean()
+    spent, noise = 0.0, None
     next_time = 0.0
-    with progress(name, 1.0) as advance:
-        while not ended:
-            count = min(batch, limit - mean.samples)
-            began = time.perf_counter()
-            image = mi.render(
-                scene,
-                sensor=sensor,
-                integrator=integrator,
-                spp=count,
-                seed=SeedStream(Purpose.RENDER, mean.samples).seed(seed),
-            )
-            mean.add(np.array(image), count)
-            now = time.perf_counter()
-            seconds, noise = now - start, mean.noise()
+    images = _rendered_here(scene, integrator, plan) if renderer is None else renderer(plan)
+    with progress(name, 1.0) as advance, images as rendered:
+        for image in rendered:
+            mean.add(image, plan.next_samples)
+            now, noise = plan.finish(), mean.noise()
             share = budget.share(
-                mean.samples, seconds, noise if mean.passes >= _MIN_PASSES else None
+                mean.samples, plan.seconds, noise if mean.passes >= _MIN_PASSES else None
             )
-            # A pass that would not end in time is not begun.
-            late = budget.seconds is not None and seconds + (now - began) > budget.seconds
-            ended = late or share >= 1
             advance(max(0.0, share - spent), "" if noise is None else f"noise {noise:.1%}")
             spent = max(spent, share)
-            if so_far is not None and not ended and now >= next_time:
-                so_far(Rendering(mean.image(), mean.samples, noise, seconds))
+            if plan.is_over or share >= 1:
+                break
+            if so_far is not None and now >= next_time:
+                so_far(Rendering(mean.image(), mean.samples, noise, plan.seconds))
                 taken = time.perf_counter() - now
                 next_time = now + max(_SECONDS_BETWEEN_IMAGES, taken / _MOST_TIME_OF_IMAGES)
-    return Rendering(mean.image(), mean.samples, noise, seconds)
+    return Rendering(mean.image(), mean.samples, noise, plan.seconds)
+
+
+@contextlib.contextmanager
+def _rendered_here(
+    scene: mi.Scene, integrator: mi.Integrator, passes: Iterable[tuple[int, int]]
+) -> Iterator[Iterator[NDArray[np.float32]]]:
+    """The `Renderer` of this process."""
+    yield (render_pass(scene, integrator, *each) for each in passes)
+
+
+class _Plan:
+    """The passes of a budget: (seed, samples per pixel) of each in turn.
+
+    Args:
+        budget: of which the number of samples and the time limit the passes.
+        pixels: number of pixels.
+        seed: root seed.
+
+    Attributes:
+        seconds: time until the latest pass was finished, s.
+    """
+
+    def __init__(self, budget: Budget, pixels: int, seed: int) -> None:
+        self._seed, self._time = seed, budget.seconds
+        self._limit = budget.samples_per_pixel or MAX_SAMPLES
+        batch = _SAMPLES_PER_PASS[dr.backend_v(mi.Float)] // pixels
+        if (budget.seconds, budget.noise) != (None, None):
+            batch = min(batch, _MAX_SAMPLES_PER_PIXEL, self._limit // _MIN_PASSES)
+        self._batch = max(1, batch)
+        self._late, self._start, self.seconds = False, time.perf_counter(), 0.0
+        # Samples per pixel of the passes that are not finished, and when they began.
+        self._begun: deque[tuple[int, float]] = deque()
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        samples = 0
+        while samples < self._limit and not self._late:
+            count = min(self._batch, self._limit - samples)
+            self._begun.append((count, time.perf_counter()))
+            yield SeedStream(Purpose.RENDER, samples).seed(self._seed), count
+            samples += count
+
+    @property
+    def next_samples(self) -> int:
+        """Samples per pixel of the pass that is finished next."""
+        return self._begun[0][0]
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no further pass would end in time, and those that have begun are finished."""
+        return self._late and not self._begun
+
+    def finish(self) -> float:
+        """Count the pass that was begun first as finished; returns the time of the clock, s."""
+        now = time.perf_counter()
+        _, began = self._begun.popleft()
+        self.seconds = now - self._start
+        # A pass that would not end in time is not begun.
+        self._late = self._time is not None and self.seconds + (now - began) > self._time
+        return now

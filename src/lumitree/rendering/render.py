@@ -4,6 +4,7 @@ import dataclasses
 import os
 import re
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.arguments import check_image_settings, check_range
 from lumitree.core.backend import load_mitsuba
+from lumitree.core.executor import check_executor
 from lumitree.core.files import FilePath
 from lumitree.core.image_settings import image_settings
 from lumitree.core.images import check_exr_name, encode_png, write_exr
@@ -20,12 +22,13 @@ from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.view_transform import View, check_view, displayed, room_exposure
 from lumitree.errors import LumitreeError, explained
+from lumitree.rendering.render_job import Described, RenderJob, renderer_of
 from lumitree.rendering.saved_image import SavedImage
 
 if TYPE_CHECKING:
     from lumitree.rendering.camera_view import CameraView
     from lumitree.rendering.layers import Recorded
-    from lumitree.rendering.passes import Budget, Rendering
+    from lumitree.rendering.passes import Rendering
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.sampling.proxy import ProxyKind
 
@@ -122,6 +125,7 @@ def render(
     so_far: "Callable[[RenderResult], None] | None" = None,
     seed: int = 0,
     variant: str | None = None,
+    executor: Executor | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> RenderResult:
     """Render a scene with luminaires placed in it.
@@ -158,6 +162,9 @@ def render(
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
         variant: Mitsuba variant, as for `bake`; or "llvm_ad_spectral" or "cuda_ad_spectral", which
             render spectra, but neither `denoise`, `layers` nor `aov`.
+        executor: whose workers render the passes; each loads the scene. With a number of samples or
+            a `noise` the image is that of one process, apart from the last digits. Default: this
+            process.
         progress: function that is called with a `Progress` after each pass; see `bake`.
 
     Returns:
@@ -167,14 +174,16 @@ def render(
     Raises:
         LumitreeError: an argument is out of range; the scene, an asset or a luminaire cannot be
             read; the scene has no camera; two placements are equal; `denoise`, `layers` or `aov`
-            is asked for in a scene with heterogeneous media; or what `denoise` or `view`
-            needs is not installed.
+            is asked for in a scene with heterogeneous media; what `denoise` or `view`
+            needs is not installed; a worker is lost; or the scene cannot be sent to the workers of
+            `executor`, such as a `mitsuba.Scene`.
     """
     if (samples_per_pixel, time, noise) == (None, None, None):
         samples_per_pixel = _SAMPLES_PER_PIXEL
     _check(samples_per_pixel, time, noise, width)
     check_seed(seed)
     check_view(view)
+    check_executor(executor)
     mi = load_mitsuba(variant)
     if mi.is_spectral and (denoise or layers or aov):
         raise LumitreeError(
@@ -185,7 +194,7 @@ def render(
 
     if denoise:
         check_denoiser()
-    recorded, names, watch = None, _names(placements), Stopwatch()
+    names, watch = _names(placements), Stopwatch()
 
     def result(
         rendering: "Rendering", pixels: NDArray[np.float32], filtered: bool, **parts: Any
@@ -224,82 +233,22 @@ def render(
         assert so_far is not None
         so_far(result(rendering, rendering.radiance, False))
 
+    by_lamp = layers if denoise or layers or aov else None
     with reporting(progress):
         with watch.stage("load"):
-            job = _RenderJob(scene, placements, proxy, width, box_filter=denoise)
+            described = Described(scene, placements, proxy, width, denoise, by_lamp)
+            renderer = None if executor is None else renderer_of(executor, described)
+            job = RenderJob(described)
         with watch.stage("render"):
             budget = Budget(samples_per_pixel, time, noise)
             shown = None if so_far is None else show
-            if denoise or layers or aov:
-                rendering, recorded = job.recorded(budget, seed, shown, by_lamp=layers)
-            else:
-                rendering = job.rendered(budget, seed, shown)
+            rendering, recorded = job.rendered(budget, seed, shown, renderer)
     pixels = noisy = rendering.radiance
     if recorded is not None and denoise:
         with watch.stage("denoise"):
             recorded = denoised(recorded)
         pixels = (recorded.seen + recorded.lit).sum(axis=0)
     return result(rendering, pixels, denoise, **_parts(recorded, noisy, names if layers else ()))
-
-
-class _RenderJob:
-    """A scene with luminaires placed in it; arguments as for `render` and `load_scene`."""
-
-    def __init__(
-        self,
-        scene: Any,
-        placements: "Sequence[Placement]",
-        proxy: "ProxyKind",
-        width: int | None,
-        *,
-        box_filter: bool,
-    ) -> None:
-        from lumitree.rendering.camera_view import camera_view
-        from lumitree.rendering.scene import (
-            appearance_for,
-            load_scene,
-            open_placements,
-            place_luminaires,
-            placed_ids,
-            scene_title,
-        )
-
-        placed = open_placements(placements)
-        loaded, self.integrator = load_scene(scene, placed, box_filter=box_filter, width=width)
-        appearance = appearance_for(self.integrator)
-        self._whole = place_luminaires(loaded, placed, proxy, appearance=appearance)
-        self.camera = camera_view(loaded.sensors()[0])
-        self._placed_ids, self._title = placed_ids(placed), scene_title(scene)
-
-    def rendered(
-        self, budget: "Budget", seed: int, so_far: "Callable[[Rendering], None] | None"
-    ) -> "Rendering":
-        """The image alone; `so_far` as for `render_passes`."""
-        from lumitree.rendering.passes import render_passes
-
-        return render_passes(self._whole, self.integrator, budget, seed=seed, so_far=so_far)
-
-    def recorded(
-        self,
-        budget: "Budget",
-        seed: int,
-        so_far: "Callable[[Rendering], None] | None",
-        *,
-        by_lamp: bool,
-    ) -> "tuple[Rendering, Recorded]":
-        """The image, and what is recorded beside it; `by_lamp`, the light of each lamp apart."""
-        from lumitree.rendering.layers import Layers, recording, records_layers
-
-        if not records_layers(self.integrator):
-            raise LumitreeError(
-                f"{self._title} is rendered by volpath, because of heterogeneous media; "
-                "denoise, layers and aov need lumitree_path: make the media homogeneous, "
-                "or render without them"
-            )
-        layers = Layers(self._whole, self._placed_ids if by_lamp else ())
-        with recording(self.integrator, layers):
-            rendering = self.rendered(budget, seed, so_far)
-        return rendering, layers.divide(rendering.channels[..., 3:])
 
 
 def _check(

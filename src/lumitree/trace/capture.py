@@ -1,16 +1,21 @@
 """Rendering the views of a dataset, one by one, so that a capture can be resumed."""
 
+import contextlib
+import functools
 import os
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from lumitree.core.arguments import check_image_settings, check_range
 from lumitree.core.dataset import MANIFEST, MAX_VIEWS, Dataset, Frame, Manifest, Split, View
 from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
+from lumitree.core.executor import run_tasks
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.lamp.luminaire import Luminaire
-from lumitree.trace.cameras import Camera
+from lumitree.lamp.sent import LampWorkers, received_luminaire
+from lumitree.trace.cameras import Camera, ViewImages
 from lumitree.trace.tracing import PATH_DEPTH
 
 
@@ -22,26 +27,59 @@ def capture(
     resolution: int = 256,
     samples_per_pixel: int = 128,
     split: Split = "train",
+    workers: LampWorkers | None = None,
 ) -> Dataset:
     """Capture the views of `luminaire` that are still missing in `folder`.
 
     Views are orthographic, along Halton(2, 3) directions, fitted to the bounding sphere. Train
     views are Halton indices from 1 on, test views from 100001 on. The pixel filter is a box.
 
+    Args:
+        workers: what renders the views. Default: this process. It writes them in any case.
+
     Raises:
-        LumitreeError: bad settings, or `folder` holds another capture.
+        LumitreeError: bad settings, `folder` holds another capture, or a worker is lost.
     """
     manifest = _plan(luminaire, num_views, resolution, samples_per_pixel, split)
     dataset = _open_or_start(Path(folder), manifest)
     missing = dataset.missing()
-    camera = Camera(luminaire, resolution, samples_per_pixel)
     done = len(manifest.frames) - len(missing)
-    with progress(f"capture {luminaire.name}", len(manifest.frames), done) as advance:
-        for frame in missing:
-            images = camera.take(frame.pose, SeedStream(Purpose.CAPTURE, frame.halton_index))
-            dataset.write(View(frame, **vars(images)))
+    settings = resolution, samples_per_pixel
+    if workers is None:
+        camera = Camera(luminaire, *settings)
+        images = contextlib.nullcontext(enumerate(_take(camera, frame) for frame in missing))
+    else:
+        images = _taken_by(workers, settings, missing)
+    with (
+        progress(f"capture {luminaire.name}", len(manifest.frames), done) as advance,
+        images as taken,
+    ):
+        for index, found in taken:
+            dataset.write(View(missing[index], **vars(found)))
             advance(1)
     return dataset
+
+
+def _take(camera: Camera, frame: Frame) -> ViewImages:
+    return camera.take(frame.pose, SeedStream(Purpose.CAPTURE, frame.halton_index))
+
+
+def _taken_by(
+    workers: LampWorkers, settings: tuple[int, int], frames: Sequence[Frame]
+) -> contextlib.AbstractContextManager[Iterator[tuple[int, ViewImages]]]:
+    """Context with the index and the images of each frame, as workers finish them."""
+    tasks = [(workers.luminaire, settings, frame) for frame in frames]
+    return run_tasks(workers.executor, _take_received, tasks, what="views", total=len(tasks))
+
+
+def _take_received(luminaire: bytes, settings: tuple[int, int], frame: Frame) -> ViewImages:
+    """The task of a worker: one view."""
+    return _take(_camera(luminaire, settings), frame)
+
+
+@functools.lru_cache(maxsize=1)
+def _camera(luminaire: bytes, settings: tuple[int, int]) -> Camera:
+    return Camera(received_luminaire(luminaire), *settings)
 
 
 def _plan(

@@ -1,5 +1,6 @@
 """Histograms of light by the cell of a grid where it starts, and by direction."""
 
+import dataclasses
 from typing import Any
 
 import drjit as dr
@@ -24,6 +25,67 @@ def coded_cells(codes: NDArray[np.int64], depth: int) -> NDArray[np.int64]:
     return np.stack([codes % side, codes // side % side, codes // side**2], axis=1)
 
 
+@dataclasses.dataclass(frozen=True)
+class BinnedRays:
+    """Rays by the cell of a grid in which they start, and by direction.
+
+    Attributes:
+        codes: [N] `cell_codes` of their cells.
+        bins: [N] octahedral bins of their directions.
+        flux: [3, N].
+    """
+
+    codes: NDArray[np.uint32]
+    bins: NDArray[np.uint16]
+    flux: NDArray[np.floating]
+
+
+def bin_rays(
+    origin: Any, direction: Any, flux: NDArray[np.floating], depth: int, resolution: int
+) -> BinnedRays:
+    """Rays (mi.Point3f, mi.Vector3f, [3, N]) in a grid of 2**depth cells a side."""
+    side = 1 << depth
+    cell = grid_cell(origin, side)
+    code = (cell.z * side + cell.y) * side + cell.x
+    bins = bin_of(direction, resolution)
+    return BinnedRays(np.array(code, np.uint32), np.array(bins, np.uint16), flux)
+
+
+@dataclasses.dataclass(frozen=True)
+class BinnedSegments:
+    """Segments that end on the luminaire.
+
+    Attributes:
+        rays: by cell and direction.
+        steps: [N] index of the distance after which each ends, see `distances_passed`.
+    """
+
+    rays: BinnedRays
+    steps: NDArray[np.uint8]
+
+
+def bin_segments(
+    segments: EndingSegments,
+    flux: NDArray[np.floating],
+    depth: int,
+    resolution: int,
+    distances: NDArray[np.float32],
+    seed: int,
+) -> BinnedSegments:
+    """Segments with a flux [3, N]; `seed` is of where in its cell each reach begins."""
+    # Light starts anywhere in its cell, and so its reach is from there on.
+    side = 2 / (1 << depth)
+    random = mi.PCG32(flux.shape[1], initstate=dr.opaque(mi.UInt64, seed))
+    start = mi.Vector3f(random.next_float32(), random.next_float32(), random.next_float32())
+    within = (mi.Vector3f(segments.origin) + 1) / side
+    moved = (within - dr.floor(within) - start) * side
+    steps = np.array(
+        distances_passed(segments.reach + dr.dot(moved, segments.direction), distances)
+    )
+    rays = bin_rays(segments.origin, segments.direction, flux, depth, resolution)
+    return BinnedSegments(rays, np.minimum(steps, len(distances) - 2).astype(np.uint8))
+
+
 class OccupiedCells:
     """Cells of a grid over [-1, 1]³ in the order in which light was first found in them.
 
@@ -45,15 +107,12 @@ class OccupiedCells:
         """[C, 3] coordinates of each."""
         return coded_cells(self._codes, self._depth)
 
-    def rows(self, positions: Any) -> NDArray[np.int64]:
-        """Rows [N] of the cells of positions (mi.Point3f); new cells get new rows."""
-        side = 1 << self._depth
-        cell = grid_cell(positions, side)
-        code = np.array((cell.z * side + cell.y) * side + cell.x).astype(np.int64)
-        new = np.unique(code[self._rows[code] < 0])
+    def rows(self, codes: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Rows [N] of cells by their codes [N]; new cells get new rows."""
+        new = np.unique(codes[self._rows[codes] < 0]).astype(np.int64)
         self._rows[new] = len(self._codes) + np.arange(len(new))
         self._codes = np.append(self._codes, new)
-        return self._rows[code]
+        return self._rows[codes]
 
 
 class _Rows:
@@ -77,7 +136,8 @@ class _Light:
     """Flux by cell and bin of direction."""
 
     def __init__(self, depth: int, resolution: int) -> None:
-        self._occupied, self._resolution = OccupiedCells(depth), resolution
+        self._occupied = OccupiedCells(depth)
+        self._depth, self._resolution = depth, resolution
         self._flux = _Rows((resolution**2, 3), np.float64)
 
     @property
@@ -90,29 +150,25 @@ class _Light:
         """[C, R², 3] flux of the bins of each cell."""
         return self._flux.values
 
-    def _places(
-        self, origin: Any, direction: Any
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-        """The flux of all bins, [C R², 3]; and of rays, their place in it and their bin, [N]."""
-        rows = self._occupied.rows(origin)
-        bins = np.array(bin_of(direction, self._resolution)).astype(np.int64)
+    def _places(self, rays: BinnedRays) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """The flux of all bins, [C R², 3]; and of rays, their place in it, [N]."""
+        rows = self._occupied.rows(rays.codes)
         flat = self._flux.grown(len(self._occupied)).reshape(-1, 3)
-        return flat, rows * self._resolution**2 + bins, bins
+        return flat, rows * self._resolution**2 + rays.bins
 
 
 class Histogram(_Light):
     """Flux of rays that leave the box."""
 
-    def add(self, origin: Any, direction: Any, flux: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Add rays (mi.Point3f, mi.Vector3f, [3, N]) that start inside the grid.
+    def add(self, origin: Any, direction: Any, flux: NDArray[np.float64]) -> None:
+        """Add rays (mi.Point3f, mi.Vector3f, [3, N]) that start inside the grid."""
+        self.add_binned(bin_rays(origin, direction, flux, self._depth, self._resolution))
 
-        Returns:
-            [N] bins of their directions.
-        """
-        flat, index, bins = self._places(origin, direction)
+    def add_binned(self, rays: BinnedRays) -> None:
+        """Add rays of `bin_rays` with the same grid and bins."""
+        flat, index = self._places(rays)
         for channel in range(3):
-            flat[:, channel] += np.bincount(index, flux[channel], len(flat))
-        return bins
+            flat[:, channel] += np.bincount(index, rays.flux[channel], len(flat))
 
 
 class EndingHistogram(_Light):
@@ -122,32 +178,23 @@ class EndingHistogram(_Light):
     2 Q bins a side.
     """
 
-    def __init__(self, depth: int, resolution: int, distances: NDArray[np.float32]) -> None:
+    def __init__(self, depth: int, resolution: int, num_distances: int) -> None:
         super().__init__(depth, resolution)
-        self._side, self._distances = 2 / (1 << depth), distances
-        self._by_reach = _Rows((resolution**2, len(distances) - 1), np.float32)
+        self._by_reach = _Rows((resolution**2, num_distances - 1), np.float32)
 
     @property
     def by_reach(self) -> NDArray[np.float32]:
         """[C, Q², K - 1] luminance of the segments that end between two distances."""
         return self._by_reach.values
 
-    def add(self, segments: EndingSegments, flux: NDArray[np.float64], seed: int) -> None:
-        """Add segments with a flux [3, N]; `seed` is of where in its cell each reach begins."""
-        flat, index, _ = self._places(segments.origin, segments.direction)
+    def add_binned(self, segments: BinnedSegments) -> None:
+        """Add segments of `bin_segments` with the same grid, bins and distances."""
+        flux = segments.rays.flux
+        flat, index = self._places(segments.rays)
         for channel in range(3):
             np.add.at(flat[:, channel], index, flux[channel])
         by_reach = self._by_reach.grown(len(self._occupied))
-        steps = by_reach.shape[2]
-        # Light starts anywhere in its cell, and so its reach is from there on.
-        random = mi.PCG32(flux.shape[1], initstate=dr.opaque(mi.UInt64, seed))
-        start = mi.Vector3f(random.next_float32(), random.next_float32(), random.next_float32())
-        within = (mi.Vector3f(segments.origin) + 1) / self._side
-        moved = (within - dr.floor(within) - start) * self._side
-        reach = np.array(
-            distances_passed(segments.reach + dr.dot(moved, segments.direction), self._distances)
-        )
-        reach = index * steps + np.minimum(reach, steps - 1)
+        reach = index * by_reach.shape[2] + segments.steps
         np.add.at(by_reach.reshape(-1), reach, luminance(flux.T).astype(np.float32))
 
 

@@ -27,7 +27,7 @@ from lumitree.fit.catalogue.record import (
 from lumitree.fit.catalogue.stamps import stamps_of
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.sources import bake_source
-from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.sent import absolute_source
 from lumitree.lamp.source import LuminaireSource, dataset_folder, gldf_variant, source_kind
 
 _MAX_SOURCE_BYTES = 1 << 26
@@ -70,13 +70,8 @@ class LampJob:
 
     def elsewhere(self) -> "LampJob":
         """The same for a process that may have another working folder."""
-        materials = self.source.materials
-        source = dataclasses.replace(
-            self.source,
-            name=self.source.name if self.source.name in BUILTIN else _absolute(self.source.name),
-            materials=None if materials is None else _absolute(materials),
-        )
-        return dataclasses.replace(self, folder=Path(_absolute(self.folder)), source=source)
+        source, folder = absolute_source(self.source), Path(os.path.abspath(self.folder))
+        return dataclasses.replace(self, folder=folder, source=source)
 
     def here(self, outcome: Outcome) -> Outcome:
         """What became of the lamp `elsewhere`, with the names that this process uses."""
@@ -218,10 +213,6 @@ class LampJob:
 def bake_lamp(job: LampJob) -> Outcome:
     """`LampJob.run` as the task of a worker, which reports no progress."""
     return job.run(None)
-
-
-def _absolute(path: str | os.PathLike[str]) -> str:
-    return os.path.abspath(path)
 
 
 def _disk_is_full(error: BaseException | None) -> bool:

@@ -12,21 +12,24 @@ from lumitree.asset.light_field import LightField, TracedPaths, make_light_field
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
-from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
+from lumitree.fit.light_field.batches import num_batches, path_batches
 from lumitree.fit.light_field.inside import DISTANCES, make_entries
 from lumitree.fit.light_field.merge import relative_noise
 from lumitree.fit.light_field.saved_field import SavedLightField
 from lumitree.fit.light_field.visibility import unoccluded
 from lumitree.lamp.luminaire import Luminaire
-from lumitree.trace.emitted_rays import as_rows
-from lumitree.trace.ending_segments import EndingConfig
-from lumitree.trace.histograms import EndingHistogram, Histogram
-from lumitree.trace.lamp_rays import LampRays
+from lumitree.lamp.sent import LampWorkers
+from lumitree.trace.histograms import BinnedRays, EndingHistogram, Histogram
 from lumitree.trace.light_field_config import LightFieldFitConfig
 
 
-def bake_light_field(luminaire: Luminaire, config: LightFieldFitConfig, folder: Path) -> LightField:
+def bake_light_field(
+    luminaire: Luminaire,
+    config: LightFieldFitConfig,
+    folder: Path,
+    workers: LampWorkers | None = None,
+) -> LightField:
     """Estimate the light field of a luminaire, and its noise from the batches' spread.
 
     With it the light that ends on the luminaire, for receivers inside its box.
@@ -35,31 +38,29 @@ def bake_light_field(luminaire: Luminaire, config: LightFieldFitConfig, folder: 
         luminaire: what is baked.
         config: how. Equal settings give equal fields.
         folder: where the field is kept; it is returned if an equal call left it there.
+        workers: what traces the light paths; the field is the same. Default: this process.
 
     Raises:
-        LumitreeError: no light leaves the luminaire, or a path's flux is NaN or infinite.
+        LumitreeError: no light leaves the luminaire, a path's flux is NaN or infinite, or a worker
+            is lost.
     """
     saved = SavedLightField(folder, luminaire, config)
     if (field := saved.load()) is not None:
         return field
-    rays = LampRays(luminaire)
     histogram = Histogram(config.depth, config.resolution)
-    ending = EndingHistogram(config.depth, config.resolution // 2, DISTANCES)
-    batches = -(-config.paths // config.batch)
+    ending = EndingHistogram(config.depth, config.resolution // 2, len(DISTANCES))
+    batches = num_batches(config)
     by_direction = []
-    with progress(f"light of {luminaire.name}", batches) as advance:
-        for step in range(batches):
-            segments = EndingConfig(
-                config.depth, SeedStream(Purpose.ENDING, step).seed(config.seed)
-            )
-            seed = SeedStream(Purpose.LIGHT_FIELD, step).seed(config.seed)
-            paths = rays.draw(config.batch, seed, ending=segments)
-            assert paths.ending is not None
-            flux, ends = (as_rows(each.flux).T for each in (paths, paths.ending))
-            places = SeedStream(Purpose.ENDING, step, 2).seed(config.seed)
-            ending.add(paths.ending, ends / batches, places)
-            bins = histogram.add(paths.origin, paths.direction, flux / batches)
-            by_direction.append(np.bincount(bins, luminance(flux.T), config.resolution**2))
+    with (
+        progress(f"light of {luminaire.name}", batches) as advance,
+        path_batches(luminaire, config, workers) as traced_batches,
+    ):
+        for batch in traced_batches:
+            rays, ends = batch.leaving, batch.ending
+            histogram.add_binned(_divided(rays, batches))
+            ending.add_binned(dataclasses.replace(ends, rays=_divided(ends.rays, batches)))
+            flux = luminance(rays.flux.astype(np.float64).T)
+            by_direction.append(np.bincount(rays.bins, flux, config.resolution**2))
             advance(1)
     if not histogram.flux.any():
         raise LumitreeError(
@@ -81,3 +82,8 @@ def bake_light_field(luminaire: Luminaire, config: LightFieldFitConfig, folder: 
     field = dataclasses.replace(field, inside=inside)
     saved.save(field)
     return field
+
+
+def _divided(rays: BinnedRays, count: int) -> BinnedRays:
+    """Rays with a part of their flux, in float64."""
+    return dataclasses.replace(rays, flux=rays.flux.astype(np.float64) / count)

@@ -1,0 +1,87 @@
+"""Batches of light paths for a light field, traced in this process or by workers."""
+
+import contextlib
+import dataclasses
+import functools
+from collections.abc import Iterator
+
+import numpy as np
+
+from lumitree.core.executor import run_tasks
+from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.fit.light_field.inside import DISTANCES
+from lumitree.lamp.luminaire import Luminaire
+from lumitree.lamp.sent import LampWorkers, received_luminaire
+from lumitree.trace.ending_segments import EndingConfig
+from lumitree.trace.histograms import BinnedRays, BinnedSegments, bin_rays, bin_segments
+from lumitree.trace.lamp_rays import LampRays
+from lumitree.trace.light_field_config import LightFieldFitConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class PathBatch:
+    """Light paths that are traced at once, by cell and direction.
+
+    Attributes:
+        leaving: those that leave the luminaire; the flux is float32.
+        ending: their segments that end on the luminaire; likewise.
+    """
+
+    leaving: BinnedRays
+    ending: BinnedSegments
+
+
+@contextlib.contextmanager
+def path_batches(
+    luminaire: Luminaire, config: LightFieldFitConfig, workers: LampWorkers | None
+) -> Iterator[Iterator[PathBatch]]:
+    """Context with all batches of a light field, in order.
+
+    Args:
+        luminaire: what is traced.
+        config: how.
+        workers: what traces it. The batches are the same. Default: this process.
+    """
+    if workers is None:
+        rays = LampRays(luminaire)
+        yield (_traced(rays, config, step) for step in range(num_batches(config)))
+        return
+    tasks = [(workers.luminaire, config, step) for step in range(num_batches(config))]
+    with run_tasks(
+        workers.executor,
+        _traced_by_worker,
+        tasks,
+        what="batches of light paths",
+        total=len(tasks),
+        in_order=True,
+        remedy="run it again",
+    ) as results:
+        yield (batch for _, batch in results)
+
+
+def num_batches(config: LightFieldFitConfig) -> int:
+    """Number of batches of a light field."""
+    return -(-config.paths // config.batch)
+
+
+def _traced(rays: LampRays, config: LightFieldFitConfig, step: int) -> PathBatch:
+    segments = EndingConfig(config.depth, SeedStream(Purpose.ENDING, step).seed(config.seed))
+    seed = SeedStream(Purpose.LIGHT_FIELD, step).seed(config.seed)
+    paths = rays.draw(config.batch, seed, ending=segments)
+    assert paths.ending is not None
+    flux, ends = (np.array(each.flux, np.float32).reshape(3, -1) for each in (paths, paths.ending))
+    places = SeedStream(Purpose.ENDING, step, 2).seed(config.seed)
+    return PathBatch(
+        bin_rays(paths.origin, paths.direction, flux, config.depth, config.resolution),
+        bin_segments(paths.ending, ends, config.depth, config.resolution // 2, DISTANCES, places),
+    )
+
+
+def _traced_by_worker(luminaire: bytes, config: LightFieldFitConfig, step: int) -> PathBatch:
+    """The task of a worker: one batch."""
+    return _traced(_rays(luminaire), config, step)
+
+
+@functools.lru_cache(maxsize=1)
+def _rays(luminaire: bytes) -> LampRays:
+    return LampRays(received_luminaire(luminaire))

@@ -1,0 +1,156 @@
+"""A scene with placed luminaires that is rendered in passes, in this process or by workers."""
+
+import contextlib
+import dataclasses
+import functools
+import uuid
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.executor import run_tasks
+from lumitree.core.packing import packed, unpacked
+from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.lamp.sent import absolute_source
+
+if TYPE_CHECKING:
+    from lumitree.rendering.layers import Recorded
+    from lumitree.rendering.passes import Budget, Renderer, Rendering
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.sampling.proxy import ProxyKind
+
+
+@dataclasses.dataclass(frozen=True)
+class Described:
+    """What is rendered; the first four as for `render`.
+
+    Attributes:
+        box_filter: whether each pixel is the mean of its own samples, as for `load_scene`.
+        by_lamp: whether the light of each lamp is recorded apart; None if nothing is recorded
+            beside the image.
+    """
+
+    scene: Any
+    placements: "Sequence[Placement]"
+    proxy: "ProxyKind"
+    width: int | None
+    box_filter: bool
+    by_lamp: bool | None
+
+    def packed(self) -> bytes:
+        """It for `_received`, with absolute paths.
+
+        Raises:
+            LumitreeError: it cannot be pickled, as a `mitsuba.Scene`.
+        """
+        scene = absolute_source(self.scene)
+        placements = [
+            dataclasses.replace(each, source=absolute_source(each.source))
+            for each in self.placements
+        ]
+        sent = dataclasses.replace(self, scene=scene, placements=placements)
+        # Workers keep the scene of one call. Later its files may have changed.
+        call = uuid.uuid4().hex
+        expected = "its path, or a dictionary without objects of Mitsuba"
+        return packed((sent, call), "the scene", expected)
+
+
+class RenderJob:
+    """A scene with luminaires placed in it."""
+
+    def __init__(self, described: Described) -> None:
+        from lumitree.rendering.camera_view import camera_view
+        from lumitree.rendering.layers import Layers, records_layers
+        from lumitree.rendering.scene import (
+            appearance_for,
+            load_scene,
+            open_placements,
+            place_luminaires,
+            placed_ids,
+            scene_title,
+        )
+
+        placed = open_placements(described.placements)
+        loaded, self.integrator = load_scene(
+            described.scene, placed, box_filter=described.box_filter, width=described.width
+        )
+        appearance = appearance_for(self.integrator)
+        self._whole = place_luminaires(loaded, placed, described.proxy, appearance=appearance)
+        self.camera = camera_view(loaded.sensors()[0])
+        self._layers = None
+        if described.by_lamp is None:
+            return
+        if not records_layers(self.integrator):
+            raise LumitreeError(
+                f"{scene_title(described.scene)} is rendered by volpath, because of heterogeneous "
+                "media; denoise, layers and aov need lumitree_path: make the media homogeneous, "
+                "or render without them"
+            )
+        self._layers = Layers(self._whole, placed_ids(placed) if described.by_lamp else ())
+
+    def rendered(
+        self,
+        budget: "Budget",
+        seed: int,
+        so_far: "Callable[[Rendering], None] | None",
+        renderer: "Renderer | None",
+    ) -> "tuple[Rendering, Recorded | None]":
+        """The image, and what is recorded beside it; arguments as for `render_passes`."""
+        from lumitree.rendering.passes import render_passes
+
+        with self._recording():
+            rendering = render_passes(
+                self._whole, self.integrator, budget, seed=seed, so_far=so_far, renderer=renderer
+            )
+        if self._layers is None:
+            return rendering, None
+        return rendering, self._layers.divide(rendering.channels[..., 3:])
+
+    def image(self, seed: int, samples: int) -> NDArray[np.float32]:
+        """One pass, as `render_pass`."""
+        from lumitree.rendering.passes import render_pass
+
+        with self._recording():
+            return render_pass(self._whole, self.integrator, seed, samples)
+
+    def _recording(self) -> contextlib.AbstractContextManager[None]:
+        from lumitree.rendering.layers import recording
+
+        if self._layers is None:
+            return contextlib.nullcontext()
+        return recording(self.integrator, self._layers)
+
+
+def renderer_of(executor: Executor, described: Described) -> "Renderer":
+    """The `Renderer` of an executor."""
+    job = described.packed()
+
+    @contextlib.contextmanager
+    def render(
+        passes: Iterable[tuple[int, int]],
+    ) -> Iterator[Iterator[NDArray[np.float32]]]:
+        tasks = ((job, *each) for each in passes)
+        with run_tasks(
+            executor, _render_pass, tasks, what="passes", in_order=True, remedy="render it again"
+        ) as results:
+            yield (image for _, image in results)
+
+    return render
+
+
+def _render_pass(job: bytes, seed: int, samples: int) -> NDArray[np.float32]:
+    """The task of a worker: one pass."""
+    return _received(job).image(seed, samples)
+
+
+@functools.lru_cache(maxsize=1)
+def _received(job: bytes) -> RenderJob:
+    """The scene that was sent; warnings of it are given where it was sent."""
+    described, _ = unpacked(job)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LumitreeWarning)
+        return RenderJob(described)
