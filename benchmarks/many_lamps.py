@@ -11,6 +11,7 @@ these figures it computes what 10,000 lamps take on 100 machines. Writes `many_l
 
 import argparse
 import dataclasses
+import os
 import subprocess
 import time
 from pathlib import Path
@@ -139,7 +140,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     work = options.work.resolve()
     write_lamps(work, options.lamps, options.seed)
-    results = Results(options, lamps=options.lamps, quality=options.quality)
+    load = round(os.getloadavg()[0], 1)
+    results = Results(options, lamps=options.lamps, quality=options.quality, load_at_start=load)
     rows = []
     for workers in options.workers:
         rows.append({"workers": workers, **bake(work, workers, options)})

@@ -31,8 +31,7 @@ def bake(work: Path, workers: int, options: argparse.Namespace) -> dict[str, flo
     measured["calls"] += 1
     before, start = measured["seconds"], time.perf_counter()
     with _running(bake_command(work, workers, options), work, workers) as process:
-        while process.poll() is None:
-            time.sleep(_SAMPLE_SECONDS)
+        while not _ended(process):
             measured["seconds"] = before + time.perf_counter() - start
             measured["peak_bytes"] = max(measured["peak_bytes"], _session_bytes(process.pid))
             write_json(path, measured)
@@ -45,6 +44,14 @@ def bake(work: Path, workers: int, options: argparse.Namespace) -> dict[str, flo
     measured["finished"] = 1.0
     write_json(path, measured)
     return measured
+
+
+def _ended(process: subprocess.Popen[bytes]) -> bool:
+    """Whether a process has ended, after a while at most."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(_SAMPLE_SECONDS)
+        return True
+    return False
 
 
 @contextlib.contextmanager
