@@ -13,6 +13,7 @@ from PIL import Image
 
 import lumitree
 from lumitree.core.files import write_bytes
+from lumitree.fit.catalogue.thumbnail import thumbnail_kind
 from lumitree.lamp.builtin.registry import BUILTIN
 
 DOCS = Path(__file__).parent
@@ -37,7 +38,7 @@ def main() -> None:
         if (size := page.page_bytes) > LARGEST_PAGE:
             raise SystemExit(f"{lamp.name}: {size:,} bytes; expected at most {LARGEST_PAGE:,}")
         stream = io.BytesIO()
-        with Image.open(BAKES / "index-files" / f"{lamp.name}.png") as image:
+        with Image.open(BAKES / "index-files" / f"{lamp.name}.{thumbnail_kind()}") as image:
             image.convert("RGB").save(stream, "JPEG", quality=85)
         write_bytes(THUMBNAILS / f"{lamp.name}.jpg", stream.getvalue())
         print(

@@ -1,22 +1,28 @@
 """Many lamps in one folder: what is baked, kept and continued, and the index page."""
 
 import contextlib
+import html
 import json
 import os
 import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
+from urllib.parse import unquote
 
 import pytest
 
 import lumitree
 from lumitree.cli import main
-from lumitree.core.files import exclusive
+from lumitree.core.process_pool import process_pool
 from lumitree.core.work_folder import WorkFolder
-from lumitree.fit.catalogue import bake_many as many
-from lumitree.fit.catalogue import record as lamp_record
+from lumitree.fit.catalogue import lamp_job
+from lumitree.fit.catalogue.claim import claimed
+from lumitree.fit.catalogue.index import FolderIndex
+from lumitree.fit.catalogue.record import BakedLamp, LampFiles
+from support import tiny_bakes
 from support.lamps import AREA, scene, sphere
 from support.tiny_bakes import set_qualities, standard
 
@@ -37,18 +43,28 @@ def folder(tmp_path, monkeypatch, mi):
 @pytest.fixture
 def baked(monkeypatch):
     """Names of the assets that were baked, in order."""
-    names, bake = [], many.bake_source
+    names, bake = [], lamp_job.bake_source
 
     def record(source, output, config, **options):
         names.append(output.stem)
         return bake(source, output, config, **options)
 
-    monkeypatch.setattr(many, "bake_source", record)
+    monkeypatch.setattr(lamp_job, "bake_source", record)
     return names
 
 
 def states(result):
     return [(lamp.name, lamp.state) for lamp in result.lamps]
+
+
+def contents(folder):
+    """Bytes of the assets of a folder by name."""
+    return {path.name: path.read_bytes() for path in Path(folder).glob("*.lumitree")}
+
+
+def files_of_lamps(folder):
+    """Names in the folder of the records, without the folder of the pages."""
+    return sorted(each.name for each in (folder / "index-files").iterdir() if each.is_file())
 
 
 def test_lamps_are_baked_and_kept_while_source_and_settings_are_equal(folder, baked):
@@ -86,9 +102,7 @@ def test_one_failure_does_not_lose_the_others(folder, capsys):
     assert sorted(path.name for path in (folder / "out").iterdir()) == [
         "a.lumitree", "index-files", "index.html",
     ]  # fmt: skip
-    assert sorted(path.name for path in (folder / "out/index-files").iterdir()) == [
-        "a.json", "a.png",
-    ]  # fmt: skip
+    assert files_of_lamps(folder / "out") == ["a.json", "a.webp", "dark.failed", "no.failed"]
     page = (folder / "out/index.html").read_text()
     assert page.count("<article>") == 3
     assert "failed: dark.xml holds no emitter" in page
@@ -100,13 +114,14 @@ def test_an_unexpected_error_is_a_failure_too(monkeypatch):
     def fail(*_, **__):
         raise ZeroDivisionError("division by zero")
 
-    monkeypatch.setattr(many, "bake_source", fail)
+    monkeypatch.setattr(lamp_job, "bake_source", fail)
     result = lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
     assert result.failed[0].error == "unexpected ZeroDivisionError: division by zero"
 
 
 OTHER = """
 import sys
+import time
 import lumitree
 from support.tiny_bakes import set_qualities, standard
 
@@ -121,6 +136,49 @@ result = lumitree.bake_many(
 )
 print([(lamp.name, lamp.state) for lamp in result.lamps])
 """
+
+
+@pytest.mark.slow
+def test_processes_give_the_same_bytes(folder):
+    names = ["a.xml", "b.xml"]
+    lumitree.bake_many(names, "one", standard(**SETTINGS))
+    with process_pool(2) as executor:
+        result = lumitree.bake_many(names, "out", standard(**SETTINGS), executor=executor)
+    assert states(result) == [("a", "baked"), ("b", "baked")]
+    assert contents("out") == contents("one")
+
+
+KILLED = """
+import os, signal
+import lumitree
+from support.tiny_bakes import set_qualities, standard
+
+def die(report):
+    if report.task.startswith("light of") and report.within.done == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+set_qualities(dict.__setitem__)
+lumitree.bake_many(["a.xml", "b.xml", "c.xml"], "out", standard(parts=("light",)), progress=die)
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_process_leaves_a_folder_that_continues(folder):
+    """With the same bytes as if it had not been killed."""
+    (folder / "c.xml").write_text(scene(sphere("ball", 0.25, inside=AREA)))
+    config = standard(**SETTINGS)
+    lumitree.bake_many(["a.xml", "b.xml", "c.xml"], "one", config)
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED], cwd=folder,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+    )  # fmt: skip
+    assert killed.returncode == -signal.SIGKILL
+    assert "b.claim" in files_of_lamps(folder / "out")
+    assert sorted(contents("out")) == ["a.lumitree"]
+    result = lumitree.bake_many(["a.xml", "b.xml", "c.xml"], "out", config)
+    assert states(result) == [("a", "kept"), ("b", "baked"), ("c", "baked")]
+    assert contents("out") == contents("one")
+    assert files_of_lamps(folder / "out") == files_of_lamps(folder / "one")
 
 
 def test_two_processes_share_a_folder(folder, baked, monkeypatch):
@@ -138,7 +196,9 @@ def test_two_processes_share_a_folder(folder, baked, monkeypatch):
     monkeypatch.setattr("lumitree.fit.catalogue.bake_many.time.sleep", finish_other)
     try:
         assert other.stdout.readline() == "working\n"
-        with pytest.warns(lumitree.LumitreeWarning, match="another process works on a; it is left"):
+        with pytest.warns(
+            lumitree.LumitreeWarning, match=r"^process \d+ on .* \(since .*\) works on a; the"
+        ):
             result = lumitree.bake_many(["a.xml", "b.xml"], "out", standard(**SETTINGS))
     finally:
         other.kill()
@@ -148,23 +208,21 @@ def test_two_processes_share_a_folder(folder, baked, monkeypatch):
     assert outputs[0].splitlines()[-1] == "[('a', 'baked'), ('b', 'kept')]"
     (during,) = pages
     assert "failed:" not in during
-    assert during.count("not baked yet") == 1
+    assert during.count("<div>not baked yet</div>") == 1
     after = result.index.read_text()
     assert after.count("<dt>flux</dt>") == 2
     assert "not baked yet" not in after
-    assert sorted(path.name for path in (folder / "out/index-files").iterdir()) == [
-        "a.json", "a.png", "b.json", "b.png",
-    ]  # fmt: skip
+    assert files_of_lamps(folder / "out") == ["a.json", "a.webp", "b.json", "b.webp"]
 
 
 def test_a_page_has_what_other_processes_have_baked_meanwhile(folder):
     """Also lamps that are still to come in the list of the process that writes it."""
     lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
-    lamps = [many.BakedLamp("a", "a.xml", "waiting"), many.BakedLamp("c", "c.xml", "waiting")]
-    many.write_index(Path("out"), lamps)
+    lamps = [BakedLamp("a", "a.xml", "waiting"), BakedLamp("c", "c.xml", "waiting")]
+    FolderIndex(Path("out")).write(lamps)
     page = (folder / "out/index.html").read_text()
     assert page.count("<dt>flux</dt>") == 1
-    assert page.count("not baked yet") == 1
+    assert page.count("<div>not baked yet</div>") == 1
 
 
 def test_a_lamp_that_is_baked_alone_is_left_until_then(folder, monkeypatch):
@@ -181,17 +239,22 @@ def test_a_signal_while_a_list_waits_is_heeded(folder, monkeypatch):
     monkeypatch.setattr(
         "lumitree.fit.catalogue.bake_many.time.sleep", lambda _: signal.raise_signal(signal.SIGTERM)
     )
-    with exclusive(folder / "out/index-files/a.lock") as free:
-        assert free
-        with pytest.warns(lumitree.LumitreeWarning, match="another process works on a"):
+    with claimed(folder / "out/index-files/a.claim") as owner:
+        assert owner is None
+        with pytest.warns(
+            lumitree.LumitreeWarning, match=f"^process {os.getpid()} on .* works on a; the"
+        ):
             result = lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
     assert result.stopped_by == signal.SIGTERM
     assert not result.finished
 
 
-@pytest.mark.parametrize("moment", ["record", "page"])
-def test_a_signal_after_the_last_lamp_changes_nothing(monkeypatch, capfd, moment):
-    target = (lamp_record.LampFiles, "write") if moment == "record" else (many, "write_index")
+@pytest.mark.parametrize(
+    "target",
+    [(LampFiles, "write_baked"), (FolderIndex, "update"), (FolderIndex, "write")],
+    ids=lambda target: target[1],
+)
+def test_a_signal_after_the_last_lamp_changes_nothing(monkeypatch, capfd, target):
     original = getattr(*target)
 
     def write(*args, **options):
@@ -204,13 +267,13 @@ def test_a_signal_after_the_last_lamp_changes_nothing(monkeypatch, capfd, moment
 
 
 def test_a_signal_before_the_last_lamp_leaves_the_others(monkeypatch, capfd):
-    write = many.write_index
+    update = FolderIndex.update
 
     def signalled(*args):
         signal.raise_signal(signal.SIGINT)
-        write(*args)
+        update(*args)
 
-    monkeypatch.setattr(many, "write_index", signalled)
+    monkeypatch.setattr(FolderIndex, "update", signalled)
     assert main(["bake", "a.xml", "b.xml", "-o", "out/", *ARGUMENTS]) == 130
     captured = capfd.readouterr()
     assert " b  waiting" in captured.out
@@ -287,18 +350,51 @@ def test_command_refuses(folder, arguments, message, capsys):
     assert message in capsys.readouterr().err
 
 
-def test_the_page_is_self_contained_and_escapes_names(folder):
+def test_the_page_loads_files_beside_it_and_escapes_names(folder):
     name = 'a & "b" <i>%'
     (folder / f"{name}.xml").write_text(scene(sphere("ball", 1, inside=AREA)))
     result = lumitree.bake_many([f"{name}.xml"], "out", standard(**SETTINGS))
     page = result.index.read_text()
     assert 'href="a%20%26%20%22b%22%20%3Ci%3E%25.lumitree"' in page
     assert "<i>" not in page
-    # Nothing is loaded: images are in the page, and links are relative.
-    assert re.findall(r'src="([^"]{22})', page) == ["data:image/png;base64,"]
-    assert not re.search(r"https?:|url\(|@import|<script|<link", page)
+    # What is loaded lies beside it.
+    for each in re.findall(r'(?:src|href)="([^"]*)"', page):
+        assert (folder / "out" / unquote(html.unescape(each))).is_file()
     assert re.findall(r"<dt>flux</dt><dd>57,\d{3} lm</dd>", page)
     record = json.loads((folder / "out/index-files" / f"{name}.json").read_text())
     assert record["figures"]["size"] == [2, 2, 2]
     assert record["figures"]["irradiance_rms"] > 0
-    assert lamp_record.LampFiles(folder / "out", name).read().finished
+    assert LampFiles(folder / "out", name).read().finished
+
+
+@pytest.mark.slow
+def test_a_killed_worker_ends_a_command_that_continues(folder):
+    names = ["a.xml", "b.xml", "c.xml"]
+    (folder / "c.xml").write_text(scene(sphere("ball", 0.25, inside=AREA)))
+    lumitree.bake_many(names, "one", standard(**SETTINGS))
+    command = [sys.executable, tiny_bakes.__file__, "bake", *names, "-o", "out/", *ARGUMENTS]
+    command += ["--workers", "1"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    process = subprocess.Popen(
+        command, cwd=folder, env=environment, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 300
+    while not (content := read_claim(folder / "out/index-files/b.claim")):
+        assert process.poll() is None, process.stderr.read()
+        assert time.monotonic() < deadline
+    os.kill(json.loads(content)["process"], signal.SIGKILL)
+    error = process.communicate(timeout=300)[1]
+    assert process.returncode == 2
+    assert "a worker ended unexpectedly" in error
+    assert "the same command continues" in error
+    assert sorted(contents("out")) == ["a.lumitree"]
+    subprocess.run(command, cwd=folder, env=environment, check=True, timeout=600)
+    assert contents("out") == contents("one")
+
+
+def read_claim(path):
+    """Text of a claim; empty if it is not there."""
+    time.sleep(0.01)
+    with contextlib.suppress(FileNotFoundError):
+        return path.read_text()
+    return ""

@@ -36,6 +36,8 @@ def comment(path):
     if str(path).endswith(".exr"):
         return json.loads(read_comment(path))
     with Image.open(path) as image:
+        if image.format == "WEBP":
+            return json.loads(image.getexif()[0x010E])
         return json.loads(image.text["Comment"])
 
 
@@ -72,7 +74,7 @@ def test_sheets(monkeypatch):
 def test_thumbnails_of_bakes_and_sheets_of_evaluations(monkeypatch):
     tiny_bakes.set_qualities(monkeypatch.setitem, tree_depth=3)
     lumitree.bake_many(["lamp.xml"], "lamps", standard(parts=["light"], seed=4))
-    assert comment("lamps/index-files/lamp.png")["settings"]["seed"] == 4
+    assert comment("lamps/index-files/lamp.webp")["settings"]["seed"] == 4
     options = {
         "num_views": 1,
         "resolution": 12,

@@ -27,9 +27,11 @@ from .fit.bake_network import (
 from .fit.bake_network import (
     train as train,
 )
-from .fit.catalogue.bake_many import BakeManyResult as BakeManyResult
 from .fit.catalogue.bake_many import bake_many as bake_many
-from .fit.catalogue.index import BakedLamp as BakedLamp
+from .fit.catalogue.collect import collect as collect
+from .fit.catalogue.record import BakedLamp as BakedLamp
+from .fit.catalogue.result import BakeManyResult as BakeManyResult
+from .fit.catalogue.result import CollectResult as CollectResult
 from .fit.config import BakeConfig as BakeConfig
 from .fit.config import NetworkConfig as NetworkConfig
 from .fit.merge import merge as merge

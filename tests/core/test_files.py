@@ -258,3 +258,43 @@ def test_one_process_at_a_time_holds_a_name(tmp_path):
     with exclusive(path) as third:
         assert third
     assert not path.exists()
+
+
+def test_a_name_is_waited_for(tmp_path):
+    path = tmp_path / "a.lock"
+    code = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from lumitree.core.files import exclusive\n"
+        "with exclusive(Path(sys.argv[1])) as held:\n"
+        "    print(held, flush=True)\n"
+        "    sys.stdin.readline()\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert process.stdout.readline() == b"True\n"
+    process.stdin.write(b"\n")
+    process.stdin.flush()
+    with exclusive(path, wait=True) as held:
+        assert held
+    process.communicate()
+
+
+def test_a_large_folder_is_not_listed_for_every_file(tmp_path, monkeypatch):
+    """Else the time to write so many files would grow with the square of their number."""
+    listed = []
+    iterdir = Path.iterdir
+
+    def noted(path):
+        listed.append(path)
+        return iterdir(path)
+
+    monkeypatch.setattr(Path, "iterdir", noted)
+    monkeypatch.setattr(files, "_LARGE_FOLDER", 5)
+    for number in range(20):
+        write_json(tmp_path / f"{number}.json", {})
+    assert len(listed) == 7
+    monkeypatch.setattr(files, "_listed_again", {})
+    write_json(tmp_path / "20.json", {})
+    assert len(listed) == 8

@@ -11,6 +11,7 @@ from lumitree.cli import (
     bake,
     blender_extension,
     capture,
+    collect,
     demo,
     evaluate,
     export,
@@ -33,7 +34,7 @@ from lumitree.cli.output import LONGEST_LINE
 from lumitree.core.backend import quieten
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.program import ignore_signals
-from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 DEBUG = "LUMITREE_DEBUG"
 # Options whose values may begin with a minus sign, which argparse would parse as an option.
@@ -45,6 +46,7 @@ _COMMANDS = (
     train,
     extract,
     bake,
+    collect,
     refine,
     merge,
     mix,
@@ -124,15 +126,8 @@ def _status(result: Any) -> int:
     """Exit status of a command that has returned; prints one line if it was interrupted."""
     number = getattr(result, "stopped_by", None)
     if number is None or result.finished:
-        failed = getattr(result, "failed", ())
-        if not failed:
-            return 0
-        names = shown_names(lamp.name for lamp in failed)
-        return _fail(
-            f"{len(failed)} of {len(result.lamps)} lamps failed ({names}); the same command keeps "
-            "the others and tries again",
-            2,
-        )
+        problem = getattr(result, "problem", None)
+        return 0 if problem is None else _fail(problem, 2)
     path = getattr(result, "path", None)
     if path is not None and getattr(result, "complete", False):
         done = f"the asset in {path} is complete, but its irradiance was not compared"

@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,7 @@ _SHOWN = {
     "light": "Images show the light field, blurred: --parts light,geometry adds what they need.",
 }
 _QUALITIES = {"octree": ("preview", "standard", "high"), "network": ("preview", "paper")}
+_MAX_LIST_BYTES = 1 << 26
 _HEAD = """# Settings of 'lumitree bake --config FILE'. Remove the # before a setting to change it.
 # "..." stands for None: the setting has no value unless it is given.
 
@@ -70,7 +72,8 @@ def add(commands: Any) -> None:
         metavar="LUMINAIRE",
         nargs="*",
         help=options.LUMINAIRE + "; or the folder of a dataset, or a photometric file (.ies, .ldt, "
-        ".gldf, .tm33, .ray, .tm25ray). Several are baked into a folder",
+        ".gldf, .tm33, .ray, .tm25ray). Several are baked into a folder; @FILE stands for those "
+        "that a text file lists, one a line",
     )
     options.add_reading(parser)
     parser.add_argument(
@@ -122,7 +125,7 @@ def add(commands: Any) -> None:
         help="colour temperature of the whole flux, 1000 to 20000 K; all colours get the same "
         "factors (default: the colours of the luminaire)",
     )
-    options.add_executor(parser, "the light paths of a luminaire")
+    options.add_executor(parser, "several luminaires, or the light paths of one,")
     parser.add_argument(
         "--config",
         metavar="FILE",
@@ -138,6 +141,22 @@ def add(commands: Any) -> None:
         help="write the settings of the quality, with comments, to FILE or to the terminal, and "
         "end",
     )
+    parser.add_argument(
+        "--task",
+        type=_task,
+        metavar="K/N",
+        help="of several luminaires bake only those at positions K, K + N, K + 2 N and so on, "
+        "counted from 1: one of N tasks of a farm; 'collect' then writes the index page",
+    )
+
+
+def _task(text: str) -> tuple[int, int]:
+    number, sign, count = text.partition("/")
+    if not (sign and number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a task; write K/N, such as 1/4 for the first of four"
+        )
+    return int(number), int(count)
 
 
 def _parts(text: str) -> tuple[str, ...]:
@@ -159,9 +178,14 @@ def run(args: argparse.Namespace) -> Any:
             f"the following arguments are required: {what}; see 'lumitree bake --help'"
         )
     settings = _settings(args)
-    luminaires = [options.luminaire(args, name) for name in args.luminaires]
-    if len(luminaires) > 1 or args.output.endswith("/"):
+    luminaires = [options.luminaire(args, name) for name in _listed(args.luminaires)]
+    if len(luminaires) != 1 or args.output.endswith("/"):
         return _run_many(args, luminaires, settings)
+    if args.task is not None:
+        raise LumitreeError(
+            "--task: for several luminaires; leave it out, or give a folder with / at its end "
+            "after -o"
+        )
     (luminaire,) = luminaires
     if isinstance(settings.config, BakeConfig):
         _refuse_inapplicable(luminaire, settings)
@@ -195,7 +219,7 @@ def show(args: argparse.Namespace, result: Any) -> None:
             print_open(args.write_config)
     elif isinstance(result, lumitree.BakeManyResult):
         print_lamps(result.lamps)
-        print_open(result.index)
+        print_open(result.index if args.task is None else result.folder)
     else:
         print_report(result.to_json())
         print(_shown(result.asset))
@@ -305,10 +329,32 @@ def _run_many(args: argparse.Namespace, luminaires: list[Any], settings: _Settin
     if args.output.endswith(".lumitree"):
         raise LumitreeError(
             f"{shown(args.output, 300)} is the name of one asset, but there are "
-            f"{len(args.luminaires)} luminaires; give a folder"
+            f"{len(luminaires)} luminaires; give a folder"
         )
     _refuse_without_field(settings)
-    return lumitree.bake_many(luminaires, args.output, settings.config, variant=settings.variant)
+    with options.executor(args) as executor:
+        return lumitree.bake_many(
+            luminaires,
+            args.output,
+            settings.config,
+            executor=executor,
+            task=args.task,
+            variant=settings.variant,
+        )
+
+
+def _listed(names: list[str]) -> list[str]:
+    """The names, with those that the file of a name @FILE lists in its place."""
+    from lumitree.core.reading import read_bytes
+
+    found: list[str] = []
+    for name in names:
+        if not name.startswith("@"):
+            found.append(name)
+            continue
+        content = read_bytes(name[1:], "a list of luminaires", _MAX_LIST_BYTES)
+        found += [line.strip() for line in os.fsdecode(content).splitlines() if line.strip()]
+    return found
 
 
 def _write_config(args: argparse.Namespace) -> dict[str, str]:

@@ -7,6 +7,8 @@ from typing import Any
 from lumitree.errors import shown
 
 LONGEST_LINE = 1000
+# Longest list of lamps that is printed whole.
+_MOST_LAMPS = 100
 
 
 def print_lines(values: dict[str, Any]) -> None:
@@ -91,15 +93,23 @@ def print_metrics(report: dict[str, Any]) -> None:
 
 
 def print_lamps(lamps: Sequence[Any]) -> None:
-    """Print one line per `BakedLamp`."""
-    from lumitree.fit.catalogue.page import lumens_text
+    """Print one line per `BakedLamp`; of more than 100 only those that are not complete."""
+    from lumitree.fit.catalogue.page import counted, lumens_text
 
+    complete = [lamp for lamp in lamps if lamp.state in ("baked", "kept")]
+    shortened = len(lamps) > _MOST_LAMPS
     for lamp in lamps:
+        if shortened and lamp.state in ("baked", "kept"):
+            continue
         text = lamp.state if lamp.error is None else f"{lamp.state}: {lamp.error}"
         if lamp.figures:
             size = _megabytes(lamp.figures["file_bytes"])
             text += f", {lumens_text(lamp.figures['lumens'])}, {size}, {lamp.seconds:,.0f} s"
         print(f"{shown(lamp.name):>20}  {shown(text, LONGEST_LINE)}")
+    if shortened:
+        new = sum(lamp.state == "baked" for lamp in complete)
+        size = sum(lamp.figures["file_bytes"] for lamp in complete)
+        print(f"{counted(new)} baked, {len(complete) - new:,} kept, {_megabytes(size)}")
 
 
 def _irradiance_lines(irradiance: dict[str, Any]) -> dict[str, str]:

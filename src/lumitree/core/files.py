@@ -7,6 +7,7 @@ import json
 import os
 import re
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
@@ -19,6 +20,9 @@ TEMPORARY = ".lumitree-"
 SCRATCH = "lumitree-scratch-"
 # What the system says of a full disk; libraries repeat it in messages of their own.
 _FULL = {number: os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)}
+# A folder of more entries is listed at most once in so many seconds; when, by its path.
+_LARGE_FOLDER, _LIST_AGAIN_SECONDS = 1000, 60.0
+_listed_again: dict[str, float] = {}
 # Bytes, more than what C++ keeps back until a file is closed.
 _BUFFER = 1 << 14
 _TEMPORARY_NAME = re.compile(
@@ -148,10 +152,13 @@ def lock(handle: int, *, wait: bool = False) -> bool | None:
 
 
 @contextlib.contextmanager
-def exclusive(path: Path) -> Iterator[bool]:
+def exclusive(path: Path, *, wait: bool = False) -> Iterator[bool]:
     """Context in which no other process holds `path`; yields False if one does.
 
     While it is held, `path` is an empty file. What killed processes left is not in the way.
+
+    Args:
+        wait: whether to wait until no other process holds it.
 
     Raises:
         WriteError: the folder cannot be written, or the disk is full.
@@ -162,7 +169,7 @@ def exclusive(path: Path) -> Iterator[bool]:
             handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         except OSError as error:
             raise WriteError(path.parent, error) from error
-        held = lock(handle) is not False
+        held = lock(handle, wait=wait) is not False
         # The process that held the file may just have removed it.
         if not held or os.fstat(handle).st_nlink:
             break
@@ -172,18 +179,6 @@ def exclusive(path: Path) -> Iterator[bool]:
     finally:
         if held:
             path.unlink(missing_ok=True)
-        os.close(handle)
-
-
-@contextlib.contextmanager
-def one_at_a_time(folder: Path) -> Iterator[None]:
-    """Context that waits until no other process is in such a context of `folder`."""
-    folder.mkdir(parents=True, exist_ok=True)
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        lock(handle, wait=True)
-        yield
-    finally:
         os.close(handle)
 
 
@@ -255,8 +250,17 @@ def _check_name(name: str, folder: Path) -> None:
 
 
 def _remove_abandoned(path: Path) -> None:
-    """Remove temporary files of `path` that no running process has locked."""
+    """Remove temporary files of `path` that no running process has locked.
+
+    A large folder is not listed again for a while: else the time to write all of its files would
+    grow with the square of their number.
+    """
+    folder = os.path.abspath(path.parent)
+    if time.monotonic() < _listed_again.get(folder, 0.0):
+        return
+    count = 0
     for entry in path.parent.iterdir():
+        count += 1
         found = _TEMPORARY_NAME.fullmatch(entry.name)
         if found is None or (found["stem"], found["suffix"]) != (path.stem, path.suffix):
             continue
@@ -267,6 +271,8 @@ def _remove_abandoned(path: Path) -> None:
                     entry.unlink()
             finally:
                 os.close(handle)
+    if count > _LARGE_FOLDER:
+        _listed_again[folder] = time.monotonic() + _LIST_AGAIN_SECONDS
 
 
 def _says_of_writing(error: Exception) -> bool:

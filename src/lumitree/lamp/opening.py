@@ -2,10 +2,11 @@
 
 import atexit
 import contextlib
+import contextvars
 import functools
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from lumitree.core.reading import read_bytes
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, shown, shown_names
 from lumitree.lamp.builtin.registry import BUILTIN
-from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
+from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES, noted_files
 from lumitree.lamp.model_reading import READERS, overrides_path, read_model
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_writer import write_scene
@@ -56,13 +57,39 @@ def _stamp(path: Path) -> tuple[str, int, int]:
 
 
 @functools.lru_cache(maxsize=64)
-def _written(source: LuminaireSource, stamps: tuple[tuple[str, int, int], ...]) -> Path:
-    """Path of the scene written for a source; `stamps` identify the versions of its files."""
-    return write_scene(read_model(source), _until_exit.enter_context(scratch_folder()))
+def _written(
+    source: LuminaireSource, stamps: tuple[tuple[str, int, int], ...]
+) -> tuple[Path, frozenset[Path]]:
+    """Path of the scene written for a source, and the files that its model names.
+
+    `stamps` identify the versions of its files.
+    """
+    with noted_files() as files:
+        path = write_scene(read_model(source), _folders.get().enter_context(scratch_folder()))
+    return path, frozenset(files)
 
 
 _until_exit = contextlib.ExitStack()
 atexit.register(_until_exit.close)
+# Owns the folders of the scenes that are written.
+_folders: contextvars.ContextVar[contextlib.ExitStack] = contextvars.ContextVar(
+    "folders", default=_until_exit
+)
+
+
+@contextlib.contextmanager
+def passing_scenes() -> Iterator[None]:
+    """Context at whose end the scenes that were written in it are removed.
+
+    For what loads thousands of luminaires, whose scenes would fill the disk.
+    """
+    with contextlib.ExitStack() as stack:
+        token = _folders.set(stack)
+        try:
+            yield
+        finally:
+            _folders.reset(token)
+            _written.cache_clear()
 
 
 def open_scene_file(source: LuminaireSource) -> SceneFile:
@@ -148,14 +175,24 @@ def luminaire_path(source: Opened) -> Path:
                 f"{path} is a Mitsuba scene, to which --materials does not apply; edit its BSDFs"
             )
         return path
-    files = () if builtin else (path, overrides_path(source))
+    return _written_model(source)[0]
+
+
+def named_files(source: LuminaireSource) -> frozenset[Path]:
+    """The files that a model has named when its scene was written, also missing ones."""
+    return _written_model(source)[1]
+
+
+def _written_model(source: LuminaireSource) -> tuple[Path, frozenset[Path]]:
+    builtin = source.name in BUILTIN
+    files = () if builtin else (Path(source.name), overrides_path(source))
     return _written(source, tuple(_stamp(file) for file in files if file is not None))
 
 
 def _written_dictionary(description: dict[str, Any]) -> Path:
     """Path of a dictionary's scene file, in a temporary folder."""
     mi = load_mitsuba()
-    path = _until_exit.enter_context(scratch_folder()) / "scene.xml"
+    path = _folders.get().enter_context(scratch_folder()) / "scene.xml"
     config = mi.parser.ParserConfig(mi.variant())
     config.merge_meshes = config.merge_equivalent = False
     if description.get("type") != "scene":

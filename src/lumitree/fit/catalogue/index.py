@@ -1,104 +1,111 @@
-"""The index page of a folder of baked lamps."""
+"""The index page of a folder of baked lamps, written at a bounded share of the time."""
 
-import dataclasses
 import os
-from collections.abc import Sequence
+import re
+import time
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal
 
-from lumitree.core.files import check_writable, one_at_a_time, write_bytes
-from lumitree.core.reading import read_bytes
+from lumitree.core.files import check_writable, exclusive, write_bytes
+from lumitree.core.work_folder import remove_written
 from lumitree.errors import LumitreeError, shown
-from lumitree.fit.catalogue.page import GENERATOR, Entry, figure_rows, index_page
-from lumitree.fit.catalogue.record import INDEX_FILES, LampFiles
+from lumitree.fit.catalogue.folder import FOLDER_FILES, FolderLamp, Records, read_parts
+from lumitree.fit.catalogue.page import GENERATOR, folder_pages
+from lumitree.fit.catalogue.record import BakedLamp
 
-INDEX = "index.html"
-State = Literal["baked", "kept", "failed", "interrupted", "waiting"]
-_MAX_INDEX_BYTES = 1 << 30
-
-
-@dataclasses.dataclass(frozen=True)
-class BakedLamp:
-    """One lamp of `bake_many`.
-
-    Attributes:
-        name: of the lamp and of its files.
-        source: luminaire that it was baked from.
-        state: "baked"; "kept", if an earlier call has baked it with these settings; "failed";
-            "interrupted", which the same call continues; or "waiting", if the call was
-            interrupted before it, or while another process worked on it.
-        path: file of the asset; None if none was written.
-        error: why it failed; None if it did not.
-        seconds: wall time of its bake, with that of earlier calls.
-        figures: `lumens`, `file_bytes`, `size` and `irradiance_rms`; empty if there is no asset.
-    """
-
-    name: str
-    source: str
-    state: State
-    path: Path | None = None
-    error: str | None = None
-    seconds: float = 0.0
-    figures: dict[str, Any] = dataclasses.field(default_factory=dict)
+# Pages are written at most every so many seconds, and in this share of the time.
+_EVERY_SECONDS, _SHARE = 5.0, 0.1
+_START_BYTES = 1000
+_PAGE = re.compile(r"(\d+)\.html")
 
 
 def check_index(path: Path) -> None:
     """Refuse an index page that cannot be written, or that is not lumitree's."""
     check_writable(path)
-    if os.path.exists(path):
-        content = read_bytes(path, "an index page", _MAX_INDEX_BYTES)
-        if GENERATOR.encode() not in content[:1000]:
-            raise LumitreeError(
-                f"{shown(path, 300)} is not a page of lumitree; choose another folder, or move it"
-            )
-
-
-def write_index(folder: Path, lamps: Sequence[BakedLamp]) -> None:
-    """Write the index page of these lamps, and of others that the folder has records of.
-
-    Another process may write it too. So records are read, and the page is written, by one process
-    at a time: whichever is last has the records of all.
-    """
-    names = {lamp.name for lamp in lamps}
-    with one_at_a_time(folder / INDEX_FILES):
-        entries = [_recorded(folder, lamp) if lamp.state == "waiting" else lamp for lamp in lamps]
-        for path in sorted((folder / INDEX_FILES).glob("*.json")):
-            if path.stem not in names:
-                lamp = _recorded(folder, BakedLamp(path.stem, "", "waiting"))
-                entries += [lamp] if lamp.path is not None else []
-        page = index_page(
-            folder.resolve().name or "lamps", [_entry(folder, lamp) for lamp in entries]
+    if not os.path.exists(path):
+        return
+    start = b""
+    if os.path.isfile(path):
+        with open(path, "rb") as file:
+            start = file.read(_START_BYTES)
+    if GENERATOR.encode() not in start:
+        raise LumitreeError(
+            f"{shown(path, 300)} is not a page of lumitree; choose another folder, or move it"
         )
-        write_bytes(folder / INDEX, page)
 
 
-def _recorded(folder: Path, lamp: BakedLamp) -> BakedLamp:
-    """A lamp with what its record says, if there is one."""
-    files = LampFiles(folder, lamp.name)
-    if (record := files.read()) is None:
-        return lamp
-    return dataclasses.replace(
-        lamp,
-        state="kept" if record.finished else "interrupted",
-        path=files.asset,
-        seconds=record.seconds,
-        figures=record.figures,
-    )
+class FolderIndex:
+    """The pages of a folder: all lamps that have records, and those of a list that have none yet.
+
+    Several processes may write them. Each reads the records before, so that the last one has all.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._records = Records(root)
+        self._next = 0.0
+
+    def update(self, lamps: Iterable[BakedLamp]) -> None:
+        """Write the pages, unless that was done shortly before or another process does it now.
+
+        Args:
+            lamps: of the list of this process.
+        """
+        if time.monotonic() >= self._next:
+            self._write(lamps, wait=False)
+
+    def write(self, lamps: Iterable[BakedLamp]) -> list[BakedLamp]:
+        """Write the pages; returns all lamps of the folder, by name."""
+        return self._write(lamps, wait=True)
+
+    def _write(self, lamps: Iterable[BakedLamp], wait: bool) -> list[BakedLamp]:
+        start = time.monotonic()
+        folder = self._root / FOLDER_FILES
+        shown_lamps: list[FolderLamp] = []
+        with exclusive(folder / "writing.lock", wait=wait) as held:
+            if held:
+                shown_lamps = self._lamps(lamps)
+                title = self._root.resolve().name or "lamps"
+                pages = dict(folder_pages(title, shown_lamps))
+                for name, content in pages.items():
+                    _write_changed(self._root / name, content)
+                _remove_pages(folder, pages)
+        end = time.monotonic()
+        self._next = end + max(_EVERY_SECONDS, (end - start) / _SHARE)
+        return [each.lamp for each in shown_lamps]
+
+    def _lamps(self, lamps: Iterable[BakedLamp]) -> list[FolderLamp]:
+        """Lamps of the folder, of the list, and of the parts that have begun, by name."""
+        found = {
+            name: FolderLamp(BakedLamp(name, "", "waiting")) for name in read_parts(self._root)[0]
+        }
+        own = {lamp.name: FolderLamp(lamp) for lamp in lamps if lamp.path is None}
+        found |= own
+        found |= {
+            name: each
+            for name, each in self._records.lamps().items()
+            # Of earlier settings, while the list does not say what became of the lamp.
+            if name not in own or own[name].lamp.state == "waiting"
+        }
+        return sorted(found.values(), key=lambda each: (each.lamp.name.casefold(), each.lamp.name))
 
 
-def _entry(folder: Path, lamp: BakedLamp) -> Entry:
-    notes = {
-        "failed": f"failed: {lamp.error}",
-        "interrupted": "interrupted; the same command continues",
-        "waiting": "not baked yet",
-    }
-    thumbnail = LampFiles(folder, lamp.name).thumbnail
-    shows = lamp.path is not None and thumbnail.is_file()
-    return Entry(
-        name=lamp.name,
-        link=None if lamp.path is None else lamp.path.name,
-        image=thumbnail.read_bytes() if shows else None,
-        rows=figure_rows(lamp.figures, lamp.seconds) if lamp.figures else (),
-        note=notes.get(lamp.state, ""),
-        failed=lamp.state == "failed",
-    )
+def _write_changed(path: Path, content: bytes) -> None:
+    """Write a file if it has another content."""
+    try:
+        if path.stat().st_size == len(content) and path.read_bytes() == content:
+            return
+    except OSError:
+        pass
+    write_bytes(path, content)
+
+
+def _remove_pages(folder: Path, pages: Iterable[str]) -> None:
+    """Remove pages that are not in use any more."""
+    used = {os.path.basename(name) for name in pages}
+    left = [
+        name
+        for name in os.listdir(folder)
+        if _PAGE.fullmatch(name) is not None and name not in used
+    ]
+    remove_written(folder, left)

@@ -1,9 +1,12 @@
 """The files that a model names, which must lie in the model's own folder."""
 
+import contextlib
+import contextvars
 import os
 import re
 import unicodedata
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -13,6 +16,20 @@ from lumitree.errors import LumitreeError, LumitreeWarning, shown
 MAX_MODEL_BYTES = 512 * 2**20
 # Last components of a path that are looked for in the model's folder.
 _MAX_COMPONENTS = 32
+
+# Files that models have named in the innermost block of `noted_files`.
+_noted: contextvars.ContextVar[set[Path] | None] = contextvars.ContextVar("noted", default=None)
+
+
+@contextlib.contextmanager
+def noted_files() -> Iterator[set[Path]]:
+    """Context that notes the files that models name in it, also those that are missing."""
+    files: set[Path] = set()
+    token = _noted.set(files)
+    try:
+        yield files
+    finally:
+        _noted.reset(token)
 
 
 class ModelFolder:
@@ -45,7 +62,10 @@ class ModelFolder:
         components, relative = _components(name)
         path = self._folder.joinpath(*components) if relative else None
         exact = path is not None and os.path.isfile(path)
+        named = path
         path = path if exact else self._similar(components)
+        if (files := _noted.get()) is not None:
+            files |= {each for each in (named, path) if each is not None}
         if path is None:
             return None
         if not Path(os.path.realpath(path)).is_relative_to(self._folder):

@@ -1,0 +1,183 @@
+"""Folders of many lamps: time, memory and bytes of their bakes, and a model of a farm.
+
+    python -m benchmarks many_lamps --work FOLDER [--lamps 20] [--workers 1 2]
+
+Writes small lamps of three kinds into FOLDER, and bakes them by `lumitree bake --workers`, each
+worker with a core of its own; then the same command again, which keeps all of them, and `lumitree
+collect`. The baseline is one worker. The same command continues a run that was interrupted. From
+these figures it computes what 10,000 lamps take on 100 machines. Writes `many_lamps.json` and
+`many_lamps.md`.
+"""
+
+import argparse
+import dataclasses
+import os
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import lumitree
+from benchmarks.baked_folders.farm import (
+    OPERATION_SECONDS,
+    OPERATIONS_A_LAMP,
+    STORAGE_BYTES,
+    Farm,
+    farm,
+)
+from benchmarks.baked_folders.lamps import write_lamps
+from benchmarks.baked_folders.runs import bake, bake_command, baked_folder
+from benchmarks.common.results import Results, notes
+from benchmarks.common.tables import Table
+from lumitree.errors import LumitreeError
+
+
+def measure_folder(work: Path, workers: int, options: argparse.Namespace) -> dict[str, Any]:
+    """Seconds of a call that keeps all lamps and of the page; bytes by kind of file."""
+    folder = baked_folder(work, workers)
+    command = bake_command(work, workers, options)
+    start = time.perf_counter()
+    subprocess.run(command, cwd=work, check=True, capture_output=True)
+    whole = time.perf_counter() - start
+    names = [str(work / line) for line in (work / "lamps.txt").read_text().splitlines()]
+    config = {
+        "preview": lumitree.BakeConfig.preview,
+        "standard": lumitree.BakeConfig.standard,
+        "high": lumitree.BakeConfig.high,
+    }[options.quality]()
+    start = time.perf_counter()
+    kept = lumitree.bake_many(names, folder, config, progress=None)
+    check = time.perf_counter() - start
+    if any(each.state != "kept" for each in kept.lamps):
+        raise LumitreeError("a lamp was not kept; remove the folder of --work, and begin again")
+    page = lumitree.collect(folder).seconds["collect"]
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    kinds = {"assets": ".lumitree", "records": ".json", "thumbnails": ".webp", "pages": ".html"}
+    sizes = {
+        kind: sum(path.stat().st_size for path in files if path.suffix == suffix)
+        for kind, suffix in kinds.items()
+    }
+    return {
+        "command_seconds": whole,
+        "check_seconds": check,
+        "page_seconds": page,
+        "bytes": sizes,
+        "first_page_bytes": (folder / "index.html").stat().st_size,
+        "names_bytes": (folder / "index-files/folder/names.js").stat().st_size,
+        "lamp_seconds": [lamp.seconds for lamp in kept.lamps],
+    }
+
+
+def bake_table(rows: list[dict[str, Any]], lamps: int) -> Table:
+    """A line for each number of workers."""
+    heads = ["workers", "s", "s / lamp", "efficiency", "peak memory, MB", "calls"]
+    first = rows[0]
+    lines = [
+        [
+            str(row["workers"]),
+            f"{row['seconds']:.1f}",
+            f"{row['seconds'] / lamps:.2f}",
+            f"{_efficiency(first, row):.3f}",
+            f"{row['peak_bytes'] / 1e6:.0f}",
+            f"{row['calls']:.0f}",
+        ]
+        for row in rows
+    ]
+    return Table(heads, lines, left=0)
+
+
+def _efficiency(first: dict[str, Any], row: dict[str, Any]) -> float:
+    """Seconds of workers in the first row over those in another one."""
+    return first["seconds"] * first["workers"] / (row["seconds"] * row["workers"])
+
+
+def folder_table(found: dict[str, Any], lamps: int) -> Table:
+    """Bytes of a lamp, and seconds of a folder in which all is done."""
+    sizes = found["bytes"]
+    rows = [
+        ["asset, kB a lamp", f"{sizes['assets'] / lamps / 1e3:.1f}"],
+        ["thumbnail, kB a lamp", f"{sizes['thumbnails'] / lamps / 1e3:.1f}"],
+        ["record, kB a lamp", f"{sizes['records'] / lamps / 1e3:.1f}"],
+        [
+            "pages and names, kB a lamp",
+            f"{(sizes['pages'] + found['names_bytes']) / lamps / 1e3:.2f}",
+        ],
+        ["first page, kB", f"{found['first_page_bytes'] / 1e3:.0f}"],
+        ["all lamps kept: whole command, s", f"{found['command_seconds']:.2f}"],
+        ["all lamps kept: check and page, s", f"{found['check_seconds']:.3f}"],
+        ["pages alone, s", f"{found['page_seconds']:.3f}"],
+    ]
+    return Table(["figure", "value"], rows)
+
+
+def farm_table(found: Farm) -> Table:
+    """Seconds of the model."""
+    rows = [
+        ["bakes, divided evenly", f"{found.bake:,.0f}"],
+        ["last lamp, lamp by lamp (executor)", f"{found.dynamic:,.0f}"],
+        ["last lamp, fixed parts (--task)", f"{found.tasks:,.0f}"],
+        ["start of a machine", f"{found.start:,.1f}"],
+        ["check of a machine's part", f"{found.check:,.2f}"],
+        [f"file system, {found.bytes / 1e9:.2f} GB", f"{found.storage:,.1f}"],
+        ["operations on files, a machine", f"{found.operations:,.1f}"],
+        ["page, once", f"{found.page:,.1f}"],
+    ]
+    return Table([f"{found.lamps:,} lamps on {found.machines} machines", "s"], rows)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--work", metavar="FOLDER", type=Path, required=True, help="lamps and assets; it is kept"
+    )
+    parser.add_argument("--lamps", type=int, metavar="N", default=20, help="to bake")
+    parser.add_argument("--workers", type=int, nargs="+", metavar="N", default=[1, 2])
+    parser.add_argument("--quality", default="preview", choices=("preview", "standard", "high"))
+    parser.add_argument("--seed", type=int, metavar="S", default=0, help="of the lamps")
+    parser.add_argument("--farm", type=int, metavar="N", default=10_000, help="lamps of the model")
+    parser.add_argument("--machines", type=int, metavar="N", default=100, help="of the model")
+
+
+def run(options: argparse.Namespace) -> None:
+    work = options.work.resolve()
+    write_lamps(work, options.lamps, options.seed)
+    load = round(os.getloadavg()[0], 1)
+    results = Results(options, lamps=options.lamps, quality=options.quality, load_at_start=load)
+    rows = []
+    for workers in options.workers:
+        rows.append({"workers": workers, **bake(work, workers, options)})
+        print(bake_table(rows, options.lamps).text(), flush=True)
+    found = measure_folder(work, options.workers[0], options)
+    print(folder_table(found, options.lamps).text(), flush=True)
+    # What the first command took beyond the bakes: start, and for each lamp reading and thumbnail.
+    beyond = max(0.0, rows[0]["seconds"] - sum(found["lamp_seconds"])) / options.lamps
+    model = farm(
+        [each + beyond for each in found["lamp_seconds"]],
+        sum(found["bytes"][kind] for kind in ("assets", "records", "thumbnails")) / options.lamps,
+        found["check_seconds"] / options.lamps,
+        found["command_seconds"],
+        found["page_seconds"] / options.lamps,
+        lamps=options.farm,
+        machines=options.machines,
+    )
+    print(farm_table(model).text())
+    print(f"bound by {model.bound}")
+    facts = results.setting()
+    sections = [
+        "# Folders of many lamps\n",
+        bake_table(rows, options.lamps).markdown(),
+        "Efficiency: seconds of workers over those of the first row; each worker has one core. "
+        "Peak memory: of all processes together.\n",
+        folder_table(found, options.lamps).markdown(),
+        farm_table(model).markdown(),
+        f"A model: the measured lamps repeated, one worker a machine, bound by {model.bound}. "
+        f"Assumed: a file system of {STORAGE_BYTES / 1e6:.0f} MB/s in all, {OPERATIONS_A_LAMP} "
+        f"operations a lamp of {1e3 * OPERATION_SECONDS:.0f} ms each.\n",
+        notes(facts),
+    ]
+    report = {
+        "setting": facts,
+        "bakes": rows,
+        "folder": found,
+        "farm": {**dataclasses.asdict(model), "bound": model.bound},
+    }
+    results.write(report, "\n".join(sections))

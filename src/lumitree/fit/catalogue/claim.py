@@ -1,0 +1,177 @@
+"""Claims: which process works on a lamp of a folder that several processes, or machines, share.
+
+A claim is a file with the host, the process and the time. It is locked while its process lives, and
+renewed every minute. Where it is held to be abandoned:
+
+* Made on this host: if it is not locked. Locks vanish with their process, however it ends. Where
+  the file system has no locks: if there is no such process.
+* Made on another host: if it is neither locked nor renewed for ten minutes, by the clock of the
+  file system. Some network file systems keep locks between machines, and others only within one,
+  so that an absent lock does not say that the process is gone.
+
+A process that is stopped for ten minutes may lose its claim. Then two processes bake the lamp, and
+write the same files, each of them whole.
+"""
+
+import contextlib
+import dataclasses
+import json
+import os
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from lumitree.core.files import WriteError, lock
+from lumitree.core.interrupt import Interrupted, deferred_interrupt
+from lumitree.core.reading import Record, parse_json
+from lumitree.errors import LumitreeError, shown
+
+_RENEW_SECONDS, _ABANDONED_SECONDS = 60.0, 600.0
+_MAX_CLAIM_BYTES = 10_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Owner:
+    """The process that has a claim.
+
+    Attributes:
+        host: name of its machine; empty if it is not known.
+        process: its number on that machine.
+        since: when it took the claim, s since 1970.
+    """
+
+    host: str
+    process: int
+    since: float
+
+    def __str__(self) -> str:
+        if not self.host:
+            return "another process"
+        when = time.strftime("%Y-%m-%d %H:%M", time.localtime(self.since))
+        return f"process {self.process} on {shown(self.host, 100)} (since {when})"
+
+
+UNKNOWN = Owner("", 0, 0.0)
+
+
+@contextlib.contextmanager
+def claimed(path: Path) -> Iterator[Owner | None]:
+    """Context in which this process has the claim `path`; yields the owner if another one has it.
+
+    Raises:
+        WriteError: the folder cannot be written, or the disk is full.
+        Interrupted: a signal arrived while it was taken.
+    """
+    try:
+        # Else a signal could leave a file that stays open, and so locked.
+        with deferred_interrupt() as interruption:
+            handle, owner = _take(path)
+    except OSError as error:
+        raise WriteError(path.parent, error) from error
+    try:
+        if interruption.number is not None:
+            raise Interrupted(number=interruption.number)
+        with _renewed(handle) if owner is None else contextlib.nullcontext():
+            yield owner
+    finally:
+        if owner is None:
+            _release(path, handle)
+        os.close(handle)
+
+
+def _take(path: Path) -> tuple[int, Owner | None]:
+    """Take a claim: its file, which is open, and its owner if that is another process."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    while True:
+        try:
+            # Of several processes only one makes the file, also where there are no locks.
+            handle, is_new = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), True
+        except FileExistsError:
+            try:
+                handle, is_new = os.open(path, os.O_RDWR), False
+            except FileNotFoundError:
+                continue
+        locked = lock(handle)
+        if locked is False:
+            return handle, _read(handle) or UNKNOWN
+        # Its owner may just have removed it.
+        if os.fstat(handle).st_nlink:
+            break
+        os.close(handle)
+    if not is_new and (owner := _living(handle, locked, path.parent)) is not None:
+        return handle, owner
+    try:
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, json.dumps(dataclasses.asdict(_this_process())).encode(), 0)
+    except OSError:
+        path.unlink(missing_ok=True)
+        os.close(handle)
+        raise
+    return handle, None
+
+
+def _living(handle: int, locked: bool | None, folder: Path) -> Owner | None:
+    """The owner of a claim that is not locked by another process; None if it is abandoned."""
+    owner = _read(handle)
+    if owner is not None and owner.host == socket.gethostname() and (locked or _is_gone(owner)):
+        return None
+    with tempfile.TemporaryFile(dir=folder) as file:
+        # The clock of the file system, which may be that of another machine.
+        file.write(b"0")
+        file.flush()
+        now = os.fstat(file.fileno()).st_mtime
+    is_abandoned = now - os.fstat(handle).st_mtime > _ABANDONED_SECONDS
+    return None if is_abandoned else owner or UNKNOWN
+
+
+def _is_gone(owner: Owner) -> bool:
+    """Whether there is no such process on this host."""
+    try:
+        os.kill(owner.process, 0)
+    except ProcessLookupError:
+        return True
+    except (OSError, OverflowError):
+        return False
+    return False
+
+
+def _this_process() -> Owner:
+    return Owner(socket.gethostname(), os.getpid(), round(time.time(), 1))
+
+
+def _read(handle: int) -> Owner | None:
+    """What a claim says; None if its owner has not written it yet, or it is damaged."""
+    try:
+        record = Record(parse_json(os.pread(handle, _MAX_CLAIM_BYTES, 0)), "claim")
+        return Owner(record.label("host"), record.integer("process"), record.number("since"))
+    except LumitreeError:
+        return None
+
+
+@contextlib.contextmanager
+def _renewed(handle: int) -> Iterator[None]:
+    """Context in which the time of a claim is renewed."""
+    ended = threading.Event()
+
+    def renew() -> None:
+        while not ended.wait(_RENEW_SECONDS):
+            with contextlib.suppress(OSError):
+                os.utime(handle)
+
+    thread = threading.Thread(target=renew, daemon=True, name="renew claim")
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def _release(path: Path, handle: int) -> None:
+    """Remove a claim, unless another process has taken it."""
+    owner = _read(handle)
+    if owner is not None and (owner.host, owner.process) == (socket.gethostname(), os.getpid()):
+        path.unlink(missing_ok=True)

@@ -1,0 +1,42 @@
+"""The small image of a lamp on the page of a folder."""
+
+import io
+import json
+from typing import Any
+
+from PIL import Image, features
+
+from lumitree.asset.asset import Asset
+from lumitree.core.image_settings import image_settings
+from lumitree.core.images import auto_exposure, encode_png, tonemap
+
+# Pixels per side, paths per pixel, and direction from the lamp to the camera.
+_PIXELS, _SAMPLES = 192, 64
+_FROM = (0.4, 0.25, 0.882)
+# A PNG file of it has 50 kB because of its noise, a WebP file of this quality 5 kB.
+_QUALITY = 80
+# Tag of EXIF: ImageDescription.
+_DESCRIPTION = 0x010E
+
+
+def thumbnail_kind() -> str:
+    """Suffix of the files that `thumbnail` makes: "webp" where Pillow has it, else "png"."""
+    return "webp" if features.check("webp") else "png"
+
+
+def thumbnail(asset: Asset, settings: Any) -> bytes:
+    """An image file of an asset, which states the settings of its bake."""
+    from lumitree.core.directions import pose_towards
+    from lumitree.rendering.asset_images import shown_images
+
+    pose = pose_towards(_FROM, (0, 1, 0), 4.0)
+    ((radiance, _),) = shown_images(asset, [pose], 1.75, _PIXELS, _SAMPLES)
+    pixels = tonemap(radiance, auto_exposure(radiance))
+    described = image_settings("bake", lamp=asset.luminaire, settings=settings)
+    if thumbnail_kind() == "png":
+        return encode_png(pixels, described)
+    image, stream, exif = Image.fromarray(pixels), io.BytesIO(), Image.Exif()
+    # EXIF has no other characters than those of ASCII.
+    exif[_DESCRIPTION] = json.dumps(json.loads(described))
+    image.save(stream, format="WEBP", quality=_QUALITY, method=4, exif=exif)
+    return stream.getvalue()

@@ -1,0 +1,217 @@
+"""Lists of lamps, whose bakes are replaced by quick ones: what is baked, kept and divided."""
+
+import json
+import os
+import signal
+import types
+from pathlib import Path
+
+import pytest
+
+import lumitree
+from lumitree.cli import main
+from lumitree.cli.output import print_lamps
+from lumitree.core.files import WriteError
+from lumitree.fit.catalogue import lamp_job, record
+from lumitree.fit.catalogue.record import BakedLamp, LampFiles
+from support.baked_folders import make_old
+from support.executors import LastFirst
+from support.fields import random_asset
+from support.lamps import AREA, scene, sphere
+from support.tiny_bakes import set_qualities, standard
+
+SETTINGS = {"parts": ("light",)}
+ARGUMENTS = ("--parts", "light")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch, mi):
+    monkeypatch.chdir(tmp_path)
+    set_qualities(monkeypatch.setitem)
+    for name, radius in (("a", 1.0), ("b", 0.5), ("c", 0.25)):
+        (tmp_path / f"{name}.xml").write_text(scene(sphere("ball", radius, inside=AREA)))
+    (tmp_path / "dark.xml").write_text(scene(sphere("ball", 1)))
+    return tmp_path
+
+
+@pytest.fixture(autouse=True)
+def baked(monkeypatch):
+    """Names of the assets that were baked, in order."""
+    names = []
+
+    def bake(source, output, config, **options):
+        names.append(output.stem)
+        asset = random_asset(int(source.fingerprint[:4], 16), tree_depth=2, l_max=0)
+        lumitree.save(asset, output)
+        return types.SimpleNamespace(
+            asset=asset, irradiance=None, finished=True, stopped_by=None, seconds={"light": 1.0}
+        )
+
+    monkeypatch.setattr(lamp_job, "bake_source", bake)
+    monkeypatch.setattr(record, "thumbnail", lambda *_: b"image")
+    monkeypatch.setattr("lumitree.rendering.asset_flux.asset_lumens", lambda _: 5.0)
+    return names
+
+
+def bake(names, folder="out", **options):
+    return lumitree.bake_many(names, folder, standard(**SETTINGS), **options)
+
+
+def states(result):
+    return [(lamp.name, lamp.state) for lamp in result.lamps]
+
+
+def contents(folder):
+    """Bytes of the assets of a folder by name."""
+    return {path.name: path.read_bytes() for path in Path(folder).glob("*.lumitree")}
+
+
+def test_lamps_are_kept_without_being_loaded(folder, monkeypatch):
+    make_old(folder / "a.xml", folder / "b.xml")
+    bake(["a.xml", "b.xml"], "out")
+    monkeypatch.setattr(
+        "lumitree.lamp.loading.load_luminaire", lambda *_: pytest.fail("a lamp was loaded")
+    )
+    kept = bake(["a.xml", "b.xml"], "out")
+    assert states(kept) == [("a", "kept"), ("b", "kept")]
+    # The same content, written again.
+    (folder / "a.xml").write_bytes((folder / "a.xml").read_bytes())
+    kept = bake(["a.xml"], "out")
+    assert states(kept) == [("a", "kept")]
+
+
+def test_a_folder_of_the_first_version_is_kept(folder, baked):
+    """Once the lamps are loaded; the records then are of this version."""
+    bake(["a.xml"], "out")
+    path = folder / "out/index-files/a.json"
+    record = json.loads(path.read_text())
+    first = {key: record[key] for key in ("fingerprint", "settings", "seconds", "figures", "state")}
+    path.write_text(json.dumps({"version": 1, "asset_sha256": record["asset"][-1], **first}))
+    make_old(folder / "a.xml")
+    again = bake(["a.xml"], "out")
+    assert states(again) == [("a", "kept")]
+    assert baked == ["a"]
+    after = json.loads(path.read_text())
+    assert after["version"] == 2
+    assert [name for name, *_ in after["files"]] == ["../a.xml"]
+    (folder / "out/index-files/folder/version.json").write_text('{"version": 3}')
+    with pytest.raises(lumitree.LumitreeError, match="out has records of version 3"):
+        bake(["a.xml"], "out")
+
+
+def test_an_executor_gives_the_same_bytes(folder):
+    names = ["a.xml", "dark.xml", "b.xml"]
+    bake(names, "one")
+    executor = LastFirst()
+    result = bake(names, "out", executor=executor)
+    assert states(result) == [("a", "baked"), ("dark", "failed"), ("b", "baked")]
+    assert {job.name for job in executor.order} == {"a", "b", "dark"}
+    assert [lamp.source for lamp in result.lamps] == names
+    assert result.lamps[0].path == Path("out/a.lumitree")
+    assert contents("out") == contents("one")
+    assert result.index.read_text().count("<dt>flux</dt>") == 2
+    again = bake(names[::2], "out", executor=executor)
+    assert states(again) == [("a", "kept"), ("b", "kept")]
+    # The records of both are the same but for their times.
+    for name in ("a", "b"):
+        records = [LampFiles(folder / each, name).read() for each in ("one", "out")]
+        assert records[0].options == records[1].options
+        assert records[0].figures == records[1].figures
+
+
+def test_parts_of_a_list_are_baked_and_collected(folder, capsys):
+    (folder / "c.xml").write_text(scene(sphere("ball", 0.25, inside=AREA)))
+    (folder / "lamps.txt").write_text("a.xml\n\n b.xml\nc.xml\n")
+    line = ["bake", "@lamps.txt", "-o", "out/", *ARGUMENTS, "--task"]
+    assert main([*line, "1/2"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [each.split()[0] for each in lines] == ["a", "c", "Open:"]
+    assert lines[-1] == "Open: out"
+    assert not (folder / "out/index.html").exists()
+    assert main(["collect", "out"]) == 2
+    captured = capsys.readouterr()
+    assert "1 tasks have not begun (2); the same tasks bake what is missing" in captured.err
+    assert "Open: out/index.html" in captured.out
+    assert main([*line, "2/2"]) == 0
+    assert main(["collect", "out"]) == 0
+    assert (folder / "out/index.html").read_text().count("<dt>flux</dt>") == 3
+    assert sorted(contents("out")) == ["a.lumitree", "b.lumitree", "c.lumitree"]
+    found = lumitree.collect("out")
+    assert (found.problem, found.missing_tasks) == (None, [])
+    with pytest.raises(lumitree.LumitreeError, match="sub is not a folder of baked lamps"):
+        lumitree.collect("sub")
+
+
+def test_a_part_that_is_stopped_is_missing(folder, monkeypatch):
+    def stop(*_, **__):
+        raise lumitree.Interrupted(number=signal.SIGTERM)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(lamp_job, "bake_source", stop)
+        stopped = lumitree.bake_many(
+            ["a.xml", "dark.xml"], "out", standard(**SETTINGS), task=(1, 1)
+        )
+    assert stopped.stopped_by == signal.SIGTERM
+    found = lumitree.collect("out")
+    assert found.problem.startswith("of 2 lamps 2 not baked yet (a, dark); the same tasks")
+    bake(["a.xml", "dark.xml"], "out", task=(1, 1))
+    problem = lumitree.collect("out").problem
+    assert problem.startswith("of 2 lamps 1 failed (dark); ")
+
+
+def test_a_full_disk_ends_the_list(folder, monkeypatch):
+    def fail(*_, **__):
+        raise WriteError(Path("out/a.lumitree"), OSError(28, os.strerror(28)))
+
+    monkeypatch.setattr(lamp_job, "bake_source", fail)
+    for executor in (None, LastFirst()):
+        with pytest.raises(WriteError, match="No space left on device"):
+            bake(["a.xml", "b.xml"], executor=executor)
+    assert not list((folder / "out/index-files").glob("*.failed"))
+
+
+def test_options_for_lists_are_refused_for_one_lamp(capsys):
+    assert main(["bake", "a.xml", "-o", "a.lumitree", "--task", "1/2"]) == 2
+    assert "--task: for several luminaires" in capsys.readouterr().err
+    for text in ("0/2", "3/2", "1", "1/2/3", "a/b"):
+        assert main(["bake", "a.xml", "b.xml", "-o", "out", "--task", text]) == 2
+        assert "is not a task; write K/N" in capsys.readouterr().err
+    assert main(["bake", "@none.txt", "-o", "out/"]) == 2
+    assert "none.txt does not exist; expected a list of luminaires" in capsys.readouterr().err
+
+
+def test_long_lists_are_printed_in_short(capsys):
+    figures = {"lumens": 1.0, "file_bytes": 1 << 20}
+    lamps = [BakedLamp(f"l{number}", "", "kept", figures=figures) for number in range(100)]
+    print_lamps(lamps)
+    assert len(capsys.readouterr().out.splitlines()) == 100
+    lamps += [
+        BakedLamp("new", "", "baked", figures=figures),
+        BakedLamp("dark", "", "failed", error="no light"),
+        BakedLamp("half", "", "interrupted", figures=figures),
+    ]
+    print_lamps(lamps)
+    dark, half, last = capsys.readouterr().out.splitlines()
+    assert dark.strip() == "dark  failed: no light"
+    assert half.strip().startswith("half  interrupted, 1 lm")
+    assert last == "1 lamp baked, 100 kept, 105.9 MB"
+
+
+def test_scenes_of_models_do_not_pile_up(folder, monkeypatch):
+    """Each is written to a temporary folder, which would stay until the end of the process."""
+    (folder / "tmp").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(folder / "tmp"))
+    for name in ("one", "two"):
+        (folder / f"{name}.obj").write_text(f"mtllib {name}.mtl\nusemtl light\nv 0 0 0\n"
+                                            "v 0 0 1\nv 1 0 0\nf 1 2 3\n")  # fmt: skip
+        (folder / f"{name}.mtl").write_text("newmtl light\nKe 5 5 5\n")
+        make_old(folder / f"{name}.obj", folder / f"{name}.mtl")
+    assert states(bake(["one.obj", "two.obj"])) == [("one", "baked"), ("two", "baked")]
+    assert list((folder / "tmp").iterdir()) == []
+    assert states(bake(["one.obj", "two.obj"])) == [("one", "kept"), ("two", "kept")]
+    stamps = LampFiles(folder / "out", "one").read().files
+    assert [stamp.name for stamp in stamps] == ["../one.mtl", "../one.obj", "../one.toml"]
+    # Materials that are changed, and overrides that are added.
+    (folder / "one.mtl").write_text("newmtl light\nKe 4 5 5\n")
+    (folder / "two.toml").write_text('units = "cm"\n')
+    assert states(bake(["one.obj", "two.obj"])) == [("one", "baked"), ("two", "baked")]
