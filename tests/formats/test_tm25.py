@@ -187,6 +187,25 @@ def changed(offset, form, value):
         (changed(HEADER + 12, "<f", 3.0), "length 1"),
         (changed(HEADER + 24, "<f", np.nan), "flux"),
         (changed(HEADER + 24, "<f", -1.0), "flux"),
+        # Its colour would be black.
+        (
+            file_bytes(
+                [[*row[:6], -1, 1] for row in ROWS] + [[*ROWS[0], 1]],
+                [*GOOD[:7], 1],
+                4,
+                tables=[[[400, 1], [700, 1]]],
+            ),
+            "flux",
+        ),
+        (
+            file_bytes(
+                [[*row[:6], np.inf] for row in ROWS],
+                [1, 1, 1, 0, 0, 0, 0, 0],
+                1,
+                wavelengths=(550, 400, 700),
+            ),
+            "flux",
+        ),
         (file_bytes(ROWS, GOOD)[:-1], "bytes; expected"),
         (file_bytes([[*row[:6], 0] for row in ROWS], GOOD), "flux"),
         (file_bytes(ROWS, GOOD, 3, tables=[[[500, 1], [400, 1]]]), "ascending"),

@@ -1,5 +1,6 @@
 """Manifests, records, TOML files, tables of points, and images with layers."""
 
+import contextlib
 import dataclasses
 import functools
 import hashlib
@@ -20,6 +21,7 @@ from lumitree.core.directions import view_pose
 from lumitree.core.frames import LocalFrame
 from lumitree.core.images import write_exr
 from lumitree.core.toml_table import read_toml
+from lumitree.errors import LumitreeError
 from lumitree.fit.catalogue.record import INDEX_FILES, LampFiles
 from lumitree.fit.config import QUALITIES
 from lumitree.measure.illuminance.areas import read_points
@@ -241,18 +243,27 @@ def _write_index(folder):
 @functools.cache
 def _state_arrays():
     """Arrays as a saved state of a bake has them, and the settings that it is of."""
+    from lumitree.core.harmonics import num_coefficients
     from lumitree.fit.octree.config import OctreeFitConfig
+    from lumitree.fit.octree.leaf_field import padded_width
 
-    random, leaves = np.random.default_rng(0), 8
-    field = {
-        "cells": random.integers(0, 4, (leaves, 3)),
-        "levels": np.full(leaves, 2),
-        "density": random.random(leaves).astype(np.float32),
-        "coefficients": random.random((leaves, 3, 4)).astype(np.float32),
+    random, leaves, config = np.random.default_rng(0), 8, OctreeFitConfig()
+    terms, width = num_coefficients(config.l_max), padded_width(config.l_max)
+    arrays = {
+        "seconds": np.array(1.5),
+        "max_radiance": np.array(2.0),
+        "rays": np.array(10),
+        "steps": np.array([3, 3]),
     }
-    numbers = {"seconds": np.array(1.5), "rays": np.array(10), "max_radiance": np.array(2.0)}
-    best = {f"best_{name}": value for name, value in field.items()}
-    return OctreeFitConfig(), numbers | field | best
+    for prefix in ("", "best_"):
+        arrays[f"{prefix}cells"] = np.indices((2, 2, 2)).reshape(3, -1).T
+        arrays[f"{prefix}levels"] = np.ones(leaves, np.int64)
+        arrays[f"{prefix}log_density"] = random.random(leaves).astype(np.float32)
+        arrays[f"{prefix}coefficients"] = random.random((leaves, 3, terms)).astype(np.float32)
+    for name, size in (("density", leaves), ("coefficient", leaves * width)):
+        for part in ("mean", "square"):
+            arrays[f"{name}_{part}"] = random.random(size).astype(np.float32)
+    return config, arrays
 
 
 def _changed_archive(arrays, rng):
@@ -294,6 +305,17 @@ def _read_state(folder):
 
     subject = Subject("lamp", "abc", LocalFrame(np.ones(3), np.eye(4)))
     return StateFile(folder, subject, _state_arrays()[0]).load()
+
+
+def _sound_state(state):
+    """The octrees of both fields can be built."""
+    from lumitree.octree.build import build_children
+
+    # Leaves that overlap are refused then.
+    with contextlib.suppress(LumitreeError):
+        for prefix in ("", "best_"):
+            build_children(state._arrays[f"{prefix}cells"], state._arrays[f"{prefix}levels"])
+    assert np.isfinite(state.seconds)
 
 
 @functools.cache
@@ -362,6 +384,6 @@ READERS = (
     Reader("dataset", _changed_dataset, _read_dataset, _sound_dataset, memory=2048 * MEBIBYTE),
     Reader("layers", _changed_layers, _mix, memory=2048 * MEBIBYTE),
     Reader("record", _changed_record, _write_index),
-    Reader("state", _state, _read_state),
+    Reader("state", _state, _read_state, _sound_state),
     Reader("run", _changed_run, _read_run),
 )
