@@ -1,6 +1,7 @@
 """Every reader with some inputs; the runner has more, and limits time and memory."""
 
 import collections
+import dataclasses
 import json
 
 import pytest
@@ -18,14 +19,26 @@ SEED = 1
 def test_inputs_are_read_or_refused_in_a_line(name, mi, tmp_path):
     if name == "run":
         pytest.importorskip("jax")
-    found, counts = reader(name), collections.Counter()
+    # None in full, which takes seconds.
+    found, counts = dataclasses.replace(reader(name), full_share=0), collections.Counter()
     for number in range(found.in_suite):
         outcome = outcome_of(found, SEED, number, tmp_path)
         assert outcome.kind != "failed", f"{number}: {outcome.message}\n{outcome.detail}"
         counts[outcome.kind] += 1
     # Changes reach what is behind the first checks, and are seen.
-    assert counts["accepted"] + counts["full"] > found.in_suite / 20
+    assert counts["accepted"] > found.in_suite / 20
     assert counts["refused"] > found.in_suite / 20 or name in ("record", "settings")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["asset", "ies", "tm25", "gldf", "obj", "gltf", "lamp", "room"])
+def test_what_is_accepted_can_be_shown(name, mi, tmp_path):
+    found, counts = dataclasses.replace(reader(name), full_share=1), collections.Counter()
+    for number in range(30):
+        outcome = outcome_of(found, SEED + 1, number, tmp_path)
+        assert outcome.kind != "failed", f"{number}: {outcome.message}\n{outcome.detail}"
+        counts[outcome.kind] += 1
+    assert counts["full"] > 1
 
 
 @pytest.mark.parametrize("name", NAMES)
