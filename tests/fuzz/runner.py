@@ -200,8 +200,10 @@ def _child(
 def _last_lines(stream: Any, lines: list[str]) -> None:
     with stream:
         for line in stream:
-            lines.append(line)
-            del lines[:-80]
+            # faulthandler lists all modules after the traceback.
+            if not line.startswith("Extension modules:"):
+                lines.append(line)
+                del lines[:-80]
 
 
 def _merged(parts: list[list[int]]) -> list[list[int]]:

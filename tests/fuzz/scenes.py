@@ -20,7 +20,7 @@ _LAMP = """<scene version="3.0.0">
 <bsdf type="twosided" id="both"><bsdf type="roughconductor"><string name="material" value="Al"/>
 <float name="alpha" value="0.2"/></bsdf></bsdf>
 <bsdf type="dielectric" id="glass"><float name="int_ior" value="1.5"/></bsdf>
-<medium type="homogeneous" id="fog"><rgb name="sigma_t" value="1, 2, 3"/>
+<medium type="homogeneous" id="fog"><rgb name="sigma_t" value="0.5, 0.4, 0.3"/>
 <rgb name="albedo" value="0"/></medium>
 <shape type="sphere" id="bulb"><float name="radius" value="0.2"/><point name="center" x="0" y="0.1"
  z="0"/><ref id="white"/><emitter type="area"><rgb name="radiance" value="3, 2, 1"/></emitter>
@@ -86,8 +86,10 @@ def _scene(name, whole):
             text = text.replace("image.png", other)
         used = [each for each in files if f'"{each}"' in text]
         content = text.encode()
-        if chance(rng, 0.55):
-            content = xml_trees.changed(content, rng)
+        if chance(rng, 0.35):
+            content = xml_trees.nudged(content, rng)
+        elif chance(rng, 0.3):
+            content = xml_trees.changed(content, rng, times=1)
         elif chance(rng, 0.15):
             content = damaged(content, rng)
         else:

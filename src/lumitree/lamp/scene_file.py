@@ -20,6 +20,7 @@ from lumitree.lamp.blackbodies import replace_blackbodies
 from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.lamp.importers.overrides import select_names
 from lumitree.lamp.media import keep_clear_channels
+from lumitree.lamp.mesh_files import check_mesh_file
 from lumitree.lamp.scene_shapes import SceneShape, shape_of_node
 from lumitree.lamp.spectra import spectra_of_emitters
 
@@ -81,6 +82,7 @@ class SceneFile:
         }
         if keep or drop:
             self._select(keep, drop)
+        self._check_meshes()
         # Last, because equal BSDFs become one, with one id.
         mi.parser.transform_merge_equivalent(self._config, self._state)
         # Of emitters, by their ids.
@@ -138,6 +140,14 @@ class SceneFile:
                     f"{self._name} holds objects nested more than {_MAX_OBJECTS} deep; expected a "
                     "luminaire's shapes, materials and emitters"
                 )
+
+    def _check_meshes(self) -> None:
+        """Refuse mesh files with which Mitsuba would end the process."""
+        for props in (node.props for node in self.nodes("Shape")):
+            name, index = props.get("filename", None), props.get("shape_index", 0)
+            # Mitsuba refuses other types.
+            if isinstance(name, str) and isinstance(index, int):
+                check_mesh_file(props.plugin_name(), self.resolve(name), index)
 
     def _root(self, kind: str) -> list[tuple[str, Any]]:
         """Keys and nodes of a type that the scene itself holds, in the order of the file."""
@@ -254,6 +264,8 @@ class SceneFile:
             if "filename" in props
         ]
 
+    # Coordinates of a damaged file may be too large.
+    @np.errstate(over="ignore", invalid="ignore")
     def analytic_box(self) -> NDArray[np.float64]:
         """[2, 3] a box around the shapes that are no files, in double precision; NaN for none."""
         transform = load_mitsuba().ScalarTransform4d
