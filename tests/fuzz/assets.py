@@ -218,8 +218,7 @@ READERS = (
         assert_sound,
         use_in_full,
         memory=3072 * MEBIBYTE,
-        at_once=4000,
         in_suite=250,
-        full_share=1 / 400,
+        full_share=1 / 500,
     ),
 )

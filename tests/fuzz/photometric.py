@@ -200,7 +200,6 @@ READERS = (
         lambda folder: read_ies(folder / "lamp.ies"),
         _sound_distribution,
         _bake,
-        at_once=20_000,
         in_suite=150,
     ),
     Reader(
@@ -209,7 +208,6 @@ READERS = (
         lambda folder: read_ldt(folder / "lamp.ldt"),
         _sound_distribution,
         _bake,
-        at_once=20_000,
         in_suite=150,
     ),
     Reader(
@@ -218,7 +216,6 @@ READERS = (
         lambda folder: read_tm25(folder / "lamp.ray"),
         _sound_rays,
         _bake_rays,
-        at_once=10_000,
         in_suite=100,
     ),
     Reader(
@@ -227,7 +224,6 @@ READERS = (
         lambda folder: read_tm33(folder / "lamp.tm33"),
         _sound_tm33,
         lambda found: _bake(*found),
-        at_once=10_000,
         in_suite=80,
     ),
 )

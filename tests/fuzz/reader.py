@@ -13,7 +13,7 @@ from support.damage import checked
 
 MEBIBYTE = 1 << 20
 # Of accepted inputs, which are used in full: rendered, or baked.
-FULL_SHARE = 1 / 250
+FULL_SHARE = 1 / 1000
 
 
 def nothing(_: Any) -> None:
@@ -42,7 +42,7 @@ class Reader:
     use: Callable[[Any], None] = nothing
     use_in_full: Callable[[Any], None] = nothing
     memory: int = 1024 * MEBIBYTE
-    at_once: int = 4000
+    at_once: int = 2000
     in_suite: int = 60
     full_share: float = FULL_SHARE
 

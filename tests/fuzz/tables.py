@@ -371,7 +371,6 @@ READERS = (
         _placements,
         lambda folder: read_placements(folder / "lights.toml"),
         _sound_placements,
-        at_once=20_000,
     ),
     Reader("settings", _settings, _read_settings, at_once=20_000),
     Reader(
@@ -379,7 +378,6 @@ READERS = (
         _points,
         lambda folder: read_points(folder / "points.csv"),
         _sound_points,
-        at_once=20_000,
     ),
     Reader("dataset", _changed_dataset, _read_dataset, _sound_dataset, memory=2048 * MEBIBYTE),
     Reader("layers", _changed_layers, _mix, memory=2048 * MEBIBYTE),
