@@ -372,7 +372,7 @@ READERS = (
         lambda folder: read_placements(folder / "lights.toml"),
         _sound_placements,
     ),
-    Reader("settings", _settings, _read_settings, at_once=20_000),
+    Reader("settings", _settings, _read_settings),
     Reader(
         "points",
         _points,

@@ -26,6 +26,8 @@ from lumitree.lamp.spectra import spectra_of_emitters
 
 # Largest nesting depths; in a luminaire's file they are about 8 and 6.
 _MAX_ELEMENTS, _MAX_OBJECTS = 64, 16
+# Parameters of which a plugin needs one: without them Mitsuba 3.9 ends the process.
+_NEEDED = {"bitmap": ("filename", "bitmap", "data"), "blendbsdf": ("weight",)}
 # What patterns are compared with, for messages.
 _CHOSEN_BY = "shape's id, BSDF's id or number"
 
@@ -82,7 +84,7 @@ class SceneFile:
         }
         if keep or drop:
             self._select(keep, drop)
-        self._check_meshes()
+        self._check_objects()
         # Last, because equal BSDFs become one, with one id.
         mi.parser.transform_merge_equivalent(self._config, self._state)
         # Of emitters, by their ids.
@@ -141,13 +143,20 @@ class SceneFile:
                     "luminaire's shapes, materials and emitters"
                 )
 
-    def _check_meshes(self) -> None:
-        """Refuse mesh files with which Mitsuba would end the process."""
-        for props in (node.props for node in self.nodes("Shape")):
-            name, index = props.get("filename", None), props.get("shape_index", 0)
+    def _check_objects(self) -> None:
+        """Refuse mesh files and plugins with which Mitsuba would end the process."""
+        for props in (node.props for node in self._used()):
+            plugin = props.plugin_name()
+            needed = _NEEDED.get(plugin, ())
+            if needed and not any(key in props for key in needed):
+                raise LumitreeError(
+                    f"{self._name} holds a {plugin} without {' or '.join(map(repr, needed))}; "
+                    "Mitsuba needs it"
+                )
+            file, index = props.get("filename", None), props.get("shape_index", 0)
             # Mitsuba refuses other types.
-            if isinstance(name, str) and isinstance(index, int):
-                check_mesh_file(props.plugin_name(), self.resolve(name), index)
+            if isinstance(file, str) and isinstance(index, int):
+                check_mesh_file(plugin, self.resolve(file), index)
 
     def _root(self, kind: str) -> list[tuple[str, Any]]:
         """Keys and nodes of a type that the scene itself holds, in the order of the file."""

@@ -140,3 +140,21 @@ def test_files_named_by_a_scene(mi, tmp_path):
     for name in ("x" * 300 + ".ply", "folder.ply", "none.ply"):
         path.write_text(xml(mesh.format(name)))
         refused(path, "lamp.xml cannot be loaded")
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "match"),
+    [
+        (
+            '<bsdf type="diffuse"><texture type="bitmap" name="reflectance">'
+            '<string name="file" value="a.png"/></texture></bsdf>',
+            "holds a bitmap without 'filename'",
+        ),
+        ('<bsdf type="blendbsdf"/>', "holds a blendbsdf without 'weight'"),
+    ],
+)
+def test_plugins_without_what_they_need(mi, tmp_path, bsdf, match):
+    """Mitsuba would end the process."""
+    path = tmp_path / "lamp.xml"
+    path.write_text(xml(SHAPE.format(name="a").replace('<bsdf type="diffuse"/>', bsdf)))
+    refused(path, match)
