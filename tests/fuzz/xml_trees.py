@@ -37,7 +37,7 @@ def nudged(content, rng):
               if any(char.isdigit() for char in value) and key in _VALUES]  # fmt: skip
     for _ in range(pick(rng, (1, 1, 2))):
         element, key = pick(rng, places)
-        words = element.get(key).replace(",", " ").split()
+        words = element.get(key).replace(",", " ").split() or [""]
         place = int(rng.integers(len(words)))
         words[place] = token(rng, words[place])
         element.set(key, " ".join(words))
