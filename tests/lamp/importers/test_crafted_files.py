@@ -175,4 +175,4 @@ def test_plugins_without_what_they_need(mi, tmp_path, bsdf, match):
 def test_parameters_of_wrong_types(mi, tmp_path, wrong):
     path = tmp_path / "lamp.xml"
     path.write_text(xml(SHAPE.format(name="a").replace("<bsdf", f"{wrong}<bsdf")))
-    refused(path, "lamp")
+    refused(path, "lamp|luminaire")
