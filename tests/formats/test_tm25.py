@@ -13,10 +13,9 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.formats.rays import Rays
 from lumitree.formats.tm25 import read_tm25, write_tm25
 from support.damage import damaged, refused
+from support.tm25_files import HEADER, file_bytes
 
 ROUNDS = 200
-# Where the rays begin in a file without spectral tables.
-HEADER = 288 + 9 * 4000
 
 
 def random_rays(count=50, seed=0):
@@ -29,38 +28,6 @@ def random_rays(count=50, seed=0):
 @pytest.fixture
 def path(tmp_path):
     return tmp_path / "lamp.ray"
-
-
-def file_bytes(
-    rows,
-    flags,
-    spectrum=0,
-    wavelengths=(np.nan,) * 3,
-    tables=(),
-    additional=0,
-    text=0,
-    totals=(0, 0),
-):
-    """A file by the published layout, written without the module.
-
-    Args:
-        rows: [N, M] numbers of the rays.
-        flags: the 8 known data flags.
-        tables: spectral tables, [n, 2] each.
-        additional, text: number of additional items, and bytes of the additional text.
-        totals: luminous flux and radiant flux in the header.
-    """
-    head = b"TM25" + struct.pack("<iiffQ", 2013, 1, *totals, len(rows))
-    head += b"2026-11-23T12:00:00Z".ljust(28, b"\0")
-    head += struct.pack("<iifffiii", 7, spectrum, *wavelengths, len(tables), additional, text)
-    head += bytes(168) + struct.pack("<8i", *flags)
-    head += "light ☀".encode("utf-32-le").ljust(4000, b"\0") + bytes(8 * 4000)
-    assert len(head) == HEADER
-    spectra = b"".join(
-        struct.pack("<i", len(table)) + np.array(table, "<f4").tobytes() for table in tables
-    )
-    spectra += bytes(-len(spectra) % 32)
-    return head + spectra + bytes(512 * additional + text) + np.array(rows, "<f4").tobytes()
 
 
 def test_layout(path, mi):
@@ -220,6 +187,25 @@ def changed(offset, form, value):
         (changed(HEADER + 12, "<f", 3.0), "length 1"),
         (changed(HEADER + 24, "<f", np.nan), "flux"),
         (changed(HEADER + 24, "<f", -1.0), "flux"),
+        # Its colour would be black.
+        (
+            file_bytes(
+                [[*row[:6], -1, 1] for row in ROWS] + [[*ROWS[0], 1]],
+                [*GOOD[:7], 1],
+                4,
+                tables=[[[400, 1], [700, 1]]],
+            ),
+            "flux",
+        ),
+        (
+            file_bytes(
+                [[*row[:6], np.inf] for row in ROWS],
+                [1, 1, 1, 0, 0, 0, 0, 0],
+                1,
+                wavelengths=(550, 400, 700),
+            ),
+            "flux",
+        ),
         (file_bytes(ROWS, GOOD)[:-1], "bytes; expected"),
         (file_bytes([[*row[:6], 0] for row in ROWS], GOOD), "flux"),
         (file_bytes(ROWS, GOOD, 3, tables=[[[500, 1], [400, 1]]]), "ascending"),

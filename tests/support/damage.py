@@ -39,15 +39,21 @@ def damaged(text, rng):
 
 def refused(read):
     """Whether it is refused; its messages, and those of its warnings, are short lines."""
+    return checked(read) is not None
+
+
+def checked(read):
+    """Why it is refused, None if it is not; as `refused`."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
+        warnings.simplefilter("ignore", DeprecationWarning)
         try:
             read()
-            errors = []
+            reason = None
         except LumitreeError as error:
-            errors = [str(error)]
-    assert all(entry.category is LumitreeWarning for entry in caught), caught
-    for text in errors + [str(entry.message) for entry in caught]:
-        assert text.isprintable()
-        assert len(text) < 1000
-    return bool(errors)
+            reason = str(error)
+    assert all(entry.category is LumitreeWarning for entry in caught), [*map(str, caught)]
+    for text in [reason or "-", *(str(entry.message) for entry in caught)]:
+        assert text.isprintable(), ascii(text[:300])
+        assert 0 < len(text) < 1000, text[:300]
+    return reason

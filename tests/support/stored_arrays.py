@@ -2,7 +2,7 @@
 
 import json
 
-from lumitree.asset import field_bytes, geometry_bytes
+from lumitree.asset import field_bytes, geometry_bytes, light_field_bytes
 from lumitree.asset.array_stream import compressed, decompressed
 
 
@@ -16,6 +16,16 @@ def change_field_arrays(tensors, asset, change):
     """
     layouts = field_bytes.field_layouts(len(asset.children), asset.num_leaves, asset.l_max)
     _change(tensors, "field.stream", layouts, change)
+
+
+def change_light_arrays(tensors, field, change):
+    """Change the arrays of `light.stream`, as `change_field_arrays` does.
+
+    Args:
+        field: the light field that the file holds; names of its light inside begin with "inside.".
+    """
+    outer, inner = light_field_bytes._layouts(light_field_bytes._counts(field), field.resolution)
+    _change(tensors, "light.stream", outer + inner, change)
 
 
 def change_geometry_arrays(tensors, change):

@@ -152,7 +152,9 @@ def coefficients_of(codes: NDArray[np.int16], steps: Steps = STEPS) -> NDArray[n
     values[..., ::2] += values[..., 1:2]
     values[:, :1] *= steps.constant
     values[:, 1:] *= _step_of_leaves(codes, steps)
-    return np.ascontiguousarray(values.transpose(0, 2, 1), np.float16)
+    # Codes of a damaged file may overflow: `Asset` refuses infinity.
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(values.transpose(0, 2, 1), np.float16)
 
 
 def _step_of_leaves(codes: NDArray[np.int16], steps: Steps) -> NDArray[np.float32]:

@@ -143,7 +143,9 @@ def read_tm25(path: str | os.PathLike[str]) -> tuple[Rays, str]:
     """
     content = read_bytes(path, "a TM-25 ray file", MAX_BYTES)
     try:
-        return _parse(content, path)
+        # Numbers of any size are checked where they are used.
+        with np.errstate(all="ignore"):
+            return _parse(content, path)
     except LumitreeError as error:
         raise LumitreeError(f"{shown(path, 300)} is not a usable TM-25 file: {error}") from None
 
@@ -176,7 +178,10 @@ def _parse(content: bytes, path: str | os.PathLike[str]) -> tuple[Rays, str]:
     if not (np.abs(position) < 1e12).all() or not (np.abs(length - 1) < 0.01).all():
         raise LumitreeError("a ray has no finite position or no direction of length 1")
     flux = _flux(items, tables, int(header["spectrum"]), float(header["wavelengths"][0]))
-    if not ((flux >= 0) & (flux < 1e15)).all() or not flux.any():
+    # Colours are clipped at 0, so a negative flux need not be seen in them.
+    given = [items[kind] for kind in ("radiant", "luminous") if kind in items]
+    sound = all(((each >= 0) & (each < 1e15)).all() for each in (flux, *given))
+    if not sound or not flux.any():
         raise LumitreeError("a ray's flux is not a number, negative or too large, or all are 0")
     _compare_totals(path, float(header["lumens"]), float(luminance(flux).sum()), "luminous", "lm")
     if "radiant" in items:

@@ -16,7 +16,10 @@ def origin_near(box: NDArray[np.float64], tolerance: float = 1) -> NDArray[np.fl
         box: smallest and largest corner.
         tolerance: how many times as coarse they may be.
     """
-    if not np.isfinite(box).all() or not is_far(box, tolerance * np.ptp(box, axis=0).max()):
+    # Not even the size of a damaged lamp need be finite.
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = tolerance * np.ptp(box, axis=0).max()
+    if not np.isfinite(box).all() or not is_far(box, size):
         return np.zeros(3)
     # What float32 represents exactly, so that vertices of mesh files are moved exactly.
     return box.mean(axis=0).astype(np.float32).astype(np.float64)

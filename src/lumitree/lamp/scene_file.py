@@ -17,14 +17,18 @@ from lumitree.core.frames import similarity
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, renderer_reason, shown
 from lumitree.lamp.blackbodies import replace_blackbodies
+from lumitree.lamp.exr_files import check_exr_file
 from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.lamp.importers.overrides import select_names
 from lumitree.lamp.media import keep_clear_channels
+from lumitree.lamp.mesh_files import check_mesh_file
 from lumitree.lamp.scene_shapes import SceneShape, shape_of_node
 from lumitree.lamp.spectra import spectra_of_emitters
 
 # Largest nesting depths; in a luminaire's file they are about 8 and 6.
 _MAX_ELEMENTS, _MAX_OBJECTS = 64, 16
+# Parameters of which a plugin needs one: without them Mitsuba 3.9 ends the process.
+_NEEDED = {"bitmap": ("filename", "bitmap", "data"), "blendbsdf": ("weight",)}
 # What patterns are compared with, for messages.
 _CHOSEN_BY = "shape's id, BSDF's id or number"
 
@@ -81,6 +85,7 @@ class SceneFile:
         }
         if keep or drop:
             self._select(keep, drop)
+        self._check_objects()
         # Last, because equal BSDFs become one, with one id.
         mi.parser.transform_merge_equivalent(self._config, self._state)
         # Of emitters, by their ids.
@@ -138,6 +143,22 @@ class SceneFile:
                     f"{self._name} holds objects nested more than {_MAX_OBJECTS} deep; expected a "
                     "luminaire's shapes, materials and emitters"
                 )
+
+    def _check_objects(self) -> None:
+        """Refuse files and plugins with which Mitsuba would end the process."""
+        for props in (node.props for node in self._used()):
+            plugin = props.plugin_name()
+            needed = _NEEDED.get(plugin, ())
+            if needed and not any(key in props for key in needed):
+                raise LumitreeError(
+                    f"{self._name} holds a {plugin} without {' or '.join(map(repr, needed))}; "
+                    "Mitsuba needs it"
+                )
+            file, index = props.get("filename", None), props.get("shape_index", 0)
+            # Mitsuba refuses other types.
+            if isinstance(file, str) and isinstance(index, int):
+                check_mesh_file(plugin, self.resolve(file), index)
+                check_exr_file(self.resolve(file))
 
     def _root(self, kind: str) -> list[tuple[str, Any]]:
         """Keys and nodes of a type that the scene itself holds, in the order of the file."""
@@ -215,8 +236,7 @@ class SceneFile:
         transform, found = load_mitsuba().ScalarTransform4d, self._copy()
         for props in found._placed_shapes():
             # The parser keeps transforms in double precision.
-            own = props.get("to_world", transform())
-            props["to_world"] = transform(matrix @ np.array(own.matrix))
+            props["to_world"] = transform(matrix @ _matrix(props))
         return found
 
     def _copy(self) -> "SceneFile":
@@ -233,38 +253,35 @@ class SceneFile:
         mi, found = load_mitsuba(), self._copy()
         transform = mi.ScalarTransform4d
         for props in found._placed_shapes():
-            first = next((name for name in ("center", "p0") if name in props), None)
-            if first is not None:
-                place = np.array(props[first], np.float64)
-                for name in {first, "p1"} & set(props.keys()):
-                    props[name] = mi.ScalarPoint3d(np.array(props[name], np.float64) - place)
-                own = np.array(props.get("to_world", transform()).matrix)
-                props["to_world"] = transform(own @ similarity(np.eye(3), 1.0, place))
+            place = _numbers(props, ("center", "p0"), np.full(3, np.nan))
+            if np.isnan(place).any():
+                continue
+            for name in {"center", "p0", "p1"} & set(props.keys()):
+                props[name] = mi.ScalarPoint3d(_numbers(props, (name,), place) - place)
+            props["to_world"] = transform(_matrix(props) @ similarity(np.eye(3), 1.0, place))
         return found.moved(similarity(np.eye(3), 1.0, -np.asarray(origin)))
 
     def mesh_files(self) -> list[tuple[str, NDArray[np.float64]]]:
         """Name of each shape that a file has, and [3] where its transform puts (0, 0, 0)."""
-        transform = load_mitsuba().ScalarTransform4d
         return [
-            (
-                shown(props.id() or props["filename"], 100),
-                np.array(props.get("to_world", transform()).matrix)[:3, 3],
-            )
+            (shown(props.id() or props["filename"], 100), _matrix(props)[:3, 3])
             for props in self._placed_shapes()
             if "filename" in props
         ]
 
+    # Coordinates of a damaged file may be too large.
+    @np.errstate(over="ignore", invalid="ignore")
     def analytic_box(self) -> NDArray[np.float64]:
         """[2, 3] a box around the shapes that are no files, in double precision; NaN for none."""
-        transform = load_mitsuba().ScalarTransform4d
         corners = [np.full((2, 3), np.nan)]
         for props in self._placed_shapes():
             if "filename" in props or props.plugin_name() in ("instance", "merge"):
                 continue
-            matrix = np.array(props.get("to_world", transform()).matrix)
-            place = np.array(next((props[n] for n in ("center", "p0") if n in props), np.zeros(3)))
-            length = np.linalg.norm(np.array(props["p1"]) - place) if "p1" in props else 0.0
-            reach = max(length, props.get("radius", 1.0)) * np.linalg.norm(matrix[:3, :3], axis=0)
+            matrix = _matrix(props)
+            place = _numbers(props, ("center", "p0"), np.zeros(3))
+            length = np.linalg.norm(_numbers(props, ("p1",), place) - place)
+            radius = _numbers(props, ("radius",), np.ones(()))
+            reach = max(length, float(radius)) * np.linalg.norm(matrix[:3, :3], axis=0)
             centre = matrix[:3, :3] @ place + matrix[:3, 3]
             corners.append(centre + np.outer([-1, 1], np.full(3, reach.max())))
         box = np.array(corners)
@@ -368,3 +385,18 @@ class SceneFile:
     def _references(self, props: Any) -> set[int]:
         """Indices of the nodes that a node refers to."""
         return {props[key].index() for key in list(props.keys()) if self._is_reference(props, key)}
+
+
+def _matrix(props: Any) -> NDArray[np.float64]:
+    """[4, 4] of the transform of a shape; Mitsuba refuses properties of other types."""
+    return np.array(getattr(props.get("to_world", None), "matrix", np.eye(4)), np.float64)
+
+
+def _numbers(props: Any, names: Sequence[str], default: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The first of some properties that there is, if it has the shape of `default`."""
+    found = next((props[name] for name in names if name in props), default)
+    try:
+        value = np.array(found, np.float64)
+    except (TypeError, ValueError):
+        return default
+    return value if value.shape == default.shape else default

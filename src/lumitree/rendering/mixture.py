@@ -16,6 +16,9 @@ from lumitree.core.view_transform import View, check_view, displayed, room_expos
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.rendering.saved_image import SavedImage
 
+# W/(m² sr); sums over the pixels of an image are then finite in single precision.
+_MAX_RADIANCE = 1e30
+
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
 class MixResult(SavedImage):
@@ -79,11 +82,18 @@ def mix(
                 f"{what} has no layer {shown(repr(name), 100)}; it has "
                 f"{shown(', '.join(sorted(colours)), 300)}"
             )
-        scaled = [
-            colour * np.array(factors.get(name, (1, 1, 1)), np.float32)
-            for name, colour in colours.items()
-        ]
-        pixels = np.sum(scaled, axis=0)
+        # Overflow is refused below.
+        with np.errstate(over="ignore", invalid="ignore"):
+            scaled = [
+                colour * np.array(factors.get(name, (1, 1, 1)), np.float32)
+                for name, colour in colours.items()
+            ]
+            pixels = np.sum(scaled, axis=0)
+        if not (np.abs(pixels) <= _MAX_RADIANCE).all():
+            raise LumitreeError(
+                f"the layers of {what} have radiance above {_MAX_RADIANCE:g} W/(m² sr) with these "
+                "gains; render them again, or use smaller gains"
+            )
     exposure = room_exposure(pixels)
     settings = image_settings(
         "mix", layers=file, gains=factors, view=view, exposure=exposure, rendered=rendered

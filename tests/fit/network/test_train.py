@@ -184,6 +184,25 @@ def test_damaged_run_is_refused(tiny_run, tmp_path):
 
 
 @pytest.mark.parametrize(
+    "history",
+    [
+        "",
+        "3",
+        "{}",
+        "[" * 100_000,
+        '[{"step": 1}]',
+        '[{"step": 1, "seconds": "x", "loss": 1, "psnr": 1}]',
+        '[{"step": 1, "seconds": NaN, "loss": 1, "psnr": 1}]',
+    ],
+)
+def test_a_damaged_history_begins_anew(history, tmp_path):
+    from lumitree.fit.network.train import _load_history
+
+    (tmp_path / "history.json").write_text(history)
+    assert _load_history(tmp_path, 10) == []
+
+
+@pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"law": "cubic"}, "law is 'cubic'; expected linear, exponential"),

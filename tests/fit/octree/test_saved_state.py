@@ -106,3 +106,36 @@ def test_damaged_states_are_refused(mi, tmp_path, damage):
         state_file(tmp_path).load()
     assert "\n" not in str(refusal.value)
     assert str(path) in str(refusal.value)
+
+
+def changed(name, value):
+    def change(arrays):
+        arrays[name] = value(arrays[name])
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda arrays: arrays.pop("best_cells"), "best_cells is missing"),
+        (lambda arrays: arrays.pop("seconds"), "seconds is missing"),
+        (changed("seconds", lambda _: np.array("x")), "seconds is <U1"),
+        (changed("rays", lambda value: np.array([value])), "rays is int64 [(]1,[)]"),
+        (changed("coefficient_mean", lambda values: values[:-1]), "coefficient_mean is float32"),
+        (changed("log_density", lambda values: values * np.nan), "not finite"),
+        (changed("levels", lambda values: values + 9), "outside the tree"),
+        (changed("cells", lambda values: values - 5), "outside the tree"),
+        (changed("max_radiance", lambda value: -value), "out of range"),
+        (changed("levels", lambda _: np.array(3)), "expected"),
+    ],
+)
+def test_states_of_wrong_arrays_are_refused(saved, tmp_path, change, message):
+    from lumitree.fit.octree.saved_state import STATE
+
+    with np.load(tmp_path / STATE) as stored:
+        arrays = dict(stored)
+    change(arrays)
+    np.savez(tmp_path / STATE, **arrays)
+    with pytest.raises(LumitreeError, match=f"is damaged .*{message}.*remove its folder"):
+        state_file(tmp_path).load()

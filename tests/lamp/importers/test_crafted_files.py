@@ -140,3 +140,39 @@ def test_files_named_by_a_scene(mi, tmp_path):
     for name in ("x" * 300 + ".ply", "folder.ply", "none.ply"):
         path.write_text(xml(mesh.format(name)))
         refused(path, "lamp.xml cannot be loaded")
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "match"),
+    [
+        (
+            '<bsdf type="diffuse"><texture type="bitmap" name="reflectance">'
+            '<string name="file" value="a.png"/></texture></bsdf>',
+            "holds a bitmap without 'filename'",
+        ),
+        ('<bsdf type="blendbsdf"/>', "holds a blendbsdf without 'weight'"),
+    ],
+)
+def test_plugins_without_what_they_need(mi, tmp_path, bsdf, match):
+    """Mitsuba would end the process."""
+    path = tmp_path / "lamp.xml"
+    path.write_text(xml(SHAPE.format(name="a").replace('<bsdf type="diffuse"/>', bsdf)))
+    refused(path, match)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        '<float name="center" value="1"/>',
+        '<string name="center" value="here"/>',
+        '<string name="radius" value="wide"/>',
+        '<float name="to_world" value="1"/>',
+        '<float name="center" value="1"/>'
+        '<transform name="to_world"><translate x="1e9"/></transform>',
+        '<transform name="to_world"><scale value="1e300"/><scale value="1e300"/></transform>',
+    ],
+)
+def test_parameters_of_wrong_types(mi, tmp_path, wrong):
+    path = tmp_path / "lamp.xml"
+    path.write_text(xml(SHAPE.format(name="a").replace("<bsdf", f"{wrong}<bsdf")))
+    refused(path, "lamp|luminaire")

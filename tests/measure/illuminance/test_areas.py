@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import lumitree
+from lumitree.measure.illuminance import areas
 from lumitree.measure.illuminance.areas import read_points
 
 
@@ -56,9 +57,13 @@ def test_points_are_read_by_the_names_of_columns(tmp_path):
         ("x,y,z\n1,2,3\n", "lacks nx, ny, nz"),
         ("x,y,z,nx,ny,nz\n1,2,3,0,one,0\n", "line 2: expected six numbers"),
         ("x,y,z,nx,ny,nz\n1,2,3\n", "lacks nx"),
+        ("x,y,z,nx,ny,nz\n1,2,3,0,1,0\n1,2,3\n", "line 3: expected six numbers"),
+        ("x,y,z,nx,ny,nz\n1,2,3,0,1,0" + 100_000 * ",", "is no CSV file"),
+        ("x,y,z,nx,ny,nz\n" + 21 * "1,2,3,0,1,0\n", "use a larger spacing"),
     ],
 )
-def test_damaged_files_of_points_are_refused(tmp_path, content, message):
+def test_damaged_files_of_points_are_refused(tmp_path, content, message, monkeypatch):
+    monkeypatch.setattr(areas, "MAX_POINTS", 20)
     path = tmp_path / "points.csv"
     path.write_text(content)
     with pytest.raises(lumitree.LumitreeError, match=message):

@@ -1,7 +1,6 @@
 """Training by Adam on random batches of rays; a resumed run gives the same bits."""
 
 import dataclasses
-import json
 import os
 import time
 import warnings
@@ -17,6 +16,7 @@ from lumitree.core.dataset import Dataset
 from lumitree.core.files import WriteError, is_empty, write_json
 from lumitree.core.interrupt import deferred_interrupt
 from lumitree.core.progress import progress
+from lumitree.core.reading import Record, parse_json, read_bytes
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.network.losses import psnr
@@ -45,6 +45,8 @@ _CHECKPOINT_SECONDS = 60.0
 _REPORT_SECONDS = 5.0
 # Losses are read back in groups, so that a GPU does not wait for the host.
 _STEPS_PER_CHECK = 10
+# A report takes about 100 bytes.
+_MAX_HISTORY_BYTES = 1 << 26
 
 
 @dataclasses.dataclass(frozen=True)
@@ -248,7 +250,15 @@ def _check_same_data(found: RunRecord, wanted: RunRecord) -> None:
 def _load_history(folder: Path, step: int) -> list[dict[str, float]]:
     """Entries up to step `step`, the one of the checkpoint; later steps are repeated."""
     try:
-        entries = json.loads((folder / HISTORY).read_text(encoding="utf-8"))
-        return [entry for entry in entries if entry["step"] <= step]
-    except (OSError, ValueError, TypeError, KeyError):
+        content = read_bytes(folder / HISTORY, "a history of a training run", _MAX_HISTORY_BYTES)
+        entries = Record({"entries": parse_json(content)}, HISTORY).items("entries")
+        records = [Record(entry, f"an entry of {HISTORY}") for entry in entries]
+        found = [
+            {"step": each.integer("step")}
+            | {key: each.number(key) for key in ("seconds", "loss", "psnr")}
+            for each in records
+        ]
+    except LumitreeError:
+        # It is for reports alone: a damaged one begins anew.
         return []
+    return [entry for entry in found if entry["step"] <= step]

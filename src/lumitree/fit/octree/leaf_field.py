@@ -36,6 +36,11 @@ OPAQUE_DEPTH = 10.0
 LEAVES = ("cells", "levels", "log_density", "coefficients")
 
 
+def padded_width(l_max: int) -> int:
+    """Coefficients of a leaf, 3 · K padded to a multiple of 4."""
+    return -(-3 * num_coefficients(l_max) // 4) * 4
+
+
 class LeafField:
     """Leaves of one octree with trainable density and coefficients.
 
@@ -123,7 +128,7 @@ class LeafField:
     @property
     def width(self) -> int:
         """Coefficients of a leaf with their padding."""
-        return -(-3 * num_coefficients(self.l_max) // 4) * 4
+        return padded_width(self.l_max)
 
     def coefficient_array(self) -> NDArray[np.float32]:
         """Coefficients [M, 3, K] without their padding."""

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.checks import expect, expect_arrays
 from lumitree.core.files import WriteError, atomic_path
+from lumitree.core.harmonics import num_coefficients
 from lumitree.core.reading import read_arrays
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.fit.octree.config import OctreeFitConfig
-from lumitree.fit.octree.leaf_field import LEAVES, LeafField
+from lumitree.fit.octree.leaf_field import LEAVES, LeafField, padded_width
 from lumitree.fit.octree.ray_source import Subject
 from lumitree.fit.octree.refine import Refiner
 
@@ -57,6 +59,7 @@ class StateFile:
         del settings["time"], settings["rays"]
         record = {"version": _VERSION, "fingerprint": subject.fingerprint, **settings}
         self._path, self._record = folder / STATE, json.dumps(record, sort_keys=True)
+        self._config = config
         self._warned = False
 
     def load(self) -> SavedState | None:
@@ -67,19 +70,23 @@ class StateFile:
         """
         if not self._path.exists():
             return None
+        again = "remove its folder to start again"
         try:
-            arrays = dict(read_arrays(self._path))
-            found = str(arrays["record"])
-        except (LumitreeError, KeyError) as error:
-            no_state = f"{self._path} is no state of a bake"
-            reason = str(error) if isinstance(error, LumitreeError) else no_state
-            raise LumitreeError(f"{reason}; remove its folder to start again") from None
-        if found != self._record:
+            arrays = read_arrays(self._path)
+        except LumitreeError as error:
+            raise LumitreeError(f"{error}; {again}") from None
+        if "record" not in arrays:
+            raise LumitreeError(f"{self._path} is no state of a bake; {again}")
+        if str(arrays["record"]) != self._record:
             raise LumitreeError(
                 f"{self._path.parent} holds the unfinished bake of another luminaire, with other "
                 "settings or by another version of lumitree; remove it, or choose another output "
                 "with -o"
             )
+        try:
+            _check(arrays, self._config)
+        except LumitreeError as error:
+            raise LumitreeError(f"{self._path} is damaged ({error}); {again}") from None
         return SavedState(
             float(arrays["seconds"]), int(arrays["rays"]), float(arrays["max_radiance"]), arrays
         )
@@ -107,3 +114,40 @@ class StateFile:
                     LumitreeWarning,
                     stacklevel=2,
                 )
+
+
+def _check(arrays: dict[str, NDArray[Any]], config: OctreeFitConfig) -> None:
+    """Refuse arrays that are not those of a state.
+
+    Raises:
+        LumitreeError: one is missing, or has a wrong type, shape or range.
+    """
+    terms = num_coefficients(config.l_max)
+    leaves, best = (arrays.get(name, np.zeros(0)).shape[:1] for name in ("levels", "best_levels"))
+    padded = tuple(count * padded_width(config.l_max) for count in leaves)
+    expected: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
+        **dict.fromkeys(("seconds", "max_radiance"), (np.float64, ())),
+        **{"rays": (np.int64, ()), "steps": (np.int64, (2,))},
+        **dict.fromkeys(("density_mean", "density_square"), (np.float32, leaves)),
+        **dict.fromkeys(("coefficient_mean", "coefficient_square"), (np.float32, padded)),
+    }
+    for prefix, count in (("", leaves), ("best_", best)):
+        expected |= {
+            f"{prefix}cells": (np.int64, (*count, 3)),
+            f"{prefix}levels": (np.int64, count),
+            f"{prefix}log_density": (np.float32, count),
+            f"{prefix}coefficients": (np.float32, (*count, 3, terms)),
+        }
+    for name in expected:
+        expect("state", name in arrays, f"{name} is missing")
+    expect_arrays("state", {name: (arrays[name], *kind) for name, kind in expected.items()})
+    for prefix in ("", "best_"):
+        cells, levels = arrays[f"{prefix}cells"], arrays[f"{prefix}levels"]
+        fits = ((levels >= 1) & (levels <= config.tree_depth)).all()
+        fits = fits and ((cells >= 0) & (cells < 1 << levels[:, None])).all()
+        expect("state", fits, "a leaf is outside the tree")
+    numbers = (arrays[name] for name in expected)
+    expect("state", all(np.isfinite(each).all() for each in numbers), "a number is not finite")
+    counts = (arrays[name] >= 0 for name in ("seconds", "rays", "steps"))
+    sound = all(each.all() for each in counts) and arrays["max_radiance"] > 0
+    expect("state", sound, "a number is out of range")

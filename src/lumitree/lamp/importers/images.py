@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from lumitree.core.images import MAX_SIDE
 from lumitree.errors import LumitreeError, shown
@@ -96,6 +96,9 @@ class Images:
         except Exception as error:
             # Pillow's decoders raise exceptions of many types for damaged files.
             reason = shown(" ".join(str(error).split()) or type(error).__name__)
+            if isinstance(error, UnidentifiedImageError):
+                # Its message has the address of an object.
+                reason = "it is in none of these formats, or its header is damaged"
             raise LumitreeError(
                 f"{where} is not a readable image ({', '.join(formats)}): {reason}"
             ) from None

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import array
 import csv
 import dataclasses
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
 
 # Points of a call, and of an area, at most.
 MAX_POINTS = 1 << 20
-_MAX_FILE_BYTES = 1 << 28
+_MAX_FILE_BYTES, _MAX_LINE = 1 << 28, 1 << 16
+_COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 _MAX_LENGTH = 1e9
 
 
@@ -218,30 +220,42 @@ def read_points(path: FilePath) -> tuple[NDArray[np.float64], NDArray[np.float64
         LumitreeError: the file cannot be read, lacks a column, or has a value that is no number.
     """
     name = shown(path, 300)
+    table, line = array.array("d"), 1
     try:
         content = read_bytes(path, "a CSV file of points", _MAX_FILE_BYTES).decode("utf-8-sig")
-        rows = list(csv.DictReader(io.StringIO(content), skipinitialspace=True))
+        for line, row in enumerate(csv.DictReader(_lines(content), skipinitialspace=True), 2):
+            if line == 2:
+                _check_columns(row, name)
+            # Before memory is reserved for more.
+            _check_count(line - 1)
+            table.extend(float(row[each]) for each in _COLUMNS)
     except (UnicodeDecodeError, csv.Error) as error:
         raise LumitreeError(f"{name} is no CSV file ({type(error).__name__})") from None
-    columns = ("x", "y", "z", "nx", "ny", "nz")
-    missing = [each for each in columns if not rows or rows[0].get(each) is None]
+    except (TypeError, ValueError):
+        raise LumitreeError(
+            f"{name}, line {line}: expected six numbers for {', '.join(_COLUMNS)}"
+        ) from None
+    if not table:
+        _check_columns({}, name)
+    values = np.array(table).reshape(-1, len(_COLUMNS))
+    return values[:, :3], values[:, 3:]
+
+
+def _lines(content: str) -> Iterator[str]:
+    """The lines of a text; a long one would become a list of as many cells."""
+    for line in io.StringIO(content):
+        if len(line) > _MAX_LINE:
+            raise csv.Error
+        yield line
+
+
+def _check_columns(row: dict[str, Any], name: str) -> None:
+    missing = [each for each in _COLUMNS if row.get(each) is None]
     if missing:
         raise LumitreeError(
             f"{name} lacks {', '.join(missing)}; expected a first line with the columns "
-            f"{', '.join(columns)}, and a line for each point"
+            f"{', '.join(_COLUMNS)}, and a line for each point"
         )
-    values = [_numbers(row, columns, name, line) for line, row in enumerate(rows, 2)]
-    table = np.array(values)
-    return table[:, :3], table[:, 3:]
-
-
-def _numbers(row: dict[str, Any], columns: Sequence[str], name: str, line: int) -> list[float]:
-    try:
-        return [float(row[each]) for each in columns]
-    except (TypeError, ValueError):
-        raise LumitreeError(
-            f"{name}, line {line}: expected six numbers for {', '.join(columns)}"
-        ) from None
 
 
 def _axes(normal: NDArray[np.float64]) -> NDArray[np.float64]:
