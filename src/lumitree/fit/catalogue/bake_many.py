@@ -18,7 +18,7 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_of
 from lumitree.core.reading import read_bytes
 from lumitree.core.results import Result
-from lumitree.core.stopwatch import peak_memory_bytes
+from lumitree.core.system import peak_memory_bytes
 from lumitree.core.work_folder import BusyFolderError
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 from lumitree.fit.catalogue.index import INDEX, BakedLamp, State, check_index, write_index
