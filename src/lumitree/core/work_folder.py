@@ -204,7 +204,7 @@ def atomic_folder(output: Path) -> Iterator[Path]:
         yield files
         _flush(files)
         if output.is_dir():
-            # Windows does not rename to a folder that exists. This fails if it holds something by now.
+            # Windows does not rename to a folder that exists. Fails if it holds something by now.
             output.rmdir()
         os.replace(files, output)
 
