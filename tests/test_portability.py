@@ -13,6 +13,7 @@ import pytest
 
 import lumitree
 from support.exported_lamps import lamp
+from support.windows_rules import run_by_windows_rules
 
 TESTS = Path(__file__).parent
 SOURCE = TESTS.parent / "src" / "lumitree"
@@ -96,6 +97,10 @@ def run(arguments, folder, **changes):
     )
 
 
+LAMP = (
+    '<scene version="3.0.0"><shape type="sphere"><emitter type="area">'
+    '<rgb name="radiance" value="3,2,1"/></emitter></shape></scene>'
+)
 C_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": None}
 
 
@@ -122,3 +127,67 @@ def test_the_rules_of_the_c_locale_hold_in_these_tests(tmp_path):
     encoding, utf8 = result.stdout.split()
     assert encoding.lower() not in ("utf-8", "utf8")
     assert utf8 == "0"
+
+
+COMMANDS = """
+import dataclasses
+import lumitree
+from lumitree.cli import main
+from support import tiny_bakes
+from support.exported_lamps import lamp
+from support.windows_rules import run_by_windows_rules
+
+tiny_bakes.set_qualities(dict.__setitem__)
+lumitree.save(lamp(), "other.lumitree")
+for command in {commands!r}:
+    for _ in range(2):
+        # The second time over what the first one has written.
+        assert main(command.split()) == 0, command
+"""
+
+
+@pytest.mark.slow
+def test_commands_by_windows_rules(tmp_path):
+    """Files are replaced while nothing holds them open, and folders are made in one step."""
+    (tmp_path / "lamp.xml").write_text(LAMP, encoding="utf-8")
+    commands = [
+        "bake lamp.xml -o lamp.lumitree --parts all",
+        "refine lamp.lumitree lamp.xml -o lamp.lumitree --rays 300000 --irradiance-paths 16384",
+        "merge lamp.lumitree lamp.lumitree -o merged.lumitree",
+        "bake lamp.xml lamp.xml -o lamps/ --parts light",
+        "capture lamp.xml -o views --views 2 --resolution 16 --spp 4",
+        "evaluate lamp.lumitree lamp.xml -o sheet.png --views 1 --resolution 16 --spp 4",
+        "photometry lamp.lumitree -o lamp.ies -o lamp.pdf --step 30",
+        "photometry lamp.ies -o lamp.ies --step 30",
+        "export other.lumitree -o lamp.glb",
+        "export other.lumitree -o lamp.rad",
+        "view lamp.lumitree -o lamp.html",
+    ]
+    run_by_windows_rules(COMMANDS.format(commands=commands), tmp_path, timeout=900)
+    assert not [path for path in tmp_path.rglob("*") if ".lumitree-" in path.name]
+
+
+STOPPED_BAKE = """
+import os, signal, threading, time
+from pathlib import Path
+from lumitree.cli import main
+from support import tiny_bakes
+
+def stop():
+    while not Path("lamp.lumitree.work").is_dir():
+        time.sleep(0.1)
+    os.kill(os.getpid(), signal.SIGBREAK)
+
+# More rays than a day would be enough for.
+tiny_bakes.set_qualities(dict.__setitem__, rays=1 << 40)
+threading.Thread(target=stop, daemon=True).start()
+assert main("bake lamp.xml -o lamp.lumitree --parts field".split()) == 128 + signal.SIGBREAK
+"""
+
+
+@pytest.mark.slow
+def test_a_bake_is_stopped_by_windows_rules(tmp_path):
+    (tmp_path / "lamp.xml").write_text(LAMP, encoding="utf-8")
+    result = run_by_windows_rules(STOPPED_BAKE, tmp_path, timeout=600)
+    assert "interrupted" in result.stderr
+    assert not [path for path in tmp_path.rglob("*") if ".lumitree-" in path.name]

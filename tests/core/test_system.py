@@ -1,31 +1,11 @@
 """What differs between operating systems, with the rules of Windows where they can be had."""
 
-import os
-import subprocess
-import sys
-import textwrap
 from pathlib import Path
 
 import pytest
 
 from lumitree.core import system
-
-TESTS = Path(__file__).parents[1]
-
-
-def run_by_windows_rules(code, folder, timeout=60):
-    """Output of a program that has what Windows has; it must end with status 0."""
-    program = "from support.windows_rules import apply\napply()\n" + textwrap.dedent(code)
-    result = subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), *sys.path])},
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-    )
-    assert result.returncode == 0, result.stderr
-    return result
+from support.windows_rules import run_by_windows_rules
 
 
 def test_this_system_has_what_it_should():

@@ -8,8 +8,12 @@ consoles and libraries remain those of the system.
 import os
 import shutil
 import signal
+import subprocess
 import sys
+import textwrap
+from pathlib import Path
 
+TESTS = Path(__file__).parents[1]
 MODULES = ("fcntl", "grp", "pwd", "resource", "termios")
 SIGNALS = ("SIGALRM", "SIGHUP", "alarm", "setitimer", "pthread_kill")
 FUNCTIONS = ("fork", "getuid", "pathconf", "statvfs", "sync", "uname")
@@ -61,3 +65,18 @@ def _only_files(function):
         return function(path, *arguments, **options)
 
     return run
+
+
+def run_by_windows_rules(code, folder, timeout=60):
+    """Output of a program that has what Windows has; it must end with status 0."""
+    program = "from support.windows_rules import apply\napply()\n" + textwrap.dedent(code)
+    result = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(TESTS), *sys.path])},
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+    )
+    assert result.returncode == 0, result.stderr
+    return result
