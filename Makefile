@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test slow lint check docs gallery paper format clean
+.PHONY: demo test slow lint check docs gallery paper dist sbom format clean
 
 demo: $(VENV)/.installed
 	$(BIN)/lumitree demo -o demo-output
@@ -34,12 +34,29 @@ gallery: $(VENV)/.installed
 paper: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks paper --scale cpu
 
+# Wheel and source distribution of the last commit, built and checked. docs/releasing.md has the rest.
+dist: $(VENV)/.installed-release
+	rm -rf dist build/tree
+	mkdir -p build/tree
+	git archive HEAD | tar --extract --directory build/tree
+	$(BIN)/python -m build --outdir dist build/tree
+	$(BIN)/python -m twine check --strict dist/*
+	LUMITREE_DISTRIBUTIONS=dist $(BIN)/python -m pytest -m '' tests/test_package.py tests/test_version.py
+
+# Software bill of materials (CycloneDX) of an installation with the versions of constraints.txt.
+sbom: $(VENV)/.installed-release
+	rm -rf build/sbom
+	$(BIN)/python -m venv build/sbom
+	build/sbom/bin/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt .
+	$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --mc-type library \
+	  --output-reproducible --output-file sbom.cdx.json build/sbom/bin/python
+
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) demo-output docs/_build docs/generated
+	rm -rf $(VENV) build demo-output dist docs/_build docs/generated sbom.cdx.json
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
@@ -55,6 +72,10 @@ $(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/python
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) install --quiet --constraint constraints.txt --editable '.[dev,denoise]'
 	touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-release: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) install --quiet --constraint constraints.txt --editable '.[release,denoise]'
+	touch $@ $(VENV)/.installed $(VENV)/.installed-dev
 
 $(VENV)/.installed-docs: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) install --quiet --constraint constraints.txt --editable '.[docs]'

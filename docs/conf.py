@@ -67,6 +67,7 @@ OUTSIDE = (
     "ARCHITECTURE.md",
     "CHANGELOG.md",
     "CONTRIBUTING.md",
+    "SECURITY.md",
     "benchmarks/results/*.md",
     "benchmarks/results/*.png",
 )
@@ -95,7 +96,9 @@ def read_notebook(app, name, source):
 
 def link_outside(app, name, source):
     """Point links between docs/ and the outside at those copies."""
-    outside = r"\]\((?:\.\./)*(ARCHITECTURE|CHANGELOG|CONTRIBUTING|benchmarks/results/\w+)\.md"
+    outside = (
+        r"\]\((?:\.\./)*(ARCHITECTURE|CHANGELOG|CONTRIBUTING|SECURITY|benchmarks/results/\w+)\.md"
+    )
     text = re.sub(outside, r"](/generated/\1.md", source[0])
     source[0] = re.sub(r"\]\(docs/", "](/", text)
 

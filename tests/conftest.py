@@ -2,6 +2,7 @@
 
 import gc
 import math
+import os
 import signal
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from lumitree.core import progress
 from lumitree.core.extras import check_network
+from lumitree.core.system import STOP_SIGNALS
 from lumitree.errors import LumitreeError
 from support.variant import VARIANT
 
@@ -21,6 +23,16 @@ JAX_TESTS = (
     "benchmarks/test_paper.py",
     "benchmarks/test_zhu.py",
 )
+# Modules that use what POSIX systems alone have; elsewhere they are not collected.
+POSIX_TESTS = (
+    "core/test_files.py",
+    "core/test_interrupt.py",
+    "core/test_reading.py",
+    "core/test_system.py",
+    "core/test_work_folder.py",
+    "test_stops.py",
+)
+collect_ignore = list(POSIX_TESTS) if os.name == "nt" else []
 
 
 def skip_without_network():
@@ -54,9 +66,9 @@ def network_packages():
 @pytest.fixture(scope="session", autouse=True)
 def _default_signals():
     """A shell ignores SIGINT for what it runs in the background, and nohup SIGHUP."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    for number in STOP_SIGNALS:
+        handler = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
+        signal.signal(number, handler)
 
 
 @pytest.fixture(autouse=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmarks.common.setting import setting
 from benchmarks.paper_tables.work import Work, plain
 from lumitree.core.files import write_json
-from lumitree.core.stopwatch import peak_memory_bytes
+from lumitree.core.system import peak_memory_bytes
 
 State = Literal["done", "missing", "outdated"]
 

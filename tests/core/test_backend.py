@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from lumitree.core import backend
 from lumitree.core.backend import check_llvm, load_mitsuba, load_rgb
 from lumitree.errors import LumitreeError
 
@@ -19,6 +20,13 @@ def test_versions_that_abort_are_refused(version):
 def test_no_llvm_is_refused():
     with pytest.raises(LumitreeError, match="no usable libLLVM was found"):
         check_llvm((-1, -1, -1), "/x.so")
+
+
+def test_where_none_is_bundled_one_is_to_be_installed(monkeypatch):
+    """As on macOS and Windows."""
+    monkeypatch.setattr(backend, "_bundled_llvm", lambda: None)
+    with pytest.raises(LumitreeError, match="install LLVM 17 or newer, and name its library"):
+        check_llvm(None, None)
 
 
 @pytest.mark.parametrize("version", [(19, 1, 0), (23, 1, 4)])

@@ -1,7 +1,6 @@
 import json
 import math
 
-import flip_evaluator
 import numpy as np
 import pytest
 
@@ -22,6 +21,8 @@ from lumitree.measure.metrics import (
     view_metrics,
 )
 
+# It has no wheel for Python 3.14.
+flip_evaluator = pytest.importorskip("flip_evaluator")
 SIZE = 24
 
 
@@ -219,6 +220,13 @@ class TestHdrFlip:
     def test_is_quiet(self, capfd):
         hdr_flip(lamp(), lamp(), 1.0)
         assert capfd.readouterr() == ("", "")
+
+    def test_it_is_left_out_where_the_package_is_missing(self, monkeypatch):
+        monkeypatch.setattr(metrics, "flip_evaluator", None)
+        names = tuple(score(noise(0), noise(1)))
+        assert names == tuple(name for name in VIEW_METRICS if name != "hdr_flip")
+        with pytest.raises(LumitreeError, match="needs the package flip-evaluator"):
+            hdr_flip(noise(0), noise(1), 1.0)
 
 
 class TestOpacity:

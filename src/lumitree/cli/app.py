@@ -1,6 +1,7 @@
 """The program `lumitree`: parses the command line, runs one command, prints errors in one line."""
 
 import argparse
+import io
 import os
 import sys
 import warnings
@@ -73,6 +74,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         plus the number of the signal if the command was interrupted.
     """
     try:
+        if argv is None:
+            _print_all_characters()
         return _run(list(sys.argv[1:] if argv is None else argv))
     except BrokenPipeError:
         # The program that reads the output, such as `head`, has closed it.
@@ -83,6 +86,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         if argv is None:
             ignore_signals()
+
+
+def _print_all_characters() -> None:
+    """Print "?" for characters that the encoding of the output lacks, such as ± in the C locale."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
 
 
 def _run(arguments: list[str]) -> int:

@@ -24,7 +24,6 @@ MIN_LLVM = 17
 _quiet = False
 # Threads of CPU variants; None for as many as there are cores.
 _threads: int | None = None
-_REMEDY = "unset DRJIT_LIBLLVM_PATH to use the one that comes with lumitree"
 
 
 def select_llvm() -> None:
@@ -64,7 +63,7 @@ def _load(variant: str | None, kinds: tuple[str, ...]) -> Any:
     select_llvm()
     chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
     if chosen and not Path(chosen).is_file():
-        raise LumitreeError(f"DRJIT_LIBLLVM_PATH names {chosen}, which is not a file; {_REMEDY}")
+        raise LumitreeError(f"DRJIT_LIBLLVM_PATH names {chosen}, which is not a file; {_remedy()}")
     mi = importlib.import_module("mitsuba")
     variant = str(variant or mi.variant() or (GPU_VARIANT if _has_gpu() else CPU_VARIANT))
     if variant not in mi.variants():
@@ -120,13 +119,20 @@ def check_llvm(version: tuple[int, ...] | None, path: str | None) -> None:
     """Refuse a libLLVM that cannot be used, instead of letting it abort the process."""
     source = f" ({path})" if path else ""
     if not version or version[0] <= 0:
-        raise LumitreeError(f"no usable libLLVM was found{source}; {_REMEDY}")
+        raise LumitreeError(f"no usable libLLVM was found{source}; {_remedy()}")
     if version[0] < MIN_LLVM:
         shown = ".".join(map(str, version))
         raise LumitreeError(
             f"libLLVM {shown}{source} is loaded, which aborts on many machines; need {MIN_LLVM} or "
-            f"newer: import lumitree before mitsuba, and {_REMEDY}"
+            f"newer: import lumitree before mitsuba, and {_remedy()}"
         )
+
+
+def _remedy() -> str:
+    """What to do about a libLLVM that cannot be used."""
+    if _bundled_llvm() is not None:
+        return "unset DRJIT_LIBLLVM_PATH to use the one that comes with lumitree"
+    return f"install LLVM {MIN_LLVM} or newer, and name its library with DRJIT_LIBLLVM_PATH"
 
 
 def _bundled_llvm() -> Path | None:

@@ -2,7 +2,6 @@
 
 import contextlib
 import errno
-import fcntl
 import json
 import os
 import re
@@ -12,6 +11,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
+from lumitree.core.system import (
+    is_read_only,
+    keep,
+    lock,
+    longest_name,
+    release,
+)
 from lumitree.errors import LumitreeError, shown
 
 # The part of a temporary name before its random characters, and the pattern of the whole name.
@@ -94,7 +100,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     except Exception as error:
         raise_write_error(path, error)
     finally:
-        os.close(handle)
+        release(handle)
         temporary.unlink(missing_ok=True)
 
 
@@ -119,8 +125,8 @@ def raise_write_error(path: Path, error: Exception) -> NoReturn:
     raise WriteError(path, error) from error
 
 
-def _create_locked(path: Path) -> tuple[int, Path]:
-    """A new temporary file of `path`: its handle and its name.
+def _create_locked(path: Path) -> tuple[int | None, Path]:
+    """A new temporary file of `path`: its handle, from `system.keep`, and its name.
 
     It is locked as long as the process lives, which shows others that it is in use.
     """
@@ -130,25 +136,9 @@ def _create_locked(path: Path) -> tuple[int, Path]:
         )
         # Before it is locked, another process may take it for abandoned and remove it.
         if lock(handle) is not False and os.fstat(handle).st_nlink:
-            return handle, Path(name)
+            return keep(handle), Path(name)
         os.close(handle)
         Path(name).unlink(missing_ok=True)
-
-
-def lock(handle: int, *, wait: bool = False) -> bool | None:
-    """Lock an open file or folder for this process.
-
-    Args:
-        wait: whether to wait until no other process holds it.
-
-    Returns:
-        True, or False where another process holds it; None where the file system has no locks.
-    """
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        return False if error.errno in (errno.EWOULDBLOCK, errno.EACCES) else None
-    return True
 
 
 @contextlib.contextmanager
@@ -174,12 +164,13 @@ def exclusive(path: Path, *, wait: bool = False) -> Iterator[bool]:
         if not held or os.fstat(handle).st_nlink:
             break
         os.close(handle)
+    kept = keep(handle)
     try:
         yield held
     finally:
         if held:
             path.unlink(missing_ok=True)
-        os.close(handle)
+        release(kept)
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
@@ -203,8 +194,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         if not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
         if not os.access(folder, os.W_OK | os.X_OK):
-            read_only = os.statvfs(folder).f_flag & os.ST_RDONLY
-            number = errno.EROFS if read_only else errno.EACCES
+            number = errno.EROFS if is_read_only(folder) else errno.EACCES
             raise OSError(number, os.strerror(number))
     except (OSError, ValueError) as error:
         raise WriteError(path, error) from error
@@ -244,7 +234,7 @@ def write_json(path: str | os.PathLike[str], value: Any) -> None:
 
 def _check_name(name: str, folder: Path) -> None:
     """Refuse a name whose temporary name would be too long for the file system."""
-    longest = os.pathconf(folder, "PC_NAME_MAX") - len(f".{TEMPORARY}") - 8
+    longest = longest_name(folder) - len(f".{TEMPORARY}") - 8
     if len(os.fsencode(name)) > longest:
         raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
 

@@ -1,5 +1,7 @@
 """Signals that ask a job to stop: SIGINT (Ctrl-C), SIGTERM and SIGHUP (its terminal was closed).
 
+On Windows they are SIGINT and SIGBREAK (Ctrl-Break).
+
 The handler at once writes a line to standard error. In a block of `interruptible` it then raises
 `Interrupted`; in a block of `deferred_interrupt` it only records the signal, so that the work can
 reach a state that can be saved. A signal that the parent process ignores, such as SIGHUP under
@@ -11,18 +13,23 @@ not within it, and it is raised again until the block ends.
 """
 
 import contextlib
-import errno
 import io
 import os
 import signal
 import sys
-import termios
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
 
-from lumitree.core.program import STOP_SIGNALS
+from lumitree.core.system import (
+    REPEATED,
+    STOP_SIGNALS,
+    TERMINAL_CLOSED,
+    is_closed_terminal,
+    repeat,
+    stop_repeating,
+)
 
 # Interval at which `Interrupted` is raised again, s.
 _AGAIN_SECONDS = 0.02
@@ -90,7 +97,7 @@ class _Block:
         self.number = number
         _announce("stopping ...", number)
         if not self._closed:
-            signal.setitimer(signal.ITIMER_REAL, _AGAIN_SECONDS, _AGAIN_SECONDS)
+            repeat(_AGAIN_SECONDS)
         if not deferred:
             raise Interrupted(number=number)
 
@@ -112,7 +119,7 @@ class _Block:
         """Raise nothing from now on."""
         self._closed = True
         if self._outer is None:
-            signal.setitimer(signal.ITIMER_REAL, 0)
+            stop_repeating()
 
 
 _innermost: _Block | None = None
@@ -135,7 +142,7 @@ def interruptible() -> Iterator[None]:
     if outer is not None:
         block.number, outer.number = outer.number, None
     handlers: dict[int, _Handler] = dict.fromkeys(STOP_SIGNALS, block.receive)
-    handlers[signal.SIGALRM] = block.receive_again
+    handlers[REPEATED] = block.receive_again
     try:
         with _handling(handlers):
             try:
@@ -147,7 +154,7 @@ def interruptible() -> Iterator[None]:
                 block.close()
         if outer is not None and block.number is not None:
             outer.number = block.number
-            signal.setitimer(signal.ITIMER_REAL, _AGAIN_SECONDS, _AGAIN_SECONDS)
+            repeat(_AGAIN_SECONDS)
     finally:
         _innermost = outer
 
@@ -166,7 +173,7 @@ def deferred_interrupt(
         yield interruption
         return
     if _innermost is not None:
-        _innermost.receive_again(signal.SIGALRM, sys._getframe())
+        _innermost.receive_again(REPEATED, sys._getframe())
     with contextlib.ExitStack() as stack:
 
         def note(number: int, frame: FrameType | None) -> None:
@@ -224,7 +231,7 @@ def _handling(handlers: Mapping[int, _Handler]) -> Iterator[None]:
 
 def _announce(text: str, number: int) -> None:
     """Write a line to standard error without its buffer, which a signal may have interrupted."""
-    if number == signal.SIGHUP:
+    if number == TERMINAL_CLOSED:
         _leave_terminal()
     if _silent:
         return
@@ -242,10 +249,7 @@ def _announce(text: str, number: int) -> None:
 def _leave_terminal() -> None:
     """Redirect output to the null device if its terminal is closed: later writes then succeed."""
     for descriptor in (1, 2):
-        try:
-            termios.tcgetattr(descriptor)
-        except termios.error as error:
-            if error.args[0] == errno.EIO:
-                nowhere = os.open(os.devnull, os.O_WRONLY)
-                os.dup2(nowhere, descriptor)
-                os.close(nowhere)
+        if is_closed_terminal(descriptor):
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, descriptor)
+            os.close(nowhere)

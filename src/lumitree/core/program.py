@@ -7,14 +7,16 @@ import os
 import signal
 import sys
 
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+from lumitree.core.system import STOP_SIGNALS
 
 
 def is_program() -> bool:
     """Whether the process is the command line, and not a program that imports lumitree."""
     name = os.path.basename(sys.argv[0]) if getattr(sys, "argv", None) else ""
-    # While Python locates the module of `python -m`, the name is -m.
-    return name == "lumitree" or (name == "-m" and "lumitree.cli" in sys.orig_argv)
+    # While Python locates the module of `python -m`, the name is -m. Windows has programs .exe.
+    return name in ("lumitree", "lumitree.exe") or (
+        name == "-m" and "lumitree.cli" in sys.orig_argv
+    )
 
 
 def exit_on_signals() -> None:

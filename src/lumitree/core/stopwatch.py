@@ -1,11 +1,11 @@
-"""Measurement of time by stage, and of peak memory."""
+"""Measurement of time by stage."""
 
 import contextlib
-import resource
-import sys
 import time
 from collections.abc import Iterator
 from typing import Any
+
+from lumitree.core.system import peak_memory_bytes
 
 
 class Stopwatch:
@@ -31,9 +31,3 @@ class Stopwatch:
     def costs(self) -> dict[str, Any]:
         """Values of the fields of `Result`."""
         return {"seconds": self.seconds, "peak_memory_bytes": peak_memory_bytes()}
-
-
-def peak_memory_bytes() -> int:
-    """Largest resident memory of this process so far, in bytes."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024

@@ -19,9 +19,9 @@ from lumitree.core.files import (
     WriteError,
     check_writable,
     flush_to_disk,
-    lock,
     raise_write_error,
 )
+from lumitree.core.system import keep, lock, release
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 MARKER = ".lumitree-work"
@@ -60,19 +60,21 @@ class WorkFolder:
                     f"{self.path} holds what lumitree did not write ({shown(found[0])}); choose an "
                     "empty or a new folder with --work, or move it away"
                 )
-            self._handle = os.open(marker, os.O_RDWR | os.O_CREAT, 0o666)
-            if lock(self._handle) is False:
-                os.close(self._handle)
+            handle = os.open(marker, os.O_RDWR | os.O_CREAT, 0o666)
+            if lock(handle) is False:
+                os.close(handle)
                 raise BusyFolderError(
                     f"another process works in {self.path}; wait for it, or choose another folder "
                     "with --work"
                 )
+            self._handle: int | None = handle
             try:
-                if not os.fstat(self._handle).st_size:
-                    os.write(self._handle, _MARKER_TEXT.encode())
+                if not os.fstat(handle).st_size:
+                    os.write(handle, _MARKER_TEXT.encode())
             except OSError:
                 self._close()
                 raise
+            self._handle = keep(handle)
         except (OSError, ValueError) as error:
             raise WriteError(
                 self.path, error, f"the work folder {self.path}", "choose another with --work"
@@ -94,14 +96,14 @@ class WorkFolder:
             return True
 
     def _close(self) -> None:
-        os.close(self._handle)
+        release(self._handle)
         if self.is_empty:
             (self.path / MARKER).unlink(missing_ok=True)
             if self._made:
                 self.path.rmdir()
         elif not (self.path / MARKER).exists():
             # Someone removed the folder, and the work wrote into it again.
-            (self.path / MARKER).write_text(_MARKER_TEXT)
+            (self.path / MARKER).write_text(_MARKER_TEXT, encoding="utf-8")
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove what lumitree wrote, and the folder if it is then empty.
@@ -166,7 +168,7 @@ def scratch_folder() -> Iterator[Path]:
     try:
         yield folder
     finally:
-        os.close(handle)
+        release(handle)
         shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -201,6 +203,9 @@ def atomic_folder(output: Path) -> Iterator[Path]:
     with _written_beside(output) as files:
         yield files
         _flush(files)
+        if output.is_dir():
+            # Windows does not rename to a folder that exists. Fails if it holds something by now.
+            output.rmdir()
         os.replace(files, output)
 
 
@@ -241,7 +246,7 @@ def _written_beside(output: Path) -> Iterator[Path]:
     except Exception as error:
         raise_write_error(output, error)
     finally:
-        os.close(handle)
+        release(handle)
         shutil.rmtree(temporary, ignore_errors=True)
 
 
@@ -250,8 +255,8 @@ def _flush(folder: Path) -> None:
         flush_to_disk(each)
 
 
-def _create_locked(root: Path, prefix: str) -> tuple[Path, int]:
-    """A new temporary folder, and the handle of its marker, which is locked.
+def _create_locked(root: Path, prefix: str) -> tuple[Path, int | None]:
+    """A new temporary folder, and the handle of its marker, which is locked; from `system.keep`.
 
     Folders with the same prefix that killed processes left are removed.
     """
@@ -269,4 +274,4 @@ def _create_locked(root: Path, prefix: str) -> tuple[Path, int]:
     folder = Path(tempfile.mkdtemp(prefix=prefix, dir=root))
     handle = os.open(folder / MARKER, os.O_RDWR | os.O_CREAT, 0o600)
     lock(handle)
-    return folder, handle
+    return folder, keep(handle)

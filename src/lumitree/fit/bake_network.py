@@ -21,7 +21,8 @@ from lumitree.core.files import FilePath, WriteError, check_writable
 from lumitree.core.interrupt import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
-from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
+from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.system import peak_memory_bytes
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, explained
 from lumitree.fit.config import BakeConfig, NetworkConfig, NetworkPreset, light_field_fit

@@ -12,12 +12,16 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import cast
 
-import flip_evaluator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from skimage.metrics import structural_similarity
 
 from lumitree.errors import LumitreeError
+
+try:
+    import flip_evaluator
+except ImportError:  # it has no wheel for Python 3.14
+    flip_evaluator = None
 
 VIEW_METRICS = (
     "psnr_linear",
@@ -77,10 +81,10 @@ def view_metrics(
     Returns:
         `psnr_linear`, `ssim_linear` of x (dB; -1 to 1); `psnr_mulaw`, `ssim_mulaw` of `mulaw(x)`;
         `psnr_pu21` (dB) of `pu21(radiance / L_max * 4000 cd/m²)` in each channel with peak 256;
-        `hdr_flip` (0 to 1; 0 for equal images); `rel_mse`; `opacity_rmse` (0 to 1); and the PSNRs
-        of an all-black prediction, `psnr_linear_black` and `psnr_mulaw_black` (dB). SSIM is that
-        of Wang et al., "Image Quality Assessment: From Error Visibility to Structural Similarity",
-        2004.
+        `hdr_flip` (0 to 1; 0 for equal images), if `flip-evaluator` is installed; `rel_mse`;
+        `opacity_rmse` (0 to 1); and the PSNRs of an all-black prediction, `psnr_linear_black` and
+        `psnr_mulaw_black` (dB). SSIM is that of Wang et al., "Image Quality Assessment: From Error
+        Visibility to Structural Similarity", 2004.
 
     Raises:
         LumitreeError: shapes differ or are too small, values are not finite, or L_max is not
@@ -101,18 +105,19 @@ def view_metrics(
     b_mulaw, r_mulaw = mulaw(b_linear), mulaw(r_linear)
     b_pu21, r_pu21 = (pu21(image / max_radiance * DISPLAY_PEAK) for image in (b, r))
     black = np.zeros_like(r)
-    return {
+    metrics = {
         "psnr_linear": psnr(b_linear, r_linear),
         "ssim_linear": ssim(b_linear, r_linear),
         "psnr_mulaw": psnr(b_mulaw, r_mulaw),
         "ssim_mulaw": ssim(b_mulaw, r_mulaw),
         "psnr_pu21": psnr(b_pu21, r_pu21, PU21_PEAK),
-        "hdr_flip": hdr_flip(b, r, max_radiance),
+        "hdr_flip": hdr_flip(b, r, max_radiance) if flip_evaluator is not None else None,
         "rel_mse": rel_mse(b, r),
         "opacity_rmse": float(np.sqrt(np.mean((b_opacity - r_opacity) ** 2))),
         "psnr_linear_black": psnr(black, r_linear),
         "psnr_mulaw_black": psnr(black, r_mulaw),
     }
+    return {name: value for name, value in metrics.items() if value is not None}
 
 
 def mean_metrics(views: Sequence[Mapping[str, float]]) -> dict[str, float]:
@@ -294,7 +299,12 @@ def hdr_flip(
     `flip-evaluator`; negative radiance counts as black.
 
     The exposures are those of `flip_exposures`, which differ from the package's.
+
+    Raises:
+        LumitreeError: `flip-evaluator` is not installed.
     """
+    if flip_evaluator is None:
+        raise LumitreeError("HDR-FLIP needs the package flip-evaluator, which is not installed")
     r, b = (np.maximum(image / max_radiance, 0).astype(np.float32) for image in (reference, baked))
     exposures = flip_exposures(reference / max_radiance)
     _, error, _ = flip_evaluator.evaluate(r, b, "HDR", applyMagma=False, parameters=exposures)

@@ -1,1 +1,7 @@
-"""What is looked at elsewhere: sheets, the viewer, lamps for Blender."""
+"""What is looked at elsewhere: sheets, the viewer, lamps for other programs.
+
+`targets` has one module for each program. They share `point_lights`, which clusters a light field,
+`ies_profiles`, profiles of lights, and `pbr`, which converts materials to metalness and roughness.
+Outputs of several files are written into a temporary folder beside the output
+(`core.work_folder.atomic_files`).
+"""

@@ -16,6 +16,7 @@ from lumitree.core import files
 from lumitree.core.files import WriteError
 from lumitree.fit.catalogue import claim
 from lumitree.fit.catalogue.claim import Owner, claimed
+from support.windows_rules import run_by_windows_rules
 
 HOLD = """
 import sys
@@ -160,3 +161,19 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(WriteError, match="cannot write"), claimed(tmp_path / "file" / "a.claim"):
         pass
+
+
+def test_claims_by_windows_rules(tmp_path):
+    result = run_by_windows_rules(
+        """
+        from pathlib import Path
+        from lumitree.fit.catalogue.claim import claimed
+
+        claim = Path("folder/claim")
+        with claimed(claim) as first, claimed(claim) as second:
+            print(first is None, second is not None, claim.exists())
+        print(claim.exists())
+        """,
+        tmp_path,
+    )
+    assert result.stdout.splitlines() == ["True True True", "False"]

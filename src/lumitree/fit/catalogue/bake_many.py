@@ -14,7 +14,7 @@ from lumitree.core.files import FilePath
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_of
-from lumitree.core.stopwatch import peak_memory_bytes
+from lumitree.core.system import peak_memory_bytes
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 from lumitree.fit.catalogue.claim import UNKNOWN
 from lumitree.fit.catalogue.folder import Part, check_folder, mark_folder, write_part

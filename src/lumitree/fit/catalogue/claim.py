@@ -24,9 +24,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from lumitree.core.files import WriteError, lock
+from lumitree.core.files import WriteError
 from lumitree.core.interrupt import Interrupted, deferred_interrupt
 from lumitree.core.reading import Record, parse_json
+from lumitree.core.system import is_running, lock
 from lumitree.errors import LumitreeError, shown
 
 _RENEW_SECONDS, _ABANDONED_SECONDS = 60.0, 600.0
@@ -74,12 +75,14 @@ def claimed(path: Path) -> Iterator[Owner | None]:
     try:
         if interruption.number is not None:
             raise Interrupted(number=interruption.number)
-        with _renewed(handle) if owner is None else contextlib.nullcontext():
+        with _renewed(path) if owner is None else contextlib.nullcontext():
             yield owner
     finally:
-        if owner is None:
-            _release(path, handle)
+        # While it is locked, so that it is not a claim of another process.
+        is_removed = owner is not None or _release(path, handle)
         os.close(handle)
+        if not is_removed:
+            path.unlink(missing_ok=True)
 
 
 def _take(path: Path) -> tuple[int, Owner | None]:
@@ -105,10 +108,11 @@ def _take(path: Path) -> tuple[int, Owner | None]:
         return handle, owner
     try:
         os.ftruncate(handle, 0)
-        os.pwrite(handle, json.dumps(dataclasses.asdict(_this_process())).encode(), 0)
+        os.lseek(handle, 0, os.SEEK_SET)
+        os.write(handle, json.dumps(dataclasses.asdict(_this_process())).encode())
     except OSError:
-        path.unlink(missing_ok=True)
         os.close(handle)
+        path.unlink(missing_ok=True)
         raise
     return handle, None
 
@@ -116,7 +120,11 @@ def _take(path: Path) -> tuple[int, Owner | None]:
 def _living(handle: int, locked: bool | None, folder: Path) -> Owner | None:
     """The owner of a claim that is not locked by another process; None if it is abandoned."""
     owner = _read(handle)
-    if owner is not None and owner.host == socket.gethostname() and (locked or _is_gone(owner)):
+    if (
+        owner is not None
+        and owner.host == socket.gethostname()
+        and (locked or not is_running(owner.process))
+    ):
         return None
     with tempfile.TemporaryFile(dir=folder) as file:
         # The clock of the file system, which may be that of another machine.
@@ -127,39 +135,29 @@ def _living(handle: int, locked: bool | None, folder: Path) -> Owner | None:
     return None if is_abandoned else owner or UNKNOWN
 
 
-def _is_gone(owner: Owner) -> bool:
-    """Whether there is no such process on this host."""
-    try:
-        os.kill(owner.process, 0)
-    except ProcessLookupError:
-        return True
-    except (OSError, OverflowError):
-        return False
-    return False
-
-
 def _this_process() -> Owner:
     return Owner(socket.gethostname(), os.getpid(), round(time.time(), 1))
 
 
 def _read(handle: int) -> Owner | None:
     """What a claim says; None if its owner has not written it yet, or it is damaged."""
+    os.lseek(handle, 0, os.SEEK_SET)
     try:
-        record = Record(parse_json(os.pread(handle, _MAX_CLAIM_BYTES, 0)), "claim")
+        record = Record(parse_json(os.read(handle, _MAX_CLAIM_BYTES)), "claim")
         return Owner(record.label("host"), record.integer("process"), record.number("since"))
     except LumitreeError:
         return None
 
 
 @contextlib.contextmanager
-def _renewed(handle: int) -> Iterator[None]:
+def _renewed(path: Path) -> Iterator[None]:
     """Context in which the time of a claim is renewed."""
     ended = threading.Event()
 
     def renew() -> None:
         while not ended.wait(_RENEW_SECONDS):
             with contextlib.suppress(OSError):
-                os.utime(handle)
+                os.utime(path)
 
     thread = threading.Thread(target=renew, daemon=True, name="renew claim")
     thread.start()
@@ -170,8 +168,15 @@ def _renewed(handle: int) -> Iterator[None]:
         thread.join()
 
 
-def _release(path: Path, handle: int) -> None:
-    """Remove a claim, unless another process has taken it."""
+def _release(path: Path, handle: int) -> bool:
+    """Remove a claim, unless another process has taken it; returns False if it is still there.
+
+    Windows does not remove files that are open.
+    """
     owner = _read(handle)
     if owner is not None and (owner.host, owner.process) == (socket.gethostname(), os.getpid()):
-        path.unlink(missing_ok=True)
+        try:
+            path.unlink(missing_ok=True)
+        except PermissionError:
+            return False
+    return True

@@ -1,0 +1,147 @@
+"""What differs between operating systems.
+
+Only this module imports what POSIX systems alone have. Elsewhere, as on Windows, files are not
+locked: two processes may do the same work twice, and temporary files that killed processes left
+stay. Nothing half-written is ever under a final name, on any system.
+"""
+
+import _thread
+import errno
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+try:
+    import fcntl
+    import resource
+    import termios
+except ImportError:
+    fcntl = resource = termios = None
+
+# The terminal of the process was closed; None where no signal says so.
+TERMINAL_CLOSED: int | None = getattr(signal, "SIGHUP", None)
+# Ctrl-Break of Windows, where nothing outside of the process sends SIGTERM.
+_BREAK: int | None = getattr(signal, "SIGBREAK", None)
+_STOP = (signal.SIGINT, _BREAK or signal.SIGTERM, TERMINAL_CLOSED)
+# The signals that ask a job to stop.
+STOP_SIGNALS: tuple[int, ...] = tuple(number for number in _STOP if number is not None)
+# What `repeat` sends to this process: its alarm clock, or a signal that nobody else sends.
+REPEATED: int = getattr(signal, "SIGALRM", signal.SIGTERM)
+# Names of files have at most so many bytes where the system does not say how many.
+_LONGEST_NAME = 255
+# The thread that repeats a signal where there is no timer, by the event that ends it.
+_repeating: threading.Event | None = None
+
+
+def lock(handle: int, *, wait: bool = False) -> bool | None:
+    """Lock an open file or folder for this process.
+
+    Args:
+        wait: whether to wait until no other process holds it.
+
+    Returns:
+        True, or False where another process holds it; None where there are no locks.
+    """
+    if fcntl is None:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return False if error.errno in (errno.EWOULDBLOCK, errno.EACCES) else None
+    return True
+
+
+def keep(handle: int) -> int | None:
+    """The handle of a locked file, to be closed by `release`.
+
+    Where there are no locks the file is closed, and the result is None: Windows does not rename or
+    remove files that are open.
+    """
+    if fcntl is not None:
+        return handle
+    os.close(handle)
+    return None
+
+
+def release(handle: int | None) -> None:
+    """Close a handle that `keep` returned, which unlocks its file."""
+    if handle is not None:
+        os.close(handle)
+
+
+def is_running(process: int) -> bool:
+    """Whether there is a process of this number; True where it is not known."""
+    # On Windows this call would send Ctrl-C.
+    if fcntl is not None:
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return False
+        except (OSError, OverflowError):
+            pass
+    return True
+
+
+def peak_memory_bytes() -> int:
+    """Largest resident memory of this process so far, in bytes; 0 where it is not known."""
+    if resource is None:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+def longest_name(folder: Path) -> int:
+    """Largest number of bytes of the name of a file in a folder."""
+    if hasattr(os, "pathconf"):
+        return os.pathconf(folder, "PC_NAME_MAX")
+    return _LONGEST_NAME
+
+
+def is_read_only(folder: Path) -> bool:
+    """Whether the file system of a folder is mounted read-only; False where it is not known."""
+    return hasattr(os, "statvfs") and bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
+
+
+def is_closed_terminal(descriptor: int) -> bool:
+    """Whether a file descriptor is of a terminal that was closed."""
+    if termios is None:
+        return False
+    try:
+        termios.tcgetattr(descriptor)
+    except termios.error as error:
+        return error.args[0] == errno.EIO
+    return False
+
+
+def repeat(seconds: float) -> None:
+    """Send `REPEATED` to this process again and again until `stop_repeating`.
+
+    Its handler runs in the main thread.
+
+    Args:
+        seconds: interval.
+    """
+    global _repeating
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, seconds, seconds)
+    elif _repeating is None:
+        _repeating = threading.Event()
+        threading.Thread(target=_send, args=(seconds, _repeating.wait), daemon=True).start()
+
+
+def stop_repeating() -> None:
+    """Undo `repeat`."""
+    global _repeating
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, 0)
+    elif _repeating is not None:
+        _repeating.set()
+        _repeating = None
+
+
+def _send(seconds: float, ended: Callable[[float], bool]) -> None:
+    while not ended(seconds):
+        _thread.interrupt_main(REPEATED)

@@ -1,0 +1,44 @@
+"""ARCHITECTURE.md is short, and names what exists."""
+
+import importlib.util
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+TEXT = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+(LAYERS,) = (
+    contract["layers"]
+    for contract in PYPROJECT["tool"]["importlinter"]["contracts"]
+    if contract["name"] == "Dependencies point one way"
+)
+PACKAGES = "|".join(name for layer in LAYERS for name in layer.split(" | "))
+NAMES = sorted(set(re.findall(rf"`((?:{PACKAGES})\.[\w.]+)`", TEXT)))
+
+
+def test_it_has_two_pages():
+    assert len(TEXT.splitlines()) <= 110
+
+
+def test_its_tree_is_in_the_order_of_imports():
+    tree = re.findall(r"^      (\w+)(?:/|\.py) ", TEXT, re.MULTILINE)
+    assert tree == [layer.split(" | ")[0] for layer in LAYERS]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_is_of_a_module_or_in_it(name):
+    """Modules are found without importing them: some import Mitsuba."""
+    module = f"lumitree.{name}"
+    if importlib.util.find_spec(module.rpartition(".")[0]) is None:
+        pytest.fail(f"{module} has no parent")
+    try:
+        found = importlib.util.find_spec(module)
+    except ModuleNotFoundError:  # the parent is no package
+        found = None
+    if found is None:
+        parent, _, symbol = module.rpartition(".")
+        source = Path(str(importlib.util.find_spec(parent).origin)).read_text(encoding="utf-8")
+        assert re.search(rf"^(def|class) {symbol}\b|^{symbol}\b.*=", source, re.MULTILINE)

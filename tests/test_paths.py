@@ -1,0 +1,149 @@
+"""Every command reads and writes paths with spaces, brackets and letters outside ASCII."""
+
+import shlex
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import lumitree
+from lumitree.cli import main
+from support.exported_lamps import lamp
+from support.ies_text import ies_text
+from support.tiny_bakes import network_config, set_qualities
+
+FOLDER = "Leuchten für Zoë (灯) [1] & 100%"
+LAMP = (
+    '<scene version="3.0.0"><shape type="sphere"><emitter type="area">'
+    '<rgb name="radiance" value="3,2,1"/></emitter></shape></scene>'
+)
+ROOM = (
+    '<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="4"/>'
+    '</integrator><sensor type="perspective"><transform name="to_world">'
+    '<lookat origin="0,1,6" target="0,0.5,0" up="0,1,0"/></transform>'
+    '<film type="hdrfilm"><integer name="width" value="64"/><integer name="height" value="64"/>'
+    '</film></sensor><shape type="rectangle" id="desk"><transform name="to_world">'
+    '<rotate x="1" angle="-90"/></transform><bsdf type="diffuse"><texture name="reflectance" '
+    'type="bitmap"><string name="filename" value="Stoff grün.png"/></texture></bsdf></shape>'
+    "</scene>"
+)
+MODEL = "mtllib Lampe größer.mtl\nusemtl glow\nvt 0 0\nvt 1 0\nvt 0 1\n"
+MODEL += "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1/1 3/3 2/2\nf 1/1 2/2 4/3\nf 1/1 4/2 3/3\n"
+MODEL += "f 2/1 3/2 4/3\n"
+MATERIAL = "newmtl glow\nKd 0.5 0.5 0.5\nmap_Kd Stoff grün.png\n"
+OVERRIDES = "[material.glow]\nemitter = { lumens = 800 }\n"
+BUDGET = ["--rays", "300000", "--irradiance-paths", "16384"]
+PLACED = "--place '{0}/lamp.lumitree' --at 0,1,0 --size 1"
+# Command, and a file that it writes. {0} is the folder.
+COMMANDS = [
+    ("list --json '{0}/Liste ä.json'", "Liste ä.json"),
+    ("info '{0}/lamp.lumitree' --json '{0}/info ä.json'", "info ä.json"),
+    ("preview '{0}/Lampe ü.xml' -o '{0}/Blatt ä.png' --resolution 16 --spp 4", "Blatt ä.png"),
+    ("preview '{0}/Lampe ü.obj' -o '{0}/Blatt ä.png' --resolution 16 --spp 4", "Blatt ä.png"),
+    (
+        "capture '{0}/Lampe ü.obj' -o '{0}/Bilder ä' --views 2 --resolution 16 --spp 4",
+        "Bilder ä/manifest.json",
+    ),
+    (f"render '{{0}}/Zimmer ü.xml' -o '{{0}}/Bild ä.png' --spp 1 {PLACED}", "Bild ä.png"),
+    (f"render '{{0}}/Zimmer ü.xml' -o '{{0}}/Bild ä.exr' --spp 1 {PLACED}", "Bild ä.exr"),
+    (
+        "render '{0}/Zimmer ü.xml' -o '{0}/Bild ä.png' --spp 1 --layers '{0}/Ebenen ä.exr' "
+        f"--aov '{{0}}/Puffer ä.exr' {PLACED}",
+        "Ebenen ä.exr",
+    ),
+    (
+        "illuminance '{0}/Zimmer ü.xml' --surface desk --spacing 1 --direct --error 0.2 "
+        f"-o '{{0}}/Plan ä.png' -o '{{0}}/Plan ä.pdf' -o '{{0}}/Plan ä.csv' {PLACED}",
+        "Plan ä.png",
+    ),
+    (
+        "photometry '{0}/lamp.lumitree' --step 30 -o '{0}/Licht ä.ies' -o '{0}/Licht ä.ldt' "
+        "-o '{0}/Licht ä.pdf' -o '{0}/Licht ä.html'",
+        "Licht ä.ldt",
+    ),
+    ("photometry '{0}/Licht ü.ies' --step 30 -o '{0}/Licht ä.ies'", "Licht ä.ies"),
+    ("view '{0}/lamp.lumitree' -o '{0}/Seite ä.html'", "Seite ä.html"),
+    *(
+        (f"export '{{0}}/lamp.lumitree' -o '{{0}}/Lampe ä{suffix}'", f"Lampe ä{suffix}")
+        for suffix in (".py", ".rad", ".pbrt", ".glb", "")
+    ),
+    ("blender-extension -o '{0}/Erweiterung ä.zip'", "Erweiterung ä.zip"),
+    pytest.param(
+        "bake '{0}/Lampe ü.obj' -o '{0}/Lampe ä.lumitree' --parts light,geometry",
+        "Lampe ä.lumitree",
+        marks=pytest.mark.slow,
+    ),
+    pytest.param(
+        "bake '{0}/Lampe ü.xml' '{0}/Lampe ü.obj' -o '{0}/alle ä/' --parts light",
+        "alle ä/index.html",
+        marks=pytest.mark.slow,
+    ),
+]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, mi):
+    """A folder of lamps and a room; the current folder is another one."""
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    folder = tmp_path / FOLDER
+    folder.mkdir()
+    (folder / "Lampe ü.xml").write_text(LAMP, encoding="utf-8")
+    (folder / "Zimmer ü.xml").write_text(ROOM, encoding="utf-8")
+    (folder / "Lampe ü.obj").write_text(MODEL, encoding="utf-8")
+    (folder / "Lampe größer.mtl").write_text(MATERIAL, encoding="utf-8")
+    (folder / "Lampe ü.toml").write_text(OVERRIDES, encoding="utf-8")
+    even = ies_text(np.full((1, 3), 100.0), [0], [0, 90, 180])
+    (folder / "Licht ü.ies").write_text(even, encoding="ascii")
+    Image.new("RGB", (2, 2), (90, 200, 90)).save(folder / "Stoff grün.png")
+    lumitree.save(lamp(), folder / "lamp.lumitree")
+    return folder
+
+
+@pytest.mark.parametrize(("command", "written"), COMMANDS)
+def test_the_command_works(folder, monkeypatch, command, written):
+    set_qualities(monkeypatch.setitem)
+    assert main(shlex.split(command.format(folder))) == 0
+    assert (folder / written).exists()
+    assert not list((folder.parent / "elsewhere").iterdir())
+
+
+def test_layers_are_mixed(folder):
+    room = f"render '{folder}/Zimmer ü.xml' -o '{folder}/Bild.png' --spp 1 "
+    room += f"--layers '{folder}/Ebenen ä.exr' {PLACED.format(folder)}"
+    assert main(shlex.split(room)) == 0
+    assert main(["mix", f"{folder}/Ebenen ä.exr", "-o", f"{folder}/Mischung ä.png"]) == 0
+    assert (folder / "Mischung ä.png").exists()
+
+
+@pytest.mark.slow
+def test_bakes_are_merged_and_evaluated(folder, monkeypatch):
+    set_qualities(monkeypatch.setitem)
+    parts = [f"{folder}/Teil {seed}ä.lumitree" for seed in (1, 2)]
+    for seed, part in enumerate(parts):
+        bake = ["bake", f"{folder}/Lampe ü.xml", "-o", part, "--parts", "light"]
+        assert main([*bake, "--seed", str(seed)]) == 0
+    merged = f"{folder}/beide ä.lumitree"
+    assert main(["merge", *parts, "-o", merged]) == 0
+    report = ["-o", f"{folder}/Bericht ä", "--views", "1", "--resolution", "16", "--spp", "4"]
+    assert main(["evaluate", merged, f"{folder}/Lampe ü.xml", *report]) == 0
+
+
+@pytest.mark.slow
+def test_bakes_are_refined(folder, monkeypatch):
+    set_qualities(monkeypatch.setitem)
+    asset, source = f"{folder}/Feld ä.lumitree", f"{folder}/Lampe ü.xml"
+    assert main(["bake", source, "-o", asset, "--parts", "field"]) == 0
+    assert main(["refine", asset, source, "-o", f"{folder}/besser ä.lumitree", *BUDGET]) == 0
+
+
+@pytest.mark.slow
+def test_the_network_is_trained_and_extracted(folder, monkeypatch, network_packages):
+    from lumitree.fit.network.config import PRESETS
+
+    monkeypatch.setitem(PRESETS, "preview", network_config().train)
+    capture = ["capture", f"{folder}/Lampe ü.xml", "-o", f"{folder}/Bilder ä"]
+    assert main([*capture, "--views", "4", "--resolution", "16", "--spp", "4"]) == 0
+    assert main(["train", f"{folder}/Bilder ä", "-o", f"{folder}/Lauf ä"]) == 0
+    extract = ["extract", f"{folder}/Lauf ä", "-o", f"{folder}/Netz ä.lumitree"]
+    assert main([*extract, "--tree-depth", "4"]) == 0

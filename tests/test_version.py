@@ -1,0 +1,94 @@
+"""One version, in all files that state it, and what a release needs."""
+
+import re
+import runpy
+import tomllib
+from importlib.metadata import version as installed
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+import lumitree
+
+ROOT = Path(__file__).parents[1]
+EXTENSION = ROOT / "src/lumitree/output/blender/extension/blender_manifest.toml"
+
+
+def read(path):
+    return (ROOT / path).read_text(encoding="utf-8")
+
+
+PROJECT = tomllib.loads(read("pyproject.toml"))["project"]
+
+
+def test_all_files_agree():
+    stated = runpy.run_path(str(ROOT / "src/lumitree/_version.py"))["__version__"]
+    assert lumitree.__version__ == stated
+    assert re.findall(r"^version: (.*)$", read("CITATION.cff"), re.MULTILINE) == [stated]
+    assert tomllib.loads(EXTENSION.read_text(encoding="utf-8"))["version"] == stated
+    assert PROJECT["dynamic"] == ["version"]
+    # docs/conf.py takes it from the package.
+    assert "release = lumitree.__version__" in read("docs/conf.py")
+
+
+def test_the_changelog_has_the_version_and_a_place_for_changes():
+    headings = re.findall(r"^## (.*)$", read("CHANGELOG.md"), re.MULTILINE)
+    assert headings[0] == "Unreleased"
+    assert headings[1].split(" ")[0] == lumitree.__version__
+
+
+def test_constraints_are_within_what_is_required():
+    pins = [line for line in read("constraints.txt").splitlines() if line and line[0] != "#"]
+    split = (pin.partition("==") for pin in pins)
+    versions = {canonicalize_name(name): number for name, _, number in split}
+    groups = [PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()]
+    for requirement in [Requirement(text) for group in groups for text in group]:
+        name = canonicalize_name(requirement.name)
+        if name != "lumitree" and name in versions:
+            assert requirement.specifier.contains(versions[name]), requirement
+    required = {canonicalize_name(Requirement(text).name) for text in PROJECT["dependencies"]}
+    assert required <= versions.keys()
+
+
+def test_the_mitsuba_that_is_installed_is_in_the_range():
+    """If this fails, docs/platforms.md says what to look at before the range is changed."""
+    (mitsuba,) = (each for each in PROJECT["dependencies"] if each.startswith("mitsuba"))
+    assert str(Requirement(mitsuba).specifier) == "<3.10,>=3.9"
+    assert Requirement(mitsuba).specifier.contains(installed("mitsuba"))
+
+
+NULL_ROOM = {
+    "type": "scene",
+    "integrator": {"type": "path"},
+    "sensor": {
+        "type": "orthographic",
+        "film": {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}},
+    },
+    "floor": {"type": "rectangle", "bsdf": {"type": "diffuse"}},
+}
+
+
+class TestWhatLumitreeExpectsOfMitsuba:
+    """What Mitsuba 3.10 changes. The names that lumitree uses are in `typings/`."""
+
+    def test_null_surfaces_state_their_transmittance_by_this_method(self, mi):
+        assert hasattr(mi.BSDF, "eval_null_transmission")
+        assert not hasattr(mi.BSDF, "eval_null")
+
+    def test_meshes_have_these_buffers(self, mi):
+        names = set(mi.traverse(mi.load_dict({"type": "cube"})).keys())
+        assert {"vertex_positions", "vertex_normals", "vertex_texcoords", "faces"} <= names
+
+    def test_path_does_not_cross_null_surfaces_in_shadow_rays(self, mi):
+        """So `lumitree render` replaces it by `lumitree_path`."""
+        look = mi.ScalarTransform4f().look_at([0, 0, 1], [0, 0, 0], [0, 1, 0])
+        room = NULL_ROOM | {"sensor": NULL_ROOM["sensor"] | {"to_world": look}}
+        room["light"] = {"type": "point", "position": [0, 0, 3]}
+        open_room = mi.render(mi.load_dict(room), spp=1)
+        veil = mi.ScalarTransform4f().translate([0, 0, 2])
+        room["veil"] = {"type": "rectangle", "to_world": veil, "bsdf": {"type": "null"}}
+        veiled = mi.render(mi.load_dict(room), spp=1)
+        assert open_room.array[0] > 0
+        assert veiled.array[0] == pytest.approx(0)
