@@ -29,14 +29,14 @@ def setting(command: str, **details: object) -> dict[str, object]:
         "lumitree": lumitree.__version__,
         "mitsuba": mi.__version__,
         "drjit": importlib.metadata.version("drjit"),
-        "jax": _version("jax"),
+        "jax": version("jax"),
         "python": platform.python_version(),
         **details,
     }
 
 
-def _version(package: str) -> str:
-    """Of an optional package."""
+def version(package: str) -> str:
+    """Of a package that may not be installed."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
