@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+import traceback
 from pathlib import Path
 
 from benchmarks.gpu_parts.part import Context, SkippedError, UnfinishedError, read_json
@@ -32,8 +33,13 @@ def main(job: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    code = 0
+    try:
+        main(Path(sys.argv[1]))
+    except Exception:
+        traceback.print_exc()
+        code = 1
     sys.stdout.flush()
     sys.stderr.flush()
     # Libraries of GPUs may hang when a process ends.
-    os._exit(0)
+    os._exit(code)

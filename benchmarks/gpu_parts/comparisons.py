@@ -37,13 +37,11 @@ def compare(context: Context, name: str) -> dict[str, Any]:
     assets = context.work / "assets"
     for lamp in context.sizes.lamps:
         shared_asset(context, lamp)
-    with _processes(2) as pool:
-        variants = (context.variant, CPU_VARIANT)
-        jobs = [
-            pool.submit(_batches, name, context.sizes.name, variant, assets, index * _SEEDS)
-            for index, variant in enumerate(variants)
-        ]
-        here, there = (job.result() for job in jobs)
+    size = context.sizes.name
+    with _process() as first, _process() as second:
+        job = first.submit(_batches, name, size, context.variant, assets, 0)
+        there = second.submit(_batches, name, size, CPU_VARIANT, assets, _SEEDS).result()
+        here = job.result()
     found = {}
     for key, batches in here.items():
         found[key] = agreement(batches, there[key])
@@ -55,15 +53,15 @@ def shared_asset(context: Context, lamp: str) -> Path:
     """Asset of a lamp that the CPU has baked once, with a radiance field for the first lamp."""
     path = context.work / "assets" / f"{lamp}.lumitree"
     if not path.is_file():
-        with _processes(1) as pool:
-            pool.submit(_bake, context.sizes.name, lamp, path).result()
+        with _process() as process:
+            process.submit(_bake, context.sizes.name, lamp, path).result()
     return path
 
 
 @contextlib.contextmanager
-def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Fresh processes, whose end is not waited for: one that has used a GPU may hang then."""
-    pool = ProcessPoolExecutor(count, get_context("spawn"), max_tasks_per_child=1)
+def _process() -> Iterator[ProcessPoolExecutor]:
+    """A fresh process, whose end is not waited for: one that has used a GPU may hang then."""
+    pool = ProcessPoolExecutor(1, get_context("spawn"))
     try:
         yield pool
     finally:

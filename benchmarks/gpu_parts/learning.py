@@ -6,6 +6,7 @@ from typing import Any
 
 import lumitree
 from benchmarks.gpu_parts.part import Context, UnfinishedError, read_json
+from benchmarks.paper_tables.running import Setting, run_cell
 from benchmarks.paper_tables.scales import SCALES
 from benchmarks.paper_tables.work import Work
 from lumitree.core.backend import load_rgb
@@ -22,15 +23,29 @@ def measure_paper(context: Context, cell: str) -> dict[str, Any]:
     """A cell of the benchmark `paper`.
 
     Returns:
-        Its values and the command that measures it.
+        `command`, which measures it; its `values` and `seconds`.
+
+    Raises:
+        UnfinishedError: the time is spent before it is complete.
     """
     context.check_jax()
     scale = context.sizes.paper
-    page = context.folder / "paper" / scale / "page.md"
-    arguments = ["--scale", scale, "--cell", cell, "--page", page, "--work", context.work / "paper"]
-    found = context.benchmark("paper", *arguments)
-    record = read_json(context.folder / "paper" / scale / f"{cell}.json")
-    return {"command": found["command"], "values": record["values"], "costs": record["seconds"]}
+    command = f"python -m benchmarks paper --scale {scale} --cell {cell}"
+    setting = Setting(
+        scale=scale,
+        results=context.folder,
+        images=context.work / "images",
+        work=context.work / "paper",
+        rooms=context.work / "rooms",
+        variant=context.variant,
+        command=f"{command} --variant {context.variant}",
+        end=context.end - _MARGIN,
+    )
+    if not run_cell(cell, setting):
+        raise UnfinishedError
+    record = setting.store.record(cell)
+    assert record is not None
+    return {name: record[name] for name in ("values", "seconds")} | {"command": setting.command}
 
 
 def train_network(context: Context) -> dict[str, Any]:
@@ -74,31 +89,38 @@ def train_network(context: Context) -> dict[str, Any]:
 
 
 def extract_octree(context: Context) -> dict[str, Any]:
-    """The octree of the network that is trained so far.
+    """Octrees of the network that is trained so far, one depth after the other.
+
+    Returns:
+        `steps` of the training, and `octrees`: of each its `depth`, `seconds`, `leaves` and
+        `bytes`, and `samples_per_leaf`.
 
     Raises:
         UnfinishedError: nothing is trained yet.
     """
     context.check_jax()
-    run = run_folder(context)
-    if not (run / "history.json").is_file():
+    from lumitree.fit.network.run import HISTORY
+
+    history = read_json(run_folder(context) / HISTORY)
+    if not history:
         raise UnfinishedError("the network is not trained yet")
-    depth, samples = context.sizes.extraction
-    start = time.monotonic()
-    found = lumitree.extract(
-        run,
-        context.work / "extracted.lumitree",
-        tree_depth=depth,
-        samples_per_leaf=samples,
-        variant=context.variant,
-    )
-    return {
-        "depth": depth,
-        "samples_per_leaf": samples,
-        "seconds": time.monotonic() - start,
-        "leaves": found.asset.num_leaves,
-        "bytes": (context.work / "extracted.lumitree").stat().st_size,
-    }
+    depths, samples = context.sizes.extraction
+    values: dict[str, Any] = {"steps": history[-1]["step"], "octrees": []}
+    for depth in depths:
+        start = time.monotonic()
+        path = context.work / "extracted.lumitree"
+        found = lumitree.extract(
+            run_folder(context),
+            path,
+            tree_depth=depth,
+            samples_per_leaf=samples,
+            variant=context.variant,
+        )
+        octree = {"depth": depth, "samples_per_leaf": samples}
+        octree |= {"seconds": time.monotonic() - start, "leaves": found.asset.num_leaves}
+        values["octrees"].append(octree | {"bytes": path.stat().st_size})
+        context.report(values)
+    return values
 
 
 def run_folder(context: Context) -> Path:

@@ -92,7 +92,9 @@ def _section(part: Part, record: dict[str, Any]) -> str:
     if part.name == "extraction":
         return _extraction(values)
     if part.name == "step":
-        return _step(values["values"], record["setting"]["accelerator"])
+        return f"`{values['command']}`\n\n" + _step(
+            values["values"], record["setting"]["accelerator"]
+        )
     if "tables" in values:
         return f"`{values['command']}`\n\n" + "\n".join(values["tables"])
     if "values" in values:
@@ -145,10 +147,19 @@ def _training(values: dict[str, Any]) -> str:
 
 
 def _extraction(values: dict[str, Any]) -> str:
-    return (
-        f"Depth {values['depth']}, {values['samples_per_leaf']} positions a leaf: "
-        f"{values['leaves']:,} leaves, {values['bytes'] / 1e6:.1f} MB, {values['seconds']:.0f} s.\n"
-    )
+    rows = [
+        [
+            str(each["depth"]),
+            str(each["samples_per_leaf"]),
+            f"{each['leaves']:,}",
+            f"{each['bytes'] / 1e6:.1f}",
+            f"{each['seconds']:.1f}",
+        ]
+        for each in values["octrees"]
+    ]
+    heads = ["depth", "positions a leaf", "leaves", "MB", "s"]
+    table = Table(heads, rows, left=0).markdown()
+    return f"After {values['steps']:,} steps of training.\n\n{table}"
 
 
 def _step(values: dict[str, Any], accelerator: str) -> str:
@@ -181,7 +192,7 @@ def _of_paper(values: dict[str, Any]) -> str:
     methods = {name: found[name] for name in ("network", "octree")}
     rows = [[name, *(f"{each[name]:.4g}" for each in methods.values())] for name in found["octree"]]
     table = Table(["metric, on test views", *methods], rows)
-    return f"`{values['command']}`, {values['costs']:.0f} s\n\n{table.markdown()}"
+    return f"`{values['command']}`, {values['seconds']:.0f} s\n\n{table.markdown()}"
 
 
 def _settings(records: Sequence[dict[str, Any]]) -> str:

@@ -80,8 +80,13 @@ class Context:
         """Keep values; those of the last call count if the process is ended before it has done."""
         write_json(self.state, {"values": values, "outcome": outcome, "reason": reason})
 
-    def benchmark(self, name: str, *arguments: object) -> dict[str, Any]:
+    def benchmark(
+        self, name: str, *arguments: object, variant: str | None = None
+    ) -> dict[str, Any]:
         """Run another benchmark in this process, as `python -m benchmarks NAME ARGUMENTS`.
+
+        Args:
+            variant: of Mitsuba; by default that of this benchmark.
 
         Returns:
             `command`, and `tables`: those of its page, if it writes one.
@@ -89,7 +94,7 @@ class Context:
         Raises:
             LumitreeError: it failed.
         """
-        common = ["-o", str(self.folder), "--variant", self.variant]
+        common = ["-o", str(self.folder), "--variant", variant or self.variant]
         argv = [name, *map(str, arguments), *common]
         sys.argv = ["benchmarks", *argv]
         try:

@@ -7,6 +7,7 @@ from benchmarks.gpu_parts.learning import extract_octree, measure_paper, train_n
 from benchmarks.gpu_parts.part import ROOT, Context, Part
 from benchmarks.gpu_parts.sizes import Sizes
 from benchmarks.gpu_parts.suite import run_tests
+from lumitree.core.backend import CPU_VARIANT
 
 # A room with a camera, and where the lamp hangs in it.
 ROOM = ROOT / "examples" / "office.xml"
@@ -15,21 +16,22 @@ _LAMP_CENTRE, _LAMP_SIZE = ("-0.3", "1.9", "-0.4"), "0.6"
 
 def all_parts(sizes: Sizes) -> list[Part]:
     """The parts; those of the tests as the sizes have them."""
-    tests = [_tests(group, paths) for group, paths in sizes.tests.items()]
+    first, *others = (_tests(group, paths) for group, paths in sizes.tests.items())
     return [
-        tests[0],
+        first,
         _compared("images", "Images of lamps", 180),
         _compared("irradiance", "Irradiance around lamps", 120),
         _compared("light field", "Bakes of light fields", 120),
-        *tests[1:2],
+        *others[:1],
         Part("devices", "Bakes and images", 180, 60, _devices),
         Part("query", "Queries of the radiance field", 90, 40, _query),
         Part("equal-error", "Time at equal error", 180, 90, _equal_error),
         _of_paper("step", "A step of the network", 120, 40, "step"),
         Part("training", "The network with the paper's settings", 240, 60, train_network),
-        Part("extraction", "The octree of the network", 240, 60, extract_octree),
+        Part("extraction", "The octree of the network", 300, 60, extract_octree),
         Part("luminaires", "Captures", 120, 60, _luminaires),
-        *tests[2:],
+        *others[1:],
+        Part("devices-cpu", "The CPU's bakes and images beside them", 420, 120, _devices_of_cpu),
         _of_paper(
             "lamp-of-paper",
             "A lamp by the network, from views to errors",
@@ -54,7 +56,7 @@ def _tests(group: str, paths: tuple[str, ...]) -> Part:
     return Part(
         f"tests-{group}",
         f"Tests: {group}",
-        300,
+        180,
         40,
         lambda context: run_tests(context, group),
         {"paths": paths},
@@ -67,11 +69,15 @@ def _of_paper(name: str, title: str, seconds: float, least: float, cell: str) ->
     )
 
 
-def _devices(context: Context) -> dict[str, Any]:
+def _devices(context: Context, variant: str | None = None) -> dict[str, Any]:
     rays, width, spp = context.sizes.devices
-    return context.benchmark(
-        "devices", context.sizes.lamps[0], "--rays", rays, "--width", width, "--spp", spp
-    )
+    arguments = [context.sizes.lamps[0], "--rays", rays, "--width", width, "--spp", spp]
+    return context.benchmark("devices", *arguments, variant=variant)
+
+
+def _devices_of_cpu(context: Context) -> dict[str, Any]:
+    """The file then has a row for each variant, on one machine."""
+    return _devices(context, CPU_VARIANT)
 
 
 def _query(context: Context) -> dict[str, Any]:

@@ -21,7 +21,9 @@ class Peak:
 
 # A longer name comes before its beginning. Source: NVIDIA's data sheets and architecture papers.
 PEAKS = (
+    Peak("NVIDIA H200 NVL", 60.0, 417.5),
     Peak("NVIDIA H200", 67.0, 494.7),
+    Peak("NVIDIA H100 NVL", 60.0, 417.5),
     Peak("NVIDIA H100 PCIe", 51.0, 378.0),
     Peak("NVIDIA H100", 67.0, 494.7),
     Peak("NVIDIA A100", 19.5, 156.0),

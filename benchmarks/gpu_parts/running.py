@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import lumitree
 from benchmarks.common.setting import commit, nvidia, processor, version
 from benchmarks.gpu_parts.part import ROOT, Outcome, Part, read_json
 from benchmarks.gpu_parts.sizes import SizeName
@@ -25,8 +26,11 @@ from lumitree.core.files import write_json
 # Seconds between looks at a process, between looks at the GPU's memory, that a process gets to end
 # once it has done, and to write where it is before it is killed.
 _INTERVAL, _MEMORY_INTERVAL, _TO_END, _TO_DUMP = 0.1, 2.0, 10.0, 3.0
-# Measured again only when asked: what else has a record is.
+# Whose versions are recorded.
+_PACKAGES = ("mitsuba", "drjit", "karellen-llvm-core", "jax", "jaxlib", "numpy")
+# What is not measured again by itself.
 _FINAL: tuple[Outcome, ...] = ("done", "skipped", "failed", "timed out")
+# Those that are measured again when asked.
 _AGAIN: tuple[Outcome, ...] = ("failed", "timed out")
 
 
@@ -253,7 +257,7 @@ def machine(command: str, variant: str) -> dict[str, Any]:
         "accelerator": ", ".join(nvidia("name")) or "none",
         "driver": ", ".join(nvidia("driver_version")) or "none",
         "variant": variant,
-        **{name: version(name) for name in ("mitsuba", "drjit", "jax", "jaxlib", "numpy")},
-        "karellen-llvm-core": version("karellen-llvm-core"),
+        "lumitree": lumitree.__version__,
+        **{name: version(name) for name in _PACKAGES},
         "python": platform.python_version(),
     }

@@ -31,7 +31,7 @@ class Sizes:
         network_lamp: what the network learns.
         views: that it learns from.
         network: its settings.
-        extraction: tree depth, and positions averaged in a leaf.
+        extraction: tree depths, and positions averaged in a leaf.
         tests: folders and files of the tests, by part.
         test_seconds: after which a test counts as hanging.
     """
@@ -53,7 +53,7 @@ class Sizes:
     network_lamp: str
     views: Views
     network: TrainConfig
-    extraction: tuple[int, int]
+    extraction: tuple[tuple[int, ...], int]
     tests: Mapping[str, tuple[str, ...]]
     test_seconds: float
 
@@ -77,7 +77,7 @@ SIZES: dict[SizeName, Sizes] = {
         network_lamp="dallas",
         views=SCALES["gpu"].train,
         network=PRESETS["paper"],
-        extraction=(10, 64),
+        extraction=((8, 9, 10), 64),
         tests={
             # Those that compare kernels with reference implementations, and samplers by χ².
             "kernels": (
@@ -113,7 +113,7 @@ SIZES: dict[SizeName, Sizes] = {
         network_lamp="neoclassical",
         views=SCALES["test"].train,
         network=dataclasses.replace(SCALES["test"].network, num_steps=600),
-        extraction=(4, 4),
+        extraction=((3, 4), 4),
         tests={"kernels": ("tests/rendering/test_alias_table.py",)},
         test_seconds=120.0,
     ),
