@@ -75,20 +75,12 @@ def _batches(name: str, size: SizeName, variant: str, assets: Path, seed: int) -
 
 def _bake(size: SizeName, lamp: str, path: Path) -> None:
     import lumitree
-    from lumitree.asset.asset import Part
 
-    load_rgb(CPU_VARIANT)
     sizes = SIZES[size]
-    parts: tuple[Part, ...] = ("light", "geometry")
-    config = dataclasses.replace(
-        lumitree.BakeConfig.preview(),
-        parts=("light", "field", "geometry") if lamp == sizes.lamps[0] else parts,
-        time=None,
-        rays=sizes.field_rays,
-        tree_depth=sizes.field_depth,
-        irradiance_paths=0,
-    )
-    lumitree.bake(lamp, path, config)
+    config = sizes.bake
+    if lamp != sizes.lamps[0]:
+        config = dataclasses.replace(config, parts=("light", "geometry"))
+    lumitree.bake(lamp, path, config, variant=CPU_VARIANT)
 
 
 def _images(sizes: Sizes, assets: Path, seed: int) -> Batches:
@@ -160,7 +152,9 @@ def _light_field(sizes: Sizes, assets: Path, seed: int) -> Batches:
                 parts=("light",),
                 irradiance_paths=0,
                 seed=seed + index,
-                light_field=lumitree.LightFieldConfig(paths=sizes.paths, batch=sizes.paths),
+                light_field=dataclasses.replace(
+                    sizes.bake.light_field, paths=sizes.paths, batch=sizes.paths
+                ),
             )
             asset = lumitree.bake(lamp, config=config, progress=None).asset
             assert asset.light_field is not None

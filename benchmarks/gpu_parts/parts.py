@@ -1,5 +1,6 @@
 """All parts, in order of worth: what is measured first if the time is short."""
 
+import dataclasses
 from typing import Any
 
 from benchmarks.gpu_parts.comparisons import compare, shared_asset
@@ -17,7 +18,7 @@ _LAMP_CENTRE, _LAMP_SIZE = ("-0.3", "1.9", "-0.4"), "0.6"
 def all_parts(sizes: Sizes) -> list[Part]:
     """The parts; those of the tests as the sizes have them."""
     first, *others = (_tests(group, paths) for group, paths in sizes.tests.items())
-    return [
+    parts = [
         first,
         _compared("images", "Images of lamps", 180),
         _compared("irradiance", "Irradiance around lamps", 120),
@@ -40,33 +41,25 @@ def all_parts(sizes: Sizes) -> list[Part]:
             f"1-{sizes.network_lamp}-network",
         ),
     ]
+    return [dataclasses.replace(part, seconds=sizes.patience * part.seconds) for part in parts]
 
 
 def _compared(name: str, title: str, seconds: float) -> Part:
-    return Part(
-        name.replace(" ", "-"),
-        title,
-        seconds,
-        seconds / 3,
-        lambda context: compare(context, name),
-    )
+    file = name.replace(" ", "-")
+    return Part(file, title, seconds, 60, lambda context: compare(context, name))
 
 
 def _tests(group: str, paths: tuple[str, ...]) -> Part:
-    return Part(
-        f"tests-{group}",
-        f"Tests: {group}",
-        180,
-        40,
-        lambda context: run_tests(context, group),
-        {"paths": paths},
-    )
+    title, parameters = f"Tests: {group}", {"paths": paths}
+    name = f"tests-{group}"
+    return Part(name, title, 180, 40, lambda context: run_tests(context, group), parameters)
 
 
 def _of_paper(name: str, title: str, seconds: float, least: float, cell: str) -> Part:
-    return Part(
-        name, title, seconds, least, lambda context: measure_paper(context, cell), {"cell": cell}
-    )
+    def measure(context: Context) -> dict[str, Any]:
+        return measure_paper(context, cell)
+
+    return Part(name, title, seconds, least, measure, {"cell": cell})
 
 
 def _devices(context: Context, variant: str | None = None) -> dict[str, Any]:

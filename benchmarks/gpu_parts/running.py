@@ -25,7 +25,7 @@ from lumitree.core.files import write_json
 
 # Seconds between looks at a process, between looks at the GPU's memory, that a process gets to end
 # once it has done, and to write where it is before it is killed.
-_INTERVAL, _MEMORY_INTERVAL, _TO_END, _TO_DUMP = 0.1, 2.0, 10.0, 3.0
+_INTERVAL, _MEMORY_INTERVAL, _TO_END, _TO_DUMP = 0.25, 2.0, 10.0, 3.0
 # Whose versions are recorded.
 _PACKAGES = ("mitsuba", "drjit", "karellen-llvm-core", "jax", "jaxlib", "numpy")
 # What is not measured again by itself.

@@ -5,7 +5,20 @@ from collections.abc import Mapping
 from typing import Literal, get_args
 
 from benchmarks.paper_tables.scales import SCALES, ScaleName, Views
+from lumitree.asset.asset import PARTS
+from lumitree.fit.config import BakeConfig
 from lumitree.fit.network.config import PRESETS, TrainConfig
+from lumitree.fit.octree.config import (
+    CalibrationConfig,
+    EstimateConfig,
+    FluxConfig,
+    HeldOutConfig,
+    MaxRadianceConfig,
+    OctreeConfig,
+    RefineConfig,
+    SplitConfig,
+)
+from lumitree.trace.light_field_config import LightFieldConfig
 
 SizeName = Literal["gpu", "tiny"]
 SIZE_NAMES: tuple[SizeName, ...] = get_args(SizeName)
@@ -22,8 +35,10 @@ class Sizes:
         width, spp: of an image that is compared: pixels, and samples per pixel of a batch.
         rays: rays of an asset, and light paths of a lamp, for the irradiance around them.
         paths: light paths of a light field.
-        field_rays, field_depth: budget of rays and tree depth of the assets' radiance fields.
-        devices: rays of the bakes, width of the images in pixels, and samples per pixel.
+        bake: settings of the asset of the first lamp.
+        patience: factor on the limits of time of the parts.
+        devices: rays of the bakes (0: without radiance fields), width of the images in pixels, and
+            samples per pixel.
         luminaires: pixels per side and samples per pixel of the captures.
         query: rays of a query, and the depth of the deepest tree.
         equal: seconds of rendering for the figures at equal error, and width in pixels.
@@ -43,8 +58,8 @@ class Sizes:
     spp: int
     rays: int
     paths: int
-    field_rays: int
-    field_depth: int
+    bake: BakeConfig
+    patience: float
     devices: tuple[int, int, int]
     luminaires: tuple[int, int]
     query: tuple[int, int]
@@ -67,8 +82,15 @@ SIZES: dict[SizeName, Sizes] = {
         spp=64,
         rays=1 << 20,
         paths=1 << 19,
-        field_rays=1 << 20,
-        field_depth=7,
+        bake=dataclasses.replace(
+            BakeConfig.preview(),
+            parts=PARTS,
+            time=None,
+            rays=1 << 20,
+            tree_depth=7,
+            irradiance_paths=0,
+        ),
+        patience=1.0,
         devices=(1 << 22, 480, 64),
         luminaires=(192, 32),
         query=(1 << 19, 10),
@@ -103,9 +125,27 @@ SIZES: dict[SizeName, Sizes] = {
         spp=2,
         rays=1 << 14,
         paths=1 << 14,
-        field_rays=1 << 12,
-        field_depth=4,
-        devices=(1 << 12, 32, 1),
+        bake=BakeConfig(
+            parts=PARTS,
+            time=None,
+            rays=1 << 14,
+            tree_depth=4,
+            l_max=0,
+            irradiance_paths=0,
+            light_field=LightFieldConfig(paths=1 << 16, batch=1 << 16, depth=3, resolution=16),
+            octree=OctreeConfig(
+                max_radiance=MaxRadianceConfig(rays=1 << 15),
+                estimate=EstimateConfig(rays=1 << 16, growth_rays=1 << 15, batch_rays=1 << 15),
+                calibration=CalibrationConfig(rays=1 << 13),
+                flux=FluxConfig(draws=2, rays=1 << 14),
+                held_out=HeldOutConfig(rays=1 << 13),
+                refine=RefineConfig(rays=1 << 13),
+                split=SplitConfig(indicator_rays=1 << 13),
+            ),
+        ),
+        # Other work may share the cores.
+        patience=3.0,
+        devices=(0, 32, 1),
         luminaires=(16, 1),
         query=(1 << 12, 5),
         equal=(2.0, 24),
