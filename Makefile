@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test slow lint check docs gallery paper dist sbom format clean
+.PHONY: demo test slow lint check docs gallery paper gpu dist sbom format clean
 
 demo: $(VENV)/.installed
 	$(BIN)/lumitree demo -o demo-output
@@ -33,6 +33,11 @@ gallery: $(VENV)/.installed
 # The tables of docs/paper.md, as far as they are not measured yet: hours on 2 CPU cores.
 paper: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks paper --scale cpu
+
+# What an NVIDIA GPU does, in at most 25 minutes; again to go on (docs/how-to/gpu.md).
+MINUTES ?= 25
+gpu: $(VENV)/.installed-dev
+	$(BIN)/python -m benchmarks gpu --minutes $(MINUTES)
 
 # Wheel and source distribution of the last commit, built and checked. docs/releasing.md has the rest.
 dist: $(VENV)/.installed-release

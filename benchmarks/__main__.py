@@ -44,8 +44,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 0
         options = parser(modules).parse_args(argv)
         options.command = command_line(argv)
-        load_mitsuba(options.variant)
-        modules[options.benchmark].run(options)
+        module = modules[options.benchmark]
+        if getattr(module, "LOADS_MITSUBA", True):
+            load_mitsuba(options.variant)
+        module.run(options)
     except LumitreeError as error:
         print(f"benchmarks: error: {error}", file=sys.stderr)
         return 2

@@ -42,8 +42,10 @@ SHARED = ("luminaire", "width", "spp", "rays", "seed")
 def measure_bake(lamp: str, rays: int, seed: int, path: Path) -> dict[str, Any]:
     """Seconds of two bakes by stage, and the second one's error; writes its asset."""
     config = dataclasses.replace(
-        BakeConfig.standard(), parts=PARTS, time=None, rays=rays, irradiance_paths=0, seed=seed
+        BakeConfig.standard(), parts=("light", "geometry"), irradiance_paths=0, seed=seed
     )
+    if rays:
+        config = dataclasses.replace(config, parts=PARTS, time=None, rays=rays)
     first, again = (bake(lamp, config=config) for _ in range(2))
     lumitree.save(again.asset, path)
     return {"first": first.seconds, "again": again.seconds, "held_out_psnr": again.held_out_psnr}
@@ -125,7 +127,13 @@ def table(rows: list[dict[str, Any]]) -> Table:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("luminaire", metavar="LUMINAIRE", nargs="?", default="bulbs")
-    parser.add_argument("--rays", type=int, metavar="N", default=1 << 22, help="of the octree fit")
+    parser.add_argument(
+        "--rays",
+        type=int,
+        metavar="N",
+        default=1 << 22,
+        help="of the octree fit; 0: assets have no radiance field",
+    )
     add_pixels(parser, "--width", 480, 64)
     add_seed(parser)
 

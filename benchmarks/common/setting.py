@@ -29,14 +29,14 @@ def setting(command: str, **details: object) -> dict[str, object]:
         "lumitree": lumitree.__version__,
         "mitsuba": mi.__version__,
         "drjit": importlib.metadata.version("drjit"),
-        "jax": _version("jax"),
+        "jax": version("jax"),
         "python": platform.python_version(),
         **details,
     }
 
 
-def _version(package: str) -> str:
-    """Of an optional package."""
+def version(package: str) -> str:
+    """Of a package that may not be installed."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -59,26 +59,45 @@ def _portable(argument: str) -> str:
 
 
 def commit() -> str:
-    """The commit that is checked out, "-dirty" where anything but results was changed since."""
+    """The commit that is checked out, "-dirty" where anything but results was changed since.
+
+    In a copy without its history, the value of LUMITREE_COMMIT, or "unknown".
+    """
+    found = git("describe", "--always")
+    if not found:
+        return os.environ.get("LUMITREE_COMMIT") or "unknown"
     changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":!results")
-    return git("describe", "--always") + ("-dirty" if changed else "")
+    return found + ("-dirty" if changed else "")
 
 
 def git(*command: str) -> str:
-    """What git prints, run in the folder of the benchmarks."""
+    """What git prints, run in the folder of the benchmarks; nothing where that fails."""
     folder = str(Path(__file__).parents[1])
-    run = subprocess.run(["git", "-C", folder, *command], capture_output=True, text=True)
+    try:
+        run = subprocess.run(["git", "-C", folder, *command], capture_output=True, text=True)
+    except FileNotFoundError:
+        return ""
     return run.stdout.strip()
 
 
 def gpu() -> str:
-    """Models of the NVIDIA GPUs, by their driver's tool."""
-    command = ["nvidia-smi", "--query-gpu=name", "--format=csv,noheader"]
+    """Models of the NVIDIA GPUs."""
+    return ", ".join(nvidia("name")) or "unknown"
+
+
+def nvidia(*properties: str) -> list[str]:
+    """Properties of each NVIDIA GPU, by their driver's tool; empty where there is none.
+
+    Args:
+        properties: as `nvidia-smi --help-query-gpu` lists them.
+    """
+    query = f"--query-gpu={','.join(properties)}"
+    command = ["nvidia-smi", query, "--format=csv,noheader,nounits"]
     try:
-        run = subprocess.run(command, capture_output=True, text=True)
-    except FileNotFoundError:
-        return "unknown"
-    return ", ".join(run.stdout.splitlines()) or "unknown"
+        run = subprocess.run(command, capture_output=True, text=True, timeout=10)
+    except (FileNotFoundError, subprocess.TimeoutExpired):
+        return []
+    return run.stdout.splitlines() if run.returncode == 0 else []
 
 
 def processor() -> str:

@@ -1,14 +1,15 @@
-"""Choosing libLLVM."""
+"""Choosing libLLVM and a variant of Mitsuba."""
 
 import os
 import subprocess
 import sys
+import warnings
 
 import pytest
 
 from lumitree.core import backend
-from lumitree.core.backend import check_llvm, load_mitsuba, load_rgb
-from lumitree.errors import LumitreeError
+from lumitree.core.backend import check_llvm, load_mitsuba, load_rgb, warn_of_gpu
+from lumitree.errors import LumitreeError, LumitreeWarning
 
 
 @pytest.mark.parametrize("version", [(14, 0, 6), (15, 0, 7), (16, 0, 0)])
@@ -63,6 +64,30 @@ def test_a_missing_library_is_one_line():
     )
     assert "names /nowhere/libLLVM.so, which is not a file; unset" in result.stderr
     assert result.stderr.count("\n") == 1
+
+
+def test_a_gpu_is_not_used_by_default():
+    code = (
+        "import lumitree, drjit; drjit.has_backend = lambda backend: True;"
+        "from lumitree.core.backend import load_mitsuba; print(load_mitsuba().variant())"
+    )
+    assert succeeds(code) == ["llvm_ad_rgb"]
+
+
+def test_variants_for_gpus_are_said_to_be_little_tested_once(monkeypatch):
+    monkeypatch.setattr(backend, "_warned_of_gpu", False)
+    with pytest.warns(LumitreeWarning, match="^cuda_ad_rgb is little tested; compare .* llvm"):
+        warn_of_gpu("cuda_ad_rgb")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_gpu("cuda_ad_rgb")
+
+
+def test_the_variant_of_cpus_is_used_without_a_warning(monkeypatch):
+    monkeypatch.setattr(backend, "_warned_of_gpu", False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_gpu("llvm_ad_rgb")
 
 
 def test_users_choice_is_respected():

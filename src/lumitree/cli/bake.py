@@ -35,7 +35,7 @@ _HEAD = """# Settings of 'lumitree bake --config FILE'. Remove the # before a se
 # the name of ASSET with .work, removed at the end.
 #work = ...
 
-# Mitsuba variant. Default: "cuda_ad_rgb" where there is a GPU, else "llvm_ad_rgb".
+# Mitsuba variant. Default: "llvm_ad_rgb".
 #variant = ...
 """
 

@@ -108,7 +108,8 @@ def add_variant(parser: argparse.ArgumentParser, more: str = "") -> None:
     parser.add_argument(
         "--variant",
         metavar="NAME",
-        help="Mitsuba variant (default: cuda_ad_rgb where there is a GPU, else llvm_ad_rgb)" + more,
+        help="Mitsuba variant; cuda_ad_rgb, for an NVIDIA GPU, is little tested (default: "
+        "llvm_ad_rgb)" + more,
     )
 
 

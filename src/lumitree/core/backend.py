@@ -9,10 +9,11 @@ Dr.Jit before that import. A value of DRJIT_LIBLLVM_PATH that the user has set i
 import importlib
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, LumitreeWarning
 
 CPU_VARIANT = "llvm_ad_rgb"
 GPU_VARIANT = "cuda_ad_rgb"
@@ -20,8 +21,8 @@ GPU_VARIANT = "cuda_ad_rgb"
 _RGB, _SPECTRAL = "_ad_rgb", "_ad_spectral"
 # The AVX-512 back end of older versions cannot compile the `fminimum` that Dr.Jit emits.
 MIN_LLVM = 17
-# Whether `quieten` was called.
-_quiet = False
+# Whether `quieten` was called, and whether `warn_of_gpu` has warned.
+_quiet = _warned_of_gpu = False
 # Threads of CPU variants; None for as many as there are cores.
 _threads: int | None = None
 
@@ -49,7 +50,7 @@ def load_mitsuba(variant: str | None = None) -> Any:
 
     Args:
         variant: Mitsuba variant, RGB or spectral; by default the one already set, else
-            `cuda_ad_rgb` where a GPU is found and `llvm_ad_rgb` elsewhere.
+            `llvm_ad_rgb`. One for GPUs is never the default, since few tests have run there.
 
     Raises:
         LumitreeError: unusable libLLVM, or a variant that is unknown, not vectorised, monochrome or
@@ -65,7 +66,7 @@ def _load(variant: str | None, kinds: tuple[str, ...]) -> Any:
     if chosen and not Path(chosen).is_file():
         raise LumitreeError(f"DRJIT_LIBLLVM_PATH names {chosen}, which is not a file; {_remedy()}")
     mi = importlib.import_module("mitsuba")
-    variant = str(variant or mi.variant() or (GPU_VARIANT if _has_gpu() else CPU_VARIANT))
+    variant = str(variant or mi.variant() or CPU_VARIANT)
     if variant not in mi.variants():
         raise LumitreeError(
             f"this Mitsuba has no variant {variant!r}; choose {CPU_VARIANT} or {GPU_VARIANT}"
@@ -89,6 +90,7 @@ def _load(variant: str | None, kinds: tuple[str, ...]) -> Any:
         importlib.import_module("drjit").set_thread_count(_threads)
     if _quiet:
         mi.set_log_level(mi.LogLevel.Error)
+    warn_of_gpu(variant)
     return mi
 
 
@@ -113,6 +115,18 @@ def use_threads(count: int) -> None:
     """
     global _threads
     _threads = count
+
+
+def warn_of_gpu(variant: str) -> None:
+    """Warn, once in a process, that a variant for GPUs is little tested."""
+    global _warned_of_gpu
+    if variant.startswith("cuda") and not _warned_of_gpu:
+        _warned_of_gpu = True
+        warnings.warn(
+            f"{variant} is little tested; compare what it computes with {CPU_VARIANT}",
+            LumitreeWarning,
+            stacklevel=4,
+        )
 
 
 def check_llvm(version: tuple[int, ...] | None, path: str | None) -> None:
@@ -145,8 +159,3 @@ def _bundled_llvm() -> Path | None:
         return None
     libraries = [file for file in files if file.name.startswith("libLLVM.so.")]
     return Path(str(libraries[0].locate())).resolve() if libraries else None
-
-
-def _has_gpu() -> bool:
-    dr = importlib.import_module("drjit")
-    return bool(dr.has_backend(dr.JitBackend.CUDA))

@@ -126,7 +126,7 @@ def _living(handle: int, locked: bool | None, folder: Path) -> Owner | None:
         and (locked or not is_running(owner.process))
     ):
         return None
-    with tempfile.TemporaryFile(dir=folder) as file:
+    with tempfile.NamedTemporaryFile(dir=folder) as file:
         # The clock of the file system, which may be that of another machine.
         file.write(b"0")
         file.flush()
