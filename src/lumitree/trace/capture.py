@@ -8,6 +8,7 @@ from lumitree.core.dataset import MANIFEST, MAX_VIEWS, Dataset, Frame, Manifest,
 from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.core.work_folder import alone_in
 from lumitree.errors import LumitreeError
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.trace.cameras import Camera
@@ -29,12 +30,19 @@ def capture(
     views are Halton indices from 1 on, test views from 100001 on. The pixel filter is a box.
 
     Raises:
-        LumitreeError: bad settings, or `folder` holds another capture.
+        LumitreeError: bad settings, or `folder` holds another capture, or another process works in
+            it.
     """
     manifest = _plan(luminaire, num_views, resolution, samples_per_pixel, split)
-    dataset = _open_or_start(Path(folder), manifest)
+    with alone_in(Path(folder)):
+        return _capture(luminaire, _open_or_start(Path(folder), manifest))
+
+
+def _capture(luminaire: Luminaire, dataset: Dataset) -> Dataset:
+    """Render the views that a dataset lacks."""
+    manifest = dataset.manifest
     missing = dataset.missing()
-    camera = Camera(luminaire, resolution, samples_per_pixel)
+    camera = Camera(luminaire, manifest.resolution, manifest.samples_per_pixel)
     done = len(manifest.frames) - len(missing)
     with progress(f"capture {luminaire.name}", len(manifest.frames), done) as advance:
         for frame in missing:
