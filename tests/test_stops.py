@@ -320,6 +320,36 @@ def test_a_bake_killed_while_it_calibrates_continues_there(tiny, steps, monkeypa
     assert left() == ["out/lamp.lumitree"]
 
 
+def test_a_killed_bake_repeats_one_step_and_gives_the_same_bytes(tiny, steps, monkeypatch):
+    often = {"save_seconds": 0.0, "save_time_factor": 0.0}
+    tiny_bakes.set_qualities(monkeypatch.setitem, rays=1 << 18, schedule=often)
+    assert main([*BAKE[:-1], "whole.lumitree"]) == 0
+    done = list(steps)
+    steps.clear()
+    for step in (3, 5):
+        steps.before[step] = die
+        assert main(list(BAKE)) == 1
+    assert main(list(BAKE)) == 0
+    # The steps that were begun when the process died are done again, and no others.
+    assert sorted(steps) == sorted([*done, 3, 5])
+    assert Path("out/lamp.lumitree").read_bytes() == Path("whole.lumitree").read_bytes()
+
+
+def test_a_field_that_only_a_stop_made_the_best_is_not_saved(tiny, steps, monkeypatch):
+    """An uninterrupted bake would not keep it."""
+    from lumitree.fit.octree.heldout import Score
+
+    # Each step would be a time to compare fields in so short a bake.
+    tiny_bakes.set_qualities(monkeypatch.setitem, schedule={"score_interval": 0.9})
+    # Every field is kept that is compared.
+    monkeypatch.setattr(Score, "rank", property(lambda _: 0.0))
+    steps.before[2] = lambda: signal.raise_signal(signal.SIGTERM)
+    assert main(list(BAKE)) == 143
+    with np.load("out/lamp.work/state.npz") as state:
+        assert state["steps"][0] == 2
+        assert not np.array_equal(state["best_log_density"], state["log_density"])
+
+
 @pytest.mark.parametrize("command", [BAKE, COMMANDS["refine"]])
 def test_a_full_work_disk_is_warned_of_once_and_the_bake_goes_on(
     tiny, steps, monkeypatch, capsys, command

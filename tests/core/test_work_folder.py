@@ -1,6 +1,7 @@
 """Folders that lumitree owns, and what it never deletes."""
 
 import errno
+import gc
 import os
 import shutil
 import signal
@@ -11,10 +12,14 @@ from pathlib import Path
 
 import pytest
 
+from lumitree.core import work_folder
 from lumitree.core.files import write_bytes
 from lumitree.core.work_folder import (
     MARKER,
+    BusyFolderError,
+    ScratchFolder,
     WorkFolder,
+    alone_in,
     atomic_files,
     atomic_folder,
     check_new_folder,
@@ -129,9 +134,85 @@ def test_one_process_at_a_time(tmp_path):
         WorkFolder(tmp_path / "w")
 
 
+def removed_before(function, path, monkeypatch):
+    """Let another process remove a path just before the first call of a function."""
+    original = getattr(work_folder, function)
+
+    def remove_and_call(*args, **kwargs):
+        monkeypatch.undo()
+        shutil.rmtree(path, ignore_errors=True)
+        return original(*args, **kwargs)
+
+    monkeypatch.setattr(work_folder, function, remove_and_call)
+
+
+def test_a_folder_that_its_owner_removes_meanwhile_is_made_again(tmp_path, monkeypatch):
+    removed_before("lock", tmp_path / "w", monkeypatch)
+    with WorkFolder(tmp_path / "w"):
+        assert (tmp_path / "w" / MARKER).exists()
+        with pytest.raises(BusyFolderError):
+            WorkFolder(tmp_path / "w")
+    removed_before("lock", tmp_path / "w", monkeypatch)
+    with alone_in(tmp_path / "w"):
+        assert (tmp_path / "w").is_dir()
+        with pytest.raises(BusyFolderError), alone_in(tmp_path / "w"):
+            pass
+
+
+def test_one_process_at_a_time_works_in_a_folder_of_results(tmp_path):
+    with alone_in(tmp_path / "new" / "d"):
+        message = r"^another process works in .*/new/d; wait for it, or choose another output with"
+        with pytest.raises(BusyFolderError, match=message), alone_in(tmp_path / "new" / "d"):
+            pass
+    with alone_in(tmp_path / "new" / "d"):
+        assert os.listdir(tmp_path / "new" / "d") == []
+    (tmp_path / "file").touch()
+    exists = r"cannot write .*: File exists"
+    with pytest.raises(LumitreeError, match=exists), alone_in(tmp_path / "file"):
+        pass
+
+
+def test_a_scratch_folder_that_is_taken_for_abandoned_is_made_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    make = tempfile.mkdtemp
+    made = []
+
+    def make_and_remove(**options):
+        made.append(make(**options))
+        if len(made) == 1:
+            os.rmdir(made[0])
+        return made[-1]
+
+    monkeypatch.setattr(tempfile, "mkdtemp", make_and_remove)
+    with scratch_folder() as folder:
+        assert os.listdir(tmp_path) == [folder.name]
+    assert len(made) == 2
+
+
+def test_scratch_folders_last_as_long_as_their_objects(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    kept = ScratchFolder()
+    files = len(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else None
+    for _ in range(10):
+        last = ScratchFolder()
+        (last.path / "a").write_text("x")
+    gc.collect()
+    assert sorted(kept.path.parent.iterdir()) == sorted(
+        [kept.path, last.path, kept.path.parent / MARKER]
+    )
+    # All are under one lock.
+    assert files is None or len(os.listdir("/proc/self/fd")) == files
+    # Systems remove old temporary files.
+    shutil.rmtree(kept.path.parent)
+    assert ScratchFolder().path.parent != kept.path.parent
+
+
 def test_scratch_folders_of_killed_processes_are_removed(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     (tmp_path / "lumitree-scratch-somebody").mkdir()
+    (tmp_path / "lumitree-scratch-somebody" / "mine").touch()
+    # Of a process that was killed before it locked its folder.
+    (tmp_path / "lumitree-scratch-__empty_").mkdir()
     code = (
         "import sys, time\n"
         "from lumitree.core.work_folder import scratch_folder\n"
@@ -152,6 +233,7 @@ def test_scratch_folders_of_killed_processes_are_removed(tmp_path, monkeypatch):
         assert killed.is_dir()
         with scratch_folder() as own:
             assert not killed.exists()
+            assert not (tmp_path / "lumitree-scratch-__empty_").exists()
             assert living.is_dir()
             assert own.is_dir()
         assert not own.exists()

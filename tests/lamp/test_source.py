@@ -1,19 +1,23 @@
 """Every kind of file behind one argument: formats, overrides, selection, fingerprints, light."""
 
+import gc
 import os
+import shutil
+import tempfile
 
 import numpy as np
 import pytest
 import trimesh
 
 from lumitree.errors import LumitreeError
+from lumitree.lamp import opening
 from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.model_reading import read_model
-from lumitree.lamp.opening import luminaire_path
+from lumitree.lamp.opening import scene_path
 from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Part
 from lumitree.lamp.scene_writer import write_scene
-from lumitree.lamp.source import LuminaireSource
+from lumitree.lamp.source import LuminaireSource, as_source
 from lumitree.rendering.scene import place_shapes
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=5)
@@ -146,10 +150,38 @@ def test_fingerprint_covers_model_materials_and_overrides(lamp):
 
 def test_scene_is_written_once_and_again_when_the_overrides_change(lamp):
     lamp.with_suffix(".toml").write_text(BULB)
-    path = luminaire_path(lamp)
-    assert luminaire_path(str(lamp)) == path
+    path = scene_path(as_source(lamp))[0]
+    assert scene_path(as_source(str(lamp)))[0] == path
     lamp.with_suffix(".toml").write_text(BULB + "# longer\n")
-    assert luminaire_path(lamp) != path
+    assert scene_path(as_source(lamp))[0] != path
+
+
+def test_temporary_scenes_are_removed_with_their_luminaires(lamp, tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    lamp.with_suffix(".toml").write_text(BULB)
+    sphere = {"type": "sphere", "emitter": {"type": "area"}}
+    kept = [load_luminaire(sphere), load_luminaire(lamp)]
+    for radius in (1, 2, 3):
+        load_luminaire({**sphere, "radius": radius})
+    # As if many other models had been loaded.
+    opening._written.cache_clear()
+    gc.collect()
+    scenes = {path.parent.name for path in tmp_path.rglob("lumitree-scratch-*/*/*.xml")}
+    assert scenes == {luminaire.file.path.parent.name for luminaire in kept}
+    for luminaire in kept:
+        assert luminaire.file.instantiate().shapes()
+    del luminaire
+    kept.clear()
+    gc.collect()
+    assert not list(tmp_path.rglob("lumitree-scratch-*/*/*.xml"))
+
+
+def test_a_model_is_written_again_if_its_temporary_scene_was_removed(lamp):
+    lamp.with_suffix(".toml").write_text(BULB)
+    path, folder = scene_path(as_source(lamp))
+    shutil.rmtree(folder.path.parent)
+    assert load_luminaire(lamp).scene.shapes()
+    assert scene_path(as_source(lamp))[0] != path
 
 
 def test_parts_of_a_model_are_selected(lamp):

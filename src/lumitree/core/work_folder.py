@@ -4,12 +4,14 @@ Outputs of several files are written into a temporary folder first. No other mod
 Only what lumitree has written is deleted.
 """
 
+import atexit
 import contextlib
 import os
 import re
 import shutil
 import tempfile
 import warnings
+import weakref
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -60,13 +62,7 @@ class WorkFolder:
                     f"{self.path} holds what lumitree did not write ({shown(found[0])}); choose an "
                     "empty or a new folder with --work, or move it away"
                 )
-            handle = os.open(marker, os.O_RDWR | os.O_CREAT, 0o666)
-            if lock(handle) is False:
-                os.close(handle)
-                raise BusyFolderError(
-                    f"another process works in {self.path}; wait for it, or choose another folder "
-                    "with --work"
-                )
+            handle = self._locked(marker)
             self._handle: int | None = handle
             try:
                 if not os.fstat(handle).st_size:
@@ -79,6 +75,22 @@ class WorkFolder:
             raise WriteError(
                 self.path, error, f"the work folder {self.path}", "choose another with --work"
             ) from error
+
+    def _locked(self, marker: Path) -> int:
+        """Handle of the marker, which this process holds from now on."""
+        while True:
+            self.path.mkdir(parents=True, exist_ok=True)
+            handle = os.open(marker, os.O_RDWR | os.O_CREAT, 0o666)
+            if lock(handle) is False:
+                os.close(handle)
+                raise BusyFolderError(
+                    f"another process works in {self.path}; wait for it, or choose another folder "
+                    "with --work"
+                )
+            # Else the process that held the folder has just removed it.
+            if os.fstat(handle).st_nlink:
+                return handle
+            os.close(handle)
 
     def __enter__(self) -> "WorkFolder":
         return self
@@ -131,6 +143,38 @@ class WorkFolder:
             )
 
 
+@contextlib.contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Context in which no other process works in a folder, which is made if it is missing.
+
+    The folder itself is locked: processes that are killed leave nothing in it.
+
+    Raises:
+        BusyFolderError: another process works in it.
+        WriteError: it cannot be made.
+    """
+    while True:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            handle = os.open(folder, os.O_RDONLY)
+        except (OSError, ValueError) as error:
+            raise WriteError(folder, error) from error
+        if lock(handle) is False:
+            os.close(handle)
+            raise BusyFolderError(
+                f"another process works in {shown(folder, 300)}; wait for it, or choose another "
+                "output with -o"
+            )
+        # Else the process that worked in the folder has just removed it.
+        if os.fstat(handle).st_nlink:
+            break
+        os.close(handle)
+    try:
+        yield
+    finally:
+        os.close(handle)
+
+
 def remove_written(folder: Path, names: Iterable[str]) -> None:
     """Remove what lumitree wrote into a folder, and the folders in it that are then empty.
 
@@ -158,18 +202,59 @@ def scratch_folder() -> Iterator[Path]:
     Raises:
         LumitreeError: the folder for temporary files cannot be written.
     """
-    try:
+    with _in_temporary():
         folder, handle = _create_locked(Path(tempfile.gettempdir()), SCRATCH)
-    except OSError as error:
-        raise LumitreeError(
-            f"no folder for temporary files can be made: {error.strerror or error}; free some "
-            "space or name another with TMPDIR"
-        ) from error
     try:
         yield folder
     finally:
         release(handle)
         shutil.rmtree(folder, ignore_errors=True)
+
+
+class ScratchFolder:
+    """A temporary folder that lasts as long as the object, and at most as long as the process.
+
+    All of a process are in one folder, so that any number of them takes one open file.
+
+    Attributes:
+        path: the folder.
+
+    Raises:
+        LumitreeError: the folder for temporary files cannot be written.
+    """
+
+    def __init__(self) -> None:
+        with _in_temporary():
+            self.path = Path(tempfile.mkdtemp(dir=_process_folder()))
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+
+_until_exit = contextlib.ExitStack()
+atexit.register(_until_exit.close)
+# By the folder for temporary files.
+_process_folders: dict[str, Path] = {}
+
+
+def _process_folder() -> Path:
+    """The folder of all `ScratchFolder` of this process."""
+    root = tempfile.gettempdir()
+    folder = _process_folders.get(root)
+    # Old temporary files are removed on many systems.
+    if folder is None or not folder.is_dir():
+        folder = _process_folders[root] = _until_exit.enter_context(scratch_folder())
+    return folder
+
+
+@contextlib.contextmanager
+def _in_temporary() -> Iterator[None]:
+    """Context that explains why the folder for temporary files cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise LumitreeError(
+            f"no folder for temporary files can be made: {error.strerror or error}; free some "
+            "space or name another with TMPDIR"
+        ) from error
 
 
 @contextlib.contextmanager
@@ -261,17 +346,28 @@ def _create_locked(root: Path, prefix: str) -> tuple[Path, int | None]:
     Folders with the same prefix that killed processes left are removed.
     """
     for folder in root.iterdir():
-        if not re.fullmatch(f"{re.escape(prefix)}[a-z0-9_]{{8}}", folder.name):
-            continue
-        # The folder may be another user's, or another process may be making or removing it.
-        with contextlib.suppress(OSError):
-            handle = os.open(folder / MARKER, os.O_RDWR)
-            try:
-                if lock(handle):
-                    shutil.rmtree(folder)
-            finally:
-                os.close(handle)
-    folder = Path(tempfile.mkdtemp(prefix=prefix, dir=root))
-    handle = os.open(folder / MARKER, os.O_RDWR | os.O_CREAT, 0o600)
-    lock(handle)
-    return folder, keep(handle)
+        if re.fullmatch(f"{re.escape(prefix)}[a-z0-9_]{{8}}", folder.name):
+            _remove_abandoned(folder)
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=root))
+        # Before the marker is locked, another process may take the folder for abandoned.
+        with contextlib.suppress(FileNotFoundError):
+            handle = os.open(folder / MARKER, os.O_RDWR | os.O_CREAT, 0o600)
+            if lock(handle) is not False and os.fstat(handle).st_nlink:
+                return folder, keep(handle)
+            os.close(handle)
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Remove a temporary folder that no running process has locked."""
+    # The folder may be another user's, or another process may be making or removing it.
+    with contextlib.suppress(OSError):
+        # Of a process that was killed before it made the marker.
+        os.rmdir(folder)
+    with contextlib.suppress(OSError):
+        handle = os.open(folder / MARKER, os.O_RDWR)
+        try:
+            if lock(handle):
+                shutil.rmtree(folder)
+        finally:
+            os.close(handle)

@@ -1,19 +1,17 @@
 """The parsed scene of a built-in luminaire, a model, a scene file or a dictionary."""
 
-import atexit
-import contextlib
-import contextvars
+import dataclasses
 import functools
 import hashlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.file_kinds import what_it_is
 from lumitree.core.reading import read_bytes
-from lumitree.core.work_folder import scratch_folder
+from lumitree.core.work_folder import ScratchFolder
 from lumitree.errors import LumitreeError, shown, shown_names
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES, noted_files
@@ -34,6 +32,8 @@ _NOT_LUMINAIRES: dict[str, str] = {
 _INVISIBLE = ("directionalarea",)
 
 
+# Of a version of a file: its path, time, size and inode.
+Stamp = tuple[str, int, int, int]
 Opened = str | os.PathLike[str] | LuminaireSource | Mapping[str, Any]
 
 
@@ -44,59 +44,48 @@ def luminaire_source(luminaire: Opened) -> LuminaireSource:
         LumitreeError: it is none of these, or a dictionary is not a scene.
     """
     if isinstance(luminaire, Mapping):
-        return LuminaireSource(str(_written_dictionary(dict(luminaire))))
+        return _written_dictionary(dict(luminaire))
     if not isinstance(luminaire, str | os.PathLike | LuminaireSource):
         kind = type(luminaire).__name__
         raise LumitreeError(f"a luminaire is a name, path, dictionary or scene, not of type {kind}")
     return as_source(luminaire)
 
 
-def _stamp(path: Path) -> tuple[str, int, int]:
-    status = path.stat() if os.path.exists(path) else None
-    return (str(path), status.st_mtime_ns, status.st_size) if status else (str(path), 0, 0)
+def _stamp(path: Path) -> Stamp:
+    if not os.path.exists(path):
+        return str(path), 0, 0, 0
+    status = path.stat()
+    # Times of clocks that were set back may repeat.
+    return str(path), status.st_mtime_ns, status.st_size, status.st_ino
 
 
 @functools.lru_cache(maxsize=64)
 def _written(
-    source: LuminaireSource, stamps: tuple[tuple[str, int, int], ...]
-) -> tuple[Path, frozenset[Path]]:
-    """Path of the scene written for a source, and the files that its model names.
+    source: LuminaireSource, stamps: tuple[Stamp, ...]
+) -> tuple[Path, ScratchFolder, frozenset[Path]]:
+    """The scene written for a source, its folder, and the files that its model names.
 
     `stamps` identify the versions of its files.
     """
+    folder = ScratchFolder()
     with noted_files() as files:
-        path = write_scene(read_model(source), _folders.get().enter_context(scratch_folder()))
-    return path, frozenset(files)
+        path = write_scene(read_model(source), folder.path)
+    return path, folder, frozenset(files)
 
 
-_until_exit = contextlib.ExitStack()
-atexit.register(_until_exit.close)
-# Owns the folders of the scenes that are written.
-_folders: contextvars.ContextVar[contextlib.ExitStack] = contextvars.ContextVar(
-    "folders", default=_until_exit
-)
+@dataclasses.dataclass(frozen=True)
+class _DictionarySource(LuminaireSource):
+    """The scene file of a dictionary, which lasts as long as its folder."""
 
-
-@contextlib.contextmanager
-def passing_scenes() -> Iterator[None]:
-    """Context at whose end the scenes that were written in it are removed.
-
-    For what loads thousands of luminaires, whose scenes would fill the disk.
-    """
-    with contextlib.ExitStack() as stack:
-        token = _folders.set(stack)
-        try:
-            yield
-        finally:
-            _folders.reset(token)
-            _written.cache_clear()
+    folder: ScratchFolder | None = dataclasses.field(default=None, compare=False)
 
 
 def open_scene_file(source: LuminaireSource) -> SceneFile:
     """The parsed and checked scene of a source; its patterns are applied if its file is a scene."""
-    path = luminaire_path(source)
+    path, folder = scene_path(source)
     own = path == Path(source.name)
-    file = SceneFile(path, source.keep, source.drop) if own else SceneFile(path)
+    patterns = (source.keep, source.drop) if own else ((), ())
+    file = SceneFile(path, *patterns, folder=folder)
     _check_emitters(file)
     return file
 
@@ -144,17 +133,16 @@ def fingerprint_of(file: SceneFile, source: LuminaireSource) -> str:
     return digest.hexdigest()
 
 
-def luminaire_path(source: Opened) -> Path:
-    """Path of the Mitsuba scene file of a luminaire.
+def scene_path(source: LuminaireSource) -> tuple[Path, ScratchFolder | None]:
+    """Path of the Mitsuba scene file of a luminaire, and its folder if that is a temporary one.
 
-    Built-in luminaires and models are written to a temporary folder, which lasts as long as the
-    process. A model is read again when the model or its overrides have changed.
+    Built-in luminaires and models are written to a temporary folder. A model is written again when
+    the model or its overrides have changed.
 
     Raises:
         LumitreeError: the name or the format is unknown, the file cannot be read, or its overrides
             are invalid.
     """
-    source = luminaire_source(source)
     path = Path(source.name)
     builtin = source.name in BUILTIN
     if not builtin and not os.path.exists(path):
@@ -174,25 +162,31 @@ def luminaire_path(source: Opened) -> Path:
             raise LumitreeError(
                 f"{path} is a Mitsuba scene, to which --materials does not apply; edit its BSDFs"
             )
-        return path
-    return _written_model(source)[0]
+        return path, getattr(source, "folder", None)
+    return _written_model(source)[:2]
 
 
 def named_files(source: LuminaireSource) -> frozenset[Path]:
     """The files that a model has named when its scene was written, also missing ones."""
-    return _written_model(source)[1]
+    return _written_model(source)[2]
 
 
-def _written_model(source: LuminaireSource) -> tuple[Path, frozenset[Path]]:
+def _written_model(source: LuminaireSource) -> tuple[Path, ScratchFolder, frozenset[Path]]:
     builtin = source.name in BUILTIN
     files = () if builtin else (Path(source.name), overrides_path(source))
-    return _written(source, tuple(_stamp(file) for file in files if file is not None))
+    stamps = tuple(_stamp(file) for file in files if file is not None)
+    written = _written(source, stamps)
+    if not written[0].is_file():
+        # Old temporary files are removed on many systems.
+        _written.cache_clear()
+        written = _written(source, stamps)
+    return written
 
 
-def _written_dictionary(description: dict[str, Any]) -> Path:
-    """Path of a dictionary's scene file, in a temporary folder."""
-    mi = load_mitsuba()
-    path = _folders.get().enter_context(scratch_folder()) / "scene.xml"
+def _written_dictionary(description: dict[str, Any]) -> LuminaireSource:
+    """The scene file of a dictionary, in a temporary folder."""
+    mi, folder = load_mitsuba(), ScratchFolder()
+    path = folder.path / "scene.xml"
     config = mi.parser.ParserConfig(mi.variant())
     config.merge_meshes = config.merge_equivalent = False
     if description.get("type") != "scene":
@@ -203,4 +197,4 @@ def _written_dictionary(description: dict[str, Any]) -> Path:
     except (RuntimeError, TypeError, ValueError) as error:
         reason = shown(" ".join(str(error).split()), 300)
         raise LumitreeError(f"the dictionary is not a Mitsuba scene: {reason}") from None
-    return path
+    return _DictionarySource(str(path), folder=folder)

@@ -41,6 +41,7 @@ class SceneFile:
         source: str | os.PathLike[str] | Mapping[str, Any],
         keep: Sequence[str] = (),
         drop: Sequence[str] = (),
+        folder: object = None,
     ) -> None:
         """Parse `source`.
 
@@ -51,12 +52,14 @@ class SceneFile:
                 such as "#3". If there are any, all other shapes are left out of the scene, and all
                 objects that are not shapes.
             drop: patterns or numbers of shapes that are left out.
+            folder: what is kept as long as this object, because the file lasts as long.
 
         Raises:
             LumitreeError: the file is missing or is not a Mitsuba scene, or a pattern matches no
                 shape.
         """
         described = dict(source) if isinstance(source, Mapping) else None
+        self._kept = folder
         # Relative names in a dictionary are those of the working folder.
         self.path, self._folder, self._name = Path(), Path(), "the scene's dictionary"
         if not isinstance(source, Mapping):

@@ -12,6 +12,7 @@ from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
 from lumitree.core.executor import run_tasks
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.core.work_folder import alone_in
 from lumitree.errors import LumitreeError
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.sent import LampWorkers, received_luminaire
@@ -38,13 +39,20 @@ def capture(
         workers: what renders the views. Default: this process. It writes them in any case.
 
     Raises:
-        LumitreeError: bad settings, `folder` holds another capture, or a worker is lost.
+        LumitreeError: bad settings, `folder` holds another capture, another process works in it,
+            or a worker is lost.
     """
     manifest = _plan(luminaire, num_views, resolution, samples_per_pixel, split)
-    dataset = _open_or_start(Path(folder), manifest)
+    with alone_in(Path(folder)):
+        return _capture(luminaire, _open_or_start(Path(folder), manifest), workers)
+
+
+def _capture(luminaire: Luminaire, dataset: Dataset, workers: LampWorkers | None) -> Dataset:
+    """Render the views that a dataset lacks."""
+    manifest = dataset.manifest
     missing = dataset.missing()
     done = len(manifest.frames) - len(missing)
-    settings = resolution, samples_per_pixel
+    settings = manifest.resolution, manifest.samples_per_pixel
     if workers is None:
         camera = Camera(luminaire, *settings)
         images = contextlib.nullcontext(enumerate(_take(camera, frame) for frame in missing))

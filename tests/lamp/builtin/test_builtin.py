@@ -12,9 +12,10 @@ from lumitree.errors import LumitreeError
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.meshes import coil, frames, lathe, offset, smooth, sweep
-from lumitree.lamp.opening import luminaire_path
+from lumitree.lamp.opening import scene_path
 from lumitree.lamp.parts import Glass
 from lumitree.lamp.scene_writer import SCENE_FILE, write_scene
+from lumitree.lamp.source import as_source
 from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.trace.capture import capture
 from lumitree.trace.tracing import PATH_DEPTH
@@ -269,7 +270,7 @@ def test_the_arc_lamp_is_stored_and_leaves_its_box_empty(mi):
 
 def test_unknown_name_is_told_the_known_ones():
     with pytest.raises(LumitreeError, match=r"'chandelier'.*bulbs"):
-        luminaire_path("chandelier")
+        scene_path(as_source("chandelier"))
 
 
 def test_builtins_are_frozen_and_described():

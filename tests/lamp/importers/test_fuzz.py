@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from lumitree.lamp.model_reading import read_model
-from lumitree.lamp.opening import luminaire_path
+from lumitree.lamp.opening import scene_path
 from lumitree.lamp.scene_file import SceneFile
+from lumitree.lamp.source import as_source
 from support.damage import damaged, refused
 from support.lamps import AREA, GLASS, scene, sphere
 from support.obj_files import obj_model
@@ -47,5 +48,5 @@ def test_scenes(mi, tmp_path):
     refusals = 0
     for _ in range(150):
         path.write_bytes(damaged(whole, rng))
-        refusals += refused(lambda: SceneFile(luminaire_path(path)).instantiate())
+        refusals += refused(lambda: SceneFile(scene_path(as_source(path))[0]).instantiate())
     assert refusals > 50

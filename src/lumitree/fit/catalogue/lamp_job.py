@@ -129,13 +129,10 @@ class LampJob:
             return Outcome(dataclasses.replace(self._lamp("failed", None), error=reason))
 
     def _run(self, files: LampFiles, progress: ProgressCallback | None) -> Outcome:
-        from lumitree.lamp.opening import passing_scenes
-
         # Another process may have baked it meanwhile.
         if (kept := self.kept()) is not None:
             return Outcome(kept)
-        with passing_scenes():
-            return self._bake(files, progress)
+        return self._bake(files, progress)
 
     def _bake(self, files: LampFiles, progress: ProgressCallback | None) -> Outcome:
         """Load the luminaire, and bake it if that has not been done."""

@@ -17,6 +17,7 @@ from lumitree.core.files import WriteError, is_empty, write_json
 from lumitree.core.interrupt import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.core.reading import Record, parse_json, read_bytes
+from lumitree.core.work_folder import alone_in
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.network.losses import psnr
@@ -89,13 +90,13 @@ def train(
         stop_after: stop and save after this number of steps.
 
     Raises:
-        LumitreeError: the dataset or the folder cannot be used, the settings are not those of the
-            run, there is nothing to resume, or the loss is not finite.
+        LumitreeError: the dataset or the folder cannot be used, another process works in the
+            folder, the settings are not those of the run, there is nothing to resume, or the loss
+            is not finite.
     """
     dataset, folder = Dataset.open(dataset_path), Path(run_path)
     made = not folder.exists()
     _check_folder(folder, config, resume)
-    resume = resume and has_checkpoint(folder)
     rays, occupancy = load_rays(dataset, config.opacity_kind, config.skip_empty)
     manifest = dataset.manifest
     record = RunRecord(
@@ -106,25 +107,42 @@ def train(
         rays.max_radiance,
         manifest.local_frame,
     )
+    with alone_in(folder):
+        # Again, since another process may have worked in the folder meanwhile.
+        _check_folder(folder, config, resume)
+        try:
+            resume = resume and has_checkpoint(folder)
+            return _train(folder, record, rays, occupancy, resume, stop_after)
+        except WriteError:
+            remove_unfinished(folder, made)
+            raise
+
+
+def _train(
+    folder: Path,
+    record: RunRecord,
+    rays: RaySet,
+    occupancy: Occupancy,
+    resume: bool,
+    stop_after: int | None,
+) -> TrainResult:
+    """Train in a folder that no other process uses; with `resume`, from its newest checkpoint."""
+    config = record.config
     graph, state = initial_state(config, rays.typical_part)
     history: list[dict[str, float]] = []
     if resume:
         _check_same_data(RunRecord.load(folder), record)
         state = restore_checkpoint(folder, state)
         history = _load_history(folder, int(state.step))
+    else:
+        record.save(folder)
+        save_occupancy(folder / OCCUPANCY, occupancy)
     last = config.num_steps
     if stop_after is not None:
         last = min(last, int(state.step) + stop_after)
-    try:
-        if not resume:
-            record.save(folder)
-            save_occupancy(folder / OCCUPANCY, occupancy)
-        with open_checkpoints(folder) as checkpoints:
-            loop = _Loop(folder, rays, occupancy, config, graph, checkpoints, history)
-            return loop.run(state, last)
-    except WriteError:
-        remove_unfinished(folder, made)
-        raise
+    with open_checkpoints(folder) as checkpoints:
+        loop = _Loop(folder, rays, occupancy, config, graph, checkpoints, history)
+        return loop.run(state, last)
 
 
 class _Loop:
@@ -213,8 +231,9 @@ class _Loop:
             warnings.warn(f"{error}; the training continues", LumitreeWarning, stacklevel=2)
 
     def _save(self, done: int, state: TrainState) -> None:
-        save_checkpoint(self.folder, self.checkpoints, done, state)
+        # First: of a history that is ahead of the newest checkpoint the end is left out.
         write_json(self.folder / HISTORY, self.history)
+        save_checkpoint(self.folder, self.checkpoints, done, state)
 
 
 def _check_folder(folder: Path, config: TrainConfig, resume: bool) -> None:

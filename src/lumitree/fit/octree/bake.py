@@ -162,15 +162,13 @@ def _run(
     refiner = Refiner(field, source, max_radiance, config.refine, config.split)
     best = None if saved is None else saved.restore(refiner)
     held_out = HeldOut.trace(source, max_radiance, config.held_out)
-    descent = Descent(refiner, source, max_radiance, held_out, budget, config, state_file)
-    if best is not None:
-        descent.keep_better(best)
+    # Of a bake that continues not the field as it is: the bake would not have kept it here.
+    first = refiner.field if best is None else best
+    descent = Descent(refiner, first, source, max_radiance, held_out, budget, config, state_file)
     with deferred_interrupt() as interruption:
         # At once, so that the first estimate, which takes tens of seconds, need not be repeated.
         descent.save()
         descent.run(f"{verb} {name}", interruption)
-        # The calibration that follows can be repeated from here, without the descent.
-        descent.save()
         with progress(f"calibrate {name}", 2) as advance:
             # The descent leaves small bright parts a few percent too bright. What the calibration
             # cannot reach, as where the sigmoid saturates, the flux correction factor makes up for.

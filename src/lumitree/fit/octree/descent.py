@@ -52,6 +52,7 @@ class Descent:
 
     Args:
         refiner: the field and its optimiser.
+        best: the best field so far.
         source: where rays come from.
         max_radiance: L_max of the field.
         held_out: the rays that fields are scored on.
@@ -66,6 +67,7 @@ class Descent:
     def __init__(
         self,
         refiner: Refiner,
+        best: LeafField,
         source: RaySource,
         max_radiance: float,
         held_out: HeldOut,
@@ -76,10 +78,10 @@ class Descent:
         self._refiner, self._source, self._max_radiance = refiner, source, max_radiance
         self._held_out, self._budget, self._config = held_out, budget, config
         self._state_file = state_file
-        self.best, self.best_score = refiner.field.copy(), held_out.score(refiner.field)
+        self.best, self.best_score = best.copy(), held_out.score(best)
 
     def run(self, name: str, interruption: Interruption) -> None:
-        """Refine until the budget is spent or `interruption` is set.
+        """Refine until the budget is spent or `interruption` is set, and save the state.
 
         Args:
             name: of the task, for the progress that is shown.
@@ -103,6 +105,9 @@ class Descent:
                 advance(
                     done - before, f"{self.best_score}, {self._refiner.field.num_leaves} leaves"
                 )
+        # The calibration that follows can be repeated from here, without the descent. Saved first:
+        # where a signal ended the descent, the bake that continues would not keep this field.
+        self.save()
         self.keep_better(self._refiner.field)
 
     def keep_better(self, field: LeafField) -> None:

@@ -1,0 +1,1 @@
+"""What `kills` needs: commands of seconds, kills, and comparisons of files."""
