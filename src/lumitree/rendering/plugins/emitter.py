@@ -6,8 +6,10 @@ import functools
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from lumitree.core.arguments import check_gain
+from lumitree.core.photometry import LUMENS_PER_WATT, luminance
 from lumitree.errors import LumitreeError
 from lumitree.rendering.plugins.deferred_emitter import EmitterSample
 from lumitree.rendering.plugins.light_colour import light_colour
@@ -54,6 +56,10 @@ def emitter_class() -> type:
             if self.sampler.includes_mis and isinstance(placed.proxy, BoxProxy):
                 self.sampler.light_inside()
                 placed.holds = True
+
+        def axis_intensities(self):
+            gain = np.array(dr.detach(self._accepted), np.float64).ravel()
+            return self.placed.axis_intensities * float(luminance(gain) / LUMENS_PER_WATT)
 
         def is_summed(self, point, active):
             x = self.placed.local_point(point)
