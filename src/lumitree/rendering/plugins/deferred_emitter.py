@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import mitsuba as mi
 import numpy as np
@@ -51,6 +51,10 @@ class DeferredEmitter(Protocol):
     """
 
     placed: Placed
+
+    def light(self) -> Any:
+        """The `LampLight` of its methods that cost."""
+        ...
 
     def light_inside(self) -> None:
         """Light what is in the box from now on, if it can (`placed.holds`)."""

@@ -33,9 +33,9 @@ def add_emission(scene: PathScene, path: PathState, hit: Hit) -> mi.Bool:
     ds = mi.DirectionSample3f(scene.whole, hit.si, path.si_prev)
     emitter_pmf = scene.selection.pmf(ds.emitter, path.si_prev, path.selection_total, seen)
     emitter_pmf = dr.select(path.bsdf_delta_prev, 0, emitter_pmf)
-    light, through, emitter_pdf, on_proxy, on_geometry = dr.dispatch(
-        ds.emitter,
+    light, through, emitter_pdf, on_proxy, on_geometry = scene.lamps.call(
         hit_light,
+        ds.emitter,
         hit.si,
         path.si_prev,
         ds,
@@ -71,7 +71,7 @@ def sample_emitter(
     emitter = scene.emitter(selected.index, active)
     # From a lamp itself its light comes by `add_self_emission`.
     active &= selected.index != vertex.owner
-    sampled = dr.dispatch(emitter, sample_target, vertex.si, selected.sample, active)
+    sampled = scene.lamps.call(sample_target, emitter, vertex.si, selected.sample, active)
     active &= sampled.valid
     return EmitterChoice(emitter, selected, sampled, active)
 
@@ -96,8 +96,8 @@ def add_emitter_light(
     )
     active &= dr.max(light) > 0
     emitter_pmf = choice.selected.emitter_pmf
-    weight, pdf = dr.dispatch(
-        choice.emitter, eval_target, si, choice.sampled, scattering.pdf_em, emitter_pmf, active
+    weight, pdf = scene.lamps.call(
+        eval_target, choice.emitter, si, choice.sampled, scattering.pdf_em, emitter_pmf, active
     )
     weight *= choice.selected.weight
     pdf *= emitter_pmf

@@ -11,6 +11,7 @@ from lumitree.lamp.media import absorption
 from lumitree.rendering.layers import Unrecorded
 from lumitree.rendering.plugins.emitter_selection import EmitterSelection
 from lumitree.rendering.plugins.geometry_plugins import GeometryEmitter
+from lumitree.rendering.plugins.lamp_kinds import LampKinds
 from lumitree.rendering.plugins.proxies import Divided, is_instance
 from lumitree.trace.spawning import scene_extent
 
@@ -53,6 +54,7 @@ class PathScene:
             isinstance(emitter, GeometryEmitter) for emitter in scene.emitters()
         )
         self.selection = EmitterSelection(scene)
+        self.lamps = LampKinds(scene.emitters(), scene.emitters_dr())
 
     def emitter(self, index: mi.UInt32, active: mi.Bool) -> mi.EmitterPtr:
         """The emitter of an index in the scene."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 from typing import Any, Literal, get_args
 
@@ -80,6 +81,17 @@ class Placed:
         self._rotation = mi.Matrix3f(self._axes)
         # Opaque: moving a luminaire does not compile new kernels.
         dr.make_opaque(self.scale, self._centre, self._rotation)
+
+    def moved(self, scale: mi.Float, centre: mi.Point3f, rotation: mi.Matrix3f) -> Placed:
+        """The same elsewhere on the device: scale, centre and rotation from the local frame."""
+        other = copy.copy(self)
+        other.scale, other._centre, other._rotation = scale, centre, rotation
+        return other
+
+    @property
+    def numbers(self) -> NDArray[np.float64]:
+        """Scale, centre and rotation by rows [13], as for `moved`."""
+        return np.array([self._scale, *self._origin, *self._axes.ravel()])
 
     def unit_proxy(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The transform that makes the proxy the cube of [-1, 1]³, or the unit sphere.
