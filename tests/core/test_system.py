@@ -21,14 +21,15 @@ def test_the_fallbacks_take_over(tmp_path):
         import os, signal
         from lumitree.core import system
         handle = os.open("a", os.O_CREAT | os.O_RDWR)
-        print(system.lock(handle), system.keep(handle), system.is_running(0))
+        print(system.lock(handle), system.keep(handle), system.open_folder("."))
+        print(system.is_running(0))
         print(system.peak_memory_bytes(), system.longest_name("."), system.is_read_only("."))
         print(system.is_closed_terminal(0), system.STOP_SIGNALS == (signal.SIGINT, signal.SIGBREAK))
         os.replace("a", "b")
         """,
         tmp_path,
     )
-    assert result.stdout.splitlines() == ["None None True", "0 255 False", "False True"]
+    assert result.stdout.splitlines() == ["None None None", "True", "0 255 False", "False True"]
 
 
 def test_files_and_folders_are_atomic_by_windows_rules(tmp_path):
@@ -45,6 +46,8 @@ def test_files_and_folders_are_atomic_by_windows_rules(tmp_path):
         files.check_writable("file.txt")
         with files.exclusive(Path("folder") / "lock", wait=True) as held:
             assert held
+        with work_folder.alone_in(Path("alone")):
+            files.write_bytes("alone/file.txt", b"x")
         with work_folder.WorkFolder("work") as work:
             (work.path / "state.npz").write_text("x")
         with work_folder.WorkFolder("work") as work:
@@ -68,6 +71,8 @@ def test_files_and_folders_are_atomic_by_windows_rules(tmp_path):
     )
     found = sorted(path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*"))
     assert found == [
+        "alone",
+        "alone/file.txt",
         "file.txt",
         "folder",
         "lamps",

@@ -85,6 +85,52 @@ def test_rays_enter_proxies_where_they_meet_their_shapes(mi, lamps):
     assert distance[:-1][both] == pytest.approx(sorted_distance[both], rel=1e-4, abs=1e-4)
 
 
+def test_a_ray_finds_the_proxies_of_a_hall(mi, tmp_path):
+    """Against all boxes one after the other."""
+    from lumitree.rendering.plugins.proxies import NONE, Proxies
+
+    asset = random_asset(5, half_extents=np.array([1.0, 0.7, 0.5]))
+    random = np.random.default_rng(3)
+    places = [
+        similarity(rotation(random.normal(size=3), 60), random.uniform(0.05, 0.4), at)
+        for at in random.uniform([-5, -1, -5], [5, 1, 5], (80, 3))
+    ]
+    scene = mi.load_dict(
+        {"type": "scene", **{f"lamp{i}": lumitree.shape(asset, m) for i, m in enumerate(places)}}
+    )
+    gc.collect()
+    emitters, count = scene.emitters(), 2000
+    origin = random.uniform([-6, -1.5, -6], [6, 1.5, 6], (count, 3))
+    direction = random.normal(size=(count, 3)) * [1, 0.2, 1]
+    direction[:100] = np.eye(3)[random.integers(3, size=100)]
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    end = random.uniform(1, 12, count)
+    entry = np.full((count, len(emitters)), np.inf)
+    for index, emitter in enumerate(emitters):
+        matrix, centre = emitter.placed.unit_proxy()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            o, d = (origin - centre) @ matrix.T, direction @ matrix.T
+            near, far = ((side * np.sign(d) - o) / d for side in (-1, 1))
+        first = near.max(axis=1)
+        meets = (first <= far.min(axis=1)) & (first > 0) & (first < end)
+        entry[meets, index] = first[meets]
+    expected = np.where(np.isfinite(entry), np.argsort(np.argsort(entry, axis=1), axis=1), -1)
+    ray = mi.Ray3f(on_device(mi.Point3f, origin), on_device(mi.Vector3f, direction))
+    end = on_device(mi.Float, end)
+    proxies, found = Proxies(emitters), np.full((count, len(emitters)), -1)
+    distance, lamp = proxies.first(ray, end, end > 0)
+    step = 0
+    while (met := np.array(lamp) != NONE).any():
+        rows = np.flatnonzero(met)
+        assert (found[rows, np.array(lamp)[rows]] == -1).all()
+        found[rows, np.array(lamp)[rows]] = step
+        distance, lamp = proxies.next(ray, distance, lamp, end, lamp != NONE)
+        step += 1
+    assert step > 5
+    # Rounding decides rays that graze an edge.
+    assert (found == expected).all(axis=1).mean() > 0.998
+
+
 def test_proxies_that_are_entered_at_one_distance_are_all_entered(mi, tmp_path):
     """Each once, in the order of their emitters."""
     from lumitree.rendering.plugins.proxies import NONE, Proxies

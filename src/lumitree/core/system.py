@@ -72,6 +72,11 @@ def release(handle: int | None) -> None:
         os.close(handle)
 
 
+def open_folder(folder: Path) -> int | None:
+    """Handle of a folder, to be locked; None where there are no locks."""
+    return None if fcntl is None else os.open(folder, os.O_RDONLY)
+
+
 def is_running(process: int) -> bool:
     """Whether there is a process of this number; True where it is not known."""
     # On Windows this call would send Ctrl-C.

@@ -23,7 +23,7 @@ from lumitree.core.files import (
     flush_to_disk,
     raise_write_error,
 )
-from lumitree.core.system import keep, lock, release
+from lumitree.core.system import keep, lock, open_folder, release
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 MARKER = ".lumitree-work"
@@ -156,9 +156,11 @@ def alone_in(folder: Path) -> Iterator[None]:
     while True:
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            handle = os.open(folder, os.O_RDONLY)
+            handle = open_folder(folder)
         except (OSError, ValueError) as error:
             raise WriteError(folder, error) from error
+        if handle is None:
+            break
         if lock(handle) is False:
             os.close(handle)
             raise BusyFolderError(
@@ -172,7 +174,7 @@ def alone_in(folder: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        os.close(handle)
+        release(handle)
 
 
 def remove_written(folder: Path, names: Iterable[str]) -> None:

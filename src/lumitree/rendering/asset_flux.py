@@ -1,13 +1,14 @@
 """The flux that an asset emits, and the gain that gives a lamp a luminous flux and a colour."""
 
 import dataclasses
+import weakref
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField, unpack
-from lumitree.core.octahedral import solid_angles
+from lumitree.core.octahedral import middle_directions, solid_angles
 from lumitree.core.photometry import LUMENS_PER_WATT, blackbody_colour, luminance
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError, shown
@@ -16,6 +17,9 @@ from lumitree.trace.emitted_rays import as_rows
 
 # Rays that estimate the flux of a field, to about 0.1 to 0.5 %, in some tenths of a second.
 FIELD_RAYS = 1 << 20
+
+# By asset: intensity by bin, or flux of an asset without a light field.
+_INTENSITIES: weakref.WeakKeyDictionary[Asset, NDArray[np.float64]] = weakref.WeakKeyDictionary()
 
 
 def light_field_watts(field: LightField) -> NDArray[np.float64]:
@@ -36,6 +40,31 @@ def intensity_by_bin(asset: Asset) -> NDArray[np.float64]:
     assert field is not None
     colours = luminance(unpack(field.intensity) * asset.gain)
     return field.scale * field.dense(colours).sum(axis=0)
+
+
+def axis_intensities(asset: Asset, axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Luminous intensity [6] of an asset towards three axes and against them, local units.
+
+    Each is the mean over the half of all directions on its side, weighted by the square of the
+    cosine. Of an asset without a light field it is the same everywhere.
+
+    Args:
+        asset: any asset.
+        axes: [3, 3], orthonormal, one a row, local frame.
+    """
+    if asset.light_field is None:
+        watts = _INTENSITIES.get(asset)
+        if watts is None:
+            watts = _INTENSITIES[asset] = asset_watts(asset) / asset.frame.scale**2
+        return np.full(6, luminance(watts) / (4 * np.pi))
+    intensity = _INTENSITIES.get(asset)
+    if intensity is None:
+        intensity = _INTENSITIES[asset] = intensity_by_bin(asset)
+    resolution = asset.light_field.resolution
+    cosine = middle_directions(resolution) @ axes.T
+    squares = np.square(np.maximum(np.hstack([cosine, -cosine]), 0))
+    squares *= solid_angles(resolution)[:, None]
+    return intensity @ squares / squares.sum(axis=0)
 
 
 def asset_watts(asset: Asset) -> NDArray[np.float64]:

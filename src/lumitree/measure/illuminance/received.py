@@ -72,7 +72,7 @@ def _receive(scene, si, sampler):
     while entered:
         ends = scene.divided.ends(ray, pi.t, lamp, ahead, entered)
         emitter = scene.emitter(lamp, entered)
-        emitter_pmf = scene.emitter_pmf(emitter)
+        emitter_pmf = scene.selection.pmf_by_weight(emitter)
         pdf = local.z * (1 / math.pi)
         light = dr.dispatch(
             emitter,

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.rendering.plugins.placed import Placed
 from lumitree.rendering.sampling.emitter_sampling import Target
@@ -50,8 +52,16 @@ class DeferredEmitter(Protocol):
 
     placed: Placed
 
+    def light(self) -> Any:
+        """The `LampLight` of its methods that cost."""
+        ...
+
     def light_inside(self) -> None:
         """Light what is in the box from now on, if it can (`placed.holds`)."""
+        ...
+
+    def axis_intensities(self) -> NDArray[np.float64]:
+        """Luminous intensity [6] towards x, y and z of the scene and against them, smoothed."""
         ...
 
     def is_summed(self, point: mi.Point3f, active: mi.Bool) -> mi.Bool:

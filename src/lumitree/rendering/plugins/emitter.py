@@ -6,15 +6,16 @@ import functools
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from lumitree.core.arguments import check_gain
+from lumitree.core.photometry import LUMENS_PER_WATT, luminance
 from lumitree.errors import LumitreeError
-from lumitree.rendering.plugins.deferred_emitter import EmitterSample
+from lumitree.rendering.plugins.lamp_light import LampLight
 from lumitree.rendering.plugins.light_colour import light_colour
 from lumitree.rendering.plugins.objects import complete_later
 from lumitree.rendering.plugins.placed import Placed
 from lumitree.rendering.sampling.divided_sampling import emitter_sampler
-from lumitree.rendering.sampling.emitter_sampling import RayEnds
 from lumitree.rendering.sampling.proxy import BoxProxy
 
 
@@ -49,11 +50,18 @@ def emitter_class() -> type:
         def light_colour(self):
             return light_colour(self.placed.asset)
 
+        def light(self):
+            return LampLight(self.placed, self.sampler, self.light_colour, self.gain)
+
         def light_inside(self):
             placed = self.placed
             if self.sampler.includes_mis and isinstance(placed.proxy, BoxProxy):
                 self.sampler.light_inside()
                 placed.holds = True
+
+        def axis_intensities(self):
+            gain = np.array(dr.detach(self._accepted), np.float64).ravel()
+            return self.placed.axis_intensities * float(luminance(gain) / LUMENS_PER_WATT)
 
         def is_summed(self, point, active):
             x = self.placed.local_point(point)
@@ -90,55 +98,31 @@ def emitter_class() -> type:
             radiance = self.gain * self.sampler.look(*line, entering)[0]
             return self.light_colour(radiance, si.wavelengths) & entering
 
+        def sample_target(self, it, sample, active):
+            return self.light().sample_target(it, sample, active)
+
+        def eval_target(self, it, sampled, bsdf_pdf, emitter_pmf, active):
+            return self.light().eval_target(it, sampled, bsdf_pdf, emitter_pmf, active)
+
         def eval_entered(
             self, ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, ends, active
         ):
-            placed = self.placed
-            x, (entry, direction) = placed.local_point(it.p), placed.entry(ray, distance)
-            if placed.shows_geometry:
-                # Images show the geometry's own shapes, which also hide what is behind them.
-                active &= ~specular_chain
-            inside = mi.Bool(False)
-            if placed.holds:
-                inside = placed.in_box(x)
-            else:
-                # Next-event estimation alone finds the light for receivers in the margin.
-                active &= (emitter_pmf <= 0) | ~placed.in_margin(x)
-            ends = RayEnds(*((end - distance) / placed.scale for end in ends))
-            radiance, through, density = self.sampler.eval_hit(
-                x,
-                entry,
-                direction,
-                dr.norm(entry - x),
-                specular_chain,
-                bsdf_pdf,
-                emitter_pmf,
-                active,
-                inside,
-                ends,
+            return self.light().eval_entered(
+                ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, ends, active
             )
-            if not placed.dims:
-                through = mi.Float(1)
-            radiance = self.light_colour(self.gain * radiance, ray.wavelengths)
-            return radiance & active, dr.select(active, through, 1), density
+
+        def transmittance(self, ray, distance, active):
+            return self.light().transmittance(ray, distance, active)
 
         def sample_self_emission(self, sample, active):
             return self.placed.self_lights.sample(sample, active)
-
-        def transmittance(self, ray, distance, active):
-            if not self.placed.dims:
-                return mi.Float(1)
-            placed = self.placed
-            line = placed.entry(ray, distance)
-            # Not of what is behind a receiver in the box.
-            span = (mi.Float(0), mi.Float(dr.inf)) if placed.holds else None
-            return dr.select(active, placed.shadow_field.transmittance(*line, active, span), 1)
 
         def sample_direction(self, it, sample, active=True):
             placed = self.placed
             x = placed.local_point(it.p)
             direction, target = self.sampler.sample(x, sample, active)
-            ds, active = self._towards(it, x, direction, active)
+            ds, active = self.light().towards(it, x, direction, active)
+            ds.emitter = mi.EmitterPtr(self)
             # As a ray that is given by the scene has it, for `pdf_direction` to agree.
             direction, near = placed.local_direction(ds.d), ds.dist / placed.scale
             entry = x + near * direction
@@ -148,57 +132,6 @@ def emitter_class() -> type:
             )
             radiance = self.light_colour(self.gain * radiance, it.wavelengths)
             return ds, dr.select(ds.pdf > 0, radiance / ds.pdf, 0)
-
-        def sample_target(self, it, sample, active):
-            placed = self.placed
-            x = placed.local_point(it.p)
-            inside = placed.in_box(x) if placed.holds else mi.Bool(False)
-            direction, target = self.sampler.sample_target(x, sample, active, inside)
-            ds, valid = self._towards(it, x, direction, active)
-            end, beyond = ds.dist, mi.Float(0)
-            if placed.shows_geometry:
-                # The lamp's own surfaces block up to the box, or within it up to the cell.
-                border = self.sampler.border(x, direction, target, active) * placed.scale
-                end = dr.maximum(dr.select(inside, 0, end), border)
-            if placed.holds:
-                valid |= active & inside
-                point = target.distance * placed.scale
-                if placed.shows_geometry:
-                    beyond = dr.maximum(point - end, 0)
-                else:
-                    end = point
-            ds.p = dr.select(ds.dist == end, ds.p, dr.fma(end, ds.d, it.p))
-            ds.dist = end
-            includes_mis = mi.Bool(self.sampler.includes_mis)
-            return EmitterSample(ds, mi.Spectrum(1), valid, includes_mis, target, beyond)
-
-        def _towards(self, it, origin, direction, active):
-            """Sample of a direction (local frame), without its density, and whether it is valid."""
-            placed = self.placed
-            distance, n, enters = placed.proxy.enter(origin, direction)
-            ds = dr.zeros(mi.DirectionSample3f)
-            ds.p = placed.scene_point(origin + distance * direction)
-            ds.n = placed.scene_direction(n)
-            # Not from the difference of both points: far from the origin they are rounded.
-            ds.d = placed.scene_direction(direction)
-            ds.dist = distance * placed.scale
-            ds.time = it.time
-            # Rays that start within the margin of a proxy do not meet it, so that next-event
-            # estimation alone finds the lamp.
-            ds.delta = placed.in_margin(origin)
-            ds.emitter = mi.EmitterPtr(self)
-            return ds, active & enters
-
-        def eval_target(self, it, sampled, bsdf_pdf, emitter_pmf, active):
-            x, direction = self.placed.local_line(it.p, sampled.ds.d)
-            near = sampled.ds.dist / self.placed.scale
-            if not self.placed.holds:
-                # A receiver in the margin is not found by rays of its BSDF.
-                bsdf_pdf = dr.select(self.placed.in_margin(x), 0, bsdf_pdf)
-            weight, density = self.sampler.eval_target(
-                x, direction, near, sampled.target, bsdf_pdf, emitter_pmf, active
-            )
-            return self.light_colour(self.gain * weight, it.wavelengths), density
 
         def pdf_direction(self, it, ds, active=True):
             entry, direction = self.placed.local_line(ds.p, ds.d)

@@ -1,4 +1,8 @@
-"""Functions that `dr.dispatch` calls with each emitter, be it a `DeferredEmitter` or not."""
+"""Functions that `dr.dispatch` calls with each emitter, be it a `DeferredEmitter` or not.
+
+`LampKinds.call` calls those of the integrator, also with a `LampLight` in place of an emitter, and
+with None where a result is of no use.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +11,12 @@ import mitsuba as mi
 
 from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter, EmitterSample
 from lumitree.rendering.plugins.geometry_plugins import GeometryEmitter
+from lumitree.rendering.plugins.lamp_light import LampLight
 from lumitree.rendering.sampling.emitter_sampling import Target
 
 
 def hit_light(
-    emitter: mi.Emitter,
+    emitter: mi.Emitter | LampLight | None,
     si: mi.SurfaceInteraction3f,
     it: mi.Interaction3f,
     ds: mi.DirectionSample3f,
@@ -36,7 +41,7 @@ def hit_light(
         direction; whether the surface is a proxy; and whether it belongs to the geometry of a lamp.
     """
     no = mi.Bool(False)
-    if isinstance(emitter, DeferredEmitter):
+    if isinstance(emitter, DeferredEmitter | LampLight):
         # Only where the scene is not divided.
         ray = mi.Ray3f(si.p, -si.to_world(si.wi))
         entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
@@ -48,12 +53,14 @@ def hit_light(
     if isinstance(emitter, GeometryEmitter):
         radiance, pdf = emitter.eval_self_emission(si, it, ds, active & shown)
         return radiance & shown, mi.Float(1), pdf, no, mi.Bool(True)
+    if emitter is None:
+        return mi.Spectrum(0), mi.Float(1), mi.Float(0), no, no
     pdf = emitter.pdf_direction(it, ds, active)
     return emitter.eval(si, active), mi.Float(1), pdf, no, no
 
 
 def entered_light(
-    emitter: mi.Emitter,
+    emitter: mi.Emitter | LampLight | None,
     ray: mi.Ray3f,
     distance: mi.Float,
     it: mi.Interaction3f,
@@ -64,7 +71,7 @@ def entered_light(
     active: mi.Bool,
 ) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
     """Radiance, transmittance and density of a lamp whose proxy a ray enters."""
-    if isinstance(emitter, DeferredEmitter):
+    if isinstance(emitter, DeferredEmitter | LampLight):
         return emitter.eval_entered(
             ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, ends, active
         )
@@ -72,27 +79,32 @@ def entered_light(
 
 
 def entered_transmittance(
-    emitter: mi.Emitter, ray: mi.Ray3f, distance: mi.Float, active: mi.Bool
+    emitter: mi.Emitter | LampLight | None, ray: mi.Ray3f, distance: mi.Float, active: mi.Bool
 ) -> mi.Float:
     """Transmittance of a lamp whose proxy a shadow ray enters."""
-    if isinstance(emitter, DeferredEmitter):
+    if isinstance(emitter, DeferredEmitter | LampLight):
         return emitter.transmittance(ray, distance, active)
     return mi.Float(1)
 
 
 def sample_target(
-    emitter: mi.Emitter, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool
+    emitter: mi.Emitter | LampLight | None,
+    it: mi.Interaction3f,
+    sample: mi.Point2f,
+    active: mi.Bool,
 ) -> EmitterSample:
     """Direction sampled towards an emitter; weight and density are for `eval_target` to find."""
-    if isinstance(emitter, DeferredEmitter):
+    if isinstance(emitter, DeferredEmitter | LampLight):
         return emitter.sample_target(it, sample, active)
+    if emitter is None:
+        return dr.zeros(EmitterSample)
     ds, weight = emitter.sample_direction(it, sample, active)
     target = Target.at(mi.Float(0))
     return EmitterSample(ds, weight, ds.pdf != 0, mi.Bool(False), target, mi.Float(0))
 
 
 def eval_target(
-    emitter: mi.Emitter,
+    emitter: mi.Emitter | LampLight | None,
     it: mi.Interaction3f,
     sampled: EmitterSample,
     bsdf_pdf: mi.Float,
@@ -100,7 +112,7 @@ def eval_target(
     active: mi.Bool,
 ) -> tuple[mi.Spectrum, mi.Float]:
     """Weight and density of a direction of `sample_target`."""
-    if isinstance(emitter, DeferredEmitter):
+    if isinstance(emitter, DeferredEmitter | LampLight):
         return emitter.eval_target(it, sampled, bsdf_pdf, emitter_pmf, active)
     return mi.Spectrum(sampled.weight), mi.Float(sampled.ds.pdf)
 

@@ -178,7 +178,7 @@ def trace_paths(
 
         # ---- Update loop variables based on current interaction -----
 
-        bounces = scatter(scene, path, vertex, scattering, self_sampled)
+        bounces = scatter(scene, path, vertex, choice, scattering, self_sampled)
 
         # ---------------------- Russian roulette ----------------------
 

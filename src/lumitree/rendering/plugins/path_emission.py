@@ -31,10 +31,11 @@ def add_emission(scene: PathScene, path: PathState, hit: Hit) -> mi.Bool:
     if scene.hide_emitters:
         seen &= path.depth > 0
     ds = mi.DirectionSample3f(scene.whole, hit.si, path.si_prev)
-    emitter_pmf = dr.select(path.bsdf_delta_prev, 0, scene.emitter_pmf(ds.emitter))
-    light, through, emitter_pdf, on_proxy, on_geometry = dr.dispatch(
-        ds.emitter,
+    emitter_pmf = scene.selection.pmf(ds.emitter, path.si_prev, path.selection_total, seen)
+    emitter_pmf = dr.select(path.bsdf_delta_prev, 0, emitter_pmf)
+    light, through, emitter_pdf, on_proxy, on_geometry = scene.lamps.call(
         hit_light,
+        ds.emitter,
         hit.si,
         path.si_prev,
         ds,
@@ -62,14 +63,17 @@ def sample_emitter(
     active = vertex.active_surface & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Smooth)
     scene.layers.add_surface(path.record, vertex.si, path.β, active)
     active |= vertex.active_medium
-    sample = sampler.next_2d()
-    index, weight, sample.x = scene.whole.sample_emitter(sample.x, active)
-    emitter = scene.emitter(index, active)
+    # Light passes an opaque surface on neither side of its horizon.
+    n = mi.Vector3f(vertex.si.n)
+    normal = dr.select(vertex.opaque, n * -dr.sign(dr.dot(n, path.ray.d)), 0)
+    selected = scene.selection.sample(vertex.si, normal, vertex.owner, sampler, active)
+    active &= selected.weight > 0
+    emitter = scene.emitter(selected.index, active)
     # From a lamp itself its light comes by `add_self_emission`.
-    active &= index != vertex.owner
-    sampled = dr.dispatch(emitter, sample_target, vertex.si, sample, active)
+    active &= selected.index != vertex.owner
+    sampled = scene.lamps.call(sample_target, emitter, vertex.si, selected.sample, active)
     active &= sampled.valid
-    return EmitterChoice(emitter, index, weight, sampled, active)
+    return EmitterChoice(emitter, selected, sampled, active)
 
 
 def add_emitter_light(
@@ -87,13 +91,15 @@ def add_emitter_light(
     active &= ~(vertex.opaque & on_opposite_sides(si, path.ray.d, ds.d))
     light = path.β * scattering.value_em
     active &= dr.max(light) > 0
-    light *= visible(scene, si, ds, choice.sampled.beyond, choice.index, path.medium, active)
-    active &= dr.max(light) > 0
-    emitter_pmf = dr.rcp(choice.weight)
-    weight, pdf = dr.dispatch(
-        choice.emitter, eval_target, si, choice.sampled, scattering.pdf_em, emitter_pmf, active
+    light *= visible(
+        scene, si, ds, choice.sampled.beyond, choice.selected.index, path.medium, active
     )
-    weight *= choice.weight
+    active &= dr.max(light) > 0
+    emitter_pmf = choice.selected.emitter_pmf
+    weight, pdf = scene.lamps.call(
+        eval_target, choice.emitter, si, choice.sampled, scattering.pdf_em, emitter_pmf, active
+    )
+    weight *= choice.selected.weight
     pdf *= emitter_pmf
     needs_no_mis = ds.delta | choice.sampled.includes_mis
     light *= weight * dr.select(needs_no_mis, 1, mis_weight(pdf, scattering.pdf_em))

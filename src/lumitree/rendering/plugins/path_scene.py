@@ -9,7 +9,9 @@ import mitsuba as mi
 
 from lumitree.lamp.media import absorption
 from lumitree.rendering.layers import Unrecorded
+from lumitree.rendering.plugins.emitter_selection import EmitterSelection
 from lumitree.rendering.plugins.geometry_plugins import GeometryEmitter
+from lumitree.rendering.plugins.lamp_kinds import LampKinds
 from lumitree.rendering.plugins.proxies import Divided, is_instance
 from lumitree.trace.spawning import scene_extent
 
@@ -51,15 +53,12 @@ class PathScene:
         self.shows_geometry = any(
             isinstance(emitter, GeometryEmitter) for emitter in scene.emitters()
         )
-        self._sampling_weight = sum(emitter.sampling_weight() for emitter in scene.emitters())
+        self.selection = EmitterSelection(scene)
+        self.lamps = LampKinds(scene.emitters(), scene.emitters_dr())
 
     def emitter(self, index: mi.UInt32, active: mi.Bool) -> mi.EmitterPtr:
         """The emitter of an index in the scene."""
         return dr.gather(mi.EmitterPtr, self.whole.emitters_dr(), index, active)
-
-    def emitter_pmf(self, emitter: mi.EmitterPtr) -> mi.Float:
-        """Probability with which next-event estimation chooses an emitter."""
-        return emitter.sampling_weight() * dr.rcp(self._sampling_weight)
 
 
 def _has_null_surfaces(scene: mi.Scene) -> bool:

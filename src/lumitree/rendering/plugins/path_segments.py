@@ -66,10 +66,11 @@ def add_entered_light(scene: PathScene, path: PathState, free_flight: FreeFlight
     while active:
         ends = divided.ends(path.ray, end, lamp, ahead, active)
         emitter = scene.emitter(lamp, active)
-        emitter_pmf = dr.select(path.bsdf_delta_prev, 0, scene.emitter_pmf(emitter))
-        light, through, emitter_pdf = dr.dispatch(
-            emitter,
+        emitter_pmf = scene.selection.pmf(emitter, path.si_prev, path.selection_total, active)
+        emitter_pmf = dr.select(path.bsdf_delta_prev, 0, emitter_pmf)
+        light, through, emitter_pdf = scene.lamps.call(
             entered_light,
+            emitter,
             path.ray,
             distance,
             path.si_prev,

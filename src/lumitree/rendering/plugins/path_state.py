@@ -12,6 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.rendering.plugins.deferred_emitter import EmitterSample
+from lumitree.rendering.plugins.emitter_selection import Selected
 from lumitree.rendering.plugins.path_scene import PathScene
 from lumitree.rendering.plugins.proxies import NONE
 
@@ -43,6 +44,7 @@ class PathState:
     crossings: mi.UInt32               # Null interactions so far
 
     si_prev: mi.Interaction3f          # Previous vertex
+    selection_total: mi.Float          # Of the selection of an emitter there (`Selected`)
     bsdf_pdf_prev: mi.Float            # Density of the direction that was sampled there
     bsdf_delta_prev: mi.Bool           # Whether emitter sampling could not have found it
     specular_chain: mi.Bool            # Whether all vertices so far were specular
@@ -70,6 +72,7 @@ class PathState:
             depth_freed=mi.UInt32(0),
             crossings=mi.UInt32(0),
             si_prev=dr.zeros(mi.Interaction3f),
+            selection_total=mi.Float(1),
             bsdf_pdf_prev=mi.Float(1),
             bsdf_delta_prev=mi.Bool(True),
             specular_chain=mi.Bool(True),
@@ -160,8 +163,7 @@ class EmitterChoice:
 
     # fmt: off
     emitter: mi.EmitterPtr
-    index: mi.UInt32         # Of the emitter in the scene
-    weight: mi.Float         # One over the probability of the emitter
+    selected: Selected       # Which emitter it is, and with which probability
     sampled: EmitterSample
     active: mi.Bool          # Whether there is one
     # fmt: on

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 from typing import Any, Literal, get_args
 
 import drjit as dr
@@ -16,6 +18,7 @@ from lumitree.lamp.source import gldf_variant
 from lumitree.octree.field import Field
 from lumitree.octree.field_data import FieldData
 from lumitree.rendering.asset_cache import open_asset, open_field
+from lumitree.rendering.asset_flux import axis_intensities
 from lumitree.rendering.sampling.proxy import make_proxy
 from lumitree.rendering.sampling.self_lights import SelfLights
 
@@ -79,6 +82,17 @@ class Placed:
         # Opaque: moving a luminaire does not compile new kernels.
         dr.make_opaque(self.scale, self._centre, self._rotation)
 
+    def moved(self, scale: mi.Float, centre: mi.Point3f, rotation: mi.Matrix3f) -> Placed:
+        """The same elsewhere on the device: scale, centre and rotation from the local frame."""
+        other = copy.copy(self)
+        other.scale, other._centre, other._rotation = scale, centre, rotation
+        return other
+
+    @property
+    def numbers(self) -> NDArray[np.float64]:
+        """Scale, centre and rotation by rows [13], as for `moved`."""
+        return np.array([self._scale, *self._origin, *self._axes.ravel()])
+
     def unit_proxy(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The transform that makes the proxy the cube of [-1, 1]³, or the unit sphere.
 
@@ -116,6 +130,17 @@ class Placed:
         matrix[:3, :3] = self._scale * self._axes * self.asset.frame.half_extents
         matrix[:3, 3] = self._origin
         return matrix
+
+    @functools.cached_property
+    def axis_intensities(self) -> NDArray[np.float64]:
+        """Luminous intensity [6] towards x, y and z of the scene and against them, without gain."""
+        # The scene's axes in the local frame are the rows of the rotation from it.
+        return axis_intensities(self.asset, self._axes) * self._scale**2
+
+    @property
+    def sphere(self) -> tuple[NDArray[np.float64], float]:
+        """Centre [3] and radius of a sphere around the box, scene."""
+        return self._origin, self._scale * float(np.linalg.norm(self.asset.frame.half_extents))
 
     def entering_line(
         self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool

@@ -3,7 +3,7 @@
 A null shape that every ray may meet costs more time than a lamp's light. Rays are traced in
 packets, and a packet takes as long as its longest ray: one ray that crosses a proxy is traced three
 times. So `DividedScene` divides a scene into its surfaces, which are traced, and its proxies, which
-are few and need no acceleration structure.
+rays find in a tree of their own.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 
 from lumitree.core.device import on_device
 from lumitree.rendering.placement_checks import holds_objects, overlapping
+from lumitree.rendering.plugins.box_tree import NODE_NUMBERS, box_tree
 from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
 from lumitree.rendering.plugins.objects import make_object, shape_number
 from lumitree.rendering.plugins.placed import Placed
@@ -25,9 +26,11 @@ from lumitree.rendering.sampling.proxy import SphereProxy, safe_inverse, slab
 
 # What stands for no emitter, and the bits of all.
 NONE = ALL = 0xFFFFFFFF
-# Numbers of a proxy on the device: a point, a matrix, whether it is a sphere, and whether it gives
-# light to what is in it.
-_NUMBERS = 14
+# Packets of four numbers of a proxy on the device: a point, a matrix, whether it is a sphere, and
+# whether it gives light to what is in it; and of a node of the tree.
+_PACKETS, _NODE_PACKETS = 4, NODE_NUMBERS // 4
+# Part of the distance by which a ray may miss a node's box.
+_SLACK = 1e-5
 
 
 class Proxies:
@@ -40,12 +43,15 @@ class Proxies:
     """
 
     def __init__(self, emitters: list[mi.Emitter], *, traced: bool = False) -> None:
-        rows, indices, dims = [], [], False
+        rows, indices, boxes, dims = [], [], [], False
         for index, emitter in enumerate(emitters):
             if isinstance(emitter, DeferredEmitter):
                 matrix, centre = emitter.placed.unit_proxy()
                 is_sphere = isinstance(emitter.placed.proxy, SphereProxy)
-                rows.append([*centre, *matrix.ravel(), is_sphere, emitter.placed.holds])
+                rows.append([*centre, *matrix.ravel(), is_sphere, emitter.placed.holds, 0, 0])
+                # A sphere is contained in the box of the same matrix.
+                reach = np.abs(np.linalg.inv(matrix)).sum(axis=1)
+                boxes.append([centre - reach, centre + reach])
                 indices.append(index)
                 dims |= emitter.placed.dims
         # Whether there are any, and whether any has a transmittance below 1.
@@ -53,7 +59,9 @@ class Proxies:
         self._traced = traced
         if rows:
             # On the device: numbers of lamps do not compile new kernels.
-            self._count = dr.opaque(mi.UInt32, len(rows))
+            nodes = box_tree(*np.moveaxis(np.array(boxes), 1, 0))
+            self._count = dr.opaque(mi.UInt32, len(nodes))
+            self._nodes = on_device(mi.Float, nodes)
             self._rows = on_device(mi.Float, np.array(rows))
             self._indices = on_device(mi.UInt32, np.array(indices))
 
@@ -97,17 +105,43 @@ class Proxies:
             there is no further proxy.
         """
         distance, found = mi.Float(end), dr.full(mi.UInt32, NONE, dr.width(end))
-        proxy = mi.UInt32(0)
-        while active & (proxy < self._count):
-            index = dr.gather(mi.UInt32, self._indices, proxy, active)
-            entry, enters = self._enter(proxy, ray, active, starts, skipped & bit_of(index))
+        inverse, node = safe_inverse(ray.d), dr.zeros(mi.UInt32, dr.width(end))
+        while active & (node < self._count):
+            near, far, behind, proxy = self._cross(node, ray.o, inverse, active)
+            meets = active & (near <= far) & (far >= after) & (near <= distance)
+            at_proxy = meets & (proxy != NONE)
+            index = dr.gather(mi.UInt32, self._indices, proxy, at_proxy)
+            entry, enters = self._enter(proxy, ray, at_proxy, starts, skipped & bit_of(index))
             # Proxies that are entered at the same distance come in the order of their emitters.
             enters &= (entry > after) | ((entry == after) & (last != NONE) & (index > last))
-            enters &= entry < distance
+            first = (entry == distance) & (found != NONE) & (index < found)
+            enters &= (entry < distance) | first
             distance[enters] = entry
             found[enters] = index
-            proxy += 1
+            node = dr.select(meets, node + 1, behind)
         return distance, found
+
+    def _cross(
+        self, node: mi.UInt32, origin: mi.Point3f, inverse: mi.Vector3f, active: mi.Bool
+    ) -> tuple[mi.Float, mi.Float, mi.UInt32, mi.UInt32]:
+        """Distances at which rays cross the box of a node, no less than they do.
+
+        Returns:
+            Both distances; the node that follows if the box is missed; and the proxy that this node
+            is, or `NONE`.
+        """
+        first, second = (
+            dr.gather(mi.Vector4f, self._nodes, _NODE_PACKETS * node + i, active)
+            for i in range(_NODE_PACKETS)
+        )
+        centre, half = (
+            mi.Point3f(first.x, first.y, first.z),
+            mi.Vector3f(first.w, second.x, second.y),
+        )
+        near, far = slab(mi.Vector3f(centre - origin), half, inverse)
+        near, far = dr.max(near), dr.min(far)
+        proxy = dr.select(second.w < 0, NONE, mi.UInt32(dr.maximum(second.w, 0)))
+        return near - _SLACK * dr.abs(near), far + _SLACK * dr.abs(far), mi.UInt32(second.z), proxy
 
     def _enter(
         self,
@@ -118,8 +152,11 @@ class Proxies:
         skipped: mi.UInt32 | int,
     ) -> tuple[mi.Float, mi.Bool]:
         """Distance at which a ray enters a proxy, and whether it does."""
-        first = proxy * _NUMBERS
-        values = [dr.gather(mi.Float, self._rows, first + i, active) for i in range(_NUMBERS)]
+        packets = [
+            dr.gather(mi.Vector4f, self._rows, proxy * _PACKETS + i, active)
+            for i in range(_PACKETS)
+        ]
+        values = [number for packet in packets for number in packet]
         matrix, is_sphere = mi.Matrix3f(*values[3:12]), values[12] > 0
         # In these coordinates the proxy is the cube of [-1, 1]³, or the unit sphere.
         o, d = mi.Vector3f(matrix @ (ray.o - mi.Point3f(*values[:3]))), matrix @ ray.d

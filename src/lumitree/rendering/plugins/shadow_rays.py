@@ -51,7 +51,7 @@ def visible(
         crossed &= lamp != NONE
         while crossed:
             emitter = scene.emitter(lamp, crossed)
-            dimmed = dr.dispatch(emitter, entered_transmittance, ray, distance, crossed)
+            dimmed = scene.lamps.call(entered_transmittance, emitter, ray, distance, crossed)
             # Its own light is as it is seen through the lamp.
             through *= dr.select(crossed & (lamp != target), dimmed, 1)
             distance, lamp = proxies.next(ray, distance, lamp, ray.maxt, crossed)

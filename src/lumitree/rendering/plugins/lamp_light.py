@@ -1,0 +1,131 @@
+"""What a baked luminaire sends out, where it stands: the calls of `DeferredEmitter` that cost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from lumitree.rendering.plugins.deferred_emitter import EmitterSample
+from lumitree.rendering.plugins.placed import Placed
+from lumitree.rendering.sampling.emitter_sampling import DirectionSampler, RayEnds
+
+
+class LampLight:
+    """Light of a baked luminaire, or of many that differ only by where they stand and by `gain`.
+
+    Its methods are those of `DeferredEmitter`.
+
+    Args:
+        placed: where it stands.
+        sampler, light_colour: of its asset.
+        gain: factors on R, G and B.
+    """
+
+    def __init__(
+        self,
+        placed: Placed,
+        sampler: DirectionSampler,
+        light_colour: Callable[..., Any],
+        gain: mi.Color3f,
+    ) -> None:
+        self.placed, self.sampler = placed, sampler
+        self.light_colour, self.gain = light_colour, gain
+
+    def moved(
+        self, scale: mi.Float, centre: mi.Point3f, rotation: mi.Matrix3f, gain: mi.Color3f
+    ) -> LampLight:
+        """The same light elsewhere; arguments as of `Placed`, one for each ray."""
+        placed = self.placed.moved(scale, centre, rotation)
+        return LampLight(placed, self.sampler, self.light_colour, gain)
+
+    def sample_target(self, it, sample, active):
+        placed = self.placed
+        x = placed.local_point(it.p)
+        inside = placed.in_box(x) if placed.holds else mi.Bool(False)
+        direction, target = self.sampler.sample_target(x, sample, active, inside)
+        ds, valid = self.towards(it, x, direction, active)
+        end, beyond = ds.dist, mi.Float(0)
+        if placed.shows_geometry:
+            # The lamp's own surfaces block up to the box, or within it up to the cell.
+            border = self.sampler.border(x, direction, target, active) * placed.scale
+            end = dr.maximum(dr.select(inside, 0, end), border)
+        if placed.holds:
+            valid |= active & inside
+            point = target.distance * placed.scale
+            if placed.shows_geometry:
+                beyond = dr.maximum(point - end, 0)
+            else:
+                end = point
+        ds.p = dr.select(ds.dist == end, ds.p, dr.fma(end, ds.d, it.p))
+        ds.dist = end
+        includes_mis = mi.Bool(self.sampler.includes_mis)
+        return EmitterSample(ds, mi.Spectrum(1), valid, includes_mis, target, beyond)
+
+    def eval_target(self, it, sampled, bsdf_pdf, emitter_pmf, active):
+        x, direction = self.placed.local_line(it.p, sampled.ds.d)
+        near = sampled.ds.dist / self.placed.scale
+        if not self.placed.holds:
+            # A receiver in the margin is not found by rays of its BSDF.
+            bsdf_pdf = dr.select(self.placed.in_margin(x), 0, bsdf_pdf)
+        weight, density = self.sampler.eval_target(
+            x, direction, near, sampled.target, bsdf_pdf, emitter_pmf, active
+        )
+        return self.light_colour(self.gain * weight, it.wavelengths), density
+
+    def eval_entered(self, ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, ends, active):
+        placed = self.placed
+        x, (entry, direction) = placed.local_point(it.p), placed.entry(ray, distance)
+        if placed.shows_geometry:
+            # Images show the geometry's own shapes, which also hide what is behind them.
+            active &= ~specular_chain
+        inside = mi.Bool(False)
+        if placed.holds:
+            inside = placed.in_box(x)
+        else:
+            # Next-event estimation alone finds the light for receivers in the margin.
+            active &= (emitter_pmf <= 0) | ~placed.in_margin(x)
+        ends = RayEnds(*((end - distance) / placed.scale for end in ends))
+        radiance, through, density = self.sampler.eval_hit(
+            x,
+            entry,
+            direction,
+            dr.norm(entry - x),
+            specular_chain,
+            bsdf_pdf,
+            emitter_pmf,
+            active,
+            inside,
+            ends,
+        )
+        if not placed.dims:
+            through = mi.Float(1)
+        radiance = self.light_colour(self.gain * radiance, ray.wavelengths)
+        return radiance & active, dr.select(active, through, 1), density
+
+    def transmittance(self, ray, distance, active):
+        if not self.placed.dims:
+            return mi.Float(1)
+        placed = self.placed
+        line = placed.entry(ray, distance)
+        # Not of what is behind a receiver in the box.
+        span = (mi.Float(0), mi.Float(dr.inf)) if placed.holds else None
+        return dr.select(active, placed.shadow_field.transmittance(*line, active, span), 1)
+
+    def towards(self, it, origin, direction, active):
+        """Sample of a direction (local frame), without its density, and whether it is valid."""
+        placed = self.placed
+        distance, n, enters = placed.proxy.enter(origin, direction)
+        ds = dr.zeros(mi.DirectionSample3f)
+        ds.p = placed.scene_point(origin + distance * direction)
+        ds.n = placed.scene_direction(n)
+        # Not from the difference of both points: far from the origin they are rounded.
+        ds.d = placed.scene_direction(direction)
+        ds.dist = distance * placed.scale
+        ds.time = it.time
+        # Rays that start within the margin of a proxy do not meet it, so that next-event
+        # estimation alone finds the lamp.
+        ds.delta = placed.in_margin(origin)
+        return ds, active & enters
