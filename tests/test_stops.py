@@ -309,6 +309,7 @@ def test_a_bake_killed_in_its_first_step_continues_from_the_estimate(tiny, steps
     assert left() == ["out/lamp.lumitree"]
 
 
+@pytest.mark.slow
 def test_a_bake_killed_while_it_calibrates_continues_there(tiny, steps, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("lumitree.fit.octree.bake.flux_correction_factor", die)
@@ -350,7 +351,9 @@ def test_a_field_that_only_a_stop_made_the_best_is_not_saved(tiny, steps, monkey
         assert not np.array_equal(state["best_log_density"], state["log_density"])
 
 
-@pytest.mark.parametrize("command", [BAKE, COMMANDS["refine"]])
+@pytest.mark.parametrize(
+    "command", [BAKE, pytest.param(COMMANDS["refine"], marks=pytest.mark.slow)]
+)
 def test_a_full_work_disk_is_warned_of_once_and_the_bake_goes_on(
     tiny, steps, monkeypatch, capsys, command
 ):
@@ -471,11 +474,13 @@ def test_a_folder_of_others_is_neither_used_nor_removed(
     assert left() == [str(path)]
 
 
+@pytest.mark.slow
 def test_a_named_work_folder_stays(tiny, steps, capsys):
     assert main([*BAKE, *work(BAKE, "w")]) == 0
     assert left() == ["out/lamp.lumitree", f"w/{MARKER}", "w/light.lumitree", "w/state.npz"]
 
 
+@pytest.mark.slow
 def test_pictures_are_baked_too(tiny, capsys):
     assert main(["capture", "lamp.xml", "-o", "d", "--views", "12", "--resolution", "32",
                  "--spp", "16"]) == 0  # fmt: skip

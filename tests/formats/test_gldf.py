@@ -394,6 +394,7 @@ def test_nothing_is_downloaded(made):
     assert asset_lumens(asset) == pytest.approx(lobe().lumens, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_commands(made, capsys):
     path = made()
     assert what_it_is(path) == "a GLDF file"

@@ -36,7 +36,7 @@ def as_asset(children, density, coefficients, tree_depth):
     )
 
 
-@pytest.mark.parametrize("tree_depth", [2, 3, 5, 6, 7])
+@pytest.mark.parametrize("tree_depth", [2, 3, 5, 6, pytest.param(7, marks=pytest.mark.slow)])
 def test_ball(tree_depth):
     children, density, coefficients = extract(ball(), np.ones(3), tree_depth, samples_per_leaf=64)
     asset = as_asset(children, density, coefficients, tree_depth)

@@ -123,7 +123,7 @@ def test_a_lamp_that_lights_its_box_does_not_light_itself(make, name):
     assert_same_expectation(ours, theirs)
 
 
-@pytest.mark.parametrize("name", ["smooth", "hollow"])
+@pytest.mark.parametrize("name", ["smooth", pytest.param("hollow", marks=pytest.mark.slow)])
 def test_paths_from_elsewhere_do_not_find_the_lights_in_the_lamp(make, name):
     """A floor has that light already: its mean is that of the explicit lamp, within cells."""
     lamp, asset = make(LAMPS[name])
@@ -179,6 +179,7 @@ def lit_room():
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("glass", [GLASS, FROSTED], ids=["smooth", "frosted"])
 def test_a_lamp_that_is_nearly_dark_is_an_object_of_the_room(make, glass):
     """Light of others scatters in it, and the floor gets it, as with the explicit lamp."""

@@ -60,7 +60,7 @@ def compiled(mi, asset):
     return sum(not kernel["cache_hit"] for kernel in kernels)
 
 
-@pytest.mark.parametrize("parts", ["light", "both"])
+@pytest.mark.parametrize("parts", ["light", pytest.param("both", marks=pytest.mark.slow)])
 def test_another_lamp_compiles_no_kernel(tmp_path, parts):
     """Each in a process of its own, with one cache.
 

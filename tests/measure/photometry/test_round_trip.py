@@ -54,7 +54,11 @@ CASES = {
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param("narrow beam", marks=pytest.mark.slow), "street light", "floodlight of Type B"],
+    [
+        pytest.param("narrow beam", marks=pytest.mark.slow),
+        "street light",
+        pytest.param("floodlight of Type B", marks=pytest.mark.slow),
+    ],
 )
 def test_intensities_there_and_back(mi, tmp_path, name):
     """Against what the file was sampled from, at its angles: by the file, and by its asset."""
