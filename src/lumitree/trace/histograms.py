@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.octahedral import bin_of
+from lumitree.core.octahedral import bin_of, coarse_bin
 from lumitree.core.photometry import luminance
 from lumitree.trace.ending_segments import EndingSegments, grid_cell
 
@@ -95,9 +95,13 @@ class _Light:
     ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
         """The flux of all bins, [C R², 3]; and of rays, their place in it and their bin, [N]."""
         rows = self._occupied.rows(origin)
-        bins = np.array(bin_of(direction, self._resolution)).astype(np.int64)
+        bins = np.array(self._bin(direction)).astype(np.int64)
         flat = self._flux.grown(len(self._occupied)).reshape(-1, 3)
         return flat, rows * self._resolution**2 + bins, bins
+
+    def _bin(self, direction: Any) -> Any:
+        """Bin (mi.UInt32) of a direction."""
+        return bin_of(direction, self._resolution)
 
 
 class Histogram(_Light):
@@ -118,6 +122,8 @@ class Histogram(_Light):
 class EndingHistogram(_Light):
     """Flux of segments that end on the luminaire, by cell, bin of direction and reach.
 
+    Each bin of direction contains four bins of a light field with 2 Q bins a side.
+
     A cell takes 4 (K + 5) Q² bytes: with 26 distances, 1.3 times as many as of the exitant light of
     2 Q bins a side.
     """
@@ -131,6 +137,10 @@ class EndingHistogram(_Light):
     def by_reach(self) -> NDArray[np.float32]:
         """[C, Q², K - 1] luminance of the segments that end between two distances."""
         return self._by_reach.values
+
+    def _bin(self, direction: Any) -> Any:
+        fine = 2 * self._resolution
+        return coarse_bin(bin_of(direction, fine), fine)
 
     def add(self, segments: EndingSegments, flux: NDArray[np.float64], seed: int) -> None:
         """Add segments with a flux [3, N]; `seed` is of where in its cell each reach begins."""
