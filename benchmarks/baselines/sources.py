@@ -195,7 +195,9 @@ def histogram(
     bins = np.array(bin_of(on_device(mi.Vector3f, rays.direction), resolution)).astype(np.int64)
     row = index * resolution**2 + bins
     size = count * resolution**2
-    flux = np.stack([np.bincount(row, each, size) for each in rays.flux.T], axis=-1)
+    flux = np.empty((size, 3))
+    for channel, each in enumerate(rays.flux.T):
+        flux[:, channel] = np.bincount(row, each, size)
     return flux.reshape(count, -1, 3)
 
 

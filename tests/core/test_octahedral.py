@@ -211,7 +211,7 @@ def test_interpolation_is_as_exact_in_coordinate_planes_as_beside_them(axis):
 
 
 def test_even_light_has_even_intensities_and_light_keeps_its_flux():
-    flux = np.stack([own_solid_angles(32), np.arange(1024)], axis=-1)[None]
+    flux = np.stack([own_solid_angles(32), np.arange(1024.0)], axis=-1)[None]
     flux = np.concatenate([flux, np.zeros((1, 1024, 1))], axis=-1)
     intensity = intensity_of_histogram(flux)
     np.testing.assert_allclose(intensity[..., 0], 1, rtol=1e-12)
