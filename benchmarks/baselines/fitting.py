@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.baselines.places import Patches, Points
-from benchmarks.baselines.sources import Sources, SphereSource, projected, tabulated
+from benchmarks.baselines.sources import Sources, SphereSource, histogram, projected, tabulated
 from benchmarks.baselines.traced_rays import TracedRays
 from benchmarks.baselines.wavelets import FILTER_WIDTH, BoxCells, WaveletLight, binned, filtered
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
+from lumitree.core.octahedral import intensity_of_histogram
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.output.point_lights import cluster_points
 from lumitree.trace.emitted_rays import RayBatch, seeded_sampler
@@ -175,8 +176,8 @@ def light_field(rays: TracedRays, depth: int, resolution: int) -> BakedAsset:
     cell = np.clip(((rays.origin + 1) * (side / 2)).astype(np.int64), 0, side - 1)
     key = (cell[:, 0] * side + cell[:, 1]) * side + cell[:, 2]
     _, first, index = np.unique(key, return_index=True, return_inverse=True)
-    table = tabulated(rays, index, len(first), resolution)
-    field = make_light_field(cell[first], table.intensity, depth)
+    intensity = intensity_of_histogram(histogram(rays, index, len(first), resolution))
+    field = make_light_field(cell[first], intensity, depth)
     asset = light_field_asset(field, LocalFrame(rays.half_extents, np.eye(4)), "light")
     return BakedAsset(asset, field.num_bytes)
 

@@ -18,7 +18,7 @@ from benchmarks.baselines.places import Disk, Places
 from benchmarks.baselines.traced_rays import TracedRays
 from lumitree.core.device import on_device
 from lumitree.core.harmonics import basis, basis_array, num_coefficients
-from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
+from lumitree.core.octahedral import bin_of, direction_in_bin, own_solid_angles, solid_angles
 from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
 from lumitree.trace.emitted_rays import EmittedRays, RayBatch, seeded_sampler
 
@@ -64,7 +64,7 @@ class Tabulated:
         self.resolution = int(np.sqrt(intensity.shape[1]))
         lit = intensity.any(axis=2)
         self.num_bytes = 4 * int(lit.sum()) + lit.size // 8
-        angles = solid_angles(self.resolution)
+        angles = own_solid_angles(self.resolution)
         self.flux = (intensity * angles[:, None]).sum(axis=(1, 2))
         bins = (intensity.sum(axis=2) * angles).ravel().astype(np.float32)
         self._chosen = mi.DiscreteDistribution(on_device(mi.Float, bins))
@@ -183,13 +183,22 @@ class SphereSource(Sources):
 def tabulated(
     rays: TracedRays, index: NDArray[np.integer], count: int, resolution: int
 ) -> Tabulated:
-    """Histogram of rays by source (index [N], `count` sources) and octahedral bin."""
+    """Intensities that are even in octahedral bins, of rays by source; see `histogram`."""
+    flux = histogram(rays, index, count, resolution)
+    return Tabulated(flux / own_solid_angles(resolution)[:, None])
+
+
+def histogram(
+    rays: TracedRays, index: NDArray[np.integer], count: int, resolution: int
+) -> NDArray[np.float64]:
+    """Flux [S, R², 3] of rays by source (index [N], `count` sources) and octahedral bin."""
     bins = np.array(bin_of(on_device(mi.Vector3f, rays.direction), resolution)).astype(np.int64)
     row = index * resolution**2 + bins
     size = count * resolution**2
-    flux = np.stack([np.bincount(row, each, size) for each in rays.flux.T], axis=-1)
-    angles = solid_angles(resolution)
-    return Tabulated(flux.reshape(count, -1, 3) / angles[:, None])
+    flux = np.empty((size, 3))
+    for channel, each in enumerate(rays.flux.T):
+        flux[:, channel] = np.bincount(row, each, size)
+    return flux.reshape(count, -1, 3)
 
 
 def _flux_above_zero(

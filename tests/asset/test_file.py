@@ -453,9 +453,9 @@ def test_nodes_and_leaves_in_any_order_are_stored_as_the_same_field():
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("version", 1, "version 1, this lumitree reads 2; bake it again"),
+        ("version", 1, "version 1, this lumitree reads 3; bake it again"),
         ("version", 0, "version 0, this"),
-        ("version", 2.0, "version 2.0, this"),
+        ("version", 3.0, "version 3.0, this"),
         ("version", True, "version true, this"),
         ("light", {"depth": 1, "resolution": 4, "scale": 1.0}, 'lacks "light.stream"'),
         ("gain", None, "gain of the description is null; expected 3 numbers"),

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from lumitree.core.device import on_device
-from lumitree.core.octahedral import solid_angles
+from lumitree.core.octahedral import (
+    bilinear_bins,
+    coarse_solid_angles,
+    intensity_of_histogram,
+    middle_directions,
+    own_solid_angles,
+    parts_of_bins,
+    solid_angles,
+)
 
 RESOLUTIONS = (4, 16, 64)
 
@@ -16,8 +24,9 @@ def random_directions(mi, count, seed):
     return vectors, on_device(mi.Vector3f, vectors)
 
 
+@pytest.mark.parametrize("bevelled", [False, True])
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
-def test_directions_in_a_bin_are_found_in_it(mi, resolution):
+def test_directions_in_a_bin_are_found_in_it(mi, resolution, bevelled):
     import drjit as dr
 
     from lumitree.core.octahedral import bin_of, direction_in_bin
@@ -27,11 +36,12 @@ def test_directions_in_a_bin_are_found_in_it(mi, resolution):
     # Rounding moves a direction on the border of a bin into the next one.
     samples = 0.001 + 0.998 * np.random.default_rng(resolution).random((len(bins), 2))
     index = on_device(mi.UInt32, bins)
-    direction, density = direction_in_bin(index, on_device(mi.Point2f, samples), resolution)
+    places = on_device(mi.Point2f, samples)
+    direction, density = direction_in_bin(index, places, resolution, bevelled=bevelled)
     np.testing.assert_allclose(dr.norm(direction), 1, atol=1e-6)
-    assert np.array_equal(bin_of(direction, resolution), bins)
+    assert np.array_equal(bin_of(direction, resolution, bevelled=bevelled), bins)
     # A direction may have any length.
-    assert np.array_equal(bin_of(1000 * direction, resolution), bins)
+    assert np.array_equal(bin_of(1000 * direction, resolution, bevelled=bevelled), bins)
     assert np.array(density).min() > 0
 
 
@@ -48,7 +58,8 @@ def test_borders_have_a_bin(mi, resolution):
             direction, density = direction_in_bin(index, mi.Point2f(x, y), resolution)
             found = np.array(bin_of(direction, resolution))
             assert found.max() < resolution**2
-            assert np.isfinite(np.array(density)).all()
+            assert not np.isnan(np.array(density)).any()
+            assert np.isfinite(np.array(direction)).all()
             # Bins that touch at a corner: their centres are at most two diagonals apart.
             assert (at * at[:, found]).sum(axis=0).min() > np.cos(2 * np.pi / resolution * 1.5)
 
@@ -74,7 +85,7 @@ def test_densities_integrate_to_one(mi, resolution):
     count = 1 << 20
     _, direction = random_directions(mi, count, 1)
     density = np.array(bin_density(direction, resolution), np.float64)
-    bins = np.array(bin_of(direction, resolution))
+    bins = np.array(bin_of(direction, resolution, bevelled=False))
     assert density.sum() * 4 * np.pi / count == pytest.approx(resolution**2, rel=1e-3)
     weights = density * 4 * np.pi / count
     found = np.bincount(bins, weights, resolution**2)
@@ -84,10 +95,20 @@ def test_densities_integrate_to_one(mi, resolution):
     assert scores.std() == pytest.approx(1, abs=5 / np.sqrt(2) / resolution)
 
 
+def test_without_bevels_directions_have_the_density_of_the_octahedron(mi):
+    from lumitree.core.octahedral import bin_density, direction_in_bin
+
+    random = np.random.default_rng(0)
+    index = on_device(mi.UInt32, random.integers(0, 64, 1000))
+    sample = on_device(mi.Point2f, random.random((1000, 2)))
+    direction, density = direction_in_bin(index, sample, 8, bevelled=False)
+    np.testing.assert_allclose(density, bin_density(direction, 8), rtol=1e-5)
+
+
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
 def test_directions_have_the_stated_density(mi, resolution):
     """The mean of 1 / density over a bin and its neighbours, bilinear, is its solid angle."""
-    from lumitree.core.octahedral import bin_density, direction_in_bin
+    from lumitree.core.octahedral import direction_in_bin
 
     fine = 16
     places = (np.arange(2 * fine) + 0.5) / fine - 0.5
@@ -96,8 +117,7 @@ def test_directions_have_the_stated_density(mi, resolution):
     grid = np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2)
     index = on_device(mi.UInt32, np.repeat(np.arange(resolution**2), 4 * fine**2))
     sample = on_device(mi.Point2f, np.tile(grid, (resolution**2, 1)))
-    direction, density = direction_in_bin(index, sample, resolution)
-    np.testing.assert_allclose(density, bin_density(direction, resolution), rtol=1e-5)
+    _, density = direction_in_bin(index, sample, resolution)
     inverse = (1 / np.array(density, np.float64)).reshape(resolution**2, -1) @ weights
     assert inverse.sum() == pytest.approx(4 * np.pi, rel=2e-3)
     assert inverse == pytest.approx(solid_angles(resolution), rel=2e-2 if resolution == 4 else 5e-3)
@@ -127,8 +147,82 @@ def test_solid_angles(mi, resolution):
 
 
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
+def test_solid_angles_of_the_directions_of_bins(mi, resolution):
+    """They are those of uniform directions, and those of four bins that are one."""
+    from lumitree.core.octahedral import bin_of, coarse_bin
+
+    count = 1 << 20
+    _, direction = random_directions(mi, count, 4)
+    bins = bin_of(direction, resolution)
+    for found, angles in (
+        (bins, own_solid_angles(resolution)),
+        (coarse_bin(bins, resolution), coarse_solid_angles(resolution)),
+    ):
+        assert angles.sum() == pytest.approx(4 * np.pi, rel=1e-12)
+        expected = angles / (4 * np.pi) * count
+        scores = (np.bincount(np.array(found), minlength=len(angles)) - expected) / np.sqrt(
+            expected
+        )
+        assert (scores**2).sum() == pytest.approx(len(angles), abs=5 * np.sqrt(2 * len(angles)))
+
+
+def test_directions_that_are_uniform_on_the_map_are_found_where_they_are_from(mi):
+    """Of many places on the map, and by the slower function."""
+    from lumitree.core.octahedral import octahedral
+
+    resolution, parts = 8, 6
+    directions, solid_angle = parts_of_bins(resolution, parts)
+    centres = (np.arange(resolution * parts) + 0.5) * (2 / (resolution * parts)) - 1
+    expected = np.stack(np.meshgrid(centres, centres), axis=-1)
+    found = np.array(octahedral(on_device(mi.Vector3f, directions.reshape(-1, 3)), resolution)).T
+    # Half a bin at each of ±x and ±y is empty.
+    empty = solid_angle.ravel() == 0
+    assert empty.sum() == 4 * parts**2 / 2
+    difference = np.abs(found - expected.reshape(-1, 2))
+    assert difference[~empty].max() < 1e-5
+
+
+def test_bevels_leave_the_middles_of_bins_where_they_are(mi):
+    from lumitree.core.octahedral import direction_in_bin
+
+    index = on_device(mi.UInt32, np.arange(256))
+    middle, _ = direction_in_bin(index, mi.Point2f(0.5), 16, bevelled=False)
+    np.testing.assert_allclose(np.array(middle).T, middle_directions(16), atol=1e-6)
+
+
+def smooth_light(directions):
+    """Intensity with a slope across all coordinate planes; the largest is 1."""
+    axis = np.array([0.3, -0.8, 0.5]) / np.sqrt(0.98)
+    return ((1 + directions @ axis) / 2) ** 3
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_interpolation_is_as_exact_in_coordinate_planes_as_beside_them(axis):
+    """Its error falls with the square of the width of bins; with kinks it would with the width."""
+    angle = np.linspace(0, 2 * np.pi, 1001)
+    directions = np.insert(np.stack([np.cos(angle), np.sin(angle)], axis=-1), axis, 1e-9, axis=1)
+    exact, errors = smooth_light(directions), []
+    for resolution in (32, 64, 128):
+        values = smooth_light(middle_directions(resolution))
+        bins, weights = bilinear_bins(directions, resolution)
+        errors.append(np.abs((values[bins] * weights).sum(axis=1) - exact).max())
+    assert errors[0] > 3 * errors[1] > 9 * errors[2]
+    assert errors[1] < 2e-3
+
+
+def test_even_light_has_even_intensities_and_light_keeps_its_flux():
+    flux = np.stack([own_solid_angles(32), np.arange(1024.0)], axis=-1)[None]
+    flux = np.concatenate([flux, np.zeros((1, 1024, 1))], axis=-1)
+    intensity = intensity_of_histogram(flux)
+    np.testing.assert_allclose(intensity[..., 0], 1, rtol=1e-12)
+    found = np.einsum("cbk,b->k", intensity, solid_angles(32))
+    np.testing.assert_allclose(found, flux.sum(axis=(0, 1)), rtol=1e-12)
+    assert (intensity[..., 2] == 0).all()
+
+
+@pytest.mark.parametrize("resolution", RESOLUTIONS)
 def test_bilinear_weights_are_the_chances_of_random_offsets(mi, resolution):
-    from lumitree.core.octahedral import bilinear_bins, bin_of
+    from lumitree.core.octahedral import bin_of
 
     directions, _ = random_directions(mi, 200, resolution)
     # Among them the axes, where the map is folded and where its corners meet.
@@ -150,8 +244,6 @@ def test_bilinear_weights_are_the_chances_of_random_offsets(mi, resolution):
 
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
 def test_interpolated_intensities_have_the_flux_of_the_bins(resolution):
-    from lumitree.core.octahedral import bilinear_bins
-
     values = np.random.default_rng(1).exponential(size=resolution**2)
     index = np.arange(1 << 18) + 0.5
     height, angle = 1 - 2 * index / len(index), np.pi * (1 + 5**0.5) * index

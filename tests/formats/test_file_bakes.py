@@ -9,7 +9,7 @@ import lumitree
 from lumitree.asset.light_field import unpack
 from lumitree.core.device import on_device
 from lumitree.core.frames import rotation, similarity
-from lumitree.core.octahedral import bin_of, interpolated, middle_directions
+from lumitree.core.octahedral import bin_of, interpolated, middle_directions, parts_of_bins
 from lumitree.core.photometry import LUMENS_PER_WATT, blackbody_colour, luminance
 from lumitree.errors import LumitreeError
 from lumitree.formats import light_field as baking
@@ -76,11 +76,36 @@ def test_a_distribution_keeps_its_flux_and_its_intensities(mi, opening):
     assert found.mean() == pytest.approx(np.mean(exact), rel=3e-3)
 
 
-def test_quarters_of_bins_are_those_of_the_renderer(mi):
+def test_quarters_and_corners_of_bins_are_those_of_the_renderer():
     """Against the interpolation in any direction, over all seams of the map."""
     values = np.random.default_rng(0).random((8, 8))
-    expected = interpolated(values.ravel(), middle_directions(16)).reshape(16, 16)
-    assert baking._between(values) == pytest.approx(expected, abs=1e-5)
+    directions, solid_angle = parts_of_bins(8, 2)
+    expected = interpolated(values.ravel(), directions.reshape(-1, 3)).reshape(16, 16)
+    somewhere = solid_angle > 0
+    assert baking._between(values)[somewhere] == pytest.approx(expected[somewhere], abs=1e-9)
+    middles = middle_directions(8)
+    points = (middles / np.abs(middles).sum(axis=1, keepdims=True)).reshape(8, 8, 3)
+    expected = interpolated(values.ravel(), baking._corners(points).reshape(-1, 3)).reshape(9, 9)
+    assert baking._corners(values) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("power", [3, 10])
+def test_smooth_intensities_are_right_in_the_planes_of_a_diagram(power):
+    """C = 0 and C = 90 of cosⁿ γ, in the edges of the octahedral map, with few bins."""
+
+    class Lobe:
+        name, lumens = "lobe", 2 * np.pi / (power + 1)
+
+        def at(self, direction):
+            return np.maximum(-direction[..., 1] / np.linalg.norm(direction, axis=-1), 0) ** power
+
+    values = baking.intensity_by_bin(Lobe())
+    assert len(values) == 64**2
+    gamma = np.arange(0, 80, 0.25)
+    for c in (0, 45, 90, 180, 270):
+        direction = direction_of(np.full_like(gamma, c), gamma)
+        found = interpolated(values, direction)
+        assert np.abs(found - Lobe().at(direction)).max() < 0.005
 
 
 def test_an_edge_of_the_light_does_not_ring(mi):

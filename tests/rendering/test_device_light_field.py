@@ -444,7 +444,7 @@ def test_the_mean_over_bins_is_linear_between_their_middles(mi):
         direction = mi.Vector3f(way[0] + tilt.x, way[1] + tilt.y, way[2])
         bins = np.array(smooth_bin(direction, resolution))
         found = values[bins]
-        uv = np.array(octahedral(mi.Vector3f(*way))).ravel()
+        uv = np.array(octahedral(mi.Vector3f(*way), resolution)).ravel()
         place = (uv + 1) * resolution / 2 - 0.5
         part = place - np.floor(place)
         expected = 0.0

@@ -2,6 +2,20 @@
 
 The sphere is projected on an octahedron, whose lower half is folded out into the corners of a
 square, which is cut into `resolution`² bins.
+
+Light fields are linear in the square between the middles of bins, but what is smooth over the
+sphere has a kink at the edges of the octahedron. So for light fields the edges are *bevelled*: in
+place of the octahedron there is the surface whose points are linear in the square between those of
+the middles of bins. It differs from the octahedron where four middles are on two of its faces:
+
+*   Where x or y is 0, for half a bin to either side, it is a flat strip. Where two strips end, at
+    ±x and ±y, half a bin of the square has no directions.
+*   Where z is 0, two of four middles are on the edge. The surface between them is a hyperbolic
+    paraboloid.
+
+Symbols
+    R       bins a side
+    s, t    place between four middles of bins, 0 to 1
 """
 
 import math
@@ -13,43 +27,103 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def octahedral(direction: Any) -> Any:
-    """Octahedral coordinates in [-1, 1]² of a direction of any length."""
-    n = direction / dr.sum(dr.abs(direction))
-    folded = mi.Vector2f(
-        dr.copysign(1 - dr.abs(n.y), n.x),
-        dr.copysign(1 - dr.abs(n.x), n.y),
-    )
-    return dr.select(n.z < 0, folded, mi.Vector2f(n.x, n.y))
+def octahedral(direction: Any, bevels: int = 0) -> Any:
+    """Octahedral coordinates in [-1, 1]² of a direction of any length.
+
+    Args:
+        direction: mi.Vector3f.
+        bevels: R, if edges are bevelled as for light fields; 0 if they are not.
+    """
+    x, y, z = dr.abs(direction)
+    distance = x + y + z
+    if bevels:
+        width = 1 / bevels
+        distance = dr.maximum(distance, (dr.maximum(x, y) + z) * (1 / (1 - width)))
+        distance = dr.maximum(distance, z * (1 / (1 - 2 * width)))
+    place = mi.Vector2f(x, y) / distance
+    if bevels:
+        place = _from_paraboloid(place, bevels)
+    folded = 1 - mi.Vector2f(place.y, place.x)
+    place = dr.select(direction.z < 0, folded, place)
+    return mi.Vector2f(dr.copysign(place.x, direction.x), dr.copysign(place.y, direction.y))
 
 
-def bin_of(direction: Any, resolution: int, offset: Any = None) -> Any:
+def _between_middles(place: Any, resolution: int) -> tuple[Any, Any]:
+    """(s, t) of a place of the upper half in positive coordinates; and whether it is at z = 0."""
+    scaled = place * (resolution / 2) - 0.5
+    first = dr.floor(scaled)
+    crossed = (first.x + first.y + 2 == resolution / 2) & (dr.minimum(first.x, first.y) >= 0)
+    return scaled - first, crossed
+
+
+def _from_paraboloid(place: Any, resolution: int) -> Any:
+    """Place on the map of a place on the octahedron, where they differ at z = 0.
+
+    With a = 1 - 2 x and b = 1 - 2 y of the place (x, y) on the octahedron, the place on the map is
+    (x + 2 a q / R, y + 2 b q / R), where q = (s + a q) (t + b q).
+    """
+    between, crossed = _between_middles(place, resolution)
+    slope = 1 - 2 * place
+    product = between.x * between.y
+    half = 1 - between.x * slope.y - between.y * slope.x
+    root = dr.sqrt(dr.maximum(half * half - 4 * slope.x * slope.y * product, 0))
+    moved = dr.select(crossed, product / (half + root) * (4 / resolution), 0)
+    return place + moved * slope
+
+
+def bin_of(direction: Any, resolution: int, offset: Any = None, *, bevelled: bool = True) -> Any:
     """Index (mi.UInt32) of the bin of a direction of any length.
 
     Args:
         direction: mi.Vector3f.
         resolution: bins a side.
         offset: mi.Vector2f from -1 to 1, added to the place on the map, in bins.
+        bevelled: whether edges are bevelled, as for light fields.
     """
-    uv = octahedral(direction)
+    uv = octahedral(direction, resolution if bevelled else 0)
     if offset is not None:
         uv = _on_map(uv + offset * (2 / resolution))
     cell = mi.Point2u(dr.clip(mi.Point2i((uv + 1) * (resolution / 2)), 0, resolution - 1))
     return cell.y * resolution + cell.x
 
 
-def direction_in_bin(bin_index: Any, sample: Any, resolution: int) -> tuple[Any, Any]:
+def direction_in_bin(
+    bin_index: Any, sample: Any, resolution: int, *, bevelled: bool = True
+) -> tuple[Any, Any]:
     """Unit direction in a bin, uniform in octahedral coordinates, and its density there.
 
     `sample` may be outside the unit square, by at most 1, and the direction then is in a neighbour.
+    The density per steradian is given the bin; it is infinite where the map has no directions.
     """
     cell = mi.Point2f(bin_index % resolution, bin_index // resolution)
     uv = _on_map(mi.Vector2f((cell + sample) * (2 / resolution) - 1))
-    z = 1 - dr.abs(uv.x) - dr.abs(uv.y)
-    fold = dr.maximum(-z, 0)
-    v = mi.Vector3f(uv.x - dr.copysign(fold, uv.x), uv.y - dr.copysign(fold, uv.y), z)
-    direction = dr.normalize(v)
-    return direction, bin_density(direction, resolution)
+    place = dr.abs(uv)
+    lower = place.x + place.y > 1
+    place = dr.select(lower, 1 - mi.Vector2f(place.y, place.x), place)
+    x, y, z = place.x, place.y, dr.maximum(1 - place.x - place.y, 0)
+    # Solid angle over area on the map, times the cube of the distance from the centre.
+    solid = mi.Float(1)
+    if bevelled:
+        x, y, z, solid = _bevelled(place, resolution)
+    point = mi.Vector3f(dr.copysign(x, uv.x), dr.copysign(y, uv.y), dr.select(lower, -z, z))
+    length = dr.norm(point)
+    return point / length, (resolution**2 / 4) * length**3 / solid
+
+
+def _bevelled(place: Any, resolution: int) -> tuple[Any, Any, Any, Any]:
+    """Point of the bevelled octahedron of a place in positive coordinates, and its triple product.
+
+    That is p · (∂p/∂u × ∂p/∂v), 0 where the map has no directions.
+    """
+    width = 1 / resolution
+    z = 1 - dr.maximum(place.x, width) - dr.maximum(place.y, width)
+    solid = 1 - dr.select(place.x < width, width, 0) - dr.select(place.y < width, width, 0)
+    (s, t), crossed = _between_middles(place, resolution)
+    fold = dr.select(crossed, s * t * (2 * width), 0)
+    x, y = place.x - fold, place.y - fold
+    of_crossed = x * (1 - s + t) + y * (1 + s - t) + z * (1 - s - t)
+    solid = dr.select(crossed, of_crossed, dr.select(z < 0, 0, solid))
+    return x, y, dr.maximum(z, 0), solid
 
 
 def _on_map(uv: Any) -> Any:
@@ -72,7 +146,7 @@ def interpolated(values: NDArray[Any], direction: NDArray[Any]) -> NDArray[np.fl
 
 
 def bin_density(direction: Any, resolution: int) -> Any:
-    """Density per steradian of `direction_in_bin`, given the bin.
+    """Density per steradian of `direction_in_bin`, given the bin, if edges are not bevelled.
 
     Area on the octahedron and solid angle differ by the cube of the distance from the origin.
     """
@@ -86,15 +160,52 @@ def solid_angles(resolution: int) -> NDArray[np.float64]:
     chance with which an `offset` of `bin_of`, from -1/2 to 1/2, gives this bin. So intensities that
     are flux over solid angle keep the flux, if they are linear between the middles of bins.
     """
-    # Points a side of a bin: as dense on the map for many bins as for few.
-    fine = min(8, max(2, 1024 // resolution))
-    density = np.linalg.norm(_on_octahedron(resolution * fine), axis=-1) ** -3
-    density = bordered(density, fine // 2)
+    fine = _parts(resolution)
+    density = bordered(parts_of_bins(resolution, fine)[1], fine // 2)
     rising = (np.arange(fine) + 0.5) / fine
     weights = np.hstack([rising, rising[::-1]])
     windows = np.lib.stride_tricks.sliding_window_view(density, (2 * fine, 2 * fine))
     sums = np.einsum("ijkl,k,l->ij", windows[::fine, ::fine], weights, weights).ravel()
     return sums * (4 * np.pi / sums.sum())
+
+
+def own_solid_angles(resolution: int) -> NDArray[np.float64]:
+    """Solid angle [R²] of the directions of each bin, sr."""
+    fine = _parts(resolution)
+    density = parts_of_bins(resolution, fine)[1]
+    sums = density.reshape(resolution, fine, resolution, fine).sum(axis=(1, 3)).ravel()
+    return sums * (4 * np.pi / sums.sum())
+
+
+def _parts(resolution: int) -> int:
+    """Points a side of a bin: as dense on the map for many bins as for few."""
+    return min(8, max(2, 1024 // resolution))
+
+
+def coarse_bin(index: Any, resolution: int) -> Any:
+    """Index (mi.UInt32) of the one of (R / 2)² bins that contains one of R²."""
+    return index // (2 * resolution) * (resolution // 2) + index % resolution // 2
+
+
+def coarse_solid_angles(resolution: int) -> NDArray[np.float64]:
+    """Solid angle [R² / 4] of the directions of each `coarse_bin`, sr."""
+    half = resolution // 2
+    return own_solid_angles(resolution).reshape(half, 2, half, 2).sum(axis=(1, 3)).ravel()
+
+
+def intensity_of_histogram(flux: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Intensities of the bins of a histogram, with the flux of each channel.
+
+    Even light gets even intensities, since a bin's flux is that of its own directions alone.
+
+    Args:
+        flux: [C, R², 3], by cell, bin of `bin_of` and channel.
+    """
+    resolution = math.isqrt(flux.shape[1])
+    intensity = flux / own_solid_angles(resolution)[:, None]
+    have, wanted = solid_angles(resolution) @ intensity.sum(axis=0), flux.sum(axis=(0, 1))
+    intensity *= np.divide(wanted, have, out=np.zeros_like(have), where=have > 0)
+    return intensity
 
 
 def bordered(values: NDArray[Any], width: int) -> NDArray[Any]:
@@ -123,9 +234,19 @@ def bilinear_bins(
         direction: [N, 3], of any length above 0.
         resolution: bins a side.
     """
-    x, y, z = (direction / np.abs(direction).sum(axis=1, keepdims=True)).T
-    u = np.where(z < 0, np.copysign(1 - np.abs(y), x), x)
-    v = np.where(z < 0, np.copysign(1 - np.abs(x), y), y)
+    x, y, z = np.abs(direction).T
+    width = 1 / resolution
+    distance = np.maximum(x + y + z, (np.maximum(x, y) + z) / (1 - width))
+    place = np.stack([x, y]) / np.maximum(distance, z / (1 - 2 * width))
+    (s, t), crossed = _between_middles_array(place, resolution)
+    # As in `_from_paraboloid`.
+    a, b = slope = 1 - 2 * place
+    half = 1 - s * b - t * a
+    root = np.sqrt(np.maximum(half**2 - 4 * a * b * s * t, 0))
+    divisor = resolution * np.where(crossed, half + root, 1)
+    place += np.where(crossed, 4 * s * t / divisor, 0) * slope
+    place = np.where(direction[:, 2] < 0, 1 - place[::-1], place)
+    u, v = np.copysign(place, direction[:, :2].T)
     bins = bordered(np.arange(resolution**2).reshape(resolution, resolution), 1)
     # The middle of bin 0 is at 1 in the map with its border.
     column, row = ((each + 1) * (resolution / 2) + 0.5 for each in (u, v))
@@ -136,16 +257,45 @@ def bilinear_bins(
     return np.stack(found, axis=1), np.stack(weights, axis=1)
 
 
-def middle_directions(resolution: int) -> NDArray[Any]:
+def middle_directions(resolution: int) -> NDArray[np.float64]:
     """Unit direction [R², 3] in the middle of each bin."""
-    points = _on_octahedron(resolution).reshape(-1, 3)
-    return points / np.linalg.norm(points, axis=1, keepdims=True)
+    return parts_of_bins(resolution, 1)[0].reshape(-1, 3)
 
 
-def _on_octahedron(resolution: int) -> NDArray[Any]:
-    """Points [R, R, 3] of the octahedron in the middle of each bin."""
-    centres = (np.arange(resolution) + 0.5) * (2 / resolution) - 1
+def parts_of_bins(resolution: int, parts: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Bins that are divided into parts of equal size on the map.
+
+    Args:
+        resolution: bins a side, R.
+        parts: of a bin, a side.
+
+    Returns:
+        Unit direction [R parts, R parts, 3] in the middle of each part, by row and column; and the
+        solid angle there over area on the map [R parts, R parts].
+    """
+    size, width = resolution * parts, 1 / resolution
+    centres = (np.arange(size) + 0.5) * (2 / size) - 1
     u, v = np.meshgrid(centres, centres)
-    z = 1 - np.abs(u) - np.abs(v)
-    fold = np.maximum(-z, 0)
-    return np.stack([u - np.copysign(fold, u), v - np.copysign(fold, v), z], axis=-1)
+    lower = np.abs(u) + np.abs(v) > 1
+    x = np.where(lower, 1 - np.abs(v), np.abs(u))
+    y = np.where(lower, 1 - np.abs(u), np.abs(v))
+    z = 1 - np.maximum(x, width) - np.maximum(y, width)
+    solid = np.where(z < 0, 0, 1 - width * (x < width) - width * (y < width))
+    # As in `_bevelled`.
+    (s, t), crossed = _between_middles_array(np.stack([x, y]), resolution)
+    fold = np.where(crossed, s * t * (2 * width), 0)
+    x, y = x - fold, y - fold
+    solid = np.where(crossed, x * (1 - s + t) + y * (1 + s - t) + z * (1 - s - t), solid)
+    height = np.where(lower, -1, 1) * np.maximum(z, 0)
+    points = np.stack([np.copysign(x, u), np.copysign(y, v), height], axis=-1)
+    length = np.linalg.norm(points, axis=-1)
+    return points / length[..., None], solid / length**3
+
+
+def _between_middles_array(
+    place: NDArray[np.float64], resolution: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """As `_between_middles`, of places [2, ...]."""
+    scaled = place * (resolution / 2) - 0.5
+    first = np.floor(scaled)
+    return scaled - first, (first.sum(axis=0) + 2 == resolution / 2) & (first.min(axis=0) >= 0)

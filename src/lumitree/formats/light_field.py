@@ -19,7 +19,13 @@ from lumitree.asset.light_field import make_light_field
 from lumitree.asset.spectrum import EmittedSpectrum
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
-from lumitree.core.octahedral import middle_directions, solid_angles
+from lumitree.core.octahedral import (
+    bordered,
+    intensity_of_histogram,
+    middle_directions,
+    parts_of_bins,
+    solid_angles,
+)
 from lumitree.core.photometry import LUMENS_PER_WATT, RGB
 from lumitree.errors import LumitreeError
 from lumitree.formats.opening import Opening
@@ -156,7 +162,7 @@ def bake_rays(rays: Rays, name: str, config: LightFieldConfig) -> Asset:
     histogram.add(
         on_device(mi.Point3f, origin), on_device(mi.Vector3f, rays.direction), rays.flux.T
     )
-    intensity = histogram.flux / solid_angles(config.resolution)[:, None] / frame.scale**2
+    intensity = intensity_of_histogram(histogram.flux) / frame.scale**2
     field = make_light_field(histogram.cells, intensity, config.depth)
     spectrum = None if rays.spectrum is None else EmittedSpectrum.of(rays.spectrum)
     return light_field_asset(field, frame, name, spectrum)
@@ -185,9 +191,15 @@ def intensity_by_bin(source: Intensities, resolutions: Sequence[int] = RESOLUTIO
     """
     candela = np.zeros((1, 1))
     for resolution in resolutions:
-        exact, weight = _sampled(source, 2 * resolution)
-        candela = _fitted(exact, weight, _sampled(source, resolution)[0])
-        if np.abs(_between(candela) - exact).max() <= _BIN_ERROR * exact.max():
+        directions, weight = parts_of_bins(resolution, 2)
+        exact = source.at(directions)
+        middles = parts_of_bins(resolution, 1)[0]
+        candela = _fitted(exact, weight, source.at(middles))
+        # Directions, as intensities, are linear between the middles of bins.
+        points = middles / np.abs(middles).sum(axis=-1, keepdims=True)
+        at_corners = np.abs(_corners(candela) - source.at(_corners(points))).max()
+        at_quarters = np.abs(_between(candela) - exact).max()
+        if max(at_corners, at_quarters) <= _BIN_ERROR * exact.max():
             break
     total = float(candela.ravel() @ solid_angles(len(candela)))
     if not total > 0:
@@ -195,25 +207,14 @@ def intensity_by_bin(source: Intensities, resolutions: Sequence[int] = RESOLUTIO
     return candela.ravel() * (source.lumens / total)
 
 
-def _sampled(
-    source: Intensities, resolution: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Intensities [R, R] in the middles of bins, and relative solid angles of bins."""
-    directions = middle_directions(resolution)
-    # Solid angle is area on the octahedron over the cube of the distance from the centre.
-    weight = np.abs(directions).sum(axis=1) ** 3
-    shape = resolution, resolution
-    return source.at(directions).reshape(shape), weight.reshape(shape)
-
-
 def _fitted(
     exact: NDArray[np.float64], weight: NDArray[np.float64], candela: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Values [R, R] in the middles of bins, between which the error is smaller.
 
-    The map of directions has a kink where a coordinate of a direction is 0, on sides of bins, where
-    the values next to it are as wrong as half a bin is wide. Steps towards least squares lower
-    this. Values stay within those around them, so no edge of a beam gets a bright or dark seam.
+    Where intensities are curved, values in the middles are too far on the outer side of the curve.
+    Steps towards least squares lower this. Values stay within those around them, so no edge of a
+    beam gets a bright or dark seam.
 
     Args:
         exact: [2R, 2R] intensities in the middles of the quarters of bins.
@@ -232,7 +233,7 @@ def _fitted(
 
 def _between(candela: NDArray[np.float64]) -> NDArray[np.float64]:
     """Values [2R, 2R] in the middles of the quarters of bins, linear between those [R, R]."""
-    padded = _padded(candela)
+    padded = bordered(candela, 1)
     for _ in range(2):
         below, here, above = padded[:-2], padded[1:-1], padded[2:]
         both = np.stack([0.75 * here + 0.25 * below, 0.75 * here + 0.25 * above], axis=1)
@@ -242,11 +243,12 @@ def _between(candela: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _around(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Values [4, 4, R, R] of the 16 quarters of bins in and next to each bin, of [2R, 2R]."""
-    windows = np.lib.stride_tricks.sliding_window_view(_padded(values), (4, 4))
+    windows = np.lib.stride_tricks.sliding_window_view(bordered(values, 1), (4, 4))
     return windows[::2, ::2].transpose(2, 3, 0, 1)
 
 
-def _padded(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A map [N, N] with what is next to it: beyond a side is the other half of the same side."""
-    rows = np.vstack([values[:1, ::-1], values, values[-1:, ::-1]])
-    return np.hstack([rows[::-1, :1], rows, rows[::-1, -1:]])
+def _corners(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values [R + 1, R + 1, ...] in the corners of bins, linear between those in their middles."""
+    rows = bordered(values, 1)
+    rows = (rows[:-1] + rows[1:]) / 2
+    return (rows[:, :-1] + rows[:, 1:]) / 2

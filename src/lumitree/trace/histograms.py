@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.octahedral import bin_of
+from lumitree.core.octahedral import bin_of, coarse_bin
 from lumitree.core.photometry import luminance
 from lumitree.trace.ending_segments import EndingSegments, grid_cell
 
@@ -44,10 +44,13 @@ def bin_rays(
     origin: Any, direction: Any, flux: NDArray[np.floating], depth: int, resolution: int
 ) -> BinnedRays:
     """Rays (mi.Point3f, mi.Vector3f, [3, N]) in a grid of 2**depth cells a side."""
+    return _binned(origin, bin_of(direction, resolution), flux, depth)
+
+
+def _binned(origin: Any, bins: Any, flux: NDArray[np.floating], depth: int) -> BinnedRays:
     side = 1 << depth
     cell = grid_cell(origin, side)
     code = (cell.z * side + cell.y) * side + cell.x
-    bins = bin_of(direction, resolution)
     return BinnedRays(np.array(code, np.uint32), np.array(bins, np.uint16), flux)
 
 
@@ -82,7 +85,8 @@ def bin_segments(
     steps = np.array(
         distances_passed(segments.reach + dr.dot(moved, segments.direction), distances)
     )
-    rays = bin_rays(segments.origin, segments.direction, flux, depth, resolution)
+    bins = coarse_bin(bin_of(segments.direction, 2 * resolution), 2 * resolution)
+    rays = _binned(segments.origin, bins, flux, depth)
     return BinnedSegments(rays, np.minimum(steps, len(distances) - 2).astype(np.uint8))
 
 
@@ -173,6 +177,8 @@ class Histogram(_Light):
 
 class EndingHistogram(_Light):
     """Flux of segments that end on the luminaire, by cell, bin of direction and reach.
+
+    Each bin of direction contains four bins of a light field with 2 Q bins a side.
 
     A cell takes 4 (K + 5) Q² bytes: with 26 distances, 1.3 times as many as of the exitant light of
     2 Q bins a side.

@@ -9,7 +9,7 @@ from lumitree.asset.light_field import unpack
 from lumitree.asset.light_inside import MAX_FACTOR, parts_of_ending
 from lumitree.asset.lit_bins import by_coarse_bin
 from lumitree.core.device import on_device
-from lumitree.core.octahedral import bin_of, solid_angles
+from lumitree.core.octahedral import bin_of, coarse_bin, coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.fit.light_field.merge import merge_light_fields
@@ -57,7 +57,9 @@ def ending_flux(field):
     """Flux [3] of J, local units."""
     inside = field.inside
     _, bins = entries(inside, field.resolution)
-    flux = inside.scale * unpack(inside.intensity) * solid_angles(field.resolution // 2)[bins, None]
+    flux = (
+        inside.scale * unpack(inside.intensity) * coarse_solid_angles(field.resolution)[bins, None]
+    )
     return flux.sum(axis=0)
 
 
@@ -93,10 +95,8 @@ def irradiance(mi, lamp, field, point, normal, *, surfaces, samples=256):
     way = receiver - start
     distance = np.linalg.norm(way, axis=1)
     way /= distance[:, None]
-    fine, wide = (
-        np.array(bin_of(on_device(mi.Vector3f, way), each))
-        for each in (resolution, resolution // 2)
-    )
+    found = bin_of(on_device(mi.Vector3f, way), resolution)
+    fine, wide = np.array(found), np.array(coarse_bin(found, resolution))
     entry = number[cell, wide]
     s, factor = np.zeros(len(cell)), np.zeros(len(cell))
     lit = np.flatnonzero(entry >= 0)

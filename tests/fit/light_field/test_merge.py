@@ -11,7 +11,7 @@ import lumitree
 from lumitree.asset.asset import light_field_asset
 from lumitree.asset.light_field import TracedPaths, make_light_field, unpack
 from lumitree.cli import main
-from lumitree.core.octahedral import solid_angles
+from lumitree.core.octahedral import intensity_of_histogram, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
@@ -78,7 +78,7 @@ def test_merging_is_one_histogram_of_all_paths(mi, lamp, bakes):
             paths = trace_light(lamp, sampler, BATCH, PATH_DEPTH, all_light=True)
             flux = np.array(paths.flux, np.float64).reshape(3, -1)
             histogram.add(paths.origin, paths.direction, flux / 24)
-    expected = histogram.flux / solid_angles(RESOLUTION)[:, None]
+    expected = intensity_of_histogram(histogram.flux)
     longer = make_light_field(histogram.cells, expected, CONFIG.depth)
     merged = merge_light_fields([bakes[1], bakes[2]], names(2))
     assert np.array_equal(merged.cells, longer.cells)

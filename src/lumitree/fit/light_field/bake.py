@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from lumitree.asset.light_field import LightField, TracedPaths, make_light_field
-from lumitree.core.octahedral import solid_angles
+from lumitree.core.octahedral import intensity_of_histogram, own_solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError
@@ -66,14 +66,15 @@ def bake_light_field(
         raise LumitreeError(
             f"no light leaves {luminaire.name}; look for emitters that are enclosed or black"
         )
-    solid_angle = solid_angles(config.resolution)
     traced = TracedPaths(
         count=batches * config.batch,
         seeds=(config.seed,),
         luminaire=luminaire.fingerprint,
-        noise=relative_noise(np.array(by_direction) / solid_angle, np.ones(batches)),
+        noise=relative_noise(
+            np.array(by_direction) / own_solid_angles(config.resolution), np.ones(batches)
+        ),
     )
-    intensity = histogram.flux / solid_angle[:, None]
+    intensity = intensity_of_histogram(histogram.flux)
     field = make_light_field(histogram.cells, intensity, config.depth, traced)
     entries = make_entries(field, ending.cells, ending.flux, ending.by_reach)
     reach, curves = entries.reach(config.seed)

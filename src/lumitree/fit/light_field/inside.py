@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lumitree.asset.light_field import LightField, pack_lit, unpack
 from lumitree.asset.light_inside import MAX_CURVES, MAX_FACTOR, LightInside
 from lumitree.asset.lit_bins import by_coarse_bin
-from lumitree.core.octahedral import solid_angles
+from lumitree.core.octahedral import coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.light_field.codebook import codebook
@@ -138,7 +138,7 @@ def make_entries(
         flux: [C', Q², 3] its flux.
         by_reach: [C', Q², K - 1] luminous flux of what ends between two distances.
     """
-    intensity = flux / solid_angles(field.resolution // 2)[:, None]
+    intensity = flux / coarse_solid_angles(field.resolution)[:, None]
     scale = float(intensity.max(initial=0))
     scale = scale if scale > 0 else 1.0
     packed = pack_lit(intensity, scale)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.asset.light_field import LightField, TracedPaths, make_light_field, unpack
 from lumitree.asset.light_inside import LightInside
 from lumitree.asset.lit_bins import by_coarse_bin, dense
-from lumitree.core.octahedral import solid_angles
+from lumitree.core.octahedral import coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError
 from lumitree.fit.light_field.inside import DISTANCES, make_entries
@@ -117,7 +117,7 @@ def _expanded(field: LightField) -> _Expanded:
         )
     bins = (field.resolution // 2) ** 2
     flux = dense(inside.lit, bins, inside.scale * unpack(inside.intensity))
-    flux *= solid_angles(field.resolution // 2)[:, None]
+    flux *= coarse_solid_angles(field.resolution)[:, None]
     reach = dense(inside.lit, bins, inside.reach_curves[inside.reach])
     beyond = luminance(flux).astype(np.float32)[..., None] * reach
     exits = field.dense(luminance(field.scale * unpack(field.intensity)))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lumitree.asset.light_inside import parts_of_ending
 from lumitree.asset.lit_bins import by_coarse_bin
 from lumitree.core.device import on_device, parameter
-from lumitree.core.octahedral import direction_in_bin, solid_angles
+from lumitree.core.octahedral import coarse_solid_angles, direction_in_bin, solid_angles
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.light_field.inside import DISTANCES, Entries
 from lumitree.lamp.luminaire import Luminaire
@@ -69,7 +69,7 @@ def _fine_bins(luminaire: Luminaire, entries: Entries) -> _FineBins:
     solid_angle = solid_angles(entries.resolution)
     members = by_coarse_bin(np.arange(entries.resolution**2)[None])[0][entries.bins]
     leaving = entries.exits[entries.rows[:, None], members]
-    coarse = solid_angles(entries.resolution // 2)[entries.bins]
+    coarse = coarse_solid_angles(entries.resolution)[entries.bins]
     ending = entries.beyond[:, 0] / coarse
     parts = parts_of_ending(leaving, ending, solid_angle[members])
     flux = ((leaving + parts * ending[:, None]) * solid_angle[members]).ravel()

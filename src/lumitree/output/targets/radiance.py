@@ -35,18 +35,32 @@ _LOST = [
 ]
 # Radius of the spheres over half the longest side of the lamp's box.
 _RADIUS = 1e-3
+# As `core.octahedral` has it: R bins a side, in octahedral coordinates p and q.
 _MAP = """\
-{{ Direction from a light to the point that it illuminates, in the octahedral map of the tables.
-  A1 is the number of the light. }}
+{{ Direction from a light to the point that it illuminates, in the octahedral map of the tables,
+  whose edges are bevelled. A1 is the number of the light. }}
 x = {0};
 y = {1};
 z = {2};
-length = abs(x) + abs(y) + abs(z);
-p = x / length;
-q = y / length;
-fold(a, b) : if(a, 1 - abs(b), abs(b) - 1);
-column = if(z, p, fold(p, q));
-row = if(z, q, fold(q, p));
+bins = {3};
+strip = (max(abs(x), abs(y)) + abs(z)) / (1 - 1 / bins);
+length = max(max(abs(x) + abs(y) + abs(z), strip), abs(z) / (1 - 2 / bins));
+flat_p = abs(x) / length;
+flat_q = abs(y) / length;
+i = floor((flat_p * bins - 1) / 2);
+j = floor((flat_q * bins - 1) / 2);
+s = (flat_p * bins - 1) / 2 - i;
+t = (flat_q * bins - 1) / 2 - j;
+a = 1 - 2 * flat_p;
+b = 1 - 2 * flat_q;
+half = 1 - s * b - t * a;
+root = sqrt(max(half * half - 4 * a * b * s * t, 0));
+crossed = min(min(i, j) + 0.5, 0.5 - abs(i + j + 2 - bins / 2));
+moved = if(crossed, 4 * s * t / (bins * (half + root)), 0);
+p = flat_p + moved * a;
+q = flat_q + moved * b;
+column = if(x, 1, -1) * if(z, p, 1 - q);
+row = if(y, 1, -1) * if(z, q, 1 - p);
 light_number = A1;
 """
 
@@ -87,7 +101,7 @@ def _map(lights: PlacedLights) -> str:
         " ".join(f"{-value:+.9f}*D{axis}" for value, axis in zip(row, "xyz", strict=True))
         for row in lights.rotation.T
     ]
-    return _MAP.format(*rows)
+    return _MAP.format(*rows, lights.local.resolution)
 
 
 def _write_table(file: TextIO, lights: PlacedLights, channel: int) -> None:

@@ -69,7 +69,7 @@ def bins_around(direction: mi.Vector3f, resolution: int) -> list[tuple[mi.UInt32
 
     The weights are the chances with which `smooth_bin` returns the bins.
     """
-    place = (octahedral(direction) + 1) * (resolution / 2) - 0.5
+    place = (octahedral(direction, resolution) + 1) * (resolution / 2) - 0.5
     part = place - dr.floor(place)
     found = []
     for x in (0, 1):
@@ -77,11 +77,6 @@ def bins_around(direction: mi.Vector3f, resolution: int) -> list[tuple[mi.UInt32
             weight = (part.x if x else 1 - part.x) * (part.y if y else 1 - part.y)
             found.append((bin_of(direction, resolution, mi.Vector2f(x, y) - part), weight))
     return found
-
-
-def coarse_bin(index: mi.UInt32, resolution: int) -> mi.UInt32:
-    """The bin of half the resolution that contains one of `resolution` a side."""
-    return index // (2 * resolution) * (resolution // 2) + index % resolution // 2
 
 
 def unpacked(packed: mi.UInt32) -> mi.Color3f:

@@ -48,7 +48,7 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField
 from lumitree.asset.lit_bins import dense
 from lumitree.core.device import on_device, parameter
-from lumitree.core.octahedral import bin_of
+from lumitree.core.octahedral import bin_of, coarse_bin
 from lumitree.octree.build import morton
 from lumitree.rendering.sampling.cell_table import cell_table
 from lumitree.rendering.sampling.emitted_light import EmittedLight, emitted_light
@@ -60,7 +60,6 @@ from lumitree.rendering.sampling.emitter_sampling import (
     Target,
 )
 from lumitree.rendering.sampling.light_bins import (
-    coarse_bin,
     ending_by_bin,
     smooth_bin,
     unpacked,

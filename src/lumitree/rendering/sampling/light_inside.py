@@ -22,13 +22,12 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField, unpack
 from lumitree.asset.lit_bins import dense
 from lumitree.core.device import on_device, parameter
-from lumitree.core.octahedral import solid_angles
+from lumitree.core.octahedral import coarse_bin, coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.octree.build import morton
 from lumitree.rendering.sampling.cell_table import cell_table
 from lumitree.rendering.sampling.emitter_sampling import RayEnds
 from lumitree.rendering.sampling.light_bins import (
-    coarse_bin,
     ending_by_bin,
     smooth_bin,
     unpacked,
@@ -145,7 +144,7 @@ class InsideLight:
             self._reach = _resampled(inside.reach_curves, inside.distances, at)
             self._visibility = _resampled(inside.visibility_curves, inside.distances, at)
             ending = dense(inside.lit, bins, luminance(unpack(inside.intensity)))
-            flux += inside.scale * (ending * solid_angles(self._coarse)).sum(axis=1)
+            flux += inside.scale * (ending * coarse_solid_angles(self._resolution)).sum(axis=1)
         many = _RESOLUTION**3 * count > _MAX_ENTRIES
         self._receivers = InsideReceivers(half_extents, _RESOLUTION // 2 if many else _RESOLUTION)
         self._table = cell_table(

@@ -120,7 +120,9 @@ class LightLeaves:
         shares = light / light.sum(axis=2, keepdims=True)
         self._share = on_device(mi.Float, shares)
         self._cumulated = on_device(mi.Float, np.cumsum(shares, axis=2))
-        _, density = direction_in_bin(dr.arange(mi.UInt32, _NUM_BINS), mi.Point2f(0.5), _RESOLUTION)
+        _, density = direction_in_bin(
+            dr.arange(mi.UInt32, _NUM_BINS), mi.Point2f(0.5), _RESOLUTION, bevelled=False
+        )
         power = light[0] / np.array(density)[:, None]
         self._ray_choice = mi.DiscreteDistribution(on_device(mi.Float, power))
         self._ray_share = on_device(mi.Float, power / power.sum())
@@ -194,7 +196,7 @@ class LightLeaves:
     ) -> tuple[mi.Point3f, mi.Vector3f]:
         """Point inside a leaf, and direction of travel, of a ray that leaves the lamp."""
         index = self._ray_choice.sample(choice)
-        direction, _ = direction_in_bin(index // NUM_GROUPS, sample1, _RESOLUTION)
+        direction, _ = direction_in_bin(index // NUM_GROUPS, sample1, _RESOLUTION, bevelled=False)
         return self._point_of_group(index % NUM_GROUPS, sample2, True), direction
 
     def record_ray(self, direction: mi.Vector3f) -> tuple[Record, tuple[mi.Float, mi.Float]]:
@@ -208,7 +210,8 @@ class LightLeaves:
         def part(_, length):
             return 3 * length * of_bin
 
-        return self._record(self._ray_share, bin_of(direction, _RESOLUTION) * NUM_GROUPS, part)
+        row = bin_of(direction, _RESOLUTION, bevelled=False) * NUM_GROUPS
+        return self._record(self._ray_share, row, part)
 
     def _record(self, shares, row, part):
         """Record that sums share · p / 3V · part over leaves, and the end of the last one."""

@@ -45,7 +45,7 @@ class ReceiverCells:
         offset = mi.Vector3f(x)
         nearness = self._radius * dr.rsqrt(dr.squared_norm(offset)) / self._width
         shell = mi.UInt32(dr.minimum(nearness, self.num_shells - 1))
-        return shell * self.num_bins + bin_of(offset, self.resolution)
+        return shell * self.num_bins + bin_of(offset, self.resolution, bevelled=False)
 
     def point(self, cell: mi.UInt32, sample: mi.Point2f, shell_sample: mi.Float) -> mi.Point3f:
         """Random point of a cell, outside the lamp's box.
@@ -55,7 +55,9 @@ class ReceiverCells:
             sample: in the unit square, for the direction.
             shell_sample: in [0, 1), for the distance.
         """
-        direction, _ = direction_in_bin(cell % self.num_bins, sample, self.resolution)
+        direction, _ = direction_in_bin(
+            cell % self.num_bins, sample, self.resolution, bevelled=False
+        )
         nearness = (mi.Float(cell // self.num_bins) + shell_sample) * self._width
         surface = dr.min(self._half / dr.abs(direction))
         # Beyond 50 R nothing changes any more but the rounding.

@@ -14,13 +14,28 @@ vec2 on_map(vec2 u) {
   return u;
 }
 
+// Place on the map of a direction: edges of the octahedron are bevelled, see core.octahedral.
+vec2 octahedral(vec3 v) {
+  vec3 a = abs(v);
+  float width = 1.0 / float(bins), half_ = 0.5 * float(bins);
+  float strip = (max(a.x, a.y) + a.z) / (1.0 - width);
+  vec2 p = a.xy / max(max(a.x + a.y + a.z, strip), a.z / (1.0 - 2.0 * width));
+  // Where z is 0, the surface between four middles of bins is a hyperbolic paraboloid.
+  vec2 first = floor(p * half_ - 0.5);
+  if (first.x + first.y + 2.0 == half_ && min(first.x, first.y) >= 0.0) {
+    vec2 st = p * half_ - 0.5 - first, slope = 1.0 - 2.0 * p;
+    float product = st.x * st.y, b = 1.0 - st.x * slope.y - st.y * slope.x;
+    float root = sqrt(max(b * b - 4.0 * slope.x * slope.y * product, 0.0));
+    p += 4.0 * width * product / (b + root) * slope;
+  }
+  if (v.z < 0.0) p = 1.0 - p.yx;
+  return vec2(v.x < 0.0 ? -p.x : p.x, v.y < 0.0 ? -p.y : p.y);
+}
+
 // Bin of a direction, moved on the map by an offset from -1/2 to 1/2 bins: over all offsets, the
 // mean intensity is linear between the middles of bins.
 int bin_of(vec3 v, vec2 offset) {
-  vec3 n = v / (abs(v.x) + abs(v.y) + abs(v.z));
-  vec2 u = n.xy;
-  if (n.z < 0.0)
-    u = vec2(n.x < 0.0 ? abs(n.y) - 1.0 : 1.0 - abs(n.y), n.y < 0.0 ? abs(n.x) - 1.0 : 1.0 - abs(n.x));
+  vec2 u = octahedral(v);
   u = on_map(u + offset * (2.0 / float(bins)));
   ivec2 b = clamp(ivec2((u + 1.0) * (0.5 * float(bins))), 0, bins - 1);
   return b.y * bins + b.x;
