@@ -30,6 +30,7 @@ from benchmarks.gpu_parts.running import Run, run_parts
 from benchmarks.gpu_parts.sizes import SIZE_NAMES, SIZES, SizeName
 from lumitree.core.backend import CPU_VARIANT, GPU_VARIANT
 from lumitree.core.files import write_bytes
+from lumitree.core.interrupt import interruptible
 from lumitree.errors import LumitreeError
 
 # The processes of the parts load Mitsuba, this one does not.
@@ -72,7 +73,8 @@ def run(options: argparse.Namespace) -> None:
             write_bytes(output / f"{name}.md", page(parts, records).encode())
 
     try:
-        run_parts(chosen, state, 60 * options.minutes, options.again, show)
+        with interruptible():
+            run_parts(chosen, state, 60 * options.minutes, options.again, show)
     except KeyboardInterrupt:
         raise LumitreeError("interrupted; the same command goes on") from None
     finally:

@@ -103,17 +103,14 @@ def _section(part: Part, record: dict[str, Any]) -> str:
 
 
 def _agreements(values: dict[str, Any]) -> str:
-    rows = [
-        [
-            name,
-            "agrees" if each["agrees"] else "**differs**",
-            str(each["quantities"]),
-            f"{each['largest_z']:.2f}",
-            f"{each['p']:.2g}",
-            f"{each['ratio']:.4f} ± {each['ratio_error']:.2g}",
-        ]
-        for name, each in values.items()
-    ]
+    rows = []
+    for name, each in values.items():
+        figures = [f"{each['not_finite']} values are not finite", "", ""]
+        if not each["not_finite"]:
+            figures = [f"{each['largest_z']:.2f}", f"{each['p']:.2g}"]
+            figures.append(f"{each['ratio']:.4f} ± {each['ratio_error']:.2g}")
+        verdict = "agrees" if each["agrees"] else "**differs**"
+        rows.append([name, verdict, str(each["quantities"]), *figures])
     heads = [
         "what",
         f"at p ≥ {SIGNIFICANCE:g}",
