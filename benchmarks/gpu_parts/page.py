@@ -84,6 +84,14 @@ def _cell(text: str) -> str:
 
 
 def _section(part: Part, record: dict[str, Any]) -> str:
+    try:
+        return _content(part, record)
+    except (KeyError, TypeError, ValueError) as error:
+        # A value that is not finite, or a record of another version: the others are shown.
+        return f"The values in {part.name}.json cannot be shown: {error!r}.\n"
+
+
+def _content(part: Part, record: dict[str, Any]) -> str:
     values = record["values"]
     if part.name.startswith("tests-"):
         return _tests(values)

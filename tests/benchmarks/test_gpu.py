@@ -315,6 +315,10 @@ def test_a_trial_says_that_it_is_none_of_a_gpu():
     assert "| bulbs | **differs** | 201 |" in text
     assert "| star | **differs** | 3 | 12 values are not finite |" in text
     assert "| training | not measured yet |" in text
+    broken = {**record, "values": {"steps": None}}
+    shown = page(parts, {"images": record, "training": broken})
+    assert "The values in training.json cannot be shown" in shown
+    assert "| bulbs | **differs** | 201 |" in shown
     device = {**facts, "variant": "cuda_ad_rgb", "accelerator": "NVIDIA H100 80GB HBM3"}
     measured = {"seconds": 0.01, "flops": 7e11, "flops_per_second": 6.7e13}
     measured["peak_flops_per_second"] = 3.5e14
