@@ -5,16 +5,18 @@ import json
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
 from benchmarks.common import setting
+from benchmarks.gpu_parts import __main__ as process
 from benchmarks.gpu_parts import running, suite
 from benchmarks.gpu_parts.agreement import agreement
 from benchmarks.gpu_parts.page import page
-from benchmarks.gpu_parts.part import Context, Part, tables_of
+from benchmarks.gpu_parts.part import Context, Part, SkippedError, UnfinishedError, tables_of
 from benchmarks.gpu_parts.parts import all_parts
 from benchmarks.gpu_parts.peaks import PEAKS, peak_of
 from benchmarks.gpu_parts.running import Run, run_parts
@@ -205,6 +207,42 @@ def test_what_is_due(run, capsys):
     assert "e: 0 s are left" in capsys.readouterr().err
     run_parts([part("e", parameters={"p": (1, 3)})], run, 60)
     assert called == ["e"]
+
+
+@pytest.mark.parametrize(
+    ("ends", "outcome", "values"),
+    [
+        (None, "done", {"x": 2}),
+        (UnfinishedError("later"), "unfinished", {"x": 1}),
+        (SkippedError("no JAX"), "skipped", {}),
+    ],
+)
+def test_what_the_process_of_a_part_leaves(tmp_path, monkeypatch, ends, outcome, values):
+    def measure(context):
+        context.report({"x": 1, "unknown": float("nan")} if ends is None else {"x": 1})
+        if ends is not None:
+            raise ends
+        return {"x": 2}
+
+    each = dataclasses.replace(part(), measure=measure)
+    monkeypatch.setattr(process, "all_parts", lambda sizes: [each])
+    job = {"part": "a", "size": "tiny", "variant": "llvm_ad_rgb", "end": 0.0}
+    job |= {name: str(tmp_path / name) for name in ("work", "folder", "state")}
+    (tmp_path / "job.json").write_text(json.dumps(job))
+    process.main(tmp_path / "job.json")
+    left = json.loads((tmp_path / "state").read_text())
+    assert left == {"outcome": outcome, "values": values, "reason": str(ends or "")}
+
+
+def test_the_network_is_skipped_where_jax_has_no_gpu(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "jax", SimpleNamespace(default_backend=lambda: "cpu"))
+    context = context_of(tmp_path)
+    context.check_jax()
+    with pytest.raises(SkippedError, match="JAX has no GPU"):
+        dataclasses.replace(context, variant="cuda_ad_rgb").check_jax()
+    monkeypatch.setitem(sys.modules, "jax", None)
+    with pytest.raises(SkippedError, match="the network needs JAX"):
+        context.check_jax()
 
 
 TESTS = """
