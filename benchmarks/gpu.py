@@ -13,14 +13,16 @@ limit of time, so that one which crashes or hangs costs no other.
 Every part writes its own file of `gpu/` into the results, and `gpu.md` shows them all. The same
 command goes on with what is missing, so `--minutes 8` several times does the same. Logs and
 intermediate data are kept in `--work`. `--dry-run` runs all parts on the CPU at tiny sizes; its
-results are called `gpu-trial`, and are no figures of a GPU. Without a GPU there is an error. The
-baseline is the CPU (`llvm_ad_rgb`). docs/how-to/gpu.md lists what has to be installed.
+results are `gpu-trial.md` and `gpu-trial/` in the folder of `--work`, unless `-o` names another,
+and are no figures of a GPU. Without a GPU there is an error. The baseline is the CPU
+(`llvm_ad_rgb`). docs/how-to/gpu.md lists what has to be installed.
 """
 
 import argparse
 import ctypes
 from pathlib import Path
 
+from benchmarks.common.results import RESULTS
 from benchmarks.common.setting import nvidia
 from benchmarks.common.tables import Table
 from benchmarks.gpu_parts.page import page
@@ -30,6 +32,7 @@ from benchmarks.gpu_parts.running import Run, run_parts
 from benchmarks.gpu_parts.sizes import SIZE_NAMES, SIZES, SizeName
 from lumitree.core.backend import CPU_VARIANT, GPU_VARIANT
 from lumitree.core.files import write_bytes
+from lumitree.core.interrupt import interruptible
 from lumitree.errors import LumitreeError
 
 # The processes of the parts load Mitsuba, this one does not.
@@ -56,6 +59,9 @@ def run(options: argparse.Namespace) -> None:
     parts = all_parts(SIZES[size])
     name = "gpu" if (size, variant) == ("gpu", GPU_VARIANT) else "gpu-trial"
     output = Path(options.output)
+    if name != "gpu" and output == RESULTS:
+        # Those are the published results.
+        output = options.work
     work = options.work / f"{size}-{variant}"
     state = Run(size, variant, output / name, work, options.command)
     if options.list:
@@ -72,7 +78,8 @@ def run(options: argparse.Namespace) -> None:
             write_bytes(output / f"{name}.md", page(parts, records).encode())
 
     try:
-        run_parts(chosen, state, 60 * options.minutes, options.again, show)
+        with interruptible():
+            run_parts(chosen, state, 60 * options.minutes, options.again, show)
     except KeyboardInterrupt:
         raise LumitreeError("interrupted; the same command goes on") from None
     finally:

@@ -2,7 +2,10 @@
 
 import json
 import os
+import signal
 import sys
+import threading
+import time
 import traceback
 from pathlib import Path
 
@@ -32,7 +35,15 @@ def main(job: Path) -> None:
         context.report(read_json(context.state).get("values", {}), "unfinished", str(reason))
 
 
+def end_with(parent: int) -> None:
+    """End this process and what it has started when its parent has ended."""
+    while os.getppid() == parent:
+        time.sleep(1)
+    os.killpg(0, signal.SIGKILL)
+
+
 if __name__ == "__main__":
+    threading.Thread(target=end_with, args=[os.getppid()], daemon=True).start()
     code = 0
     try:
         main(Path(sys.argv[1]))

@@ -24,9 +24,16 @@ def agreement(first: NDArray[np.floating], second: NDArray[np.floating]) -> dict
         `quantities`, their number with the sum; `largest_z`, the largest difference in standard
         errors; `p`, the probability of one as improbable as the least probable, if both estimate
         the same; `agrees`, whether it is at least `SIGNIFICANCE`; `ratio` and `ratio_error`, the
-        sum of `first` over that of `second` and its standard error.
+        sum of `first` over that of `second` and its standard error; `not_finite`, the number of
+        values that are NaN or infinite: with one, nothing agrees, and what is not known is None.
     """
     a, b = (_with_sum(each) for each in (first, second))
+    not_finite = int((~np.isfinite(a)).sum() + (~np.isfinite(b)).sum())
+    if not_finite:
+        unknown = dict.fromkeys(("largest_z", "ratio", "ratio_error"))
+        return {"quantities": a.shape[1], "p": 0.0, "agrees": False, **unknown} | {
+            "not_finite": not_finite
+        }
     squares = [each.var(axis=0, ddof=1) / len(each) for each in (a, b)]
     difference, error = a.mean(axis=0) - b.mean(axis=0), np.sqrt(squares[0] + squares[1])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -43,6 +50,7 @@ def agreement(first: NDArray[np.floating], second: NDArray[np.floating]) -> dict
         "agrees": p >= SIGNIFICANCE,
         "ratio": ratio,
         "ratio_error": ratio_error,
+        "not_finite": 0,
     }
 
 

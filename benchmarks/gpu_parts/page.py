@@ -84,6 +84,14 @@ def _cell(text: str) -> str:
 
 
 def _section(part: Part, record: dict[str, Any]) -> str:
+    try:
+        return _content(part, record)
+    except (KeyError, TypeError, ValueError) as error:
+        # A value that is not finite, or a record of another version: the others are shown.
+        return f"The values in {part.name}.json cannot be shown: {error!r}.\n"
+
+
+def _content(part: Part, record: dict[str, Any]) -> str:
     values = record["values"]
     if part.name.startswith("tests-"):
         return _tests(values)
@@ -103,17 +111,14 @@ def _section(part: Part, record: dict[str, Any]) -> str:
 
 
 def _agreements(values: dict[str, Any]) -> str:
-    rows = [
-        [
-            name,
-            "agrees" if each["agrees"] else "**differs**",
-            str(each["quantities"]),
-            f"{each['largest_z']:.2f}",
-            f"{each['p']:.2g}",
-            f"{each['ratio']:.4f} ± {each['ratio_error']:.2g}",
-        ]
-        for name, each in values.items()
-    ]
+    rows = []
+    for name, each in values.items():
+        figures = [f"{each['not_finite']} values are not finite", "", ""]
+        if not each["not_finite"]:
+            figures = [f"{each['largest_z']:.2f}", f"{each['p']:.2g}"]
+            figures.append(f"{each['ratio']:.4f} ± {each['ratio_error']:.2g}")
+        verdict = "agrees" if each["agrees"] else "**differs**"
+        rows.append([name, verdict, str(each["quantities"]), *figures])
     heads = [
         "what",
         f"at p ≥ {SIGNIFICANCE:g}",

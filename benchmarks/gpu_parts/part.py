@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from benchmarks.common.setting import command_line
 from benchmarks.gpu_parts.sizes import Sizes
+from benchmarks.paper_tables.work import plain
 from lumitree.core.backend import GPU_VARIANT
 from lumitree.core.files import write_json
 from lumitree.errors import LumitreeError
@@ -78,7 +79,8 @@ class Context:
         self, values: Mapping[str, Any], outcome: Outcome | None = None, reason: str = ""
     ) -> None:
         """Keep values; those of the last call count if the process is ended before it has done."""
-        write_json(self.state, {"values": values, "outcome": outcome, "reason": reason})
+        found = {"values": values, "outcome": outcome, "reason": reason}
+        write_json(self.state, plain(found))
 
     def benchmark(
         self, name: str, *arguments: object, variant: str | None = None
