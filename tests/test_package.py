@@ -132,10 +132,10 @@ def program(distributions, tmp_path_factory):
     folder = tmp_path_factory.mktemp("work") / FOLDER
     folder.mkdir()
 
-    def run(*arguments):
+    def run(*arguments, program=scripts / "lumitree"):
         environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
         result = subprocess.run(
-            [scripts / "lumitree", *arguments],
+            [program, *arguments],
             cwd=folder,
             env=environment,
             capture_output=True,
@@ -151,10 +151,8 @@ def program(distributions, tmp_path_factory):
 
 def test_the_installed_program_runs(program):
     code = "import lumitree; print(lumitree.__file__)"
-    where = subprocess.run(
-        [program.python, "-c", code], capture_output=True, text=True, cwd=program.folder
-    )
-    assert Path(where.stdout.strip()).is_relative_to(program.site)
+    where = program("-c", code, program=program.python)
+    assert Path(where.strip()).is_relative_to(program.site)
     assert "usage: lumitree" in program("--help")
     assert program("--version").strip() == f"lumitree {__version__}"
     assert "bulbs" in program("list")

@@ -57,6 +57,23 @@ def run(code, **environment):
     )
 
 
+@pytest.mark.parametrize("as_drjit", [True, False])
+def test_a_library_that_the_system_lacks_is_one_line(monkeypatch, as_drjit):
+    """As libatomic in small images of Debian; Dr.Jit raises a NameError after it."""
+
+    def fail(name):
+        try:
+            raise ImportError("libatomic.so.1: cannot open shared object file")
+        except ImportError:
+            if as_drjit:
+                raise NameError("name '_drjit_ext' is not defined")  # noqa: B904
+            raise
+
+    monkeypatch.setattr(backend.importlib, "import_module", fail)
+    with pytest.raises(LumitreeError, match=r"loaded: libatomic\.so\.1: .*; install what"):
+        load_mitsuba()
+
+
 def test_a_missing_library_is_one_line():
     result = run(
         "from lumitree.cli import main; main(['capture', 'bulbs', '-o', 'x'])",

@@ -13,7 +13,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 CPU_VARIANT = "llvm_ad_rgb"
 GPU_VARIANT = "cuda_ad_rgb"
@@ -65,7 +65,7 @@ def _load(variant: str | None, kinds: tuple[str, ...]) -> Any:
     chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
     if chosen and not Path(chosen).is_file():
         raise LumitreeError(f"DRJIT_LIBLLVM_PATH names {chosen}, which is not a file; {_remedy()}")
-    mi = importlib.import_module("mitsuba")
+    mi = _import_mitsuba()
     variant = str(variant or mi.variant() or CPU_VARIANT)
     if variant not in mi.variants():
         raise LumitreeError(
@@ -135,11 +135,25 @@ def check_llvm(version: tuple[int, ...] | None, path: str | None) -> None:
     if not version or version[0] <= 0:
         raise LumitreeError(f"no usable libLLVM was found{source}; {_remedy()}")
     if version[0] < MIN_LLVM:
-        shown = ".".join(map(str, version))
+        text = ".".join(map(str, version))
         raise LumitreeError(
-            f"libLLVM {shown}{source} is loaded, which aborts on many machines; need {MIN_LLVM} or "
+            f"libLLVM {text}{source} is loaded, which aborts on many machines; need {MIN_LLVM} or "
             f"newer: import lumitree before mitsuba, and {_remedy()}"
         )
+
+
+def _import_mitsuba() -> Any:
+    try:
+        return importlib.import_module("mitsuba")
+    except (ImportError, NameError) as error:
+        # Dr.Jit raises a NameError while it handles why its library cannot be loaded.
+        reason = error if isinstance(error, ImportError) else error.__context__
+        if not isinstance(reason, ImportError):
+            raise
+        raise LumitreeError(
+            f"Mitsuba cannot be loaded: {shown(reason, 200)}; install what is missing (for "
+            "libatomic.so.1 on Debian and Ubuntu: apt install libatomic1)"
+        ) from error
 
 
 def _remedy() -> str:

@@ -29,7 +29,7 @@ _STOP = (signal.SIGINT, _BREAK or signal.SIGTERM, TERMINAL_CLOSED)
 # The signals that ask a job to stop.
 STOP_SIGNALS: tuple[int, ...] = tuple(number for number in _STOP if number is not None)
 # What `repeat` sends to this process: its alarm clock, or a signal that nobody else sends.
-REPEATED: int = getattr(signal, "SIGALRM", signal.SIGTERM)
+REPEATED: signal.Signals = getattr(signal, "SIGALRM", signal.SIGTERM)
 # Names of files have at most so many bytes where the system does not say how many.
 _LONGEST_NAME = 255
 # The thread that repeats a signal where there is no timer, by the event that ends it.

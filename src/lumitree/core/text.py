@@ -1,4 +1,8 @@
-"""Text of files that do not say how they are encoded."""
+"""Text of files that do not say how they are encoded, and text in figures."""
+
+import contextlib
+import warnings
+from collections.abc import Iterator
 
 # UTF-16 without a byte order mark is recognised by this part of a file.
 _PROBE = 400
@@ -17,6 +21,17 @@ def in_utf8(content: bytes) -> bytes:
         # Some programs write \r\r\n.
         content = content.replace(b"\r\r\n", b"\n").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     return content
+
+
+@contextlib.contextmanager
+def any_characters() -> Iterator[None]:
+    """Context in which Matplotlib draws a box for a character that its font lacks, silently.
+
+    Names of files and lamps may be Chinese; the font of figures has Latin, Greek and Cyrillic.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from", UserWarning)
+        yield
 
 
 def _utf16(content: bytes) -> str | None:

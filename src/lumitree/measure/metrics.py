@@ -20,7 +20,7 @@ from lumitree.errors import LumitreeError
 
 try:
     import flip_evaluator
-except ImportError:  # it has no wheel for Python 3.14
+except ImportError:  # it has no wheels for Python 3.14, and for Linux on ARM
     flip_evaluator = None
 
 VIEW_METRICS = (

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.arguments import check_sheet_output
 from lumitree.core.files import write_bytes
+from lumitree.core.text import any_characters
 
 _DPI = 100
 _BAR_HEIGHT = 12
@@ -142,6 +143,7 @@ class TileSheet:
         """All texts on the sheet, without those of the colour bars."""
         return [text.get_text() for text in self._figure.texts]
 
+    @any_characters()
     def png(self, settings: str = "") -> bytes:
         """The sheet as a PNG file; the same sheet gives the same bytes.
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from lumitree.core.text import any_characters
 from lumitree.errors import shown
 from lumitree.measure.illuminance.areas import Receivers
 from lumitree.measure.illuminance.figures import AreaFigures
@@ -51,6 +52,7 @@ class Plan:
         return float(np.clip(_WIDTH * 0.8 * sides[1] / max(sides[0], 1e-9), 1.5, 9)) + 0.9
 
 
+@any_characters()
 def plan_png(plans: Sequence[Plan], direct_only: bool) -> bytes:
     """The plans of areas, one below the other, as a PNG file.
 
@@ -68,6 +70,7 @@ def plan_png(plans: Sequence[Plan], direct_only: bool) -> bytes:
     return stream.getvalue()
 
 
+@any_characters()
 def plan_pdf(plans: Sequence[Plan], direct_only: bool) -> bytes:
     """A page for each area with its plan and a table, as a PDF file; arguments as `plan_png`."""
     stream = io.BytesIO()

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lumitree.core.files import write_bytes
+from lumitree.core.text import any_characters
 from lumitree.errors import shown
 from lumitree.formats.type_c import Grid
 from lumitree.measure.photometry.figures import PLANES, PhotometricData, plane_curve
@@ -70,6 +71,7 @@ def plots_png(data: PhotometricData) -> bytes:
     return _saved(figure, "png", dpi=_DPI)
 
 
+@any_characters()
 def write_pdf(path: str | os.PathLike[str], data: PhotometricData) -> None:
     """Write the report as a PDF file of one A4 page."""
     figure = Figure(figsize=_PAGE)
