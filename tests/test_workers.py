@@ -12,13 +12,14 @@ import pytest
 import lumitree
 from lumitree.cli import main
 from lumitree.core.images import read_exr
-from lumitree.core.process_pool import process_pool
+from lumitree.core.process_pool import _num_cores, process_pool
 from lumitree.errors import LumitreeError
 from lumitree.fit.config import QUALITIES
 from lumitree.fit.light_field import batches
 from lumitree.lamp import sent
 from lumitree.rendering import passes, render_job
 from lumitree.trace import capture as views
+from support import executors
 from support.executors import LastFirst
 from support.variant import VARIANT
 
@@ -105,6 +106,10 @@ def test_views_are_those_of_one_process(pool):
     assert_equal_views(captured("shared", executor), expected)
     assert len(executor.order) == CAPTURE["num_views"]
     assert_equal_views(captured("pool", pool), expected)
+
+
+def test_workers_share_the_cores(pool):
+    assert pool.submit(executors.num_threads).result() == max(1, _num_cores() // 2)
 
 
 def test_a_capture_whose_worker_is_killed_is_finished_by_the_same_call(pool):
