@@ -167,6 +167,21 @@ def test_images_until_a_time_end(monkeypatch):
     )
 
 
+def test_a_slow_first_pass_does_not_end_an_image_of_workers(mi, monkeypatch):
+    """It contains the start of the workers."""
+    now = [0.0]
+    monkeypatch.setattr(passes.time, "perf_counter", lambda: now[0])
+    plan = passes._Plan(passes.Budget(seconds=20.0), PIXELS, 0)
+    begun = iter(plan)
+    for _ in range(3):
+        next(begun)
+    now[0] = 15.0
+    plan.finish()
+    assert not plan.is_over
+    assert plan.seconds == 15
+    assert next(begun)[1] == plan.next_samples == SAMPLES
+
+
 def test_layers_are_those_of_one_process():
     lumitree.bake("lamp.xml", "lamp.lumitree", bake_config(), variant=VARIANT)
     placements = [lumitree.Placement("lamp.lumitree", at=(0, 1, 0), size=1)]
