@@ -11,6 +11,7 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
+from lumitree.core.dask_executor import dask_executor
 from lumitree.core.images import read_exr
 from lumitree.core.process_pool import _num_cores, process_pool
 from lumitree.errors import LumitreeError
@@ -236,6 +237,28 @@ def test_assets_have_the_bytes_of_those_of_one_process(folder, pool):
         assert (folder / f"{name}.lumitree").read_bytes() == expected
 
 
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_assets_of_the_workers_of_dask_have_the_same_bytes(folder):
+    distributed = pytest.importorskip(
+        "distributed", reason="the optional dependency cluster is not installed"
+    )
+    lumitree.bake("lamp.xml", "alone.lumitree", bake_config(), variant=VARIANT)
+    with (
+        distributed.LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            processes=False,
+            protocol="tcp://",
+            dashboard_address=":0",
+        ) as cluster,
+        dask_executor(cluster.scheduler_address) as executor,
+    ):
+        lumitree.bake(
+            "lamp.xml", "dask.lumitree", bake_config(), executor=executor, variant=VARIANT
+        )
+    assert (folder / "dask.lumitree").read_bytes() == (folder / "alone.lumitree").read_bytes()
+
+
 def test_the_network_gets_light_paths_and_views_of_workers(network_packages, monkeypatch):
     from lumitree.fit import bake_network
 
@@ -299,8 +322,6 @@ def test_a_luminaire_that_differs_is_refused(folder, monkeypatch):
 @pytest.fixture
 def shared_by(monkeypatch):
     """An executor in place of those of the options."""
-    from lumitree.core import dask_executor
-
     executor, asked = LastFirst(), []
 
     @contextlib.contextmanager
@@ -309,7 +330,7 @@ def shared_by(monkeypatch):
         yield executor
 
     monkeypatch.setattr("lumitree.core.process_pool.process_pool", given)
-    monkeypatch.setattr(dask_executor, "dask_executor", given)
+    monkeypatch.setattr("lumitree.core.dask_executor.dask_executor", given)
     return executor, asked
 
 
