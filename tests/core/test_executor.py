@@ -1,5 +1,6 @@
 """Lists of independent tasks on an executor."""
 
+import multiprocessing
 import os
 import pickle
 import signal
@@ -12,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from lumitree.core.executor import check_executor, run_tasks, tasks_at_once
+from lumitree._version import __version__
+from lumitree.core.executor import _run, check_executor, run_tasks, tasks_at_once
 from lumitree.core.files import WriteError
 from lumitree.core.process_pool import process_pool
 from lumitree.core.work_folder import BusyFolderError
@@ -123,6 +125,14 @@ def test_an_executor_of_another_kind_is_refused():
         pass
 
 
+def test_processes_that_are_forked_are_refused():
+    with (
+        ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as executor,
+        pytest.raises(LumitreeError, match=r'may hang; make it with mp_context=.*"spawn"'),
+    ):
+        check_executor(executor)
+
+
 class Lossy(Executor):
     """Loses its workers with an exception after some tasks."""
 
@@ -158,6 +168,16 @@ def test_a_pool_runs_tasks_in_its_processes(pool):
     processes = {process for _, process in found}
     assert 1 <= len(processes) <= 2
     assert os.getpid() not in processes
+
+
+def test_workers_import_what_their_tasks_need(pool):
+    assert results(pool, executors.heavy_imports, [(), ()]) == [(0, []), (1, [])]
+
+
+def test_a_worker_of_another_version_is_refused():
+    expected = r"^a worker has lumitree .*, but the tasks are of lumitree 0\.0\.1; install the same"
+    with pytest.raises(LumitreeError, match=expected):
+        _run("0.0.1", executors.double, (1,))
 
 
 def test_errors_and_warnings_cross_processes(pool):
@@ -197,9 +217,6 @@ def test_the_end_of_a_pool_stops_tasks(tmp_path):
 
 
 def _task(*arguments):
-    from lumitree._version import __version__
-    from lumitree.core.executor import _run
-
     return _run(__version__, arguments[0], arguments[1:])
 
 
@@ -274,8 +291,6 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path):
 
 
 def test_other_process_pools_run_tasks():
-    import multiprocessing
-
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, context) as executor:
         assert results(executor, executors.double, range(3), in_order=True) == [
