@@ -186,7 +186,7 @@ def test_flux_that_ends_on_the_disc(lamp, field):
 
 
 def test_the_light_field_light_is_as_without_it(mi, lamp, field, tmp_path, monkeypatch):
-    from lumitree.fit.light_field import bake as module
+    from lumitree.fit.light_field import batches as module
 
     class Alone(LampRays):
         def draw(self, count, seed, *, ending=None):

@@ -14,7 +14,7 @@ from lumitree.core.device import on_device
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.progress import reporting
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.fit.light_field import bake as module
+from lumitree.fit.light_field import batches as module
 from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.trace.lamp_rays import LampRays
