@@ -41,6 +41,15 @@ def test_scenes_name_meshes_spectra_and_other_scenes():
     assert found == {"lamp.xml", "mesh/triangle.obj", "inner.xml", "light.spd"}
 
 
+def test_a_scene_that_is_included_belongs_to_the_fingerprint(folder):
+    fingerprints = []
+    for radius in (0.1, 0.2):
+        (folder / "inner.xml").write_text(scene(sphere("inner", radius, inside=AREA)))
+        (folder / "lamp.xml").write_text(scene('<include filename="inner.xml"/>'))
+        fingerprints.append(load_luminaire("lamp.xml").fingerprint)
+    assert fingerprints[0] != fingerprints[1]
+
+
 def test_files_that_parameters_name_are_not_known():
     shape = sphere("a", "$r", inside=AREA)
     assert files(scene('<default name="r" value="1"/>', shape)) is None
