@@ -216,6 +216,24 @@ def test_assets_have_the_bytes_of_those_of_one_process(folder, pool):
         assert (folder / f"{name}.lumitree").read_bytes() == expected
 
 
+def test_the_network_gets_light_paths_and_views_of_workers(network_packages, monkeypatch):
+    from lumitree.fit import bake_network
+
+    class Trained(Exception):  # noqa: N818
+        """What follows is not shared."""
+
+    def stop(*_):
+        raise Trained
+
+    monkeypatch.setattr(bake_network, "_train", stop)
+    executor, light_field = LastFirst(), bake_config().light_field
+    config = lumitree.NetworkConfig(num_views=3, resolution=8, light_field=light_field)
+    with pytest.raises(Trained):
+        lumitree.bake_network("lamp.xml", "a.lumitree", config, executor=executor, variant=VARIANT)
+    assert len(executor.order) == 5 + 3
+    assert len(list(Path("a.work/dataset").glob("*.exr"))) == 3
+
+
 def test_what_cannot_be_sent_is_refused_before_any_work(mi, folder):
     executor = LastFirst()
     lamp = lumitree.load_luminaire("lamp.xml", variant=VARIANT)

@@ -1,5 +1,6 @@
 """Lists of independent tasks on an executor."""
 
+import multiprocessing
 import os
 import pickle
 import signal
@@ -121,6 +122,14 @@ def test_an_executor_of_another_kind_is_refused():
         run_tasks(object(), executors.double, [(1,)], what="numbers"),
     ):
         pass
+
+
+def test_processes_that_are_forked_are_refused():
+    with (
+        ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as executor,
+        pytest.raises(LumitreeError, match=r'may hang; make it with mp_context=.*"spawn"'),
+    ):
+        check_executor(executor)
 
 
 class Lossy(Executor):
@@ -274,8 +283,6 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path):
 
 
 def test_other_process_pools_run_tasks():
-    import multiprocessing
-
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, context) as executor:
         assert results(executor, executors.double, range(3), in_order=True) == [

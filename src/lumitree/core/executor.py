@@ -34,16 +34,22 @@ _one_at_a_time = threading.RLock()
 
 
 def check_executor(executor: Executor | None) -> None:
-    """Refuse an executor that is of another kind.
+    """Refuse an executor that is of another kind, or forks its processes.
 
     Raises:
-        LumitreeError: it is neither a `concurrent.futures.Executor` nor None.
+        LumitreeError: it is neither a `concurrent.futures.Executor` nor None, or it forks.
     """
     if executor is not None and not isinstance(executor, Executor):
         kind = f"{type(executor).__module__}.{type(executor).__qualname__}"
         raise LumitreeError(
             f"executor is a {shown(kind)}; expected a concurrent.futures.Executor, such as that of "
             "lumitree.process_pool or of dask.distributed.Client.get_executor"
+        )
+    context = getattr(executor, "_mp_context", None)
+    if context is not None and context.get_start_method() == "fork":
+        raise LumitreeError(
+            "the executor forks its processes, in which Mitsuba and JAX may hang; make it with "
+            'mp_context=multiprocessing.get_context("spawn"), or by lumitree.process_pool'
         )
 
 
