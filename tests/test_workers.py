@@ -11,14 +11,16 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
+from lumitree.core.dask_executor import dask_executor
 from lumitree.core.images import read_exr
-from lumitree.core.process_pool import process_pool
+from lumitree.core.process_pool import _num_cores, process_pool
 from lumitree.errors import LumitreeError
 from lumitree.fit.config import QUALITIES
 from lumitree.fit.light_field import batches
 from lumitree.lamp import sent
 from lumitree.rendering import passes, render_job
 from lumitree.trace import capture as views
+from support import executors
 from support.executors import LastFirst
 from support.variant import VARIANT
 
@@ -107,6 +109,10 @@ def test_views_are_those_of_one_process(pool):
     assert_equal_views(captured("pool", pool), expected)
 
 
+def test_workers_share_the_cores(pool):
+    assert pool.submit(executors.num_threads).result() == max(1, _num_cores() // 2)
+
+
 def test_a_capture_whose_worker_is_killed_is_finished_by_the_same_call(pool):
     expected = captured("alone")
     with process_pool(1) as executor:
@@ -162,6 +168,21 @@ def test_images_until_a_time_end(monkeypatch):
     )
 
 
+def test_a_slow_first_pass_does_not_end_an_image_of_workers(mi, monkeypatch):
+    """It contains the start of the workers."""
+    now = [0.0]
+    monkeypatch.setattr(passes.time, "perf_counter", lambda: now[0])
+    plan = passes._Plan(passes.Budget(seconds=20.0), PIXELS, 0)
+    begun = iter(plan)
+    for _ in range(3):
+        next(begun)
+    now[0] = 15.0
+    plan.finish()
+    assert not plan.is_over
+    assert plan.seconds == 15
+    assert next(begun)[1] == plan.next_samples == SAMPLES
+
+
 def test_layers_are_those_of_one_process():
     lumitree.bake("lamp.xml", "lamp.lumitree", bake_config(), variant=VARIANT)
     placements = [lumitree.Placement("lamp.lumitree", at=(0, 1, 0), size=1)]
@@ -214,6 +235,28 @@ def test_assets_have_the_bytes_of_those_of_one_process(folder, pool):
             "lamp.xml", f"{name}.lumitree", bake_config(seed=4), executor=executor, variant=VARIANT
         )
         assert (folder / f"{name}.lumitree").read_bytes() == expected
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_assets_of_the_workers_of_dask_have_the_same_bytes(folder):
+    distributed = pytest.importorskip(
+        "distributed", reason="the optional dependency cluster is not installed"
+    )
+    lumitree.bake("lamp.xml", "alone.lumitree", bake_config(), variant=VARIANT)
+    with (
+        distributed.LocalCluster(
+            n_workers=2,
+            threads_per_worker=1,
+            processes=False,
+            protocol="tcp://",
+            dashboard_address=":0",
+        ) as cluster,
+        dask_executor(cluster.scheduler_address) as executor,
+    ):
+        lumitree.bake(
+            "lamp.xml", "dask.lumitree", bake_config(), executor=executor, variant=VARIANT
+        )
+    assert (folder / "dask.lumitree").read_bytes() == (folder / "alone.lumitree").read_bytes()
 
 
 def test_the_network_gets_light_paths_and_views_of_workers(network_packages, monkeypatch):
@@ -279,8 +322,6 @@ def test_a_luminaire_that_differs_is_refused(folder, monkeypatch):
 @pytest.fixture
 def shared_by(monkeypatch):
     """An executor in place of those of the options."""
-    from lumitree.core import dask_executor
-
     executor, asked = LastFirst(), []
 
     @contextlib.contextmanager
@@ -289,7 +330,7 @@ def shared_by(monkeypatch):
         yield executor
 
     monkeypatch.setattr("lumitree.core.process_pool.process_pool", given)
-    monkeypatch.setattr(dask_executor, "dask_executor", given)
+    monkeypatch.setattr("lumitree.core.dask_executor.dask_executor", given)
     return executor, asked
 
 

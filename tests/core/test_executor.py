@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from lumitree.core.executor import check_executor, run_tasks, tasks_at_once
+from lumitree._version import __version__
+from lumitree.core.executor import _run, check_executor, run_tasks, tasks_at_once
 from lumitree.core.files import WriteError
 from lumitree.core.process_pool import process_pool
 from lumitree.core.work_folder import BusyFolderError
@@ -169,6 +170,16 @@ def test_a_pool_runs_tasks_in_its_processes(pool):
     assert os.getpid() not in processes
 
 
+def test_workers_import_what_their_tasks_need(pool):
+    assert results(pool, executors.heavy_imports, [(), ()]) == [(0, []), (1, [])]
+
+
+def test_a_worker_of_another_version_is_refused():
+    expected = r"^a worker has lumitree .*, but the tasks are of lumitree 0\.0\.1; install the same"
+    with pytest.raises(LumitreeError, match=expected):
+        _run("0.0.1", executors.double, (1,))
+
+
 def test_errors_and_warnings_cross_processes(pool):
     with pytest.warns(LumitreeWarning, match="^only 4$"):
         results(pool, executors.warn, [4, 4])
@@ -206,9 +217,6 @@ def test_the_end_of_a_pool_stops_tasks(tmp_path):
 
 
 def _task(*arguments):
-    from lumitree._version import __version__
-    from lumitree.core.executor import _run
-
     return _run(__version__, arguments[0], arguments[1:])
 
 

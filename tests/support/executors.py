@@ -3,15 +3,18 @@
 import os
 import queue
 import signal
+import sys
 import threading
 import time
 import warnings
 from concurrent.futures import Executor, Future
 from pathlib import Path
 
+from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import WriteError
 from lumitree.core.interrupt import deferred_interrupt
 from lumitree.errors import LumitreeError, LumitreeWarning
+from support.variant import VARIANT
 
 
 class LastFirst(Executor):
@@ -98,6 +101,19 @@ def kill_itself(value):
 
 def pid(value):
     return os.getpid()
+
+
+def heavy_imports():
+    """What this process has imported that takes long."""
+    return sorted({"mitsuba", "drjit", "jax"} & set(sys.modules))
+
+
+def num_threads():
+    """Threads of Dr.Jit in this process."""
+    import drjit
+
+    load_mitsuba(VARIANT)
+    return drjit.thread_count()
 
 
 def begin_and_wait(folder, name):

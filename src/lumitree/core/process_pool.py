@@ -61,13 +61,14 @@ def process_pool(workers: int) -> Iterator[Executor]:
         yield executor
     finally:
         ended.value = True
-        for process in context.started:
+        begun = [process for process in context.made if process.pid is not None]
+        for process in begun:
             process.terminate()
         try:
             executor.shutdown(cancel_futures=True)
         except BaseException:
             # A second signal.
-            for process in context.started:
+            for process in begun:
                 process.kill()
             raise
 
@@ -96,16 +97,16 @@ class _Context(SpawnContext):
     """Start method of a pool.
 
     Attributes:
-        started: its processes.
+        made: its processes.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self.started: list[_Process] = []
+        self.made: list[_Process] = []
 
     def Process(self, *args: Any, **kwargs: Any) -> _Process:  # noqa: N802  # pyright: ignore
         process = _Process(*args, **kwargs)
-        self.started.append(process)
+        self.made.append(process)
         return process
 
 

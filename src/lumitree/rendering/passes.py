@@ -210,6 +210,7 @@ class _Plan:
 
     Attributes:
         seconds: time until the latest pass was finished, s.
+        is_over: whether the next pass would not end in time, and none has begun.
     """
 
     def __init__(self, budget: Budget, pixels: int, seed: int) -> None:
@@ -219,13 +220,13 @@ class _Plan:
         if (budget.seconds, budget.noise) != (None, None):
             batch = min(batch, _MAX_SAMPLES_PER_PIXEL, self._limit // _MIN_PASSES)
         self._batch = max(1, batch)
-        self._late, self._start, self.seconds = False, time.perf_counter(), 0.0
+        self._start, self.seconds, self.is_over = time.perf_counter(), 0.0, False
         # Samples per pixel of the passes that are not finished, and when they began.
         self._begun: deque[tuple[int, float]] = deque()
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
         samples = 0
-        while samples < self._limit and not self._late:
+        while samples < self._limit and not self.is_over:
             count = min(self._batch, self._limit - samples)
             self._begun.append((count, time.perf_counter()))
             yield SeedStream(Purpose.RENDER, samples).seed(self._seed), count
@@ -236,16 +237,12 @@ class _Plan:
         """Samples per pixel of the pass that is finished next."""
         return self._begun[0][0]
 
-    @property
-    def is_over(self) -> bool:
-        """Whether no further pass would end in time, and those that have begun are finished."""
-        return self._late and not self._begun
-
     def finish(self) -> float:
         """Count the pass that was begun first as finished; returns the time of the clock, s."""
         now = time.perf_counter()
         _, began = self._begun.popleft()
         self.seconds = now - self._start
-        # A pass that would not end in time is not begun.
-        self._late = self._time is not None and self.seconds + (now - began) > self._time
+        # How long a pass takes is not known where others have begun before it ended.
+        if self._time is not None and not self._begun:
+            self.is_over = self.seconds + (now - began) > self._time
         return now
