@@ -31,6 +31,9 @@ from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from lumitree.errors import LumitreeError
 
+# Largest load, as `os.getloadavg` states it, of a machine that does nothing else.
+_IDLE_LOAD = 0.5
+
 
 def measure_folder(work: Path, workers: int, options: argparse.Namespace) -> dict[str, Any]:
     """Seconds of a call that keeps all lamps and of the page; bytes by kind of file."""
@@ -162,8 +165,10 @@ def run(options: argparse.Namespace) -> None:
     print(farm_table(model).text())
     print(f"bound by {model.bound}")
     facts = results.setting()
+    busy = f"Measured while the machine did other work (load {load}): the times are too long.\n"
     sections = [
         "# Folders of many lamps\n",
+        *([busy] if load > _IDLE_LOAD else []),
         bake_table(rows, options.lamps).markdown(),
         "Efficiency: seconds of workers over those of the first row; each worker has one core. "
         "Peak memory: of all processes together.\n",

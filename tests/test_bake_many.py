@@ -251,8 +251,8 @@ def test_a_signal_while_a_list_waits_is_heeded(folder, monkeypatch):
 
 @pytest.mark.parametrize(
     "target",
-    [(LampFiles, "write_baked"), (FolderIndex, "update"), (FolderIndex, "write")],
-    ids=lambda target: target[1],
+    [(LampFiles, "write"), (FolderIndex, "update"), (FolderIndex, "write")],
+    ids=("record", "update", "page"),
 )
 def test_a_signal_after_the_last_lamp_changes_nothing(monkeypatch, capfd, target):
     original = getattr(*target)

@@ -44,7 +44,7 @@ def lamp(index: int, seed: int) -> str:
         case _:
             shapes = [
                 _shape("rectangle", (0.3 * size, 0.05, 1), (0, 0, 0), light),
-                _shape("cube", (0.32 * size, 0.07, 0.02), (0, 0, 0.03), WHITE),
+                _shape("cube", (0.32 * size, 0.07, 0.02), (0, 0, -0.03), WHITE),
             ]
     return SCENE.format("\n".join(shapes))
 

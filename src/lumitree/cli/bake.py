@@ -353,7 +353,7 @@ def _listed(names: list[str]) -> list[str]:
             found.append(name)
             continue
         content = read_bytes(name[1:], "a list of luminaires", _MAX_LIST_BYTES)
-        found += [line.strip() for line in os.fsdecode(content).splitlines() if line.strip()]
+        found += [line.strip() for line in os.fsdecode(content).split("\n") if line.strip()]
     return found
 
 

@@ -17,6 +17,7 @@ from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES, noted_files
 from lumitree.lamp.model_reading import READERS, overrides_path, read_model
 from lumitree.lamp.scene_file import SceneFile
+from lumitree.lamp.scene_names import scene_names
 from lumitree.lamp.scene_writer import write_scene
 from lumitree.lamp.source import LuminaireSource, as_source, source_kind
 
@@ -125,6 +126,8 @@ def fingerprint_of(file: SceneFile, source: LuminaireSource) -> str:
     digest = hashlib.sha256(read_bytes(file.path, "a Mitsuba scene", MAX_MODEL_BYTES))
     if file.path == Path(source.name) and (source.keep or source.drop):
         digest.update(repr((source.keep, source.drop)).encode())
+    for path in scene_names(file.path).included:
+        digest.update(read_bytes(path, "a Mitsuba scene", MAX_MODEL_BYTES))
     for spectrum in file.listed_spectra():
         digest.update(spectrum.tobytes())
     for path in file.references():

@@ -11,6 +11,7 @@ import pytest
 import lumitree
 from lumitree.cli import main
 from lumitree.cli.output import print_lamps
+from lumitree.core.dask_executor import dask_executor
 from lumitree.core.files import WriteError
 from lumitree.fit.catalogue import lamp_job, record
 from lumitree.fit.catalogue.record import BakedLamp, LampFiles
@@ -215,3 +216,21 @@ def test_scenes_of_models_do_not_pile_up(folder, monkeypatch):
     (folder / "one.mtl").write_text("newmtl light\nKe 4 5 5\n")
     (folder / "two.toml").write_text('units = "cm"\n')
     assert states(bake(["one.obj", "two.obj"])) == [("one", "baked"), ("two", "baked")]
+
+
+# Dask's own, of its event loops.
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_workers_of_dask_give_the_same_bytes(folder):
+    distributed = pytest.importorskip("distributed")
+    names = ["a.xml", "dark.xml", "b.xml", "c.xml"]
+    bake(names, "one")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=False, protocol="tcp://",
+            dashboard_address=":0",
+        ) as cluster,
+        dask_executor(cluster.scheduler_address) as executor,
+    ):  # fmt: skip
+        result = bake(names, "out", executor=executor)
+    assert states(result) == [("a", "baked"), ("dark", "failed"), ("b", "baked"), ("c", "baked")]
+    assert contents("out") == contents("one")

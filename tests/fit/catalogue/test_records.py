@@ -174,6 +174,11 @@ def test_a_later_version_is_refused(tmp_path):
     mark_folder(tmp_path)
     with pytest.raises(LumitreeError, match="has records of version 3, this lumitree reads 1 to 2"):
         check_folder(tmp_path)
+    path.write_text("{")
+    with pytest.raises(
+        LumitreeError, match=r"version.json is damaged \(not valid JSON.*; remove it"
+    ):
+        check_folder(tmp_path)
 
 
 @pytest.mark.parametrize(("number", "count"), [(0, 1), (2, 1), (1, 0), (1, 10**6)])
@@ -191,6 +196,8 @@ def test_parts_state_what_is_missing(tmp_path):
     write_part(tmp_path, Part(3, 4), ["c"])
     names, missing, count = read_parts(tmp_path)
     assert (sorted(names), missing, count) == (["b", "c", "f"], [1, 4], 4)
+    (folder / "part-2-of-4.json").write_text("{")
+    assert read_parts(tmp_path) == (["c"], [1, 4], 4)
 
 
 def test_settings_of_other_qualities_are_other_text(tmp_path):

@@ -1,5 +1,6 @@
 """A folder of baked lamps as a whole: its version, the parts of its list, and all its records."""
 
+import contextlib
 import dataclasses
 import os
 import re
@@ -75,8 +76,12 @@ def check_folder(root: Path) -> None:
     path = root / FOLDER_FILES / _VERSION_FILE
     if not os.path.exists(path):
         return
-    record = Record(parse_json(read_bytes(path, "a version", 1000)), shown(path, 300))
-    if (version := record.integer("version")) > VERSION:
+    try:
+        record = Record(parse_json(read_bytes(path, "a version", 1000)), "the file")
+        version = record.integer("version")
+    except LumitreeError as error:
+        raise LumitreeError(f"{shown(path, 300)} is damaged ({error}); remove it") from None
+    if version > VERSION:
         raise LumitreeError(
             f"{shown(root, 300)} has records of version {version}, this lumitree reads 1 to "
             f"{VERSION}; update lumitree, or choose another folder"
@@ -98,7 +103,8 @@ def write_part(root: Path, part: Part, names: Iterable[str]) -> None:
 def read_parts(root: Path) -> tuple[list[str], list[int], int]:
     """Lamps of the parts that have begun, numbers of those that have not, and number of all.
 
-    Of lists that were divided differently, the latest counts. 0 parts if none was divided.
+    Of lists that were divided differently, the latest counts. 0 parts if none was divided. What a
+    damaged file lists is not known.
     """
     entries = [
         (entry.stat().st_mtime_ns, int(found[1]), int(found[2]), entry.path)
@@ -113,8 +119,9 @@ def read_parts(root: Path) -> tuple[list[str], list[int], int]:
     for _, number, of, path in entries:
         if of == count:
             begun.add(number)
-            record = Record(parse_json(read_bytes(path, "a part", _MAX_LIST_BYTES)), "part")
-            names += [str(name) for name in record.items("lamps")]
+            with contextlib.suppress(LumitreeError):
+                record = Record(parse_json(read_bytes(path, "a part", _MAX_LIST_BYTES)), "part")
+                names += [str(name) for name in record.items("lamps")]
     return names, [number for number in range(1, count + 1) if number not in begun], count
 
 

@@ -22,6 +22,7 @@ from lumitree.fit.catalogue.record import (
     LampFiles,
     LampRecord,
     State,
+    figures_of,
     options_text,
 )
 from lumitree.fit.catalogue.stamps import stamps_of
@@ -151,23 +152,22 @@ class LampJob:
         result = bake_source(
             luminaire, files.asset, self.config, variant=self.variant, progress=progress
         )
-        error = (result.irradiance or {}).get("irradiance_rms")
         # Otherwise a signal would make the next call repeat a bake that is complete.
         with deferred_interrupt() as interruption:
-            record = files.write_baked(
-                result.asset,
-                LampRecord(
-                    options=self._options(),
-                    files=stamps,
-                    fingerprint=fingerprint,
-                    settings=self.settings,
-                    finished=result.finished,
-                    asset=files.stamp(),
-                    image="",
-                    seconds=seconds + sum(result.seconds.values()),
-                    figures={"irradiance_rms": error},
-                ),
+            image = files.write_image(result.asset, self.settings)
+            stamp = files.stamp()
+            record = LampRecord(
+                options=self._options(),
+                files=stamps,
+                fingerprint=fingerprint,
+                settings=self.settings,
+                finished=result.finished,
+                asset=stamp,
+                image=image,
+                seconds=seconds + sum(result.seconds.values()),
+                figures=figures_of(result.asset, stamp.size, result.irradiance),
             )
+            files.write(record)
         stopped_by = interruption.number if result.stopped_by is None else result.stopped_by
         return Outcome(
             self._lamp("baked" if result.finished else "interrupted", record), stopped_by

@@ -161,29 +161,15 @@ class LampFiles:
         """Write why a bake failed. The record of an earlier one stays."""
         write_json(self._within(FAILURE), {"version": VERSION, "error": reason})
 
-    def write_baked(self, asset: Asset, record: LampRecord) -> LampRecord:
-        """Write the thumbnail, and then the record, of an asset that has been written.
+    def write_image(self, asset: Asset, settings: str) -> str:
+        """Write the thumbnail of an asset; returns the suffix of its file.
 
         Args:
-            record: its figures and its stamp of the asset are completed.
+            settings: of the bake, as in a record.
         """
-        from lumitree.rendering.asset_flux import asset_lumens
-
-        image = thumbnail(asset, json.loads(record.settings))
-        record = dataclasses.replace(
-            record,
-            asset=self.stamp(),
-            image=thumbnail_kind(),
-            figures={
-                "lumens": asset_lumens(asset),
-                "file_bytes": self.asset.stat().st_size,
-                "size": asset.frame.size.tolist(),
-                **record.figures,
-            },
-        )
-        write_bytes(self.image(record), image)
-        self.write(record)
-        return record
+        kind = thumbnail_kind()
+        write_bytes(self._within(f".{kind}"), thumbnail(asset, json.loads(settings)))
+        return kind
 
     def stamp(self) -> FileStamp:
         """The stamp of the asset as it is."""
@@ -191,6 +177,24 @@ class LampFiles:
         if stamp is None or stamp.size < 0:
             raise LumitreeError(f"{shown(self.asset, 300)} has been removed; bake it again")
         return stamp
+
+
+def figures_of(asset: Asset, file_bytes: int, irradiance: dict[str, Any] | None) -> dict[str, Any]:
+    """Figures of a record.
+
+    Args:
+        asset: what was baked.
+        file_bytes: size of its file.
+        irradiance: of the result of the bake.
+    """
+    from lumitree.rendering.asset_flux import asset_lumens
+
+    return {
+        "lumens": asset_lumens(asset),
+        "file_bytes": file_bytes,
+        "size": asset.frame.size.tolist(),
+        "irradiance_rms": (irradiance or {}).get("irradiance_rms"),
+    }
 
 
 def _json(record: LampRecord) -> dict[str, Any]:
