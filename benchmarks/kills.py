@@ -28,7 +28,7 @@ from benchmarks.common.options import add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.reliability.jobs import JOBS, Job
-from benchmarks.reliability.trial import Reference, measure, prepare, run_trial
+from benchmarks.reliability.trial import PLACE, Reference, measure, prepare, run_trial
 from lumitree.errors import LumitreeError
 
 
@@ -95,19 +95,18 @@ def run(options: argparse.Namespace) -> None:
     trials = report["trials"]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        prepare(folder / "inputs")
+        inputs, place = folder / "inputs" / PLACE, folder / "trial" / PLACE
+        prepare(inputs)
         references: dict[str, Reference] = {}
         for job in _in_turn(jobs, options.kills, trials):
             if job.name not in references:
-                place = folder / job.name.replace(" ", "-")
-                references[job.name] = measure(job, folder / "inputs", place)
+                references[job.name] = measure(job, inputs, folder / job.name)
                 report["references"][job.name] = _described(references[job.name])
             number = sum(each["job"] == job.name for each in trials)
-            place = folder / "trial"
             found = run_trial(
                 job,
                 references[job.name],
-                folder / "inputs",
+                inputs,
                 place,
                 f"{options.seed} {job.name} {number}",
                 options.chain,

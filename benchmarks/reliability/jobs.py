@@ -167,7 +167,7 @@ JOBS = (
     Job(
         "render",
         ("render", "room.xml", *_PLACED, "-o", "out/image.exr", "--spp", "128",
-         "--layers", "out/layers.exr", "--aov", "out/aov.exr", "--luminance", "out/cd.png"),
+         "--layers", "out/layers.exr", "--aov", "out/aov.exr"),
     ),
     Job(
         "photometry",

@@ -20,6 +20,8 @@ from lumitree.errors import LumitreeError
 
 # Names of temporary files and folders, of lumitree and of Orbax.
 _TEMPORARY_PARTS = (TEMPORARY, SCRATCH, "orbax-checkpoint-tmp")
+# Assets have the name of the folder of their luminaire, so all commands run in folders of one name.
+PLACE = "lamps"
 # Interval at which a folder is looked at, and the longest time after which a process is killed that
 # is writing, s.
 _LOOK_SECONDS, _WRITE_SECONDS = 0.002, 0.02
@@ -125,7 +127,7 @@ def _temporary(folder: Path) -> Iterator[str]:
 
 
 def prepare(folder: Path) -> None:
-    """Make the inputs of all jobs in a folder."""
+    """Make the inputs of all jobs in a folder of the name `PLACE`."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in INPUTS.items():
         (folder / name).write_text(text)
@@ -137,7 +139,7 @@ def measure(job: Job, inputs: Path, folder: Path) -> Reference:
     """Run a command twice without a kill: its files, and how well they repeat."""
     runs = []
     for number in range(2):
-        place = folder / str(number)
+        place = folder / str(number) / PLACE
         shutil.copytree(inputs, place)
         command = Watched(job, place)
         command.finish()
@@ -160,6 +162,7 @@ def run_trial(
     """Kill a command several times, let it finish, and check it at each stage.
 
     Args:
+        folder: where it runs, of the name `PLACE`.
         seed: of the moments.
         kills: number of kills; fewer if the command ends before.
 

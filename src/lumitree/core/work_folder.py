@@ -286,14 +286,15 @@ def atomic_folder(output: Path) -> Iterator[Path]:
     Raises:
         WriteError: the folder cannot be written, or the disk is full.
     """
-    output = output.resolve()
-    with _written_beside(output) as files:
+    # A name such as "folder/.." has no stem.
+    with _written_beside(output.resolve(), output) as files:
         yield files
         _flush(files)
-        if output.is_dir():
+        folder = output.resolve()
+        if folder.is_dir():
             # Windows does not rename to a folder that exists. Fails if it holds something by now.
-            output.rmdir()
-        os.replace(files, output)
+            folder.rmdir()
+        os.replace(files, folder)
 
 
 def check_new_folder(path: Path) -> None:
@@ -315,13 +316,18 @@ def check_new_folder(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def _written_beside(output: Path) -> Iterator[Path]:
-    """Yield a folder on the disk of `output`; remove it afterwards, with what is left in it."""
+def _written_beside(output: Path, name: Path | None = None) -> Iterator[Path]:
+    """Yield a folder on the disk of `output`; remove it afterwards, with what is left in it.
+
+    Args:
+        name: of the output in messages; by default `output`.
+    """
+    name = output if name is None else name
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         temporary, handle = _create_locked(output.parent, f".{output.stem}{TEMPORARY}")
     except (OSError, ValueError) as error:
-        raise WriteError(output, error) from error
+        raise WriteError(name, error) from error
     try:
         files = temporary / "files"
         files.mkdir()
@@ -329,9 +335,9 @@ def _written_beside(output: Path) -> Iterator[Path]:
     except WriteError as error:
         # The user knows the output, and not the file of the temporary folder.
         cause = error.__cause__
-        raise WriteError(output, cause if isinstance(cause, Exception) else error) from error
+        raise WriteError(name, cause if isinstance(cause, Exception) else error) from error
     except Exception as error:
-        raise_write_error(output, error)
+        raise_write_error(name, error)
     finally:
         release(handle)
         shutil.rmtree(temporary, ignore_errors=True)
