@@ -48,7 +48,10 @@ def changed_toml(content, rng):
     if chance(rng, 0.1):
         return damaged(content, rng)
     if chance(rng, 0.8):
-        return json_trees.written_toml(json_trees.changed(tomllib.loads(content.decode()), rng))
+        # An earlier change may have left no TOML.
+        with contextlib.suppress(ValueError):
+            tree = tomllib.loads(content.decode())
+            return json_trees.written_toml(json_trees.changed(tree, rng))
     return words.changed(content, rng, separators=_TOML_SEPARATORS)
 
 
