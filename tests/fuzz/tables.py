@@ -277,7 +277,7 @@ def _changed_archive(arrays, rng):
         match int(rng.integers(6)):
             case 0 if len(arrays) > 1:
                 del arrays[name]
-            case 1:
+            case 1 if arrays[name].dtype.kind in "fiub":
                 kind = pick(rng, ("S3", "U3", "bool", "complex64", "int8", "float16", "float64"))
                 arrays[name] = arrays[name].astype(kind)
             case 2:
