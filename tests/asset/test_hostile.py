@@ -14,6 +14,7 @@ from support.asset_drafts import CHANGES, Draft
 from support.fields import random_asset
 from support.light_fields import assert_equal_fields, random_light_field
 from support.sound_assets import assert_sound
+from support.stored_arrays import change_field_arrays
 
 ROUNDS = 100
 TRACED = TracedPaths(1 << 20, (0, 7), 64 * "a", 0.02)
@@ -66,3 +67,16 @@ def test_mutations_are_sound_or_refused(asset, tmp_path, mutate):
             if mutant.light_field is not None:
                 assert_equal_fields(loaded.light_field, mutant.light_field)
     assert refused > ROUNDS // 8
+
+
+def test_coefficients_beyond_half_precision_are_refused(tmp_path):
+    draft = Draft(random_asset(0, tree_depth=2, l_max=1))
+
+    def change(arrays):
+        # Dark leaves, whose other bands have the largest step.
+        arrays["coefficients"][:, 0], arrays["coefficients"][:, 1:] = -32767, 32767
+
+    change_field_arrays(draft.tensors, draft.asset, change)
+    (tmp_path / "bad.lumitree").write_bytes(draft.file())
+    with pytest.raises(LumitreeError, match="coefficients hold NaN or infinity"):
+        load(tmp_path / "bad.lumitree")

@@ -108,6 +108,8 @@ def change(*path, to):
         (change("frames", 0, "file", to='"../x.exr"'), "outside the dataset's folder"),
         (change("frames", 0, "file", to='".."'), "outside the dataset's folder"),
         (change("frames", 0, "file", to='""'), "outside the dataset's folder"),
+        (change("frames", 0, "file", to=f'"../{900 * "x"}"'), "outside the dataset's folder"),
+        (change("frames", 0, "file", to=f'"{200 * "é"}"'), "too long a name"),
         (change("frames", 0, "halton_index", to="1.5"), "expected an integer"),
         (change("frames", 0, "proxy_from_camera", 0, 0, to="1e300"), "pose of view_1.exr"),
         (change("frames", 0, "proxy_from_camera", 0, to="[1]"), "expected 4 x 4 numbers"),

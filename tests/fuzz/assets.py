@@ -218,7 +218,7 @@ READERS = (
         assert_sound,
         use_in_full,
         memory=3072 * MEBIBYTE,
-        in_suite=250,
+        in_suite=200,
         full_share=1 / 500,
     ),
 )

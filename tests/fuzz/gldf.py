@@ -128,7 +128,10 @@ def zipped(members, rng):
 def _member_name(rng, name):
     if chance(rng, 0.04):
         return pick(rng, (name.upper(), f"./{name}", name.replace("/", "\\"), f"../{name}"))
-    return text(rng).replace("\ud800", "").replace("\udcff", "") if chance(rng, 0.01) else name
+    if chance(rng, 0.01):
+        # zipfile writes no lone surrogates, and no empty names.
+        return text(rng).encode("utf-8", "ignore").decode() or " "
+    return name
 
 
 def _change_entry(data, rng):

@@ -218,7 +218,8 @@ def _use_model(found):
     assert_lamp_renders(found[0])
 
 
+_LIMITS = {"memory": 2048 * MEBIBYTE, "full_share": 1 / 100}
 READERS = (
-    Reader("obj", _obj, _read_model, _sound_model, _use_model, memory=2048 * MEBIBYTE),
-    Reader("gltf", _changed_gltf, _read_model, _sound_model, _use_model, memory=2048 * MEBIBYTE),
+    Reader("obj", _obj, _read_model, _sound_model, _use_model, **_LIMITS),
+    Reader("gltf", _changed_gltf, _read_model, _sound_model, _use_model, **_LIMITS),
 )

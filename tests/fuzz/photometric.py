@@ -200,7 +200,7 @@ READERS = (
         lambda folder: read_ies(folder / "lamp.ies"),
         _sound_distribution,
         _bake,
-        in_suite=150,
+        in_suite=120,
     ),
     Reader(
         "ldt",
@@ -208,7 +208,7 @@ READERS = (
         lambda folder: read_ldt(folder / "lamp.ldt"),
         _sound_distribution,
         _bake,
-        in_suite=150,
+        in_suite=120,
     ),
     Reader(
         "tm25",
@@ -216,7 +216,7 @@ READERS = (
         lambda folder: read_tm25(folder / "lamp.ray"),
         _sound_rays,
         _bake_rays,
-        in_suite=100,
+        in_suite=80,
     ),
     Reader(
         "tm33",

@@ -43,7 +43,7 @@ class Reader:
     use_in_full: Callable[[Any], None] = nothing
     memory: int = 1024 * MEBIBYTE
     at_once: int = 2000
-    in_suite: int = 60
+    in_suite: int = 40
     full_share: float = FULL_SHARE
 
 

@@ -159,7 +159,7 @@ READERS = (
         _use_lamp,
         memory=3072 * MEBIBYTE,
         at_once=500,
-        in_suite=25,
+        in_suite=20,
         full_share=1 / 50,
     ),
     Reader(
@@ -169,7 +169,7 @@ READERS = (
         use_in_full=_render_room,
         memory=3072 * MEBIBYTE,
         at_once=500,
-        in_suite=25,
+        in_suite=20,
         full_share=1 / 50,
     ),
 )

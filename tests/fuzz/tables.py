@@ -48,7 +48,10 @@ def changed_toml(content, rng):
     if chance(rng, 0.1):
         return damaged(content, rng)
     if chance(rng, 0.8):
-        return json_trees.written_toml(json_trees.changed(tomllib.loads(content.decode()), rng))
+        # An earlier change may have left no TOML.
+        with contextlib.suppress(ValueError):
+            tree = tomllib.loads(content.decode())
+            return json_trees.written_toml(json_trees.changed(tree, rng))
     return words.changed(content, rng, separators=_TOML_SEPARATORS)
 
 
@@ -274,7 +277,7 @@ def _changed_archive(arrays, rng):
         match int(rng.integers(6)):
             case 0 if len(arrays) > 1:
                 del arrays[name]
-            case 1:
+            case 1 if arrays[name].dtype.kind in "fiub":
                 kind = pick(rng, ("S3", "U3", "bool", "complex64", "int8", "float16", "float64"))
                 arrays[name] = arrays[name].astype(kind)
             case 2:

@@ -248,3 +248,10 @@ def test_wrong_gains_are_refused(tmp_path, capsys, gain):
 def test_wrong_names_of_layers_are_refused_before_any_work(tmp_path, capsys, option):
     assert main(["render", "no.xml", "-o", str(tmp_path / "a.png"), option, "a.png"])
     assert "'a.png' does not end in .exr" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("gain", [1, 1e6])
+def test_mixtures_beyond_single_precision_are_refused(mi, gain):
+    layers = dict.fromkeys(("lamp", "room"), np.full((2, 2, 3), 2e38, np.float32))
+    with pytest.raises(LumitreeError, match=r"radiance above 1e\+30"):
+        lumitree.mix(layers, {"lamp": gain})

@@ -22,7 +22,7 @@ from lumitree.core.files import write_json
 from lumitree.core.frames import MAX_SCALE, LocalFrame, file_keys, file_members
 from lumitree.core.images import max_radiance, read_exr, write_exr
 from lumitree.core.reading import Record, label, parse_json, read_bytes
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 
 Split = Literal["train", "test"]
 OpacityKind = Literal["straight_through", "geometric"]
@@ -35,6 +35,8 @@ DATASET_FILES = (MANIFEST, "view_*.exr")
 MAX_VIEWS = FIRST_TEST_INDEX - 1
 # Keys of a `Frame` in the file.
 _FRAME_KEYS = ("file", "halton_index", "proxy_from_camera")
+# Of a file's name, in most file systems.
+_MAX_NAME_BYTES = 255
 # A view takes about 600 bytes.
 _MAX_MANIFEST_BYTES = 1 << 28
 
@@ -103,7 +105,9 @@ class Manifest:
             raise LumitreeError("a dataset needs at least one view, and a file for each")
         for frame in self.frames:
             if frame.file in ("", "..") or Path(frame.file).name != frame.file:
-                raise LumitreeError(f"view {frame.file!r} lies outside the dataset's folder")
+                raise LumitreeError(f"view {shown(frame.file)!r} lies outside the dataset's folder")
+            if len(os.fsencode(frame.file)) > _MAX_NAME_BYTES:
+                raise LumitreeError(f"view {shown(frame.file)!r} has too long a name for a file")
             if frame.pose.shape != (4, 4) or not (np.abs(frame.pose) <= MAX_SCALE).all():
                 raise LumitreeError(
                     f"pose of {frame.file} is not 4 x 4 numbers of at most {MAX_SCALE:g}"

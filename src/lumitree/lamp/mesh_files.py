@@ -40,7 +40,7 @@ class _Element(NamedTuple):
     """An element of a PLY file: its name and number, and its fields with their NumPy types."""
 
     name: str
-    count: int
+    number: int
     fields: list[tuple[str, str]]
 
 
@@ -64,9 +64,9 @@ def check_mesh_file(plugin: str, path: Path, index: int = 0) -> None:
         raise LumitreeError(f"{shown(path, 300)} is a damaged mesh: {error}") from None
 
 
-def _check_ply(content: bytes, _: int) -> None:
+def _check_ply(content: bytes, _index: int) -> None:
     order, elements, start = _header(content)
-    counts = {each.name: each.count for each in elements}
+    counts = {each.name: each.number for each in elements}
     if len(counts) < len(elements) or max(counts.values(), default=0) > _MAX_COUNT:
         raise LumitreeError("it repeats an element, or states more than 4 billion of them")
     vertices = counts.get("vertex", 0)
@@ -75,25 +75,25 @@ def _check_ply(content: bytes, _: int) -> None:
         return
     for each in elements:
         kind = np.dtype([(f"{i}", order + code) for i, (_, code) in enumerate(each.fields)])
-        if each.count * kind.itemsize > len(content) - start:
-            raise LumitreeError(f"it is cut off: it states {each.count} {shown(each.name, 40)}")
+        if each.number * kind.itemsize > len(content) - start:
+            raise LumitreeError(f"it is cut off: it states {each.number} {shown(each.name, 40)}")
         if each.name == "face" and kind.itemsize:
-            records = np.frombuffer(content, kind, each.count, start)
+            records = np.frombuffer(content, kind, each.number, start)
             for i, (name, _) in enumerate(each.fields):
                 if name == _ENTRY:
                     _check_faces(records[f"{i}"], vertices)
-        start += each.count * kind.itemsize
+        start += each.number * kind.itemsize
 
 
 def _check_text(text: bytes, elements: list[_Element], vertices: int) -> None:
     words = text.split()
-    total = sum(each.count * len(each.fields) for each in elements)
+    total = sum(each.number * len(each.fields) for each in elements)
     if total != len(words):
         raise LumitreeError(f"it has {len(words)} numbers, where it states {total}")
     start = 0
     for each in elements:
         width = len(each.fields)
-        stop = start + each.count * width
+        stop = start + each.number * width
         if each.name == "face":
             for i, (name, _) in enumerate(each.fields):
                 if name == _ENTRY:

@@ -11,7 +11,8 @@ from lumitree.errors import LumitreeError
 from lumitree.fit.octree.config import OctreeFitConfig, RefineConfig, SplitConfig
 from support.field_rays import FieldRays, truth_and_start
 
-CONFIG = OctreeFitConfig(refine=RefineConfig(rays=1 << 10))
+# As of the fields of `truth_and_start`.
+CONFIG = OctreeFitConfig(l_max=1, refine=RefineConfig(rays=1 << 10))
 
 
 def state_file(folder, config=CONFIG, fingerprint="abc"):

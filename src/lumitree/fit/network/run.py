@@ -20,7 +20,7 @@ from lumitree.core.files import WriteError, check_room, write_json
 from lumitree.core.frames import LocalFrame, file_keys, file_members
 from lumitree.core.reading import Record, label, parse_json, read_bytes
 from lumitree.core.work_folder import remove_written
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 from lumitree.fit.network.config import TrainConfig
 
 RECORD = "run.json"
@@ -90,7 +90,7 @@ def _parse(data: Record) -> RunRecord:
     try:
         config = TrainConfig(**data.members("config"))
     except TypeError as error:
-        raise LumitreeError(f"config: {error}") from None
+        raise LumitreeError(f"config: {shown(error, 200)}") from None
     return RunRecord(
         config=config,
         dataset=data.text("dataset", _MAX_PATH),
