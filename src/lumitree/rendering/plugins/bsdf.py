@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from contextvars import ContextVar
+
 import drjit as dr
 import mitsuba as mi
 
 from lumitree.rendering.plugins.delta_bsdf import delta_bsdf_class
 from lumitree.rendering.plugins.placed import Placed
+
+_LEFT_OUT: ContextVar[bool] = ContextVar("_LEFT_OUT", default=False)
+
+
+@contextlib.contextmanager
+def proxies_left_out() -> Iterator[None]:
+    """Context in which no ray meets a proxy as a shape, so that no code is recorded for that."""
+    token = _LEFT_OUT.set(True)
+    try:
+        yield
+    finally:
+        _LEFT_OUT.reset(token)
 
 
 def null_bsdf_class() -> type:
@@ -36,7 +52,7 @@ def null_bsdf_class() -> type:
             return bs, self.eval_null_transmission(si, enabled) & enabled
 
         def eval_null_transmission(self, si, active=True):
-            if self.placed.shows_geometry:
+            if not self.placed.dims or _LEFT_OUT.get():
                 return mi.Spectrum(1) & active
             line, entering = self.placed.entering_line(si, active)
             through = self.placed.field.transmittance(*line, entering)

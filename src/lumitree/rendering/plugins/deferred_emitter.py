@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -36,8 +37,7 @@ class EmitterSample:
     beyond: mi.Float
 
 
-@runtime_checkable
-class DeferredEmitter(Protocol):
+class DeferredEmitter(ABC):
     """An emitter on a see-through proxy, whose radiance and density cost a traversal.
 
     `mi.Emitter` returns a direction together with its radiance, so that the radiance is computed
@@ -46,28 +46,48 @@ class DeferredEmitter(Protocol):
     Emitters that do not follow it are used through `mi.Emitter` alone. All quantities are those of
     the methods of `mi.Emitter` and `mi.BSDF` that are named.
 
+    A class follows it if it has the methods. It is no `typing.Protocol`, for which Python looks at
+    each emitter of a large scene again.
+
     Attributes:
         placed: its proxy, and where it stands.
     """
 
     placed: Placed
 
+    @classmethod
+    def __subclasshook__(cls, kind: type) -> bool:
+        return all(hasattr(kind, name) for name in ("light", "sample_target", "eval_entered"))
+
+    @abstractmethod
     def light(self) -> Any:
         """The `LampLight` of its methods that cost."""
         ...
 
+    @abstractmethod
     def light_inside(self) -> None:
         """Light what is in the box from now on, if it can (`placed.holds`)."""
         ...
 
+    @abstractmethod
     def axis_intensities(self) -> NDArray[np.float64]:
         """Luminous intensity [6] towards x, y and z of the scene and against them, smoothed."""
         ...
 
+    @abstractmethod
+    def sampled_alone_radius(self) -> float:
+        """Radius of `divided_sampling.left_out`, scene; 0 where rays of a BSDF always count.
+
+        Rays for which `left_out` is true get neither light from the lamp nor are they attenuated.
+        """
+        ...
+
+    @abstractmethod
     def is_summed(self, point: mi.Point3f, active: mi.Bool) -> mi.Bool:
         """Whether `irradiance` knows what receivers at points of the scene get."""
         ...
 
+    @abstractmethod
     def irradiance(
         self, point: mi.Point3f, n: mi.Vector3f, random: mi.PCG32, active: mi.Bool
     ) -> mi.Color3f:
@@ -80,6 +100,7 @@ class DeferredEmitter(Protocol):
         """
         ...
 
+    @abstractmethod
     def sample_target(
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool
     ) -> EmitterSample:
@@ -92,6 +113,7 @@ class DeferredEmitter(Protocol):
         """
         ...
 
+    @abstractmethod
     def eval_target(
         self,
         it: mi.Interaction3f,
@@ -115,6 +137,7 @@ class DeferredEmitter(Protocol):
         """
         ...
 
+    @abstractmethod
     def eval_entered(
         self,
         ray: mi.Ray3f,
@@ -147,6 +170,7 @@ class DeferredEmitter(Protocol):
         """
         ...
 
+    @abstractmethod
     def sample_self_emission(
         self, sample: mi.Float, active: mi.Bool
     ) -> tuple[mi.ShapePtr, mi.Float, mi.Float]:
@@ -161,6 +185,7 @@ class DeferredEmitter(Protocol):
         """
         ...
 
+    @abstractmethod
     def transmittance(self, ray: mi.Ray3f, distance: mi.Float, active: mi.Bool) -> mi.Float:
         """Transmittance for a shadow ray that enters the proxy.
 

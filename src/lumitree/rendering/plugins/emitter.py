@@ -15,7 +15,7 @@ from lumitree.rendering.plugins.lamp_light import LampLight
 from lumitree.rendering.plugins.light_colour import light_colour
 from lumitree.rendering.plugins.objects import complete_later
 from lumitree.rendering.plugins.placed import Placed
-from lumitree.rendering.sampling.divided_sampling import emitter_sampler
+from lumitree.rendering.sampling.divided_sampling import emitter_sampler, left_out_radius
 from lumitree.rendering.sampling.proxy import BoxProxy
 
 
@@ -62,6 +62,12 @@ def emitter_class() -> type:
         def axis_intensities(self):
             gain = np.array(dr.detach(self._accepted), np.float64).ravel()
             return self.placed.axis_intensities * float(luminance(gain) / LUMENS_PER_WATT)
+
+        def sampled_alone_radius(self):
+            placed = self.placed
+            if placed.dims or not self.sampler.includes_mis or self.sampling_weight() <= 0:
+                return 0.0
+            return placed.numbers[0] * left_out_radius(placed.asset) * (1 + 1e-4)
 
         def is_summed(self, point, active):
             x = self.placed.local_point(point)

@@ -11,7 +11,7 @@ import numpy as np
 from lumitree.core.device import on_device
 from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
 from lumitree.rendering.sampling.alias_table import AliasTable
-from lumitree.rendering.sampling.lamp_choice import NO_LAMP, LampChoice, Lamps
+from lumitree.rendering.sampling.lamp_choice import NO_LAMP, LampChoices, Lamps
 from lumitree.rendering.sampling.samples import divide_sample
 
 # Part of the samples for emitters that are no baked luminaires, where a scene has both. Whichever
@@ -25,10 +25,8 @@ class Selected:
 
     # fmt: off
     index: mi.UInt32         # Of the emitter in the scene
-    weight: mi.Float         # One over its probability; 0 if there is none
-    emitter_pmf: mi.Float    # What multiple importance sampling takes for its probability
-    normal: mi.Vector3f      # Of the receiver, as `pmf` needs it
-    total: mi.Float          # As of `LampChoice.sample`
+    weight: mi.Float         # Factor by which its light counts for that of all; 0: there is none
+    emitter_pmf: mi.Float    # Its probability for multiple importance sampling
     sample: mi.Point2f       # For the direction, in the unit square
     # fmt: on
 
@@ -42,12 +40,13 @@ class EmitterSelection:
 
     Args:
         scene: all of it.
+        choices: keeps tables.
 
     Attributes:
         by_receiver: whether probabilities depend on the receiver.
     """
 
-    def __init__(self, scene: mi.Scene) -> None:
+    def __init__(self, scene: mi.Scene, choices: LampChoices) -> None:
         self._scene, emitters = scene, scene.emitters()
         weights = np.array([emitter.sampling_weight() for emitter in emitters])
         self._total_weight = float(weights.sum())
@@ -55,12 +54,14 @@ class EmitterSelection:
         self.by_receiver = len(lamps) > 1
         if not self.by_receiver:
             return
-        centres, radii = zip(*(lamp.placed.sphere for lamp in lamps.values()), strict=True)
         indices = np.array(list(lamps))
+        centres, radii = zip(*(lamp.placed.sphere for lamp in lamps.values()), strict=True)
         intensities = np.array([lamp.axis_intensities() for lamp in lamps.values()])
         intensities *= weights[indices, None]
-        lit = Lamps(np.array(centres), np.array(radii), intensities)
-        self._lamps = LampChoice(lit, indices)
+        low, high = (np.array(each, np.float64).ravel() for each in _corners(scene))
+        self._lamps = choices.of(
+            Lamps(indices, np.array(centres), np.array(radii), intensities, low, high)
+        )
         weights[indices] = 0
         others = np.flatnonzero(weights)
         self._has_others = bool(len(others))
@@ -72,10 +73,8 @@ class EmitterSelection:
             pmf[others] = _OTHERS * weights[others] / weights.sum()
         numbers = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))
         # By the number of an emitter among all those of the process.
-        index_of, pmf_of = (
-            np.full(numbers.max() + 1, NO_LAMP, np.uint32),
-            np.zeros(numbers.max() + 1),
-        )
+        index_of = np.full(numbers.max() + 1, NO_LAMP, np.uint32)
+        pmf_of = np.zeros(numbers.max() + 1)
         index_of[numbers], pmf_of[numbers] = np.arange(len(emitters)), pmf
         self._index_of, self._pmf_of = on_device(mi.UInt32, index_of), on_device(mi.Float, pmf_of)
         self._part = 1 - _OTHERS if self._has_others else 1.0
@@ -101,45 +100,43 @@ class EmitterSelection:
         sample = sampler.next_2d()
         if not self.by_receiver:
             index, weight, sample.x = self._scene.sample_emitter(sample.x, active)
-            return Selected(index, weight, dr.rcp(weight), normal, mi.Float(0), sample)
-        choice, other = sampler.next_1d(), mi.Bool(False)
+            return Selected(index, weight, dr.rcp(weight), sample)
+        choice, other = sampler.next_2d(), mi.Bool(False)
         if self._has_others:
-            other, choice = divide_sample(choice, _OTHERS)
-        # Of all receivers, since rays of their BSDFs may meet lamps.
-        index, pmf, total = self._lamps.sample(si.p, normal, owner, choice, active)
-        part = self._lamps.part(index, si.p, normal, total, active & (pmf > 0))
-        pmf, part = pmf * self._part, part * self._part
+            other, choice.x = divide_sample(choice.x, _OTHERS)
+        lit = active & ~other
+        index, weight, pmf = self._lamps.sample(si.p, normal, owner, choice, lit)
+        weight, pmf = weight / self._part, pmf * self._part
         if self._has_others:
-            entry, chance = self._others.sample(mi.UInt32(0), choice, active & other)
+            entry, chance = self._others.sample(mi.UInt32(0), choice.x, active & other)
             found = dr.gather(mi.UInt32, self._other_indices, entry, active & other)
             index = dr.select(other, found, index)
             pmf = dr.select(other, _OTHERS * chance, pmf)
-            part = dr.select(other, pmf, part)
-        weight = dr.select(pmf > 0, dr.rcp(pmf), 0)
-        return Selected(index, weight, part, normal, total, sample)
+            weight = dr.select(other, dr.rcp(pmf), weight)
+        return Selected(index, weight, pmf, sample)
 
     def pmf_by_weight(self, emitter: mi.EmitterPtr) -> mi.Float:
         """Probability of `mi.Scene.sample_emitter`."""
         return emitter.sampling_weight() * dr.rcp(self._total_weight)
 
     def pmf(
-        self,
-        emitter: mi.EmitterPtr,
-        it: mi.Interaction3f,
-        total: mi.Float,
-        active: mi.Bool | bool = True,
+        self, emitter: mi.EmitterPtr, it: mi.Interaction3f, active: mi.Bool | bool = True
     ) -> mi.Float:
         """`Selected.emitter_pmf` that an emitter has for a receiver.
 
         Args:
             emitter: of the scene.
-            it: the receiver; if `by_receiver` its normal is that given to `sample`.
-            total: as `sample` returned it for this receiver.
+            it: the receiver.
             active: mask.
         """
         if not self.by_receiver:
             return self.pmf_by_weight(emitter)
         number = dr.reinterpret_array(mi.UInt32, emitter)
         index = dr.gather(mi.UInt32, self._index_of, number, active)
-        part = self._lamps.part(index, it.p, mi.Vector3f(it.n), total, active)
-        return dr.gather(mi.Float, self._pmf_of, number, active) + self._part * part
+        pmf = self._lamps.pmf(index, it.p, active)
+        return dr.gather(mi.Float, self._pmf_of, number, active) + self._part * pmf
+
+
+def _corners(scene: mi.Scene) -> tuple[mi.Point3f, mi.Point3f]:
+    box = scene.bbox()
+    return box.min, box.max

@@ -31,6 +31,7 @@ sample through them.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 
 import drjit as dr
@@ -39,6 +40,7 @@ import mitsuba as mi
 from lumitree.errors import LumitreeError
 from lumitree.lamp.media import media
 from lumitree.rendering.layers import Layers, Unrecorded
+from lumitree.rendering.plugins.bsdf import proxies_left_out
 from lumitree.rendering.plugins.path_emission import (
     add_emission,
     add_emitter_light,
@@ -60,6 +62,7 @@ from lumitree.rendering.plugins.path_vertices import (
     scatter,
 )
 from lumitree.rendering.plugins.proxies import DividedScene
+from lumitree.rendering.sampling.lamp_choice import LampChoices
 from lumitree.trace import medium_paths
 
 DEFAULT_RR_DEPTH = 5
@@ -83,6 +86,7 @@ def integrator_class() -> type:
             # What is recorded beside the image.
             self.layers: Layers | Unrecorded = Unrecorded()
             self._divided = DividedScene()
+            self._choices = LampChoices()
             if self.max_depth < -1 or self.rr_depth < 1:
                 raise LumitreeError(
                     f"lumitree_path has max_depth {self.max_depth} and rr_depth {self.rr_depth}; "
@@ -112,10 +116,14 @@ def integrator_class() -> type:
                 crossed,
                 hide_emitters=self.hide_emitters,
                 layers=self.layers,
+                choices=self._choices,
             )
             inside = dr.zeros(mi.MediumPtr) if medium is None else mi.MediumPtr(medium)
             path = PathState.start(ray, inside, mi.Bool(active))
-            return trace_paths(paths, path, sampler, self.max_depth, self.rr_depth)
+            # Recording code for proxies that are not traced would take long in large scenes.
+            left_out = paths.divided.surfaces is not scene
+            with proxies_left_out() if left_out else contextlib.nullcontext():
+                return trace_paths(paths, path, sampler, self.max_depth, self.rr_depth)
 
         def aov_names(self):
             return self.layers.channel_names()
@@ -178,7 +186,7 @@ def trace_paths(
 
         # ---- Update loop variables based on current interaction -----
 
-        bounces = scatter(scene, path, vertex, choice, scattering, self_sampled)
+        bounces = scatter(scene, path, vertex, scattering, self_sampled)
 
         # ---------------------- Russian roulette ----------------------
 

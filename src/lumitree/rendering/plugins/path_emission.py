@@ -31,7 +31,7 @@ def add_emission(scene: PathScene, path: PathState, hit: Hit) -> mi.Bool:
     if scene.hide_emitters:
         seen &= path.depth > 0
     ds = mi.DirectionSample3f(scene.whole, hit.si, path.si_prev)
-    emitter_pmf = scene.selection.pmf(ds.emitter, path.si_prev, path.selection_total, seen)
+    emitter_pmf = scene.selection.pmf(ds.emitter, path.si_prev, seen)
     emitter_pmf = dr.select(path.bsdf_delta_prev, 0, emitter_pmf)
     light, through, emitter_pdf, on_proxy, on_geometry = scene.lamps.call(
         hit_light,

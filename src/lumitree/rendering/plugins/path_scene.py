@@ -13,6 +13,7 @@ from lumitree.rendering.plugins.emitter_selection import EmitterSelection
 from lumitree.rendering.plugins.geometry_plugins import GeometryEmitter
 from lumitree.rendering.plugins.lamp_kinds import LampKinds
 from lumitree.rendering.plugins.proxies import Divided, is_instance
+from lumitree.rendering.sampling.lamp_choice import LampChoices
 from lumitree.trace.spawning import scene_extent
 
 # Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
@@ -29,6 +30,7 @@ class PathScene:
         media: those that rays may cross.
         hide_emitters: whether the camera does not see emitters.
         layers: what is recorded beside the image.
+        choices: keeps tables for the choice of a lamp.
     """
 
     def __init__(
@@ -39,6 +41,7 @@ class PathScene:
         *,
         hide_emitters: bool = False,
         layers: Unrecorded | None = None,
+        choices: LampChoices | None = None,
     ) -> None:
         self.whole = scene
         self.divided = divided
@@ -53,7 +56,7 @@ class PathScene:
         self.shows_geometry = any(
             isinstance(emitter, GeometryEmitter) for emitter in scene.emitters()
         )
-        self.selection = EmitterSelection(scene)
+        self.selection = EmitterSelection(scene, LampChoices() if choices is None else choices)
         self.lamps = LampKinds(scene.emitters(), scene.emitters_dr())
 
     def emitter(self, index: mi.UInt32, active: mi.Bool) -> mi.EmitterPtr:

@@ -60,13 +60,18 @@ def add_entered_light(scene: PathScene, path: PathState, free_flight: FreeFlight
     if dr.hint(scene.hide_emitters, mode="scalar"):
         active &= path.depth > 0
     end = dr.minimum(path.pi.t, free_flight.distance)
-    distance, lamp = proxies.first(path.ray, end, active, path.specular_chain, path.skipped)
+    # Emitter sampling finds no light of rays without a density, and none for images.
+    alone = path.bsdf_delta_prev | path.specular_chain
+    sampled = path.si_prev.p, dr.select(alone, dr.inf, path.bsdf_pdf_prev)
+    distance, lamp = proxies.first(
+        path.ray, end, active, path.specular_chain, path.skipped, sampled
+    )
     active &= lamp != NONE
     ahead = divided.owners.of(path.pi.shape, active & path.pi.is_valid() & ~free_flight.collides)
     while active:
         ends = divided.ends(path.ray, end, lamp, ahead, active)
         emitter = scene.emitter(lamp, active)
-        emitter_pmf = scene.selection.pmf(emitter, path.si_prev, path.selection_total, active)
+        emitter_pmf = scene.selection.pmf(emitter, path.si_prev, active)
         emitter_pmf = dr.select(path.bsdf_delta_prev, 0, emitter_pmf)
         light, through, emitter_pdf = scene.lamps.call(
             entered_light,
@@ -89,7 +94,7 @@ def add_entered_light(scene: PathScene, path: PathState, free_flight: FreeFlight
         path.β[active] *= through
         path.valid_ray |= active & (dr.max(light) > 0)
         distance, lamp = proxies.next(
-            path.ray, distance, lamp, end, active, path.specular_chain, path.skipped
+            path.ray, distance, lamp, end, active, path.specular_chain, path.skipped, sampled
         )
         active &= lamp != NONE
 

@@ -44,7 +44,6 @@ class PathState:
     crossings: mi.UInt32               # Null interactions so far
 
     si_prev: mi.Interaction3f          # Previous vertex
-    selection_total: mi.Float          # Of the selection of an emitter there (`Selected`)
     bsdf_pdf_prev: mi.Float            # Density of the direction that was sampled there
     bsdf_delta_prev: mi.Bool           # Whether emitter sampling could not have found it
     specular_chain: mi.Bool            # Whether all vertices so far were specular
@@ -72,7 +71,6 @@ class PathState:
             depth_freed=mi.UInt32(0),
             crossings=mi.UInt32(0),
             si_prev=dr.zeros(mi.Interaction3f),
-            selection_total=mi.Float(1),
             bsdf_pdf_prev=mi.Float(1),
             bsdf_delta_prev=mi.Bool(True),
             specular_chain=mi.Bool(True),

@@ -8,7 +8,6 @@ import mitsuba as mi
 from lumitree.rendering.plugins.geometry_plugins import CROSSED_STRAIGHT
 from lumitree.rendering.plugins.path_scene import MAX_CROSSINGS, PathScene
 from lumitree.rendering.plugins.path_state import (
-    EmitterChoice,
     FreeFlight,
     Hit,
     PathState,
@@ -80,7 +79,6 @@ def scatter(
     scene: PathScene,
     path: PathState,
     vertex: Vertex,
-    choice: EmitterChoice,
     scattering: Scattering,
     self_sampled: mi.Bool,
 ) -> mi.Bool:
@@ -104,11 +102,7 @@ def scatter(
     path.η[bounces & vertex.active_surface] *= bs.eta
 
     # Information about the current vertex needed by the next iteration
-    receiver = mi.Interaction3f(si)
-    if scene.selection.by_receiver:
-        receiver.n = choice.selected.normal
-        path.selection_total[bounces] = choice.selected.total
-    path.si_prev[bounces] = receiver
+    path.si_prev[bounces] = mi.Interaction3f(si)
     path.bsdf_pdf_prev[bounces] = bs.pdf
     delta = vertex.active_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
     path.bsdf_delta_prev[bounces] = delta

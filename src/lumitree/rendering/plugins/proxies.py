@@ -22,12 +22,13 @@ from lumitree.rendering.plugins.box_tree import NODE_NUMBERS, box_tree
 from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
 from lumitree.rendering.plugins.objects import make_object, shape_number
 from lumitree.rendering.plugins.placed import Placed
+from lumitree.rendering.sampling.divided_sampling import left_out
 from lumitree.rendering.sampling.proxy import SphereProxy, safe_inverse, slab
 
 # What stands for no emitter, and the bits of all.
 NONE = ALL = 0xFFFFFFFF
-# Packets of four numbers of a proxy on the device: a point, a matrix, whether it is a sphere, and
-# whether it gives light to what is in it; and of a node of the tree.
+# Packets of four numbers of a proxy on the device: a point, a matrix, whether it is a sphere,
+# whether it gives light to what is in it, and `sampled_alone_radius`; and of a node of the tree.
 _PACKETS, _NODE_PACKETS = 4, NODE_NUMBERS // 4
 # Part of the distance by which a ray may miss a node's box.
 _SLACK = 1e-5
@@ -48,7 +49,8 @@ class Proxies:
             if isinstance(emitter, DeferredEmitter):
                 matrix, centre = emitter.placed.unit_proxy()
                 is_sphere = isinstance(emitter.placed.proxy, SphereProxy)
-                rows.append([*centre, *matrix.ravel(), is_sphere, emitter.placed.holds, 0, 0])
+                holds, alone = emitter.placed.holds, emitter.sampled_alone_radius()
+                rows.append([*centre, *matrix.ravel(), is_sphere, holds, alone, 0])
                 # A sphere is contained in the box of the same matrix.
                 reach = np.abs(np.linalg.inv(matrix)).sum(axis=1)
                 boxes.append([centre - reach, centre + reach])
@@ -72,9 +74,10 @@ class Proxies:
         active: mi.Bool,
         starts: mi.Bool | bool = False,
         skipped: mi.UInt32 | int = 0,
+        sampled: tuple[mi.Point3f, mi.Float] | None = None,
     ) -> tuple[mi.Float, mi.UInt32]:
         """As `next`, for the first proxy on a ray."""
-        return self.next(ray, mi.Float(-1), mi.UInt32(NONE), end, active, starts, skipped)
+        return self.next(ray, mi.Float(-1), mi.UInt32(NONE), end, active, starts, skipped, sampled)
 
     @dr.syntax
     def next(
@@ -86,6 +89,7 @@ class Proxies:
         active: mi.Bool,
         starts: mi.Bool | bool = False,
         skipped: mi.UInt32 | int = 0,
+        sampled: tuple[mi.Point3f, mi.Float] | None = None,
     ) -> tuple[mi.Float, mi.UInt32]:
         """The proxy that a ray enters next.
 
@@ -99,6 +103,9 @@ class Proxies:
             active: mask.
             starts: mask of these rays.
             skipped: `bit_of` the lamps whose proxies are not entered at the origin.
+            sampled: vertex that the ray comes from, and density per steradian with which its BSDF
+                sampled the ray. Proxies are left out whose light next-event estimation alone finds
+                there, and which transmit all light (`DeferredEmitter.sampled_alone_radius`).
 
         Returns:
             Distance from the origin of the ray; and index of the emitter in the scene, `NONE` where
@@ -111,7 +118,9 @@ class Proxies:
             meets = active & (near <= far) & (far >= after) & (near <= distance)
             at_proxy = meets & (proxy != NONE)
             index = dr.gather(mi.UInt32, self._indices, proxy, at_proxy)
-            entry, enters = self._enter(proxy, ray, at_proxy, starts, skipped & bit_of(index))
+            entry, enters = self._enter(
+                proxy, ray, at_proxy, starts, skipped & bit_of(index), sampled
+            )
             # Proxies that are entered at the same distance come in the order of their emitters.
             enters &= (entry > after) | ((entry == after) & (last != NONE) & (index > last))
             first = (entry == distance) & (found != NONE) & (index < found)
@@ -150,6 +159,7 @@ class Proxies:
         active: mi.Bool,
         starts: mi.Bool | bool,
         skipped: mi.UInt32 | int,
+        sampled: tuple[mi.Point3f, mi.Float] | None,
     ) -> tuple[mi.Float, mi.Bool]:
         """Distance at which a ray enters a proxy, and whether it does."""
         packets = [
@@ -158,6 +168,11 @@ class Proxies:
         ]
         values = [number for packet in packets for number in packet]
         matrix, is_sphere = mi.Matrix3f(*values[3:12]), values[12] > 0
+        if sampled is not None:
+            # A little less often than the lamp itself does, whose rounding is another.
+            x, pdf = sampled
+            x, radius = mi.Point3f(x - mi.Point3f(*values[:3])), values[14]
+            active &= (radius <= 0) | ~left_out(x, radius, pdf * (1 + _SLACK))
         # In these coordinates the proxy is the cube of [-1, 1]³, or the unit sphere.
         o, d = mi.Vector3f(matrix @ (ray.o - mi.Point3f(*values[:3]))), matrix @ ray.d
         near, far = slab(-o, mi.Vector3f(1), safe_inverse(d))

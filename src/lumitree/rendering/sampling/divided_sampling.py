@@ -279,6 +279,21 @@ class CellSampler(DividedSampler):
 
     def _left_out(self, x, bsdf_pdf):
         """Whether a direction is left to next-event estimation."""
-        radius = _CUTOFF_RADIUS * self._radius
-        far = dr.squared_norm(mi.Vector3f(x)) > radius**2
-        return far & (bsdf_pdf < _CUTOFF * cone_pdf(x, radius))
+        return left_out(x, _CUTOFF_RADIUS * self._radius, bsdf_pdf)
+
+
+def left_out(x: mi.Point3f, radius: mi.Float, bsdf_pdf: mi.Float) -> mi.Bool:
+    """Whether `CellSampler` leaves a direction to next-event estimation.
+
+    Args:
+        x: receiver, relative to the centre of the lamp.
+        radius: of the bounding sphere, enlarged as `left_out_radius` has it.
+        bsdf_pdf: density per steradian with which the BSDF samples the direction.
+    """
+    far = dr.squared_norm(mi.Vector3f(x)) > radius**2
+    return far & (bsdf_pdf < _CUTOFF * cone_pdf(x, radius))
+
+
+def left_out_radius(asset: Asset) -> float:
+    """The radius of `left_out`, local units."""
+    return _CUTOFF_RADIUS * float(np.linalg.norm(asset.frame.half_extents))

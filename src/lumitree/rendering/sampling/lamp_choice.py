@@ -1,27 +1,27 @@
 """Which lamp next-event estimation samples: by what each sends to the receiver.
 
-Lamps are the leaves of a tree. A node is chosen among its siblings in proportion to an estimate of
-the irradiance that its lamps send to the receiver, so a sample visits about √N nodes of each level.
+Candidates come from a table, which depends on the cell of the scene that the receiver is in. One of
+them is chosen in proportion to an estimate of the irradiance that it sends to the receiver
+(resampled importance sampling, Talbot et al. 2005).
 
 Symbols
-    N       lamps               L       levels of the tree, the least with 32^L ≥ N
-    k       children of a node, the least with k^L ≥ N
+    N       lamps               K       candidates
     x, n    receiver and its normal, 0 where light may come from all sides
-    c, r    centre and radius of a sphere around all boxes of a node's lamps
+    c, r    centre and radius of the sphere around a lamp's box
     d, ω    distance from c to x, and direction from c to x
-    I       luminous intensity of a node towards ω: Σ ω_a² I_a over the three of the six axis
+    I       luminous intensity of a lamp towards ω: Σ ω_a² I_a over the three of the six axis
             directions a that ω is on the side of
     w       I cos θ' / max(d², r²/4), the estimate. cos θ' = (cos θ + s) / (1 + s), at least 0, with
             the angle θ between n and -ω and with s = min(r/d, 1); it is 0 only where the whole
             sphere is below the receiver's horizon
-
-A tree of few levels with many children is closer to proportional than a binary one, in which the
-errors of each level multiply, and evaluates about as many nodes.
+    p       probability of a lamp in the table of a cell: in proportion to I / max(d², r²/4 + h²/2)
+            at the middle of the cell, whose half diagonal is h
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import drjit as dr
 import mitsuba as mi
@@ -29,20 +29,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import on_device, parameter
+from lumitree.rendering.sampling.alias_table import AliasTable
 
 # What stands for no lamp.
 NO_LAMP = 0xFFFFFFFF
-# Children of a node at most.
-_MAX_CHILDREN = 32
-# Part of a node's intensity that is the same in all directions: a direction from the centre of a
-# node is not that from each of its lamps.
+_CANDIDATES = 6
+# Cells of the scene, and entries of the table, 8 bytes each, at most. More lamps have fewer cells.
+_MAX_CELLS, _MAX_ENTRIES = 1 << 11, 1 << 22
+# Part of a lamp's intensity that is the same in all directions, since I is smoothed.
 _EVEN_PART = 0.1
-# Least cos θ' within the sphere of a node, whose lamps may be on any side.
-_LEAST_COSINE = 0.25
-# Added to s, so that rounding does not bring a lamp below the horizon.
-_SLACK = 1e-3
-# Numbers of a node on the device: centre and radius; intensities towards +x, +y, +z; towards
-# -x, -y, -z.
+# Added to s, so that rounding does not bring a lamp below the horizon; and least cos θ' within the
+# sphere, where light may come from any side.
+_SLACK, _LEAST_COSINE = 1e-3, 0.25
+# Packets of four numbers of a lamp on the device: centre and radius; intensities towards +x, +y,
+# +z; towards -x, -y, -z.
 _PACKETS = 3
 
 
@@ -51,111 +51,76 @@ class Lamps:
     """Lamps among which one is chosen.
 
     Attributes:
+        indices: [N] index of each lamp's emitter in the scene.
         centres: [N, 3], scene.
         radii: [N] of spheres around their boxes.
         intensities: [N, 6] luminous intensity towards +x, +y, +z, -x, -y and -z of the scene,
             smoothed; any unit.
+        low, high: [3] corners of the scene's bounding box.
     """
 
+    indices: NDArray[np.int64]
     centres: NDArray[np.float64]
     radii: NDArray[np.float64]
     intensities: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
 
-    def __len__(self) -> int:
-        return len(self.radii)
-
-
-def tree_shape(count: int) -> tuple[int, int]:
-    """Levels L and children k of the tree of a number of lamps."""
-    levels = 1
-    while _MAX_CHILDREN**levels < count:
-        levels += 1
-    children = 1
-    while children**levels < count:
-        children += 1
-    return levels, children
+    def equals(self, other: Lamps) -> bool:
+        """Whether all members are equal."""
+        return all(
+            np.array_equal(getattr(self, field.name), getattr(other, field.name))
+            for field in dataclasses.fields(self)
+        )
 
 
-def make_nodes(lamps: Lamps) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The tree as rows: the children of row i begin at row k (i + 1), the root's at row 0.
+class LampChoices:
+    """Keeps the tables of the last lamps, which an integrator needs for each pass."""
 
-    Returns:
-        [rows, 12], numbers of a node as `_PACKETS` has them, 0 for nodes without lamps; and row [N]
-        of each lamp.
-    """
-    levels, children = tree_shape(len(lamps))
-    rows = np.zeros((sum(children ** (level + 1) for level in range(levels)), 4 * _PACKETS))
-    row_of = np.zeros(len(lamps), np.int64)
-    pending = [(-1, 0, np.arange(len(lamps)))]
-    while pending:
-        parent, level, members = pending.pop()
-        for i, part in enumerate(_divide(lamps.centres, members, children)):
-            row = children * (parent + 1) + i
-            rows[row] = _node(lamps, part)
-            if level + 1 < levels:
-                pending.append((row, level + 1, part))
-            else:
-                row_of[part] = row
-    return rows, row_of
+    def __init__(self) -> None:
+        self._last: tuple[Lamps, LampChoice] | None = None
 
-
-def _divide(
-    centres: NDArray[np.float64], members: NDArray[np.int64], parts: int
-) -> list[NDArray[np.int64]]:
-    """Members in at most so many parts of about equal size, of lamps near each other."""
-    if len(members) <= parts:
-        return [members[i : i + 1] for i in range(len(members))]
-    if parts == 1:
-        return [members]
-    axis = np.ptp(centres[members], axis=0).argmax()
-    members = members[np.argsort(centres[members, axis], kind="stable")]
-    left = (parts + 1) // 2
-    middle = round(len(members) * left / parts)
-    return [
-        *_divide(centres, members[:middle], left),
-        *_divide(centres, members[middle:], parts - left),
-    ]
-
-
-def _node(lamps: Lamps, members: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Numbers [12] of the node of some lamps."""
-    centres, radii = lamps.centres[members], lamps.radii[members, None]
-    low, high = (centres - radii).min(axis=0), (centres + radii).max(axis=0)
-    centre = (low + high) / 2
-    radius = (np.linalg.norm(centres - centre, axis=1) + radii[:, 0]).max()
-    total = lamps.intensities[members].sum(axis=0)
-    total = (1 - _EVEN_PART) * total + _EVEN_PART * total.mean()
-    return np.array([*centre, radius, *total[:3], 0, *total[3:], 0])
+    def of(self, lamps: Lamps) -> LampChoice:
+        """The choice among lamps."""
+        if self._last is None or not self._last[0].equals(lamps):
+            self._last = lamps, LampChoice(lamps)
+        return self._last[1]
 
 
 class LampChoice:
-    """The tree on the device.
+    """The table and the lamps on the device.
 
     Args:
         lamps: at least one.
-        indices: [N] index of each lamp's emitter in the scene.
     """
 
-    def __init__(self, lamps: Lamps, indices: NDArray[np.integer]) -> None:
-        levels, children = tree_shape(len(lamps))
-        self._levels, self._children = (parameter(mi.UInt32, n) for n in (levels, children))
-        rows, row_of = make_nodes(lamps)
+    def __init__(self, lamps: Lamps) -> None:
+        count = len(lamps.radii)
+        low, side, shape = _grid(lamps, min(_MAX_CELLS, max(1, _MAX_ENTRIES // count)))
+        self._low, self._inverse = (
+            parameter(mi.Vector3f, *each.tolist()) for each in (low, 1 / side)
+        )
+        self._shape = parameter(mi.Vector3u, *shape.tolist())
+        even = lamps.intensities.mean(axis=1, keepdims=True)
+        intensities = (1 - _EVEN_PART) * lamps.intensities + _EVEN_PART * even
+        weights = _table(lamps, intensities, low, side, shape)
+        self._table = AliasTable(weights, int(shape.prod()), count)
+        rows = np.zeros((count, 4 * _PACKETS))
+        rows[:, :3], rows[:, 3] = lamps.centres, lamps.radii
+        rows[:, 4:7], rows[:, 8:11] = intensities[:, :3], intensities[:, 3:]
         self._rows = on_device(mi.Float, rows)
-        index_of = np.full(len(rows), NO_LAMP, np.uint32)
-        index_of[row_of] = indices
-        self._index_of = on_device(mi.UInt32, index_of)
-        rows_of = np.full(int(np.max(indices)) + 1, NO_LAMP, np.uint32)
-        rows_of[indices] = row_of
-        self._row_of = on_device(mi.UInt32, rows_of)
-        self._count = parameter(mi.UInt32, len(rows_of))
+        self._index_of = on_device(mi.UInt32, lamps.indices)
+        lamp_of = np.full(int(lamps.indices.max()) + 1, NO_LAMP, np.uint32)
+        lamp_of[lamps.indices] = np.arange(count)
+        self._lamp_of = on_device(mi.UInt32, lamp_of)
+        self._count = parameter(mi.UInt32, len(lamp_of))
 
-    @dr.syntax
     def sample(
         self,
         x: mi.Point3f,
         n: mi.Vector3f,
         excluded: mi.UInt32,
-        sample: mi.Float,
+        sample: mi.Point2f,
         active: mi.Bool,
     ) -> tuple[mi.UInt32, mi.Float, mi.Float]:
         """Choose a lamp.
@@ -163,75 +128,65 @@ class LampChoice:
         Args:
             x, n: receivers, and their normals: unit vectors, or 0.
             excluded: index in the scene of a lamp that is not chosen, or `NO_LAMP`.
-            sample: in [0, 1).
+            sample: in the unit square.
             active: mask.
 
         Returns:
-            Index in the scene; its probability, 0 where no lamp sends light; and Σ w over the first
-            level.
+            Index in the scene; the factor by which its light counts for that of all lamps, 0 where
+            no candidate sends light; and p.
         """
-        excluded_row = self._row(excluded, active)
-        sample, pmf = mi.Float(sample), dr.select(active, mi.Float(1), 0)
-        row, first = dr.zeros(mi.UInt32, dr.width(x)), dr.zeros(mi.UInt32, dr.width(x))
-        top, level = dr.zeros(mi.Float, dr.width(x)), mi.UInt32(0)
-        while active & (level < self._levels):
-            total, chosen = mi.Float(0), mi.Float(0)
-            child = mi.UInt32(0)
-            while active & (child < self._children):
-                here = first + child
-                weight = self._weight(here, x, n, active)
-                weight = dr.select(here == excluded_row, 0, weight)
-                total += weight
-                # Each child takes the place of those before with its part of the sum so far.
-                part = dr.select(weight > 0, weight / total, 0)
-                taken = sample < part
-                rest = dr.select(taken, sample / part, (sample - part) / (1 - part))
-                sample = dr.select(part > 0, dr.minimum(rest, 1 - 2.0**-24), sample)
-                chosen = dr.select(taken, weight, chosen)
-                row = dr.select(taken, here, row)
-                child += 1
-            pmf *= dr.select(total > 0, chosen / total, 0)
-            top = dr.select(level == 0, total, top)
-            first = self._children * (row + 1)
-            level += 1
-        return dr.gather(mi.UInt32, self._index_of, row, active & (pmf > 0)), pmf, top
+        row, excluded_lamp = self._row(x), self._lamp(excluded, active)
+        choice, total = mi.Float(sample.y), mi.Float(0)
+        lamp, pmf, chosen = mi.UInt32(0), mi.Float(0), mi.Float(0)
+        for candidate in range(_CANDIDATES):
+            # The candidates share one random number, moved by equal steps.
+            place = sample.x + candidate / _CANDIDATES
+            place = dr.select(place < 1, place, place - 1)
+            here, chance = self._table.sample(row, place, active)
+            weight = dr.select(here == excluded_lamp, 0, self._weight(here, x, n, active))
+            ratio = weight / chance
+            total += ratio
+            # Each takes the place of those before with its part of the sum so far.
+            scaled = choice * total
+            taken = scaled < ratio
+            rest = dr.select(taken, scaled, scaled - ratio) / dr.select(taken, ratio, total - ratio)
+            choice = dr.select(ratio > 0, dr.minimum(rest, dr.one_minus_epsilon(mi.Float)), choice)
+            lamp, pmf = dr.select(taken, here, lamp), dr.select(taken, chance, pmf)
+            chosen = dr.select(taken, weight, chosen)
+        found = mi.Bool(active) & (chosen > 0)
+        factor = dr.select(found, total / (_CANDIDATES * chosen), 0)
+        return dr.gather(mi.UInt32, self._index_of, lamp, found), factor, pmf
 
-    def part(
-        self,
-        index: mi.UInt32,
-        x: mi.Point3f,
-        n: mi.Vector3f,
-        total: mi.Float,
-        active: mi.Bool,
-    ) -> mi.Float:
-        """The lamp's own w over Σ w of the first level, at most 1.
+    def pmf(self, index: mi.UInt32, x: mi.Point3f, active: mi.Bool) -> mi.Float:
+        """p of a lamp for receivers; 0 for an index that is no lamp's.
 
-        With one level it is the probability of `sample`; with more it differs by how far a node's w
-        is from the sum of its lamps'. Multiple importance sampling takes it in place of the
-        probability: weights stay those of an unbiased estimate as long as both sides take the
-        same numbers, and this one needs no traversal of the tree.
+        It is not the probability of `sample`, which is also due to the choice among candidates.
+        Weights of multiple importance sampling need no more than numbers that are the same for
+        both ways to sample a direction, and near the probability.
 
         Args:
             index: of the lamp in the scene.
-            x, n: as for `sample`.
-            total: Σ w over the first level, as `sample` returned it.
+            x: receivers.
             active: mask.
-
-        Returns:
-            The part; 0 for an index that is no lamp's.
         """
-        row = self._row(index, active)
-        weight = self._weight(row, x, n, active & (row != NO_LAMP))
-        return dr.select(weight > 0, dr.minimum(weight / total, 1), 0)
+        lamp = self._lamp(index, active)
+        return self._table.probability(self._row(x), lamp, mi.Bool(active) & (lamp != NO_LAMP))
 
-    def _row(self, index, active):
+    def _lamp(self, index, active):
         known = mi.Bool(active) & (index < self._count)
-        return dr.select(known, dr.gather(mi.UInt32, self._row_of, index, known), NO_LAMP)
+        return dr.select(known, dr.gather(mi.UInt32, self._lamp_of, index, known), NO_LAMP)
 
-    def _weight(self, row, x, n, active):
-        """w of a node."""
+    def _row(self, x):
+        """Row of the table for receivers; the nearest cell for those outside of the grid."""
+        place = dr.maximum((mi.Vector3f(x) - self._low) * self._inverse, 0)
+        cell = mi.Vector3u(dr.minimum(place, mi.Vector3f(self._shape)))
+        cell = dr.minimum(cell, self._shape - 1)
+        return (cell.x * self._shape.y + cell.y) * self._shape.z + cell.z
+
+    def _weight(self, lamp, x, n, active):
+        """w of a lamp."""
         centre, high, low = (
-            dr.gather(mi.Vector4f, self._rows, _PACKETS * row + i, active) for i in range(_PACKETS)
+            dr.gather(mi.Vector4f, self._rows, _PACKETS * lamp + i, active) for i in range(_PACKETS)
         )
         offset = mi.Vector3f(x) - mi.Vector3f(centre.x, centre.y, centre.z)
         squared, radius = dr.maximum(dr.squared_norm(offset), dr.smallest(mi.Float)), centre.w
@@ -242,8 +197,53 @@ class LampChoice:
         intensity += part.y * dr.select(towards.y, high.y, low.y)
         intensity += part.z * dr.select(towards.z, high.z, low.z)
         spread = dr.minimum(radius * inverse + _SLACK, 1)
-        cosine = (spread - dr.dot(n, direction)) / (1 + spread)
-        cosine = dr.maximum(cosine, dr.select(squared < dr.square(radius), _LEAST_COSINE, 0))
-        cosine = dr.select(dr.squared_norm(n) > 0, dr.minimum(cosine, 1), 1)
-        weight = intensity * cosine / dr.maximum(squared, dr.square(radius) / 4)
+        cosine = dr.select(dr.squared_norm(n) > 0, -dr.dot(n, direction), 1)
+        least = dr.select(squared < dr.square(radius), _LEAST_COSINE * (1 + spread), 0)
+        weight = intensity * dr.maximum(cosine + spread, least)
+        weight /= (1 + spread) * dr.maximum(squared, dr.square(radius) / 4)
         return dr.select(active, weight, 0)
+
+
+def _grid(
+    lamps: Lamps, cells: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Corner [3] of the grid, sides [3] of its cells, and its shape [3].
+
+    It covers the part of the scene's box that is no farther from the lamps than their own extent.
+    """
+    reach = lamps.radii[:, None]
+    low, high = (lamps.centres - reach).min(axis=0), (lamps.centres + reach).max(axis=0)
+    extent = (high - low).max()
+    low, high = np.maximum(low - extent, lamps.low), np.minimum(high + extent, lamps.high)
+    size = np.maximum(high - low, 1e-3 * extent)
+    # The shortest side first: what it leaves, rounded down, is for the others.
+    shape = np.ones(3, np.int64)
+    for done, axis in enumerate(np.argsort(size)):
+        rest = np.argsort(size)[done:]
+        left = cells / shape.prod()
+        side = (size[rest].prod() / left) ** (1 / len(rest))
+        shape[axis] = max(1, int(size[axis] / side))
+    return low, size / shape, shape
+
+
+def _table(
+    lamps: Lamps,
+    intensities: NDArray[np.float64],
+    low: NDArray[np.float64],
+    side: NDArray[np.float64],
+    shape: NDArray[np.int64],
+) -> Iterator[NDArray[np.float64]]:
+    """Weights [S, N] of the table, for one plane of cells after the other."""
+    least = lamps.radii**2 / 4 + (side / 2) @ (side / 2) / 2
+    for plane in range(shape[0]):
+        y, z = np.meshgrid(*map(np.arange, shape[1:]), indexing="ij")
+        cell = np.stack([np.full(y.size, plane), y.ravel(), z.ravel()], axis=1)
+        offset = (low + (cell + 0.5) * side)[:, None] - lamps.centres
+        squares = np.square(offset)
+        sides = np.where(offset > 0, intensities[:, :3], intensities[:, 3:])
+        distance = squares.sum(axis=2)
+        weights = (squares * sides).sum(axis=2) / np.maximum(distance, 1e-30)
+        weights /= np.maximum(distance, least)
+        # Where no lamp sends light all are chosen alike.
+        weights[~weights.any(axis=1)] = 1
+        yield weights
