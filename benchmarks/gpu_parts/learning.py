@@ -33,7 +33,7 @@ def measure_paper(context: Context, cell: str) -> dict[str, Any]:
     command = f"python -m benchmarks paper --scale {scale} --cell {cell}"
     setting = Setting(
         scale=scale,
-        results=context.folder,
+        results=context.benchmarks,
         images=context.work / "images",
         work=context.work / "paper",
         rooms=context.work / "rooms",

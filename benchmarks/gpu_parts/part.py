@@ -71,6 +71,11 @@ class Context:
     end: float
 
     @property
+    def benchmarks(self) -> Path:
+        """Folder of the results of other benchmarks, whose files have the names of parts."""
+        return self.folder / "benchmarks"
+
+    @property
     def seconds_left(self) -> float:
         """Until the process is ended."""
         return self.end - time.time()
@@ -96,7 +101,7 @@ class Context:
         Raises:
             LumitreeError: it failed.
         """
-        common = ["-o", str(self.folder), "--variant", variant or self.variant]
+        common = ["-o", str(self.benchmarks), "--variant", variant or self.variant]
         argv = [name, *map(str, arguments), *common]
         sys.argv = ["benchmarks", *argv]
         try:
@@ -105,7 +110,7 @@ class Context:
         except SystemExit as ended:
             if ended.code:
                 raise LumitreeError(f"the benchmark {name} failed; see its log") from ended
-        page = self.folder / f"{name}.md"
+        page = self.benchmarks / f"{name}.md"
         tables = tables_of(page.read_text(encoding="utf-8")) if page.is_file() else []
         return {"command": command_line(argv), "tables": tables}
 

@@ -421,6 +421,9 @@ def test_all_parts_on_a_cpu(network_packages, tmp_path, monkeypatch, capsys):
     text = (tmp_path / "out" / "gpu-trial.md").read_text()
     assert "These are not figures of a GPU" in text
     assert all(f"\n## {each.title}\n" in text for each in parts)
+    # Both were measured by one benchmark.
+    assert len(records["devices"]["values"]["tables"]) == 1
+    assert json.loads((tmp_path / "out/gpu-trial/benchmarks/devices.json").read_text())
     # The second call has nothing to do.
     assert main(argv) == 0
     assert capsys.readouterr().err == ""
