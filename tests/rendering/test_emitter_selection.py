@@ -12,7 +12,7 @@ from lumitree.core.frames import rotation, similarity
 from support.fields import random_asset
 from support.light_fields import random_light_field
 
-PARTS = ("light", "field", "both")
+PARTS = ("light", *(pytest.param(each, marks=pytest.mark.slow) for each in ("field", "both")))
 
 
 def make_asset(parts, seed=1):
@@ -95,7 +95,13 @@ def uniform(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("parts", "mixed"), [("light", False), ("light", True), ("field", True), ("both", False)]
+    ("parts", "mixed"),
+    [
+        pytest.param("light", False, marks=pytest.mark.slow),
+        ("light", True),
+        pytest.param("field", True, marks=pytest.mark.slow),
+        pytest.param("both", False, marks=pytest.mark.slow),
+    ],
 )
 def test_the_mean_is_that_of_a_uniform_choice(mi, uniform, parts, mixed):
     """z-tests of pixels and of the mean; and less noise."""
