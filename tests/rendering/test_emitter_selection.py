@@ -12,7 +12,7 @@ from lumitree.core.frames import rotation, similarity
 from support.fields import random_asset
 from support.light_fields import random_light_field
 
-PARTS = ("light", "field", "both")
+PARTS = ("light", *(pytest.param(each, marks=pytest.mark.slow) for each in ("field", "both")))
 
 
 def make_asset(parts, seed=1):
@@ -87,15 +87,21 @@ def uniform(monkeypatch):
     from lumitree.rendering.plugins import path_scene
 
     class Uniform(path_scene.EmitterSelection):
-        def __init__(self, scene):
-            super().__init__(scene)
+        def __init__(self, *args):
+            super().__init__(*args)
             self.by_receiver = False
 
     return lambda: monkeypatch.setattr(path_scene, "EmitterSelection", Uniform)
 
 
 @pytest.mark.parametrize(
-    ("parts", "mixed"), [("light", False), ("light", True), ("field", True), ("both", False)]
+    ("parts", "mixed"),
+    [
+        pytest.param("light", False, marks=pytest.mark.slow),
+        ("light", True),
+        pytest.param("field", True, marks=pytest.mark.slow),
+        pytest.param("both", False, marks=pytest.mark.slow),
+    ],
 )
 def test_the_mean_is_that_of_a_uniform_choice(mi, uniform, parts, mixed):
     """z-tests of pixels and of the mean; and less noise."""
@@ -143,43 +149,42 @@ def test_media_and_surfaces_that_let_light_through_get_light_from_all_sides(mi, 
 
 def test_one_lamp_is_selected_as_before(mi):
     """By Mitsuba, and with its random numbers."""
-    from lumitree.rendering.plugins.emitter_selection import EmitterSelection
+    from lumitree.rendering.plugins.path_scene import EmitterSelection, LampChoices
 
     one = lamps([make_asset("light")], 1)
-    assert not EmitterSelection(room(mi, **one, **others(mi))).by_receiver
-    assert EmitterSelection(room(mi, **lamps([make_asset("light")], 2))).by_receiver
+    assert not EmitterSelection(room(mi, **one, **others(mi)), LampChoices()).by_receiver
+    two = lamps([make_asset("light")], 2)
+    assert EmitterSelection(room(mi, **two), LampChoices()).by_receiver
 
 
-def test_probabilities_of_a_mixed_scene(mi):
-    """χ² of the emitters that are selected, and Σ of their probabilities."""
+def test_emitters_of_a_mixed_scene(mi):
+    """χ² of those that are no lamps; and p is what rays of the BSDF get for the same receiver."""
     import drjit as dr
 
-    from lumitree.rendering.plugins.emitter_selection import EmitterSelection
+    from lumitree.rendering.plugins.path_scene import EmitterSelection, LampChoices
 
     scene = room(mi, **lamps([make_asset("light")]), **others(mi))
-    selection = EmitterSelection(scene)
-    count = 1 << 18
+    selection = EmitterSelection(scene, LampChoices())
+    count = 1 << 16
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(4, count)
     si = dr.zeros(mi.SurfaceInteraction3f, count)
-    si.p, si.n = mi.Point3f(0.3, -0.5, 0.4), mi.Normal3f(0, 1, 0)
-    none = mi.UInt32(0xFFFFFFFF)
-    found = selection.sample(si, mi.Vector3f(0, 1, 0), none, sampler, dr.full(mi.Bool, True, count))
-    index, weight = np.array(found.index), np.array(found.weight)
+    si.p = mi.Point3f(0.3, -0.5, 0.4)
+    none, active = mi.UInt32(0xFFFFFFFF), dr.full(mi.Bool, True, count)
+    found = selection.sample(si, mi.Vector3f(0, 1, 0), none, sampler, active)
+    index, weight, pmf = (np.array(each) for each in (found.index, found.weight, found.emitter_pmf))
     emitters = scene.emitters()
-    pmf = np.zeros(len(emitters))
-    pmf[index] = 1 / weight
-    assert pmf.sum() == pytest.approx(1, rel=1e-5)
-    assert 1 / weight == pytest.approx(pmf[index], rel=1e-5)
     lamp = np.array([hasattr(emitter, "placed") for emitter in emitters])
-    assert pmf[~lamp] == pytest.approx(0.25)
-    counts = np.bincount(index, minlength=len(emitters))
-    assert stats.chisquare(counts, count * pmf).pvalue > 1e-3
-    # What rays of the BSDF get for the same receiver.
     it = dr.zeros(mi.Interaction3f, len(emitters))
-    it.p, it.n = mi.Point3f(0.3, -0.5, 0.4), mi.Normal3f(0, 1, 0)
-    other = selection.pmf(scene.emitters_dr(), it, mi.Float(float(found.total[0])))
-    assert np.array(other) == pytest.approx(pmf, rel=1e-3)
+    it.p = mi.Point3f(0.3, -0.5, 0.4)
+    expected = np.array(selection.pmf(scene.emitters_dr(), it))
+    assert expected.sum() == pytest.approx(1, rel=1e-5)
+    assert expected[~lamp] == pytest.approx(0.25)
+    assert pmf == pytest.approx(expected[index], rel=1e-4)
+    assert weight[~lamp[index]] == pytest.approx(4, rel=1e-4)
+    counts = np.bincount(index, minlength=len(emitters))
+    groups = [*counts[~lamp], counts[lamp].sum()]
+    assert stats.chisquare(groups, [count / 4, count / 4, count / 2]).pvalue > 1e-3
 
 
 def test_a_gain_of_zero_and_a_change_of_gain_are_followed(mi):

@@ -1,20 +1,27 @@
 """The choice of a lamp by what it sends to the receiver."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from lumitree.core.device import on_device
-from lumitree.rendering.sampling.lamp_choice import LampChoice, Lamps, make_nodes, tree_shape
+from lumitree.rendering.sampling.lamp_choice import NO_LAMP, LampChoice, LampChoices, Lamps
+
+LOW, HIGH = np.zeros(3), np.array([20.0, 4.0, 10.0])
 
 
 def some_lamps(count, seed=0):
     """Lamps of different size and light in a hall."""
     random = np.random.default_rng(seed)
     return Lamps(
+        3 * np.arange(count) + 2,
         random.uniform([0, 2, 0], [20, 3, 10], (count, 3)),
         random.uniform(0.1, 0.4, count),
         random.exponential(1, (count, 6)) * random.exponential(1, (count, 1)),
+        LOW,
+        HIGH,
     )
 
 
@@ -28,151 +35,137 @@ def some_receivers(count, seed=1):
     return x, n
 
 
-def weights(rows, x, n):
-    """w [R, K] of nodes for receivers, as the symbols of the module define it."""
-    centre, radius = rows[:, :3], rows[:, 3]
-    offset = x[:, None] - centre
+def estimates(lamps, x, n):
+    """w [R, N] of lamps for receivers, as the symbols of the module define it."""
+    offset = x[:, None] - lamps.centres
     distance = np.linalg.norm(offset, axis=2)
     direction = offset / distance[..., None]
-    sides = np.where(direction > 0, rows[:, 4:7], rows[:, 8:11])
+    even = 0.1 * lamps.intensities.mean(axis=1)[:, None]
+    intensities = 0.9 * lamps.intensities + even
+    sides = np.where(direction > 0, intensities[:, :3], intensities[:, 3:])
     intensity = (direction**2 * sides).sum(axis=2)
-    s = np.minimum(radius / distance + 1e-3, 1)
+    s = np.minimum(lamps.radii / distance + 1e-3, 1)
     cosine = ((-direction * n[:, None]).sum(axis=2) + s) / (1 + s)
-    cosine = np.clip(np.maximum(cosine, np.where(distance < radius, 0.25, 0)), 0, 1)
     cosine[~n.any(axis=1)] = 1
-    return intensity * cosine / np.maximum(distance**2, radius**2 / 4)
+    cosine = np.maximum(cosine, np.where(distance < lamps.radii, 0.25, 0))
+    return intensity * cosine / np.maximum(distance**2, lamps.radii**2 / 4)
 
 
-def probabilities(lamps, x, n):
-    """Probability [R, N] of each lamp, by the tree's definition."""
-    rows, row_of = make_nodes(lamps)
-    levels, children = tree_shape(len(lamps))
-    weight = weights(rows, x, n)
-    found = np.ones((len(x), len(lamps)))
-    for lamp, row in enumerate(row_of):
-        for _ in range(levels):
-            first = row - row % children
-            total = weight[:, first : first + children].sum(axis=1)
-            found[:, lamp] *= np.divide(weight[:, row], total, np.zeros(len(x)), where=total > 0)
-            row = row // children - 1
-    return found
-
-
-def sampled(mi, choice, x, n, sample, excluded=None):
-    """Indices, probabilities and sums [R]."""
-    excluded = np.full(len(x), 0xFFFFFFFF) if excluded is None else excluded
-    index, pmf, part, total = choice.sample(
+def sampled(mi, choice, x, n, sample, excluded=NO_LAMP):
+    """Indices, factors and p [R]."""
+    found = choice.sample(
         on_device(mi.Point3f, x),
         on_device(mi.Vector3f, n),
-        on_device(mi.UInt32, excluded),
-        on_device(mi.Float, sample),
+        on_device(mi.UInt32, np.broadcast_to(excluded, len(x))),
+        on_device(mi.Point2f, sample),
         mi.Bool(True),
     )
-    return tuple(np.array(each) for each in (index, pmf, total))
+    return tuple(np.array(each) for each in found)
 
 
-@pytest.mark.parametrize(
-    ("count", "shape"), [(1, (1, 1)), (20, (1, 20)), (33, (2, 6)), (200, (2, 15)), (1025, (3, 11))]
-)
-def test_each_lamp_is_in_one_leaf_and_in_the_spheres_above_it(count, shape):
-    lamps = some_lamps(count)
-    rows, row_of = make_nodes(lamps)
-    levels, children = tree_shape(count)
-    assert (levels, children) == shape
-    assert len(set(row_of)) == count
-    for lamp, row in enumerate(row_of):
-        for _ in range(levels):
-            distance = np.linalg.norm(rows[row, :3] - lamps.centres[lamp])
-            assert distance + lamps.radii[lamp] <= rows[row, 3] * (1 + 1e-12)
-            row = row // children - 1
-        assert row == -1
-    lit = rows[:children, [4, 5, 6, 8, 9, 10]].sum()
-    assert lit == pytest.approx(lamps.intensities.sum())
+@pytest.mark.parametrize("count", [2, 20, 200])
+def test_chosen_lamps_count_for_all(mi, count):
+    """The mean of f times the factor is Σ f, for the estimate and for another f."""
+    lamps, samples = some_lamps(count), 1 << 13
+    choice = LampChoice(lamps)
+    x, n = some_receivers(20)
+    w = estimates(lamps, x, n)
+    random = np.random.default_rng(3)
+    p_values, moments = [], []
+    for place in range(len(x)):
+        repeated = (np.repeat(each[place : place + 1], samples, 0) for each in (x, n))
+        index, factor, _ = sampled(mi, choice, *repeated, random.random((samples, 2)))
+        if not w[place].any():
+            assert not factor.any()
+            continue
+        lit = factor > 0
+        other = w[place] * random.uniform(0, 2, count)
+        for f in (w[place], other):
+            found = np.where(lit, f[(np.maximum(index, 2) - 2) // 3] * factor, 0)
+            z = (found.mean() - f.sum()) / max(found.std() / samples**0.5, 1e-4 * f.sum())
+            p_values.append(2 * stats.norm.sf(abs(z)))
+            moments.append((found**2).mean() / f.sum() ** 2)
+    assert len(p_values) > 25
+    assert min(p_values) > 1e-3 / len(p_values)
+    # A uniform choice has as many times the light of the brightest lamp.
+    assert np.median(moments) < 2
 
 
 @pytest.mark.parametrize("count", [7, 200])
-def test_lamps_are_chosen_with_their_probabilities(mi, count):
+def test_probabilities_of_the_table_sum_to_one(mi, count):
     lamps = some_lamps(count)
-    choice = LampChoice(lamps, np.arange(count))
-    x, n = some_receivers(12)
-    expected = probabilities(lamps, x, n)
-    # The whole probability, unless all lamps are below the horizon.
-    whole = expected.sum(axis=1)
-    assert whole == pytest.approx(np.where(whole > 0.5, 1, 0), abs=1e-6)
-    samples = 1 << 16
-    strata = (np.arange(samples) + 0.5) / samples
-    p_values = []
-    for place in range(len(x)):
-        repeated = (np.repeat(each[place : place + 1], samples, 0) for each in (x, n))
-        index, pmf, total = sampled(mi, choice, *repeated, strata)
-        if whole[place] < 0.5:
-            assert not pmf.any()
-            continue
-        assert pmf == pytest.approx(expected[place][index], rel=1e-3)
-        assert total == pytest.approx(total[0])
-        counts = np.bincount(index, minlength=count)
-        often = samples * expected[place] > 5
-        f = [*counts[often], counts[~often].sum()]
-        g = [*samples * expected[place][often], samples * expected[place][~often].sum()]
-        f, g = ([a for a, b in zip(each, g, strict=True) if b > 1e-3] for each in (f, g))
-        p_values.append(stats.chisquare(f, np.array(g) * sum(f) / sum(g)).pvalue)
-    assert len(p_values) > 8
-    assert min(p_values) > 1e-3 / len(p_values)
-
-
-def test_random_samples_have_the_probabilities(mi):
-    """χ² with independent random numbers, which strata would make too even."""
-    lamps = some_lamps(40)
-    choice = LampChoice(lamps, np.arange(40))
-    x, n = (np.repeat(each, 1 << 16, 0) for each in some_receivers(1))
-    sample = np.random.default_rng(5).random(len(x), np.float32)
-    index, _, _ = sampled(mi, choice, x, n, sample)
-    expected = len(x) * probabilities(lamps, x[:1], n[:1])[0]
-    often = expected > 5
-    counts = np.bincount(index, minlength=40)
-    assert often.sum() > 10
-    p = stats.chisquare(
-        [*counts[often], counts[~often].sum()], [*expected[often], expected[~often].sum()]
-    ).pvalue
-    assert p > 1e-3
-
-
-@pytest.mark.parametrize("count", [30, 100])
-def test_the_part_of_a_lamp_is_its_probability_if_there_is_one_level(mi, count):
-    lamps = some_lamps(count)
-    choice = LampChoice(lamps, np.arange(count))
-    x, n = some_receivers(500)
-    index, pmf, total = sampled(mi, choice, x, n, np.random.default_rng(3).random(len(x)))
-    part = choice.part(
-        on_device(mi.UInt32, index),
-        on_device(mi.Point3f, x),
-        on_device(mi.Vector3f, n),
-        on_device(mi.Float, total),
-        on_device(mi.Bool, pmf > 0),
+    choice = LampChoice(lamps)
+    x, _ = some_receivers(50)
+    pairs = np.repeat(x, count, 0)
+    index = np.tile(lamps.indices, len(x))
+    pmf = choice.pmf(on_device(mi.UInt32, index), on_device(mi.Point3f, pairs), mi.Bool(True))
+    pmf = np.array(pmf).reshape(len(x), count)
+    assert pmf.sum(axis=1) == pytest.approx(1, rel=1e-5)
+    assert pmf.min() > 0
+    # In the middle of the hall, about the estimate without a cosine.
+    middle = np.array([[10.0, 1.0, 5.0]])
+    pmf = choice.pmf(
+        on_device(mi.UInt32, lamps.indices), mi.Point3f(*middle[0].tolist()), mi.Bool(True)
     )
-    ratio = np.array(part)[pmf > 0] / pmf[pmf > 0]
-    assert ratio == pytest.approx(1, rel=1e-3 if count == 30 else 2)
+    w = estimates(lamps, middle, np.zeros((1, 3)))[0]
+    assert np.array(pmf) == pytest.approx(w / w.sum(), rel=0.6)
+    none = on_device(mi.UInt32, np.array([0, 1, 3, NO_LAMP]))
+    assert not np.array(choice.pmf(none, mi.Point3f(10, 1, 5), mi.Bool(True))).any()
 
 
-def test_lamps_that_may_send_light_have_a_probability():
-    """Each lamp of which a point is above the horizon, also where nodes are below it."""
+def test_candidates_have_the_probabilities_of_the_table(mi, monkeypatch):
+    """χ² of the lamps that are chosen where there is one candidate."""
+    from lumitree.rendering.sampling import lamp_choice
+
+    monkeypatch.setattr(lamp_choice, "_CANDIDATES", 1)
+    lamps, samples = some_lamps(40), 1 << 16
+    choice = LampChoice(lamps)
+    x = np.full((samples, 3), [7.0, 0.5, 3.0])
+    sample = np.random.default_rng(5).random((samples, 2))
+    index, factor, pmf = sampled(mi, choice, x, np.zeros((samples, 3)), sample)
+    assert factor == pytest.approx(1 / pmf, rel=1e-4)
+    expected = np.zeros(40)
+    expected[(index - 2) // 3] = samples * pmf
+    assert expected.sum() == pytest.approx(samples, rel=0.01)
+    counts = np.bincount((index - 2) // 3, minlength=40)
+    often = expected > 5
+    assert stats.chisquare(counts[often], expected[often] * counts[often].sum()
+                           / expected[often].sum()).pvalue > 1e-3  # fmt: skip
+
+
+def test_lamps_that_may_send_light_have_an_estimate():
+    """Each lamp of which a point is above the horizon."""
     lamps = some_lamps(150, seed=3)
     x, n = some_receivers(2000, seed=4)
-    found = probabilities(lamps, x, n)
     above = ((lamps.centres - x[:, None]) * n[:, None]).sum(axis=2) + lamps.radii > 0
     above |= ~n.any(axis=1)[:, None]
     assert 0.3 < above.mean() < 0.9
-    assert (found[above] > 0).all()
+    assert (estimates(lamps, x, n)[above] > 0).all()
 
 
 def test_an_excluded_lamp_and_dark_lamps_are_not_chosen(mi):
     lamps = some_lamps(60)
     lamps.intensities[::2] = 0
-    choice = LampChoice(lamps, np.arange(60) + 5)
     x, n = some_receivers(4000)
-    excluded = np.random.default_rng(2).integers(5, 65, len(x))
-    index, pmf, _ = sampled(mi, choice, x, n, np.random.default_rng(3).random(len(x)), excluded)
-    chosen = pmf > 0
-    assert chosen.mean() > 0.8
+    random = np.random.default_rng(2)
+    excluded = random.choice(lamps.indices, len(x))
+    index, factor, _ = sampled(mi, LampChoice(lamps), x, n, random.random((len(x), 2)), excluded)
+    chosen = factor > 0
+    assert chosen.mean() > 0.7
     assert (index[chosen] != excluded[chosen]).all()
-    assert ((index[chosen] - 5) % 2 == 1).all()
+    assert ((index[chosen] - 2) // 3 % 2 == 1).all()
+
+
+def test_lamps_without_light_are_accepted(mi):
+    lamps = some_lamps(3)
+    lamps.intensities[:] = 0
+    x, n = some_receivers(100)
+    _, factor, _ = sampled(mi, LampChoice(lamps), x, n, np.full((100, 2), 0.5))
+    assert not factor.any()
+
+
+def test_tables_are_made_again_when_lamps_change(mi):
+    choices, lamps = LampChoices(), some_lamps(5)
+    first = choices.of(lamps)
+    assert choices.of(some_lamps(5)) is first
+    assert choices.of(dataclasses.replace(lamps, radii=2 * lamps.radii)) is not first

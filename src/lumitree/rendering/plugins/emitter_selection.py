@@ -133,7 +133,7 @@ class EmitterSelection:
             return self.pmf_by_weight(emitter)
         number = dr.reinterpret_array(mi.UInt32, emitter)
         index = dr.gather(mi.UInt32, self._index_of, number, active)
-        pmf = self._lamps.pmf(index, it.p, active)
+        pmf = self._lamps.pmf(index, it.p, mi.Bool(active))
         return dr.gather(mi.Float, self._pmf_of, number, active) + self._part * pmf
 
 

@@ -290,7 +290,7 @@ def left_out(x: mi.Point3f, radius: mi.Float, bsdf_pdf: mi.Float) -> mi.Bool:
         radius: of the bounding sphere, enlarged as `left_out_radius` has it.
         bsdf_pdf: density per steradian with which the BSDF samples the direction.
     """
-    far = dr.squared_norm(mi.Vector3f(x)) > radius**2
+    far = dr.squared_norm(mi.Vector3f(x)) > dr.square(radius)
     return far & (bsdf_pdf < _CUTOFF * cone_pdf(x, radius))
 
 

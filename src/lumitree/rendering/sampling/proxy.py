@@ -108,7 +108,7 @@ def sample_cone(origin: mi.Point3f, radius: float, sample: mi.Point2f) -> mi.Vec
     return frame.to_world(mi.Vector3f(sine * azimuth_cosine, sine * azimuth_sine, cosine))
 
 
-def cone_pdf(origin: mi.Point3f, radius: float) -> mi.Float:
+def cone_pdf(origin: mi.Point3f, radius: float | mi.Float) -> mi.Float:
     """Density of `sample_cone`, the same for all of its directions."""
     return dr.rcp(dr.two_pi * _cap(origin, radius))
 
