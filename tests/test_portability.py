@@ -173,7 +173,7 @@ from lumitree.cli import main
 from support import tiny_bakes
 
 def stop():
-    while not Path("lamp.lumitree.work").is_dir():
+    while not Path("lamp.work").is_dir():
         time.sleep(0.1)
     os.kill(os.getpid(), signal.SIGBREAK)
 
