@@ -371,7 +371,7 @@ def test_a_full_work_disk_is_warned_of_once_and_the_bake_goes_on(
 
 def test_a_full_disk_at_the_end_loses_no_work(tiny, steps, monkeypatch, capsys):
     with monkeypatch.context() as patch:
-        patch.setattr("safetensors.numpy.save_file", run_out_of_disk)
+        patch.setattr("safetensors.numpy.save", run_out_of_disk)
         assert main(list(BAKE)) == 2
     err = capsys.readouterr().err
     assert "cannot save the light field" in err
@@ -388,7 +388,7 @@ def test_a_full_disk_ends_a_list_of_bakes(tiny, monkeypatch, capsys):
     Path("next.xml").write_text(LAMP)
     command = ["bake", "lamp.xml", "next.xml", "-o", "out/", "--parts", "light"]
     with monkeypatch.context() as patch:
-        patch.setattr("safetensors.numpy.save_file", run_out_of_disk)
+        patch.setattr("safetensors.numpy.save", run_out_of_disk)
         assert main(command) == 2
     captured = capsys.readouterr()
     expected = "cannot write out/lamp.lumitree: No space left on device; free some space or choose"

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lumitree.asset.file import save
 from lumitree.core import files
 from lumitree.core.files import (
     WriteError,
@@ -25,6 +26,7 @@ from lumitree.core.files import (
 from lumitree.core.images import check_image_name, read_exr, tonemap, write_exr
 from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError
+from support.fields import random_asset
 
 
 def test_failure_leaves_nothing_behind(tmp_path):
@@ -298,3 +300,17 @@ def test_a_large_folder_is_not_listed_for_every_file(tmp_path, monkeypatch):
     monkeypatch.setattr(files, "_listed_again", {})
     write_json(tmp_path / "20.json", {})
     assert len(listed) == 8
+
+
+def test_an_asset_is_written_into_the_locked_temporary_file(tmp_path, monkeypatch):
+    """Another file would be left by a process that is killed, or be taken for abandoned."""
+    create, inodes = files._create_locked, []
+
+    def note(path):
+        handle, temporary = create(path)
+        inodes.append(os.fstat(handle).st_ino)
+        return handle, temporary
+
+    monkeypatch.setattr(files, "_create_locked", note)
+    save(random_asset(0), tmp_path / "a.lumitree")
+    assert inodes == [(tmp_path / "a.lumitree").stat().st_ino]

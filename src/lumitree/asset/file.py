@@ -107,14 +107,9 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
     # One key only: safetensors does not keep the order of several keys.
     metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
     with atomic_path(path) as temporary:
-        try:
-            safetensors.numpy.save_file(
-                {name: np.ascontiguousarray(array) for name, array in tensors.items()},
-                temporary,
-                metadata,
-            )
-        except safetensors.SafetensorError as error:
-            raise OSError(None, str(error)) from error
+        arrays = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
+        # Not by `save_file`: it writes a temporary file of its own, which a killed process leaves.
+        temporary.write_bytes(safetensors.numpy.save(arrays, metadata))
 
 
 def as_stored(asset: Asset) -> Asset:
