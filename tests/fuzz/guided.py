@@ -58,7 +58,7 @@ def main() -> None:
             checked(lambda: found.use(found.read(folder)))
 
         limits = [f"-max_total_time={options.seconds}", f"-max_len={_MAX_BYTES}"]
-        limits += [f"-seed={options.seed}", "-timeout=5", "-rss_limit_mb=4096"]
+        limits += [f"-seed={options.seed}", "-timeout=60", "-rss_limit_mb=4096"]
         atheris.Setup([sys.argv[0], *limits, str(corpus)], test_one)
         atheris.Fuzz()
 

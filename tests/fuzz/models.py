@@ -73,7 +73,8 @@ def _changed_png(content, rng):
         size = struct.unpack(">I", content[at : at + 4])[0]
         chunks.append((content[at + 4 : at + 8], content[at + 8 : at + 8 + size]))
         at += 12 + size
-    for _ in range(int(rng.integers(1, 3))):
+    # An earlier change may have left none.
+    for _ in range(int(rng.integers(1, 3)) if chunks else 0):
         index = int(rng.integers(len(chunks)))
         kind, data = chunks[index]
         match int(rng.integers(5)):
@@ -110,7 +111,9 @@ def _obj(rng):
     for _ in range(pick(rng, (1, 1, 2))):
         name = pick(rng, ("lamp.obj", "lamp.obj", "lamp.mtl", "lamp.mtl", "lamp.toml", "image"))
         if name == "image":
-            name = pick(rng, [each for each in images() if each.encode() in files["lamp.mtl"]])
+            # An earlier change may have left none.
+            used = [each for each in images() if each.encode() in files["lamp.mtl"]]
+            name = pick(rng, used or ["lamp.obj"])
         content = files[name]
         if name in images():
             files[name] = changed_image(rng, name, content)

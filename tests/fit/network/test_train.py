@@ -19,7 +19,7 @@ from lumitree.fit.network import train as training
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.network.losses import psnr
 from lumitree.fit.network.ray_set import load_rays
-from lumitree.fit.network.run import restore_checkpoint
+from lumitree.fit.network.run import RunRecord, restore_checkpoint
 from lumitree.fit.network.step import initial_state
 from lumitree.fit.network.train import train
 from lumitree.fit.network.trained_field import load_field
@@ -181,6 +181,17 @@ def test_damaged_run_is_refused(tiny_run, tmp_path):
     (run / "run.json").write_text('{"version": 1}')
     with pytest.raises(LumitreeError, match=r"run\.json is damaged"):
         load_field(run)
+
+
+@pytest.mark.parametrize("key", ["\0", "x" * 5000])
+def test_unknown_settings_of_a_run_are_shown_in_a_line(tiny_run, tmp_path, key):
+    record = json.loads((tiny_run / "run.json").read_text())
+    record["config"][key] = 1
+    (tmp_path / "run.json").write_text(json.dumps(record))
+    with pytest.raises(LumitreeError, match=r"run\.json is damaged \(config: ") as refusal:
+        RunRecord.load(tmp_path)
+    assert str(refusal.value).isprintable()
+    assert len(str(refusal.value)) < 1000
 
 
 @pytest.mark.parametrize(
