@@ -157,8 +157,8 @@ def render_passes(
 ) -> Rendering:
     """Render the scene's first sensor until a budget is spent.
 
-    Equal seeds and numbers of samples give equal images if the budget is a number of samples. With
-    others the number depends on how fast the machine is.
+    Equal seeds and numbers of samples give images that agree within rounding. Of a budget that is
+    not a number of samples, the number depends on how fast the machine is.
 
     Args:
         scene, integrator: what is rendered, and how.
