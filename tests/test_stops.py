@@ -394,7 +394,8 @@ def test_a_full_disk_ends_a_list_of_bakes(tiny, monkeypatch, capsys):
     expected = "cannot write out/lamp.lumitree: No space left on device; free some space or choose"
     assert captured.err.splitlines()[-1] == f"lumitree: error: {expected} another output"
     assert captured.out == ""
-    assert left() == ["next.xml"]
+    # What marks the folder, complete.
+    assert left() == ["next.xml", "out/index-files/folder/version.json"]
     assert main(command) == 0
 
 

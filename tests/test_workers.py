@@ -13,7 +13,8 @@ import lumitree
 from lumitree.cli import main
 from lumitree.core.dask_executor import dask_executor
 from lumitree.core.images import read_exr
-from lumitree.core.process_pool import _num_cores, process_pool
+from lumitree.core.process_pool import process_pool
+from lumitree.core.system import num_cores
 from lumitree.errors import LumitreeError
 from lumitree.fit.config import QUALITIES
 from lumitree.fit.light_field import batches
@@ -110,7 +111,7 @@ def test_views_are_those_of_one_process(pool):
 
 
 def test_workers_share_the_cores(pool):
-    assert pool.submit(executors.num_threads).result() == max(1, _num_cores() // 2)
+    assert pool.submit(executors.num_threads).result() == max(1, num_cores() // 2)
 
 
 def test_a_capture_whose_worker_is_killed_is_finished_by_the_same_call(pool):

@@ -216,30 +216,36 @@ def _mix(folder):
 
 
 @functools.cache
-def _record():
+def _records():
+    """A record of each version."""
     figures = {"lumens": 812.5, "file_bytes": 5, "size": [0.1, 0.2, 0.3], "irradiance_rms": 0.04}
-    return {
-        "version": 1,
+    both = {
         "state": "finished",
         "fingerprint": "a" * 64,
         "settings": "{}",
-        "asset_sha256": hashlib.sha256(b"asset").hexdigest(),
         "seconds": 12.5,
         "figures": figures,
     }
+    digest = hashlib.sha256(b"asset").hexdigest()
+    stamp = [5, 1_700_000_000_000_000_000, digest]
+    return (
+        {"version": 1, "asset_sha256": digest, **both},
+        {"version": 2, "options": "{}", "files": [["../lamp.xml", *stamp]], "asset": stamp,
+         "image": "webp", **both},
+    )  # fmt: skip
 
 
 def _changed_record(rng):
-    content = json_trees.written(json_trees.changed(_record(), rng))
+    content = json_trees.written(json_trees.changed(pick(rng, _records()), rng))
     if chance(rng, 0.1):
         content = damaged(content, rng)
     return {"lamp.lumitree": b"asset", f"{INDEX_FILES}/lamp.json": content}
 
 
-def _write_index(folder):
-    from lumitree.fit.catalogue.index import write_index
+def _write_pages(folder):
+    from lumitree.fit.catalogue.index import FolderIndex
 
-    write_index(folder, [])
+    FolderIndex(folder).write([])
     return LampFiles(folder, "lamp").read()
 
 
@@ -384,7 +390,7 @@ READERS = (
     ),
     Reader("dataset", _changed_dataset, _read_dataset, _sound_dataset, memory=2048 * MEBIBYTE),
     Reader("layers", _changed_layers, _mix, memory=2048 * MEBIBYTE),
-    Reader("record", _changed_record, _write_index),
+    Reader("record", _changed_record, _write_pages),
     Reader("state", _state, _read_state, _sound_state),
     Reader("run", _changed_run, _read_run),
 )

@@ -23,7 +23,12 @@ from typing import Any
 from lumitree.core import backend
 from lumitree.core.arguments import check_range
 from lumitree.core.interrupt import Interrupted, announce_nothing, interruptible
-from lumitree.core.program import STOP_SIGNALS
+from lumitree.core.system import (
+    STOP_SIGNALS,
+    num_cores,
+    stop_signals_blocked,
+    unblock_stop_signals,
+)
 
 MAX_WORKERS = 1024
 # In a worker: whether its pool has ended (a shared flag); None in other processes.
@@ -52,10 +57,10 @@ def process_pool(workers: int) -> Iterator[Executor]:
     """
     check_range("workers", workers, 1, MAX_WORKERS)
     context, ended = _Context(), RawValue(ctypes.c_bool, False)
-    threads = max(1, _num_cores() // workers)
+    threads = max(1, num_cores() // workers)
     settings = (ended, threads, backend.is_quiet())
     # It starts the process that removes Python's semaphores, which the signals would end too.
-    with _signals_blocked():
+    with stop_signals_blocked():
         executor = ProcessPoolExecutor(workers, context, _begin_worker, settings)
     try:
         yield executor
@@ -89,7 +94,7 @@ class _Process(SpawnProcess):
     """A process that receives stop signals only when it can handle them, see `_begin_worker`."""
 
     def start(self) -> None:
-        with _signals_blocked():
+        with stop_signals_blocked():
             super().start()
 
 
@@ -110,16 +115,6 @@ class _Context(SpawnContext):
         return process
 
 
-@contextlib.contextmanager
-def _signals_blocked() -> Iterator[None]:
-    """Context whose processes are started with stop signals blocked."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def _begin_worker(ended: Any, threads: int, quiet: bool) -> None:
     """Prepare a worker; imports neither Mitsuba nor JAX."""
     global _ended
@@ -129,7 +124,7 @@ def _begin_worker(ended: Any, threads: int, quiet: bool) -> None:
         # Between tasks there is nothing to stop, but an ignored signal would stay so in them.
         between = (lambda *_: None) if number == signal.SIGTERM else signal.SIG_IGN
         signal.signal(number, between)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
+    unblock_stop_signals()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     backend.use_threads(threads)
     if quiet:
@@ -142,10 +137,3 @@ def _end_with_parent() -> None:
     assert parent is not None
     parent.join()
     os._exit(1)
-
-
-def _num_cores() -> int:
-    """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

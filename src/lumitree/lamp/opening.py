@@ -63,15 +63,15 @@ def _stamp(path: Path) -> Stamp:
 @functools.lru_cache(maxsize=64)
 def _written(
     source: LuminaireSource, stamps: tuple[Stamp, ...]
-) -> tuple[Path, ScratchFolder, frozenset[Path]]:
+) -> tuple[Path, ScratchFolder, tuple[Stamp, ...]]:
     """The scene written for a source, its folder, and the files that its model names.
 
-    `stamps` identify the versions of its files.
+    `stamps` identify versions of the source's own files.
     """
     folder = ScratchFolder()
     with noted_files() as files:
         path = write_scene(read_model(source), folder.path)
-    return path, folder, frozenset(files)
+    return path, folder, tuple(map(_stamp, files))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,16 +171,17 @@ def scene_path(source: LuminaireSource) -> tuple[Path, ScratchFolder | None]:
 
 def named_files(source: LuminaireSource) -> frozenset[Path]:
     """The files that a model has named when its scene was written, also missing ones."""
-    return _written_model(source)[2]
+    return frozenset(Path(name) for name, *_ in _written_model(source)[2])
 
 
-def _written_model(source: LuminaireSource) -> tuple[Path, ScratchFolder, frozenset[Path]]:
+def _written_model(source: LuminaireSource) -> tuple[Path, ScratchFolder, tuple[Stamp, ...]]:
     builtin = source.name in BUILTIN
     files = () if builtin else (Path(source.name), overrides_path(source))
     stamps = tuple(_stamp(file) for file in files if file is not None)
     written = _written(source, stamps)
-    if not written[0].is_file():
-        # Old temporary files are removed on many systems.
+    path, _, named = written
+    # Old temporary files are removed on many systems.
+    if not path.is_file() or any(_stamp(Path(each[0])) != each for each in named):
         _written.cache_clear()
         written = _written(source, stamps)
     return written

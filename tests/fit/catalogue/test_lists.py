@@ -198,17 +198,13 @@ def test_long_lists_are_printed_in_short(capsys):
     assert last == "1 lamp baked, 100 kept, 105.9 MB"
 
 
-def test_scenes_of_models_do_not_pile_up(folder, monkeypatch):
-    """Each is written to a temporary folder, which would stay until the end of the process."""
-    (folder / "tmp").mkdir()
-    monkeypatch.setattr("tempfile.tempdir", str(folder / "tmp"))
+def test_a_model_is_kept_by_the_files_that_it_names(folder):
     for name in ("one", "two"):
         (folder / f"{name}.obj").write_text(f"mtllib {name}.mtl\nusemtl light\nv 0 0 0\n"
                                             "v 0 0 1\nv 1 0 0\nf 1 2 3\n")  # fmt: skip
         (folder / f"{name}.mtl").write_text("newmtl light\nKe 5 5 5\n")
         make_old(folder / f"{name}.obj", folder / f"{name}.mtl")
     assert states(bake(["one.obj", "two.obj"])) == [("one", "baked"), ("two", "baked")]
-    assert list((folder / "tmp").iterdir()) == []
     assert states(bake(["one.obj", "two.obj"])) == [("one", "kept"), ("two", "kept")]
     stamps = LampFiles(folder / "out", "one").read().files
     assert [stamp.name for stamp in stamps] == ["../one.mtl", "../one.obj", "../one.toml"]
