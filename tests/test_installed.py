@@ -58,6 +58,7 @@ def bake_and_render(folder, **changes):
     return results
 
 
+@pytest.mark.slow
 def test_a_lamp_is_baked_rendered_and_measured(tmp_path):
     folder = tmp_path / "Ordner für Leuchten"
     folder.mkdir()

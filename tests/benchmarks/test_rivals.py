@@ -329,6 +329,7 @@ def measured(lamp: Path, *options: str):
     return json.loads(text)["luminaires"][0]["methods"]
 
 
+@pytest.mark.slow
 def test_the_harness_from_end_to_end(lamp, capsys):
     names = ["baked", "light", "lumitree-path", "ptracer", "sphere"]
     found = measured(lamp, "--only", *names)

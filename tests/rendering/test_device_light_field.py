@@ -290,7 +290,7 @@ SURFACES = {
 
 
 @pytest.mark.parametrize("bsdf", SURFACES)
-@pytest.mark.parametrize("height", [0.01, 3.0])
+@pytest.mark.parametrize("height", [0.01, pytest.param(3.0, marks=pytest.mark.slow)])
 def test_each_surface_gets_the_light_once(mi, bsdf, height):
     """Against uniform sampling of the proxy, whose weights are by direction alone; two lamps."""
     asset = light_field_asset(some_light(), LocalFrame(HALF, np.eye(4)), "test")

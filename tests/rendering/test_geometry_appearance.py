@@ -179,6 +179,7 @@ TINTED = GLASS + (
 )
 
 
+@pytest.mark.slow
 def test_tinted_glass_is_seen_as_it_is(make):
     """Media of the geometry absorb by the size of the lamp, at any place and scale."""
     lamp, asset = make(SPECULAR.replace(GLASS, TINTED, 1))

@@ -100,7 +100,13 @@ def seen_alone():
     return {"sensor": camera([0.3, 1.2, 1.6], [0, 1, 0], 32)}
 
 
-@pytest.mark.parametrize("name", LAMPS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "frosted",
+        *(pytest.param(each, marks=pytest.mark.slow) for each in LAMPS if each != "frosted"),
+    ],
+)
 def test_opal_glass_is_seen_as_it_is(make, name):
     """Pixel by pixel and as a whole: by what the lamp's shapes emit, and by nothing else."""
     lamp, asset = make(LAMPS[name])
@@ -111,7 +117,7 @@ def test_opal_glass_is_seen_as_it_is(make, name):
     assert_same_expectation(ours, theirs)
 
 
-@pytest.mark.parametrize("name", ["smooth", "frosted"])
+@pytest.mark.parametrize("name", ["smooth", pytest.param("frosted", marks=pytest.mark.slow)])
 def test_a_lamp_that_lights_its_box_does_not_light_itself(make, name):
     """Something black in a corner of the box: the lamp looks as before, but for what it hides."""
     lamp, asset = make(LAMPS[name])

@@ -176,7 +176,10 @@ LIT = {
 }
 
 
-@pytest.mark.parametrize("options", [{"max_depth": 3}, {"max_depth": 8, "rr_depth": 2}])
+@pytest.mark.parametrize(
+    "options",
+    [pytest.param({"max_depth": 3}, marks=pytest.mark.slow), {"max_depth": 8, "rr_depth": 2}],
+)
 @pytest.mark.parametrize("name", LIT)
 def test_with_luminaires_it_is_volpath(mi, lamp, name, options):
     scene = view(**LIT[name](lamp))

@@ -148,6 +148,7 @@ def test_sample_direction_weight_is_emission_over_pdf(mi, asset_file, proxy):
     assert weighted == pytest.approx(np.array(direct)[:, valid], abs=5e-3, rel=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("proxy", ["box", pytest.param("sphere", marks=pytest.mark.slow)])
 def test_emitter_bsdf_and_mis_sampling_agree(mi, asset_file, proxy):
     """The same direct light by next-event estimation alone, by BSDF sampling alone and by MIS."""

@@ -42,6 +42,7 @@ def assert_equal_colours(folder, samples, names):
         assert np.array(found[name]) == pytest.approx(np.array(expected), rel=0.02), name
 
 
+@pytest.mark.slow
 def test_a_baked_lamp_has_the_colours_of_rgb_variants(mi, tmp_path):
     images.write_lamps(tmp_path, ["baked"])
     assert_equal_colours(tmp_path, 1024, ["baked"])

@@ -121,7 +121,9 @@ def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
         lumitree.bake("lamp.xml", config=standard(parts=["light"], seed=1), work="state")
 
 
-@pytest.mark.parametrize("parts", [("light", "field", "geometry"), ("field",)])
+@pytest.mark.parametrize(
+    "parts", [("light", "field", "geometry"), pytest.param(("field",), marks=pytest.mark.slow)]
+)
 def test_a_bake_gets_the_flux_and_the_colour_that_are_asked_for(parts, capsys):
     """All parts are those of a bake without them, but for the gain, which later calls keep."""
     from lumitree.rendering.asset_flux import asset_watts

@@ -50,9 +50,8 @@ def score(luminaire, asset):
     )
 
 
-@pytest.mark.parametrize(
-    ("law", "l_max"), [pytest.param("linear", 0, marks=pytest.mark.slow), ("exponential", 1)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("law", "l_max"), [("linear", 0), ("exponential", 1)])
 def test_a_rough_asset_becomes_better(ball, tmp_path, law, l_max):
     from lumitree.fit.octree.bake import refine
 

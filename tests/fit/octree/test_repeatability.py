@@ -69,6 +69,7 @@ def test_no_random_numbers_are_used_twice(bulb, small, tmp_path, seeds):
     assert len(set(values)) == len(values)
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_assets_with_any_number_of_threads(bulb, small, tmp_path):
     import drjit as dr
 

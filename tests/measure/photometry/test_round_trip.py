@@ -84,6 +84,7 @@ STATED = (
 GAMMA = np.arange(0, 91, 15.0)
 
 
+@pytest.mark.slow
 def test_what_a_file_states_is_shown_and_kept(mi, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.ies").write_text(STATED)
