@@ -48,6 +48,7 @@ def tiny_network(network_packages, monkeypatch):
     monkeypatch.setitem(NETWORK_BAKES, "preview", preset)
 
 
+@pytest.mark.slow
 def test_bake_evaluate_render(mi, tiny, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lamp.xml").write_text(LAMP)
@@ -302,6 +303,7 @@ DICTIONARY = {
 }
 
 
+@pytest.mark.slow
 def test_dictionaries_and_scenes_are_luminaires(mi, tmp_path):
     (tmp_path / "lamp.xml").write_text(LAMP)
     file = lumitree.load_luminaire(tmp_path / "lamp.xml")

@@ -300,6 +300,7 @@ def test_a_stopped_bake_writes_its_best_and_continues(tiny, steps, capfd, number
     assert left() == ["out/lamp.lumitree"]
 
 
+@pytest.mark.slow
 def test_a_bake_killed_in_its_first_step_continues_from_the_estimate(tiny, steps, monkeypatch):
     steps.before[1] = die
     assert main(list(BAKE)) == 1
@@ -351,9 +352,8 @@ def test_a_field_that_only_a_stop_made_the_best_is_not_saved(tiny, steps, monkey
         assert not np.array_equal(state["best_log_density"], state["log_density"])
 
 
-@pytest.mark.parametrize(
-    "command", [BAKE, pytest.param(COMMANDS["refine"], marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [BAKE, COMMANDS["refine"]])
 def test_a_full_work_disk_is_warned_of_once_and_the_bake_goes_on(
     tiny, steps, monkeypatch, capsys, command
 ):

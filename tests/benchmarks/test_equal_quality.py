@@ -58,6 +58,7 @@ def options(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_pair_from_end_to_end(pair, options):
     row = measure(pair, options)
     assert (row["luminaire"], row["room"]) == ("lantern", "cellar")

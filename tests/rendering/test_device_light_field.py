@@ -339,6 +339,7 @@ def test_each_surface_gets_the_light_once(mi, bsdf, height):
     assert total[0].mean() == pytest.approx(total[1].mean(), abs=4 * noise)
 
 
+@pytest.mark.slow
 def test_light_by_way_of_a_mirror_counts_in_full(mi):
     """A wall that gets the lamp's light by a mirror alone: next-event estimation finds none."""
     asset = light_field_asset(

@@ -192,6 +192,7 @@ def test_tinted_glass_is_seen_as_it_is(make):
     assert ours[..., 2].mean() < 0.9 * clear[..., 2].mean()
 
 
+@pytest.mark.slow
 def test_other_lights_are_tinted_by_glass(make):
     """The floor under a tinted pane: that under a clear one, attenuated by the way of the light."""
     objects = {

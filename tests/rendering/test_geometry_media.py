@@ -163,6 +163,7 @@ def test_direct_light_is_the_light_field_once(make, name):
     assert_same_expectation(ours, field)
 
 
+@pytest.mark.slow
 def test_fog_gets_the_light_of_the_lamp(make):
     """A scattering in a medium of the room is a receiver like any other."""
     _, asset = make(LAMPS["smooth"])

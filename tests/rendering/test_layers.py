@@ -194,6 +194,7 @@ def test_the_filter_becomes_a_box(mi, tmp_path, film):
     assert tuple(film.size()) == (24, 16)
 
 
+@pytest.mark.slow
 def test_denoising_reduces_the_error_and_leaves_what_is_seen(mi, room, lamps):
     pytest.importorskip("mitsuba_oidn", reason="the optional dependency denoise is not installed")
     room.write_text(ROOM.format('<rfilter type="box"/>'))

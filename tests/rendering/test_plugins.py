@@ -149,7 +149,7 @@ def test_sample_direction_weight_is_emission_over_pdf(mi, asset_file, proxy):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("proxy", ["box", pytest.param("sphere", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("proxy", ["box", "sphere"])
 def test_emitter_bsdf_and_mis_sampling_agree(mi, asset_file, proxy):
     """The same direct light by next-event estimation alone, by BSDF sampling alone and by MIS."""
     path = asset_file(random_asset(11, density_scale=3.0))
@@ -238,7 +238,8 @@ def test_uniform_opaque_field_is_an_area_light(mi, asset_file, law):
     assert baked[0].mean() == pytest.approx(plain[0].mean(), rel=0.02)
 
 
-@pytest.mark.parametrize("proxy", ["box", pytest.param("sphere", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("proxy", ["box", "sphere"])
 def test_empty_field_is_not_there(mi, asset_file, proxy):
     """Behind it a window and a ball whose shadow falls through the empty proxy."""
     empty = make_asset(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 3, 9)))

@@ -90,6 +90,7 @@ def test_the_field_alone(untraced):
     assert lumitree.load("lamp.lumitree").light_field is None
 
 
+@pytest.mark.slow
 def test_both_parts_and_their_refinement():
     """Each part is that of a bake of it alone, and `refine` keeps the light field."""
     both = lumitree.bake("lamp.xml", "both.lumitree", work="state")

@@ -141,6 +141,7 @@ def test_units_and_upward_axes(mi):
     assert offset == pytest.approx(np.tile([0.01, 0.03, -0.02], (len(rays), 1)), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_an_ies_file_there_and_back(folder, capsys):
     """Luminaire, IES file, asset, and its photometry."""
     flux = lumitree.photometry("lamp.xml", "a.ies", step=10, paths=PATHS).lumens
