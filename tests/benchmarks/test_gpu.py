@@ -1,6 +1,7 @@
 """The benchmark `gpu`: its statistics, its processes, results of tests, and all parts on a CPU."""
 
 import dataclasses
+import fcntl
 import json
 import sys
 import time
@@ -163,15 +164,27 @@ def test_a_crash_costs_its_part_only(run):
 
 
 def test_a_part_that_takes_too_long_is_killed_with_what_it_started(run, tmp_path):
-    mark = tmp_path / "mark"
-    child = f"import time; time.sleep(4.5); open({str(mark)!r}, 'w')"
+    held = tmp_path / "held"
+    child = (
+        f"import fcntl, time; file = open({str(held)!r}, 'w'); fcntl.flock(file, fcntl.LOCK_EX); "
+        "time.sleep(600)"
+    )
     code = f'import subprocess; subprocess.Popen([sys.executable, "-c", {child!r}])\n'
-    record = measured(run, code + 'report({"x": 1}); time.sleep(600)', 3.0, 3.0)
+    wait = f"while not os.path.exists({str(held)!r}): time.sleep(0.01)\n"
+    record = measured(run, code + wait + 'report({"x": 1}); time.sleep(600)', 6.0, 6.0)
     assert (record["outcome"], record["values"]) == ("timed out", {"x": 1})
     # Where it was when it ended, by Python's fault handler.
     assert "most recent call first" in (run.work / "logs" / "a.log").read_text()
-    time.sleep(2)
-    assert not mark.exists()
+    # The lock of a process ends with it.
+    with held.open() as file:
+        for _ in range(600):
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                time.sleep(0.1)
+        else:
+            pytest.fail("what the part started still runs")
 
 
 def test_a_part_that_had_too_little_time_is_not_finished(run):
