@@ -27,19 +27,8 @@ from lumitree.fit.config import QUALITIES
 from lumitree.measure.illuminance.areas import read_points
 from lumitree.rendering.placement_file import read_placements
 from support.damage import damaged
+from support.placement_text import PLACEMENTS
 
-PLACEMENTS = """[lamps.kitchen]
-asset = "a.lumitree"
-at = [0, 2.5, -1]
-size = 0.4
-rotate = [0, 1, 0, 45]
-gain = [1, 0.5, 0.25]
-lumens = 800
-temperature = 2700.0
-[lamps."desk lamp"]
-asset = "bulbs"
-gain = 1
-"""
 _TOML_SEPARATORS = (b" ", b" = ", b", ", b".", b'"', b"[")
 
 

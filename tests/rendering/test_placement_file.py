@@ -13,30 +13,16 @@ from lumitree.errors import LumitreeError
 from support.damage import damaged, refused
 from support.fields import random_asset
 from support.light_fields import random_light_field
+from support.placement_text import PLACEMENTS
 
 FIELD = random_asset(1)
 LIGHT_FIELD = light_field_asset(random_light_field(2), FIELD.frame, "test")
-
-FILE = """
-[lamps.kitchen]
-asset = "a.lumitree"
-at = [0, 2.5, -1]
-size = 0.4
-rotate = [0, 1, 0, 45]
-gain = [1, 0.5, 0.25]
-lumens = 800
-temperature = 2700.0
-
-[lamps."desk lamp"]
-asset = "bulbs"
-gain = 1
-"""
 
 
 def test_all_keys_are_read_and_paths_are_relative_to_the_file(tmp_path, mi):
     folder = tmp_path / "sub"
     folder.mkdir()
-    (folder / "lights.toml").write_text(FILE)
+    (folder / "lights.toml").write_text(PLACEMENTS)
     first, second = lumitree.read_placements(folder / "lights.toml")
     assert first == lumitree.Placement(
         str(folder / "a.lumitree"), (0, 2.5, -1), 0.4, (0, 1, 0, 45), (1, 0.5, 0.25), 800, 2700,
@@ -55,7 +41,7 @@ def test_damaged_files_are_refused_or_read(tmp_path, mi):
             assert lamp.label is not None
 
     for _ in range(300):
-        path.write_bytes(damaged(FILE.encode(), rng))
+        path.write_bytes(damaged(PLACEMENTS.encode(), rng))
         outcomes.add(refused(check))
     assert outcomes == {True, False}
 
