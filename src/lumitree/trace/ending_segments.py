@@ -65,6 +65,7 @@ class Reservoir:
         side: mi.Float, cells of the grid a side.
         begin: mi.Point3f, where the present segment begins, scene frame.
         total: mi.Float, W.
+        whole: mi.Float, W without a limit of the flux.
         luminance: mi.Float, w.
         origin, end: mi.Point3f, of the segment that is kept, local frame.
         direction: mi.Vector3f of travel, scene frame.
@@ -76,6 +77,7 @@ class Reservoir:
     side: Any
     begin: Any
     total: Any
+    whole: Any
     luminance: Any
     origin: Any
     end: Any
@@ -86,18 +88,20 @@ class Reservoir:
         """Paths begin a segment at `origin` (mi.Point3f, scene frame)."""
         self.begin = dr.select(active, origin, self.begin)
 
-    def stop(self, end: Any, direction: Any, flux: Any, active: Any) -> None:
+    def stop(self, end: Any, direction: Any, flux: Any, active: Any, cut: Any) -> None:
         """Paths end a segment: replace the one that is kept with probability w / W.
 
         Args:
             end: mi.Point3f, scene frame.
             direction: mi.Vector3f of travel, scene frame.
             flux: mi.Color3f of the segment.
+            cut: mi.Float, flux without a limit over `flux`, see `trace_light`.
         """
         origin, end = self.to_local @ self.begin, self.to_local @ end
         leaves_cell = dr.any(grid_cell(origin, self.side) != grid_cell(end, self.side))
         luminance = dr.select(active & leaves_cell, dr.dot(flux, mi.Color3f(LUMA)), 0)
         self.total += luminance
+        self.whole += luminance * cut
         replaces = self.random.next_float32() * self.total < luminance
         self.luminance = dr.select(replaces, luminance, self.luminance)
         self.origin = dr.select(replaces, origin, self.origin)
@@ -106,7 +110,12 @@ class Reservoir:
         self.flux = dr.select(replaces, flux, self.flux)
 
     def segments(self, scale: Any) -> EndingSegments:
-        """One segment of each path that has any; their flux is multiplied by `scale`."""
+        """One segment of each path that has any; their flux is multiplied by `scale`.
+
+        What a limit of the flux has cut off is given to all of them.
+        """
+        limited = dr.sum(self.total)
+        scale *= dr.select(limited > 0, dr.sum(self.whole) / limited, 1)
         kept = dr.select(self.luminance > 0, self.flux * (self.total / self.luminance) * scale, 0)
         dr.eval(self.origin, self.end, self.direction, kept)
         # Dr.Jit does not combine an empty array with others, so one without flux is returned.
@@ -141,6 +150,7 @@ def make_reservoir(config: EndingConfig, frame: LocalFrame, count: int) -> Reser
         side=side,
         begin=dr.zeros(mi.Point3f, count),
         total=dr.zeros(mi.Float, count),
+        whole=dr.zeros(mi.Float, count),
         luminance=dr.zeros(mi.Float, count),
         origin=dr.zeros(mi.Point3f, count),
         end=dr.zeros(mi.Point3f, count),

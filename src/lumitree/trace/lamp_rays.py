@@ -21,20 +21,34 @@ class LampRays:
     def __init__(self, luminaire: Luminaire, path_depth: int = PATH_DEPTH) -> None:
         self._luminaire, self._path_depth = luminaire, path_depth
 
-    def draw(self, count: int, seed: int, *, ending: EndingConfig | None = None) -> LightPaths:
+    def draw(
+        self,
+        count: int,
+        seed: int,
+        *,
+        ending: EndingConfig | None = None,
+        largest_gain: float | None = None,
+    ) -> LightPaths:
         """As `EmittedRays.draw`.
 
         Args:
             count: number of light paths.
             seed: of the draw.
             ending: also return segments that end on the luminaire. The paths are the same with it.
+            largest_gain: limit of the gain of a path's flux, see `trace_light`.
 
         Raises:
             LumitreeError: a path's flux is NaN or infinite.
         """
         sampler = seeded_sampler(seed, count)
         paths = trace_light(
-            self._luminaire, sampler, count, self._path_depth, all_light=True, ending=ending
+            self._luminaire,
+            sampler,
+            count,
+            self._path_depth,
+            all_light=True,
+            ending=ending,
+            largest_gain=largest_gain,
         )
         check_finite(self._luminaire, np.array(paths.flux))
         if paths.ending is not None:

@@ -53,19 +53,31 @@ def trace_light(
     *,
     all_light: bool = False,
     ending: EndingConfig | None = None,
+    largest_gain: float | None = None,
 ) -> LightPaths:
     """Trace `count` light paths; those that leave the luminaire are returned.
+
+    The factor for shading normals has no bound, and the flux of paths has a heavy tail: of those
+    with a gain of at least g there are as many as 1 / g². `largest_gain` cuts the tail off, for
+    bins that a single such path would make too bright.
 
     Args:
         sampler: mi.Sampler, seeded for as many paths.
         path_depth: longest path, events.
         all_light: also return paths that leave by smooth transmission alone.
         ending: also return segments that end on the luminaire. The paths are the same with it.
+        largest_gain: limit of the flux of a path over that with which it starts. What is above it
+            is given to all paths, and to all ending segments, in proportion to their flux: sums
+            over the trace stay unbiased, their distribution has the bias of what was moved, 0.1 to
+            0.2 % of the flux for a limit of 8. Default: none, and no bias.
     """
     reservoir = None if ending is None else make_reservoir(ending, luminaire.scene_frame, count)
-    origin, direction, flux, termination, leaves, smooth, reservoir = _trace(
-        luminaire.scene, sampler, path_depth, reservoir
+    origin, direction, flux, cut, termination, leaves, smooth, reservoir = _trace(
+        luminaire.scene, sampler, path_depth, reservoir, largest_gain
     )
+    if largest_gain is not None:
+        whole, limited = _total(flux * cut, leaves), _total(flux, leaves)
+        flux *= dr.select(limited > 0, whole / limited, 1)
     if not all_light:
         leaves &= ~smooth
     dr.eval(origin, direction, flux, termination, leaves, reservoir)
@@ -85,6 +97,11 @@ def trace_light(
     )
     dr.eval(paths.origin, paths.direction, paths.flux, paths.termination)
     return paths
+
+
+def _total(flux, active):
+    """Sum of the flux (mi.Color3f) of paths."""
+    return mi.Color3f([dr.sum(dr.select(active, channel, 0)) for channel in flux])
 
 
 def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> tuple[Any, Any]:
@@ -117,11 +134,13 @@ def _shading_correction(si, bsdf, sample, arriving, leaving):
 
 
 @dr.syntax
-def _trace(scene, sampler, path_depth, reservoir):
+def _trace(scene, sampler, path_depth, reservoir, largest_gain):
     context = mi.BSDFContext(mi.TransportMode.Importance)
     extent = scene_extent(scene)
     ray, light = _emit(scene, sampler, extent)[:2]
     flux = mi.Color3f(light)
+    # Flux without a limit over flux with it.
+    cut = mi.Float(1)
     # Where the last chain of transmissions began, and its direction there.
     start, start_direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
     smooth = mi.Bool(True)
@@ -162,7 +181,7 @@ def _trace(scene, sampler, path_depth, reservoir):
         if dr.hint(reservoir is not None, mode="scalar"):
             # What leaves behind null surfaces begins at the last of them.
             end = dr.select(misses, ray.o, dr.select(collides, ray(free_flight), si.p))
-            reservoir.stop(end, ray.d, arriving, (misses | active) & ~passes)
+            reservoir.stop(end, ray.d, arriving, (misses | active) & ~passes, cut)
         correction, scatters = _shading_correction(si, bsdf, sample, ray.d, towards)
         hits &= scatters
         flux = dr.select(
@@ -183,7 +202,12 @@ def _trace(scene, sampler, path_depth, reservoir):
         medium = medium_paths.medium_after(si, ray.d, medium, transmits)
         depth += 1
         active = (collides | hits) & (depth < path_depth) & (dr.max(flux) > 0)
-        survival = dr.clip(dr.max(flux) / dr.max(light), 0.05, 0.95)
+        gain = dr.max(flux) / dr.max(light)
+        if dr.hint(largest_gain is not None, mode="scalar"):
+            above = dr.select(active, dr.maximum(gain / largest_gain, 1), 1)
+            flux, cut, gain = flux / above, cut * above, gain / above
+        # Paths that lose nothing are not ended: many survivals of less than 1 would be a gain.
+        survival = dr.clip(gain, 0.05, 1)
         survival = dr.select(depth > _ROULETTE_DEPTH, survival, 1)
         active &= sampler.next_1d(active) < survival
         flux[active] = flux / survival
@@ -193,7 +217,7 @@ def _trace(scene, sampler, path_depth, reservoir):
     termination = termination_point(
         scene.bbox(), from_viewer(ray.d), ray.o, start, deflected & at_first
     )
-    return ray.o, ray.d, flux, termination, leaves, smooth, reservoir
+    return ray.o, ray.d, flux, cut, termination, leaves, smooth, reservoir
 
 
 def _emit(scene, sampler, extent):

@@ -189,9 +189,10 @@ def test_the_light_field_light_is_as_without_it(mi, lamp, field, tmp_path, monke
     from lumitree.fit.light_field import batches as module
 
     class Alone(LampRays):
-        def draw(self, count, seed, *, ending=None):
+        def draw(self, count, seed, *, ending=None, largest_gain=None):
             few = LampRays(lamp, 4).draw(4, 0, ending=EndingConfig(5, 0))
-            return dataclasses.replace(super().draw(count, seed), ending=few.ending)
+            paths = super().draw(count, seed, largest_gain=largest_gain)
+            return dataclasses.replace(paths, ending=few.ending)
 
     monkeypatch.setattr(module, "LampRays", Alone)
     plain = bake_light_field(lamp, CONFIG, tmp_path)

@@ -17,6 +17,10 @@ from lumitree.trace.histograms import BinnedRays, BinnedSegments, bin_rays, bin_
 from lumitree.trace.lamp_rays import LampRays
 from lumitree.trace.light_field_config import LightFieldFitConfig
 
+# A bin has about ten paths, so that one with a larger gain would stand out; above it is 0.1 to
+# 0.2 % of a lamp's flux.
+_LARGEST_GAIN = 8.0
+
 
 @dataclasses.dataclass(frozen=True)
 class PathBatch:
@@ -67,7 +71,7 @@ def num_batches(config: LightFieldFitConfig) -> int:
 def _traced(rays: LampRays, config: LightFieldFitConfig, step: int) -> PathBatch:
     segments = EndingConfig(config.depth, SeedStream(Purpose.ENDING, step).seed(config.seed))
     seed = SeedStream(Purpose.LIGHT_FIELD, step).seed(config.seed)
-    paths = rays.draw(config.batch, seed, ending=segments)
+    paths = rays.draw(config.batch, seed, ending=segments, largest_gain=_LARGEST_GAIN)
     assert paths.ending is not None
     flux, ends = (np.array(each.flux, np.float32).reshape(3, -1) for each in (paths, paths.ending))
     places = SeedStream(Purpose.ENDING, step, 2).seed(config.seed)
