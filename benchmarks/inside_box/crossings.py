@@ -135,7 +135,7 @@ def _trace(scene: Any, sampler: Any, counter: _Counter) -> None:
         flux = dr.select(active, flux * weight * correction, 0)
         depth += 1
         active &= (depth < PATH_DEPTH) & (dr.max(flux) > 0)
-        survival = dr.clip(dr.max(flux) / dr.max(light), 0.05, 0.95)
+        survival = dr.clip(dr.max(flux) / dr.max(light), 0.05, 1)
         survival = dr.select(depth > _ROULETTE_DEPTH, survival, 1)
         active &= sampler.next_1d(active) < survival
         flux[active] = flux / survival

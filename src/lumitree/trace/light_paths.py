@@ -75,12 +75,13 @@ def trace_light(
     origin, direction, flux, cut, termination, leaves, smooth, reservoir = _trace(
         luminaire.scene, sampler, path_depth, reservoir, largest_gain
     )
+    # All at once: a sum of one of them would trace the paths for it alone.
+    dr.eval(origin, direction, flux, cut, termination, leaves, smooth, reservoir)
     if largest_gain is not None:
         whole, limited = _total(flux * cut, leaves), _total(flux, leaves)
         flux *= dr.select(limited > 0, whole / limited, 1)
     if not all_light:
         leaves &= ~smooth
-    dr.eval(origin, direction, flux, termination, leaves, reservoir)
     chosen = dr.compress(leaves)
     if not dr.width(chosen):
         # Dr.Jit does not combine an empty array with others, so one path without flux is returned.
