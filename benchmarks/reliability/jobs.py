@@ -21,6 +21,7 @@ ROOM = """<scene version="3.0.0"><integrator type="path"/><sensor type="perspect
 # A model, which is written to a temporary folder.
 MODEL = "mtllib model.mtl\nusemtl light\nv 0 0 0\nv 0 0 1\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n"
 MATERIAL = "newmtl light\nKd 0.5 0.5 0.5\nKe 3 2 1\n"
+_SAMPLES = 256
 _LIGHT = "irradiance_paths = 16384\n"
 _LIGHT_FIELD = "[light_field]\npaths = 524288\nbatch = 65536\ndepth = 3\nresolution = 32\n"
 # States are saved after each step.
@@ -60,6 +61,7 @@ INPUTS = {
 }
 PROGRAM = (sys.executable, "-m", "lumitree.cli")
 TRAINING = (sys.executable, str(Path(__file__).with_name("tiny_training.py").resolve()))
+RENDERING = (sys.executable, str(Path(__file__).with_name("tiny_render.py").resolve()))
 # Commands that make further inputs; run in this order.
 PREPARATIONS = (
     ("bake", "lamp.xml", "-o", "first.lumitree", "--config", "light.toml"),
@@ -91,6 +93,17 @@ def _steps(out: Path) -> int:
     """Steps of the newest checkpoint."""
     steps = [int(path.name) for path in out.glob("run/checkpoints/*") if path.name.isdigit()]
     return max(steps, default=0)
+
+
+def _samples(out: Path) -> int:
+    """Samples per pixel of the saved passes of an image, all of it once it is finished."""
+    path = out / "image.exr.work" / "passes.npz"
+    if (out / "image.exr").exists():
+        return _SAMPLES
+    if not path.exists():
+        return 0
+    with zipfile.ZipFile(path) as archive, archive.open("samples.npy") as file:
+        return int(np.lib.format.read_array(file))
 
 
 def _nothing(out: Path) -> int:
@@ -166,8 +179,11 @@ JOBS = (
     Job("merge", ("merge", "first.lumitree", "second.lumitree", "-o", "out/both.lumitree")),
     Job(
         "render",
-        ("render", "room.xml", *_PLACED, "-o", "out/image.exr", "--spp", "128",
+        ("render", "room.xml", *_PLACED, "-o", "out/image.exr", "--spp", str(_SAMPLES),
          "--layers", "out/layers.exr", "--aov", "out/aov.exr"),
+        program=RENDERING,
+        state=("image.exr.work", "image.exr.work/*"),
+        done=_samples,
     ),
     Job(
         "photometry",

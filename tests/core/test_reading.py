@@ -156,6 +156,17 @@ def test_arrays_are_read(tmp_path):
     assert "missing or no regular file" in refusal(read_arrays, tmp_path)
 
 
+def test_archives_that_are_larger_in_memory_than_on_disk_have_a_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr("lumitree.core.reading._MAX_UNPACKED", 2**20)
+    arrays = {f"part{i}": np.zeros(2**16) for i in range(2)}
+    np.savez_compressed(tmp_path / "small.npz", **arrays)
+    assert (tmp_path / "small.npz").stat().st_size < 2**17
+    assert "1 MiB in memory" in refusal(read_arrays, tmp_path / "small.npz")
+    # Stored without compression, it is as large as it says.
+    np.savez(tmp_path / "large.npz", **arrays)
+    assert read_arrays(tmp_path / "large.npz")["part1"].shape == (2**16,)
+
+
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
 def test_damaged_archives_are_refused(tmp_path, save):
     path = tmp_path / "a.npz"

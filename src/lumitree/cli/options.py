@@ -196,13 +196,13 @@ def add_irradiance_paths(parser: argparse.ArgumentParser, default: int | None) -
     )
 
 
-def add_work(parser: argparse.ArgumentParser) -> None:
-    """Add `--work`."""
+def add_work(parser: argparse.ArgumentParser, default: str = "ASSET with .work") -> None:
+    """Add `--work`; `default` is the name of its default, of the output."""
     parser.add_argument(
         "--work",
         metavar="DIR",
         help="folder for the state, which is kept; it must be new, empty or that of an earlier "
-        "call (default: the name of ASSET with .work, removed at the end)",
+        f"call (default: the name of {default}, removed at the end)",
     )
 
 

@@ -80,6 +80,7 @@ def add(commands: Any) -> None:
         default="box",
         help="surface that carries a baked luminaire",
     )
+    options.add_work(parser, "IMAGE followed by .work")
     options.add_variant(parser, "; llvm_ad_spectral or cuda_ad_spectral to render spectra")
     options.add_executor(parser, "the samples")
 
@@ -89,6 +90,7 @@ def run(args: argparse.Namespace) -> Any:
     from lumitree.core.arguments import check_sheet_output
     from lumitree.core.backend import load_rgb
     from lumitree.measure.glare import check_evalglare
+    from lumitree.rendering.saved_passes import forget_passes
 
     check_outputs(args.output, args.layers, args.aov)
     if args.luminance is not None:
@@ -97,6 +99,7 @@ def run(args: argparse.Namespace) -> Any:
         check_evalglare()
         # For the illuminance at the camera.
         load_rgb(args.variant)
+    work = f"{args.output}.work" if args.work is None else args.work
     with options.executor(args) as executor:
         result = lumitree.render(
             args.scene,
@@ -111,6 +114,7 @@ def run(args: argparse.Namespace) -> Any:
             view=args.view,
             so_far=(lambda image: image.save(args.output)) if args.progressive else None,
             proxy=args.proxy,
+            work=work,
             variant=args.variant,
             executor=executor,
         )
@@ -121,6 +125,8 @@ def run(args: argparse.Namespace) -> Any:
     if args.luminance is not None:
         result.save_luminance(args.luminance)
     result.save(args.output)
+    if args.work is None:
+        forget_passes(work)
     further = {"layers": args.layers, "aov": args.aov, "luminance": args.luminance}
     if args.glare:
         further["glare"] = dataclasses.asdict(_glare(args, result))

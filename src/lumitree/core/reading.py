@@ -36,6 +36,8 @@ _DAMAGED_ARCHIVE = (
     struct.error,
     tokenize.TokenError,
 )
+# Bytes of a compressed archive in memory, unless it has as many on disk.
+_MAX_UNPACKED = 2**28
 # Largest number of characters of a name in a file.
 MAX_LABEL = 1000
 # Largest number of characters of a value in a message.
@@ -80,11 +82,16 @@ def read_arrays(path: str | os.PathLike[str], *names: str) -> dict[str, NDArray[
     """The arrays with the given names of an `.npz` archive, or all; no code in it is run.
 
     Raises:
-        LumitreeError: the file is missing or damaged, or an array is missing.
+        LumitreeError: the file is missing or damaged, an array is missing, or the arrays are larger
+            than 256 MiB and than the file.
     """
     if not os.path.isfile(path):
         raise LumitreeError(f"{path} is missing or no regular file")
+    limit = max(os.path.getsize(path), _MAX_UNPACKED)
     try:
+        with zipfile.ZipFile(path) as members:
+            if sum(member.file_size for member in members.infolist()) > limit:
+                raise LumitreeError(f"{path} is larger than {limit // 2**20} MiB in memory")
         # Opened here, because NumPy does not close a damaged file.
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
             return {name: archive[name] for name in names or archive.files}

@@ -13,7 +13,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -21,9 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.arguments import MAX_SAMPLES
+from lumitree.core.interrupt import interruption_behind
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
+from lumitree.rendering.saved_passes import PassSums, SavedPasses
 
 # Samples a pass, by the backend of Dr.Jit: some seconds of work at most. Progress is shown, and
 # Ctrl-C heeded, between passes; a GPU is idle while a pass is prepared.
@@ -90,38 +91,41 @@ class Rendering:
         return self.channels[..., :3]
 
 
-class _Mean:
-    """Mean over passes, and its noise."""
+def _with_pass(sums: PassSums | None, image: NDArray[np.float32], samples: int) -> PassSums:
+    """The sums with another pass [H, W, C]."""
+    grey = image[..., :3].mean(axis=-1, dtype=np.float64)
+    radiance: NDArray[np.float32] = (samples * image).astype(np.float32, copy=False)
+    squares = samples * grey**2
+    if sums is None:
+        return PassSums(radiance, samples * grey, squares, samples, 1, 0.0)
+    return PassSums(
+        np.add(sums.radiance, radiance, dtype=np.float32),
+        sums.grey + samples * grey,
+        sums.squares + squares,
+        sums.samples + samples,
+        sums.passes + 1,
+        sums.seconds,
+    )
 
-    def __init__(self) -> None:
-        self.samples, self.passes = 0, 0
-        self._sum: Any = 0.0
-        self._sum_of_grey: Any = 0.0
-        self._sum_of_squares: Any = 0.0
 
-    def add(self, image: NDArray[np.float32], samples: int) -> None:
-        """Add a pass [H, W, C]."""
-        grey = image[..., :3].mean(axis=-1, dtype=np.float64)
-        self._sum = self._sum + samples * image
-        self._sum_of_grey = self._sum_of_grey + samples * grey
-        self._sum_of_squares = self._sum_of_squares + samples * grey**2
-        self.samples, self.passes = self.samples + samples, self.passes + 1
+def _rendering(sums: PassSums) -> Rendering:
+    """The mean of passes."""
+    image = (sums.radiance / sums.samples).astype(np.float32, copy=False)
+    return Rendering(image, sums.samples, _noise(sums), sums.seconds)
 
-    def image(self) -> NDArray[np.float32]:
-        return (self._sum / self.samples).astype(np.float32)
 
-    def noise(self) -> float | None:
-        """As `Rendering.noise`.
+def _noise(sums: PassSums) -> float | None:
+    """As `Rendering.noise`.
 
-        The variance of one sample is Σ_k n_k (x_k - x)² / (K - 1), and that of the mean the N-th
-        part of it.
-        """
-        if self.passes < 2:
-            return None
-        mean = self._sum_of_grey / self.samples
-        squares = np.maximum(self._sum_of_squares - self.samples * mean**2, 0)
-        error = np.sqrt(squares / (self.passes - 1) / self.samples)
-        return float(error.sum() / mean.sum()) if mean.any() else 0.0
+    The variance of one sample is Σ_k n_k (x_k - x)² / (K - 1), and that of the mean the N-th part
+    of it.
+    """
+    if sums.passes < 2:
+        return None
+    mean = sums.grey / sums.samples
+    squares = np.maximum(sums.squares - sums.samples * mean**2, 0)
+    error = np.sqrt(squares / (sums.passes - 1) / sums.samples)
+    return float(error.sum() / mean.sum()) if mean.any() else 0.0
 
 
 # Renders passes, given as seed and samples per pixel, and returns their images in the same order.
@@ -154,6 +158,7 @@ def render_passes(
     name: str = "render",
     so_far: Callable[[Rendering], None] | None = None,
     renderer: Renderer | None = None,
+    saved: SavedPasses | None = None,
 ) -> Rendering:
     """Render the scene's first sensor until a budget is spent.
 
@@ -168,28 +173,61 @@ def render_passes(
         so_far: called with the image so far after the first pass and then every two seconds or
             more, so that it takes no more than a tenth of the time.
         renderer: what renders the passes. Default: `render_pass`, one after another.
+        saved: where the passes so far are kept, from which an interrupted call continues.
     """
     pixels = int(dr.prod(scene.sensors()[0].film().crop_size()))
-    plan, mean = _Plan(budget, pixels, seed), _Mean()
-    spent, noise = 0.0, None
+    plan = _Plan(budget, pixels, seed)
+    sums = None if saved is None else saved.load(plan.batch, plan.limit)
+    spent = 0.0
+    if sums is not None:
+        spent = _share(budget, sums, _noise(sums))
+        plan.continue_after(sums.samples, sums.seconds, is_over=spent >= 1)
     next_time = 0.0
     images = _rendered_here(scene, integrator, plan) if renderer is None else renderer(plan)
-    with progress(name, 1.0) as advance, images as rendered:
+    with progress(name, 1.0) as advance, images as rendered, _kept(saved, lambda: sums):
+        advance(spent)
         for image in rendered:
-            mean.add(image, plan.next_samples)
-            now, noise = plan.finish(), mean.noise()
-            share = budget.share(
-                mean.samples, plan.seconds, noise if mean.passes >= _MIN_PASSES else None
-            )
+            added = _with_pass(sums, image, plan.next_samples)
+            now = plan.finish()
+            sums = dataclasses.replace(added, seconds=plan.seconds)
+            noise = _noise(sums)
+            share = _share(budget, sums, noise)
             advance(max(0.0, share - spent), "" if noise is None else f"noise {noise:.1%}")
             spent = max(spent, share)
             if plan.is_over or share >= 1:
                 break
+            if saved is not None:
+                saved.offer(sums)
             if so_far is not None and now >= next_time:
-                so_far(Rendering(mean.image(), mean.samples, noise, plan.seconds))
+                so_far(_rendering(sums))
                 taken = time.perf_counter() - now
                 next_time = now + max(_SECONDS_BETWEEN_IMAGES, taken / _MOST_TIME_OF_IMAGES)
-    return Rendering(mean.image(), mean.samples, noise, plan.seconds)
+    assert sums is not None
+    return _rendering(sums)
+
+
+def _share(budget: Budget, sums: PassSums, noise: float | None) -> float:
+    """As `Budget.share`; the noise of few passes is not known well enough."""
+    known = noise if sums.passes >= _MIN_PASSES else None
+    return budget.share(sums.samples, sums.seconds, known)
+
+
+@contextlib.contextmanager
+def _kept(saved: SavedPasses | None, sums: Callable[[], PassSums | None]) -> Iterator[None]:
+    """Context at whose end the sums are saved, also if a signal interrupts it."""
+    try:
+        yield
+    except BaseException as error:
+        if interruption_behind(error) is None:
+            raise
+        _save(saved, sums())
+        raise
+    _save(saved, sums())
+
+
+def _save(saved: SavedPasses | None, sums: PassSums | None) -> None:
+    if saved is not None and sums is not None:
+        saved.save(sums)
 
 
 @contextlib.contextmanager
@@ -209,25 +247,33 @@ class _Plan:
         seed: root seed.
 
     Attributes:
+        batch: samples per pixel of each pass but the last.
+        limit: samples per pixel of all passes at most.
         seconds: time until the latest pass was finished, s.
         is_over: whether the next pass would not end in time, and none has begun.
     """
 
     def __init__(self, budget: Budget, pixels: int, seed: int) -> None:
         self._seed, self._time = seed, budget.seconds
-        self._limit = budget.samples_per_pixel or MAX_SAMPLES
+        self.limit = budget.samples_per_pixel or MAX_SAMPLES
         batch = _SAMPLES_PER_PASS[dr.backend_v(mi.Float)] // pixels
         if (budget.seconds, budget.noise) != (None, None):
-            batch = min(batch, _MAX_SAMPLES_PER_PIXEL, self._limit // _MIN_PASSES)
-        self._batch = max(1, batch)
+            batch = min(batch, _MAX_SAMPLES_PER_PIXEL, self.limit // _MIN_PASSES)
+        self.batch = max(1, batch)
         self._start, self.seconds, self.is_over = time.perf_counter(), 0.0, False
         # Samples per pixel of the passes that are not finished, and when they began.
         self._begun: deque[tuple[int, float]] = deque()
+        self._first = 0
+
+    def continue_after(self, samples: int, seconds: float, *, is_over: bool) -> None:
+        """Begin after the passes of an earlier call, which took `seconds`."""
+        self._first, self.is_over = samples, is_over
+        self._start -= seconds
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
-        samples = 0
-        while samples < self._limit and not self.is_over:
-            count = min(self._batch, self._limit - samples)
+        samples = self._first
+        while samples < self.limit and not self.is_over:
+            count = min(self.batch, self.limit - samples)
             self._begun.append((count, time.perf_counter()))
             yield SeedStream(Purpose.RENDER, samples).seed(self._seed), count
             samples += count

@@ -1,5 +1,6 @@
 """Images of scenes with luminaires placed in them."""
 
+import contextlib
 import dataclasses
 import os
 import re
@@ -21,9 +22,11 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.view_transform import View, check_view, displayed, room_exposure
+from lumitree.core.work_folder import WorkFolder
 from lumitree.errors import LumitreeError, explained
 from lumitree.rendering.render_job import Described, RenderJob, renderer_of
 from lumitree.rendering.saved_image import SavedImage
+from lumitree.rendering.saved_passes import SavedPasses
 
 if TYPE_CHECKING:
     from lumitree.rendering.camera_view import CameraView
@@ -123,6 +126,7 @@ def render(
     proxy: "ProxyKind" = "box",
     view: View = "standard",
     so_far: "Callable[[RenderResult], None] | None" = None,
+    work: FilePath | None = None,
     seed: int = 0,
     variant: str | None = None,
     executor: Executor | None = None,
@@ -159,6 +163,9 @@ def render(
             of ACES 2.0 for displays of 100 cd/m², which needs the optional dependency `filmic`.
         so_far: function that is called with the image so far, without layers and before denoising,
             after the first pass and then every two seconds or more.
+        work: folder in which the passes so far are kept every half minute, and at the end. The same
+            call continues them, also with another time or noise, as long as the scene and the
+            luminaires, which have to be paths, are the same. Default: nothing is kept.
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
         variant: Mitsuba variant, as for `bake`; or "llvm_ad_spectral" or "cuda_ad_spectral", which
             render spectra, but neither `denoise`, `layers` nor `aov`.
@@ -174,7 +181,8 @@ def render(
     Raises:
         LumitreeError: an argument is out of range; the scene, an asset or a luminaire cannot be
             read; the scene has no camera; two placements are equal; `denoise`, `layers` or `aov`
-            is asked for in a scene with heterogeneous media; what `denoise` or `view`
+            is asked for in a scene with heterogeneous media; `work` is given, and the scene or a
+            luminaire is no path, or another process works there; what `denoise` or `view`
             needs is not installed; a worker is lost; or the scene cannot be sent to the workers of
             `executor`, such as a `mitsuba.Scene`.
     """
@@ -239,10 +247,13 @@ def render(
             described = Described(scene, placements, proxy, width, denoise, by_lamp)
             renderer = None if executor is None else renderer_of(executor, described)
             job = RenderJob(described)
-        with watch.stage("render"):
+        with watch.stage("render"), contextlib.ExitStack() as stack:
             budget = Budget(samples_per_pixel, time, noise)
-            shown = None if so_far is None else show
-            rendering, recorded = job.rendered(budget, seed, shown, renderer)
+            shown, saved = None if so_far is None else show, None
+            if work is not None:
+                identity = job.identity(seed)
+                saved = SavedPasses(stack.enter_context(WorkFolder(work)).path, identity)
+            rendering, recorded = job.rendered(budget, seed, shown, renderer, saved)
     pixels = noisy = rendering.radiance
     if recorded is not None and denoise:
         with watch.stage("denoise"):

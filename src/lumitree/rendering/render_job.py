@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from lumitree.rendering.passes import Budget, Renderer, Rendering
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.sampling.proxy import ProxyKind
+    from lumitree.rendering.saved_passes import SavedPasses
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +75,8 @@ class RenderJob:
             scene_title,
         )
 
-        placed = open_placements(described.placements)
+        self._described = described
+        self._placed = placed = open_placements(described.placements)
         loaded, self.integrator = load_scene(
             described.scene, placed, box_filter=described.box_filter, width=described.width
         )
@@ -98,17 +100,41 @@ class RenderJob:
         seed: int,
         so_far: "Callable[[Rendering], None] | None",
         renderer: "Renderer | None",
+        saved: "SavedPasses | None",
     ) -> "tuple[Rendering, Recorded | None]":
         """The image, and what is recorded beside it; arguments as for `render_passes`."""
         from lumitree.rendering.passes import render_passes
 
         with self._recording():
             rendering = render_passes(
-                self._whole, self.integrator, budget, seed=seed, so_far=so_far, renderer=renderer
+                self._whole,
+                self.integrator,
+                budget,
+                seed=seed,
+                so_far=so_far,
+                renderer=renderer,
+                saved=saved,
             )
         if self._layers is None:
             return rendering, None
         return rendering, self._layers.divide(rendering.channels[..., 3:])
+
+    def identity(self, seed: int) -> dict[str, Any]:
+        """What makes the image, as `image_identity`."""
+        import mitsuba as mi
+
+        from lumitree.rendering.saved_passes import image_identity
+
+        described = self._described
+        settings = {
+            "proxy": described.proxy,
+            "width": described.width,
+            "box_filter": described.box_filter,
+            "by_lamp": described.by_lamp,
+            "seed": seed,
+            "variant": mi.variant(),
+        }
+        return image_identity(described.scene, self._placed, settings)
 
     def image(self, seed: int, samples: int) -> NDArray[np.float32]:
         """One pass, as `render_pass`."""

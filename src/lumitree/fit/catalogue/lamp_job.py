@@ -28,6 +28,8 @@ from lumitree.fit.catalogue.record import (
 from lumitree.fit.catalogue.stamps import stamps_of
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.sources import bake_source
+from lumitree.formats.photometric_file import read_again
+from lumitree.lamp.importers.model_folder import noted_files
 from lumitree.lamp.sent import absolute_source
 from lumitree.lamp.source import LuminaireSource, dataset_folder, gldf_variant, source_kind
 
@@ -181,7 +183,12 @@ class LampJob:
             path, variant = gldf_variant(self.source.name)
             digest = _digest(Path(path), "a photometric file")
             digest = digest if variant is None else f"{digest}#{variant}"
-            return digest, self.source, source_files(self.source, None)
+            # A table of tilts may be in a file beside it.
+            with noted_files() as beside:
+                read_again(path)
+            for table in sorted(each for each in beside if each.is_file()):
+                digest += "+" + _digest(table, "a TILT file")
+            return digest, self.source, [Path(path), *sorted(beside)]
         if (dataset := dataset_folder(self.source)) is not None:
             digest = _digest(dataset / MANIFEST, "a dataset")
             return digest, self.source, source_files(self.source, None)

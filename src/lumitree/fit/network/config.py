@@ -19,21 +19,32 @@ COLOUR_LOSSES: tuple[ColourLoss, ...] = get_args(ColourLoss)
 # 2^16.
 MAX_FREQUENCIES = 16
 
+# Settings may come from a file, whose sizes are checked before memory is reserved for them.
+_HIGHEST = {
+    "num_layers": 64,
+    "width": 4096,
+    "output_width": 4096,
+    "num_coarse": 4096,
+    "num_fine": 4096,
+    "rays_per_batch": 2**20,
+    "num_steps": 2**31 - 1,
+}
+
 
 @dataclasses.dataclass(frozen=True)
 class TrainConfig:
     """Settings of one training run; the defaults are the paper's (sections 4.2 to 4.4).
 
     Attributes:
-        num_layers: hidden layers of each of the two networks, at least 1.
-        width: neurons in a hidden layer.
-        output_width: neurons in the extra layer before the coefficients.
+        num_layers: hidden layers of each of the two networks, 1 to 64.
+        width: neurons in a hidden layer, 1 to 4,096.
+        output_width: neurons in the extra layer before the coefficients, 1 to 4,096.
         num_frequencies: octaves of the Fourier features, 0 to 16.
-        num_coarse: intervals per ray of the coarse network, N_c.
-        num_fine: additional intervals per ray of the fine network, N_f.
-        rays_per_batch: rays in one step.
+        num_coarse: intervals per ray of the coarse network, N_c, 1 to 4,096.
+        num_fine: additional intervals per ray of the fine network, N_f, 1 to 4,096.
+        rays_per_batch: rays in one step, 1 to 2²⁰.
         l_max: highest band of the spherical harmonics, 0 to 4.
-        num_steps: steps of the whole run.
+        num_steps: steps of the whole run, 1 to 2³¹ - 1.
         learning_rate_start: Adam's step size at the first step.
         learning_rate_end: step size at the last step; it decays exponentially in between.
         law: transmittance law.
@@ -75,16 +86,8 @@ class TrainConfig:
         check_choice("opacity_kind", self.opacity_kind, OPACITY_KINDS)
         check_choice("colour_loss", self.colour_loss, COLOUR_LOSSES)
         check_choice("emission_weights", self.emission_weights, EMISSION_WEIGHTS)
-        for name in (
-            "num_layers",
-            "width",
-            "output_width",
-            "num_coarse",
-            "num_fine",
-            "rays_per_batch",
-            "num_steps",
-        ):
-            self._check_integer(name, 1)
+        for name, highest in _HIGHEST.items():
+            self._check_integer(name, 1, highest)
         self._check_integer("num_frequencies", 0, MAX_FREQUENCIES)
         self._check_integer("l_max", 0, MAX_L)
         self._check_integer("seed", 0, 2**31 - 1)
@@ -94,12 +97,11 @@ class TrainConfig:
                 f"learning rates {start} to {end} do not decay; expected 0 < end <= start"
             )
 
-    def _check_integer(self, name: str, low: int, high: int | None = None) -> None:
+    def _check_integer(self, name: str, low: int, high: int) -> None:
         value = getattr(self, name)
         whole = isinstance(value, int) and not isinstance(value, bool)
-        if not whole or value < low or (high is not None and value > high):
-            wanted = f"at least {low}" if high is None else f"{low} to {high}"
-            raise LumitreeError(f"{name} is {value!r}; expected a whole number, {wanted}")
+        if not whole or not low <= value <= high:
+            raise LumitreeError(f"{name} is {value!r}; expected a whole number, {low} to {high}")
 
 
 PRESETS: dict[str, TrainConfig] = {

@@ -1,0 +1,189 @@
+"""Images whose call was interrupted continue from the passes that were kept."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lumitree
+from lumitree.cli import main
+from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.rendering import passes, saved_passes
+from support.fields import random_asset
+
+XML = """<scene version="3.0.0">
+<integrator type="path"><integer name="max_depth" value="3"/></integrator>
+<sensor type="perspective"><float name="fov" value="50"/>
+<transform name="to_world"><lookat origin="0, 1, 6" target="0, 0, 0" up="0, 1, 0"/></transform>
+<film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="16"/>
+<rfilter type="box"/></film></sensor>
+<shape type="rectangle"><transform name="to_world"><scale value="6"/><translate z="-2"/>
+</transform></shape></scene>"""
+SAMPLES = 12
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch, mi):
+    """Passes of two samples per pixel, each of which is kept."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "room.xml").write_text(XML)
+    lumitree.save(random_asset(3), tmp_path / "lamp.lumitree")
+    monkeypatch.setattr(passes, "_SAMPLES_PER_PASS", dict.fromkeys(passes._SAMPLES_PER_PASS, 768))
+    monkeypatch.setattr(saved_passes, "_SECONDS_BETWEEN_STATES", 0.0)
+    monkeypatch.setattr(saved_passes, "_MOST_TIME_OF_STATES", 1e9)
+    return tmp_path
+
+
+@pytest.fixture
+def rendered(monkeypatch):
+    """Seeds of the passes that were rendered; a list `stop_at` ends the process after so many."""
+    render_pass, seeds = passes.render_pass, []
+
+    def noted(scene, integrator, seed, samples):
+        if len(seeds) == stop_at[0]:
+            raise KeyboardInterrupt
+        seeds.append(seed)
+        return render_pass(scene, integrator, seed, samples)
+
+    stop_at = [-1]
+    monkeypatch.setattr(passes, "render_pass", noted)
+    return seeds, stop_at
+
+
+def render(samples=SAMPLES, room="room.xml", source="lamp.lumitree", **options):
+    lamp = lumitree.Placement(source, at=(0, 0, 0), size=1.5)
+    options = {"work": "work", "layers": True, "progress": None, **options}
+    return lumitree.render(room, [lamp], samples_per_pixel=samples, **options)
+
+
+def interrupted(rendered, after, **options):
+    """A call that is interrupted after some passes."""
+    seeds, stop_at = rendered
+    stop_at[0] = after
+    with pytest.raises(KeyboardInterrupt):
+        render(**options)
+    stop_at[0] = -1
+    seeds.clear()
+
+
+def test_an_interrupted_image_continues(rendered):
+    whole = render(work=None)
+    seeds = rendered[0]
+    expected = seeds.copy()
+    seeds.clear()
+    interrupted(rendered, 4)
+    again = render()
+    assert seeds == expected[4:]
+    assert again.samples_per_pixel == SAMPLES
+    assert again.noise == pytest.approx(whole.noise, rel=1e-3)
+    for name, layer in whole.layers.items():
+        np.testing.assert_allclose(again.layers[name], layer, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(again.pixels, whole.pixels, rtol=1e-4, atol=1e-6)
+
+
+def test_a_finished_image_is_not_rendered_again(rendered):
+    first = render()
+    rendered[0].clear()
+    assert np.array_equal(render().pixels, first.pixels)
+    assert rendered[0] == []
+
+
+def test_a_shorter_last_pass_is_only_that_of_the_same_number(rendered):
+    render(samples=5)
+    rendered[0].clear()
+    render(samples=5)
+    assert rendered[0] == []
+    with pytest.warns(LumitreeWarning, match="its last pass has fewer"):
+        render()
+    assert len(rendered[0]) == SAMPLES // 2
+
+
+def test_time_that_was_spent_counts(rendered):
+    options = {"samples": None, "time": 1e5}
+    interrupted(rendered, 3, **options)
+    state = Path("work/passes.npz")
+    arrays = dict(np.load(state))
+    np.savez(state, **arrays | {"seconds": np.array(1e5 + 1)})
+    assert render(**options).samples_per_pixel == arrays["samples"]
+    assert rendered[0] == []
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("room", "of another image"),
+        ("lamp", "of another image"),
+        ("seed", "of another image"),
+        ("fewer", "more than asked for"),
+        ("cut", "damaged"),
+        ("nan", "not finite"),
+        ("shape", "expected"),
+    ],
+)
+def test_what_is_no_state_of_this_image_is_not_continued(rendered, change, message):
+    interrupted(rendered, 4)
+    state, options = Path("work/passes.npz"), {}
+    arrays = dict(np.load(state))
+    if change == "room":
+        Path("room.xml").write_text(XML.replace('value="6"', 'value="5"'))
+    elif change == "lamp":
+        lumitree.save(random_asset(4), "lamp.lumitree")
+    elif change == "seed":
+        options["seed"] = 1
+    elif change == "fewer":
+        options["samples"] = 6
+    elif change == "cut":
+        state.write_bytes(state.read_bytes()[:-100])
+    elif change == "nan":
+        arrays["grey"][0, 0] = np.nan
+        np.savez(state, **arrays)
+    else:
+        np.savez(state, **arrays | {"squares": arrays["squares"][:1]})
+    with pytest.warns(LumitreeWarning, match=f"not continued: .*{message}.*starts again"):
+        found = render(**options)
+    assert len(rendered[0]) == found.samples_per_pixel // 2 == options.get("samples", SAMPLES) // 2
+
+
+def test_images_of_less_than_half_a_minute_leave_nothing(rendered, monkeypatch):
+    monkeypatch.setattr(saved_passes, "_SECONDS_BETWEEN_STATES", 30.0)
+    interrupted(rendered, 4)
+    assert not Path("work").exists()
+
+
+def test_the_command_removes_what_it_kept(rendered, capsys):
+    command = ["render", "room.xml", "-o", "image.png", "--place", "lamp.lumitree", "--spp", "12"]
+    seeds, stop_at = rendered
+    stop_at[0] = 4
+    assert main(command) == 130
+    assert Path("image.png.work/passes.npz").exists()
+    assert not Path("image.png").exists()
+    stop_at[0] = -1
+    seeds.clear()
+    assert main(command) == 0
+    assert len(seeds) == 2
+    assert not Path("image.png.work").exists()
+    assert main([*command, "--work", "kept"]) == 0
+    assert Path("kept/passes.npz").exists()
+    capsys.readouterr()
+
+
+def test_only_files_can_be_compared_later(mi):
+    scene = mi.load_file("room.xml")
+    with (
+        pytest.warns(LumitreeWarning, match="created already"),
+        pytest.raises(LumitreeError, match="work is given with a scene of type"),
+    ):
+        render(room=scene, layers=False)
+    with pytest.raises(LumitreeError, match="as a loaded asset; expected the path"):
+        render(source=lumitree.load("lamp.lumitree"))
+    assert not Path("work").exists()
+
+
+def test_a_state_that_cannot_be_written_is_said_once(monkeypatch):
+    def full(path):
+        raise saved_passes.WriteError(Path(path), OSError(28, "No space left on device"))
+
+    monkeypatch.setattr(saved_passes, "atomic_path", full)
+    with pytest.warns(LumitreeWarning, match="cannot be continued if it is killed") as warned:
+        render()
+    assert len([each for each in warned if "cannot save the passes" in str(each.message)]) == 1
