@@ -7,6 +7,7 @@ import lumitree
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.rendering.layers import Unrecorded
 from support.fields import random_asset
+from support.small_room import SMALL_ROOM
 
 
 @pytest.fixture
@@ -25,16 +26,6 @@ def room(mi):
     }
 
 
-XML = """<scene version="3.0.0">
-<integrator type="path"><integer name="max_depth" value="3"/></integrator>
-<sensor type="perspective"><float name="fov" value="50"/>
-<transform name="to_world"><lookat origin="0, 1, 6" target="0, 0, 0" up="0, 1, 0"/></transform>
-<film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="16"/>
-<rfilter type="box"/></film></sensor>
-<shape type="rectangle"><transform name="to_world"><scale value="6"/><translate z="-2"/>
-</transform></shape></scene>"""
-
-
 def render(scene, **options):
     lamp = lumitree.Placement(random_asset(3), at=(0, 0, 0), size=1.5, label="lamp")
     return lumitree.render(scene, [lamp], samples_per_pixel=8, progress=None, **options)
@@ -51,7 +42,7 @@ def tracer(mi, **options):
 
 
 def test_files_dictionaries_and_scenes_give_equal_images(mi, room, tmp_path):
-    (tmp_path / "room.xml").write_text(XML)
+    (tmp_path / "room.xml").write_text(SMALL_ROOM)
     file = render(tmp_path / "room.xml").pixels
     assert file.max() > 0
     assert_similar(render(room).pixels, file)

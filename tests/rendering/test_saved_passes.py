@@ -10,15 +10,8 @@ from lumitree.cli import main
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.rendering import passes, saved_passes
 from support.fields import random_asset
+from support.small_room import SMALL_ROOM
 
-XML = """<scene version="3.0.0">
-<integrator type="path"><integer name="max_depth" value="3"/></integrator>
-<sensor type="perspective"><float name="fov" value="50"/>
-<transform name="to_world"><lookat origin="0, 1, 6" target="0, 0, 0" up="0, 1, 0"/></transform>
-<film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="16"/>
-<rfilter type="box"/></film></sensor>
-<shape type="rectangle"><transform name="to_world"><scale value="6"/><translate z="-2"/>
-</transform></shape></scene>"""
 SAMPLES = 12
 
 
@@ -26,7 +19,7 @@ SAMPLES = 12
 def folder(tmp_path, monkeypatch, mi):
     """Passes of two samples per pixel, each of which is kept."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "room.xml").write_text(XML)
+    (tmp_path / "room.xml").write_text(SMALL_ROOM)
     lumitree.save(random_asset(3), tmp_path / "lamp.lumitree")
     monkeypatch.setattr(passes, "_SAMPLES_PER_PASS", dict.fromkeys(passes._SAMPLES_PER_PASS, 768))
     monkeypatch.setattr(saved_passes, "_SECONDS_BETWEEN_STATES", 0.0)
@@ -125,7 +118,7 @@ def test_what_is_no_state_of_this_image_is_not_continued(rendered, change, messa
     state, options = Path("work/passes.npz"), {}
     arrays = dict(np.load(state))
     if change == "room":
-        Path("room.xml").write_text(XML.replace('value="6"', 'value="5"'))
+        Path("room.xml").write_text(SMALL_ROOM.replace('value="6"', 'value="5"'))
     elif change == "lamp":
         lumitree.save(random_asset(4), "lamp.lumitree")
     elif change == "seed":
