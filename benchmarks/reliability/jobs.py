@@ -153,10 +153,10 @@ JOBS = (
     Job(
         "bake of lamps",
         ("bake", "lamp.xml", "lamp2.xml", "model.obj", "-o", "out/", "--config", "light.toml"),
-        state=("*.work", "*.work/*", "index-files/*.lock"),
-        varying=("index.html", "index-files/*.json"),
-        # The index is written again after each lamp.
-        kept=("index-files/*.json",),
+        state=("*.work", "*.work/*", "index-files/*.claim"),
+        # Pages and names have the lamps so far; records get the time of a file once it is old.
+        varying=("*.html", "*/names.js", "index-files/*.json"),
+        kept=("*.lumitree",),
         done=_lamps,
     ),
     Job(
