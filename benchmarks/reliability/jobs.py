@@ -156,7 +156,6 @@ JOBS = (
         state=("*.work", "*.work/*", "index-files/*.claim"),
         # Pages and names have the lamps so far; records get the time of a file once it is old.
         varying=("*.html", "*/names.js", "index-files/*.json"),
-        kept=("*.lumitree",),
         done=_lamps,
     ),
     Job(
