@@ -183,6 +183,8 @@ def test_feet_factors_and_old_encodings(tmp_path):
         (ies(values="1 2 3 4 5 -6"), "negative"),
         (ies(values="1 2 3 4 5 nan"), "NaN"),
         (ies(gamma="0 90 45"), "ascending"),
+        (ies(gamma="0 5e-324 90"), "ascending by 1e-10 degrees"),
+        (ies(values="1e13 1 1 1 1 1"), "above 1e12 cd"),
         ("", "IES"),
         ("IESNA:LM-63-2002\n", "TILT"),
     ],

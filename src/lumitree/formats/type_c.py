@@ -22,6 +22,8 @@ from lumitree.formats.opening import POINT, Opening
 Array = NDArray[np.float64]
 # Finest and coarsest step of a grid, degrees.
 MIN_STEP, MAX_STEP = 0.5, 30.0
+# Least difference of neighbouring angles, degrees: weights of nodes are divided by it.
+_LEAST_STEP = 1e-10
 
 
 def direction_of(c: ArrayLike, gamma: ArrayLike) -> Array:
@@ -185,14 +187,15 @@ class IntensityDistribution:
             raise LumitreeError(
                 f"{intensity.shape} intensities for {len(c)} C and {len(gamma)} gamma angles"
             )
-        ascend = (np.diff(gamma) > 0).all() and (np.diff(c) > 0).all()
+        ascend = all((np.diff(angles) >= _LEAST_STEP).all() for angles in (gamma, c))
         if not (ascend and gamma[0] == 0 and gamma[-1] == 180 and c[0] >= 0 and c[-1] < 360):
             raise LumitreeError(
-                "the angles are not ascending, C from 0 to below 360 and gamma from 0 to 180"
+                f"the angles are not ascending by {_LEAST_STEP:g} degrees or more, C from 0 to "
+                "below 360 and gamma from 0 to 180"
             )
         # Limits within which all further computations are finite in single precision.
-        if not ((intensity >= 0) & (intensity <= 1e15)).all():
-            raise LumitreeError("intensities hold NaN, negative values or values above 1e15 cd")
+        if not ((intensity >= 0) & (intensity <= 1e12)).all():
+            raise LumitreeError("intensities hold NaN, negative values or values above 1e12 cd")
 
     @property
     def lumens(self) -> float:
