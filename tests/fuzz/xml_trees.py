@@ -45,12 +45,19 @@ def nudged(content, rng):
 
 
 def _written(element):
-    """Text of an element; characters that XML does not allow stay."""
-    attributes = "".join(f" {key}={quoteattr(value)}" for key, value in element.attrib.items())
-    inner = escape(element.text or "") + "".join(
-        _written(each) + escape(each.tail or "") for each in element
-    )
-    return f"<{element.tag}{attributes}>{inner}</{element.tag}>"
+    """Text of an element, nested however deep; characters that XML does not allow stay."""
+    parts, rest = [], [element]
+    while rest:
+        each = rest.pop()
+        if isinstance(each, str):
+            parts.append(each)
+            continue
+        attributes = "".join(f" {key}={quoteattr(value)}" for key, value in each.attrib.items())
+        parts.append(f"<{each.tag}{attributes}>{escape(each.text or '')}")
+        rest.append(f"</{each.tag}>")
+        for child in reversed(each):
+            rest += [escape(child.tail or ""), child]
+    return "".join(parts)
 
 
 def _change(rng, root):
