@@ -89,11 +89,10 @@ def read_arrays(path: str | os.PathLike[str], *names: str) -> dict[str, NDArray[
         raise LumitreeError(f"{path} is missing or no regular file")
     limit = max(os.path.getsize(path), _MAX_UNPACKED)
     try:
-        with zipfile.ZipFile(path) as members:
-            if sum(member.file_size for member in members.infolist()) > limit:
-                raise LumitreeError(f"{path} is larger than {limit // 2**20} MiB in memory")
         # Opened here, because NumPy does not close a damaged file.
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
+            if sum(member.file_size for member in archive.zip.infolist()) > limit:
+                raise LumitreeError(f"{path} is larger than {limit // 2**20} MiB in memory")
             return {name: archive[name] for name in names or archive.files}
     except _DAMAGED_ARCHIVE as error:
         raise LumitreeError(f"{path} is damaged ({type(error).__name__})") from None

@@ -18,6 +18,7 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from lumitree.core.frames import LocalFrame
 from lumitree.core.photometry import LUMA
@@ -114,8 +115,7 @@ class Reservoir:
 
         What a limit of the flux has cut off is given to all of them.
         """
-        limited = dr.sum(self.total)
-        scale *= dr.select(limited > 0, dr.sum(self.whole) / limited, 1)
+        scale = scale * restoring_factor(self.whole, self.total)
         kept = dr.select(self.luminance > 0, self.flux * (self.total / self.luminance) * scale, 0)
         dr.eval(self.origin, self.end, self.direction, kept)
         # Dr.Jit does not combine an empty array with others, so one without flux is returned.
@@ -132,6 +132,21 @@ class Reservoir:
         )
         dr.eval(segments.origin, segments.direction, segments.flux, segments.reach)
         return segments
+
+
+def restoring_factor(whole: Any, limited: Any) -> Any:
+    """Factor (mi.Float) on flux with a limit by which its sum is that without; 1 if there is none.
+
+    Summed by NumPy in double precision: a sum of Dr.Jit depends on the number of threads, and light
+    fields are equal by bytes with any number of workers.
+
+    Args:
+        whole, limited: mi.Float, flux of each path without and with the limit.
+    """
+    whole_sum, limited_sum = (
+        float(np.array(each).sum(dtype=np.float64)) for each in (whole, limited)
+    )
+    return dr.opaque(mi.Float, whole_sum / limited_sum if limited_sum > 0 else 1.0)
 
 
 def make_reservoir(config: EndingConfig, frame: LocalFrame, count: int) -> Reservoir:

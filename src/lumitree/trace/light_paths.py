@@ -22,7 +22,12 @@ from lumitree.core.frames import from_viewer
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.trace import medium_paths
 from lumitree.trace.emitted_rays import RayBatch
-from lumitree.trace.ending_segments import EndingConfig, EndingSegments, make_reservoir
+from lumitree.trace.ending_segments import (
+    EndingConfig,
+    EndingSegments,
+    make_reservoir,
+    restoring_factor,
+)
 from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
 from lumitree.trace.spawning import scene_extent, spawn
 from lumitree.trace.straight_through import COSINE_OF_CONE, is_smooth, is_transmitted
@@ -78,8 +83,8 @@ def trace_light(
     # All at once: a sum of one of them would trace the paths for it alone.
     dr.eval(origin, direction, flux, cut, termination, leaves, smooth, reservoir)
     if largest_gain is not None:
-        whole, limited = _total(flux * cut, leaves), _total(flux, leaves)
-        flux *= dr.select(limited > 0, whole / limited, 1)
+        left = dr.select(leaves, flux, 0)
+        flux *= mi.Color3f([restoring_factor(channel * cut, channel) for channel in left])
     if not all_light:
         leaves &= ~smooth
     chosen = dr.compress(leaves)
@@ -98,11 +103,6 @@ def trace_light(
     )
     dr.eval(paths.origin, paths.direction, paths.flux, paths.termination)
     return paths
-
-
-def _total(flux, active):
-    """Sum of the flux (mi.Color3f) of paths."""
-    return mi.Color3f([dr.sum(dr.select(active, channel, 0)) for channel in flux])
 
 
 def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> tuple[Any, Any]:
