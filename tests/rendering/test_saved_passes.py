@@ -137,8 +137,9 @@ def test_what_is_no_state_of_this_image_is_not_continued(rendered, change, messa
     assert len(rendered[0]) == found.samples_per_pixel // 2 == options.get("samples", SAMPLES) // 2
 
 
-def test_images_of_less_than_half_a_minute_leave_nothing(rendered, monkeypatch):
-    monkeypatch.setattr(saved_passes, "_SECONDS_BETWEEN_STATES", 30.0)
+def test_images_of_a_short_time_leave_nothing(rendered, monkeypatch):
+    """Of half a minute otherwise, which a busy machine may take for these."""
+    monkeypatch.setattr(saved_passes, "_SECONDS_BETWEEN_STATES", 1e6)
     interrupted(rendered, 4)
     assert not Path("work").exists()
 

@@ -1,12 +1,16 @@
 """Folders of baked lamps, written without a bake."""
 
 import os
+import types
 
+import lumitree
+from lumitree.fit.catalogue import lamp_job, record
 from lumitree.fit.catalogue.lamp_job import LampJob
 from lumitree.fit.catalogue.record import LampFiles, LampRecord, options_text, settings_text
 from lumitree.fit.catalogue.stamps import FileStamp, stamps_of
 from lumitree.fit.config import BakeConfig
 from lumitree.lamp.source import LuminaireSource
+from support.fields import random_asset
 
 # Time of the files, s since 1970: long ago, so that they are not compared by content.
 LONG_AGO = 1_000_000_000
@@ -71,3 +75,25 @@ def written_job(sources, folder, name, config=None):
         settings=settings,
     )
     return LampJob(folder, name, source, config, settings, None)
+
+
+def bake_nothing(monkeypatch, seed=lambda source: 1):
+    """Bakes of lists write random assets; returns the names of those that were baked, in order.
+
+    Args:
+        seed: of the asset of a source.
+    """
+    names = []
+
+    def bake(source, output, config, **options):
+        names.append(output.stem)
+        asset = random_asset(seed(source), tree_depth=2, l_max=0)
+        lumitree.save(asset, output)
+        return types.SimpleNamespace(
+            asset=asset, irradiance=None, finished=True, stopped_by=None, seconds={"light": 1.0}
+        )
+
+    monkeypatch.setattr(lamp_job, "bake_source", bake)
+    monkeypatch.setattr(record, "thumbnail", lambda *_: b"image")
+    monkeypatch.setattr("lumitree.rendering.asset_flux.asset_lumens", lambda _: 5.0)
+    return names

@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-import types
 from pathlib import Path
 
 import pytest
@@ -13,11 +12,10 @@ from lumitree.cli import main
 from lumitree.cli.output import print_lamps
 from lumitree.core.dask_executor import dask_executor
 from lumitree.core.files import WriteError
-from lumitree.fit.catalogue import lamp_job, record
+from lumitree.fit.catalogue import lamp_job
 from lumitree.fit.catalogue.record import BakedLamp, LampFiles
-from support.baked_folders import make_old
+from support.baked_folders import bake_nothing, make_old
 from support.executors import LastFirst
-from support.fields import random_asset
 from support.lamps import AREA, scene, sphere
 from support.tiny_bakes import set_qualities, standard
 
@@ -38,20 +36,7 @@ def folder(tmp_path, monkeypatch, mi):
 @pytest.fixture(autouse=True)
 def baked(monkeypatch):
     """Names of the assets that were baked, in order."""
-    names = []
-
-    def bake(source, output, config, **options):
-        names.append(output.stem)
-        asset = random_asset(int(source.fingerprint[:4], 16), tree_depth=2, l_max=0)
-        lumitree.save(asset, output)
-        return types.SimpleNamespace(
-            asset=asset, irradiance=None, finished=True, stopped_by=None, seconds={"light": 1.0}
-        )
-
-    monkeypatch.setattr(lamp_job, "bake_source", bake)
-    monkeypatch.setattr(record, "thumbnail", lambda *_: b"image")
-    monkeypatch.setattr("lumitree.rendering.asset_flux.asset_lumens", lambda _: 5.0)
-    return names
+    return bake_nothing(monkeypatch, lambda source: int(source.fingerprint[:4], 16))
 
 
 def bake(names, folder="out", **options):

@@ -1,13 +1,9 @@
 """A lamp of an IES file is baked again when the file of its TILT table has changed."""
 
-import types
-
 import pytest
 
 import lumitree
-from lumitree.fit.catalogue import lamp_job, record
-from support.baked_folders import make_old
-from support.fields import random_asset
+from support.baked_folders import bake_nothing, make_old
 from support.ies_text import ies_text
 from support.tiny_bakes import standard
 
@@ -21,17 +17,7 @@ def folder(tmp_path, monkeypatch, mi):
     (tmp_path / "a.ies").write_text(text.replace("TILT=NONE", "TILT=table.tlt"))
     (tmp_path / "table.tlt").write_text(TABLE)
     make_old(tmp_path / "a.ies", tmp_path / "table.tlt")
-
-    def bake(source, output, config, **options):
-        asset = random_asset(1, tree_depth=2, l_max=0)
-        lumitree.save(asset, output)
-        return types.SimpleNamespace(
-            asset=asset, irradiance=None, finished=True, stopped_by=None, seconds={"light": 1.0}
-        )
-
-    monkeypatch.setattr(lamp_job, "bake_source", bake)
-    monkeypatch.setattr(record, "thumbnail", lambda *_: b"image")
-    monkeypatch.setattr("lumitree.rendering.asset_flux.asset_lumens", lambda _: 5.0)
+    bake_nothing(monkeypatch)
     return tmp_path
 
 
