@@ -29,6 +29,10 @@ _LIMIT = 1800.0
 # Depth from which on paths end by Russian roulette, by default; and one at which they carry so
 # little that its bias in bidirectional path tracing does not count.
 _ROULETTE, _LATE_ROULETTE = 3, 12
+# Of plastics in Mitsuba.
+_PLASTIC_INDEX = 1.49
+# Parameters of principled materials that are plastics.
+_PLAIN = {"type", "base_color", "roughness", "specular", "eta"}
 Properties = dict[str, Any]
 
 
@@ -135,13 +139,14 @@ def shape_properties(name: str, shape: Json, materials: Sequence[Json], scale: f
 def material_properties(name: str, material: Json) -> Properties:
     """Properties of a material and of those that it holds.
 
-    Metals have their reflectance at normal incidence, which rises to 1 at grazing angles. LuxCore's
-    microfacets have the distribution of Trowbridge and Reitz.
+    Metals have their reflectance at normal incidence, which rises to 1 at grazing angles. Plastics
+    have a coat over a diffuse base, whose reflectance at normal incidence is that of their index.
+    LuxCore's microfacets have the distribution of Trowbridge and Reitz.
 
     Raises:
         LumitreeError: LuxCore has no equal of the material.
     """
-    from lumitree.output.optics import normal_reflectance, relative_index
+    from lumitree.output.optics import normal_reflectance, principled_index, relative_index
 
     kind, prefix = material["type"], f"scene.materials.{name}"
     own: Properties
@@ -181,9 +186,21 @@ def material_properties(name: str, material: Json) -> Properties:
             own = {"type": "metal2", "fresnel": f"{name}_fresnel", **_roughness(material)}
             inner[f"scene.textures.{name}_fresnel.type"] = "fresnelcolor"
             inner[f"scene.textures.{name}_fresnel.kr"] = reflectance
+    elif kind in ("plastic", "roughplastic"):
+        index = relative_index(material, default=_PLASTIC_INDEX)
+        own = _coated(material.get("diffuse_reflectance", 0.5), index)
+        own |= _roughness({"alpha": 0.0} if kind == "plastic" else material)
+    elif kind == "principled" and material.keys() <= _PLAIN:
+        own = _coated(material.get("base_color", 0.5), principled_index(material))
+        own |= _roughness({"alpha": _number(material.get("roughness", 0.5)) ** 2})
     else:
         raise LumitreeError(f"LuxCore: a material {kind!r} is not written")
     return inner | {f"{prefix}.{key}": value for key, value in own.items()}
+
+
+def _coated(colour: Any, index: float) -> Properties:
+    """A diffuse base of a colour under a coat with an index of refraction."""
+    return {"type": "glossy2", "kd": _colour(colour), "ks": [1.0] * 3, "index": index}
 
 
 def _roughness(material: Json) -> Properties:

@@ -236,6 +236,18 @@ def test_luxcore_has_the_materials_of_a_lamp(mi, tmp_path):
             {"type": "blendbsdf", "weight": 0.1, "nested": [{"type": "diffuse"}] * 2},
             {"type": "mix", "amount": 0.1},
         ),
+        (
+            {"type": "roughplastic", "diffuse_reflectance": 0.3, "int_ior": 1.6, "ext_ior": 1.0},
+            {"type": "glossy2", "kd": [0.3] * 3, "index": 1.6, "uroughness": 0.1},
+        ),
+        (
+            {"type": "plastic", "int_ior": "polypropylene", "ext_ior": 1.0},
+            {"type": "glossy2", "ks": [1.0] * 3, "index": 1.49, "uroughness": 0.0},
+        ),
+        (
+            {"type": "principled", "base_color": [0.2, 0.4, 0.6], "roughness": 0.5, "eta": 1.4},
+            {"type": "glossy2", "kd": [0.2, 0.4, 0.6], "index": 1.4, "vroughness": 0.25},
+        ),
     ],
 )  # fmt: skip
 def test_luxcore_materials(mi, material, expected):
@@ -249,7 +261,7 @@ def test_luxcore_materials(mi, material, expected):
 @pytest.mark.parametrize(
     ("material", "message"),
     [
-        ({"type": "principled"}, "'principled' is not written"),
+        ({"type": "principled", "metallic": 1.0}, "'principled' is not written"),
         ({"type": "diffuse", "reflectance": {"image": 0}}, "textures are not written"),
     ],
 )
