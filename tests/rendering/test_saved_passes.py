@@ -74,6 +74,23 @@ def test_an_interrupted_image_continues(rendered):
     np.testing.assert_allclose(again.pixels, whole.pixels, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt, LumitreeError])
+def test_passes_are_kept_whatever_ends_the_call(monkeypatch, error):
+    render_pass, count = passes.render_pass, []
+
+    def failing(*arguments):
+        if len(count) == 4:
+            raise error
+        count.append(1)
+        return render_pass(*arguments)
+
+    monkeypatch.setattr(passes, "render_pass", failing)
+    monkeypatch.setattr(saved_passes.SavedPasses, "offer", lambda *_: None)
+    with pytest.raises(error):
+        render()
+    assert np.load("work/passes.npz")["passes"] == 4
+
+
 def test_a_finished_image_is_not_rendered_again(rendered):
     first = render()
     rendered[0].clear()

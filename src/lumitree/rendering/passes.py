@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.arguments import MAX_SAMPLES
-from lumitree.core.interrupt import interruption_behind
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
@@ -214,20 +213,13 @@ def _share(budget: Budget, sums: PassSums, noise: float | None) -> float:
 
 @contextlib.contextmanager
 def _kept(saved: SavedPasses | None, sums: Callable[[], PassSums | None]) -> Iterator[None]:
-    """Context at whose end the sums are saved, also if a signal interrupts it."""
+    """Context at whose end the sums are saved, also if a signal or an error ends it."""
     try:
         yield
-    except BaseException as error:
-        if interruption_behind(error) is None:
-            raise
-        _save(saved, sums())
-        raise
-    _save(saved, sums())
-
-
-def _save(saved: SavedPasses | None, sums: PassSums | None) -> None:
-    if saved is not None and sums is not None:
-        saved.save(sums)
+    finally:
+        found = sums()
+        if saved is not None and found is not None:
+            saved.save(found)
 
 
 @contextlib.contextmanager
