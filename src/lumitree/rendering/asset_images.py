@@ -1,5 +1,6 @@
 """An asset as images show it, alone: its geometry, its field, or else its light field."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -7,7 +8,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.asset import Asset
+from lumitree.asset.asset import Asset, light_field_asset
+from lumitree.asset.light_field import make_light_field
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.rendering.asset_views import baked_image
@@ -56,6 +58,19 @@ def shown_images(
     return images
 
 
+def scene_alone(asset: Asset) -> dict[str, Any]:
+    """Members of a scene, for `mi.load_dict`: the geometry of an asset, with nothing around it.
+
+    No receiver gets the asset's light field there: one cell stands for it, whose tables take no
+    time. The frame of the scene is the local one.
+    """
+    one_cell = make_light_field(np.zeros((1, 3), np.int64), np.ones((1, 16, 3)), depth=1)
+    lit = light_field_asset(one_cell, asset.frame, asset.luminaire, asset.spectrum)
+    alone = dataclasses.replace(lit, geometry=asset.geometry, gain=asset.gain)
+    lamp = shape(alone, asset.frame.local_from_world, appearance="geometry")
+    return {"type": "scene", "lamp": lamp}
+
+
 class GeometryCamera:
     """A camera before the geometry of an asset; the scene is loaded once."""
 
@@ -63,9 +78,8 @@ class GeometryCamera:
         self._half_width = half_width
         film: dict[str, Any] = {"type": "hdrfilm", "width": resolution, "height": resolution}
         film |= {"pixel_format": "rgba", "rfilter": {"type": "box"}}
-        lamp = shape(asset, asset.frame.local_from_world, appearance="geometry")
         sensor = {"type": "orthographic", "film": film, "near_clip": _NEAR}
-        self._scene = mi.load_dict({"type": "scene", "sensor": sensor, "lamp": lamp})
+        self._scene = mi.load_dict({**scene_alone(asset), "sensor": sensor})
         self._integrator = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
 
     def take(

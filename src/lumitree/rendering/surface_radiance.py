@@ -11,7 +11,7 @@ from lumitree.asset.asset import Asset
 from lumitree.core.device import on_device
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.rendering.plugins.register import shape
+from lumitree.rendering.asset_images import scene_alone
 from lumitree.trace.emitted_rays import seeded_sampler
 from lumitree.trace.tracing import PATH_DEPTH
 
@@ -45,8 +45,7 @@ def vertex_radiance(
     Returns:
         [V, 3], W/(m² sr); 0 for a vertex of no face.
     """
-    lamp = shape(asset, asset.frame.local_from_world, appearance="geometry")
-    scene = mi.load_dict({"type": "scene", "lamp": lamp})
+    scene = mi.load_dict(scene_alone(asset))
     integrator: Any = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
     points = on_device(mi.Float, vertices)
     corners = on_device(mi.UInt32, faces)
