@@ -4,6 +4,7 @@ Dr.Jit is imported when it is used. Modules that import this one are imported be
 `load_mitsuba`, which explains what is missing before Dr.Jit does.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,22 @@ def parameter(kind: Any, *values: float) -> Any:
     result = kind(*values)
     dr.make_opaque(result)
     return result
+
+
+def transforms_as_parameters(shapes: Iterable[Any]) -> None:
+    """Let kernels read the transforms of rectangles (of some mi.Shape) from memory.
+
+    Mitsuba 3.9 does so for all other shapes, see `parameter`.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    for shape in shapes:
+        if shape.shape_type() == mi.ShapeType.Rectangle:
+            values = mi.traverse(shape)
+            dr.make_opaque(values["to_world"])
+            values.set_dirty("to_world")
+            values.update()
 
 
 def on_device(kind: Any, values: ArrayLike) -> Any:

@@ -50,9 +50,9 @@ class LampRays:
             ending=ending,
             largest_gain=largest_gain,
         )
-        check_finite(self._luminaire, np.array(paths.flux))
+        check_finite(self._luminaire, as_rows(paths.flux))
         if paths.ending is not None:
-            check_finite(self._luminaire, np.array(paths.ending.flux))
+            check_finite(self._luminaire, as_rows(paths.ending.flux))
         return paths
 
     def bare_flux(self, count: int, seed: int) -> NDArray[np.float64]:

@@ -29,7 +29,7 @@ from lumitree.trace.ending_segments import (
     restoring_factor,
 )
 from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
-from lumitree.trace.spawning import scene_extent, spawn
+from lumitree.trace.spawning import scene_box, scene_extent, spawn
 from lumitree.trace.straight_through import COSINE_OF_CONE, is_smooth, is_transmitted
 
 # Number of events after which Russian roulette begins.
@@ -137,7 +137,7 @@ def _shading_correction(si, bsdf, sample, arriving, leaving):
 @dr.syntax
 def _trace(scene, sampler, path_depth, reservoir, largest_gain):
     context = mi.BSDFContext(mi.TransportMode.Importance)
-    extent = scene_extent(scene)
+    extent, box = scene_extent(scene), scene_box(scene)
     ray, light = _emit(scene, sampler, extent)[:2]
     flux = mi.Color3f(light)
     # Flux without a limit over flux with it.
@@ -215,9 +215,7 @@ def _trace(scene, sampler, path_depth, reservoir, largest_gain):
 
     deflected = dr.dot(ray.d, start_direction) < COSINE_OF_CONE
     at_first = sampler.next_1d() < 0.5
-    termination = termination_point(
-        scene.bbox(), from_viewer(ray.d), ray.o, start, deflected & at_first
-    )
+    termination = termination_point(box, from_viewer(ray.d), ray.o, start, deflected & at_first)
     return ray.o, ray.d, flux, cut, termination, leaves, smooth, reservoir
 
 

@@ -12,16 +12,23 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from lumitree.core.device import parameter
+
 # Distance of a ray's origin from a flat surface, relative to the coordinates. An interpolated hit
 # is off by at most 7 √3 · 2⁻²⁴ of them (Pharr et al., Physically Based Rendering, section 6.8).
 _FLAT_OFFSET = 2.0**-20
 
 
+def scene_box(scene: Any) -> Any:
+    """Bounding box of a mi.Scene (mi.BoundingBox3f), on the device."""
+    box = scene.bbox()
+    return mi.BoundingBox3f(*(parameter(mi.Point3f, *each) for each in (box.min, box.max)))
+
+
 def scene_extent(scene: Any) -> Any:
     """Half the diagonal of the bounding box of a mi.Scene (mi.Float)."""
     box = scene.bbox()
-    # Opaque: moving an object does not compile new kernels.
-    return dr.opaque(mi.Float, float(dr.norm(box.extents())) / 2 if box.valid() else 0.0)
+    return parameter(mi.Float, float(dr.norm(box.extents())) / 2 if box.valid() else 0.0)
 
 
 def offset(si: Any, extent: Any) -> Any:

@@ -169,7 +169,9 @@ def _free_length(scene, ray, random, scale):
         bsdf = hit.shape.bsdf()
         active &= mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
         si = hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
-        active &= random.next_float32() < dr.mean(bsdf.eval_null_transmission(si, active))
+        # Not the mean: its divisor would be a constant that depends on the number of rays.
+        passed = dr.sum(bsdf.eval_null_transmission(si, active)) / 3
+        active &= random.next_float32() < passed
         step = dr.select(active, _OFFSET * scale, 0)
         length += step
         ray.o = dr.select(active, ray(hit.t + step), ray.o)

@@ -13,7 +13,7 @@ import mitsuba as mi
 
 from lumitree.trace import medium_paths
 from lumitree.trace.light_paths import termination_point
-from lumitree.trace.spawning import scene_extent, spawn
+from lumitree.trace.spawning import scene_box, scene_extent, spawn
 from lumitree.trace.straight_through import (
     COSINE_OF_CONE,
     is_smooth,
@@ -63,7 +63,7 @@ def trace_to_termination(scene, sampler, ray):
     terminated = mi.Bool(False)
     smooth = mi.Bool(True)
     medium = dr.zeros(mi.MediumPtr)
-    extent = scene_extent(scene)
+    extent, box = scene_extent(scene), scene_box(scene)
     crossings = mi.UInt32(0)
     at_first = sampler.next_1d() < 0.5
     active = mi.Bool(True)
@@ -95,7 +95,7 @@ def trace_to_termination(scene, sampler, ray):
         deflected = active & ~collides & ~si.is_valid() & bent & (crossings > 0)
         ends = deflected | collides | (hits & (~transmits | (dr.max(throughput) <= 0)))
         last = dr.select(collides, ray(flight), dr.select(deflected, ray.o, si.p))
-        end = termination_point(scene.bbox(), straight, first, last, bent & at_first)
+        end = termination_point(box, straight, first, last, bent & at_first)
         point = dr.select(ends, end, point)
         terminated |= ends
 

@@ -13,7 +13,7 @@ from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.geometry_media import MEDIA_SIDES, scattering_sides, side_medium
 from lumitree.asset.materials import is_specular
 from lumitree.asset.textures import VERTEX_COLOUR, Json
-from lumitree.core.device import on_device
+from lumitree.core.device import on_device, transforms_as_parameters
 from lumitree.core.frames import similarity_scale
 from lumitree.rendering.plugins.geometry_materials import Materials, Radiance
 from lumitree.rendering.plugins.geometry_plugins import geometry_emitter_class, geometry_glass_class
@@ -77,6 +77,7 @@ class _Builder:
             matrix = self._matrix @ np.array(shape["to_world"], np.float64)
             values["to_world"] = mi.ScalarTransform4d(matrix)
             made = make_object(shape["type"], values)
+            transforms_as_parameters([made])
         else:
             made = self._mesh(mesh, make_properties("", values))
         if emitted is not None:

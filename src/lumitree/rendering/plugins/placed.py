@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
+from lumitree.core.device import parameter
 from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError
 from lumitree.lamp.source import gldf_variant
@@ -76,6 +77,7 @@ class Placed:
         scale = similarity_scale(scene_from_local, "to_world")
         self._scale, self._origin = scale, scene_from_local[:3, 3]
         self._axes = scene_from_local[:3, :3] / scale
+        self._half = parameter(mi.Vector3f, *(asset.frame.half_extents + self._margin).tolist())
         self.scale = mi.Float(scale)
         self._centre = mi.Point3f(self._origin)
         self._rotation = mi.Matrix3f(self._axes)
@@ -93,14 +95,18 @@ class Placed:
         """Scale, centre and rotation by rows [13], as for `moved`."""
         return np.array([self._scale, *self._origin, *self._axes.ravel()])
 
+    @property
+    def _margin(self) -> float:
+        """By which the proxy is larger than the box, local."""
+        return GEOMETRY_MARGIN if self.shows_geometry else 0.0
+
     def unit_proxy(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The transform that makes the proxy the cube of [-1, 1]³, or the unit sphere.
 
         Returns:
             [3, 3] and [3], M and c, which take a point p of the scene to M (p - c).
         """
-        margin = GEOMETRY_MARGIN if self.shows_geometry else 0.0
-        side = self._scale * (np.asarray(self.proxy.shape_scale) + margin)
+        side = self._scale * (np.asarray(self.proxy.shape_scale) + self._margin)
         return self._axes.T / side[:, None], self._origin
 
     @property
@@ -119,9 +125,7 @@ class Placed:
 
     def in_box(self, point: mi.Point3f) -> mi.Bool:
         """Whether a point of the local frame is inside the box, with the margin of its geometry."""
-        margin = GEOMETRY_MARGIN if self.shows_geometry else 0.0
-        half = mi.Vector3f(*(self.asset.frame.half_extents + margin).tolist())
-        return dr.all(dr.abs(point) <= half)
+        return dr.all(dr.abs(point) <= self._half)
 
     @property
     def scene_from_box(self) -> NDArray[np.float64]:
