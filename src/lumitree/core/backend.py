@@ -6,10 +6,12 @@ therefore depends on a tested library (the package `karellen-llvm-core`), and pa
 Dr.Jit before that import. A value of DRJIT_LIBLLVM_PATH that the user has set is kept.
 """
 
+import contextlib
 import importlib
 import os
 import sys
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +117,24 @@ def use_threads(count: int) -> None:
     """
     global _threads
     _threads = count
+
+
+@contextlib.contextmanager
+def second_thread() -> Iterator[None]:
+    """Context in which CPU variants have a second thread, also on a single core.
+
+    Without one Mitsuba 3.9 waits for ever when it reads or writes an OpenEXR image, whose blocks
+    are tasks for other threads.
+    """
+    dr = importlib.import_module("drjit")
+    count = dr.thread_count()
+    if count < 2:
+        dr.set_thread_count(2)
+    try:
+        yield
+    finally:
+        if count < 2:
+            dr.set_thread_count(count)
 
 
 def warn_of_gpu(variant: str) -> None:

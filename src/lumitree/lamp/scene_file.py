@@ -11,7 +11,7 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.core.file_kinds import SCENE, XML, what_it_is
 from lumitree.core.frames import similarity
 from lumitree.core.reading import read_bytes
@@ -345,7 +345,7 @@ class SceneFile:
         # Lamps would be created within each other, by tasks that wait.
         lamps = (node.props.plugin_name() == "lumitree_proxy" for node in self._used())
         self._config.parallel = not any(lamps)
-        with self._searching(), self._readable():
+        with self._searching(), self._readable(), second_thread():
             # Creating a scene clears the nodes.
             scene = mi.parser.instantiate(self._config, mi.parser.ParserState(self._state))
         if not isinstance(scene, mi.Scene):

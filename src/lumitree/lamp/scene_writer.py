@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from lumitree.asset.textures import VERTEX_COLOUR
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.core.device import on_device
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import is_far, similarity
@@ -187,7 +187,7 @@ class _Writer:
             name = f"textures/{len(self._textures):03d}.{kind}"
             bitmap = mi.Bitmap(np.ascontiguousarray(texture.pixels))
             bitmap.set_srgb_gamma(kind == "png" and texture.encoded)
-            with atomic_path(self._folder / name) as temporary:
+            with atomic_path(self._folder / name) as temporary, second_thread():
                 bitmap.write(str(temporary))
             self._textures[key] = name
         return self._textures[key]

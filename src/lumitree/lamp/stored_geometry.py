@@ -12,7 +12,7 @@ from lumitree.asset.checks import naming
 from lumitree.asset.geometry import ARRAYS, AssetGeometry, check_surface
 from lumitree.asset.materials import MAX_NESTING, check_material, check_radiance
 from lumitree.asset.textures import VERTEX_COLOUR, ImageFacts, Json
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.media import stored_medium
@@ -169,7 +169,8 @@ class _Reader:
         encoded = path.suffix.lower() in (".png", ".jpg", ".jpeg", ".bmp", ".tga")
         key = (path, encoded)
         if key not in self._image_of:
-            bitmap = mi.Bitmap(str(path))
+            with second_thread():
+                bitmap = mi.Bitmap(str(path))
             if bitmap.component_format() != mi.Struct.Type.UInt8:
                 bitmap = bitmap.convert(component_format=mi.Struct.Type.Float32, srgb_gamma=False)
             pixels = np.array(bitmap)
