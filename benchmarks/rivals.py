@@ -109,7 +109,7 @@ def measure(name: str, options: argparse.Namespace, output: Path) -> dict[str, A
         print(f"{name}: no images of {' and '.join(BASELINES)} yet", file=sys.stderr)
         return None
     mask = shows_diffuse(lumitree.load(asset_path), options.width, mitsuba_room(options.width))
-    row = compare(name, found, runs, mask)
+    row = compare(luminaire.name, found, runs, mask)
     guides = Guides.of(placed(luminaire, options.width, mitsuba_room(options.width)))
     try:
         for each, run in runs.items():
@@ -276,6 +276,6 @@ def run(options: argparse.Namespace) -> None:
         if row is None:
             continue
         print(table(row).text(), flush=True)
-        known[name] = row
+        known[row["luminaire"]] = row
         facts, rows = results.setting(), list(known.values())
         results.write({"setting": facts, "luminaires": rows}, report(rows, facts))
