@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.device import transforms_as_parameters
 from lumitree.core.frames import LocalFrame, float32_step
 from lumitree.errors import LumitreeError, LumitreeWarning, explained
 from lumitree.lamp.builtin.registry import BUILTIN
@@ -111,7 +110,6 @@ def _luminaire_of_source(luminaire: Opened) -> Luminaire:
         origin += offset
         placed = file.recentred(origin)
         scene = placed.instantiate()
-    transforms_as_parameters(scene.shapes())
     loaded = _luminaire(name, fingerprint, scene, bool(media), shapes, placed, origin)
     centre = loaded.scene_frame.centre
     warn_of_far_meshes(name, float(loaded.size.max()), centre, placed.mesh_files())

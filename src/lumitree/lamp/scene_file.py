@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.backend import load_mitsuba, second_thread
+from lumitree.core.device import transforms_as_parameters
 from lumitree.core.file_kinds import SCENE, XML, what_it_is
 from lumitree.core.frames import similarity
 from lumitree.core.reading import read_bytes
@@ -350,6 +351,7 @@ class SceneFile:
             scene = mi.parser.instantiate(self._config, mi.parser.ParserState(self._state))
         if not isinstance(scene, mi.Scene):
             raise LumitreeError(f"{self._name} does not hold a <scene>; found {type(scene)}")
+        transforms_as_parameters(scene.shapes())
         if has_media:
             keep_clear_channels(scene)
         return scene
