@@ -17,6 +17,7 @@ from lumitree._version import __version__
 from lumitree.core.executor import _run, check_executor, run_tasks, tasks_at_once
 from lumitree.core.files import WriteError
 from lumitree.core.process_pool import process_pool
+from lumitree.core.system import num_cores
 from lumitree.core.work_folder import BusyFolderError
 from lumitree.errors import LumitreeError, LumitreeWarning
 from support import executors
@@ -170,6 +171,16 @@ def test_a_pool_runs_tasks_in_its_processes(pool):
     assert os.getpid() not in processes
 
 
+def test_workers_share_the_cores_in_matrix_products(monkeypatch):
+    monkeypatch.setenv("MKL_NUM_THREADS", "7")
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    with process_pool(1024) as executor:
+        found = executor.submit(os.getenv, "OPENBLAS_NUM_THREADS").result(LONG)
+        assert executor.submit(os.getenv, "MKL_NUM_THREADS").result(LONG) == "7"
+    assert found == str(max(1, num_cores() // 1024))
+    assert "OPENBLAS_NUM_THREADS" not in os.environ
+
+
 def test_workers_import_what_their_tasks_need(pool):
     assert results(pool, executors.heavy_imports, [(), ()]) == [(0, []), (1, [])]
 
@@ -225,6 +236,7 @@ import sys
 from lumitree.core.executor import run_tasks
 from lumitree.core.interrupt import interruptible
 from lumitree.core.process_pool import process_pool
+from lumitree.core.system import num_cores
 from support import executors
 
 if __name__ == "__main__":

@@ -31,6 +31,13 @@ from lumitree.core.system import (
 )
 
 MAX_WORKERS = 1024
+# Of OpenBLAS, MKL, Accelerate, and libraries that use OpenMP.
+_BLAS_VARIABLES = (
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "OMP_NUM_THREADS",
+)
 # In a worker: whether its pool has ended (a shared flag); None in other processes.
 _ended: Any = None
 
@@ -56,8 +63,8 @@ def process_pool(workers: int) -> Iterator[Executor]:
         ...     lumitree.render("room.xml", executor=executor).save("room.exr")
     """
     check_range("workers", workers, 1, MAX_WORKERS)
-    context, ended = _Context(), RawValue(ctypes.c_bool, False)
-    threads = max(1, num_cores() // workers)
+    threads, ended = max(1, num_cores() // workers), RawValue(ctypes.c_bool, False)
+    context = _Context(threads)
     settings = (ended, threads, backend.is_quiet())
     # It starts the process that removes Python's semaphores, which the signals would end too.
     with stop_signals_blocked():
@@ -93,26 +100,49 @@ def stopped_by_pool() -> Iterator[None]:
 class _Process(SpawnProcess):
     """A process that receives stop signals only when it can handle them, see `_begin_worker`."""
 
+    threads = 1
+
     def start(self) -> None:
-        with stop_signals_blocked():
+        with stop_signals_blocked(), _threads_of_blas(self.threads):
             super().start()
 
 
 class _Context(SpawnContext):
     """Start method of a pool.
 
+    Args:
+        threads: that each process is to compute with.
+
     Attributes:
         made: its processes.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, threads: int) -> None:
         super().__init__()
         self.made: list[_Process] = []
+        self._threads = threads
 
     def Process(self, *args: Any, **kwargs: Any) -> _Process:  # noqa: N802  # pyright: ignore
         process = _Process(*args, **kwargs)
+        process.threads = self._threads
         self.made.append(process)
         return process
+
+
+@contextlib.contextmanager
+def _threads_of_blas(count: int) -> Iterator[None]:
+    """Context in which processes that begin have so many threads for NumPy's matrix products.
+
+    Otherwise each has as many as there are cores, which wait for each other in loops. NumPy reads
+    the variables when it is imported, and those that the user has set stay.
+    """
+    names = [name for name in _BLAS_VARIABLES if name not in os.environ]
+    os.environ |= dict.fromkeys(names, str(count))
+    try:
+        yield
+    finally:
+        for name in names:
+            del os.environ[name]
 
 
 def _begin_worker(ended: Any, threads: int, quiet: bool) -> None:
