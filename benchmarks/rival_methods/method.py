@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks.common.timing import ClockName
 from benchmarks.equal_error.batches import MIN_BATCHES, LongRun, digest, remember
+from lumitree.errors import LumitreeError
 
 # Longest path, segments.
 PATH_DEPTH = 64
@@ -86,6 +87,9 @@ def extend(run: LongRun, method: Method, seconds: float) -> None:
 
     Args:
         seconds: CPU seconds of all images together, those kept from before included.
+
+    Raises:
+        LumitreeError: an image is black; those of its call are not kept.
     """
     while seconds and (len(run.batches) < MIN_BATCHES or run.seconds["cpu"] < seconds):
         count = MIN_BATCHES - len(run.batches)
@@ -94,5 +98,7 @@ def extend(run: LongRun, method: Method, seconds: float) -> None:
             count = math.ceil((seconds - run.seconds["cpu"]) / cost)
         seeds = run.next_seeds[:count]
         for image in method.renderer.images(run.samples, seeds):
+            if not image.radiance.any():
+                raise LumitreeError(f"{method.label} has rendered a black image")
             run.append(image.radiance, image.seconds)
         run.save()

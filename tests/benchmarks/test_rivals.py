@@ -81,6 +81,17 @@ def test_images_are_made_until_they_have_cost_enough(tmp_path):
     assert len(opened_run(method, tmp_path, {"width": 64}).batches) == 0
 
 
+def test_black_images_are_refused(tmp_path, monkeypatch):
+    black = TimedImage(np.zeros((2, 2, 3), np.float32), {"wall": 1.0, "cpu": 1.0})
+    renderer = Noisy(0.1)
+    monkeypatch.setattr(renderer, "images", lambda *_: [black], raising=False)
+    method = Method("black", "Black", renderer)
+    run = opened_run(method, tmp_path, {})
+    with pytest.raises(LumitreeError, match="Black has rendered a black image"):
+        extend(run, method, 1)
+    assert len(opened_run(method, tmp_path, {}).batches) == 0
+
+
 def test_variance_is_relative_and_of_the_chosen_pixels():
     random = np.random.default_rng(1)
     scale = np.full((40, 50, 3), 2.0)
