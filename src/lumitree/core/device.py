@@ -42,7 +42,7 @@ def transforms_as_parameters(shapes: Iterable[Any]) -> None:
     import mitsuba as mi
 
     for shape in shapes:
-        if shape.shape_type() == mi.ShapeType.Rectangle:
+        if shape.class_name() == "Rectangle":
             values = mi.traverse(shape)
             dr.make_opaque(values["to_world"])
             values.set_dirty("to_world")
