@@ -29,8 +29,6 @@ _LIMIT = 1800.0
 # Depth from which on paths end by Russian roulette, by default; and one at which they carry so
 # little that its bias in bidirectional path tracing does not count.
 _ROULETTE, _LATE_ROULETTE = 3, 12
-# Of plastics in Mitsuba.
-_PLASTIC_INDEX = 1.49
 # Parameters of principled materials that are plastics.
 _PLAIN = {"type", "base_color", "roughness", "specular", "eta"}
 Properties = dict[str, Any]
@@ -146,7 +144,12 @@ def material_properties(name: str, material: Json) -> Properties:
     Raises:
         LumitreeError: LuxCore has no equal of the material.
     """
-    from lumitree.output.optics import normal_reflectance, principled_index, relative_index
+    from lumitree.output.optics import (
+        normal_reflectance,
+        plastic_index,
+        principled_index,
+        relative_index,
+    )
 
     kind, prefix = material["type"], f"scene.materials.{name}"
     own: Properties
@@ -187,8 +190,7 @@ def material_properties(name: str, material: Json) -> Properties:
             inner[f"scene.textures.{name}_fresnel.type"] = "fresnelcolor"
             inner[f"scene.textures.{name}_fresnel.kr"] = reflectance
     elif kind in ("plastic", "roughplastic"):
-        index = relative_index(material, default=_PLASTIC_INDEX)
-        own = _coated(material.get("diffuse_reflectance", 0.5), index)
+        own = _coated(material.get("diffuse_reflectance", 0.5), plastic_index(material))
         own |= _roughness({"alpha": 0.0} if kind == "plastic" else material)
     elif kind == "principled" and material.keys() <= _PLAIN:
         own = _coated(material.get("base_color", 0.5), principled_index(material))

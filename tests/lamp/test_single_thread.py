@@ -25,7 +25,7 @@ def test_images_are_written_and_read_by_one_thread(tmp_path):
 
 def main(folder):
     """A model with a texture that is written, and the steps that its bake takes."""
-    from lumitree.core.backend import load_mitsuba, use_threads
+    from lumitree.core.backend import load_mitsuba, second_thread, use_threads
     from lumitree.lamp.loading import load_luminaire
     from lumitree.lamp.meshes import Mesh
     from lumitree.lamp.parts import Diffuse, Geometry, Material, Part, Texture
@@ -48,6 +48,10 @@ def main(folder):
 
     import drjit as dr
 
+    with second_thread():
+        # As plugins do that are created meanwhile.
+        load_mitsuba()
+        assert dr.thread_count() == 2
     print(dr.thread_count())
 
 

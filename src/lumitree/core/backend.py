@@ -126,15 +126,20 @@ def second_thread() -> Iterator[None]:
     Without one Mitsuba 3.9 waits for ever when it reads or writes an OpenEXR image, whose blocks
     are tasks for other threads.
     """
+    global _threads
     dr = importlib.import_module("drjit")
-    count = dr.thread_count()
-    if count < 2:
-        dr.set_thread_count(2)
+    before, count = _threads, dr.thread_count()
+    if count >= 2:
+        yield
+        return
+    # Plugins that are created meanwhile may call `load_mitsuba`, which sets the number, too.
+    _threads = 2
+    dr.set_thread_count(2)
     try:
         yield
     finally:
-        if count < 2:
-            dr.set_thread_count(count)
+        _threads = before
+        dr.set_thread_count(count)
 
 
 def warn_of_gpu(variant: str) -> None:

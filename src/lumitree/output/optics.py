@@ -14,6 +14,11 @@ def relative_index(material: Json, default: float | None = None) -> float:
     return float(mi.traverse(mi.load_dict({"type": "dielectric", **plugin}))["eta"])
 
 
+def plastic_index(material: Json) -> float:
+    """Index of refraction of the coat of a plastic; by default that of Mitsuba."""
+    return relative_index(material, default=1.49)
+
+
 def principled_index(material: Json) -> float:
     """Index of refraction of a principled material, at least 1."""
     if "eta" in material:

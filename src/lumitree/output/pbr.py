@@ -14,7 +14,12 @@ from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.geometry_media import scattering_sides, side_medium
 from lumitree.asset.textures import ImageFacts, Json
 from lumitree.core.photometry import RGB
-from lumitree.output.optics import normal_reflectance, principled_index, relative_index
+from lumitree.output.optics import (
+    normal_reflectance,
+    plastic_index,
+    principled_index,
+    relative_index,
+)
 
 _WHITE: RGB = (1.0, 1.0, 1.0)
 _LOST = {
@@ -220,8 +225,7 @@ class PbrMaterials:
 
     def _coated(self, material: Json, roughness: Layer) -> PbrMaterial:
         colour = layer(material.get("diffuse_reflectance", 0.5))
-        index = relative_index(material, default=1.49)
-        return PbrMaterial(colour, roughness=roughness, index=index)
+        return PbrMaterial(colour, roughness=roughness, index=plastic_index(material))
 
     def _principled(self, material: Json) -> PbrMaterial:
         unknown = ("flatness", "spec_tint", "sheen_tint", "anisotropic")

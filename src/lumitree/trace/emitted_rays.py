@@ -55,4 +55,5 @@ def seeded_sampler(seed: int, count: int) -> Any:
 def as_rows(vectors: Any) -> NDArray[np.float64]:
     """Dr.Jit vectors of three components as an array [N, 3]."""
     # Each by itself: the number of vectors would be a part of a kernel's code.
-    return np.array([np.array(each) for each in vectors], np.float64).T
+    components = (np.array(each, np.float64) for each in vectors)
+    return np.array(np.broadcast_arrays(*components)).T

@@ -27,7 +27,12 @@ from lumitree.output.blender.nodes import (
     node,
     texture,
 )
-from lumitree.output.optics import normal_reflectance, principled_index, relative_index
+from lumitree.output.optics import (
+    normal_reflectance,
+    plastic_index,
+    principled_index,
+    relative_index,
+)
 
 # What Cycles has no equal for, by plugin.
 _LOST = {
@@ -155,7 +160,7 @@ class Surfaces:
         inputs = {
             "Base Color": self._value(material.get("diffuse_reflectance", 0.5)),
             "Roughness": roughness,
-            "IOR": relative_index(material, default=1.49),
+            "IOR": plastic_index(material),
         }
         return node("ShaderNodeBsdfPrincipled", inputs)
 
