@@ -3,11 +3,12 @@
     python -m benchmarks rivals --work FOLDER [--luxcore PYTHON] [--blender PYTHON] [LUMINAIRE ...]
 
 Each luminaire hangs in the demonstration's room, whose plastics are replaced by diffuse surfaces,
-which all renderers have alike. Each method makes independent images until they have cost
-`--seconds` CPU seconds, without the preparation. They are kept in the folder `--work`: the same
-command again goes on where the last one ended, and `--seconds 0` makes the tables of the images
-that are there. Without `--luxcore`, a Python with the module pyluxcore, and `--blender`, a Python
-with bpy or Blender, their methods are left out.
+which all renderers have alike, and whose window emits half the luminous flux of the lamp. Each
+method makes independent images until they have cost `--seconds` CPU seconds, without the
+preparation. They are kept in the folder `--work`: the same command again goes on where the last one
+ended, and `--seconds 0` makes the tables of the images that are there. Without `--luxcore`, a
+Python with the module pyluxcore, and `--blender`, a Python with bpy or Blender, their methods are
+left out.
 
 Figures of each method: CPU time of a sample a pixel; variance of a sample relative to the squared
 mean, in the mean over the pixels that show diffuse surfaces of the room, without the 0.1 % of
@@ -26,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common.demo_lamps import placed, shows_diffuse
+from benchmarks.common.demo_lamps import flux_in_room, placed, shows_diffuse
 from benchmarks.common.lamps import file_name
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
@@ -38,7 +39,7 @@ from benchmarks.rival_methods.figures import TOLERANCE, figures, time_text
 from benchmarks.rival_methods.luxcore import find_luxcore, luxcore_methods
 from benchmarks.rival_methods.method import PATH_DEPTH, Method, extend, opened_run
 from benchmarks.rival_methods.mitsuba_methods import mitsuba_methods
-from benchmarks.rival_methods.room import mitsuba_room
+from benchmarks.rival_methods.room import Room
 from lumitree.errors import LumitreeError
 from lumitree.lamp.source import LuminaireSource
 
@@ -51,17 +52,15 @@ REFERENCE = "lumitree-path"
 _COLUMNS = 4
 
 
-def methods(name: str, asset_path: Path, options: argparse.Namespace) -> list[Method]:
+def methods(name: str, asset: Any, room: Room, options: argparse.Namespace) -> list[Method]:
     """All methods for a lamp; prints which are left out."""
-    import lumitree
     from lumitree.lamp.loading import load_luminaire
 
-    asset = lumitree.load(asset_path)
-    found = mitsuba_methods(name, asset, options.width)
+    found = mitsuba_methods(name, asset, room)
     luminaire = load_luminaire(name)
     others = {
-        "luxcore": lambda program: luxcore_methods(luminaire, options.width, find_luxcore(program)),
-        "blender": lambda program: cycles_methods(luminaire, asset, options.width, program),
+        "luxcore": lambda program: luxcore_methods(luminaire, room, find_luxcore(program)),
+        "blender": lambda program: cycles_methods(luminaire, asset, room, program),
     }
     for option, make in others.items():
         program = getattr(options, option)
@@ -85,15 +84,16 @@ def measure(name: str, options: argparse.Namespace, output: Path) -> dict[str, A
     if not asset_path.exists():
         config = lumitree.BakeConfig(parts=("light", "geometry"), irradiance_paths=0)
         lumitree.bake(name, asset_path, config, progress=None)
-    luminaire = load_luminaire(name)
+    luminaire, asset = load_luminaire(name), lumitree.load(asset_path)
+    room = Room(options.width, flux_in_room(asset).tolist())
     key = {
         "lamp": luminaire.fingerprint,
         "asset": digest(asset_path),
-        "width": options.width,
+        "room": dataclasses.asdict(room),
         "path_depth": PATH_DEPTH,
     }
     runs: dict[str, LongRun] = {}
-    found = {method.name: method for method in methods(name, asset_path, options)}
+    found = {method.name: method for method in methods(name, asset, room, options)}
     for method in found.values():
         run = opened_run(method, folder, key)
         if options.only is None or method.name in options.only:
@@ -101,16 +101,16 @@ def measure(name: str, options: argparse.Namespace, output: Path) -> dict[str, A
                 extend(run, method, options.seconds)
             except LumitreeError as error:
                 print(f"{name}: {method.name} is left out: {error}", file=sys.stderr)
-            else:
-                print(f"{name}: {method.name}, {run.seconds['cpu']:.0f} CPU s", file=sys.stderr)
+                continue
+            print(f"{name}: {method.name}, {run.seconds['cpu']:.0f} CPU s", file=sys.stderr)
         if len(run.batches) > 1:
             runs[method.name] = run
     if any(base not in runs for base in BASELINES):
         print(f"{name}: no images of {' and '.join(BASELINES)} yet", file=sys.stderr)
         return None
-    mask = shows_diffuse(lumitree.load(asset_path), options.width, mitsuba_room(options.width))
+    mask = shows_diffuse(asset, room.width, room.mitsuba())
     row = compare(luminaire.name, found, runs, mask)
-    guides = Guides.of(placed(luminaire, options.width, mitsuba_room(options.width)))
+    guides = Guides.of(placed(luminaire, room.width, room.mitsuba()))
     try:
         for each, run in runs.items():
             noise = denoised_noise(
@@ -216,6 +216,7 @@ def draw(path: Path, found: dict[str, Method], runs: dict[str, LongRun], seconds
 
 # Of renderers, for the tables.
 _NOTES = """\
+* The window of the room emits half the luminous flux of the lamp.
 * All renderers have the same meshes, camera and longest path, no clamping and no reconstruction
   filter. Glass, diffuse surfaces and emitters are the same; rough metals are microfacets of
   Beckmann in Mitsuba, and of Trowbridge and Reitz with an approximate Fresnel reflectance in the

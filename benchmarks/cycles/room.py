@@ -47,8 +47,8 @@ class CyclesJob:
         scale: of the lamp, scene units in one of its file.
         room: script of another room, by `geometry_script`, in place of this one.
         walls: of the room, as `WALLS`.
-        camera: `origin`, `target` and `fov` (horizontal, degrees), or, of an orthographic one,
-            `width` (m).
+        camera: `origin`, `target` and `fov` (horizontal, degrees), or, without `fov`, `width` (m)
+            of an orthographic one.
         pixel_centres: whether a pixel shows its centre alone, and not the mean over its area.
         diffuse_bounces, bounces: largest numbers of diffuse bounces, and of all together.
         guiding: whether Cycles guides paths.

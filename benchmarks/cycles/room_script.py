@@ -39,10 +39,10 @@ def add_walls(scene, walls, node_tree):
 def add_camera(scene, camera):
     data = bpy.data.cameras.new("camera")
     data.sensor_fit = "HORIZONTAL"
-    if "width" in camera:
-        data.type, data.ortho_scale = "ORTHO", camera["width"]
-    else:
+    if "fov" in camera:
         data.angle = np.radians(camera["fov"])
+    else:
+        data.type, data.ortho_scale = "ORTHO", camera["width"]
     data.clip_start = 0.01
     thing = bpy.data.objects.new("camera", data)
     origin, target = z_up(camera["origin"]), z_up(camera["target"])

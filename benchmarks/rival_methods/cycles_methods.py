@@ -10,7 +10,7 @@ from typing import Any
 from benchmarks.cycles.room import CyclesJob, render_cycles
 from benchmarks.equal_error.batches import digest
 from benchmarks.rival_methods.method import PATH_DEPTH, Method, TimedImage
-from benchmarks.rival_methods.room import camera, lamp_from_file, room_geometry
+from benchmarks.rival_methods.room import Room, lamp_from_file
 from lumitree.core.frames import similarity_scale
 
 # Path guiding learns in each image anew.
@@ -45,22 +45,22 @@ class CyclesRenderer:
             yield TimedImage(image, {"wall": wall, "cpu": cpu})
 
 
-def cycles_methods(luminaire: Any, asset: Any, width: int, program: str) -> list[Method]:
+def cycles_methods(luminaire: Any, asset: Any, room: Room, program: str) -> list[Method]:
     """The methods for a lamp.
 
     Args:
         luminaire: `Luminaire`.
         asset: its bake, with a light field and geometry.
-        width: of the image, pixels.
+        room: where it hangs.
         program: Blender, or a Python with the module bpy.
     """
     from lumitree.output.blender.blender import find_blender
     from lumitree.output.blender.script import geometry_script, make_script
 
     program = find_blender(program)
-    lamp, room = make_script(asset, _LIGHTS, "y"), geometry_script(room_geometry(), "room", "y")
-    matrix, view = lamp_from_file(luminaire.frame), camera(width)
-    scripts = lamp.text, room.text
+    lamp = make_script(asset, _LIGHTS, "y")
+    scripts = lamp.text, geometry_script(room.geometry(), "room", "y").text
+    matrix, view = lamp_from_file(luminaire.frame), room.camera()
     base = CyclesJob(
         lamp="",
         explicit=True,

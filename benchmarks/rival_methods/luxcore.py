@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rival_methods.method import PATH_DEPTH, Method, TimedImage
-from benchmarks.rival_methods.room import camera, lamp_from_file, room_geometry
+from benchmarks.rival_methods.room import Room, lamp_from_file
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.geometry_media import scattering_sides, side_medium
 from lumitree.asset.textures import Json
@@ -70,7 +70,7 @@ def luxcore_scene(
 
     Args:
         parts: name, geometry, and the similarity [4, 4] from its file to the scene.
-        view: as `room.camera` returns it.
+        view: as `Room.camera` returns it.
 
     Raises:
         LumitreeError: a material has no equal in LuxCore.
@@ -241,7 +241,7 @@ class Engine:
         """Configuration of an image in linear radiance: no clamping, no filter.
 
         Args:
-            view: as `room.camera` returns it.
+            view: as `Room.camera` returns it.
             samples: per pixel.
             seed: of all random numbers.
         """
@@ -294,7 +294,7 @@ class LuxCoreRenderer:
     Args:
         program: from `find_luxcore`.
         scene: what is rendered.
-        view: as `room.camera` returns it.
+        view: as `Room.camera` returns it.
         engine: how.
     """
 
@@ -337,12 +337,12 @@ def lines(properties: Properties) -> str:
     )
 
 
-def luxcore_methods(luminaire: Any, width: int, program: str) -> list[Method]:
+def luxcore_methods(luminaire: Any, room: Room, program: str) -> list[Method]:
     """The methods for a lamp.
 
     Args:
         luminaire: `Luminaire`.
-        width: of the image, pixels.
+        room: where it hangs.
         program: from `find_luxcore`.
 
     Raises:
@@ -350,9 +350,9 @@ def luxcore_methods(luminaire: Any, width: int, program: str) -> list[Method]:
     """
     from lumitree.lamp.stored_geometry import stored_geometry
 
-    view = camera(width)
+    view = room.camera()
     parts = [
-        ("room", room_geometry(), np.eye(4)),
+        ("room", room.geometry(), np.eye(4)),
         ("lamp", stored_geometry(luminaire), lamp_from_file(luminaire.frame)),
     ]
     scene = luxcore_scene(parts, view)

@@ -89,7 +89,8 @@ def extend(run: LongRun, method: Method, seconds: float) -> None:
         seconds: CPU seconds of all images together, those kept from before included.
 
     Raises:
-        LumitreeError: an image is black; those of its call are not kept.
+        LumitreeError: an image is black, or the images of a call have cost no time; they are not
+            kept.
     """
     while seconds and (len(run.batches) < MIN_BATCHES or run.seconds["cpu"] < seconds):
         count = MIN_BATCHES - len(run.batches)
@@ -97,8 +98,12 @@ def extend(run: LongRun, method: Method, seconds: float) -> None:
             cost = run.seconds["cpu"] / len(run.batches)
             count = math.ceil((seconds - run.seconds["cpu"]) / cost)
         seeds = run.next_seeds[:count]
+        before = run.seconds["cpu"]
         for image in method.renderer.images(run.samples, seeds):
             if not image.radiance.any():
                 raise LumitreeError(f"{method.label} has rendered a black image")
             run.append(image.radiance, image.seconds)
+        if run.seconds["cpu"] <= before:
+            # Of small images that of one sample, which is subtracted, may have taken as long.
+            raise LumitreeError(f"{method.label} has rendered images in no measurable time")
         run.save()

@@ -10,7 +10,7 @@ from benchmarks.common.demo_lamps import placed, sphere_room
 from benchmarks.common.timing import Clock
 from benchmarks.equal_error.method import code_digest
 from benchmarks.rival_methods.method import PATH_DEPTH, Method, TimedImage
-from benchmarks.rival_methods.room import mitsuba_room
+from benchmarks.rival_methods.room import Room
 from lumitree.core.backend import load_mitsuba
 
 # Cells a side, 2 to this power, of a light field whose cells stand for points.
@@ -52,21 +52,21 @@ class MitsubaRenderer:
             yield TimedImage(image, clock.read())
 
 
-def mitsuba_methods(source: Any, asset: Any, width: int) -> list[Method]:
+def mitsuba_methods(source: Any, asset: Any, room: Room) -> list[Method]:
     """The methods for a lamp.
 
     Args:
         source: of the explicit luminaire, as for `load_luminaire`.
         asset: its bake, with a light field and geometry.
-        width: of the image, pixels.
+        room: where it hangs.
     """
     from lumitree.lamp.loading import load_luminaire
 
     luminaire = load_luminaire(source)
     code = {"code": code_digest(), "mitsuba": load_mitsuba().__version__}
 
-    def room() -> Any:
-        return mitsuba_room(width)
+    def hung(what: Any, **options: Any) -> Any:
+        return placed(what, room.width, room.mitsuba(), **options)
 
     def method(
         name: str, label: str, make: Callable[[], Any], integrator: str, **facts: Any
@@ -81,13 +81,13 @@ def mitsuba_methods(source: Any, asset: Any, width: int) -> list[Method]:
         )
 
     def explicit() -> Any:
-        return placed(source, width, room())
+        return hung(source)
 
     def light() -> Any:
-        return placed(asset, width, room())
+        return hung(asset)
 
     def points(count: int) -> Callable[[], Any]:
-        return lambda: placed(point_lights_asset(asset, count), width, room())
+        return lambda: hung(point_lights_asset(asset, count))
 
     tracer = "volpath" if luminaire.has_media else "path"
     lost = ("media are ignored",) if luminaire.has_media else ()
@@ -95,7 +95,7 @@ def mitsuba_methods(source: Any, asset: Any, width: int) -> list[Method]:
         method(
             "baked",
             "baked, with the model",
-            lambda: placed(asset, width, room(), appearance="geometry"),
+            lambda: hung(asset, appearance="geometry"),
             "lumitree_path",
         ),
         method("light", "baked, light field alone", light, "lumitree_path", whole_image=False),
@@ -106,7 +106,7 @@ def mitsuba_methods(source: Any, asset: Any, width: int) -> list[Method]:
         method(
             "thin-glass",
             "thin glass, `lumitree_path`",
-            lambda: placed(with_thin_glass(luminaire), width, room()),
+            lambda: hung(with_thin_glass(luminaire)),
             "lumitree_path",
         ),
         method("far-field", "far field, point", points(1), "lumitree_path", whole_image=False),
@@ -115,7 +115,7 @@ def mitsuba_methods(source: Any, asset: Any, width: int) -> list[Method]:
         method(
             "sphere",
             "sphere of the same flux",
-            lambda: sphere_room(asset, width, room()),
+            lambda: sphere_room(asset, room.width, room.mitsuba()),
             "lumitree_path",
             whole_image=False,
         ),

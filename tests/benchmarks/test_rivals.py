@@ -20,6 +20,7 @@ from benchmarks.rival_methods.figures import (
     time_text,
 )
 from benchmarks.rival_methods.method import Method, TimedImage, extend, opened_run
+from lumitree.core.photometry import flux_from_radiance, luminance
 from lumitree.errors import LumitreeError
 from support.lamps import AREA, GLASS, lamp_of, scene, sphere
 
@@ -81,13 +82,17 @@ def test_images_are_made_until_they_have_cost_enough(tmp_path):
     assert len(opened_run(method, tmp_path, {"width": 64}).batches) == 0
 
 
-def test_black_images_are_refused(tmp_path, monkeypatch):
-    black = TimedImage(np.zeros((2, 2, 3), np.float32), {"wall": 1.0, "cpu": 1.0})
+@pytest.mark.parametrize(
+    ("radiance", "cpu", "message"),
+    [(0.0, 1.0, "a black image"), (1.0, -0.01, "images in no measurable time")],
+)
+def test_images_that_cannot_be_right_are_refused(tmp_path, monkeypatch, radiance, cpu, message):
+    image = TimedImage(np.full((2, 2, 3), radiance, np.float32), {"wall": cpu, "cpu": cpu})
     renderer = Noisy(0.1)
-    monkeypatch.setattr(renderer, "images", lambda *_: [black], raising=False)
-    method = Method("black", "Black", renderer)
+    monkeypatch.setattr(renderer, "images", lambda *_: [image], raising=False)
+    method = Method("odd", "Odd", renderer)
     run = opened_run(method, tmp_path, {})
-    with pytest.raises(LumitreeError, match="Black has rendered a black image"):
+    with pytest.raises(LumitreeError, match=f"Odd has rendered {message}"):
         extend(run, method, 1)
     assert len(opened_run(method, tmp_path, {}).batches) == 0
 
@@ -169,10 +174,11 @@ def test_times_are_marked():
 
 
 def test_the_room_is_the_same_for_all(mi):
-    from benchmarks.rival_methods.room import camera, mitsuba_room, room_geometry
+    from benchmarks.rival_methods.room import Room
     from lumitree.output.geometry_meshes import geometry_meshes
 
-    room, geometry = mitsuba_room(16), room_geometry()
+    described = Room(16, [3.0, 2, 1])
+    room, geometry = described.mitsuba(), described.geometry()
     assert {each["type"] for each in geometry.materials} == {"twosided"}
     areas = []
     for mesh in geometry_meshes(geometry, np.eye(4)):
@@ -181,11 +187,17 @@ def test_the_room_is_the_same_for_all(mi):
         areas.append(np.linalg.norm(sides, axis=1).sum() / 2)
     exact = [float(np.ravel(shape.surface_area())[0]) for shape in room.shapes()]
     np.testing.assert_allclose(sorted(areas), sorted(exact), rtol=3e-3)
-    view = camera(16)
+    view = described.camera()
     assert (view["width"], view["height"], view["fov"]) == (16, 12, 58)
     forward = np.subtract(view["target"], view["origin"])
     expected = np.array([-0.35, 0.05, -1.9])
     np.testing.assert_allclose(forward, expected / np.linalg.norm(expected), atol=1e-6)
+    # The window emits half of what the lamp does.
+    windows = [shape for shape in room.shapes() if shape.is_emitter()]
+    radiance = mi.traverse(windows[0].emitter())["radiance.value"].numpy().ravel()
+    area = sum(float(np.ravel(window.surface_area())[0]) for window in windows)
+    lumens = flux_from_radiance(radiance, area)
+    assert lumens == pytest.approx(0.5 * luminance([3.0, 2, 1]), rel=1e-5)
 
 
 def test_luxcore_has_the_materials_of_a_lamp(mi, tmp_path):
