@@ -220,7 +220,9 @@ _NOTES = """\
 * All renderers have the same meshes, camera and longest path, no clamping and no reconstruction
   filter. Glass, diffuse surfaces and emitters are the same; rough metals are microfacets of
   Beckmann in Mitsuba, and of Trowbridge and Reitz with an approximate Fresnel reflectance in the
-  others. In Mitsuba these make the light of `bulbs` 2.0 % less.
+  others. In Mitsuba these make the light of `bulbs` 2.0 % less. LuxCore's metals reflect all light
+  at grazing angles, and those of `little_lamp` are darker in Mitsuba: by this, or by the plastics,
+  LuxCore's images of it are 5 % brighter.
 * Mitsuba's `path` and `ptracer` start rays so far from surfaces that thin glass emits too much.
 * Russian roulette of LuxCore's BIDIRCPU is biased; late roulette starts at a depth of 12. Its
   Markov chains (Metropolis) start anew in each image of a few samples, which darkens.
