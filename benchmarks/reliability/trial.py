@@ -25,6 +25,8 @@ PLACE = "lamps"
 # Interval at which a folder is looked at, and the longest time after which a process is killed that
 # is writing, s.
 _LOOK_SECONDS, _WRITE_SECONDS = 0.002, 0.02
+# What files state of the time in which they were written is the same for all commands.
+_DATE = {"SOURCE_DATE_EPOCH": "1767225600"}
 # Of a command; long, since other programs may run.
 _MOST_SECONDS = 600
 
@@ -61,7 +63,7 @@ class Watched:
         with open(self._errors, "wb") as errors:
             self._process = subprocess.Popen(
                 whole, cwd=folder, stdout=subprocess.DEVNULL, stderr=errors,
-                env=os.environ | {"TMPDIR": str(folder / "tmp"), "LUMITREE_DEBUG": "1"},
+                env=os.environ | {"TMPDIR": str(folder / "tmp"), "LUMITREE_DEBUG": "1"} | _DATE,
             )  # fmt: skip
         self._seen: set[str] = set(_temporary(folder))
         self.writes: list[float] = []

@@ -10,6 +10,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.formats.ies import read_ies, write_ies
 from lumitree.formats.ldt import read_ldt, write_ldt
 from lumitree.formats.opening import Opening
+from lumitree.formats.photometric_text import date_of_writing
 from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of
 from support.damage import damaged, refused
 
@@ -65,6 +66,20 @@ def test_absolute_photometry_and_names(tmp_path, write, read, suffix):
     assert again.emitted_lumens is None
     assert again.lumens == pytest.approx(written.lumens, rel=1e-5)
     assert again.name.startswith("a?b é ?")
+
+
+@pytest.mark.parametrize("write", [write_ies, write_ldt])
+def test_the_date_can_be_given(tmp_path, monkeypatch, write):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1767225600")
+    write(tmp_path / "lamp", distribution())
+    assert b"2026-01-01" in (tmp_path / "lamp").read_bytes()
+
+
+@pytest.mark.parametrize("seconds", ["", "today", "1" * 30, "nan"])
+def test_a_date_that_is_none_is_refused(monkeypatch, seconds):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", seconds)
+    with pytest.raises(LumitreeError, match=r"SOURCE_DATE_EPOCH is .*expected seconds since 1970"):
+        date_of_writing()
 
 
 def test_ies_by_another_reader(tmp_path):

@@ -56,6 +56,15 @@ def test_layout(path, mi):
     assert row[6] == pytest.approx(luminance(rays.flux[1]))
 
 
+def test_equal_rays_of_one_date_are_equal_files(path, mi, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1767225600")
+    write_tm25(path, random_rays(3), "bulb")
+    first = path.read_bytes()
+    assert first[28:56].rstrip(b"\0") == b"2026-01-01T00:00:00Z"
+    write_tm25(path, random_rays(3), "bulb")
+    assert path.read_bytes() == first
+
+
 def test_round_trip(path, mi):
     rays = random_rays()
     write_tm25(path, rays, "name")

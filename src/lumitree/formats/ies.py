@@ -14,7 +14,6 @@ standard in more ways than the library accepts.
 Numbers are separated by spaces, line ends or commas. `ies_fields` has what depends on the edition.
 """
 
-import datetime
 import os
 import re
 from pathlib import Path
@@ -35,7 +34,13 @@ from lumitree.formats.ies_fields import (
 )
 from lumitree.formats.ies_numbers import SECOND_NUMBER, Numbers, Tilt, read_numbers, read_tilt
 from lumitree.formats.opening import Opening, lm63_dimensions, lm63_opening
-from lumitree.formats.photometric_text import integer, one_line, read_text, warn_of_file
+from lumitree.formats.photometric_text import (
+    date_of_writing,
+    integer,
+    one_line,
+    read_text,
+    warn_of_file,
+)
 from lumitree.formats.symmetry import (
     completed,
     on_grid,
@@ -86,7 +91,7 @@ def ies_content(distribution: IntensityDistribution) -> bytes:
         luminaire=one_line(distribution.name),
         test=_test(distribution),
         testlab=_MAKER,
-        issuedate=datetime.date.today().isoformat(),
+        issuedate=date_of_writing().date().isoformat(),
         lumens_per_lamp=-1 if emitted is None else round(emitted, 4),
         width=round(width, 6),
         length=round(length, 6),

@@ -5,7 +5,6 @@ the C planes, the γ angles, and for each plane that the symmetry does not make 
 intensities at all γ.
 """
 
-import datetime
 import os
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from lumitree.formats.opening import Opening
 from lumitree.formats.photometric_text import (
     MAX_ANGLES,
     MAX_SETS,
+    date_of_writing,
     integer,
     number,
     one_line,
@@ -106,7 +106,7 @@ def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
         luminaire_name=one_line(distribution.name),
         luminaire_number=one_line(distribution.name),
         file_name=one_line(file_name),
-        date_user=datetime.date.today().isoformat(),
+        date_user=date_of_writing().date().isoformat(),
         length=length,
         width=width,
         height=height,

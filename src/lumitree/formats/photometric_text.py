@@ -1,5 +1,6 @@
-"""Text of photometric files: its encoding, and messages about its numbers."""
+"""Text of photometric files: its encoding, its date, and messages about its numbers."""
 
+import datetime
 import os
 import warnings
 from collections.abc import Callable
@@ -78,6 +79,26 @@ def integer(value: float, what: str, low: int, high: int) -> int:
 def one_line(text: str) -> str:
     """Text for one line of a file: printable characters of Latin-1."""
     return shown(text, _TEXT).replace("…", ".").encode("latin-1", "replace").decode("latin-1")
+
+
+def date_of_writing() -> datetime.datetime:
+    """The date that a written file states.
+
+    That of now, or of the environment variable SOURCE_DATE_EPOCH, seconds since 1970, with which
+    equal commands write equal files at any time (https://reproducible-builds.org).
+
+    Raises:
+        LumitreeError: the variable is not a number of seconds.
+    """
+    seconds = os.environ.get("SOURCE_DATE_EPOCH")
+    if seconds is None:
+        return datetime.datetime.now().astimezone()
+    try:
+        return datetime.datetime.fromtimestamp(int(seconds), datetime.UTC)
+    except (ValueError, OverflowError, OSError):
+        raise LumitreeError(
+            f"SOURCE_DATE_EPOCH is {shown(seconds, 40)}; expected seconds since 1970, or unset it"
+        ) from None
 
 
 def warn_of_file(path: str | os.PathLike[str], text: str) -> None:

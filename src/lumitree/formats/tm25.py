@@ -52,7 +52,7 @@ from lumitree.core.photometry import (
 )
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
-from lumitree.formats.photometric_text import warn_of_file
+from lumitree.formats.photometric_text import date_of_writing, warn_of_file
 from lumitree.formats.ray_spectrum import rays_spectrum
 from lumitree.formats.rays import Rays
 from lumitree.formats.type_c import y_up, z_up
@@ -115,7 +115,8 @@ def write_tm25(path: str | os.PathLike[str], rays: Rays, name: str) -> None:
     header["lumens"] = luminance(rays.flux.sum(axis=0))
     header["watts"] = np.nan
     header["num_rays"] = len(rays)
-    header["date"] = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ").encode()
+    date = date_of_writing().astimezone(datetime.UTC)
+    header["date"] = date.strftime("%Y-%m-%dT%H:%M:%SZ").encode()
     header["wavelengths"] = np.nan
     header["flags"] = [1, 1, 0, 0, 1, 0, 1, 0]
     for text, value in zip(
