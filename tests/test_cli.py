@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
 
@@ -17,6 +18,7 @@ from PIL import Image
 
 import lumitree
 from lumitree.cli import main
+from lumitree.core.work_folder import MARKER
 from lumitree.trace.flux_figures import Flux
 from support.fields import make_asset, random_asset
 
@@ -206,6 +208,18 @@ def test_bad_input_of_the_network(network_packages, capsys, arguments, message):
     error, created = fails(capsys, *arguments)
     assert message in error
     assert created == set()
+
+
+def test_each_command_removes_what_killed_ones_left(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    left = tmp_path / "lumitree-scratch-12345678"
+    left.mkdir()
+    (left / MARKER).touch()
+    assert main(["list"]) == 0
+    assert not left.exists()
+    # Without such a folder, commands that need none run.
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    assert main(["list"]) == 0
 
 
 def test_what_a_command_cannot_do_is_refused_before_it_works(capsys, monkeypatch):

@@ -153,7 +153,7 @@ JOBS = (
     Job(
         "bake of lamps",
         ("bake", "lamp.xml", "lamp2.xml", "model.obj", "-o", "out/", "--config", "light.toml"),
-        state=("*.work", "*.work/*", "index-files/*.claim"),
+        state=("*.work", "*.work/*", "index-files/*.claim", "index-files/*.lock"),
         # Pages and names have the lamps so far; records get the time of a file once it is old.
         varying=("*.html", "*/names.js", "index-files/*.json"),
         done=_lamps,

@@ -35,6 +35,7 @@ from lumitree.cli.output import LONGEST_LINE
 from lumitree.core.backend import quieten
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.program import ignore_signals
+from lumitree.core.work_folder import remove_abandoned_scratch
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 DEBUG = "LUMITREE_DEBUG"
@@ -105,6 +106,8 @@ def _run(arguments: list[str]) -> int:
             complete(parser)
             args = parser.parse_args(_join_vectors(arguments or ["--help"]))
             _check_json_output(args.json)
+            # A command that continues a killed one may need no temporary folder itself.
+            remove_abandoned_scratch()
             result = args.run(args)
         with deferred_interrupt("the work is complete; a second signal ends at once"):
             _show(args, result)

@@ -213,6 +213,12 @@ def scratch_folder() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def remove_abandoned_scratch() -> None:
+    """Remove the temporary folders that killed processes left, as far as that is allowed."""
+    with contextlib.suppress(OSError):
+        _remove_all_abandoned(Path(tempfile.gettempdir()), SCRATCH)
+
+
 class ScratchFolder:
     """A temporary folder that lasts as long as the object, and at most as long as the process.
 
@@ -353,9 +359,7 @@ def _create_locked(root: Path, prefix: str) -> tuple[Path, int | None]:
 
     Folders with the same prefix that killed processes left are removed.
     """
-    for folder in root.iterdir():
-        if re.fullmatch(f"{re.escape(prefix)}[a-z0-9_]{{8}}", folder.name):
-            _remove_abandoned(folder)
+    _remove_all_abandoned(root, prefix)
     while True:
         folder = Path(tempfile.mkdtemp(prefix=prefix, dir=root))
         # Before the marker is locked, another process may take the folder for abandoned.
@@ -364,6 +368,12 @@ def _create_locked(root: Path, prefix: str) -> tuple[Path, int | None]:
             if lock(handle) is not False and os.fstat(handle).st_nlink:
                 return folder, keep(handle)
             os.close(handle)
+
+
+def _remove_all_abandoned(root: Path, prefix: str) -> None:
+    for folder in root.iterdir():
+        if re.fullmatch(f"{re.escape(prefix)}[a-z0-9_]{{8}}", folder.name):
+            _remove_abandoned(folder)
 
 
 def _remove_abandoned(folder: Path) -> None:
