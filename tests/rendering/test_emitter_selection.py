@@ -224,3 +224,19 @@ def test_lamps_of_one_kind_share_their_code(mi, monkeypatch, parts):
     # Rounding may send a few paths elsewhere.
     assert np.median(np.abs(shared - apart)) < 1e-4 * apart.mean()
     assert shared.mean() == pytest.approx(apart.mean(), rel=0.01)
+
+
+def test_gains_of_many_lamps_are_joined_with_their_derivatives(mi):
+    """In groups: one kernel of 1,000 arrays takes minutes to compile."""
+    import drjit as dr
+
+    from lumitree.rendering.plugins.lamp_kinds import joined_colours
+
+    colours = [mi.Color3f(index, 2 * index, 3 * index) for index in range(300)]
+    dr.enable_grad(colours[170])
+    found = joined_colours(colours)
+    expected = np.arange(300) * np.array([[1], [2], [3]])
+    assert np.array_equal(np.array(found), expected)
+    dr.forward(colours[170].y)
+    assert np.flatnonzero(np.array(dr.grad(found.y))).tolist() == [170]
+    assert not np.array(dr.grad(found.x)).any()

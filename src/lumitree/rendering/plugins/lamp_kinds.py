@@ -19,6 +19,8 @@ from lumitree.rendering.plugins.lamp_light import LampLight
 
 # Packets of four numbers of a lamp: scale, centre and rotation.
 _PACKETS = 4
+# Arrays that one kernel joins: with 1,000, LLVM compiles it for more than ten minutes.
+_JOINED = 16
 
 
 class LampKinds:
@@ -52,9 +54,7 @@ class LampKinds:
         kind_of[kind_of == len(lamps)] = len(kinds)
         self._kind_of, self._slot_of = on_device(mi.UInt32, kind_of), on_device(mi.UInt32, slot_of)
         self._rows = on_device(mi.Float, rows)
-        gains = [lamp.light().gain for lamp in lamps.values()]
-        self._gains = mi.Color3f(*(dr.concat([gain[i] for gain in gains]) for i in range(3)))
-        dr.eval(self._gains)
+        self._gains = joined_colours([lamp.light().gain for lamp in lamps.values()])
 
     def call(self, function: Callable[..., Any], emitter: mi.EmitterPtr, *args: Any) -> Any:
         """As `dr.dispatch`.
@@ -97,6 +97,20 @@ class LampKinds:
             return dr.dispatch(emitter, record, *args) if self._others else function(None, *args)
 
         return call
+
+
+def joined_colours(colours: list[mi.Color3f]) -> mi.Color3f:
+    """Evaluated arrays, one after another, in one; derivatives pass through."""
+    while len(colours) > 1:
+        groups = [colours[i : i + _JOINED] for i in range(0, len(colours), _JOINED)]
+        colours = [_concatenated(group) for group in groups]
+    return colours[0]
+
+
+def _concatenated(colours: list[mi.Color3f]) -> mi.Color3f:
+    colour = mi.Color3f(*(dr.concat([each[i] for each in colours]) for i in range(3)))
+    dr.eval(colour)
+    return colour
 
 
 def _kind(lamp: DeferredEmitter) -> Hashable:
