@@ -147,6 +147,12 @@ def test_a_spectrum_gives_the_colour(made):
     assert asset_lumens(asset) == pytest.approx(300 * np.pi, rel=5e-3)
     assert colour_temperature(watts)[0] == pytest.approx(2700, rel=5e-3)
     assert watts / luminance(watts) * 683 == pytest.approx(blackbody_colour(2700), abs=0.01)
+    # Of an emitter that is off there is no colour.
+    off = '<TiltAngles><Tilt angle="0">0</Tilt></TiltAngles>'
+    with pytest.warns(LumitreeWarning, match="the one for 0 degrees, 0, is used"):
+        distribution, colour = read_tm33(made(before=off, after=spectrum))
+    assert distribution.lumens == 0
+    assert colour == (1, 1, 1)
 
 
 @pytest.mark.parametrize("kind", ["CIE_C", "IES _ C", "TypeC", "B"])

@@ -70,7 +70,7 @@ def read_tm33(path: str | os.PathLike[str]) -> tuple[IntensityDistribution, RGB]
 
     Returns:
         The intensities of all emitters together, and the colour of their spectra, linear RGB of
-        luminance 1; white without spectra.
+        luminance 1; white without spectra, and of a lamp that emits nothing.
 
     Raises:
         LumitreeError: the file is missing or damaged, or has no luminous intensities.
@@ -236,7 +236,12 @@ def _sum(parts: list[IntensityDistribution]) -> IntensityDistribution:
 
 
 def _colour(emitters: list[Element], lumens: list[float]) -> RGB:
-    """Linear RGB of luminance 1 of the spectra of emitters, each weighted by its flux."""
+    """Linear RGB of luminance 1 of the spectra of emitters, each weighted by its flux.
+
+    White without spectra, or without flux.
+    """
+    if not sum(lumens) > 0:
+        return (1.0, 1.0, 1.0)
     total = np.zeros(3)
     for emitter, flux in zip(emitters, lumens, strict=True):
         table = emitter.findall("SpectralData/EmitterSpectral/PwrData")
