@@ -37,8 +37,8 @@ def changed_toml(content, rng):
     if chance(rng, 0.1):
         return damaged(content, rng)
     if chance(rng, 0.8):
-        # An earlier change may have left no TOML.
-        with contextlib.suppress(ValueError):
+        # An earlier change may have left no TOML, or one that is nested too deeply.
+        with contextlib.suppress(ValueError, RecursionError):
             tree = tomllib.loads(content.decode())
             return json_trees.written_toml(json_trees.changed(tree, rng))
     return words.changed(content, rng, separators=_TOML_SEPARATORS)
