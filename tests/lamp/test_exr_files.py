@@ -7,6 +7,7 @@ import pytest
 from lumitree.errors import LumitreeError
 from lumitree.lamp.exr_files import check_exr_file
 from lumitree.lamp.loading import load_luminaire
+from lumitree.rendering.scene import load_scene
 from support.damage import checked
 from support.lamps import AREA, scene, sphere
 
@@ -83,6 +84,21 @@ def test_offsets_and_sizes_of_chunks(tmp_path):
         refused(path, whole[:at] + size.to_bytes(4, "little") + whole[at + 4 :])
 
 
+def test_chunks_that_are_mixed_up(tmp_path):
+    path = tmp_path / "a.exr"
+    whole = written(path, "NO", 2)
+    table = len(whole) - 2 * 8 - 2 * (8 + 120)
+    first, second, after = whole[table : table + 8], whole[table + 8 : table + 16], table + 16
+    refused(path, whole[:table] + second + first + whole[after:])
+    refused(path, whole[:after] + (7).to_bytes(4, "little") + whole[after + 4 :])
+
+
+def test_lines_from_below(tmp_path):
+    path = tmp_path / "a.exr"
+    written(path, "ZIP", 40, lineOrder=OpenEXR.DECREASING_Y)
+    check_exr_file(path)
+
+
 @pytest.mark.parametrize("bit", range(8))
 def test_damaged_headers_are_refused_or_left_to_mitsuba(tmp_path, bit):
     path = tmp_path / "a.exr"
@@ -99,6 +115,24 @@ def test_other_files_are_left_to_mitsuba(tmp_path):
     check_exr_file(tmp_path)
     (tmp_path / "a.exr").write_bytes(b"no image")
     check_exr_file(tmp_path / "a.exr")
+
+
+def test_pixels_that_are_not_numbers_are_refused(mi, tmp_path):
+    pixels = np.ones((4, 8, 3), np.float32)
+    mi.Bitmap(pixels).write(str(tmp_path / "sky.exr"))
+    room = {
+        "type": "scene",
+        "integrator": {"type": "path"},
+        "camera": {"type": "perspective"},
+        "sky": {"type": "envmap", "filename": str(tmp_path / "sky.exr")},
+    }
+    load_scene(room)
+    pixels[1, 2, 0], pixels[3, 3] = np.nan, np.inf
+    mi.Bitmap(pixels).write(str(tmp_path / "sky.exr"))
+    with pytest.raises(
+        LumitreeError, match=r"the emitter sky has \d+ values in 'data' that are not"
+    ):
+        load_scene(room)
 
 
 def test_a_texture_that_is_cut_off_is_refused(mi, tmp_path):

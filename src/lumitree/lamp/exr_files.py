@@ -1,14 +1,15 @@
 """A check of OpenEXR images of a scene, before Mitsuba reads them.
 
 Mitsuba 3.9 reads the chunks of an image in other threads, where an error ends the process: also of
-a file that is cut off, as after an interrupted download. So all chunks have to be in the file. Of a
-tiled image with several levels these are the chunks of the first level, which Mitsuba reads.
+a file that is cut off, as after an interrupted download. So all chunks have to be in the file, and
+each has to be the one that the table of chunks promises. Of a tiled image with several levels these
+are the chunks of the first level, which Mitsuba reads.
 """
 
 import math
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -50,20 +51,28 @@ def _check(file: BinaryIO, size: int) -> None:
         raise LumitreeError("it has deep data, which Mitsuba does not read")
     several = bool(version & _PARTS)
     headers = list(_headers(file, several))
-    for header in headers:
+    for part, header in enumerate(headers):
         tiled = header[b"type"].startswith(b"tiled") if several else bool(version & _TILED)
-        first, listed = _counts(header, tiled)
-        if not first <= listed <= _MAX_CHUNKS:
+        places = _tiles(header) if tiled else _lines(header)
+        first = len(places)
+        # Required of several parts only, of which the tables follow each other.
+        listed = first
+        if b"chunkCount" in header:
+            (listed,) = struct.unpack("<i", header[b"chunkCount"])
+        _check_count(listed)
+        if listed < first:
             raise LumitreeError(f"it states {listed} chunks, where it has {first}")
         table = struct.unpack(f"<{listed}Q", file.read(8 * listed))
         after = file.tell()
         # A chunk begins with its part, its place, and its size.
         numbers = several + (4 if tiled else 1) + 1
-        for offset in table[:first]:
+        for place, offset in zip(places, table[:first], strict=True):
             if not 0 < offset <= size - 4 * numbers:
                 raise LumitreeError("it is cut off, or was not written to its end")
             file.seek(offset)
-            length = struct.unpack(f"<{numbers}i", file.read(4 * numbers))[-1]
+            *found, length = struct.unpack(f"<{numbers}i", file.read(4 * numbers))
+            if found != [part] * several + list(place):
+                raise LumitreeError("its chunks are mixed up")
             if not 0 <= length <= size - offset - 4 * numbers:
                 raise LumitreeError("it is cut off")
         file.seek(after)
@@ -97,16 +106,32 @@ def _text(file: BinaryIO) -> bytes:
     raise LumitreeError("its header is damaged")
 
 
-def _counts(header: _Header, tiled: bool) -> tuple[int, int]:
-    """Number of chunks of the first level of a part, and of all that its table lists."""
+def _lines(header: _Header) -> Sequence[tuple[int]]:
+    """First line of each chunk of a part with scan lines."""
+    _, height = _size(header)
+    lines = _LINES[header[b"compression"][0]]
+    _check_count(math.ceil(height / lines))
+    _, top, _, _ = struct.unpack("<4i", header[b"dataWindow"])
+    return [(top + line,) for line in range(0, height, lines)]
+
+
+def _tiles(header: _Header) -> Sequence[tuple[int, int, int, int]]:
+    """Column, row, and levels of each chunk of the first level of a tiled part."""
+    across, down, _ = struct.unpack("<IIB", header[b"tiles"])
+    columns, rows = (math.ceil(n / m) for n, m in zip(_size(header), (across, down), strict=True))
+    _check_count(columns * rows)
+    return [(column, row, 0, 0) for row in range(rows) for column in range(columns)]
+
+
+def _check_count(chunks: int) -> None:
+    if chunks > _MAX_CHUNKS:
+        raise LumitreeError(f"it states {chunks:,} chunks")
+
+
+def _size(header: _Header) -> tuple[int, int]:
+    """Width and height, pixels."""
     left, top, right, bottom = struct.unpack("<4i", header[b"dataWindow"])
     width, height = right - left + 1, bottom - top + 1
     if not (0 < width <= _MAX_SIDE and 0 < height <= _MAX_SIDE):
         raise LumitreeError(f"it has {width} x {height} pixels")
-    if tiled:
-        across, down, _ = struct.unpack("<IIB", header[b"tiles"])
-        first = math.ceil(width / across) * math.ceil(height / down)
-    else:
-        first = math.ceil(height / _LINES[header[b"compression"][0]])
-    # Required of several parts only, of which the tables follow each other.
-    return first, struct.unpack("<i", header.get(b"chunkCount", struct.pack("<i", first)))[0]
+    return width, height

@@ -1,13 +1,15 @@
 """The first evaluation of a scene's BSDFs and emitters, by which Mitsuba's exceptions are found.
 
 Some plugins accept when they are created what they cannot evaluate: a bump map of a procedural
-texture, or a curve that emits. Nothing is compiled here: the functions of the plugins run, and what
-they compute is dropped.
+texture, a curve that emits, or an image with pixels that are not numbers. Nothing is compiled here:
+the functions of the plugins run, and what they compute is dropped.
 """
 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
+
+import numpy as np
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError, LumitreeWarning, renderer_reason, shown
@@ -17,7 +19,7 @@ from lumitree.lamp.scene_shapes import SceneShape, shapes_of_scene
 def check_evaluates(
     scene: Any, shapes: Sequence[SceneShape], where: str, *, rays: bool = True
 ) -> None:
-    """Refuse a scene with a BSDF or an emitter that Mitsuba cannot evaluate.
+    """Refuse a scene with a BSDF or an emitter that Mitsuba cannot evaluate to numbers.
 
     Warns of mesh attributes that a shape lacks.
 
@@ -36,11 +38,13 @@ def check_evaluates(
         bsdf, emitter = shape.bsdf(), shape.emitter()
         if bsdf is not None and id(bsdf) not in tried:
             what = f"the BSDF of shape {names.label}, {names.bsdf or bsdf.class_name()},"
+            _check_finite(bsdf, f"{where}: {what}")
             _try(_bsdf_calls(bsdf, shape), f"{where}: {what}")
             # Kept: another object could get the number of one that is freed.
             tried[id(bsdf)] = bsdf
         if emitter is not None:
             what = f"the emitter of shape {names.label}, {names.emitter or emitter.class_name()},"
+            _check_finite(emitter, f"{where}: {what}")
             _try(_emitter_calls(emitter, shape, rays), f"{where}: {what}")
         for name in names.attributes:
             if not all(shape.has_attribute(name)):
@@ -52,8 +56,23 @@ def check_evaluates(
                 )
     for emitter in scene.emitters():
         if emitter.get_shape() is None:
-            calls = _emitter_calls(emitter, None, False)
-            _try(calls, f"{where}: the emitter {emitter.id() or emitter.class_name()}")
+            what = f"{where}: the emitter {emitter.id() or emitter.class_name()}"
+            _check_finite(emitter, what)
+            _try(_emitter_calls(emitter, None, False), what)
+
+
+def _check_finite(plugin: Any, what: str) -> None:
+    """Refuse a plugin with pixels or other parameters that are not finite."""
+    params = load_mitsuba().traverse(plugin)
+    for key in params.keys():  # noqa: SIM118, it is no dictionary
+        values = np.asarray(params[key])
+        if values.dtype.kind != "f" or np.isfinite(values).all():
+            continue
+        wrong = values.size - np.count_nonzero(np.isfinite(values))
+        raise LumitreeError(
+            f"{what} has {wrong:,} values in {shown(repr(key), 100)} that are not finite numbers, of "
+            f"{values.size:,}; images would not be numbers either: replace the image or the value"
+        )
 
 
 def _try(calls: Iterator[Callable[[], Any]], what: str) -> None:
