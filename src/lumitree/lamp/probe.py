@@ -70,8 +70,8 @@ def _check_finite(plugin: Any, what: str) -> None:
             continue
         wrong = values.size - np.count_nonzero(np.isfinite(values))
         raise LumitreeError(
-            f"{what} has {wrong:,} values in {shown(repr(key), 100)} that are not finite numbers, of "
-            f"{values.size:,}; images would not be numbers either: replace the image or the value"
+            f"{what} has {wrong:,} of {values.size:,} values in {shown(repr(key), 100)} that are "
+            "not finite numbers; images would not be numbers either: replace the image or the value"
         )
 
 
