@@ -129,9 +129,7 @@ def test_pixels_that_are_not_numbers_are_refused(mi, tmp_path):
     load_scene(room)
     pixels[1, 2, 0], pixels[3, 3] = np.nan, np.inf
     mi.Bitmap(pixels).write(str(tmp_path / "sky.exr"))
-    with pytest.raises(
-        LumitreeError, match=r"the emitter sky has \d+ values in 'data' that are not"
-    ):
+    with pytest.raises(LumitreeError, match=r"the emitter sky has \d+ of \d+ values in 'data'"):
         load_scene(room)
 
 
