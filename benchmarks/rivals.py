@@ -14,8 +14,9 @@ Figures of each method: CPU time of a sample a pixel; variance of a sample relat
 mean, in the mean over the pixels that show diffuse surfaces of the room, without the 0.1 % of
 largest; the product of both over that of the baked lamp; the mean brightness of these surfaces over
 that of the explicit lamp by `lumitree_path`; the CPU time of a whole image to an `rmse_display` of
-8, 5 and 2.7 by noise alone; and the noise of diffuse surfaces in images that are denoised (optional
-extra `denoise`). Writes `rivals.md`, `rivals.json` and, for each luminaire,
+8, 5 and 2.7 by noise alone; the `rmse_display` that is left of it without noise, against that of
+the explicit lamp by `lumitree_path`; and the noise of diffuse surfaces in images that are denoised
+(optional extra `denoise`). Writes `rivals.md`, `rivals.json` and, for each luminaire,
 `rivals-LUMINAIRE.png`: the images of all methods at equal time.
 """
 
@@ -35,7 +36,7 @@ from benchmarks.equal_error.batches import LongRun, digest
 from benchmarks.equal_error.readings import DISPLAY_LEVELS
 from benchmarks.rival_methods.cycles_methods import cycles_methods
 from benchmarks.rival_methods.denoising import Guides, denoised_noise
-from benchmarks.rival_methods.figures import TOLERANCE, figures, time_text
+from benchmarks.rival_methods.figures import TOLERANCE, bias_text, figures, time_text
 from benchmarks.rival_methods.luxcore import find_luxcore, luxcore_methods
 from benchmarks.rival_methods.method import PATH_DEPTH, Method, extend, opened_run
 from benchmarks.rival_methods.mitsuba_methods import mitsuba_methods
@@ -45,7 +46,7 @@ from lumitree.lamp.source import LuminaireSource
 
 LUMINAIRES = ("bulbs", "dallas", "neoclassical", "star")
 BASELINES = ("baked", "light")
-# What the mean brightness of diffuse surfaces is compared with: of Mitsuba's integrators the one
+# What the brightness of images is compared with: of Mitsuba's integrators the one
 # that starts rays so near to surfaces that thin glass emits what it should, see
 # docs/decisions/media.md. It is noisy, and needs more time than the others: `--only`.
 REFERENCE = "lumitree-path"
@@ -175,7 +176,7 @@ def table(row: dict[str, Any]) -> Table:
     heads = ["method", "CPU ms a sample", "variance", "product over ours", "over light field alone"]
     heads += ["mean over reference", "verdict"]
     heads += [f"CPU s to {level:g}" for level in DISPLAY_LEVELS]
-    heads += ["denoised: noise", "CPU s", "samples", "CPU s of all"]
+    heads += ["bias", "denoised: noise", "CPU s", "samples", "CPU s of all"]
     lines = []
     for name, method in row["methods"].items():
         mean = method["mean"]
@@ -190,6 +191,7 @@ def table(row: dict[str, Any]) -> Table:
             "; ".join([verdict, *method["lost"]]),
         ]
         cells += [time_text(each) for each in method["display"]] or ["-"] * len(DISPLAY_LEVELS)
+        cells.append("-" if name == row["reference"] else bias_text(method["display_bias"]))
         noise = method.get("denoised")
         cells += (
             ["-"] * 2 if noise is None else [f"{noise['error']:.1%}", f"{noise['seconds']:.1f}"]
@@ -241,7 +243,9 @@ def report(rows: list[dict[str, Any]], facts: dict[str, Any]) -> str:
     text += "Product: CPU time of a sample times its relative variance on diffuse surfaces. "
     text += f"Verdict: whether the mean of these is within {TOLERANCE:.0%} of the reference. "
     text += "CPU s: of a whole image to an `rmse_display` by noise alone; ~ is extrapolated by "
-    text += "the variance, and < is a bound from the cheapest image. Denoised: relative RMS error "
+    text += "the variance, and < is a bound from the cheapest image. Bias: the `rmse_display` of a "
+    text += "whole image without noise, against the reference without noise; < is a bound where it "
+    text += "is within two standard errors of none. Denoised: relative RMS error "
     text += "by noise on diffuse surfaces of images that cost as many CPU s as stated.\n\n"
     for row in rows:
         text += f"## {row['luminaire']}\n\n{table(row).markdown()}\n"

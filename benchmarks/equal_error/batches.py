@@ -3,6 +3,7 @@
 import hashlib
 import json
 import time
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,8 +20,8 @@ Render = Callable[[int, int], Floats]
 
 MIN_BATCHES, MAX_BATCHES = 8, 32
 MIN_RUNGS = 6
-# Seeds of long runs start here; those of ladders stay below.
-_LONG_SEEDS = 1 << 14
+# Seeds of long runs start here; those of ladders stay below. Each run may have so many images.
+_LONG_SEEDS, _RUN_SEEDS, _RUNS = 1 << 14, 1 << 15, 1 << 15
 
 
 def digest(*parts: Any) -> str:
@@ -40,11 +41,14 @@ class LongRun:
 
     Args:
         path: of the file.
+        name: of what is rendered. Runs with different names have different seeds, so that what is
+            told from two of them is not told from common random numbers.
         first_samples: samples a pixel of a batch at the beginning.
     """
 
-    def __init__(self, path: Path, first_samples: int = 4) -> None:
+    def __init__(self, path: Path, name: str, first_samples: int = 4) -> None:
         self._path = path
+        self._first_seed = _LONG_SEEDS + zlib.crc32(name.encode()) % _RUNS * _RUN_SEEDS
         self.batches: Floats = np.zeros((0, 0, 0, 3), np.float32)
         self.samples, self._next = first_samples, 0
         self.seconds: dict[ClockName, float] = {"wall": 0.0, "cpu": 0.0}
@@ -67,7 +71,7 @@ class LongRun:
     @property
     def next_seeds(self) -> range:
         """Seeds of the images that may follow until neighbours are averaged."""
-        first = _LONG_SEEDS + self._next
+        first = self._first_seed + self._next
         return range(first, first + MAX_BATCHES - len(self.batches))
 
     def extend(self, render: Render, budget: float) -> None:

@@ -86,7 +86,7 @@ class Method:
         self.folder.mkdir(parents=True, exist_ok=True)
         remember(self.folder, {"source": source, **key})
         pixels = int(np.prod(room.sensors()[0].film().size()))
-        self.long = LongRun(self.folder / "long.npz", first_samples(pixels))
+        self.long = LongRun(self.folder / "long.npz", self.folder.name, first_samples(pixels))
         self.rungs: list[dict] = []
 
         def render_pair(samples: int, seed: int) -> Any:

@@ -114,9 +114,9 @@ def _reference(
         return np.array(image)[..., :3]
 
     folder.mkdir(parents=True, exist_ok=True)
-    lights = LongRun(folder / f"desk-light-{key}.npz", first_samples=_LIGHT_SAMPLES)
+    lights = LongRun(folder / f"desk-light-{key}.npz", "light", first_samples=_LIGHT_SAMPLES)
     lights.extend(light, _LIGHT_SHARE * seconds)
-    paths = LongRun(folder / f"desk-paths-{key}.npz", first_samples=_TIMED_SAMPLES)
+    paths = LongRun(folder / f"desk-paths-{key}.npz", "paths", first_samples=_TIMED_SAMPLES)
     paths.extend(
         lambda samples, number: _image(*scene, samples, seed + number),
         (1 - _LIGHT_SHARE) * seconds,

@@ -15,6 +15,7 @@ from benchmarks.equal_error.error_against_time import (
     display_exposure,
     display_rmse,
     ratio_of_means,
+    squared_difference,
     time_to_reach,
     trimmed_mean,
 )
@@ -53,6 +54,8 @@ class Figures:
             without the 0.1 % of the pixels with the largest.
         mean: mean brightness of diffuse surfaces over that of the reference.
         display: time of whole images; empty for a method that does not show the lamp.
+        display_bias: square of the `rmse_display` that is left of whole images without noise,
+            against those of the reference; None for a method that does not show the lamp.
         samples: per pixel, of all images.
         images: number of images.
         seconds: CPU seconds of all images.
@@ -62,6 +65,7 @@ class Figures:
     variance: float
     mean: Estimate
     display: tuple[Reached, ...]
+    display_bias: Estimate | None
     samples: int
     images: int
     seconds: float
@@ -92,7 +96,7 @@ def figures(
     Args:
         run: the images.
         diffuse: [H, W] pixels that show diffuse surfaces alone.
-        reference: images whose mean brightness is right.
+        reference: images that are right, but for their noise.
         whole: [H, W, 3] image with little noise, whose exposure and tones `rmse_display` is
             measured with; None for a method without whole images.
         scale: [H, W, 3] image with little noise on diffuse surfaces, by which noise is divided.
@@ -103,6 +107,7 @@ def figures(
         variance=relative_variance(run.batches, scale, diffuse) * run.samples,
         mean=ratio_of_means(run.batches * weights, reference.batches * weights),
         display=() if whole is None else display_times(run, whole),
+        display_bias=None if whole is None else display_bias(run, reference, whole),
         samples=run.samples_per_pixel,
         images=len(run.batches),
         seconds=run.seconds["cpu"],
@@ -167,18 +172,35 @@ def display_times(run: LongRun, whole: NDArray[np.floating]) -> tuple[Reached, .
     return tuple(found)
 
 
-def display_variance(run: LongRun, whole: NDArray[np.floating]) -> float:
-    """Variance of a sample on the scale of `rmse_display`, in the mean over pixels.
+def display_weights(whole: NDArray[np.floating]) -> NDArray[np.float64]:
+    """[H, W, 3] factors of small squared errors of radiance to those on the display's scale.
 
-    It is that of small noise, as images have it at `DISPLAY_LEVELS`: the variance of the radiance
-    times the squared slope of the exposed and encoded tones at the image `whole` [H, W, 3].
+    They are the squared slopes of the exposed and encoded tones at the image `whole` [H, W, 3].
     Clipped pixels have none.
     """
     exposed, step = display_exposure(whole) * whole, 0.01
     upper, lower = (srgb_from_linear(exposed * (1 + sign * step)) for sign in (1, -1))
-    relative = run.batches.var(0, ddof=1, dtype=np.float64) / np.maximum(whole, 1e-9) ** 2
     slope = 255 * (upper - lower) / (2 * step)
-    return float((slope**2 * relative).mean() * run.samples)
+    return (slope / np.maximum(whole, 1e-9)) ** 2
+
+
+def display_variance(run: LongRun, whole: NDArray[np.floating]) -> float:
+    """Variance of a sample on the scale of `rmse_display`, in the mean over pixels.
+
+    It is that of small noise, as images have it at `DISPLAY_LEVELS`, about the image `whole`
+    [H, W, 3].
+    """
+    variance = run.batches.var(0, ddof=1, dtype=np.float64)
+    return float((display_weights(whole) * variance).mean() * run.samples)
+
+
+def display_bias(run: LongRun, reference: LongRun, whole: NDArray[np.floating]) -> Estimate:
+    """Mean squared difference of what a method and the reference converge to.
+
+    On the scale of `rmse_display`, for small differences, about the image `whole` [H, W, 3]. The
+    noise of both is subtracted.
+    """
+    return squared_difference(run.batches, reference.batches, display_weights(whole))
 
 
 def time_text(reached: Mapping[str, Any]) -> str:
@@ -190,3 +212,17 @@ def time_text(reached: Mapping[str, Any]) -> str:
     sign = {"measured": "", "extrapolated": "~", "below": "<"}[reached["kind"]]
     digits = max(0, 1 - math.floor(math.log10(reached["seconds"])))
     return f"{sign}{reached['seconds']:,.{digits}f}"
+
+
+def bias_text(bias: Mapping[str, float] | None) -> str:
+    """The `rmse_display` of a squared bias, or the largest that two standard errors allow.
+
+    Args:
+        bias: members of an `Estimate`, by name; None for a method without whole images.
+    """
+    if bias is None:
+        return "-"
+    value, doubt = bias["value"], _SIGMAS * bias["error"]
+    if value > doubt:
+        return f"{math.sqrt(value):.1f}"
+    return f"<{math.sqrt(max(value, 0) + doubt):.1f}"

@@ -77,7 +77,7 @@ def opened_run(method: Method, folder: Path, key: dict[str, Any]) -> LongRun:
     own = folder / f"{method.name}-{digest(whole)}"
     own.mkdir(parents=True, exist_ok=True)
     remember(own, whole)
-    return LongRun(own / "long.npz", method.first_samples)
+    return LongRun(own / "long.npz", method.name, method.first_samples)
 
 
 def extend(run: LongRun, method: Method, seconds: float) -> None:

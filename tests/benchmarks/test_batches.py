@@ -20,7 +20,7 @@ class Renderer:
 
 def test_a_long_run_merges_its_batches_and_keeps_their_mean(tmp_path):
     render = Renderer()
-    run = LongRun(tmp_path / "long.npz")
+    run = LongRun(tmp_path / "long.npz", "a")
     for _ in range(MAX_BATCHES):
         run.add(render)
     pictures = [Renderer()(samples, seed) for samples, seed in render.calls]
@@ -33,14 +33,21 @@ def test_a_long_run_merges_its_batches_and_keeps_their_mean(tmp_path):
 
 def test_a_long_run_goes_on_with_new_seeds(tmp_path):
     first, second = Renderer(), Renderer()
-    LongRun(tmp_path / "long.npz").extend(first, 0.0)
-    again = LongRun(tmp_path / "long.npz")
+    LongRun(tmp_path / "long.npz", "a").extend(first, 0.0)
+    again = LongRun(tmp_path / "long.npz", "a")
     assert len(again.batches) == 8
     for _ in range(4):
         again.add(second)
     again.save()
     assert not {seed for _, seed in first.calls} & {seed for _, seed in second.calls}
-    assert LongRun(tmp_path / "long.npz").samples_per_pixel == again.samples_per_pixel == 48
+    assert LongRun(tmp_path / "long.npz", "a").samples_per_pixel == again.samples_per_pixel == 48
+
+
+def test_runs_have_no_common_seeds(tmp_path):
+    seeds = [LongRun(tmp_path / "long.npz", name).next_seeds for name in ("a", "b")]
+    assert not set(seeds[0]) & set(seeds[1])
+    assert min(min(seeds[0]), min(seeds[1])) >= 1 << 14
+    assert max(max(seeds[0]), max(seeds[1])) < 1 << 31
 
 
 def test_a_ladder_keeps_its_rungs(tmp_path):

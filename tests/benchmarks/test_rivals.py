@@ -13,13 +13,17 @@ from benchmarks.equal_error.batches import MAX_BATCHES, MIN_BATCHES, LongRun
 from benchmarks.equal_error.error_against_time import Estimate
 from benchmarks.rival_methods.figures import (
     Figures,
+    bias_text,
+    display_bias,
     display_ladder,
     display_times,
+    display_variance,
     figures,
     relative_variance,
     time_text,
 )
 from benchmarks.rival_methods.method import Method, TimedImage, extend, opened_run
+from lumitree.core.images import srgb_from_linear
 from lumitree.core.photometry import flux_from_radiance, luminance
 from lumitree.errors import LumitreeError
 from support.lamps import AREA, GLASS, lamp_of, scene, sphere
@@ -55,7 +59,7 @@ class Noisy:
 
 
 def run_of(renderer, path, images=24):
-    run = LongRun(path, 4)
+    run = LongRun(path, path.name, 4)
     for image in renderer.images(4, run.next_seeds[:images]):
         run.append(image.radiance, image.seconds)
     return run
@@ -130,7 +134,7 @@ def test_figures_of_known_noise(tmp_path):
     ],
 )
 def test_verdicts(mean, error, verdict):
-    found = Figures(1.0, 1.0, Estimate(mean, error), (), 1, 1, 1.0)
+    found = Figures(1.0, 1.0, Estimate(mean, error), (), None, 1, 1, 1.0)
     assert found.verdict == verdict
 
 
@@ -150,6 +154,27 @@ def test_display_error_of_noise_falls_as_the_root_of_time(tmp_path):
     for each in loud:
         quiet = errors[0] ** 2 * seconds[0] * (2.0 / 0.05) ** 2 / each.level**2
         assert each.seconds == pytest.approx(quiet, rel=0.15)
+
+
+@pytest.mark.parametrize("level", [1.0, 1.02])
+def test_bias_is_known_without_the_noise(tmp_path, level):
+    """Of two noisy runs: the difference of their levels, on the display's scale."""
+    run = run_of(Noisy(0.2, level), tmp_path / "a.npz")
+    reference = run_of(Noisy(0.4), tmp_path / "b.npz")
+    whole = np.ones((24, 32, 3))
+    found = display_bias(run, reference, whole)
+    encoded = srgb_from_linear(0.18 * np.array([1.0, level]))
+    expected = 255 * (encoded[1] - encoded[0])
+    assert found.value == pytest.approx(expected**2, abs=4 * found.error)
+    # Noise is more than three times as much.
+    assert found.error < 1 < display_variance(reference, whole) / reference.samples_per_pixel / 3
+
+
+def test_bias_is_stated_with_its_bound():
+    assert bias_text(None) == "-"
+    assert bias_text({"value": 4.0, "error": 1.0}) == "2.0"
+    assert bias_text({"value": 1.0, "error": 1.5}) == "<2.0"
+    assert bias_text({"value": -1.0, "error": 2.0}) == "<2.0"
 
 
 def test_denoised_images_have_less_noise(mi, tmp_path):
