@@ -129,8 +129,8 @@ def _member_name(rng, name):
     if chance(rng, 0.04):
         return pick(rng, (name.upper(), f"./{name}", name.replace("/", "\\"), f"../{name}"))
     if chance(rng, 0.01):
-        # zipfile writes no lone surrogates, and no empty names.
-        return text(rng).encode("utf-8", "ignore").decode() or " "
+        # zipfile writes no lone surrogates, nothing after a zero, and no empty names.
+        return text(rng).encode("utf-8", "ignore").decode().partition("\0")[0] or " "
     return name
 
 

@@ -329,10 +329,10 @@ class SceneFile:
 
     def references(self) -> list[Path]:
         """Paths of the files that the scene refers to."""
-        names = (
-            node.props["filename"] for node in self._used() if node.props.has_property("filename")
-        )
+        values = (node.props.get("filename", None) for node in self._used())
         with self._searching() as resolver:
+            # Mitsuba refuses values that are no text, such as a spectrum of this name.
+            names = (value for value in values if isinstance(value, str))
             return sorted({Path(str(resolver.resolve(name))) for name in names})
 
     def instantiate(self) -> Any:
