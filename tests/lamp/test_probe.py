@@ -157,3 +157,11 @@ def test_an_area_emitter_outside_of_a_shape_is_refused(folder):
     for kind in ("point", "spot", "constant", "directional"):
         with pytest.raises(LumitreeError, match=rf"\({kind}\)"):
             lamp_of(folder, BULB, f'<emitter type="{kind}"/>')
+
+
+def test_colours_that_are_not_numbers_are_refused(mi, tmp_path):
+    emitter = AREA.replace("3,2,1", "3,nan,1")
+    with pytest.raises(
+        LumitreeError, match=r"the emitter of shape 'bulb', area, has 1 of 3 values in 'radiance"
+    ):
+        load_luminaire(lamp_of(tmp_path, sphere("bulb", 0.1, inside=emitter)))

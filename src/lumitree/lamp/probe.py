@@ -62,17 +62,18 @@ def check_evaluates(
 
 
 def _check_finite(plugin: Any, what: str) -> None:
-    """Refuse a plugin with pixels that are not finite."""
+    """Refuse a plugin with pixels or colours that are not finite."""
     params = load_mitsuba().traverse(plugin)
     for key in params.keys():  # noqa: SIM118, it is no dictionary
-        if key.rpartition(".")[2] != "data":
+        # Others may have no value that could be read.
+        if key.rpartition(".")[2] not in ("data", "value"):
             continue
         values = np.asarray(params[key])
         wrong = values.size - np.count_nonzero(np.isfinite(values))
         if wrong:
             raise LumitreeError(
                 f"{what} has {wrong:,} of {values.size:,} values in {shown(repr(key), 100)} that "
-                "are not finite numbers; images would not be numbers either: replace the image"
+                "are not finite numbers, nor would images be: replace the image or the colour"
             )
 
 
