@@ -208,6 +208,7 @@ def test_a_bake_reports_its_progress(folder):
     assert reports[-1].finished
 
 
+@pytest.mark.slow
 def test_many_lamps_of_both_kinds(folder, monkeypatch, bakes):
     set_qualities(monkeypatch.setitem)
     (folder / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=AREA)))

@@ -24,6 +24,7 @@ from lumitree.errors import LumitreeError
 from lumitree.fit.network.config import PRESETS
 from support import tiny_bakes
 from support.fields import random_asset
+from support.slow import slow
 
 LAMP = (
     '<scene version="3.0.0"><shape type="sphere"><emitter type="area">'
@@ -112,7 +113,7 @@ def stop_and_finish(name, number, moment):
     ("name", "number", "moment"),
     [
         ("direct", signal.SIGKILL, 3.0),
-        ("refine", signal.SIGHUP, 3.0),
+        slow("refine", signal.SIGHUP, 3.0),
     ],
 )
 def test_stopped_commands_leave_nothing_broken_and_can_be_finished(name, number, moment):
@@ -383,6 +384,7 @@ def test_a_full_disk_at_the_end_loses_no_work(tiny, steps, monkeypatch, capsys):
     assert left() == ["out/lamp.lumitree"]
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_a_list_of_bakes(tiny, monkeypatch, capsys):
     """And fails no lamp: the next one could not be written either."""
     Path("next.xml").write_text(LAMP)

@@ -196,6 +196,7 @@ def test_layers_are_those_of_one_process():
     assert_equal_images(found.normals, expected.normals)
 
 
+@pytest.mark.slow
 def test_a_dictionary_with_an_asset_is_rendered_by_workers(mi):
     asset = lumitree.bake("lamp.xml", config=bake_config(), variant=VARIANT).asset
     room = {

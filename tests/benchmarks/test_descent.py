@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from benchmarks.baselines.descent import Budget, descend
 
@@ -34,6 +35,7 @@ def test_a_budget_of_steps_is_kept_and_repeats():
     np.testing.assert_array_equal(weights, _descend(Budget(steps=300))[0])
 
 
+@pytest.mark.slow
 def test_training_ends_when_quality_stands_still():
     asked = []
 

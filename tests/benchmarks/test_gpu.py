@@ -306,6 +306,7 @@ def tests_of_their_own(tmp_path, monkeypatch):
     return context_of(tmp_path)
 
 
+@pytest.mark.slow
 def test_every_test_has_a_result(tests_of_their_own, monkeypatch):
     context = tests_of_their_own
     monkeypatch.setattr(suite, "_TO_END", 120.0)

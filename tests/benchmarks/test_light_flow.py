@@ -59,6 +59,7 @@ def test_zeros_are_the_identity():
         np.testing.assert_allclose(found[1], 0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_density_of_the_flow_is_that_of_its_samples(flow):
     z = _even(COUNT, 2)
     x, log_density = flow.sample(z)

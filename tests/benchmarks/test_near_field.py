@@ -78,6 +78,7 @@ def camera_irradiance(mi, luminaire, rectangle):
     return (np.array(each) for each in zip(*found, strict=True))
 
 
+@pytest.mark.slow
 def test_light_paths_and_camera_paths_agree(mi, open_lamp):
     from benchmarks.inside_box.crossings import BATCHES, crossing_irradiance
 

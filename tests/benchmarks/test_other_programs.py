@@ -34,6 +34,7 @@ def rows(tmp_path_factory):
     return {row["target"]: row for row in found}, text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("target", "package"),
     [

@@ -412,6 +412,7 @@ def test_the_harness_from_end_to_end(lamp, capsys):
     assert again["ptracer"]["seconds"] == found["ptracer"]["seconds"]
 
 
+@pytest.mark.slow
 def test_a_program_without_the_module_is_left_out(lamp, capsys):
     found = measured(lamp, "--only", "baked", "light", "--luxcore", "no-such-program")
     assert list(found) == ["baked", "light"]

@@ -68,6 +68,7 @@ def test_nothing_but_the_network_imports_jax(before):
     assert (result.stdout.strip(), result.returncode) == ("[]", 0), result.stderr
 
 
+@pytest.mark.slow
 def test_lamps_are_baked_and_rendered_without_the_network(tmp_path):
     (tmp_path / "lamp.xml").write_text(LAMP)
     (tmp_path / "room.xml").write_text(ROOM)

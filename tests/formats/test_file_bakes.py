@@ -26,6 +26,7 @@ from lumitree.formats.tm25 import write_tm25
 from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of, z_up
 from lumitree.rendering.asset_flux import asset_lumens, asset_watts
 from lumitree.trace.light_field_config import LightFieldFitConfig
+from support.slow import slow
 from support.walls import irradiance
 
 
@@ -153,10 +154,10 @@ def rod_lux(distance):
     [
         # A sphere of even radiance has the irradiance of a point at its centre.
         (SPHERE, 0, [0, -1.2 * RADIUS, 0], 100 / (1.2 * RADIUS) ** 2),
-        (SPHERE, 0, [0, -2 * RADIUS, 0], 100 / (2 * RADIUS) ** 2),
+        slow(SPHERE, 0, [0, -2 * RADIUS, 0], 100 / (2 * RADIUS) ** 2),
         # π L r² / (r² + h²), where 100 cd are π r² L.
         (DISK, 1, [0, -RADIUS / 2, 0], 100 / (1.25 * RADIUS**2)),
-        (DISK, 1, [0, -RADIUS, 0], 100 / (2 * RADIUS**2)),
+        slow(DISK, 1, [0, -RADIUS, 0], 100 / (2 * RADIUS**2)),
         # π L times four corners, where 100 cd are 4 r² L.
         (SQUARE, 1, [0, -RADIUS, 0], 100 / (4 * RADIUS**2) * np.pi * 4 * square_corner(1, 1)),
         (ROD, 0, [0, -0.5, 0], rod_lux(0.5)),
@@ -259,7 +260,7 @@ def reference_lux(opening, point):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-@pytest.mark.parametrize("point", [[0, -0.6, 0], [0.1, -0.2, -0.6]])
+@pytest.mark.parametrize("point", [[0, -0.6, 0], slow([0.1, -0.2, -0.6])])
 def test_near_every_shape(mi, name, point):
     """Where a box in place of a round shape would give 10 to 20 % more or less, at one point."""
     opening = SHAPES[name]

@@ -132,6 +132,7 @@ def configuration(a, b):
     return (a / x * np.arctan(b / x) + b / y * np.arctan(a / y)) / (2 * np.pi)
 
 
+@pytest.mark.slow
 def test_near_the_lower_face(mi, files):
     """Below the middle and below an edge of the rectangle 0.5 x 0.25 m of even radiance."""
     lamp = lumitree.shape(files())

@@ -17,6 +17,7 @@ from lumitree.formats.type_c import direction_of
 from lumitree.lamp.source import source_kind
 from lumitree.rendering.asset_flux import asset_lumens, asset_watts
 from support.damage import damaged, refused
+from support.slow import slow
 from support.tm33_files import candela, table, tm33
 
 
@@ -37,7 +38,7 @@ def exact(direction):
     return 300 * np.maximum(-y, 0) * (1 + 0.5 * x)
 
 
-@pytest.mark.parametrize("name", ["lamp.xml", "lamp.tm33", "LAMP.XML"])
+@pytest.mark.parametrize("name", [slow("lamp.xml"), "lamp.tm33", slow("LAMP.XML")])
 def test_a_file_is_a_lamp(made, name):
     """∫ 300 cos γ dω over the half-sphere is 300 π lm."""
     asset = lumitree.load(made(name=name))

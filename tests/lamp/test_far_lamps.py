@@ -159,7 +159,7 @@ def assert_similar(first, second):
 @pytest.mark.parametrize(
     ("kind", "parts"),
     [
-        ("obj", ("light", "geometry")),
+        pytest.param("obj", ("light", "geometry"), marks=pytest.mark.slow),
         pytest.param("glb", ("light", "geometry"), marks=pytest.mark.slow),
         ("xml", ("light", "geometry")),
         pytest.param("obj", ("field",), marks=pytest.mark.slow),

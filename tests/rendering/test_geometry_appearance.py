@@ -15,6 +15,7 @@ from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.rendering.scene import place_shapes
 from support import tiny_bakes
 from support.lamps import GLASS, cube, scene, sphere
+from support.slow import slow
 
 SIDE, PASSES = 16, 16
 BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0,0,0"/></bsdf>'
@@ -211,6 +212,7 @@ def test_other_lights_are_tinted_by_glass(make):
     np.testing.assert_allclose(found, np.exp(-8 * 0.1 * np.array([0.2, 0.5, 1])), rtol=0.01)
 
 
+@pytest.mark.slow
 def test_surfaces_that_lie_in_the_faces_of_the_box_are_met(make):
     lamp, asset = make(scene(cube("box", 0.5, inside=GLOWS)))
     objects = {
@@ -224,15 +226,16 @@ def test_surfaces_that_lie_in_the_faces_of_the_box_are_met(make):
 
 
 @pytest.mark.parametrize(
-    "bsdf",
+    ("which", "bsdf"),
     [
-        {"type": "diffuse"},
-        {"type": "roughconductor", "alpha": 0.15},
-        {"type": "roughplastic", "alpha": 0.1},
+        slow("specular", {"type": "diffuse"}),
+        ("specular", {"type": "roughconductor", "alpha": 0.15}),
+        slow("specular", {"type": "roughplastic", "alpha": 0.1}),
+        slow("shaded", {"type": "diffuse"}),
+        slow("shaded", {"type": "roughconductor", "alpha": 0.15}),
+        ("shaded", {"type": "roughplastic", "alpha": 0.1}),
     ],
-    ids=["diffuse", "metal", "plastic"],
 )
-@pytest.mark.parametrize("which", ["specular", "shaded"])
 def test_direct_light_is_the_light_field_once(request, which, bsdf):
     """A floor gets the same with the geometry as with the field: nothing is added by the shapes."""
     _, asset = request.getfixturevalue(which)
@@ -289,6 +292,7 @@ def lit_room():
     }
 
 
+@pytest.mark.slow
 def test_a_lamp_that_is_nearly_dark_is_an_object_of_the_room(make):
     """It reflects the light of others, is reflected, and its opaque parts cast true shadows."""
     lamp, asset = make(DARK)
@@ -330,7 +334,7 @@ def test_other_lights_pass_glass_with_its_fresnel_transmittance(make):
     assert ours.mean() < 0.97 * open_.mean()
 
 
-@pytest.mark.parametrize("place_at", [2.0, 1.0], ids=["beside", "above"])
+@pytest.mark.parametrize("place_at", [2.0, slow(1.0)], ids=["beside", "above"])
 def test_the_light_of_another_lamp_is_blocked_by_opaque_parts_alone(make, shaded, place_at):
     """Two geometries: as one with the shapes of the other as objects of the room."""
     dark, dark_asset = make(DARK)
@@ -348,6 +352,7 @@ def test_the_light_of_another_lamp_is_blocked_by_opaque_parts_alone(make, shaded
     assert_same_expectation(ours, theirs)
 
 
+@pytest.mark.slow
 def test_a_receiver_that_touches_the_box_gets_its_light_once(shaded):
     """Within the margin between box and proxy, next-event estimation alone finds the lamp."""
     import mitsuba as mi
@@ -368,7 +373,7 @@ def test_a_receiver_that_touches_the_box_gets_its_light_once(shaded):
         assert_same_expectation(ours, field)
 
 
-@pytest.mark.parametrize("rr_depth", [2, 24])
+@pytest.mark.parametrize("rr_depth", [2, slow(24)])
 def test_rough_surfaces_of_the_lamp_show_its_own_light(make, rr_depth):
     """Next-event estimation and paths that hit the filament, weighted against each other."""
     lamp, asset = make(LIT)
@@ -422,6 +427,7 @@ def test_the_gain_applies_to_the_lamp_and_to_its_light(shaded, changed):
     np.testing.assert_allclose(render(), plain * gain, rtol=1e-3, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_light_paths_start_at_the_box_of_a_lamp_with_geometry(shaded):
     """Particle tracing compiles the emitters of the geometry's shapes too, which start none."""
     _, asset = shaded

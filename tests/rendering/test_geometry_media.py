@@ -25,6 +25,7 @@ from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.stored_geometry import stored_geometry
 from support import tiny_bakes
 from support.lamps import GLASS, cube, scene, sphere
+from support.slow import slow
 
 GLOWS = (
     '<bsdf type="diffuse"><rgb name="reflectance" value="0.2,0.2,0.2"/></bsdf>'
@@ -100,6 +101,7 @@ def seen_alone():
     return {"sensor": camera([0.3, 1.2, 1.6], [0, 1, 0], 32)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -143,6 +145,7 @@ def test_paths_from_elsewhere_do_not_find_the_lights_in_the_lamp(make, name):
     assert (error < 0.03 * theirs.mean(0)).all()
 
 
+@pytest.mark.slow
 def test_light_that_scatters_in_the_lamp_is_shown_at_any_depth(make):
     """The largest depth cuts paths in the room, and not the lamp's image."""
     _, asset = make(LAMPS["hollow"])
@@ -151,7 +154,7 @@ def test_light_that_scatters_in_the_lamp_is_shown_at_any_depth(make):
     assert_same_expectation(shallow, deep)
 
 
-@pytest.mark.parametrize("name", ["smooth", "frosted and hollow"])
+@pytest.mark.parametrize("name", ["smooth", slow("frosted and hollow")])
 def test_direct_light_is_the_light_field_once(make, name):
     """A floor gets the same with the geometry as with the field: nothing is added by the shapes."""
     _, asset = make(LAMPS[name])
@@ -196,6 +199,7 @@ def test_a_lamp_that_is_nearly_dark_is_an_object_of_the_room(make, glass):
     assert_same_expectation(ours, theirs)
 
 
+@pytest.mark.slow
 def test_a_medium_gets_the_own_light_of_its_lamp_alone(make):
     """The light of another lamp of opal glass comes from its light field, once."""
     _, asset = make(LAMPS["frosted"])

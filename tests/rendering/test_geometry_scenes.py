@@ -70,6 +70,7 @@ def test_images_show_the_geometry_by_default():
     assert baked.asset.parts == ("light", "geometry")
 
 
+@pytest.mark.slow
 def test_a_luminaire_that_cannot_be_stored_gets_a_field():
     with pytest.warns(LumitreeWarning, match=r"no geometry: .*RayleighPhaseFunction is not"):
         baked = lumitree.bake("haze.xml", config=standard(parts=None, irradiance_paths=0))

@@ -127,6 +127,7 @@ def test_receivers_anywhere_get_finite_light(mi, plate):
     assert (light[3:-1] / RADIANCE).max() < 2 * np.pi
 
 
+@pytest.mark.slow
 def test_points_and_rays_share_the_light(mi):
     """By direction and distance, both parts add up to the sum over cells along each ray."""
     import drjit as dr

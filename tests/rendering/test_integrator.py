@@ -12,6 +12,7 @@ from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
 from lumitree.rendering.scene import load_scene
 from support.fields import make_asset, random_asset, uniform_asset
 from support.lamps import sphere
+from support.slow import slow, slow_but
 
 SIDE, PASSES = 16, 16
 
@@ -124,7 +125,7 @@ PLAIN = {
 
 
 @pytest.mark.parametrize("options", [{"max_depth": -1}, {"max_depth": 24, "rr_depth": 24}])
-@pytest.mark.parametrize("name", PLAIN)
+@pytest.mark.parametrize("name", slow_but(["alpha mask", "mirror"], PLAIN))
 def test_without_luminaires_it_is_path(mi, name, options):
     # Early roulette gives `path` rare bright samples behind thin glass, where it plays at every
     # sheet; that roulette is the same is the next test's part.
@@ -180,7 +181,7 @@ LIT = {
     "options",
     [pytest.param({"max_depth": 3}, marks=pytest.mark.slow), {"max_depth": 8, "rr_depth": 2}],
 )
-@pytest.mark.parametrize("name", LIT)
+@pytest.mark.parametrize("name", slow_but(["two lamps through each other"], LIT))
 def test_with_luminaires_it_is_volpath(mi, lamp, name, options):
     scene = view(**LIT[name](lamp))
     ours = passes(scene, "lumitree_path", 512, **options)
@@ -188,6 +189,7 @@ def test_with_luminaires_it_is_volpath(mi, lamp, name, options):
     assert_same_expectation(ours, theirs)
 
 
+@pytest.mark.slow
 def test_path_differs_where_the_proxy_casts_a_shadow(mi, lamp):
     """So the tests above can tell the difference."""
     scene = view(**LIT["light and its shadow behind"](lamp))
@@ -226,7 +228,7 @@ def test_a_chain_of_null_surfaces_neither_bounces_nor_plays_roulette(mi, lamp, c
     assert np.ptp(seen) < 1e-5
 
 
-@pytest.mark.parametrize(("count", "density"), [(0, 0.25), (1, 0.25), (3, 0.25), (2, 10.0)])
+@pytest.mark.parametrize(("count", "density"), [(0, 0.25), (1, 0.25), (3, 0.25), slow(2, 10.0)])
 def test_shadow_rays_cross_a_chain_of_null_surfaces(mi, lamp, count, density):
     """A matte floor under a sun above the slabs: reflectance 0.5 / π times T."""
     floor = mi.ScalarTransform4f().translate([0, -3, 0]).rotate([1, 0, 0], -90).scale(9)
@@ -267,6 +269,7 @@ def test_hidden_emitters_hide_the_lamp_but_not_its_light(mi, lamp):
     assert shown.max() > 3.9 > hidden.max() > 0
 
 
+@pytest.mark.slow
 def test_what_is_behind_a_hidden_lamp_is_seen_where_it_is(mi, lamp):
     """A ball behind a lamp that is not there, lit from the side, as if there were no lamp."""
     empty = make_asset(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 3, 9)))

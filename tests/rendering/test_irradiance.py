@@ -6,6 +6,7 @@ import pytest
 import lumitree
 from lumitree.core.frames import rotation, similarity
 from support.fields import uniform_asset
+from support.slow import slow_but
 from support.walls import agree, irradiance
 
 RADIANCE = np.array([4.0, 2.0, 1.0])
@@ -37,7 +38,7 @@ def cube(mi, tmp_path):
     return lambda place: lumitree.shape(path, place), plain
 
 
-@pytest.mark.parametrize("name", PLACES)
+@pytest.mark.parametrize("name", slow_but(["far below", "near"], PLACES))
 def test_near_and_far_a_wall_gets_what_an_area_light_sends(mi, cube, name):
     baked, plain = (make(TURNED) for make in cube)
     place = PLACES[name]
@@ -57,6 +58,7 @@ def test_a_proxy_that_touches_a_wall_lights_it_beside_itself(mi, cube):
         agree(first, second)
 
 
+@pytest.mark.slow
 def test_several_turned_and_scaled_instances_add_up_and_hide_each_other(mi, cube):
     places = [
         similarity(rotation([1, 2, 3], 40), 0.3, [-0.8, 1.2, 0.1]),

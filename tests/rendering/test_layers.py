@@ -9,6 +9,7 @@ from lumitree.core.images import read_exr
 from lumitree.errors import LumitreeError
 from support.fields import random_asset
 from support.geometry_assets import small_geometry, with_geometry
+from support.slow import slow
 
 ROOM = """<scene version="3.0.0">
 <integrator type="path"><integer name="max_depth" value="3"/></integrator>
@@ -50,7 +51,7 @@ FOG = """<sensor type="perspective"><medium type="homogeneous" name="medium">
 <rgb name="sigma_t" value="0.05, 0.1, 0.2"/><rgb name="albedo" value="0.9, 0.5, 0.7"/></medium>"""
 
 
-@pytest.mark.parametrize("sensor", ['<sensor type="perspective">', FOG], ids=["clear", "fog"])
+@pytest.mark.parametrize("sensor", ['<sensor type="perspective">', slow(FOG)], ids=["clear", "fog"])
 def test_layers_add_up_to_the_image(room, lamps, tmp_path, sensor):
     room.write_text(room.read_text().replace('<sensor type="perspective">', sensor))
     path = tmp_path / "layers.exr"
@@ -66,6 +67,7 @@ def test_layers_add_up_to_the_image(room, lamps, tmp_path, sensor):
     assert all(layer.mean() > 0.01 for layer in layers.values())
 
 
+@pytest.mark.slow
 def test_a_layer_has_the_light_of_its_lamp_only(room, lamps):
     """Against images with one lamp each; the second lamp has twice the gain of the first."""
     both, none = (
@@ -79,6 +81,7 @@ def test_a_layer_has_the_light_of_its_lamp_only(room, lamps):
     assert layers["room_2"].mean() > 0.01
 
 
+@pytest.mark.slow
 def test_layers_of_geometries(mi, room, tmp_path):
     """Of a lamp without gain nothing is seen, and of the other its own shapes."""
     path = str(tmp_path / "geometry.lumitree")

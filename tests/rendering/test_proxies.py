@@ -186,7 +186,8 @@ def image(mi, scene, integrator, seed=0, spp=32):
     return np.array(mi.render(scene, integrator=integrator, spp=spp, seed=seed))
 
 
-@pytest.mark.parametrize("hidden", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", [False, True])
 def test_a_divided_scene_looks_the_same(mi, lamps, hidden):
     """A ball within one of four lamps, two of which overlap, before a wall."""
     scene = room(mi, **lamps)

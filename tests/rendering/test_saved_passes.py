@@ -10,6 +10,7 @@ from lumitree.cli import main
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.rendering import passes, saved_passes
 from support.fields import random_asset
+from support.slow import slow
 from support.small_room import SMALL_ROOM
 
 SAMPLES = 12
@@ -121,13 +122,13 @@ def test_time_that_was_spent_counts(rendered):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("room", "of another image"),
-        ("lamp", "of another image"),
+        slow("room", "of another image"),
+        slow("lamp", "of another image"),
         ("seed", "of another image"),
-        ("fewer", "more than asked for"),
-        ("cut", "damaged"),
+        slow("fewer", "more than asked for"),
+        slow("cut", "damaged"),
         ("nan", "not finite"),
-        ("shape", "expected"),
+        slow("shape", "expected"),
     ],
 )
 def test_what_is_no_state_of_this_image_is_not_continued(rendered, change, message):

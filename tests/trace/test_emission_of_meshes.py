@@ -11,6 +11,7 @@ from support.fields import uniform_asset
 from support.lamps import AREA, scene, sphere
 
 
+@pytest.mark.slow
 def test_a_mesh_of_smooth_normals_emits_what_camera_paths_see_of_it(mi, tmp_path):
     """A face turned by δ from its shading normal emits π L A (1 + cos δ) / 2 into its front.
 

@@ -127,6 +127,8 @@ def reference(mi, lamp, count, seed, depth):
         flux *= weight
         ray = spawn(si, si.to_world(sample.wo), extent)
         active &= valid & (np.array(dr.max(flux)) > 0)
+        # Else each event would compile kernels of all that came before.
+        dr.eval(ray, flux)
         begin = np.where((active & ~null)[:, None], np.array(ray.o).T, begin)
         if not active.any():
             break

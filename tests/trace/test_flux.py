@@ -31,6 +31,7 @@ def test_emissive_sphere_has_flux_4_pi2_r2_l(lamp, light_paths, rounding):
     assert flux.paths == 1 << 20
 
 
+@pytest.mark.slow
 def test_standard_error_is_the_spread_of_independent_estimates(lamp):
     from support.camera_flux import flux_by_camera_paths
 
@@ -59,6 +60,7 @@ def test_light_paths_and_camera_paths_agree_behind_glass(mi, tmp_path):
     assert (error < 0.01 * np.array(light.watts)).all()
 
 
+@pytest.mark.slow
 def test_light_paths_and_camera_paths_agree_behind_an_alpha_mask(mi, tmp_path):
     """A small emitter in a shade that lets half of its light through, above a plate."""
     from lumitree.trace.flux import estimate_flux
@@ -83,6 +85,7 @@ def test_flux_of_captured_views_agrees(lamp, tmp_path):
     assert 4 * np.pi * side**2 * mean == pytest.approx(KNOWN, rel=0.01)
 
 
+@pytest.mark.slow
 def test_bounces_that_are_cut_off_are_missed(mi, tmp_path):
     """Light crosses 6 invisible surfaces: paths of 4 bounces miss all of it, of 8 none."""
     from lumitree.trace.flux import missed_by_depth

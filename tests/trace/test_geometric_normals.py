@@ -58,6 +58,7 @@ def test_camera_paths_do_not_see_into_a_closed_opaque_shade(mi, shade, bsdf):
     assert image["lumitree_path"].sum() < 1e-3 * image["path"].sum()
 
 
+@pytest.mark.slow
 def test_light_paths_and_camera_paths_of_an_open_shade_agree(mi, tmp_path):
     """The rule is the same in both directions: the upper half of a smoothly shaded icosahedron."""
     ball = trimesh.creation.icosphere(subdivisions=0, radius=1.0)

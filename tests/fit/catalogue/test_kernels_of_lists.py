@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
 from support.tiny_bakes import bake_config
 from support.variant import VARIANT
@@ -54,6 +55,7 @@ def compiled(mi, seed):
     return sum(not kernel["cache_hit"] for kernel in large)
 
 
+@pytest.mark.slow
 def test_another_lamp_compiles_no_large_kernel(tmp_path):
     environment = os.environ | {
         "DRJIT_CACHE_DIR": str(tmp_path),

@@ -19,6 +19,7 @@ from lumitree.trace.lamp_rays import LampRays
 from lumitree.trace.light_field_config import LightFieldFitConfig
 from support.lamps import AREA, cube, lamp_of, sphere
 from support.light_fields import assert_equal_fields
+from support.slow import slow
 
 CONFIG = LightFieldFitConfig(paths=1 << 20, batch=1 << 18, depth=5, resolution=32)
 RADIANCE = np.array([3.0, 2.0, 1.0])
@@ -160,7 +161,12 @@ def mean_ratio(mi, lamp, field, distance, angles, *, surfaces, count=48):
 @pytest.mark.parametrize("surfaces", [False, True])
 @pytest.mark.parametrize(
     ("distance", "angles", "tolerance"),
-    [(0.5, (0, 180), 0.02), (0.6, (0, 40), 0.04), (0.6, (65, 180), 0.04), (1.2, (75, 180), 0.03)],
+    [
+        slow(0.5, (0, 180), 0.02),
+        (0.6, (0, 40), 0.04),
+        slow(0.6, (65, 180), 0.04),
+        (1.2, (75, 180), 0.03),
+    ],
 )
 def test_irradiance_in_front_of_the_disc_and_around(
     mi, lamp, field, distance, angles, tolerance, surfaces

@@ -81,6 +81,7 @@ def test_equal_calls_give_equal_files(tmp_path):
     assert files[0] == files[1] != files[2]
 
 
+@pytest.mark.slow
 def test_the_field_alone(untraced):
     baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["field"]))
     assert baked.asset.light_field is None

@@ -19,6 +19,7 @@ from lumitree.lamp.source import as_source
 from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.trace.capture import capture
 from lumitree.trace.tracing import PATH_DEPTH
+from support.slow import slow_but
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +224,7 @@ def test_media_are_where_they_are_promised(models):
     assert min(media["star"][0].scattering) > 0
 
 
-@pytest.mark.parametrize("name", BUILTIN)
+@pytest.mark.parametrize("name", slow_but(["bulbs", "cluster"], BUILTIN))
 def test_tiny_capture(mi, name, tmp_path):
     lamp = load_luminaire(name)
     assert lamp.has_media == (name in ("cluster", "star"))

@@ -84,6 +84,7 @@ def test_page_is_self_contained_and_holds_the_asset():
     assert '"' not in notebook_frame(page).split('srcdoc="')[1].split('" style')[0]
 
 
+@pytest.mark.slow
 def test_an_asset_without_a_field_is_shown_by_its_light():
     """And says so; it has the irradiance, and what is beside the light stays as it is."""
     asset = light_field_asset(random_light_field(1), LocalFrame((1, 1, 1), np.eye(4)), "lamp")
