@@ -47,9 +47,14 @@ def ending_by_bin(field: LightField) -> tuple[NDArray[np.uint32], float]:
     scale, ending = 8 * inside.scale, np.zeros_like(leaving, np.uint32)
     for start in range(0, len(leaving), _CELLS_AT_ONCE):
         at = slice(start, start + _CELLS_AT_ONCE)
-        mean = inside.scale * unpack(packed[at])
-        parts = parts_of_ending(by_coarse_bin(leaving[at]), luminance(mean), solid_angle)
-        ending[at] = by_fine_bin(pack_lit(parts[..., None] * mean[:, :, None], scale))
+        # Light ends in few of the directions.
+        ends, coarse = packed[at] != 0, by_coarse_bin(leaving[at])
+        mean = inside.scale * unpack(packed[at][ends])
+        angles = np.broadcast_to(solid_angle, coarse.shape)[ends]
+        parts = parts_of_ending(coarse[ends], luminance(mean), angles)
+        words = np.zeros(coarse.shape, np.uint32)
+        words[ends] = pack_lit(parts[..., None] * mean[:, None], scale)
+        ending[at] = by_fine_bin(words)
     return ending, scale
 
 
