@@ -57,6 +57,11 @@ def pytest_pycollect_makemodule(module_path, parent):
     return None
 
 
+def pytest_collection_finish():
+    """Leave modules and tests, of which there are many, out of later collections of garbage."""
+    gc.freeze()
+
+
 @pytest.fixture
 def network_packages():
     """For single tests that need the extra `network`."""
