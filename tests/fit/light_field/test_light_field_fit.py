@@ -321,3 +321,23 @@ def test_progress_counts_batches(ball, tmp_path, monkeypatch):
 def test_settings_out_of_range_are_refused(change, message):
     with pytest.raises(lumitree.LumitreeError, match=message):
         dataclasses.replace(CONFIG, **change)
+
+
+def test_batches_of_other_seeds_compile_no_kernels(mi, tmp_path):
+    """Each has another number of paths that leave, and of segments that end on the lamp."""
+    import drjit as dr
+
+    lamp = lamp_of(
+        tmp_path, sphere("ball", 0.2, inside=AREA), cube("shade", (0.5, 0.02, 0.5), (0.3, 0.4, 0))
+    )
+    new = []
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        for seed in range(4):
+            dr.kernel_history_clear()
+            config = dataclasses.replace(CONFIG, paths=1 << 14, batch=1 << 13, seed=seed)
+            (tmp_path / str(seed)).mkdir()
+            bake_light_field(lamp, config, tmp_path / str(seed))
+            kernels = dr.kernel_history([dr.KernelType.JIT])
+            new.append(sum(not kernel["cache_hit"] for kernel in kernels))
+    assert len(kernels) > 2
+    assert new[1:] == [0, 0, 0]

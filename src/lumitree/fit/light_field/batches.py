@@ -12,6 +12,7 @@ from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.light_field.inside import DISTANCES
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.sent import LampWorkers, received_luminaire
+from lumitree.trace.emitted_rays import as_rows
 from lumitree.trace.ending_segments import EndingConfig
 from lumitree.trace.histograms import BinnedRays, BinnedSegments, bin_rays, bin_segments
 from lumitree.trace.lamp_rays import LampRays
@@ -73,7 +74,7 @@ def _traced(rays: LampRays, config: LightFieldFitConfig, step: int) -> PathBatch
     seed = SeedStream(Purpose.LIGHT_FIELD, step).seed(config.seed)
     paths = rays.draw(config.batch, seed, ending=segments, largest_gain=_LARGEST_GAIN)
     assert paths.ending is not None
-    flux, ends = (np.array(each.flux, np.float32).reshape(3, -1) for each in (paths, paths.ending))
+    flux, ends = (as_rows(each.flux).T.astype(np.float32) for each in (paths, paths.ending))
     places = SeedStream(Purpose.ENDING, step, 2).seed(config.seed)
     return PathBatch(
         bin_rays(paths.origin, paths.direction, flux, config.depth, config.resolution),
