@@ -191,7 +191,7 @@ def table(row: dict[str, Any]) -> Table:
             "; ".join([verdict, *method["lost"]]),
         ]
         cells += [time_text(each) for each in method["display"]] or ["-"] * len(DISPLAY_LEVELS)
-        cells.append("-" if name == row["reference"] else bias_text(method["display_bias"]))
+        cells.append(bias_text(method["display_bias"]))
         noise = method.get("denoised")
         cells += (
             ["-"] * 2 if noise is None else [f"{noise['error']:.1%}", f"{noise['seconds']:.1f}"]

@@ -55,7 +55,8 @@ class Figures:
         mean: mean brightness of diffuse surfaces over that of the reference.
         display: time of whole images; empty for a method that does not show the lamp.
         display_bias: square of the `rmse_display` that is left of whole images without noise,
-            against those of the reference; None for a method that does not show the lamp.
+            against those of the reference; None for the reference, and for a method that does not
+            show the lamp.
         samples: per pixel, of all images.
         images: number of images.
         seconds: CPU seconds of all images.
@@ -107,7 +108,9 @@ def figures(
         variance=relative_variance(run.batches, scale, diffuse) * run.samples,
         mean=ratio_of_means(run.batches * weights, reference.batches * weights),
         display=() if whole is None else display_times(run, whole),
-        display_bias=None if whole is None else display_bias(run, reference, whole),
+        display_bias=None
+        if whole is None or run is reference
+        else display_bias(run, reference, whole),
         samples=run.samples_per_pixel,
         images=len(run.batches),
         seconds=run.seconds["cpu"],
@@ -218,7 +221,7 @@ def bias_text(bias: Mapping[str, float] | None) -> str:
     """The `rmse_display` of a squared bias, or the largest that two standard errors allow.
 
     Args:
-        bias: members of an `Estimate`, by name; None for a method without whole images.
+        bias: members of an `Estimate`, by name; None where there is none.
     """
     if bias is None:
         return "-"
