@@ -331,7 +331,7 @@ class SceneFile:
         """Paths of the files that the scene refers to."""
         values = (node.props.get("filename", None) for node in self._used())
         with self._searching() as resolver:
-            # Mitsuba refuses values that are no text, such as a spectrum of this name.
+            # Mitsuba takes no other values for files, such as a spectrum of this name.
             names = (value for value in values if isinstance(value, str))
             return sorted({Path(str(resolver.resolve(name))) for name in names})
 
