@@ -108,17 +108,17 @@ def _text(file: BinaryIO) -> bytes:
 
 def _lines(header: _Header) -> Sequence[tuple[int]]:
     """First line of each chunk of a part with scan lines."""
-    _, height = _size(header)
+    top, _, height = _window(header)
     lines = _LINES[header[b"compression"][0]]
     _check_count(math.ceil(height / lines))
-    _, top, _, _ = struct.unpack("<4i", header[b"dataWindow"])
     return [(top + line,) for line in range(0, height, lines)]
 
 
 def _tiles(header: _Header) -> Sequence[tuple[int, int, int, int]]:
     """Column, row, and levels of each chunk of the first level of a tiled part."""
     across, down, _ = struct.unpack("<IIB", header[b"tiles"])
-    columns, rows = (math.ceil(n / m) for n, m in zip(_size(header), (across, down), strict=True))
+    _, width, height = _window(header)
+    columns, rows = math.ceil(width / across), math.ceil(height / down)
     _check_count(columns * rows)
     return [(column, row, 0, 0) for row in range(rows) for column in range(columns)]
 
@@ -128,10 +128,10 @@ def _check_count(chunks: int) -> None:
         raise LumitreeError(f"it states {chunks:,} chunks")
 
 
-def _size(header: _Header) -> tuple[int, int]:
-    """Width and height, pixels."""
+def _window(header: _Header) -> tuple[int, int, int]:
+    """First line, width and height, pixels."""
     left, top, right, bottom = struct.unpack("<4i", header[b"dataWindow"])
     width, height = right - left + 1, bottom - top + 1
     if not (0 < width <= _MAX_SIDE and 0 < height <= _MAX_SIDE):
         raise LumitreeError(f"it has {width} x {height} pixels")
-    return width, height
+    return top, width, height

@@ -1,6 +1,7 @@
 """The bake of the light field against closed forms, and its saved state."""
 
 import dataclasses
+import gc
 import os
 
 import numpy as np
@@ -333,6 +334,8 @@ def test_batches_of_other_seeds_compile_no_kernels(mi, tmp_path):
     new = []
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         for seed in range(4):
+            # Kernels contain the emitters and BSDFs of all scenes that exist.
+            gc.collect()
             dr.kernel_history_clear()
             config = dataclasses.replace(CONFIG, paths=1 << 14, batch=1 << 13, seed=seed)
             (tmp_path / str(seed)).mkdir()
