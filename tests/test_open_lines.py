@@ -15,6 +15,7 @@ from lumitree.core.images import write_exr
 from support.fields import random_asset
 from support.lamps import AREA, scene, sphere
 from support.light_fields import random_light_field
+from support.slow import slow
 from support.tiny_bakes import set_qualities
 
 ROOM = (
@@ -48,15 +49,11 @@ def folder(tmp_path, monkeypatch, mi):
         ((*LAMP, "-o", "new/a.lumitree"), "new/a.lumitree"),
         ((*LAMP, "-o", "new/"), "new/index.html"),
         (("merge", "0.lumitree", "1.lumitree", "-o", "m.lumitree"), "m.lumitree"),
-        pytest.param(
-            ("preview", "lamp.xml", "-o", "s.png", *SMALL), "s.png", marks=pytest.mark.slow
-        ),
+        slow(("preview", "lamp.xml", "-o", "s.png", *SMALL), "s.png"),
         (("preview", "field.lumitree", "-o", "s.png", *SMALL), "s.png"),
         (("capture", "lamp.xml", "-o", "d", "--views", "1", *SMALL), "d"),
-        pytest.param(
-            ("evaluate", "field.lumitree", "lamp.xml", "--views", "1", *SMALL,
-             "--irradiance-paths", "0"), "field-evaluation.png", marks=pytest.mark.slow
-        ),
+        slow(("evaluate", "field.lumitree", "lamp.xml", "--views", "1", *SMALL,
+             "--irradiance-paths", "0"), "field-evaluation.png"),
         (("render", "room.xml", "-o", "r.png", "--spp", "1", "--place", "field.lumitree", "--at",
           "0,0,5"), "r.png"),
         (("mix", "layers.exr", "-o", "m.png", "--gain", "hall=0.5"), "m.png"),
@@ -64,10 +61,8 @@ def folder(tmp_path, monkeypatch, mi):
         (("export", "1.lumitree", "-o", "e.py"), "e.py"),
         (("photometry", "1.lumitree", "-o", "p.ies", "-o", "p.html", "--paths", "16384",
           "--step", "10"), "p.html"),
-        pytest.param(
-            ("photometry", "1.lumitree", "-o", "p.ldt", "--paths", "16384", "--step", "10"),
-            "p.ldt", marks=pytest.mark.slow
-        ),
+        slow(("photometry", "1.lumitree", "-o", "p.ldt", "--paths", "16384", "--step", "10"),
+            "p.ldt"),
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, tuple) else value,
 )  # fmt: skip

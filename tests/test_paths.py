@@ -10,6 +10,7 @@ import lumitree
 from lumitree.cli import main
 from support.exported_lamps import lamp
 from support.ies_text import ies_text
+from support.slow import slow
 from support.tiny_bakes import network_config, set_qualities
 
 FOLDER = "Leuchten für Zoë (灯) [1] & 100%"
@@ -98,7 +99,7 @@ def folder(tmp_path, monkeypatch, mi):
 
 @pytest.mark.parametrize(
     ("command", "written"),
-    [*COMMANDS, *(pytest.param(*each, marks=pytest.mark.slow) for each in SLOW_COMMANDS)],
+    [*COMMANDS, *(slow(*each) for each in SLOW_COMMANDS)],
 )
 def test_the_command_works(folder, monkeypatch, command, written):
     set_qualities(monkeypatch.setitem)

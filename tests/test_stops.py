@@ -283,8 +283,8 @@ UNSAVED = [UNFINISHED[0], UNFINISHED[2]]
     "number",
     [
         signal.SIGTERM,
-        pytest.param(signal.SIGINT, marks=pytest.mark.slow),
-        pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
+        slow(signal.SIGINT),
+        slow(signal.SIGHUP),
     ],
 )
 def test_a_stopped_bake_writes_its_best_and_continues(tiny, steps, capfd, number):

@@ -11,6 +11,7 @@ from fuzz.reader import Reader, generator, outcome_of, write_input
 from fuzz.registry import NAMES, reader
 from fuzz.runner import Run, part_of, run, without_values
 from lumitree.errors import LumitreeError
+from support.slow import slow
 
 SEED = 1
 
@@ -136,7 +137,7 @@ def test_runs_continue_and_count(tmp_path):
         ("crash", "the process ended: -11"),
         ("exit", "the process ended: 3"),
         ("reserve", "MemoryError"),
-        pytest.param("hang", "the process ended: -27", marks=pytest.mark.slow),
+        slow("hang", "the process ended: -27"),
     ],
 )
 def test_faults_are_failures_of_their_input(tmp_path, name, message):

@@ -13,6 +13,7 @@ from lumitree.errors import LumitreeWarning
 from support import tiny_bakes
 from support.geometry_assets import small_geometry, with_geometry
 from support.lamps import AREA, cube, scene, sphere
+from support.slow import slow
 from support.tiny_bakes import standard
 
 FAR = (5e5, 4.2e6, 300.0)
@@ -159,11 +160,11 @@ def assert_similar(first, second):
 @pytest.mark.parametrize(
     ("kind", "parts"),
     [
-        pytest.param("obj", ("light", "geometry"), marks=pytest.mark.slow),
-        pytest.param("glb", ("light", "geometry"), marks=pytest.mark.slow),
+        slow("obj", ("light", "geometry")),
+        slow("glb", ("light", "geometry")),
         ("xml", ("light", "geometry")),
-        pytest.param("obj", ("field",), marks=pytest.mark.slow),
-        pytest.param("xml", ("field",), marks=pytest.mark.slow),
+        slow("obj", ("field",)),
+        slow("xml", ("field",)),
     ],
 )
 def test_a_far_lamp_renders_as_the_near_one(mi, lamps, tmp_path, monkeypatch, kind, parts):

@@ -10,6 +10,7 @@ import pytest
 import lumitree
 from lumitree.core.photometry import LUMENS_PER_WATT
 from support.ies_text import ies_text
+from support.slow import slow
 
 UP, DOWN = (0, 1, 0), (0, -1, 0)
 # Standard error that is asked for.
@@ -250,7 +251,7 @@ def test_light_through_a_clear_pane(mi):
     agree(found.total, found.total_error, light.mean(axis=1) * 4)
 
 
-@pytest.mark.parametrize("obstructed", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("obstructed", [False, slow(True)])
 def test_light_that_a_diffuse_square_reflects(mi, tmp_path, obstructed):
     """(5.6, 5.7) An evenly lit square, 2 m, lights a ceiling and a wall; a plate may hide some."""
     reflectance, lit, height = 0.8, 500.0, 4.0
@@ -285,7 +286,7 @@ def test_light_that_a_diffuse_square_reflects(mi, tmp_path, obstructed):
     agree(found.total, found.total_error, reflectance * lit * seen)
 
 
-@pytest.mark.parametrize("reflectance", [0.3, pytest.param(0.8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("reflectance", [0.3, slow(0.8)])
 def test_light_that_a_cube_reflects(mi, tmp_path, reflectance):
     """(5.8) Points of the inner faces of a cube, by radiosity with configuration factors."""
     half, source = 2.0, np.array([0.57, 0.6, -0.43])

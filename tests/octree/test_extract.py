@@ -7,6 +7,7 @@ from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
 from lumitree.octree.extract import extract
 from support.reference_field import leaf_boxes
+from support.slow import slow
 
 
 def ball(radius=0.6, density=5.0, num_coefficients=4):
@@ -36,7 +37,7 @@ def as_asset(children, density, coefficients, tree_depth):
     )
 
 
-@pytest.mark.parametrize("tree_depth", [2, 3, 5, 6, pytest.param(7, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tree_depth", [2, 3, 5, 6, slow(7)])
 def test_ball(tree_depth):
     children, density, coefficients = extract(ball(), np.ones(3), tree_depth, samples_per_leaf=64)
     asset = as_asset(children, density, coefficients, tree_depth)

@@ -12,7 +12,7 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from support.fields import make_asset, uniform_asset
 from support.receivers import HALF, POINTS, device_point, uniform_samples
-from support.slow import slow_but
+from support.slow import slow, slow_but
 from support.walls import agree, irradiance
 
 DEPTH, RESOLUTION = 3, 8
@@ -291,7 +291,7 @@ SURFACES = {
 
 
 @pytest.mark.parametrize("bsdf", slow_but(["sharp", "coated"], SURFACES))
-@pytest.mark.parametrize("height", [0.01, pytest.param(3.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("height", [0.01, slow(3.0)])
 def test_each_surface_gets_the_light_once(mi, bsdf, height):
     """Against uniform sampling of the proxy, whose weights are by direction alone; two lamps."""
     asset = light_field_asset(some_light(), LocalFrame(HALF, np.eye(4)), "test")

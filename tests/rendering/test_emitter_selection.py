@@ -11,8 +11,9 @@ from lumitree.asset.asset import light_field_asset
 from lumitree.core.frames import rotation, similarity
 from support.fields import random_asset
 from support.light_fields import random_light_field
+from support.slow import slow
 
-PARTS = ("light", *(pytest.param(each, marks=pytest.mark.slow) for each in ("field", "both")))
+PARTS = ("light", *(slow(each) for each in ("field", "both")))
 
 
 def make_asset(parts, seed=1):
@@ -97,10 +98,10 @@ def uniform(monkeypatch):
 @pytest.mark.parametrize(
     ("parts", "mixed"),
     [
-        pytest.param("light", False, marks=pytest.mark.slow),
+        slow("light", False),
         ("light", True),
-        pytest.param("field", True, marks=pytest.mark.slow),
-        pytest.param("both", False, marks=pytest.mark.slow),
+        slow("field", True),
+        slow("both", False),
     ],
 )
 def test_the_mean_is_that_of_a_uniform_choice(mi, uniform, parts, mixed):

@@ -106,7 +106,7 @@ def seen_alone():
     "name",
     [
         "frosted",
-        *(pytest.param(each, marks=pytest.mark.slow) for each in LAMPS if each != "frosted"),
+        *(slow(each) for each in LAMPS if each != "frosted"),
     ],
 )
 def test_opal_glass_is_seen_as_it_is(make, name):
@@ -119,7 +119,7 @@ def test_opal_glass_is_seen_as_it_is(make, name):
     assert_same_expectation(ours, theirs)
 
 
-@pytest.mark.parametrize("name", ["smooth", pytest.param("frosted", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["smooth", slow("frosted")])
 def test_a_lamp_that_lights_its_box_does_not_light_itself(make, name):
     """Something black in a corner of the box: the lamp looks as before, but for what it hides."""
     lamp, asset = make(LAMPS[name])
@@ -131,7 +131,7 @@ def test_a_lamp_that_lights_its_box_does_not_light_itself(make, name):
     assert_same_expectation(ours, theirs)
 
 
-@pytest.mark.parametrize("name", ["smooth", pytest.param("hollow", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["smooth", slow("hollow")])
 def test_paths_from_elsewhere_do_not_find_the_lights_in_the_lamp(make, name):
     """A floor has that light already: its mean is that of the explicit lamp, within cells."""
     lamp, asset = make(LAMPS[name])

@@ -179,7 +179,7 @@ LIT = {
 
 @pytest.mark.parametrize(
     "options",
-    [pytest.param({"max_depth": 3}, marks=pytest.mark.slow), {"max_depth": 8, "rr_depth": 2}],
+    [slow({"max_depth": 3}), {"max_depth": 8, "rr_depth": 2}],
 )
 @pytest.mark.parametrize("name", slow_but(["two lamps through each other"], LIT))
 def test_with_luminaires_it_is_volpath(mi, lamp, name, options):

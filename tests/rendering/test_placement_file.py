@@ -14,6 +14,7 @@ from support.damage import damaged, refused
 from support.fields import random_asset
 from support.light_fields import random_light_field
 from support.placement_text import PLACEMENTS
+from support.slow import slow
 
 FIELD = random_asset(1)
 LIGHT_FIELD = light_field_asset(random_light_field(2), FIELD.frame, "test")
@@ -113,8 +114,8 @@ def placed_flux(mi, placement):
     [
         (LIGHT_FIELD, None),
         (LIGHT_FIELD, 0.3),
-        pytest.param(FIELD, 0.3, marks=pytest.mark.slow),
-        pytest.param(FIELD, None, marks=pytest.mark.slow),
+        slow(FIELD, 0.3),
+        slow(FIELD, None),
     ],
 )
 def test_a_placed_lamp_has_the_lumens_and_the_colour(mi, asset, size):

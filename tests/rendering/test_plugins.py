@@ -8,6 +8,7 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import rotation, similarity
 from lumitree.errors import LumitreeError
 from support.fields import make_asset, random_asset, uniform_asset
+from support.slow import slow
 
 TURNED = similarity(rotation([1, 2, 3], 40), 0.4, [0.1, 0.9, -0.2])
 
@@ -217,7 +218,7 @@ def walk(mi, scene, ray):
     return scene.ray_intersect(ray), (value, through)
 
 
-@pytest.mark.parametrize("law", [pytest.param("linear", marks=pytest.mark.slow), "exponential"])
+@pytest.mark.parametrize("law", [slow("linear"), "exponential"])
 def test_uniform_opaque_field_is_an_area_light(mi, asset_file, law):
     asset = uniform_asset(1e4, [4.0, 2.0, 1.0], law=law)
     place = similarity(rotation([0, 1, 1], 25), 0.3, [0, 1.0, 0])

@@ -12,6 +12,7 @@ import lumitree
 from lumitree.asset.asset import light_field_asset
 from support.fields import random_asset
 from support.light_fields import random_light_field
+from support.slow import slow
 from support.variant import VARIANT
 
 
@@ -60,7 +61,7 @@ def compiled(mi, asset):
     return sum(not kernel["cache_hit"] for kernel in kernels)
 
 
-@pytest.mark.parametrize("parts", ["light", pytest.param("both", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("parts", ["light", slow("both")])
 def test_another_lamp_compiles_no_kernel(tmp_path, parts):
     """Each in a process of its own, with one cache.
 

@@ -23,6 +23,7 @@ from support import tiny_bakes
 from support.fields import random_asset
 from support.lamps import AREA, cube, scene, sphere
 from support.light_fields import assert_equal_fields, random_light_field
+from support.slow import slow
 from support.tiny_bakes import standard
 
 # A radiance field of a second; most of the time is its first estimate.
@@ -123,9 +124,7 @@ def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
         lumitree.bake("lamp.xml", config=standard(parts=["light"], seed=1), work="state")
 
 
-@pytest.mark.parametrize(
-    "parts", [("light", "field", "geometry"), pytest.param(("field",), marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("parts", [("light", "field", "geometry"), slow(("field",))])
 def test_a_bake_gets_the_flux_and_the_colour_that_are_asked_for(parts, capsys):
     """All parts are those of a bake without them, but for the gain, which later calls keep."""
     from lumitree.rendering.asset_flux import asset_watts

@@ -9,6 +9,7 @@ import pytest
 from lumitree.errors import LumitreeError
 from support.fields import leaf_field
 from support.lamps import AREA, cube, sphere
+from support.slow import slow
 from support.tiny_bakes import octree_fit
 from support.traced_lamps import stream
 
@@ -41,7 +42,7 @@ def ball(lamp):
     return lamp(sphere("lamp", 2, (1, 0, 0), AREA))
 
 
-@pytest.mark.parametrize("law", [pytest.param("linear", marks=pytest.mark.slow), "exponential"])
+@pytest.mark.parametrize("law", [slow("linear"), "exponential"])
 def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     from lumitree.fit.octree.bake import bake
     from lumitree.fit.octree.traced import TracedRays

@@ -13,6 +13,7 @@ from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import IntensityDistribution, direction_of
 from lumitree.measure.photometry.exact_light import exact_grid, file_light, light_field_light
 from support.photometric_types import ies, world
+from support.slow import slow
 
 PATHS = 1 << 14
 # Largest error of an intensity, over the largest intensity.
@@ -55,9 +56,9 @@ CASES = {
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param("narrow beam", marks=pytest.mark.slow),
+        slow("narrow beam"),
         "street light",
-        pytest.param("floodlight of Type B", marks=pytest.mark.slow),
+        slow("floodlight of Type B"),
     ],
 )
 def test_intensities_there_and_back(mi, tmp_path, name):
