@@ -83,7 +83,8 @@ def opened_run(method: Method, folder: Path, key: dict[str, Any]) -> LongRun:
 def extend(run: LongRun, method: Method, seconds: float) -> None:
     """Render until the images have cost so much, and there are 8 at least.
 
-    Images are saved after each call of the renderer. For 0 seconds nothing is rendered.
+    Each image is saved as it comes, so that a run that is ended loses one at most. For 0 seconds
+    nothing is rendered.
 
     Args:
         seconds: CPU seconds of all images together, those kept from before included.
@@ -103,7 +104,8 @@ def extend(run: LongRun, method: Method, seconds: float) -> None:
             if not image.radiance.any():
                 raise LumitreeError(f"{method.label} has rendered a black image")
             run.append(image.radiance, image.seconds)
+            if run.seconds["cpu"] > before:
+                run.save()
         if run.seconds["cpu"] <= before:
             # Of small images that of one sample, which is subtracted, may have taken as long.
             raise LumitreeError(f"{method.label} has rendered images in no measurable time")
-        run.save()

@@ -1,9 +1,11 @@
 """Methods of other renderers: their scenes, their figures, and the harness from end to end."""
 
+import dataclasses
 import json
 import os
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -84,6 +86,23 @@ def test_images_are_made_until_they_have_cost_enough(tmp_path):
     assert again.samples == 8
     assert len(np.unique(again.batches[:, 0, 0, 0])) == len(again.batches) < MAX_BATCHES
     assert len(opened_run(method, tmp_path, {"width": 64}).batches) == 0
+
+
+def test_images_before_an_interruption_are_kept(tmp_path):
+    def interrupted(samples, seeds):
+        yield from Noisy(0.1).images(samples, seeds[:3])
+        raise KeyboardInterrupt
+
+    method = Method("noisy", "noisy", Noisy(0.1))
+    halted = dataclasses.replace(method, renderer=SimpleNamespace(images=interrupted))
+    with pytest.raises(KeyboardInterrupt):
+        extend(opened_run(halted, tmp_path, {}), halted, 100)
+    resumed = opened_run(method, tmp_path, {})
+    assert len(resumed.batches) == 3
+    extend(resumed, method, 100)
+    whole = opened_run(method, tmp_path / "whole", {})
+    extend(whole, method, 100)
+    np.testing.assert_array_equal(resumed.batches, whole.batches)
 
 
 @pytest.mark.parametrize(
