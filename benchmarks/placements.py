@@ -46,7 +46,7 @@ def measure(folder: Path, assets: list[Path], count: int, variant: str | None) -
     command = [
         sys.executable,
         "-m",
-        "lumitree.cli",
+        "lumitree",
         "render",
         "room.xml",
         "--placements",

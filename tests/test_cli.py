@@ -528,7 +528,7 @@ def test_full_disk(capsys, monkeypatch):
 
 def test_interrupted_capture_continues():
     """Ctrl-C ends with one line and status 130; the same command then does the rest."""
-    command = [sys.executable, "-m", "lumitree.cli", "capture", "lamp.xml", "-o", "d",
+    command = [sys.executable, "-m", "lumitree", "capture", "lamp.xml", "-o", "d",
                "--views", "150", "--resolution", "96", "--spp", "48"]  # fmt: skip
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60

@@ -29,7 +29,7 @@ def run(folder, *arguments, **changes):
     """Run a command, with changes of its environment; it must end with status 0."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), **changes}
     result = subprocess.run(
-        [sys.executable, "-m", "lumitree.cli", *arguments],
+        [sys.executable, "-m", "lumitree", *arguments],
         cwd=folder,
         env={name: value for name, value in environment.items() if value is not None},
         capture_output=True,

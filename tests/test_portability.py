@@ -95,7 +95,7 @@ def run(arguments, folder, **changes):
     """A command in a process of its own; `changes` of its environment: None removes a variable."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), **changes}
     return subprocess.run(
-        [sys.executable, "-m", "lumitree.cli", *arguments],
+        [sys.executable, "-m", "lumitree", *arguments],
         cwd=folder,
         env={name: value for name, value in environment.items() if value is not None},
         capture_output=True,

@@ -76,7 +76,7 @@ def _running(command: list[str], work: Path, workers: int) -> Iterator[subproces
 
 
 def bake_command(work: Path, workers: int, options: argparse.Namespace) -> list[str]:
-    command = [sys.executable, "-m", "lumitree.cli", "bake", "@lamps.txt"]
+    command = [sys.executable, "-m", "lumitree", "bake", "@lamps.txt"]
     command += ["-o", f"{baked_folder(work, workers).name}/", "--quality", options.quality]
     return [*command, "--workers", str(workers)]
 

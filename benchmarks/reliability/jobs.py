@@ -59,7 +59,7 @@ INPUTS = {
     "light.toml": _LIGHT + _LIGHT_FIELD,
     "field.toml": _FIELD,
 }
-PROGRAM = (sys.executable, "-m", "lumitree.cli")
+PROGRAM = (sys.executable, "-m", "lumitree")
 TRAINING = (sys.executable, str(Path(__file__).with_name("tiny_training.py").resolve()))
 RENDERING = (sys.executable, str(Path(__file__).with_name("tiny_render.py").resolve()))
 # Commands that make further inputs; run in this order.

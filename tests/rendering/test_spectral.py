@@ -98,7 +98,7 @@ def test_the_kernel_interpolates_the_table(tables):
     ],
 )
 def test_what_needs_rgb_is_refused_in_one_line(tmp_path, command, message):
-    program = [sys.executable, "-m", "lumitree.cli", *command, "--variant", SPECTRAL]
+    program = [sys.executable, "-m", "lumitree", *command, "--variant", SPECTRAL]
     result = subprocess.run(program, capture_output=True, text=True, cwd=tmp_path)
     assert result.returncode == 2
     assert message in result.stderr

@@ -14,9 +14,8 @@ def is_program() -> bool:
     """Whether the process is the command line, and not a program that imports lumitree."""
     name = os.path.basename(sys.argv[0]) if getattr(sys, "argv", None) else ""
     # While Python locates the module of `python -m`, the name is -m. Windows has programs .exe.
-    return name in ("lumitree", "lumitree.exe") or (
-        name == "-m" and "lumitree.cli" in sys.orig_argv
-    )
+    module = " ".join(sys.orig_argv).partition(" -m ")[2].split()[:1]
+    return name in ("lumitree", "lumitree.exe") or (name == "-m" and module == ["lumitree"])
 
 
 def exit_on_signals() -> None:

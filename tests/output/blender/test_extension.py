@@ -180,7 +180,7 @@ def test_programs_are_found(tmp_path, monkeypatch):
         (tmp_path / name).chmod(0o755)
     assert program.find_program("") == [str(tmp_path / "lumitree")]
     python3 = str(tmp_path / "python3")
-    assert program.find_program(python3) == [python3, "-m", "lumitree.cli"]
+    assert program.find_program(python3) == [python3, "-m", "lumitree"]
     with pytest.raises(program.ExtensionError, match="does not start"):
         program.Job([[str(tmp_path)]], tmp_path / "log")
 

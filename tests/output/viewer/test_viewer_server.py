@@ -61,7 +61,7 @@ def test_port_in_use_is_refused():
 
 def test_command_serves_until_interrupted(asset_file):
     process = subprocess.Popen(
-        [sys.executable, "-m", "lumitree.cli", "view", str(asset_file)],
+        [sys.executable, "-m", "lumitree", "view", str(asset_file)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ,
     )  # fmt: skip
     try:

@@ -32,7 +32,7 @@ def find_program(setting: str) -> list[str]:
     if found is None:
         raise ExtensionError(f"lumitree was not found; install it, and name it {_PREFERENCES}")
     is_python = Path(found).name.lower().startswith("python")
-    return [found, "-m", "lumitree.cli"] if is_python else [found]
+    return [found, "-m", "lumitree"] if is_python else [found]
 
 
 def export_command(

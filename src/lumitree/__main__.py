@@ -1,5 +1,5 @@
 # PYTHON_ARGCOMPLETE_OK
-"""`python -m lumitree.cli`."""
+"""`python -m lumitree`."""
 
 import sys
 
