@@ -120,9 +120,10 @@ def run(options: argparse.Namespace) -> None:
         copies = [folder / f"lamp{index}.lumitree" for index in range(options.lamps)]
         for copy in copies:
             copy.write_bytes(content)
-        for count in (1, *options.counts):
-            rows.append(measure(folder, copies[:1], count, options.variant))
-        rows.append(measure(folder, copies, options.lamps, options.variant))
+        cases = [(1, count) for count in (1, *options.counts)] + [(options.lamps, options.lamps)]
+        for lamps, count in cases:
+            rows.append(measure(folder, copies[:lamps], count, options.variant))
+            print(f"measured {count} placements, lamps: {lamps}", file=sys.stderr)
     print(table(rows).text())
     facts = results.setting()
     results.write(
