@@ -1,6 +1,7 @@
 """GLDF and L3D files as lamps, against closed forms and the intensities of their photometries."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of, y_up, z_up
 from lumitree.lamp.source import LuminaireSource, gldf_variant, source_kind
 from lumitree.rendering.asset_flux import asset_lumens
+from lumitree.rendering.asset_info import asset_report
 from support.damage import damaged, refused
 from support.gldf_files import (
     FACES,
@@ -288,6 +290,9 @@ def test_variants(made):
     assert lumitree.load(path + "#a").luminaire == "lamp name of a"
     assert lumitree.load(path + "#a") is lumitree.load(path + "#a")
     assert lumitree.bake_photometric(path + "#name of a").asset.luminaire == "lamp name of a"
+    assert asset_report(lumitree.load(path + "#a"), path + "#a")["file_bytes"] == os.path.getsize(
+        path
+    )
     with pytest.raises(LumitreeError, match="no variant 'c'; it has b, a"):
         lumitree.load(path + "#c")
     with pytest.raises(LumitreeError, match="does not exist"):

@@ -65,6 +65,54 @@ def test_an_even_view_has_no_source(mi):
     assert found.background == pytest.approx(68.3, rel=0.02)
 
 
+def test_the_corners_of_an_image_may_be_dark(mi):
+    sphere = {"type": "sphere", "center": [0, 0, -2], "radius": 0.1}
+    sphere["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": 10}}
+    camera = {"type": "perspective", "fov": 60, "film": {"type": "hdrfilm", "width": 512}}
+    camera["film"] |= {"height": 512}
+    camera["to_world"] = mi.ScalarTransform4f().look_at([0, 0, 0], [0, 0, -1], [0, 1, 0])
+    scene = {"type": "scene", "sphere": sphere, "camera": camera, "path": {"type": "path"}}
+    found = lumitree.glare(lumitree.render(scene, samples_per_pixel=16), 1)
+    assert found.source_solid_angle == pytest.approx(math.pi * 0.05**2, rel=0.06)
+    assert found.source_luminance == pytest.approx(6830, rel=0.06)
+    # Of pixels at the edge of the sphere.
+    assert 0 < found.background < 1
+
+
+def test_what_evalglare_says_is_one_line(mi, monkeypatch):
+    import pyradiance
+
+    def fail(*_, **__):
+        raise RuntimeError("An error occurred with exit code 1: first\nsecond")
+
+    monkeypatch.setattr(pyradiance, "evalglare", fail)
+    camera = {"type": "perspective", "film": {"type": "hdrfilm", "width": 64, "height": 64}}
+    scene = {"type": "scene", "camera": camera, "light": {"type": "constant"}}
+    image = lumitree.render(scene | {"path": {"type": "path"}}, samples_per_pixel=1)
+    with pytest.raises(lumitree.LumitreeError, match=r"evalglare failed: .*: first second$"):
+        lumitree.glare(image, 1)
+
+
+@pytest.mark.parametrize(("offset", "seen"), [((96, 64), True), ((95, 60), False)])
+def test_the_view_of_a_crop_window(mi, offset, seen):
+    """The middle of an image is a narrower view; any other part is none."""
+    film = {"type": "hdrfilm", "width": 256, "height": 256, "crop_width": 64, "crop_height": 128}
+    film |= {"crop_offset_x": offset[0], "crop_offset_y": offset[1]}
+    scene = {
+        "type": "scene",
+        "camera": {"type": "perspective", "fov": 90, "film": film},
+        "light": {"type": "constant"},
+        "path": {"type": "path"},
+    }
+    image = lumitree.render(scene, samples_per_pixel=1)
+    assert image.resolution == (64, 128)
+    if not seen:
+        assert image.camera is None
+        return
+    angles = (image.camera.horizontal, image.camera.vertical)
+    assert angles == pytest.approx([2 * math.degrees(math.atan(x)) for x in (0.25, 0.5)])
+
+
 def test_what_has_no_glare_is_refused(mi):
     camera = {"type": "orthographic", "film": {"type": "hdrfilm", "width": 64, "height": 64}}
     scene = {"type": "scene", "camera": camera, "light": {"type": "constant"}}

@@ -122,8 +122,23 @@ def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
         dark.save_aov(path)
     with pytest.raises(LumitreeError, match=r"'a.png' does not end in \.exr"):
         result.save_layers("a.png")
-    with pytest.raises(LumitreeError, match=r"no layers .* expected a file of `lumitree render"):
+    with pytest.raises(LumitreeError, match=r"image.exr is not made of layers alone; expected"):
         lumitree.mix(image)
+    render(room, samples_per_pixel=1, aov=True).save_aov(image)
+    with pytest.raises(LumitreeError, match=r"image.exr is not made of layers alone; expected"):
+        lumitree.mix(image)
+
+
+def test_layers_have_no_names_of_other_channels(room, lamps, tmp_path):
+    path = tmp_path / "layers.exr"
+    named = [
+        lumitree.Placement(lamps[0].source, at=(x, 0, 0), size=0.5, label=label)
+        for x, label in ((-1, "RGB"), (0, "RGBA"), (1, "RGB"))
+    ]
+    result = render(room, named, samples_per_pixel=4, layers=True)
+    assert list(result.layers) == ["room", "RGB_2", "RGBA_2", "RGB_3"]
+    result.save_layers(path)
+    assert lumitree.mix(path).pixels == pytest.approx(result.pixels, abs=1e-5)
 
 
 def test_buffers_describe_the_surfaces(mi, room, tmp_path):

@@ -325,6 +325,14 @@ def test_bad_transforms_are_refused(mi, asset_file, matrix, message):
         lumitree.shape(asset_file(random_asset(0)), matrix)
 
 
+@pytest.mark.parametrize("option", ["proxy", "sampling", "appearance"])
+def test_plugins_refuse_unknown_words(mi, asset_file, option):
+    shape = dict(lumitree.shape(asset_file(random_asset(0))))
+    shape["emitter"] = {**shape["emitter"], option: "odd"}
+    with pytest.raises(RuntimeError, match=f"{option} is 'odd'"):
+        mi.load_dict(shape)
+
+
 def test_unknown_proxy_and_missing_asset(mi, asset_file, tmp_path):
     with pytest.raises(LumitreeError, match="proxy is 'cone'"):
         lumitree.shape(asset_file(random_asset(0)), proxy="cone")

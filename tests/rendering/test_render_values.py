@@ -7,6 +7,8 @@ import lumitree
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.rendering.layers import Unrecorded
 from support.fields import random_asset
+from support.lamps import AREA, sphere
+from support.lamps import scene as shapes
 from support.small_room import SMALL_ROOM
 
 
@@ -73,9 +75,46 @@ def test_dictionaries_take_widths_and_scenes_do_not(mi, room):
     assert render(room, width=12).resolution == (12, 8)
     assert room["sensor"]["film"]["width"] == 24
     scene = mi.load_dict(room | {"integrator": tracer(mi)})
-    for built in (scene, room | {"sensor": mi.load_dict(room["sensor"])}):
+    film = mi.load_dict(room["sensor"]["film"])
+    sensors = (mi.load_dict(room["sensor"]), room["sensor"] | {"film": film})
+    for built in (scene, *(room | {"sensor": sensor} for sensor in sensors)):
         with pytest.raises(LumitreeError, match=r"the scene has a film that is created already"):
             render(built, width=12)
+
+
+def test_a_width_keeps_what_a_crop_window_shows(mi, room):
+    squares = {"type": "checkerboard", "to_uv": mi.ScalarTransform4f().scale([9, 5, 1])}
+    room["wall"]["emitter"] = {"type": "area", "radiance": squares}
+    window = {"crop_width": 12, "crop_height": 6, "crop_offset_x": 2, "crop_offset_y": 8}
+    whole = render(room, width=96).pixels
+    room["sensor"]["film"] |= window
+    image = render(room, width=48)
+    assert image.resolution == (48, 24)
+    part = whole[32:56, 8:56]
+    # Noise at the edges of squares; of another view it is about 0.5.
+    assert np.abs(image.pixels - part).mean() < 0.1 * part.mean()
+
+
+def test_objects_of_the_caller_keep_their_names(mi, room):
+    scene = mi.load_dict(room | {"integrator": tracer(mi)})
+    names = [each.id() for each in (*scene.shapes(), *scene.sensors())]
+    assert names == ["wall", "sensor"]
+    render(scene)
+    assert [each.id() for each in (*scene.shapes(), *scene.sensors())] == names
+
+
+def test_two_parts_of_a_file_stand_where_the_file_has_them(mi, room, tmp_path):
+    path = tmp_path / "two.xml"
+    path.write_text(
+        shapes(sphere("left", 0.2, (-1, 0, 0), AREA), sphere("right", 0.2, (1, 0, 0), AREA))
+    )
+    parts = [lumitree.load_luminaire(path, keep=(name,)) for name in ("left", "right")]
+    lamps = [lumitree.Placement(part) for part in parts]
+    image = lumitree.render(room, lamps, samples_per_pixel=4, progress=None)
+    # Emitters of a radiance of 3 that are seen.
+    assert min(image.pixels[:, :12].max(), image.pixels[:, 12:].max()) > 1
+    with pytest.raises(LumitreeError, match="two is placed twice in the same place"):
+        lumitree.render(room, [lamps[0], lumitree.Placement(parts[0])], samples_per_pixel=4)
 
 
 def test_the_path_integrator_of_a_scene_is_replaced_with_a_warning(mi, room):

@@ -179,6 +179,13 @@ def test_the_command_removes_what_it_kept(rendered, capsys):
     capsys.readouterr()
 
 
+def test_arrays_and_numpy_numbers_place_lamps():
+    lamp = lumitree.Placement("lamp.lumitree", at=np.zeros(3), size=np.float32(1.5))
+    first = lumitree.render("room.xml", [lamp], samples_per_pixel=2, work="work", progress=None)
+    again = lumitree.render("room.xml", [lamp], samples_per_pixel=2, work="work", progress=None)
+    np.testing.assert_array_equal(first.pixels, again.pixels)
+
+
 def test_only_files_can_be_compared_later(mi):
     scene = mi.load_file("room.xml")
     with (

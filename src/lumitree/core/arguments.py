@@ -31,7 +31,19 @@ def check_range(name: str, value: float, low: float, high: float, unit: str = ""
     """
     if not (isinstance(value, int | float) and low <= value <= high):
         expected = f"expected {low:,} to {high:,}{unit and ' ' + unit}"
-        raise LumitreeError(f"{name} is {shown(value, 40)}; {expected}")
+        raise LumitreeError(f"{name} is {_number(value)}; {expected}")
+
+
+def check_count(name: str, value: int, low: int, high: int, unit: str = "") -> None:
+    """Refuse what is not a whole number of the type int in [low, high], as `check_range`."""
+    if type(value) is not int:
+        raise LumitreeError(f"{name} is {_number(value)}; expected a whole number (int)")
+    check_range(name, value, low, high, unit)
+
+
+def _number(value: object) -> str:
+    """A number for a message, with its type if that is unusual."""
+    return shown(value if isinstance(value, int | float) else repr(value), 40)
 
 
 def check_choice(name: str, value: str, choices: Collection[str]) -> None:
@@ -78,7 +90,7 @@ def check_image_settings(**settings: int) -> None:
         settings: `resolution` and `width` in pixels, `spp` in samples.
     """
     for name, value in settings.items():
-        check_range(name, value, 1, MAX_SAMPLES if name == "spp" else MAX_PIXELS_A_SIDE)
+        check_count(name, value, 1, MAX_SAMPLES if name == "spp" else MAX_PIXELS_A_SIDE)
 
 
 def check_asset_output(path: str | os.PathLike[str]) -> None:

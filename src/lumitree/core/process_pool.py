@@ -21,7 +21,7 @@ from multiprocessing.sharedctypes import RawValue
 from typing import Any
 
 from lumitree.core import backend
-from lumitree.core.arguments import check_range
+from lumitree.core.arguments import check_count
 from lumitree.core.interrupt import Interrupted, announce_nothing, interruptible
 from lumitree.core.system import (
     STOP_SIGNALS,
@@ -62,7 +62,7 @@ def process_pool(workers: int) -> Iterator[Executor]:
         >>> with lumitree.process_pool(4) as executor:
         ...     lumitree.render("room.xml", executor=executor).save("room.exr")
     """
-    check_range("workers", workers, 1, MAX_WORKERS)
+    check_count("workers", workers, 1, MAX_WORKERS)
     threads, ended = max(1, num_cores() // workers), RawValue(ctypes.c_bool, False)
     context = _Context(threads)
     settings = (ended, threads, backend.is_quiet())

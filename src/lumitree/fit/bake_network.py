@@ -10,8 +10,8 @@ from lumitree.core.arguments import (
     MAX_SAMPLES,
     check_asset_output,
     check_choice,
+    check_count,
     check_image_settings,
-    check_range,
 )
 from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
@@ -168,7 +168,7 @@ def capture(
             holds another capture; or as for the `executor` of `bake`.
         Interrupted: SIGINT, SIGTERM or SIGHUP was received. Finished views are kept.
     """
-    check_range("views", num_views, 1, MAX_VIEWS)
+    check_count("views", num_views, 1, MAX_VIEWS)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     check_choice("split", split, get_args(Split))
     check_writable(Path(output) / MANIFEST)
@@ -314,7 +314,7 @@ def extract(
     if output is not None:
         check_asset_output(output)
     check_tree_depth(tree_depth)
-    check_range("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
+    check_count("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
     standard = BakeConfig.standard()
     if irradiance_paths is None:
         irradiance_paths = standard.irradiance_paths

@@ -12,9 +12,9 @@ from lumitree.asset.asset import PARTS, Part
 from lumitree.core.arguments import (
     MAX_SAMPLES,
     check_choice,
+    check_count,
     check_image_settings,
     check_light,
-    check_range,
 )
 from lumitree.core.dataset import MAX_VIEWS
 from lumitree.core.seeds import check_seed
@@ -196,10 +196,10 @@ class NetworkConfig:
                 f"parts are {', '.join(self.parts) or 'none'}; expected field, which the network "
                 "is trained for: use bake for the others alone"
             )
-        check_range("num_views", self.num_views, 1, MAX_VIEWS)
+        check_count("num_views", self.num_views, 1, MAX_VIEWS)
         check_image_settings(resolution=self.resolution, spp=self.samples_per_pixel)
         check_tree_depth(self.tree_depth)
-        check_range("samples_per_leaf", self.samples_per_leaf, 1, MAX_SAMPLES)
+        check_count("samples_per_leaf", self.samples_per_leaf, 1, MAX_SAMPLES)
         check_irradiance_paths(self.irradiance_paths)
         check_seed(self.seed)
         if self.train.seed:

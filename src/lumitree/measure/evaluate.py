@@ -8,11 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from lumitree.asset.asset import Asset
-from lumitree.core.arguments import (
-    check_image_settings,
-    check_range,
-    check_sheet_output,
-)
+from lumitree.core.arguments import check_count, check_image_settings, check_sheet_output
 from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import MAX_VIEWS, Dataset
 from lumitree.core.files import FilePath, write_bytes
@@ -125,7 +121,7 @@ def evaluate(
         check_sheet_output(sheet)
         irradiance_sheet = Path(sheet).with_stem(f"{Path(sheet).stem}-irradiance")
         check_sheet_output(irradiance_sheet)
-    check_range("views", num_views, 1, MAX_VIEWS)
+    check_count("views", num_views, 1, MAX_VIEWS)
     check_irradiance_paths(irradiance_paths)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     mi = load_rgb(variant)

@@ -3,8 +3,6 @@
 import dataclasses
 import importlib.util
 import math
-import os
-import subprocess
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +19,8 @@ _RADIANCE_EFFICACY = 179.0
 _BACKGROUND = 1
 # An RGBE pixel holds mantissas of 8 bits and an exponent, 128 for numbers from 0.5 to 1.
 _MANTISSA, _EXPONENT = 256, 128
+# Images with dark corners too, below 7 cd/m²: evalglare takes them for those of a fisheye.
+_DARK_CORNERS = "-f"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,24 +72,31 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
             as `illuminance` finds it.
 
     Raises:
-        LumitreeError: pyradiance is not installed, the camera is no perspective one, the image is
-            too small, or evalglare fails.
+        LumitreeError: pyradiance is not installed, the camera has no `CameraView`, the image is too
+            small, or evalglare fails.
     """
     check_evalglare()
     import pyradiance
 
     if image.camera is None:
-        raise LumitreeError("the camera is not a perspective one, whose glare is not computed")
+        raise LumitreeError(
+            "the camera is not a perspective one, or its axis is not at the centre of the image; "
+            "glare needs both"
+        )
     height, width = image.pixels.shape[:2]
     if min(height, width) < 64:
         raise LumitreeError(f"the image has {width} x {height} pixels; glare needs 64 x 64 or more")
     picture = _picture(luminance(image.pixels), image.camera)
     try:
         output = pyradiance.evalglare(
-            picture, detailed=True, ev=vertical_illuminance, bg_lum_mode=_BACKGROUND
+            picture,
+            view=[_DARK_CORNERS],
+            detailed=True,
+            ev=vertical_illuminance,
+            bg_lum_mode=_BACKGROUND,
         )
-    except subprocess.CalledProcessError as error:
-        reason = shown(" ".join(os.fsdecode(error.stderr or b"").split()), 300)
+    except RuntimeError as error:
+        reason = shown(" ".join(str(error).split()), 300)
         raise LumitreeError(f"evalglare failed: {reason}") from None
     return _read(output.decode(errors="replace"), vertical_illuminance)
 

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from lumitree.asset.asset import Asset
-from lumitree.core.arguments import check_range
+from lumitree.core.arguments import check_count
 from lumitree.core.results import Json
 from lumitree.core.stopwatch import Stopwatch
 
@@ -16,7 +16,7 @@ MAX_IRRADIANCE_PATHS = 1 << 26
 
 def check_irradiance_paths(paths: int) -> None:
     """Refuse a number of paths that is not from 0 to `MAX_IRRADIANCE_PATHS`."""
-    check_range("irradiance_paths", paths, 0, MAX_IRRADIANCE_PATHS)
+    check_count("irradiance_paths", paths, 0, MAX_IRRADIANCE_PATHS)
 
 
 def measure_irradiance(

@@ -5,7 +5,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lumitree.core.arguments import check_range
+from lumitree.core.arguments import check_count
 from lumitree.errors import LumitreeError
 
 MAX_TREE_DEPTH = 10
@@ -14,7 +14,7 @@ Integer = TypeVar("Integer", bound=np.integer)
 
 def check_tree_depth(depth: int) -> None:
     """Refuse a level of the smallest leaves that is not in 1 to `MAX_TREE_DEPTH`."""
-    check_range("tree depth", depth, 1, MAX_TREE_DEPTH)
+    check_count("tree depth", depth, 1, MAX_TREE_DEPTH)
 
 
 def morton(cells: ArrayLike) -> NDArray[np.int64]:

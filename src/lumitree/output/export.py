@@ -5,14 +5,14 @@ from pathlib import Path
 from typing import Literal
 
 from lumitree.asset.asset import Asset
-from lumitree.core.arguments import check_choice, check_range
+from lumitree.core.arguments import check_choice, check_count
 from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, check_writable
 from lumitree.core.results import Result
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.work_folder import atomic_files, atomic_folder, check_new_folder
-from lumitree.errors import LumitreeError, explained, shown
+from lumitree.errors import explained
 from lumitree.output.targets.registry import find_target
 from lumitree.output.targets.target import ExportRequest
 from lumitree.rendering.asset_cache import open_asset
@@ -105,9 +105,7 @@ def export(
     target = find_target(output)
     output = Path(output)
     (check_new_folder if target.is_folder else check_writable)(output)
-    if type(lights) is not int:
-        raise LumitreeError(f"lights is {shown(lights, 40)}; expected a whole number")
-    check_range("lights", lights, 1, MAX_LIGHTS)
+    check_count("lights", lights, 1, MAX_LIGHTS)
     check_choice("up", up, ("y", "z"))
     check_seed(seed)
     if target.check is not None:

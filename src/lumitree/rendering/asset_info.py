@@ -6,6 +6,7 @@ from pathlib import Path
 from lumitree.asset.asset import Asset
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.results import Json, plain
+from lumitree.lamp.source import gldf_variant
 
 
 def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
@@ -13,7 +14,11 @@ def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
     info: Json = plain(asset.info)
     if path is None:
         return info
-    return {"file": os.fspath(path), "file_bytes": Path(path).stat().st_size, **info}
+    return {
+        "file": os.fspath(path),
+        "file_bytes": Path(gldf_variant(path)[0]).stat().st_size,
+        **info,
+    }
 
 
 def asset_report(asset: Asset, path: str | os.PathLike[str]) -> Json:

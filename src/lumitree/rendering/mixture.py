@@ -70,12 +70,13 @@ def mix(
             what, file, colours, rendered = "the image", None, dict(layers), None
         else:
             what, file = shown(layers), Path(layers).name
-            colours = {n: c for n, c in read_exr(layers).items() if c.ndim == 3 and n != "RGB"}
-            rendered = read_comment(layers)
-        if not colours:
+            colours, rendered = read_exr(layers), read_comment(layers)
+        # Other files have other channels too, such as those of --aov.
+        layered = file is None or all(c.ndim == 3 and n != "RGB" for n, c in colours.items())
+        if not colours or not layered:
             raise LumitreeError(
-                f"{what} has no layers NAME.R, NAME.G and NAME.B; expected a file of "
-                "`lumitree render --layers`"
+                f"{what} is not made of layers alone; expected channels NAME.R, NAME.G and NAME.B "
+                "of each, as `lumitree render --layers` writes them"
             )
         for name in factors.keys() - colours.keys():
             raise LumitreeError(

@@ -62,7 +62,8 @@ class RenderResult(SavedImage):
             specular, times the throughput up to it; None without `layers`, `aov` and `denoise`.
         normals: float32 [height, width, 3], shading normal of this surface in the frame of the
             scene; None as `albedo`.
-        camera: where the camera stands and looks; None if it is not a perspective one.
+        camera: where the camera stands and looks; None if it is not a perspective one, or its
+            axis is not at the centre of the image.
     """
 
     resolution: tuple[int, int]
@@ -296,13 +297,16 @@ def _described(placement: "Placement") -> dict[str, Any]:
 
 
 def _names(placements: "Sequence[Placement]") -> list[str]:
-    """Names of the layers: each once, of letters, digits, "_" and "-"."""
+    """Names of the layers: each once, of letters, digits, "_" and "-".
+
+    OpenEXR files have other channels by the names RGB and RGBA.
+    """
     names = [_ROOM]
     for placement in placements:
         start = placement.label or Path(placement.name).stem
         start = re.sub(r"[^\w-]+", "_", start) or "lamp"
         name, number = start, 1
-        while name in names:
+        while name in (*names, "RGB", "RGBA"):
             number += 1
             name = f"{start}_{number}"
         names.append(name)

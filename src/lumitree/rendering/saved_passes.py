@@ -18,6 +18,7 @@ from lumitree.asset.checks import expect, expect_arrays
 from lumitree.core.arguments import MAX_SAMPLES
 from lumitree.core.files import FilePath, WriteError, atomic_path
 from lumitree.core.reading import read_arrays, read_bytes
+from lumitree.core.results import plain
 from lumitree.core.work_folder import WorkFolder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.source import LuminaireSource, gldf_variant
@@ -166,8 +167,9 @@ def image_identity(
 
 def _lamp_identity(placed: "PlacedLuminaire") -> dict[str, Any]:
     placement = placed.placement
-    fields = {field.name: getattr(placement, field.name) for field in dataclasses.fields(placement)}
-    source = fields.pop("source")
+    values = {field.name: getattr(placement, field.name) for field in dataclasses.fields(placement)}
+    source = values.pop("source")
+    fields = plain(values)
     if placed.luminaire is not None:
         return {**fields, "content": placed.luminaire.fingerprint}
     source = source.name if isinstance(source, LuminaireSource) else source

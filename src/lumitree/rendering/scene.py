@@ -46,9 +46,12 @@ class PlacedLuminaire:
     Args:
         placement: what to read, and where it goes.
         luminaire: the explicit luminaire of the placement, if it is loaded already.
+        metres: in a unit of length of the scene, for `Placement.lumens`.
     """
 
-    def __init__(self, placement: Placement, luminaire: Luminaire | None = None) -> None:
+    def __init__(
+        self, placement: Placement, luminaire: Luminaire | None = None, metres: float = 1
+    ) -> None:
         self.placement = placement
         self.field: Field | None = None
         self.luminaire = luminaire
@@ -68,15 +71,16 @@ class PlacedLuminaire:
         self.scene_from_world = scene_from_local @ frame.local_from_world
         self.scene_from_box = scene_from_local @ np.diag([*frame.half_extents, 1])
         # Factors [3] on its light, for its `gain`, `lumens` and `temperature`.
-        self.gain = self._gain(similarity_scale(scene_from_local, "placement") / frame.scale)
+        scale = similarity_scale(scene_from_local, "placement") / frame.scale
+        self.gain = self._gain(scale, metres)
 
-    def _gain(self, scale: float) -> tuple[float, float, float]:
+    def _gain(self, scale: float, metres: float) -> tuple[float, float, float]:
         """The gain of a lamp whose lengths in the scene are `scale` times those of its file."""
         placement, gain = self.placement, np.array(check_gain(self.placement.gain))
         if self.field is not None and (placement.lumens, placement.temperature) != (None, None):
             asset = self.field.asset
             assert isinstance(asset, Asset)
-            watts = asset_watts(asset) * scale**2
+            watts = asset_watts(asset) * (scale * metres) ** 2
             gain *= gain_to(watts, placement.lumens, placement.temperature, placement.name)
         return check_gain(gain)
 
@@ -135,15 +139,15 @@ def place_shapes(luminaire: LuminaireLike, scene_from_world: ArrayLike) -> dict[
     return {f"luminaire_{i}": shape for i, shape in enumerate(file.instantiate().shapes())}
 
 
-def open_placements(placements: Sequence[Placement]) -> list[PlacedLuminaire]:
-    """Read the luminaires of placements, each once."""
+def open_placements(placements: Sequence[Placement], metres: float = 1) -> list[PlacedLuminaire]:
+    """Read the luminaires of placements, each once; `metres` as for `PlacedLuminaire`."""
     loaded: dict[object, Luminaire] = {}
     opened = []
     for placement in placements:
         source = placement.source
         # A dictionary has no hash.
         key = source if isinstance(source, str | os.PathLike | LuminaireSource) else id(source)
-        placed = PlacedLuminaire(placement, loaded.get(key))
+        placed = PlacedLuminaire(placement, loaded.get(key), metres)
         if placed.luminaire is not None:
             loaded[key] = placed.luminaire
         opened.append(placed)
@@ -173,9 +177,10 @@ def place_luminaires(
         objects["environment"] = scene.environment()
     distant = [e for e in scene.emitters() if e.get_shape() is None and not e.is_environment()]
     objects |= {f"emitter_{i}": item for i, item in enumerate(distant)}
+    ids = [(item, item.id()) for item in objects.values() if isinstance(item, mi.Object)]
     taken: set[tuple[str, bytes]] = set()
     for placed in luminaires:
-        place = (placed.placement.name, placed.scene_from_world.tobytes())
+        place = (placed.placement.name, placed.scene_from_box.tobytes())
         if place in taken:
             raise LumitreeError(
                 f"{place[0]} is placed twice in the same place; give each its own --at"
@@ -193,7 +198,11 @@ def place_luminaires(
     for start, placed in zip(placed_ids(luminaires), luminaires, strict=True):
         shapes = placed.shapes(proxy, sampling, appearance, thresholds)
         objects |= {start + name: value for name, value in shapes.items()}
-    return load_ordered(objects)
+    loaded = load_ordered(objects)
+    # The names in the dictionary became the ids.
+    for item, name in ids:
+        item.set_id(name)
+    return loaded
 
 
 def placed_ids(luminaires: Sequence[PlacedLuminaire]) -> list[str]:
@@ -237,7 +246,7 @@ def load_scene(
             "reconstruction filter 'box': create it so, or describe the sensor by a dictionary"
         )
     if width is not None:
-        if any(sensors[0] is each for each in _created_sensors(source)):
+        if any(sensors[0].film() is each for each in _created_films(source)):
             raise LumitreeError(
                 f"{title} has a film that is created already, and keeps its width: create it with "
                 "another, or describe the sensor by a dictionary"
@@ -278,12 +287,14 @@ def scene_title(source: Any) -> str:
     return str(source)
 
 
-def _created_sensors(source: Any) -> list[mi.Sensor]:
-    """The sensors of a scene, as for `load_scene`, that are created already."""
+def _created_films(source: Any) -> list[Any]:
+    """The films of a scene, as for `load_scene`, that are created already, and other objects."""
     if isinstance(source, mi.Scene):
-        return source.sensors()
-    values = source.values() if isinstance(source, Mapping) else ()
-    return [value for value in values if isinstance(value, mi.Sensor)]
+        return [sensor.film() for sensor in source.sensors()]
+    values = list(source.values()) if isinstance(source, Mapping) else []
+    within = [item for value in values if isinstance(value, Mapping) for item in value.values()]
+    of_sensors = [value.film() for value in values if isinstance(value, mi.Sensor)]
+    return [*of_sensors, *(item for item in within if isinstance(item, mi.Object))]
 
 
 def _create(
@@ -310,16 +321,23 @@ def appearance_for(integrator: mi.Integrator) -> Appearance:
 
 
 def set_film_width(scene: mi.Scene, width: int) -> None:
-    """Change the film of the scene's first sensor to `width` pixels, keeping its proportions."""
+    """Change the image of the scene's first sensor to `width` pixels, keeping its proportions.
+
+    What a crop window shows stays, to a pixel.
+    """
     film = scene.sensors()[0].film()
     if width < 1:
         raise LumitreeError(f"width is {width}; expected at least 1 pixel")
-    old = film.size()
+    crop, offset, size = (
+        np.ravel(each) for each in (film.crop_size(), film.crop_offset(), film.size())
+    )
+    scale = width / int(crop[0])
+    scaled = np.array([width, max(1, round(int(crop[1]) * scale))])
+    start = np.round(offset * scale).astype(int)
     params = mi.traverse(film)
-    height = max(1, round(int(old[1]) * width / int(old[0])))
-    params["size"] = [width, height]
-    params["crop_size"] = [width, height]
-    params["crop_offset"] = [0, 0]
+    params["size"] = np.maximum(np.round(size * scale).astype(int), start + scaled).tolist()
+    params["crop_size"] = scaled.tolist()
+    params["crop_offset"] = start.tolist()
     params.update()
 
 

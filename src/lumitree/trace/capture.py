@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from lumitree.core.arguments import check_image_settings, check_range
+from lumitree.core.arguments import check_count, check_image_settings
 from lumitree.core.dataset import MANIFEST, MAX_VIEWS, Dataset, Frame, Manifest, Split, View
 from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
 from lumitree.core.executor import run_tasks
@@ -93,7 +93,7 @@ def _camera(luminaire: bytes, settings: tuple[int, int]) -> Camera:
 def _plan(
     luminaire: Luminaire, num_views: int, resolution: int, samples_per_pixel: int, split: Split
 ) -> Manifest:
-    check_range("views", num_views, 1, MAX_VIEWS)
+    check_count("views", num_views, 1, MAX_VIEWS)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     first = 1 if split == "train" else FIRST_TEST_INDEX
     # Cameras stand clear of the bounding sphere.

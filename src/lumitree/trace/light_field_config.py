@@ -3,7 +3,7 @@
 import dataclasses
 
 from lumitree.asset.light_field import MAX_DEPTH
-from lumitree.core.arguments import check_range
+from lumitree.core.arguments import check_count
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError
 
@@ -35,14 +35,14 @@ class LightFieldConfig:
     batch: int = 1 << 19
 
     def __post_init__(self) -> None:
-        check_range("light paths", self.paths, 1, MAX_PATHS)
-        check_range("depth of the light field", self.depth, 1, MAX_DEPTH)
-        check_range("bins of direction a side", self.resolution, 4, MAX_TRACED_RESOLUTION)
+        check_count("light paths", self.paths, 1, MAX_PATHS)
+        check_count("depth of the light field", self.depth, 1, MAX_DEPTH)
+        check_count("bins of direction a side", self.resolution, 4, MAX_TRACED_RESOLUTION)
         if self.resolution & (self.resolution - 1):
             raise LumitreeError(
                 f"bins of direction a side is {self.resolution}; expected a power of two"
             )
-        check_range("paths at once", self.batch, 1, 1 << 24)
+        check_count("paths at once", self.batch, 1, 1 << 24)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -35,6 +35,7 @@ def test_axes_are_right_handed_and_in_the_plane(normal):
         ({"spacing": 0}, "spacing is 0"),
         ({"centre": (0, np.inf, 0)}, "expected 3 finite numbers"),
         ({"extent": (1e4, 1e4)}, "use a larger spacing"),
+        ({"extent": (0.01, 1e6)}, "4,000,000 points.* use a larger spacing"),
     ],
 )
 def test_wrong_planes_are_refused(arguments, message):

@@ -199,6 +199,27 @@ def test_lumens_are_those_of_the_scene_in_its_unit(mi):
     assert (allowed < 0.1 * one.direct.max()).all()
 
 
+def test_a_bright_lamp_in_a_scene_in_millimetres(mi):
+    bright = dataclasses.replace(placed(lumens=1e5), at=(0, 2000, 0), size=300)
+    found = lumitree.illuminance(
+        room(mi), [bright], direct_only=True, unit="mm", **at(*(1000 * POINTS))
+    )
+    expected = lumitree.illuminance(room(mi), [placed(lumens=1e5)], direct_only=True, **at(*POINTS))
+    allowed = 4 * np.hypot(found.direct_error, expected.direct_error)
+    assert (np.abs(found.direct - expected.direct) < allowed).all()
+
+
+@pytest.mark.parametrize("length", [1e-30, 1e30])
+def test_normals_may_have_any_length(mi, length):
+    one, other = (
+        lumitree.illuminance(room(mi), [placed()], direct_only=True, **at(*POINTS, normal=normal))
+        for normal in ((0, 1, 0), (0, length, 0))
+    )
+    np.testing.assert_array_equal(other.normal, one.normal)
+    assert other.direct == pytest.approx(one.direct)
+    assert one.direct.max() > 0
+
+
 def test_equal_seeds_give_equal_results_and_others_do_not(mi):
     results = [
         lumitree.illuminance(furnace(mi, 0.5), error=EVERYTHING, seed=seed, **at([0, 1, 0]))
@@ -275,7 +296,7 @@ def test_wrong_arguments_are_told_in_one_line(mi, arguments, message):
         lumitree.illuminance(furnace(mi, 0), **arguments)
 
 
-def test_points_inside_solids_do_not_count(mi):
+def test_points_inside_solids_do_not_count(mi, tmp_path):
     """A row of points, of which two are inside a cube that stands on a plate."""
     scene = furnace(mi, 0)
     plate = mi.ScalarTransform4f().translate([0, -0.5, 0]).rotate([1, 0, 0], -90)
@@ -287,6 +308,35 @@ def test_points_inside_solids_do_not_count(mi):
     area = result.areas[0]
     assert (area.count, area.enclosed) == (4, 2)
     assert area.mean == pytest.approx(result.total[[0, 3]].mean())
+    result.save(tmp_path / "lux.json")
+    receivers = json.loads((tmp_path / "lux.json").read_text())["receivers"]
+    assert [each["total_lx"] is None for each in receivers] == [False, True, True, False]
+
+
+@pytest.mark.parametrize("direct_only", [False, True])
+def test_dark_points_of_a_room_whose_walls_face_outwards_count(mi, direct_only):
+    """A beam lights a patch of the floor; one of four points is there, one in a solid."""
+    transform = mi.ScalarTransform4f
+    grey = {"type": "twosided", "bsdf": {"type": "diffuse"}}
+    spot = {
+        "type": "spot",
+        "to_world": transform().look_at([0.6, 0.9, 0], [0.6, 0, 0], [0, 0, 1]),
+        "cutoff_angle": 10,
+    }
+    scene = {
+        "type": "scene",
+        "walls": {"type": "cube", "to_world": transform().scale([0.8, 1, 0.8]), "bsdf": grey},
+        "box": {
+            "type": "cube",
+            "to_world": transform().translate([-0.2, 0, 0]).scale([0.1, 0.1, 0.1]),
+            "bsdf": grey,
+        },
+        "spot": spot,
+    }
+    plane = lumitree.Plane((0, 0, 0), extent=(1.6, 0.4), spacing=0.4)
+    result = lumitree.illuminance(scene, planes=[plane], error=EVERYTHING, direct_only=direct_only)
+    assert np.isnan(result.total).tolist() == [False, True, False, False]
+    assert np.flatnonzero(result.direct > 0).tolist() == [3]
 
 
 def test_a_scene_without_light_is_refused(mi):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lumitree._version import __version__
-from lumitree.core.arguments import check_range
+from lumitree.core.arguments import check_count
 from lumitree.core.files import write_json
 from lumitree.core.reading import Record, parse_json, read_bytes
 from lumitree.errors import LumitreeError, shown
@@ -45,8 +45,8 @@ class Part:
     count: int
 
     def __post_init__(self) -> None:
-        check_range("number of parts", self.count, 1, MAX_PARTS)
-        check_range("part", self.number, 1, self.count)
+        check_count("number of parts", self.count, 1, MAX_PARTS)
+        check_count("part", self.number, 1, self.count)
 
     @property
     def file_name(self) -> str:

@@ -8,7 +8,7 @@ The settings are part of the saved state of a bake: a state is only continued wi
 
 import dataclasses
 
-from lumitree.core.arguments import MAX_RAYS, MAX_SECONDS, check_choice, check_range
+from lumitree.core.arguments import MAX_RAYS, MAX_SECONDS, check_choice, check_count, check_range
 from lumitree.core.harmonics import MAX_L
 from lumitree.core.seeds import check_seed
 from lumitree.core.transmittance import LAWS, Law
@@ -316,7 +316,7 @@ class OctreeFitConfig(OctreeConfig):
 
     def __post_init__(self) -> None:
         check_tree_depth(self.tree_depth)
-        check_range("l_max", self.l_max, 0, MAX_L)
+        check_count("l_max", self.l_max, 0, MAX_L)
         check_choice("law", self.law, LAWS)
         check_seed(self.seed)
         if self.time is None and self.rays is None:
@@ -324,4 +324,4 @@ class OctreeFitConfig(OctreeConfig):
         if self.time is not None:
             check_range("time", self.time, 1e-3, MAX_SECONDS, "seconds")
         if self.rays is not None:
-            check_range("rays", self.rays, 1, MAX_RAYS)
+            check_count("rays", self.rays, 1, MAX_RAYS)

@@ -65,7 +65,7 @@ class Plane:
             raise LumitreeError("the normal of a plane is 0; expected a direction")
         if not min(self.extent) > 0:
             raise LumitreeError(f"extent is {self.extent}; expected two lengths above 0")
-        _check_count(math.prod(round(each / self.spacing) for each in self.extent))
+        _check_count(math.prod(self.shape))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -203,12 +203,14 @@ def _given(
             "expected [N, 3] both, or [3] for one normal"
         ) from None
     finite = np.isfinite(place).all() and np.isfinite(normal).all()
-    if not len(place) or not finite or not (np.linalg.norm(normal, axis=1) > 0).all():
+    largest = np.abs(normal).max(axis=1, keepdims=True)
+    if not len(place) or not finite or not (largest > 0).all():
         raise LumitreeError(
             "points or normals are missing, not finite or 0; expected [N, 3] finite numbers and "
             "normals of some length"
         )
-    return place, normal
+    # So that squares in single precision are neither 0 nor infinite.
+    return place, normal / largest
 
 
 def read_points(path: FilePath) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -47,6 +47,8 @@ _SUMS, _MAX_SUMS, _SUM_PART = 4, 1 << 10, 0.3
 # Part of the rays that end at backs of surfaces where a dark receiver is inside a solid. Not all of
 # them: faces of a solid may lie in those of another, as those of a cupboard in the walls.
 _ENCLOSED = 0.1
+# Passes in which such a receiver is searched for light before it counts as inside.
+_SEARCHES = 16
 # Errors are relative to the illuminance, but to no less than this part of the mean.
 FLOOR = 0.1
 
@@ -219,15 +221,28 @@ class _Sampler:
         return lux[0], lux[1], lux[2] if reflected else np.zeros((len(index), 1))
 
     def enclosed(self, index: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether the receivers of an index [M] are inside solids."""
-        if not len(index):
-            return np.zeros(0, bool)
+        """Whether receivers of an index [M], to which no light comes, are inside solids.
+
+        The walls of a room may have their backs inside too. There paths find what the lamps light.
+        """
+        found = np.zeros(len(index), bool)
+        for part in _chunks(np.arange(len(index)), _MIN_SAMPLES):
+            found[part] = self._behind(index[part]) > _ENCLOSED
+        for _ in range(_SEARCHES):
+            for part in _chunks(np.flatnonzero(found), _MIN_SAMPLES):
+                reached, _, reflected = self.draw(index[part], _MIN_SAMPLES, reflected=True)
+                found[part] = ~((reached > 0) | (reflected > 0)).any(axis=1)
+        return found
+
+    def _behind(self, index: NDArray[np.int64]) -> _Array:
+        """Part [M] of the rays from receivers of an index [M] that end at backs of surfaces."""
         sampler = mi.load_dict({"type": "independent"})
-        stream = SeedStream(Purpose.ILLUMINANCE, draw=3)
+        stream = SeedStream(Purpose.ILLUMINANCE, self._step, draw=3)
         sampler.seed(stream.seed(self._seed), _MIN_SAMPLES * len(index))
+        self._step += 1
         si = receivers(self._points[index], self._normals[index], _MIN_SAMPLES)
         behind = behind_surfaces(self._scene, si, sampler)
-        return np.array(behind).reshape(len(index), -1).mean(axis=1) > _ENCLOSED
+        return np.array(behind).reshape(len(index), -1).mean(axis=1)
 
 
 def _summed(
@@ -258,8 +273,9 @@ def _summed(
 
 
 def _chunks(index: NDArray[np.int64], samples: int) -> list[NDArray[np.int64]]:
-    """Parts of an index whose samples are few enough to be computed at once."""
-    return np.array_split(index, max(1, -(-len(index) * samples // _AT_ONCE)))
+    """Parts of an index whose samples are few enough to be computed at once, none of them empty."""
+    parts = np.array_split(index, max(1, -(-len(index) * samples // _AT_ONCE)))
+    return [part for part in parts if len(part)]
 
 
 def _ratio(a: Any, b: Any) -> Any:

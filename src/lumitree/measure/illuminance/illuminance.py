@@ -13,7 +13,7 @@ from lumitree.core.arguments import check_range
 from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, check_writable, write_bytes, write_json
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import Result
+from lumitree.core.results import Result, plain
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.units import metres_of
@@ -70,7 +70,7 @@ class IlluminanceResult(Result):
         check_illuminance_output(path)
         kind = Path(path).suffix.lower()
         if kind == ".json":
-            write_json(path, self.to_json() | {"receivers": self.table()})
+            write_json(path, self.to_json() | {"receivers": plain(self.table())})
         elif kind == ".csv":
             write_bytes(path, self._csv())
         else:
@@ -195,7 +195,7 @@ def illuminance(
             room = load_room(scene)
             # Before the luminaires are placed, which renames the shapes of the room.
             areas = collect(room, planes, surfaces, points, normals, seed)
-            placed = open_placements([_in_metres(each, metres) for each in placements])
+            placed = open_placements(placements, metres)
             whole = place_luminaires(room, placed, appearance="geometry")
             paths = _paths(whole, scene_title(scene))
             place = np.concatenate([area.points for area in areas])
@@ -231,13 +231,6 @@ def check_illuminance_output(path: FilePath) -> None:
         name = shown(repr(str(path)), 300)
         raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
     check_writable(path)
-
-
-def _in_metres(placement: Placement, metres: float) -> Placement:
-    """A placement with the luminous flux that it has if the scene's unit counts as a metre."""
-    if placement.lumens is None or metres == 1:
-        return placement
-    return dataclasses.replace(placement, lumens=placement.lumens / metres**2)
 
 
 def _paths(scene: Any, title: str) -> "PathScene":

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.arguments import check_choice, check_range
+from lumitree.core.arguments import check_choice, check_count
 from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, check_writable
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
@@ -132,8 +132,8 @@ def photometry(
     """
     outputs = [output] if isinstance(output, str | os.PathLike) else list(output)
     _check_outputs(outputs)
-    check_range("light paths", paths, MIN_PATHS, MAX_PATHS)
-    check_range("rays of a ray file", file_rays, 1, MAX_FILE_RAYS)
+    check_count("light paths", paths, MIN_PATHS, MAX_PATHS)
+    check_count("rays of a ray file", file_rays, 1, MAX_FILE_RAYS)
     check_seed(seed)
     check_choice("up", up, ("y", "z"))
     metres = metres_of(unit)

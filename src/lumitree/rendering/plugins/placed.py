@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
+from lumitree.core.arguments import check_choice
 from lumitree.core.device import parameter
 from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError
@@ -20,7 +21,8 @@ from lumitree.octree.field import Field
 from lumitree.octree.field_data import FieldData
 from lumitree.rendering.asset_cache import open_asset, open_field
 from lumitree.rendering.asset_flux import axis_intensities
-from lumitree.rendering.sampling.proxy import make_proxy
+from lumitree.rendering.sampling.emitter_sampling import SAMPLING_KINDS
+from lumitree.rendering.sampling.proxy import PROXY_KINDS, make_proxy
 from lumitree.rendering.sampling.self_lights import SelfLights
 
 Appearance = Literal["field", "geometry"]
@@ -50,6 +52,13 @@ def plugin_options(props: mi.Properties) -> dict[str, Any]:
     return {"asset": found if variant is None else f"{found}#{variant}", **options}
 
 
+def check_kinds(proxy: str, sampling: str, appearance: str) -> None:
+    """Refuse a proxy, a sampling or an appearance that there is not."""
+    check_choice("proxy", proxy, PROXY_KINDS)
+    check_choice("sampling", sampling, SAMPLING_KINDS)
+    check_choice("appearance", appearance, APPEARANCES)
+
+
 def shows_geometry(asset: FieldData, appearance: Appearance) -> bool:
     """Whether images show the luminaire itself."""
     return appearance == "geometry" and isinstance(asset, Asset) and asset.geometry is not None
@@ -63,9 +72,11 @@ class Placed:
         thresholds = {n: options[n] for n in ("min_density", "max_opacity") if n in options}
         self.asset = asset = open_asset(options["asset"])
         self.field = open_field(asset, **thresholds)
-        self.proxy = make_proxy(options.get("proxy", "box"), asset.frame.half_extents)
-        self.sampling = options.get("sampling", "emission")
-        self.shows_geometry = shows_geometry(asset, options.get("appearance", "field"))
+        proxy, self.sampling = options.get("proxy", "box"), options.get("sampling", "emission")
+        appearance = options.get("appearance", "field")
+        check_kinds(proxy, self.sampling, appearance)
+        self.proxy = make_proxy(proxy, asset.frame.half_extents)
+        self.shows_geometry = shows_geometry(asset, appearance)
         # Whether something else of the scene is in the box, and gets light there.
         self.holds = False
         # Of the geometry: what emits, and numbers of the shapes and of the media that scatter

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lumitree.asset.asset import Asset
-from lumitree.core.arguments import check_choice, check_gain
+from lumitree.core.arguments import check_gain
 from lumitree.core.frames import similarity_scale
 from lumitree.lamp.media import media_of, scatters
 from lumitree.octree.field import Field
@@ -22,14 +22,14 @@ from lumitree.rendering.plugins.objects import (
     shape_number,
 )
 from lumitree.rendering.plugins.placed import (
-    APPEARANCES,
     GEOMETRY_MARGIN,
     Appearance,
     Placed,
+    check_kinds,
     shows_geometry,
 )
-from lumitree.rendering.sampling.emitter_sampling import SAMPLING_KINDS, Sampling
-from lumitree.rendering.sampling.proxy import PROXY_KINDS, ProxyKind, make_proxy
+from lumitree.rendering.sampling.emitter_sampling import Sampling
+from lumitree.rendering.sampling.proxy import ProxyKind, make_proxy
 
 
 class _Shape(dict[str, Any]):
@@ -49,10 +49,8 @@ def describe_proxy(
     appearance: Appearance = "field",
 ) -> dict[str, Any]:
     """What `lumitree.shape` returns, with its arguments."""
-    check_choice("proxy", proxy, PROXY_KINDS)
-    check_choice("sampling", sampling, SAMPLING_KINDS)
+    check_kinds(proxy, sampling, appearance)
     factors = check_gain(gain)
-    check_choice("appearance", appearance, APPEARANCES)
     matrix = np.asarray(getattr(to_world, "matrix", np.eye(4) if to_world is None else to_world))
     if matrix.shape == (4, 4, 1):
         matrix = matrix[..., 0]
