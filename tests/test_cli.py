@@ -128,6 +128,15 @@ def fails(capsys, *arguments):
          "lamp.lumitree is placed twice in the same place"),
         (["render", "room.xml", "-o", "a.png", "--place", "lamp.xml", "--place", "lamp.xml"],
          "lamp.xml is placed twice in the same place"),
+        (["render", "room.xml", "-o", "a.exr", "--layers", "./a.exr"],
+         "./a.exr is given for two outputs"),
+        (["photometry", "lamp.xml", "-o", "a.ies", "-o", "b.ldt", "--json", "a.ies"],
+         "a.ies is given for two outputs"),
+        (["refine", "lamp.lumitree", "lamp.xml", "-o", "lamp.lumitree"],
+         "lamp.lumitree is read, and would be written over; choose another output"),
+        (["bake", "lamp.xml", "-o", "a.lumitree", "--json", "lamp.xml"],
+         "lamp.xml is read, and would be written over"),
+        (["view", "lamp.lumitree", "-o", "v.png"], "page name 'v.png' does not end in .html"),
         (["render", "room.xml", "-o", "a.png", "--width", "100000000"],
          "width is 100000000; expected 1 to 16,384"),
         (["render", "room.xml", "-o", "a.png", "--spp", "1" + 20 * "0"],
@@ -305,7 +314,7 @@ def test_asset_of_another_luminaire(capsys):
     lumitree.save(random_asset(0, half_extents=np.array([1.0, 0.5, 1.0])), "flat.lumitree")
     error, _ = fails(capsys, "evaluate", "flat.lumitree", "lamp.xml", "--views", "1",
                      "--resolution", "16", "--spp", "4")  # fmt: skip
-    assert "bounding boxes of different proportions" in error
+    assert "lamp have bounding boxes of different proportions" in error
 
 
 def test_model_with_overrides_is_captured_and_placed(capsys, folder):
@@ -521,7 +530,8 @@ def test_full_disk(capsys, monkeypatch):
         raise OSError(28, os.strerror(28))
 
     monkeypatch.setattr(os, "fsync", full)
-    error, created = fails(capsys, "render", "room.xml", "-o", "a.exr", "--spp", "1")
+    error, created = fails(capsys, "render", "room.xml", "-o", "a.exr", "--spp", "1",
+                         "--place", "lamp.lumitree", "--at", "0,9,0")  # fmt: skip
     assert "No space left on device" in error
     assert created == set()
 

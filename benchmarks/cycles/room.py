@@ -101,8 +101,9 @@ def render_cycles(program: str, job: CyclesJob) -> Images:
         facts = {**members, "folder": folder}
         path = Path(folder) / "job.json"
         path.write_text(json.dumps(facts), encoding="utf-8")
-        run_script(program, script, [str(path)], _LIMIT)
-        with np.load(Path(folder) / "result.npz") as found:
+        result = Path(folder) / "result.npz"
+        run_script(program, script, [str(path)], result, _LIMIT)
+        with np.load(result) as found:
             return Images(
                 images=found["images"],
                 seconds=found["seconds"],

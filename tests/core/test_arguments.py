@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import lumitree
 from lumitree.core.arguments import check_count, check_range
 from lumitree.errors import LumitreeError
 
@@ -35,3 +36,17 @@ def test_numbers_are_in_their_range(value, message):
     check_range("noise", 0.5, 0, 1)
     with pytest.raises(LumitreeError, match=message):
         check_range("noise", value, 0, 1)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: lumitree.Placement("a.lumitree", size="0.85"), "size '0.85' is not a length"),
+        (lambda: lumitree.Placement("a.lumitree", at="here"), "at 'here' is not 3 numbers"),
+        (lambda: lumitree.BakeConfig(parts="light"), "parts are 'light'; expected a list of texts"),
+        (lambda: lumitree.photometry("bulbs", step="5"), "angular step is 5; expected 0.5 to 30"),
+    ],
+)
+def test_texts_in_place_of_numbers_and_lists_are_refused(make, message):
+    with pytest.raises(LumitreeError, match=message):
+        make()

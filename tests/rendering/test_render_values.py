@@ -117,6 +117,28 @@ def test_two_parts_of_a_file_stand_where_the_file_has_them(mi, room, tmp_path):
         lumitree.render(room, [lamps[0], lumitree.Placement(parts[0])], samples_per_pixel=4)
 
 
+def test_lumens_are_those_of_the_scene_in_its_unit(mi, room):
+    lamp = lumitree.Placement(random_asset(3), at=(0, 0, 0), size=1.5, lumens=800)
+    images = [
+        lumitree.render(room, [lamp], samples_per_pixel=8, unit=unit, progress=None).pixels
+        for unit in ("m", "cm", 0.01)
+    ]
+    assert images[0].max() > 0
+    assert_similar(images[1], 1e4 * images[0])
+    assert_similar(images[2], images[1])
+
+
+@pytest.mark.parametrize("placements", [lumitree.Placement("a.lumitree"), "a.lumitree", [None]])
+def test_placements_are_a_list(room, placements):
+    with pytest.raises(LumitreeError, match=r"placements has .*expected a list of lumitree.Placem"):
+        lumitree.render(room, placements)
+
+
+def test_a_room_without_light_is_told(room):
+    with pytest.warns(LumitreeWarning, match="the scene has no light, and its image is black"):
+        assert not lumitree.render(room, samples_per_pixel=1, progress=None).pixels.any()
+
+
 def test_the_path_integrator_of_a_scene_is_replaced_with_a_warning(mi, room):
     with pytest.warns(LumitreeWarning, match=r"PathIntegrator, which is created already; using"):
         render(mi.load_dict(room))

@@ -30,7 +30,7 @@ from lumitree.cli import (
     view,
 )
 from lumitree.cli.completion import complete
-from lumitree.cli.options import Parser
+from lumitree.cli.options import Parser, check_files
 from lumitree.cli.output import LONGEST_LINE
 from lumitree.core.backend import quieten
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
@@ -105,6 +105,7 @@ def _run(arguments: list[str]) -> int:
             parser = _parser()
             complete(parser)
             args = parser.parse_args(_join_vectors(arguments or ["--help"]))
+            check_files(args)
             _check_json_output(args.json)
             # A command that continues a killed one may need no temporary folder itself.
             remove_abandoned_scratch()

@@ -24,7 +24,7 @@ _OF_FIELD = ("time", "rays", "tree_depth", "l_max", "law", "octree")
 _SHOWN = {
     "geometry": "Images show the lamp's own geometry.",
     "field": "Images show the radiance field.",
-    "light": "Images show the light field, blurred: --parts light,geometry adds what they need.",
+    "light": "Images show the light field, blurred.",
 }
 _QUALITIES = {"octree": ("preview", "standard", "high"), "network": ("preview", "paper")}
 _MAX_LIST_BYTES = 1 << 26
@@ -79,6 +79,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "-o",
         dest="output",
+        type=options.Output,
         metavar="ASSET|FOLDER/",
         help="the .lumitree file to write; for several luminaires, or with / at the end, a folder "
         "for the assets and an index page. The same command continues an interrupted bake",
@@ -93,7 +94,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--quality",
         choices=("preview", "standard", "high", "paper"),
-        help="preview, standard (default) or high: 2, 4 or 16 million light paths, 5 to 30 s on 2 "
+        help="preview, standard (default) or high: 1, 2 or 16 million light paths, 5 to 30 s on 2 "
         "CPU cores; and, if one is made, a radiance field of depth 7 in 1 minute, of depth 8 in 5 "
         "minutes, or of depth 10 in 30 minutes. With --method network, preview (default): minutes "
         "on 2 CPU cores; paper: hours on a GPU",
@@ -222,15 +223,20 @@ def show(args: argparse.Namespace, result: Any) -> None:
         print_open(result.index if args.task is None else result.folder)
     else:
         print_report(result.to_json())
-        print(_shown(result.asset))
+        print(_shown(result.asset, args.luminaires[0]))
         print_open(result.path)
 
 
-def _shown(asset: "Asset") -> str:
-    """What images show of an asset, and what it lacks for integrators that cannot show geometry."""
-    line = _SHOWN[asset.info.appearance]
-    if asset.info.appearance == "geometry" and asset.num_leaves == 0:
+def _shown(asset: "Asset", source: str) -> str:
+    """What images show of an asset that was baked from a source, and what it may lack for more."""
+    from lumitree.lamp.source import source_kind
+
+    appearance = asset.info.appearance
+    line = _SHOWN[appearance]
+    if appearance == "geometry" and asset.num_leaves == 0:
         line += " Other integrators than lumitree_path need a radiance field: --parts all adds it."
+    if appearance == "light" and source_kind(source) == "luminaire":
+        line += " --parts light,geometry adds what sharp ones need."
     return line
 
 

@@ -14,6 +14,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "-o",
         dest="output",
+        type=options.Output,
         metavar="DIR",
         default="demo-output",
         help="folder for the images, the report and the asset",

@@ -23,6 +23,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "-o",
         dest="output",
+        type=options.Output,
         metavar="SHEET",
         help="contact sheet, .png (default: the name of ASSET with -evaluation.png); the "
         "irradiance in false colour is written beside it, with -irradiance.png",

@@ -21,6 +21,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "-o",
         dest="output",
+        type=options.Output,
         metavar="FILE",
         action="append",
         default=[],
@@ -45,13 +46,6 @@ def add(commands: Any) -> None:
     )
     parser.add_argument(
         "--direct", action="store_true", help="only light straight from lamps, without reflections"
-    )
-    parser.add_argument(
-        "--unit",
-        metavar="UNIT",
-        default="m",
-        help="unit of length of the scene, for --lumens: m, cm, mm, in, ft, or the metres in a "
-        "unit",
     )
     options.add_seed(parser, 0)
     options.add_variant(parser)

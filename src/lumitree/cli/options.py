@@ -3,16 +3,23 @@
 import argparse
 import contextlib
 import math
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from typing import Any, NoReturn
 
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 
 LUMINAIRE = "built-in name, Mitsuba 3 scene (.xml) or model (.obj, .gltf, .glb)"
 
 # What is taken wherever an asset is.
 PHOTOMETRIC = ", or a photometric file (.ies, .ldt, .gldf, .tm33, .ray, .tm25ray)"
+
+
+class Output(str):
+    """Name of a file or a folder that a command writes."""
+
+    __slots__ = ()
 
 
 class Parser(argparse.ArgumentParser):
@@ -54,7 +61,9 @@ def command(
     parser = commands.add_parser(
         name, help=text, description=text[0].upper() + text[1:] + ".", formatter_class=Formatter
     )
-    parser.add_argument("--json", metavar="FILE", help="also write the results as JSON to FILE")
+    parser.add_argument(
+        "--json", metavar="FILE", type=Output, help="also write the results as JSON to FILE"
+    )
     parser.set_defaults(run=run, show=show)
     return parser
 
@@ -100,7 +109,7 @@ def luminaire(args: argparse.Namespace, name: str) -> Any:
 
 def add_output(parser: argparse.ArgumentParser, metavar: str, text: str) -> None:
     """Add the required option `-o`."""
-    parser.add_argument("-o", dest="output", metavar=metavar, required=True, help=text)
+    parser.add_argument("-o", dest="output", metavar=metavar, type=Output, required=True, help=text)
 
 
 def add_variant(parser: argparse.ArgumentParser, more: str = "") -> None:
@@ -120,7 +129,7 @@ def add_view(parser: argparse.ArgumentParser) -> None:
         choices=("standard", "filmic"),
         default="standard",
         help="view transform of a .png: standard, clipped sRGB; or filmic, the transform of ACES "
-        "2.0 (`pip install 'lumitree[filmic]'`) (default: standard)",
+        "2.0 (`pip install 'lumitree[filmic]'`)",
     )
 
 
@@ -144,7 +153,7 @@ def add_preset(parser: argparse.ArgumentParser) -> None:
         "--preset",
         choices=("preview", "paper"),
         default="preview",
-        help="settings of the network. preview: minutes on 2 CPU cores; paper: days on a GPU",
+        help="settings of the network. preview: minutes on 2 CPU cores; paper: hours on a GPU",
     )
 
 
@@ -241,6 +250,38 @@ def executor(args: argparse.Namespace) -> Iterator[Executor | None]:
             yield cluster
     else:
         yield None
+
+
+def check_files(args: argparse.Namespace) -> None:
+    """Refuse a file that a command would write twice, or write over one that it reads."""
+    texts = list(_texts(list(vars(args).values())))
+    read = {_place(text) for text in texts if not isinstance(text, Output)}
+    written: set[str] = set()
+    for text in (text for text in texts if isinstance(text, Output)):
+        place = _place(text)
+        if place in written:
+            raise LumitreeError(f"{shown(text, 300)} is given for two outputs; name each its own")
+        if place in read and os.path.isfile(place):
+            raise LumitreeError(
+                f"{shown(text, 300)} is read, and would be written over; choose another output"
+            )
+        written.add(place)
+
+
+def _texts(values: Iterable[Any]) -> Iterator[str]:
+    """The texts among some values, and in their lists and dictionaries."""
+    for value in values:
+        if isinstance(value, str):
+            yield value
+        elif isinstance(value, list | tuple):
+            yield from _texts(value)
+        elif isinstance(value, dict):
+            yield from _texts(value.values())
+
+
+def _place(name: str) -> str:
+    """The file that a name stands for, which may have several."""
+    return os.path.normcase(os.path.realpath(name))
 
 
 def duration(text: str) -> float:

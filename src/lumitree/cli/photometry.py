@@ -20,6 +20,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "-o",
         dest="output",
+        type=options.Output,
         metavar="FILE",
         action="append",
         default=[],

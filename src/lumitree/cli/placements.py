@@ -31,7 +31,7 @@ class Grouped(argparse.Action):
 
 
 def add_placements(parser: argparse.ArgumentParser) -> None:
-    """Add `--place` and the options that follow it, and `--placements`."""
+    """Add `--place` and the options that follow it, `--placements` and `--unit`."""
     parser.add_argument(
         "--place",
         action=Grouped,
@@ -74,8 +74,7 @@ def add_placements(parser: argparse.ArgumentParser) -> None:
         action=Grouped,
         type=float,
         metavar="LM",
-        help="luminous flux of an asset in the scene before --gain, lm, if the scene is in "
-        "metres (default: its own)",
+        help="luminous flux of an asset in the scene before --gain, lm (default: its own)",
     )
     parser.add_argument(
         "--temperature",
@@ -90,6 +89,13 @@ def add_placements(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="TOML file with a table [lamps.NAME] for each lamp; its lamps come before those of "
         "--place",
+    )
+    parser.add_argument(
+        "--unit",
+        metavar="UNIT",
+        default="m",
+        help="unit of length of the scene, for --lumens: m, cm, mm, in, ft, or the metres in a "
+        "unit",
     )
 
 

@@ -49,16 +49,19 @@ def add(commands: Any) -> None:
     options.add_view(parser)
     parser.add_argument(
         "--layers",
+        type=options.Output,
         metavar="FILE.exr",
         help="also write the light of each luminaire as a layer, for `lumitree mix`",
     )
     parser.add_argument(
         "--aov",
+        type=options.Output,
         metavar="FILE.exr",
         help="also write the image before denoising, albedo and normal",
     )
     parser.add_argument(
         "--luminance",
+        type=options.Output,
         metavar="FILE.png",
         help="also write the luminance in false colours, with a legend in cd/m²",
     )
@@ -111,6 +114,7 @@ def run(args: argparse.Namespace) -> Any:
             layers=args.layers is not None,
             aov=args.aov is not None,
             width=args.width,
+            unit=options.number(args.unit),
             view=args.view,
             so_far=(lambda image: image.save(args.output)) if args.progressive else None,
             proxy=args.proxy,
@@ -144,6 +148,7 @@ def _glare(args: argparse.Namespace, result: Any) -> Any:
         placements(args),
         points=[result.camera.origin],
         normals=[result.camera.direction],
+        unit=options.number(args.unit),
         variant=args.variant,
     )
     return lumitree.glare(result, float(eye.total[0]))

@@ -14,6 +14,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "-o",
         dest="output",
+        type=options.Output,
         metavar="FILE",
         help="HTML file to write, which needs no other file and no network (default: the page is "
         "served on this computer until Ctrl-C)",

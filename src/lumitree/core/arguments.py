@@ -1,7 +1,7 @@
 """Checks of arguments, made before any work is done."""
 
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -46,10 +46,29 @@ def _number(value: object) -> str:
     return shown(value if isinstance(value, int | float) else repr(value), 40)
 
 
+def check_items(name: str, values: object, kind: type) -> None:
+    """Refuse what is not a sequence of objects of a type, such as one of them alone."""
+    if not isinstance(values, Sequence) or isinstance(values, str):
+        wrong = [values]
+    else:
+        wrong = [value for value in values if not isinstance(value, kind)]
+    if wrong:
+        found = shown(repr(wrong[0]), 60)
+        raise LumitreeError(f"{name} has {found}; expected a list of lumitree.{kind.__name__}")
+
+
 def check_choice(name: str, value: str, choices: Collection[str]) -> None:
     """Refuse a name that is not among the choices."""
     if value not in choices:
         raise LumitreeError(f"{name} is {shown(repr(value), 60)}; expected {', '.join(choices)}")
+
+
+def check_choices(name: str, values: Collection[str], choices: Collection[str]) -> None:
+    """Refuse names that are not among the choices, and one text in place of several."""
+    if isinstance(values, str):
+        raise LumitreeError(f"{name}s are {shown(repr(values), 60)}; expected a list of texts")
+    for value in values:
+        check_choice(name, value, choices)
 
 
 def check_gain(value: Any) -> tuple[float, float, float]:

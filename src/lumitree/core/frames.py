@@ -118,12 +118,17 @@ def check_placement(
     at: ArrayLike | None = None, size: float | None = None, rotate: ArrayLike = (0, 1, 0, 0)
 ) -> None:
     """Refuse numbers that are out of range; arguments as for `LocalFrame.placed`."""
-    if size is not None and not MIN_SCALE <= size <= MAX_SCALE:
+    number = isinstance(size, int | float | np.number)
+    if size is not None and not (number and MIN_SCALE <= size <= MAX_SCALE):
         raise LumitreeError(
-            f"size {size} is not a length of {MIN_SCALE:g} to {MAX_SCALE:g} scene units"
+            f"size {size if number else repr(size)} is not a length of {MIN_SCALE:g} to "
+            f"{MAX_SCALE:g} scene units"
         )
     for name, values, count in (("at", at, 3), ("rotate", rotate, 4)):
-        numbers = np.asarray([0.0] * count if values is None else values, np.float64)
+        try:
+            numbers = np.asarray([0.0] * count if values is None else values, np.float64)
+        except (TypeError, ValueError):
+            numbers = np.asarray(repr(values))
         if numbers.shape != (count,) or not (np.abs(numbers) <= MAX_SCALE).all():
             raise LumitreeError(
                 f"{name} {numbers.tolist()} is not {count} numbers of up to {MAX_SCALE:g}"

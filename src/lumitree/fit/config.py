@@ -11,7 +11,7 @@ from typing import Literal
 from lumitree.asset.asset import PARTS, Part
 from lumitree.core.arguments import (
     MAX_SAMPLES,
-    check_choice,
+    check_choices,
     check_count,
     check_image_settings,
     check_light,
@@ -93,8 +93,7 @@ class BakeConfig:
 
     def __post_init__(self) -> None:
         if self.parts is not None:
-            for part in self.parts:
-                check_choice("part", part, PARTS)
+            check_choices("part", self.parts, PARTS)
             if not set(self.parts) - {"geometry"}:
                 raise LumitreeError(
                     f"parts are {', '.join(self.parts) or 'none'}; expected light, field or "
@@ -189,8 +188,7 @@ class NetworkConfig:
     train: TrainConfig = PRESETS["preview"]
 
     def __post_init__(self) -> None:
-        for part in self.parts:
-            check_choice("part", part, NETWORK_PARTS)
+        check_choices("part", self.parts, NETWORK_PARTS)
         if "field" not in self.parts:
             raise LumitreeError(
                 f"parts are {', '.join(self.parts) or 'none'}; expected field, which the network "

@@ -88,7 +88,8 @@ class Grid:
 
     def __post_init__(self) -> None:
         """Refuse steps that do not divide a right angle."""
-        parts = 90 / self.step if MIN_STEP <= self.step <= MAX_STEP else 0.5
+        number = isinstance(self.step, int | float)
+        parts = 90 / self.step if number and MIN_STEP <= self.step <= MAX_STEP else 0.5
         if abs(parts - round(parts)) > 1e-9:
             raise LumitreeError(
                 f"angular step is {self.step}; expected {MIN_STEP} to {MAX_STEP:g} degrees that "

@@ -152,7 +152,7 @@ def evaluate(
     with contextlib.ExitStack() as stack:
         stack.enter_context(reporting(progress))
         sizes = (num_views, resolution, samples_per_pixel)
-        lamp, dataset = _references(cast(Any, target), watch, stack, sizes)
+        lamp, dataset = _references(cast(Any, target), baked, watch, stack, sizes)
         with watch.stage("evaluate"):
             result = evaluate_views(baked.without_gain, dataset)
             png = draw_sheet(result.rows, result.max_radiance, title).png(settings)
@@ -180,6 +180,7 @@ def evaluate(
 
 def _references(
     target: "LuminaireLike",
+    asset: Asset,
     watch: Stopwatch,
     stack: contextlib.ExitStack,
     sizes: tuple[int, int, int],
@@ -187,10 +188,12 @@ def _references(
     """The views to compare with: those of a dataset, or new ones of the luminaire, which is first.
 
     Args:
+        asset: what is compared, whose box has the proportions of the luminaire's.
         stack: removes the folder of new views when it is closed.
         sizes: number, resolution and samples per pixel of new views.
     """
     from lumitree.lamp.loading import load_luminaire
+    from lumitree.measure.view_errors import check_proportions
     from lumitree.trace.capture import capture
 
     if (stored := dataset_folder(target)) is not None:
@@ -199,6 +202,7 @@ def _references(
     count, resolution, samples = sizes
     with watch.stage("references"):
         lamp = load_luminaire(target)
+        check_proportions(asset, lamp.frame, lamp.name)
         warn_of_faults(lamp)
         dataset = capture(
             lamp,

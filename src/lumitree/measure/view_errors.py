@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.core.dataset import Dataset, Frame, OpacityKind
+from lumitree.core.frames import LocalFrame
 from lumitree.core.progress import progress
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 from lumitree.measure.metrics import (
     flux_error,
     gain_over_black,
@@ -41,6 +42,20 @@ class Evaluation:
     rows: list[SheetRow]
 
 
+def check_proportions(asset: Asset, frame: LocalFrame, name: str) -> None:
+    """Refuse a luminaire whose bounding box has other proportions than that of an asset.
+
+    Args:
+        frame: of the luminaire.
+        name: of the luminaire.
+    """
+    if np.abs(asset.frame.half_extents - frame.half_extents).max() > 1e-3:
+        raise LumitreeError(
+            f"the asset ({shown(asset.luminaire, 200)}) and {shown(name, 200)} have bounding "
+            "boxes of different proportions; evaluate an asset on its own luminaire"
+        )
+
+
 def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
     """Compare an asset with every view of `dataset`.
 
@@ -51,11 +66,7 @@ def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
         LumitreeError: the dataset shows a luminaire of other proportions, or nothing.
     """
     manifest = dataset.manifest
-    if np.abs(asset.frame.half_extents - manifest.local_frame.half_extents).max() > 1e-3:
-        raise LumitreeError(
-            f"the asset ({asset.luminaire}) and {dataset.folder} ({manifest.luminaire}) have "
-            "bounding boxes of different proportions; evaluate an asset on its own luminaire"
-        )
+    check_proportions(asset, manifest.local_frame, manifest.luminaire)
     if asset.num_leaves or asset.geometry is None:
         return compare_views(lambda frame: baked_view(asset, manifest, frame), dataset)
     camera = GeometryCamera(asset, manifest.half_width, manifest.resolution)

@@ -27,7 +27,8 @@ class MixResult(SavedImage):
     Attributes:
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
-        exposure: factor on the radiance before the view transform of `png`.
+        exposure: factor on the radiance before the view transform of `png`: that of the layers
+            without gains.
         layers: names of the layers.
         resolution: width and height in pixels.
         mean_radiance: mean over pixels and channels, W/(m² sr).
@@ -71,9 +72,10 @@ def mix(
         else:
             what, file = shown(layers), Path(layers).name
             colours, rendered = read_exr(layers), read_comment(layers)
+        shapes = {np.shape(colour) for colour in colours.values()}
+        alike = len(shapes) == 1 and all(len(s) == 3 and s[2] == 3 for s in shapes)
         # Other files have other channels too, such as those of --aov.
-        layered = file is None or all(c.ndim == 3 and n != "RGB" for n, c in colours.items())
-        if not colours or not layered:
+        if not alike or (file is not None and "RGB" in colours):
             raise LumitreeError(
                 f"{what} is not made of layers alone; expected channels NAME.R, NAME.G and NAME.B "
                 "of each, as `lumitree render --layers` writes them"
@@ -95,7 +97,8 @@ def mix(
                 f"the layers of {what} have radiance above {_MAX_RADIANCE:g} W/(m² sr) with these "
                 "gains; render them again, or use smaller gains"
             )
-    exposure = room_exposure(pixels)
+    # That of the image as it was rendered, so that a lamp that is dimmed looks dimmed.
+    exposure = room_exposure(np.stack(list(colours.values())).sum(axis=0, dtype=np.float64))
     settings = image_settings(
         "mix", layers=file, gains=factors, view=view, exposure=exposure, rendered=rendered
     )

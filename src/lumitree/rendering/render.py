@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.arguments import check_image_settings, check_range
+from lumitree.core.arguments import check_image_settings, check_items, check_range
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.executor import check_executor
 from lumitree.core.files import FilePath
@@ -21,9 +21,11 @@ from lumitree.core.images import check_exr_name, encode_png, write_exr
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.units import metres_of
 from lumitree.core.view_transform import View, check_view, displayed, room_exposure
 from lumitree.core.work_folder import WorkFolder
 from lumitree.errors import LumitreeError, explained
+from lumitree.rendering.placement import Placement
 from lumitree.rendering.render_job import Described, RenderJob, renderer_of
 from lumitree.rendering.saved_image import SavedImage
 from lumitree.rendering.saved_passes import SavedPasses
@@ -32,7 +34,6 @@ if TYPE_CHECKING:
     from lumitree.rendering.camera_view import CameraView
     from lumitree.rendering.layers import Recorded
     from lumitree.rendering.passes import Rendering
-    from lumitree.rendering.placement import Placement
     from lumitree.rendering.sampling.proxy import ProxyKind
 
 # Samples per pixel if no limit is given.
@@ -115,7 +116,7 @@ class RenderResult(SavedImage):
 @explained
 def render(
     scene: "FilePath | Mapping[str, Any] | Any",
-    placements: "Sequence[Placement]" = (),
+    placements: Sequence[Placement] = (),
     *,
     samples_per_pixel: int | None = None,
     time: float | None = None,
@@ -125,6 +126,7 @@ def render(
     aov: bool = False,
     width: int | None = None,
     proxy: "ProxyKind" = "box",
+    unit: float | str = "m",
     view: View = "standard",
     so_far: "Callable[[RenderResult], None] | None" = None,
     work: FilePath | None = None,
@@ -160,6 +162,8 @@ def render(
         width: width of the image in pixels, 1 to 16,384; the aspect ratio stays. Default: the
             scene's.
         proxy: surface that carries a baked luminaire, "box" or "sphere".
+        unit: unit of length of the scene: "m", "cm", "mm", "in", "ft", or the metres in a unit. It
+            counts for `Placement.lumens`, and for nothing else.
         view: view transform of `png`: "standard", clipped sRGB; or "filmic", the output transform
             of ACES 2.0 for displays of 100 cd/m², which needs the optional dependency `filmic`.
         so_far: function that is called with the image so far, without layers and before denoising,
@@ -190,8 +194,10 @@ def render(
     if (samples_per_pixel, time, noise) == (None, None, None):
         samples_per_pixel = _SAMPLES_PER_PIXEL
     _check(samples_per_pixel, time, noise, width)
+    check_items("placements", placements, Placement)
     check_seed(seed)
     check_view(view)
+    metres = metres_of(unit)
     check_executor(executor)
     mi = load_mitsuba(variant)
     if mi.is_spectral and (denoise or layers or aov):
@@ -219,6 +225,7 @@ def render(
             noise=rendering.noise,
             denoise=filtered,
             proxy=proxy,
+            unit=unit,
             view=view,
             exposure=exposure,
             seed=seed,
@@ -245,7 +252,7 @@ def render(
     by_lamp = layers if denoise or layers or aov else None
     with reporting(progress):
         with watch.stage("load"):
-            described = Described(scene, placements, proxy, width, denoise, by_lamp)
+            described = Described(scene, placements, proxy, width, metres, denoise, by_lamp)
             renderer = None if executor is None else renderer_of(executor, described)
             job = RenderJob(described)
         with watch.stage("render"), contextlib.ExitStack() as stack:
@@ -289,14 +296,14 @@ def _parts(
     }
 
 
-def _described(placement: "Placement") -> dict[str, Any]:
+def _described(placement: Placement) -> dict[str, Any]:
     """A placement for the comment of an image: what was given of it."""
     values = {field.name: getattr(placement, field.name) for field in dataclasses.fields(placement)}
     given = {name: value for name, value in values.items() if value is not None}
     return {**given, "source": placement.name}
 
 
-def _names(placements: "Sequence[Placement]") -> list[str]:
+def _names(placements: Sequence[Placement]) -> list[str]:
     """Names of the layers: each once, of letters, digits, "_" and "-".
 
     OpenEXR files have other channels by the names RGB and RGBA.

@@ -30,6 +30,7 @@ class Described:
     """What is rendered; the first four as for `render`.
 
     Attributes:
+        metres: in a unit of length of the scene.
         box_filter: whether each pixel is the mean of its own samples, as for `load_scene`.
         by_lamp: whether the light of each lamp is recorded apart; None if nothing is recorded
             beside the image.
@@ -39,6 +40,7 @@ class Described:
     placements: "Sequence[Placement]"
     proxy: "ProxyKind"
     width: int | None
+    metres: float
     box_filter: bool
     by_lamp: bool | None
 
@@ -76,13 +78,20 @@ class RenderJob:
         )
 
         self._described = described
-        self._placed = placed = open_placements(described.placements)
+        self._placed = placed = open_placements(described.placements, described.metres)
         loaded, self.integrator = load_scene(
             described.scene, placed, box_filter=described.box_filter, width=described.width
         )
         appearance = appearance_for(self.integrator)
         self._whole = place_luminaires(loaded, placed, described.proxy, appearance=appearance)
         self.camera = camera_view(loaded.sensors()[0])
+        if not self._whole.emitters():
+            warnings.warn(
+                f"{scene_title(described.scene)} has no light, and its image is black; place a "
+                "lamp or add an emitter",
+                LumitreeWarning,
+                stacklevel=2,
+            )
         self._layers = None
         if described.by_lamp is None:
             return
@@ -129,6 +138,7 @@ class RenderJob:
         settings = {
             "proxy": described.proxy,
             "width": described.width,
+            "metres": described.metres,
             "box_filter": described.box_filter,
             "by_lamp": described.by_lamp,
             "seed": seed,

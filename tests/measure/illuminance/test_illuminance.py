@@ -287,6 +287,8 @@ def test_surfaces_of_a_scene_are_covered_evenly(mi):
         ({"points": [[0, 0, np.nan]], "normals": [0, 1, 0]}, "not finite"),
         ({"points": [[0, 0, 0]], "normals": [0, 0, 0]}, "not finite or 0"),
         ({"points": [[0, 0, 0]], "normals": [[0, 1, 0]] * 2}, r"\[N, 3\] both"),
+        ({"planes": lumitree.Plane((0, 0, 0))}, r"planes has Plane.*a list of lumitree\.Plane"),
+        ({"planes": [(0, 0, 0)]}, r"planes has \(0, 0, 0\); expected a list of lumitree\.Plane"),
         ({**at([0, 0, 0]), "error": 0}, "error is 0"),
         ({**at([0, 0, 0]), "unit": "furlong"}, "unit is 'furlong'"),
     ],
@@ -311,6 +313,9 @@ def test_points_inside_solids_do_not_count(mi, tmp_path):
     result.save(tmp_path / "lux.json")
     receivers = json.loads((tmp_path / "lux.json").read_text())["receivers"]
     assert [each["total_lx"] is None for each in receivers] == [False, True, True, False]
+    within = lumitree.Plane((0, 0, 0), extent=(0.2, 0.2), spacing=0.1, name="within")
+    with pytest.warns(lumitree.LumitreeWarning, match="all points of within are inside solids"):
+        lumitree.illuminance(scene, planes=[within], error=EVERYTHING)
 
 
 @pytest.mark.parametrize("direct_only", [False, True])

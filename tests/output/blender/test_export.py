@@ -126,7 +126,9 @@ def folder(tmp_path, monkeypatch):
     content = (tmp_path / "lamp.lumitree").read_bytes()
     (tmp_path / "half.lumitree").write_bytes(content[: len(content) // 2])
     (tmp_path / "fails").write_text("#!/bin/sh\necho first; echo it failed >&2; exit 7\n")
-    (tmp_path / "fails").chmod(0o755)
+    (tmp_path / "idle").write_text("#!/bin/sh\n")
+    for name in ("fails", "idle"):
+        (tmp_path / name).chmod(0o755)
     return tmp_path
 
 
@@ -140,10 +142,11 @@ def folder(tmp_path, monkeypatch):
         (["lamp.lumitree", "-o", "lamp.lumitree/a.py"], "cannot write"),
         (["lamp.lumitree", "-o", "a.py", "--lights", "0"], "lights is 0; expected 1 to 1,024"),
         (["field.lumitree", "-o", "a.vdb"], "no Blender was found"),
-        (["lamp.lumitree", "-o", "a.vdb", "--blender", "./fails"], "has no field"),
+        (["lamp.lumitree", "-o", "a.vdb"], "has no field"),
         (["lamp.lumitree", "-o", "a.blend"], "no Blender was found"),
         (["lamp.lumitree", "-o", "a.blend", "--blender", "none"], "none is not a program"),
         (["lamp.lumitree", "-o", "a.blend", "--blender", "./fails"], "status 7: it failed"),
+        (["lamp.lumitree", "-o", "a.blend", "--blender", "./idle"], "idle ended without an error"),
         pytest.param(
             ["lamp.lumitree", "-o", "a.blend", "--blender", sys.executable],
             "has no module bpy",

@@ -37,11 +37,12 @@ def test_command_writes_the_page(asset_file, tmp_path, capsys):
 
 
 def test_bad_input_gives_one_line(asset_file, tmp_path, capsys):
+    (tmp_path / "page.html").mkdir()
     damaged = tmp_path / "damaged.lumitree"
     damaged.write_bytes(asset_file.read_bytes()[:-1])
     for arguments, message in (
         ([str(damaged)], "damaged.lumitree"),
-        ([str(asset_file), "-o", str(tmp_path)], "it is a folder"),
+        ([str(asset_file), "-o", str(tmp_path / "page.html")], "it is a folder"),
         ([str(asset_file), "--port", "70000"], "port 70000; expected 0 to 65535"),
     ):
         assert main(["view", *arguments]) == 2

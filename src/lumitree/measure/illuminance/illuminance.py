@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lumitree.core.arguments import check_range
+from lumitree.core.arguments import check_items, check_range
 from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, check_writable, write_bytes, write_json
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
@@ -17,7 +18,7 @@ from lumitree.core.results import Result, plain
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.units import metres_of
-from lumitree.errors import LumitreeError, explained, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 from lumitree.measure.illuminance.areas import Plane, Receivers, Surface, collect
 from lumitree.measure.illuminance.figures import AreaFigures
 from lumitree.rendering.placement import Placement
@@ -180,6 +181,12 @@ def illuminance(
         >>> print(result.areas[0].mean, "lx")
         >>> result.save("desk.png")
     """
+    for name, values, kind in (
+        ("placements", placements, Placement),
+        ("planes", planes, Plane),
+        ("surfaces", surfaces, Surface),
+    ):
+        check_items(name, values, kind)
     check_range("error", error, 1e-4, 1)
     if time is not None:
         check_range("time", time, 1e-3, 1e7)
@@ -211,11 +218,20 @@ def illuminance(
                 reflected=not direct_only,
                 seed=seed,
             )
+    figures = [
+        AreaFigures.of(area.name, each.start, found.total[each], found.total_error[each])
+        for area, each in zip(areas, _parts(areas), strict=True)
+    ]
+    for area in figures:
+        if area.enclosed == area.count:
+            warnings.warn(
+                f"all points of {shown(area.name, 200)} are inside solids, or outside of the room; "
+                "look at its place, and at the unit of the scene",
+                LumitreeWarning,
+                stacklevel=2,
+            )
     return IlluminanceResult(
-        areas=[
-            AreaFigures.of(area.name, each.start, found.total[each], found.total_error[each])
-            for area, each in zip(areas, _parts(areas), strict=True)
-        ],
+        areas=figures,
         direct_only=direct_only,
         position=place,
         normal=normal / np.linalg.norm(normal, axis=1)[:, None],

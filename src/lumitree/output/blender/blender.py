@@ -52,16 +52,23 @@ def find_blender(program: str | os.PathLike[str] | None) -> str:
     )
 
 
-def run_script(program: str, script: Path, arguments: Sequence[str], limit: float = _LIMIT) -> None:
+def run_script(
+    program: str,
+    script: Path,
+    arguments: Sequence[str],
+    output: Path,
+    limit: float = _LIMIT,
+) -> None:
     """Run a script.
 
     Args:
         program: from `find_blender`.
         arguments: of the script.
+        output: file that the script writes.
         limit: seconds after which it is ended.
 
     Raises:
-        LumitreeError: it failed; with the last line that it printed.
+        LumitreeError: it failed, with the last line that it printed; or it wrote nothing.
     """
     if Path(program).name.lower().startswith("python"):
         command = [program, "-P", "-c", _PYTHON, str(script), *arguments]
@@ -80,4 +87,9 @@ def run_script(program: str, script: Path, arguments: Sequence[str], limit: floa
         lines = (run.stderr.strip() or run.stdout.strip() or "no message").splitlines()
         raise LumitreeError(
             f"{shown(program, 200)} ended with status {run.returncode}: {shown(lines[-1], 300)}"
+        )
+    if not output.exists():
+        raise LumitreeError(
+            f"{shown(program, 200)} ended without an error, and wrote nothing; expected Blender, "
+            "or a Python with bpy"
         )

@@ -26,7 +26,8 @@ def _write_blend(request: ExportRequest, folder: Path) -> Written:
     program = find_blender(request.blender)
     with scratch_folder() as scratch:
         written = _write_script(request, scratch)
-        run_script(program, scratch / request.name, [str((folder / request.name).resolve())])
+        output = (folder / request.name).resolve()
+        run_script(program, scratch / request.name, [str(output)], output)
     return written
 
 

@@ -12,13 +12,13 @@ from lumitree.output.targets.target import ExportRequest, Target, Written, file_
 
 
 def _write(request: ExportRequest, folder: Path) -> Written:
-    program = find_blender(request.blender)
     content = pack_volume(request.asset, turn_up(request.up, "z"))
+    program = find_blender(request.blender)
     script = resources.files("lumitree.output.blender") / "vdb_script.py"
     with scratch_folder() as scratch, resources.as_file(script) as path:
         write_bytes(scratch / "content", content)
         output = (folder / request.name).resolve()
-        run_script(program, path, [str(scratch / "content"), str(output)])
+        run_script(program, path, [str(scratch / "content"), str(output)], output)
     return Written(
         units="metres; density in 1/m, emission in W/(m³ sr) of each of R, G and B",
         orientation=file_orientation("z"),
@@ -26,4 +26,4 @@ def _write(request: ExportRequest, folder: Path) -> Written:
     )
 
 
-TARGET = Target(name="OpenVDB", write=_write, check=find_blender)
+TARGET = Target(name="OpenVDB", write=_write)

@@ -8,7 +8,7 @@ from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, check_writable, write_bytes
 from lumitree.core.results import Result
 from lumitree.core.stopwatch import Stopwatch
-from lumitree.errors import explained
+from lumitree.errors import LumitreeError, explained, shown
 from lumitree.rendering.asset_cache import open_asset
 
 
@@ -34,6 +34,12 @@ class ViewResult(Result):
         return notebook_frame(self.html)
 
 
+def _check_page_name(path: FilePath) -> None:
+    if Path(path).suffix.lower() not in (".html", ".htm"):
+        name = shown(repr(str(path)), 300)
+        raise LumitreeError(f"page name {name} does not end in .html")
+
+
 @explained
 def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
     """Make a web page that shows an asset, and the illuminance around it.
@@ -54,10 +60,11 @@ def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
         The page as `html`; in a notebook, the result shows it.
 
     Raises:
-        LumitreeError: the asset cannot be read, or is too large for a browser; or the file cannot
-            be written.
+        LumitreeError: the asset cannot be read, or is too large for a browser; or the file has
+            another ending than .html or .htm, or cannot be written.
     """
     if output is not None:
+        _check_page_name(output)
         check_writable(output)
     # The surfaces of geometry are traced, and directions go through Dr.Jit.
     load_rgb()
