@@ -49,7 +49,7 @@ def test_bad_input_gives_one_line(asset_file, tmp_path, capsys):
         error = capsys.readouterr().err
         assert message in error
         assert error.count("\n") == 1
-    assert not list(tmp_path.glob("*.html"))
+    assert list(tmp_path.rglob("*.html")) == [tmp_path / "page.html"]
 
 
 def test_port_in_use_is_refused():
