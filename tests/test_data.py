@@ -158,7 +158,7 @@ def test_models_load_with_their_overrides_and_shine(mi, file):
     assert luminaire.num_emitters == len(emitting)
     assert luminaire.size[0] == pytest.approx(width, rel=1e-3)
     given = sum(
-        flux_from_radiance(item.radiance, material_area(model, item.name)) for item in shining
+        flux_from_radiance(item.radiance, material_area(model, item.title)) for item in shining
     )
     flux = estimate_flux(luminaire, 1)
     assert 10 * flux.lumens_error < flux.lumens < given

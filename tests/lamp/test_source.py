@@ -184,6 +184,32 @@ def test_a_model_is_written_again_if_its_temporary_scene_was_removed(lamp):
     assert scene_path(as_source(lamp))[0] != path
 
 
+@pytest.mark.parametrize("patterns", ["body", [0], [None]])
+def test_patterns_are_a_list_of_texts(patterns):
+    with pytest.raises(LumitreeError, match=r"drop is .*; expected a list of texts"):
+        LuminaireSource("star", drop=patterns)
+    with pytest.raises(LumitreeError, match=r"keep is .*; expected a list of texts"):
+        load_luminaire("star", keep=patterns)
+
+
+def test_patterns_may_be_in_a_list():
+    assert hash(LuminaireSource("star", keep=["a"])) == hash(LuminaireSource("star", keep=("a",)))
+
+
+def test_objects_and_scenes_that_cannot_be_a_lamp_are_told(mi):
+    ball = {"type": "sphere", "emitter": {"type": "area"}}
+    with pytest.raises(LumitreeError, match="holds objects that are created already"):
+        load_luminaire({"type": "scene", "ball": mi.load_dict(ball)})
+    beam = {"type": "scene", "face": {"type": "rectangle", "beam": {"type": "directionalarea"}}}
+    with pytest.raises(LumitreeError, match=r"invisible to cameras \(directionalarea\)"):
+        load_luminaire(mi.load_dict(beam))
+    kind = type("Scene", (), {"__module__": "mitsuba.scalar_rgb"})
+    with pytest.raises(
+        LumitreeError, match="created in another variant of Mitsuba than llvm_ad_rgb"
+    ):
+        load_luminaire(kind())
+
+
 def test_parts_of_a_model_are_selected(lamp):
     lamp.with_suffix(".toml").write_text(BULB)
     kept = load_luminaire(LuminaireSource(str(lamp), keep=("bul*",)))

@@ -25,9 +25,12 @@ RAW = (
     '<texture type="bitmap" name="opacity"><string name="filename" value="grey.exr"/>'
     '<boolean name="raw" value="true"/></texture>'
 )
+WIDE = RAW.replace("grey.exr", "wide.png")
+FLIP = '<boolean name="flip_normals" value="true"/>'
 SURFACES = {
     "texture": f'<bsdf type="diffuse">{TEXTURE}</bsdf>',
     "mask": f'<bsdf type="mask">{RAW}<bsdf type="twosided"><bsdf type="diffuse"/></bsdf></bsdf>',
+    "wide": f'<bsdf type="mask">{WIDE}<bsdf type="twosided"><bsdf type="diffuse"/></bsdf></bsdf>',
     "glass": GLASS,
     "metal": '<bsdf type="roughconductor"><string name="material" value="Au"/>'
     '<float name="alpha" value="0.2"/><rgb name="specular_reflectance" value="1,0.5,0.2"/></bsdf>',
@@ -55,6 +58,8 @@ SHAPES = {
     "cylinder": lambda inside: f'<shape type="cylinder" id="other">{ID}{inside}</shape>',
     "rectangle": lambda inside: f'<shape type="rectangle" id="other">{ID}{inside}</shape>',
 }
+for name in ("disk", "cylinder", "rectangle"):
+    SHAPES[f"{name}, turned"] = lambda inside, made=SHAPES[name]: made(FLIP + inside)
 
 
 @pytest.fixture
@@ -64,6 +69,8 @@ def luminaire(mi, tmp_path):
     mi.Bitmap(random.integers(0, 256, (5, 3, 3), np.uint8)).write(str(tmp_path / "image.png"))
     grey = random.random((4, 4, 1)).astype(np.float32)
     mi.Bitmap(grey).write(str(tmp_path / "grey.exr"))
+    wide = random.integers(0, 1 << 16, (4, 4, 1), np.uint16)
+    mi.Bitmap(wide).write(str(tmp_path / "wide.png"))
 
     def made(*shapes):
         (tmp_path / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=AREA), *shapes))

@@ -78,7 +78,7 @@ def load_luminaire(
         if not isinstance(luminaire, str | os.PathLike):
             raise LumitreeError("materials, keep and drop are for built-in names and files")
         chosen = None if materials is None else os.fspath(materials)
-        luminaire = LuminaireSource(os.fspath(luminaire), chosen, tuple(keep), tuple(drop))
+        luminaire = LuminaireSource(os.fspath(luminaire), chosen, keep, drop)
     if isinstance(luminaire, Luminaire):
         return luminaire
     if isinstance(luminaire, mi.Scene):
@@ -151,6 +151,11 @@ def _luminaire_of_scene(scene: Any) -> Luminaire:
         raise LumitreeError(
             f"{what} holds a light without a surface, which does not belong to a luminaire; remove "
             "it, or replace it by a small shape with an area emitter"
+        )
+    if any(each.class_name() == "DirectionalArea" for each in scene.emitters()):
+        raise LumitreeError(
+            f"{what} holds a light that is invisible to cameras (directionalarea); replace it by a "
+            "small shape with an area emitter"
         )
     if not scene.emitters():
         raise LumitreeError(f"{what} holds no emitter, so there is nothing to bake; add one")

@@ -41,7 +41,9 @@ def _read_obj(path: Path, overrides: Overrides) -> Geometry:
         raise LumitreeError(f"{overrides.file}: variant is only for glTF, not for {path.name}")
     # Imported here, because most runs need no reader.
     reader = importlib.import_module("lumitree.lamp.importers.obj.reader")
-    return reader.read_obj(path)
+    changes = overrides.materials.items()
+    emitting = [name for name, change in changes if change.emission is not None]
+    return reader.read_obj(path, emitting)
 
 
 def _read_gltf(path: Path, overrides: Overrides) -> Geometry:

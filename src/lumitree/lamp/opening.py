@@ -47,8 +47,15 @@ def luminaire_source(luminaire: Opened) -> LuminaireSource:
     if isinstance(luminaire, Mapping):
         return _written_dictionary(dict(luminaire))
     if not isinstance(luminaire, str | os.PathLike | LuminaireSource):
-        kind = type(luminaire).__name__
-        raise LumitreeError(f"a luminaire is a name, path, dictionary or scene, not of type {kind}")
+        kind = type(luminaire)
+        if kind.__name__ == "Scene" and kind.__module__.startswith("mitsuba"):
+            raise LumitreeError(
+                "the scene was created in another variant of Mitsuba than "
+                f"{load_mitsuba().variant()}, which is set; create it in this one"
+            )
+        raise LumitreeError(
+            f"a luminaire is a name, path, dictionary or scene, not of type {kind.__name__}"
+        )
     return as_source(luminaire)
 
 
@@ -200,5 +207,10 @@ def _written_dictionary(description: dict[str, Any]) -> LuminaireSource:
         mi.parser.write_file(state, str(path))
     except (RuntimeError, TypeError, ValueError) as error:
         reason = shown(" ".join(str(error).split()), 300)
+        if "unsupported type" in reason:
+            raise LumitreeError(
+                "the dictionary of a lamp holds objects that are created already, such as shapes "
+                "or tensors; give mitsuba.load_dict of a whole scene, or the names of files"
+            ) from None
         raise LumitreeError(f"the dictionary is not a Mitsuba scene: {reason}") from None
     return _DictionarySource(str(path), folder=folder)

@@ -141,6 +141,8 @@ class Material:
 
     Attributes:
         name: unique in the lamp.
+        title: its name in the model's file, which several may share: one material of the file may
+            become one for each kind of mesh. Default: `name`.
         radiance: emitted by the front of the surface; None where it does not emit.
         opacity: in [0, 1]; light crosses the rest of the surface unchanged.
         normal_map: tangent-space normals, linear data.
@@ -154,6 +156,11 @@ class Material:
     opacity: Value = 1.0
     normal_map: Texture | None = None
     two_sided: bool = False
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.title:
+            object.__setattr__(self, "title", self.name)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -165,12 +172,15 @@ class Part:
         mesh: in the part's own frame.
         material: name of a material.
         places: `world_from_part` [4, 4] of every copy.
+        objects: of every copy, the name of the object in the model's file; () where objects have no
+            names but that of the part.
     """
 
     name: str
     mesh: Mesh
     material: str
     places: tuple[Floats, ...] = (np.eye(4),)
+    objects: tuple[str, ...] = ()
 
 
 def check_shapes(count: int, where: str) -> None:

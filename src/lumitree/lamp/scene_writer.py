@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -292,7 +293,10 @@ def _rounded(values: Floats, decimals: int) -> np.ndarray:
 def _transform(parent: Element, name: str, matrix: Floats, *, exact: bool = False) -> None:
     """A matrix of 9 digits; or of all, where 9 are too few for large coordinates."""
     transform = SubElement(parent, "transform", name=name)
-    numbers = (matrix.round(9) + 0.0).ravel().tolist()
+    # As those of meshes with integer coordinates, whose unit is tiny.
+    largest = float(np.abs(matrix[:3, :3]).max())
+    decimals = 9 if largest >= 1e-3 or largest == 0 else 9 - math.floor(math.log10(largest))
+    numbers = (matrix.round(decimals) + 0.0).ravel().tolist()
     values = " ".join(repr(value) if exact else f"{value:.9g}" for value in numbers)
     SubElement(transform, "matrix", value=values)
 

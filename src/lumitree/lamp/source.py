@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -33,12 +34,24 @@ class LuminaireSource:
             BSDFs, or numbers of shapes such as "#3", in a Mitsuba scene; or names of parts or
             materials in a model; empty for everything.
         drop: patterns of what does not belong to the luminaire.
+
+    Raises:
+        LumitreeError: the patterns are no texts, or a single one.
     """
 
     name: str
     materials: str | None = None
-    keep: tuple[str, ...] = ()
-    drop: tuple[str, ...] = ()
+    keep: Sequence[str] = ()
+    drop: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("keep", "drop"):
+            patterns = getattr(self, name)
+            if isinstance(patterns, str) or not all(isinstance(each, str) for each in patterns):
+                raise LumitreeError(
+                    f"{name} is {shown(repr(patterns), 60)}; expected a list of texts"
+                )
+            object.__setattr__(self, name, tuple(patterns))
 
     def __str__(self) -> str:
         return self.name

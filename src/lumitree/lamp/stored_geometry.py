@@ -156,22 +156,26 @@ class _Reader:
         raw = bool(props.get("raw", False))
         to_uv = props.get("to_uv", load_mitsuba().ScalarTransform4f())
         return {
-            "image": self._image(self._file.resolve(props["filename"])),
+            "image": self._image(self._file.resolve(props["filename"]), raw),
             "raw": raw,
             "filter_type": str(props.get("filter_type", "bilinear")),
             "wrap_mode": str(props.get("wrap_mode", "repeat")),
             "to_uv": np.array(to_uv.matrix, np.float64).tolist(),
         }
 
-    def _image(self, path: Path) -> int:
-        """Index of the image of a file: 8 bits a channel as they are, others as linear numbers."""
+    def _image(self, path: Path, raw: bool) -> int:
+        """Index of the image of a file: 8 bits a channel as they are, others as linear numbers.
+
+        Raw ones are numbers already, also where the file's are sRGB, as those of PNG files.
+        """
         mi = load_mitsuba()
-        encoded = path.suffix.lower() in (".png", ".jpg", ".jpeg", ".bmp", ".tga")
-        key = (path, encoded)
+        key = (path, raw)
         if key not in self._image_of:
             with second_thread():
                 bitmap = mi.Bitmap(str(path))
             if bitmap.component_format() != mi.Struct.Type.UInt8:
+                if raw:
+                    bitmap.set_srgb_gamma(False)
                 bitmap = bitmap.convert(component_format=mi.Struct.Type.Float32, srgb_gamma=False)
             pixels = np.array(bitmap)
             self._image_of[key] = len(self._images)
@@ -229,6 +233,9 @@ def _analytic(name: str, shape: Any, description: Json) -> Json:
         raise LumitreeError(f"shape {name!r} is a {description['type']}, which is not stored")
     matrix = np.array(load_mitsuba().traverse(shape)["to_world"].matrix, np.float64)
     matrix = matrix.reshape(4, 4)
+    if description["type"] == "disk":
+        # Its matrix has the turned normal already.
+        description = {**description, "flipped": False}
     return {**description, "to_world": matrix.tolist()}
 
 

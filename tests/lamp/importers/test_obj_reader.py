@@ -137,6 +137,24 @@ def test_copies_of_one_winding_emit_once_and_others_reflect_once(model):
     assert len(model(both, "newmtl a\nKd 1 1 1").parts[0].mesh.faces) == 2
 
 
+def test_a_face_in_both_windings_emits_to_both_sides_if_it_will_emit(model, tmp_path):
+    """As where a file of overrides makes it emit."""
+    model(QUAD + "usemtl a\nf 1 2 3 4\nf 4 3 2 1", "newmtl a\nKd 1 1 1")
+    parts = [read_obj(tmp_path / "lamp.obj", names).parts[0] for names in ([], ["a"])]
+    assert [len(part.mesh.faces) for part in parts] == [2, 4]
+
+
+def test_a_thin_wall_stays_beside_a_large_room(model):
+    """Faces are compared with those of their own material."""
+    outer, inner = (trimesh.creation.icosphere(subdivisions=1, radius=r) for r in (0.03, 0.0298))
+    bulb = obj_text(outer, "glass") + obj_text(inner, "glass", len(outer.vertices), flip=True)
+    hall = "usemtl hall\nv -30 0 -30\nv 30 0 -30\nv 30 0 30\nv -30 0 30\nf -4 -3 -2 -1\n"
+    (alone,), (beside, _) = (
+        model(text, "newmtl glass\nnewmtl hall\n").parts for text in (bulb, bulb + hall)
+    )
+    assert len(alone.mesh.faces) == len(beside.mesh.faces) == 160
+
+
 def test_a_closed_emitter_in_both_windings(model):
     """One side of the copy faces inwards; textures and colours are those of the front."""
     ball = trimesh.creation.icosphere(subdivisions=1)

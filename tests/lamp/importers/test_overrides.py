@@ -217,6 +217,7 @@ def test_conductors_are_those_of_assets(written):
         ("[material.a]\ndiffuse = { reflectance = 2 }", "diffuse.reflectance is '2'"),
         ("[material.a]\nopacity = -0.5", "opacity is '-0.5'"),
         ("[material.a]\nemitter = {}", "needs either radiance or lumens"),
+        ('[material.a]\nmetal = { conductor = ["Au"] }', "conductor is"),
         ("[material.a]\nemitter = { radiance = 1, lumens = 1 }", "needs either radiance or lumens"),
         ("[material.a]\nemitter = { radiance = -1 }", "emitter.radiance is '-1'"),
         ("[material.a]\nemitter = { radiance = [1, 2, inf] }", "emitter.radiance is"),

@@ -74,17 +74,20 @@ def apply_overrides(model: Geometry, overrides: Overrides) -> Geometry:
         LumitreeError: the overrides name a material that the model lacks, or give a luminous flux
             to one without any area.
     """
-    known = dict.fromkeys(material.name for material in model.materials)
-    for name in overrides.materials:
-        if name not in known:
+    changes: dict[str, MaterialOverride] = {}
+    for name, change in overrides.materials.items():
+        titles = {item.title for item in model.materials if name in (item.title, item.name)}
+        if not titles:
+            known = dict.fromkeys(item.title for item in model.materials)
             raise LumitreeError(
                 f"{overrides.file}: no material is called {shown(name)!r}; the model has "
                 f"{shown_names(known)}"
             )
+        changes |= dict.fromkeys(titles, change)
     model = _in_metres(model, overrides)
     materials = (
-        _overridden(model, material, overrides.materials[material.name], overrides.file)
-        if material.name in overrides.materials
+        _overridden(model, material, changes[material.title], overrides.file)
+        if material.title in changes
         else material
         for material in model.materials
     )
@@ -92,7 +95,10 @@ def apply_overrides(model: Geometry, overrides: Overrides) -> Geometry:
 
 
 def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file: str) -> Geometry:
-    """The parts whose own name or material's name matches a `keep` pattern and no `drop` pattern.
+    """The parts that match a `keep` pattern and no `drop` pattern.
+
+    By their own name, or that of their object or their material. Of a part with several copies
+    those are left whose objects match.
 
     Args:
         keep, drop: patterns with * and ?; no `keep` keeps everything.
@@ -101,10 +107,30 @@ def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file
     Raises:
         LumitreeError: a pattern matches nothing, or nothing is left.
     """
-    names = [(part.name, part.material) for part in model.parts]
+    titles = {material.name: material.title for material in model.materials}
+    objects = {name for part in model.parts for name in part.objects}
+    copies = [(part, at) for part in model.parts for at in range(len(part.places))]
+    names = []
+    for part, at in copies:
+        own = [part.objects[at]] if part.objects else []
+        # Also the name of a part of an object of another name.
+        own += [] if part.name in objects else [part.name]
+        names.append(tuple(dict.fromkeys([*own, titles[part.material], part.material])))
     chosen = select_names(names, keep, drop, file, "part or material")
-    parts = tuple(part for part, kept in zip(model.parts, chosen, strict=True) if kept)
+    kept: dict[str, list[int]] = {}
+    for (part, at), wanted in zip(copies, chosen, strict=True):
+        if wanted:
+            kept.setdefault(part.name, []).append(at)
+    parts = tuple(_copies(part, kept[part.name]) for part in model.parts if part.name in kept)
     return dataclasses.replace(model, parts=parts)
+
+
+def _copies(part: Part, index: Sequence[int]) -> Part:
+    """A part with some of its copies."""
+    if len(index) == len(part.places):
+        return part
+    places, objects = (tuple(each[i] for i in index) for each in (part.places, part.objects))
+    return dataclasses.replace(part, places=places, objects=objects)
 
 
 def select_names(
@@ -170,7 +196,7 @@ def check_emits(model: Geometry, file: str, overrides_name: str) -> None:
     """
     used = {part.material for part in model.parts}
     if not any(item.radiance is not None for item in model.materials if item.name in used):
-        known = [item.name for item in model.materials if item.name in used]
+        known = list(dict.fromkeys(i.title for i in model.materials if i.name in used))
         example = shown(known[0]).replace("\\", "\\\\").replace('"', '\\"') if known else "bulb"
         raise LumitreeError(
             f"{file} has no emitter (materials: {shown_names(known)}); name one in "
@@ -179,17 +205,16 @@ def check_emits(model: Geometry, file: str, overrides_name: str) -> None:
         )
 
 
-def material_area(model: Geometry, material: str) -> float:
-    """Area of all surfaces with a material, every copy counted, in the model's unit squared."""
+def material_area(model: Geometry, title: str) -> float:
+    """Area of all surfaces with a material of the file, every copy counted, in square units."""
     total = 0.0
-    for part in model.parts:
-        if part.material == material:
-            normals = area_normals(part.mesh.vertices, part.mesh.faces)
-            for place in part.places:
-                linear = place[:3, :3]
-                # Area vectors are transformed by the matrix of cofactors.
-                cofactors = np.linalg.det(linear) * np.linalg.inv(linear)
-                total += float(np.linalg.norm(normals @ cofactors, axis=1).sum()) / 2
+    for part in _parts_with(model, title):
+        normals = area_normals(part.mesh.vertices, part.mesh.faces)
+        for place in part.places:
+            linear = place[:3, :3]
+            # Area vectors are transformed by the matrix of cofactors.
+            cofactors = np.linalg.det(linear) * np.linalg.inv(linear)
+            total += float(np.linalg.norm(normals @ cofactors, axis=1).sum()) / 2
     return total
 
 
@@ -237,11 +262,12 @@ def _overridden(
             _settled(model, material.name, change),
             material.radiance,
             two_sided=not isinstance(change.surface, Glass),
+            title=material.title,
         )
     if change.opacity is not None:
         material = dataclasses.replace(material, opacity=change.opacity)
     if change.emission is not None:
-        radiance = _radiance(model, material.name, change.emission, file)
+        radiance = _radiance(model, material.title, change.emission, file)
         material = dataclasses.replace(material, radiance=radiance)
     return material
 
@@ -274,13 +300,19 @@ def _settled(model: Geometry, material: str, change: MaterialOverride) -> Surfac
     return dataclasses.replace(surface, thin=True)
 
 
-def _radiance(model: Geometry, material: str, emission: Emission, file: str) -> RGB | None:
+def _parts_with(model: Geometry, title: str) -> list[Part]:
+    """The parts with a material of the file."""
+    names = {material.name for material in model.materials if material.title == title}
+    return [part for part in model.parts if part.material in names]
+
+
+def _radiance(model: Geometry, title: str, emission: Emission, file: str) -> RGB | None:
     if emission.radiance is not None:
         return emission.radiance if max(emission.radiance) > 0 else None
-    if all(part.material != material for part in model.parts):
+    if not _parts_with(model, title):
         # All parts with the material were dropped, or none has it: no surface emits the flux.
         return None
-    area = material_area(model, material)
+    area = material_area(model, title)
     if area <= 0:
-        raise LumitreeError(f"{file}: material {shown(material)!r} has no area to emit lumens from")
+        raise LumitreeError(f"{file}: material {shown(title)!r} has no area to emit lumens from")
     return radiance_from_flux(emission.lumens, area, emission.colour)

@@ -197,6 +197,6 @@ def _up(value: Any) -> Literal["y", "z"]:
 
 
 def _conductor(value: Any) -> str:
-    if value not in CONDUCTORS:
+    if not isinstance(value, str) or value not in CONDUCTORS:
         raise UnexpectedError("Ag, Al, Au, Cr, Cu, W or another of Mitsuba's, or none")
-    return str(value)
+    return value

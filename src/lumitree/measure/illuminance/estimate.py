@@ -49,6 +49,9 @@ _SUMS, _MAX_SUMS, _SUM_PART = 4, 1 << 10, 0.3
 _ENCLOSED = 0.1
 # Passes in which such a receiver is searched for light before it counts as inside.
 _SEARCHES = 16
+# A receiver with fewer samples that are not 0 has a variance that is not known yet. One without any
+# gets the second number of samples at least, and the third at most.
+_FEW, _UNSEEN, _MAX_UNSEEN = 32, 1 << 12, 1 << 14
 # Errors are relative to the illuminance, but to no less than this part of the mean.
 FLOOR = 0.1
 
@@ -76,7 +79,7 @@ class _Moments:
     """Number, sums and sums of squares of samples, by receiver."""
 
     def __init__(self, count: int) -> None:
-        self.number = np.zeros(count, np.int64)
+        self.number, self.hits = np.zeros(count, np.int64), np.zeros(count, np.int64)
         self.sum, self.squares = np.zeros(count), np.zeros(count)
 
     def add(self, index: NDArray[np.int64], values: _Array) -> None:
@@ -84,6 +87,7 @@ class _Moments:
         self.number[index] += values.shape[1]
         self.sum[index] += values.sum(axis=1)
         self.squares[index] += (values**2).sum(axis=1)
+        self.hits[index] += np.count_nonzero(values, axis=1)
 
     @property
     def mean(self) -> _Array:
@@ -94,6 +98,16 @@ class _Moments:
         """Of the mean."""
         spread = np.maximum(self.squares - self.sum * self.mean, 0)
         return spread / np.maximum(self.number - 1, 1) / self.number
+
+    @property
+    def cautious_variance(self) -> _Array:
+        """Of the mean; for receivers with few samples that are not 0 that of all, if it is larger.
+
+        Where light comes by rare paths, as through glass, their own may be 0 by chance.
+        """
+        own = self.variance
+        of_all = (own * self.number).mean() / self.number
+        return np.where(self.hits < _FEW, np.maximum(own, of_all), own)
 
 
 class _Control:
@@ -166,9 +180,11 @@ def estimate(
                 total.add(index, y + r)
                 control.add(index, t, w)
                 largest[index] = np.maximum(largest[index], c)
-            mean, variance = total.mean, total.variance
+            mean, variance = total.mean, total.cautious_variance
             goal = (error * np.maximum(mean, FLOOR * mean.mean())) ** 2
-            left = np.flatnonzero(variance > goal)
+            unseen, number = total.hits == 0, total.number
+            enough = (variance <= goal) & (~unseen | (number >= _UNSEEN))
+            left = np.flatnonzero(~enough & ~(unseen & (number >= _MAX_UNSEEN)))
             done = float(np.mean(_ratio(goal, np.maximum(goal, variance))))
             spent = time.perf_counter() - start
             if seconds is not None:
@@ -186,9 +202,9 @@ def estimate(
     known[dark[sampler.enclosed(dark)]] = np.nan
     return Estimate(
         known * direct.mean,
-        known * np.sqrt(direct.variance + rest),
+        known * np.sqrt(direct.cautious_variance + rest),
         known * total.mean,
-        known * np.sqrt(total.variance + rest),
+        known * np.sqrt(total.cautious_variance + rest),
         total.number,
     )
 

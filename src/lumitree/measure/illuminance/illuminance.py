@@ -26,6 +26,7 @@ from lumitree.rendering.placement import Placement
 if TYPE_CHECKING:
     from lumitree.measure.illuminance.plan import Plan
     from lumitree.rendering.plugins.path_scene import PathScene
+    from lumitree.rendering.scene import PlacedLuminaire
 
 OUTPUTS = (".csv", ".json", ".png", ".pdf")
 
@@ -203,6 +204,7 @@ def illuminance(
             # Before the luminaires are placed, which renames the shapes of the room.
             areas = collect(room, planes, surfaces, points, normals, seed)
             placed = open_placements(placements, metres)
+            _warn_of_glass(placed)
             whole = place_luminaires(room, placed, appearance="geometry")
             paths = _paths(whole, scene_title(scene))
             place = np.concatenate([area.points for area in areas])
@@ -247,6 +249,20 @@ def check_illuminance_output(path: FilePath) -> None:
         name = shown(repr(str(path)), 300)
         raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
     check_writable(path)
+
+
+def _warn_of_glass(placed: "Sequence[PlacedLuminaire]") -> None:
+    """Warn of explicit lamps with glass, whose light is found by chance."""
+    for each in placed:
+        file = None if each.luminaire is None else each.luminaire.file
+        names = [] if file is None else [node.props.plugin_name() for node in file.nodes("BSDF")]
+        if any("dielectric" in name and not name.startswith("thin") for name in names):
+            warnings.warn(
+                f"{each.title} is placed as explicit geometry with glass, through which light is "
+                "found by rare paths, so that illuminance takes long; bake it first",
+                LumitreeWarning,
+                stacklevel=3,
+            )
 
 
 def _paths(scene: Any, title: str) -> "PathScene":

@@ -114,6 +114,7 @@ class Materials:
             self._textures.value(opacity),
             self._normal_map(layers, use.mirrored),
             item.flag("doubleSided"),
+            layers.name,
         )
         return material, factor
 

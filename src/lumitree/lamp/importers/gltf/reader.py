@@ -8,6 +8,7 @@ import dataclasses
 import os
 import warnings
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,6 +52,13 @@ def read_gltf(path: str | os.PathLike[str], *, variant: str | None = None) -> Ge
     for line in notes.lines():
         warnings.warn(line, LumitreeWarning, stacklevel=2)
     return model
+
+
+class _Copy(NamedTuple):
+    """A place of a mesh, `world_from_mesh` [4, 4], and the name of the object there."""
+
+    world: Floats
+    object: str
 
 
 class _Reader:
@@ -108,26 +116,26 @@ class _Reader:
         item = self._document.entry("meshes", index)
         if any(primitive.data.get("targets") for primitive in item.items("primitives")):
             self._notes.file("morph targets (meshes keep their base shape)")
-        worlds = []
+        own, copies = item.string("name", f"mesh_{index}"), []
         for node in nodes:
             if _flattened(node.world):
                 self._notes.file("meshes that are scaled to nothing")
             else:
-                worlds.append(node.world)
-        name = nodes[0].item.string("name", item.string("name", f"mesh_{index}"))
-        for primitive in item.items("primitives") if worlds else []:
-            self._primitive(primitive, name, worlds)
+                copies.append(_Copy(node.world, node.item.string("name", own)))
+        name = nodes[0].item.string("name", own)
+        for primitive in item.items("primitives") if copies else []:
+            self._primitive(primitive, name, copies)
 
-    def _primitive(self, primitive: Item, name: str, worlds: list[Floats]) -> None:
+    def _primitive(self, primitive: Item, name: str, copies: list[_Copy]) -> None:
         material = self._variants.material(primitive)
         layers = self._materials.layers(material)
         mesh = read_triangles(self._accessors, primitive, layers.uv_set)
         if mesh is None:
             self._notes.file("points, lines and empty meshes")
             return
-        self._shapes += len(worlds)
+        self._shapes += len(copies)
         check_shapes(self._shapes, primitive.where)
-        self._triangles += len(mesh.faces) * len(worlds)
+        self._triangles += len(mesh.faces) * len(copies)
         if self._triangles > MAX_TRIANGLES:
             raise primitive.error(
                 f"brings the model to {self._triangles} triangles; at most {MAX_TRIANGLES} are read"
@@ -144,22 +152,26 @@ class _Reader:
                 np.zeros((len(mesh.vertices), 2)),
                 mesh.colours,
             )
-        for placed, places, scale in _placed(mesh, worlds):
+        for placed, places, scale in _placed(mesh, copies):
             used = scale if self._materials.solid(material) else 1.0
             for piece, mirrored in _by_handedness(placed, self._materials.bumpy(material)):
                 use = Use(closed, mirrored, mesh.colours is not None, used)
                 self._add(name, piece, places, material, use)
 
-    def _add(
-        self, name: str, mesh: Mesh, places: tuple[Floats, ...], index: int | None, use: Use
-    ) -> None:
+    def _add(self, name: str, mesh: Mesh, copies: list[_Copy], index: int | None, use: Use) -> None:
         material, factor = self._materials.read(index, use)
         colours = None
         if mesh.colours is not None and factor is not None:
             colours = mesh.colours * factor
         mesh = Mesh(mesh.vertices, mesh.normals, mesh.faces, mesh.uv, colours)
         self._parts.append(
-            Part(self._part_names.unique(safe_name(name)), mesh, material.name, places)
+            Part(
+                self._part_names.unique(safe_name(name)),
+                mesh,
+                material.name,
+                tuple(copy.world for copy in copies),
+                tuple(copy.object for copy in copies),
+            )
         )
 
 
@@ -181,21 +193,21 @@ def _flattened(world: Floats) -> bool:
     return bool(abs(np.linalg.det(linear)) <= 1e-12 * np.linalg.norm(linear) ** 3)
 
 
-def _placed(mesh: Mesh, worlds: list[Floats]) -> Iterator[tuple[Mesh, tuple[Floats, ...], float]]:
+def _placed(mesh: Mesh, copies: list[_Copy]) -> Iterator[tuple[Mesh, list[_Copy], float]]:
     """The mesh with its places and its scale; a copy of it where a place is no similarity."""
-    shared: dict[float, list[Floats]] = {}
-    for world in worlds:
-        linear = world[:3, :3]
+    shared: dict[float, list[_Copy]] = {}
+    for copy in copies:
+        linear = copy.world[:3, :3]
         determinant = float(np.linalg.det(linear))
         scale = abs(determinant) ** (1 / 3)
         if determinant > 0 and np.allclose(
             linear.T @ linear, scale**2 * np.eye(3), rtol=0, atol=1e-6 * scale**2
         ):
-            shared.setdefault(float(f"{scale:.3g}"), []).append(world)
+            shared.setdefault(float(f"{scale:.3g}"), []).append(copy)
         else:
-            yield baked(mesh, world), (np.eye(4),), scale
-    for scale, places in shared.items():
-        yield mesh, tuple(places), scale
+            yield baked(mesh, copy.world), [_Copy(np.eye(4), copy.object)], scale
+    for scale, alike in shared.items():
+        yield mesh, alike, scale
 
 
 def _by_handedness(mesh: Mesh, bumpy: bool) -> Iterator[tuple[Mesh, bool]]:

@@ -15,8 +15,8 @@ from lumitree.lamp.importers.topology import Indices, Pieces, faces_to_turn, wel
 from lumitree.lamp.meshes import Floats, Mesh
 from lumitree.lamp.parts import check_shapes
 
-# Of the bounding box's diagonal: faces whose corners are all nearer than this are one face. A
-# copy of a face may have been rounded differently when it was written.
+# Of the diagonal of a material's bounding box: its faces whose corners are all nearer than this are
+# one face. A copy of a face may have been rounded differently when it was written.
 _REPEATED = 1e-5
 # Sharpest angle, degrees, across which shading is smooth in a file that does not ask for it: faces
 # of one plane share their vertices.
@@ -49,7 +49,7 @@ def build_meshes(file: ObjFile, emitting: Collection[str]) -> dict[int, Mesh]:
     Args:
         emitting: names of materials that emit.
     """
-    places, rough_places = weld(file.positions), weld(file.positions, _REPEATED)
+    places = weld(file.positions)
     # One vertex stands for all those in its place.
     _, representative = np.unique(places, return_index=True)
     positions = file.positions[representative]
@@ -60,7 +60,7 @@ def build_meshes(file: ObjFile, emitting: Collection[str]) -> dict[int, Mesh]:
     meshes = {}
     behind = _REPEATED * float(np.linalg.norm(np.ptp(positions, axis=0)))
     for number, chosen in zip(used.tolist(), np.split(order, begins[1:]), strict=True):
-        triangles, name = _cut(file, places, rough_places, chosen, starts), file.materials[number]
+        triangles, name = _cut(file, places, chosen, starts), file.materials[number]
         if not len(triangles.corners):
             continue
         mesh = _mesh(file, places, positions, triangles, name)
@@ -70,17 +70,20 @@ def build_meshes(file: ObjFile, emitting: Collection[str]) -> dict[int, Mesh]:
     return meshes
 
 
-def _cut(
-    file: ObjFile, places: Indices, rough_places: Indices, chosen: Indices, starts: Indices
-) -> _Triangles:
+def _cut(file: ObjFile, places: Indices, chosen: Indices, starts: Indices) -> _Triangles:
     """The chosen polygons as triangles, in the file's order of sizes; repeated ones once."""
     corners: list[Indices] = [np.zeros((0, 3, 3), np.int64)]
     groups: list[Indices] = [np.zeros(0, np.int64)]
     doubled: list[NDArray[np.bool_]] = [np.zeros(0, np.bool_)]
+    by_size = []
     for size in np.unique(file.sizes[chosen]):
         polygons = chosen[file.sizes[chosen] == size]
-        own = file.corners[starts[polygons][:, None] + np.arange(size)]
-        first = _first_of_each(np.sort(rough_places[own[..., 0]], axis=1))
+        by_size.append((polygons, file.corners[starts[polygons][:, None] + np.arange(size)]))
+    used = np.unique(np.concatenate([own[..., 0].ravel() for _, own in by_size]))
+    rough_places = weld(file.positions[used], _REPEATED)
+    for polygons, own in by_size:
+        rough = rough_places[np.searchsorted(used, own[..., 0])]
+        first = _first_of_each(np.sort(rough, axis=1))
         normals = newell(file.positions[own[..., 0]])
         both = np.zeros(len(own), np.bool_)
         both[first[(normals * normals[first]).sum(axis=1) < 0]] = True

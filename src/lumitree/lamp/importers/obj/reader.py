@@ -4,7 +4,7 @@ import dataclasses
 import os
 import re
 import warnings
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from lumitree.errors import LumitreeWarning, shown, shown_names
@@ -22,8 +22,12 @@ _UNNAMED = "default"
 _MAX_NAME = 60
 
 
-def read_obj(path: str | os.PathLike[str]) -> Geometry:
+def read_obj(path: str | os.PathLike[str], emitting: Collection[str] = ()) -> Geometry:
     """Read a Wavefront OBJ model: one part for each material, in the file's frame and unit.
+
+    Args:
+        path: of the file.
+        emitting: materials that will emit, besides those that do so in the file.
 
     Raises:
         LumitreeError: a file is missing, malformed or too large, or names what is outside the
@@ -33,8 +37,8 @@ def read_obj(path: str | os.PathLike[str]) -> Geometry:
     file = parse_obj(path)
     folder = ObjFolder(path)
     library = _library(file, folder)
-    emitting = [name for name, source in library.items() if emits(source)]
-    meshes = build_meshes(file, emitting)
+    lit = [name for name, source in library.items() if emits(source)]
+    meshes = build_meshes(file, {*lit, *emitting})
     if not meshes:
         warnings.warn(f"{path}: no face has any area", LumitreeWarning, stacklevel=2)
     names = part_names(file.materials[number] for number in meshes)
