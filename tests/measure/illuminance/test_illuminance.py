@@ -11,6 +11,7 @@ from lumitree.asset.asset import light_field_asset
 from lumitree.asset.light_field import make_light_field
 from lumitree.core.frames import LocalFrame
 from lumitree.core.photometry import LUMENS_PER_WATT, luminance
+from support.lamps import AREA, GLASS, lamp_of, sphere
 from support.light_fields import random_light_field
 
 BOX = np.array([1.0, 0.6, 0.8])
@@ -342,6 +343,35 @@ def test_dark_points_of_a_room_whose_walls_face_outwards_count(mi, direct_only):
     result = lumitree.illuminance(scene, planes=[plane], error=EVERYTHING, direct_only=direct_only)
     assert np.isnan(result.total).tolist() == [False, True, False, False]
     assert np.flatnonzero(result.direct > 0).tolist() == [3]
+
+
+def test_light_by_rare_paths_is_not_taken_for_darkness(mi):
+    """A white ball that glows in a ball of glass: one path in 200 finds it. No light is lost."""
+    radius, distance, radiance = 0.1, 2.0, 5.0
+    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1}}
+    glow = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
+    scene = room(
+        mi,
+        ball={"type": "sphere", "radius": radius, "bsdf": white, "emitter": glow},
+        glass={"type": "sphere", "radius": 0.5, "bsdf": {"type": "dielectric", "int_ior": 1.5}},
+    )
+    turns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    points = distance * np.stack([np.cos(turns), 0 * turns, np.sin(turns)], axis=1)
+    result = lumitree.illuminance(scene, error=0.1, points=points, normals=-points)
+    expected = np.pi * LUMENS_PER_WATT * radiance * (radius / distance) ** 2
+    assert (result.total > 0).all()
+    assert (np.abs(result.total - expected) < 4.5 * result.total_error).all()
+    assert result.total.mean() == pytest.approx(expected, rel=0.1)
+    assert (result.total_error < 0.2 * expected).all()
+
+
+def test_explicit_lamps_of_glass_are_told(mi, tmp_path):
+    lamp = lamp_of(tmp_path, sphere("glass", 0.2, inside=GLASS), sphere("glow", 0.1, inside=AREA))
+    hung = lumitree.Placement(lamp, at=(0, 2, 0))
+    with pytest.warns(
+        lumitree.LumitreeWarning, match="placed as explicit geometry with glass"
+    ):
+        lumitree.illuminance(room(mi), [hung], error=EVERYTHING, time=1.0, **at([0, 0, 0]))
 
 
 def test_a_scene_without_light_is_refused(mi):

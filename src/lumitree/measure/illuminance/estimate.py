@@ -51,7 +51,7 @@ _ENCLOSED = 0.1
 _SEARCHES = 16
 # A receiver with fewer samples that are not 0 has a variance that is not known yet. One without any
 # gets the second number of samples at least, and the third at most.
-_FEW, _UNSEEN, _MAX_UNSEEN = 32, 1 << 12, 1 << 14
+_FEW, _UNSEEN, _MAX_UNSEEN = 8, 1 << 12, 1 << 14
 # Errors are relative to the illuminance, but to no less than this part of the mean.
 FLOOR = 0.1
 
