@@ -146,7 +146,8 @@ def _status(result: Any) -> int:
         done = f"the asset in {path} is complete, but its irradiance was not compared"
         return _fail(f"interrupted; {done}", 128 + number)
     best = f"the best asset so far is in {path}; " if path is not None else ""
-    return _fail(f"interrupted; {best}the same command continues", 128 + number)
+    how = getattr(result, "continues", "the same command continues")
+    return _fail(f"interrupted; {best}{how}", 128 + number)
 
 
 def _check_json_output(path: str | None) -> None:

@@ -1,6 +1,7 @@
 """`lumitree bake`."""
 
 import argparse
+import codecs
 import dataclasses
 import os
 import sys
@@ -223,7 +224,7 @@ def show(args: argparse.Namespace, result: Any) -> None:
         print_open(result.index if args.task is None else result.folder)
     else:
         print_report(result.to_json())
-        print(_shown(result.asset, args.luminaires[0]))
+        print(_shown(result.asset, _listed(args.luminaires)[0]))
         print_open(result.path)
 
 
@@ -359,6 +360,8 @@ def _listed(names: list[str]) -> list[str]:
             found.append(name)
             continue
         content = read_bytes(name[1:], "a list of luminaires", _MAX_LIST_BYTES)
+        # Which editors of Windows write.
+        content = content.removeprefix(codecs.BOM_UTF8)
         found += [line.strip() for line in os.fsdecode(content).split("\n") if line.strip()]
     return found
 

@@ -217,7 +217,12 @@ def check_room(folder: Path, size: int) -> None:
 
 def is_empty(folder: Path) -> bool:
     """Whether a folder is empty, apart from temporary files that killed processes left."""
-    return all(_TEMPORARY_NAME.fullmatch(name) for name in os.listdir(folder))
+    return all(map(is_temporary, os.listdir(folder)))
+
+
+def is_temporary(name: str) -> bool:
+    """Whether a file has the name of one that is being written."""
+    return _TEMPORARY_NAME.fullmatch(name) is not None
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:

@@ -31,8 +31,12 @@ def packed(value: Any, name: str, expected: str) -> bytes:
         raise LumitreeError(
             f"{name} cannot be sent to other processes ({shown(reason, 200)}); give {expected}"
         ) from error
-    variant = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
-    return pickle.dumps((variant, memory.getvalue()))
+    return pickle.dumps((variant_here(), memory.getvalue()))
+
+
+def variant_here() -> str | None:
+    """The variant of Mitsuba that this process has set; None if it has set none."""
+    return sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
 
 
 def unpacked(data: bytes) -> Any:

@@ -1,6 +1,7 @@
 """The bake by the paper's network: `bake_network`, and its steps `capture`, `train`, `extract`."""
 
 import dataclasses
+import warnings
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -24,7 +25,7 @@ from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.system import peak_memory_bytes
 from lumitree.core.work_folder import scratch_folder
-from lumitree.errors import LumitreeError, explained
+from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 from lumitree.fit.config import BakeConfig, NetworkConfig, NetworkPreset, light_field_fit
 from lumitree.fit.finishing import finish_bake, remove_state
 from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
@@ -379,6 +380,13 @@ def _extract(
     watch = Stopwatch()
     with watch.stage("extract"):
         field = load_field(run)
+        if field.num_steps < field.planned_steps:
+            warnings.warn(
+                f"the training in {shown(run, 300)} is at step {field.num_steps:,} of "
+                f"{field.planned_steps:,}; `lumitree train --resume` finishes it",
+                LumitreeWarning,
+                stacklevel=3,
+            )
         if field.emission_weights != "decrease":
             raise LumitreeError(
                 f"{run} was trained with {field.emission_weights} emission weights, which no asset "

@@ -1,6 +1,7 @@
 """`merge`: bakes of one luminaire with different seeds, combined."""
 
 import dataclasses
+import os
 from collections.abc import Sequence
 
 from lumitree.asset.asset import Asset
@@ -38,13 +39,14 @@ def merge(assets: "Sequence[Asset | FilePath]", output: FilePath | None = None) 
 
     Example:
         >>> for seed in (0, 1):
-        ...     lumitree.bake("bulbs", f"{seed}.lumitree", seed=seed, parts=["light"])
+        ...     config = lumitree.BakeConfig(parts=("light",), seed=seed)
+        ...     lumitree.bake("bulbs", f"{seed}.lumitree", config)
         >>> result = lumitree.merge(["0.lumitree", "1.lumitree"], "bulbs.lumitree")
         >>> result.asset.info.light_field_paths
     """
     if output is not None:
         check_asset_output(output)
-    if isinstance(assets, Asset | str) or len(assets) < 2:
+    if isinstance(assets, Asset | str | os.PathLike) or len(assets) < 2:
         raise LumitreeError("merge takes at least two assets; give another one")
     from lumitree.fit.light_field.merge import merge_light_fields
 
@@ -73,7 +75,7 @@ def merge(assets: "Sequence[Asset | FilePath]", output: FilePath | None = None) 
 
 def _light_field(asset: Asset, name: str) -> LightField:
     if asset.light_field is None:
-        raise LumitreeError(f"{name} has no light field; bake it again with the part light_field")
+        raise LumitreeError(f"{name} has no light field; bake it again with the part light")
     return asset.light_field
 
 

@@ -85,3 +85,8 @@ class TrainResult(Result):
     rays_per_second: float
     stopped_by: int | None = None
     finished: bool = dataclasses.field(default=True, repr=False)
+
+    @property
+    def continues(self) -> str:
+        """What continues it, for messages."""
+        return "the same command with --resume continues"

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from lumitree.rendering.sampling.proxy import ProxyKind
     from lumitree.rendering.saved_passes import SavedPasses
 
+# What to do if a worker is lost.
+_CONTINUE = "the same call continues, or begins again without `work`"
+
 
 @dataclasses.dataclass(frozen=True)
 class Described:
@@ -171,7 +174,12 @@ def renderer_of(executor: Executor, described: Described) -> "Renderer":
     ) -> Iterator[Iterator[NDArray[np.float32]]]:
         tasks = ((job, *each) for each in passes)
         with run_tasks(
-            executor, _render_pass, tasks, what="passes", in_order=True, remedy="render it again"
+            executor,
+            _render_pass,
+            tasks,
+            what="passes",
+            in_order=True,
+            remedy=_CONTINUE,
         ) as results:
             yield (image for _, image in results)
 

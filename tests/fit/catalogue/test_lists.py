@@ -14,6 +14,7 @@ from lumitree.core.dask_executor import dask_executor
 from lumitree.core.files import WriteError
 from lumitree.fit.catalogue import lamp_job
 from lumitree.fit.catalogue.record import BakedLamp, LampFiles
+from lumitree.lamp.source import LuminaireSource
 from support.baked_folders import bake_nothing, make_old
 from support.executors import LastFirst
 from support.lamps import AREA, scene, sphere
@@ -107,7 +108,8 @@ def test_an_executor_gives_the_same_bytes(folder):
 
 def test_parts_of_a_list_are_baked_and_collected(folder, capsys):
     (folder / "c.xml").write_text(scene(sphere("ball", 0.25, inside=AREA)))
-    (folder / "lamps.txt").write_text("a.xml\n\n b.xml\nc.xml\n")
+    # With the mark of editors of Windows.
+    (folder / "lamps.txt").write_text("\ufeffa.xml\n\n b.xml\nc.xml\n", encoding="utf-8")
     line = ["bake", "@lamps.txt", "-o", "out/", *ARGUMENTS, "--task"]
     assert main([*line, "1/2"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -122,6 +124,8 @@ def test_parts_of_a_list_are_baked_and_collected(folder, capsys):
     assert main(["collect", "out"]) == 0
     assert (folder / "out/index.html").read_text().count("<dt>flux</dt>") == 3
     assert sorted(contents("out")) == ["a.lumitree", "b.lumitree", "c.lumitree"]
+    # A file that a killed process was about to rename.
+    (folder / "out/index-files/.d.lumitree-abcdefgh.failed").write_text("{}")
     found = lumitree.collect("out")
     assert (found.problem, found.missing_tasks) == (None, [])
     with pytest.raises(lumitree.LumitreeError, match="sub is not a folder of baked lamps"):
@@ -143,6 +147,19 @@ def test_a_part_that_is_stopped_is_missing(folder, monkeypatch):
     bake(["a.xml", "dark.xml"], "out", task=(1, 1))
     problem = lumitree.collect("out").problem
     assert problem.startswith("of 2 lamps 1 failed (dark); ")
+
+
+def test_one_lamp_and_odd_tasks_in_place_of_lists_are_refused():
+    with pytest.raises(lumitree.LumitreeError, match="luminaires is 'bulbs'; expected a list"):
+        bake("bulbs")
+    for task in ("1/3", (1, 2, 3), 1):
+        with pytest.raises(lumitree.LumitreeError, match=r"task is .*; expected \(number, count\)"):
+            bake(["a.xml"], task=task)
+
+
+def test_workers_get_the_variant_that_is_set(mi):
+    job = lamp_job.LampJob(Path("out"), "a", LuminaireSource("a.xml"), standard(), "", None)
+    assert job.elsewhere().variant == mi.variant()
 
 
 def test_a_full_disk_ends_the_list(folder, monkeypatch):

@@ -174,7 +174,7 @@ def test_a_colour_that_a_lamp_cannot_have_is_refused_at_once(monkeypatch):
         ((), r"^parts are none; expected"),
         (["nonsense"], "part is 'nonsense'; expected light, field"),
         (["light", "nonsense"], "part is 'nonsense'; expected light, field"),
-        ("light", "part is 'l'; expected light, field"),
+        ("light", "parts are 'light'; expected a list of texts"),
         ([""], "part is ''; expected light, field"),
         ([None], "part is None; expected light, field"),
     ],

@@ -1,5 +1,6 @@
 """Training, runs on disk, and the field they give."""
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -123,6 +124,15 @@ def test_query_does_not_depend_on_its_chunks(tiny_run):
     np.testing.assert_allclose(again[0], density[picked], rtol=1e-5)
     np.testing.assert_allclose(again[1], coefficients[picked], rtol=1e-4, atol=1e-5)
     assert field.query(np.zeros((0, 3)))[0].shape == (0,)
+
+
+def test_an_unfinished_run_is_extracted_with_a_warning(dataset, tmp_path):
+    train(dataset, tmp_path / "run", TINY, stop_after=2)
+    with (
+        pytest.warns(lumitree.LumitreeWarning, match=r"is at step \d+ of .*--resume` finishes"),
+        contextlib.suppress(LumitreeError),
+    ):
+        lumitree.extract(tmp_path / "run", tree_depth=2)
 
 
 def test_interrupt_saves_first(dataset, tmp_path, monkeypatch):

@@ -1,8 +1,11 @@
 """Rays of stored views, and the bake from them alone."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from lumitree.core.dataset import Dataset
 from lumitree.errors import LumitreeError
 from support.lamps import AREA, cube, sphere
 from support.tiny_bakes import octree_fit
@@ -109,6 +112,18 @@ def test_bake_from_views(mi, dataset, tmp_path):
     assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 8
     assert metrics["opacity_rmse"] < 0.15
     assert result.asset.luminaire == dataset.manifest.luminaire
+
+
+def test_another_capture_of_the_lamp_is_another_subject(mi, dataset):
+    """Whose unfinished bake is not continued."""
+    from lumitree.fit.octree.stored import StoredRays
+
+    fewer = dataclasses.replace(dataset.manifest, frames=dataset.manifest.frames[:-1])
+    subjects = [
+        StoredRays(Dataset(dataset.folder, manifest), 8).subject
+        for manifest in (dataset.manifest, dataset.manifest, fewer)
+    ]
+    assert subjects[0].fingerprint == subjects[1].fingerprint != subjects[2].fingerprint
 
 
 def test_one_view_is_refused(mi, lamp, tmp_path):

@@ -368,9 +368,7 @@ def test_light_by_rare_paths_is_not_taken_for_darkness(mi):
 def test_explicit_lamps_of_glass_are_told(mi, tmp_path):
     lamp = lamp_of(tmp_path, sphere("glass", 0.2, inside=GLASS), sphere("glow", 0.1, inside=AREA))
     hung = lumitree.Placement(lamp, at=(0, 2, 0))
-    with pytest.warns(
-        lumitree.LumitreeWarning, match="placed as explicit geometry with glass"
-    ):
+    with pytest.warns(lumitree.LumitreeWarning, match="placed as explicit geometry with glass"):
         lumitree.illuminance(room(mi), [hung], error=EVERYTHING, time=1.0, **at([0, 0, 0]))
 
 

@@ -1,6 +1,7 @@
 """Bakes of many lamps into one folder, with an index page."""
 
 import contextlib
+import os
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -88,8 +89,12 @@ def bake_many(
     root = Path(folder)
     check_index(root / INDEX)
     check_folder(root)
+    if isinstance(luminaires, str | os.PathLike):
+        raise LumitreeError(
+            f"luminaires is {shown(repr(luminaires), 100)}; expected a list of them"
+        )
     named = _named([as_source(each) for each in luminaires], root)
-    part = None if task is None else Part(*task)
+    part = None if task is None else _part(task)
     if part is not None:
         named = dict(list(named.items())[part.number - 1 :: part.count])
     config = BakeConfig.standard() if config is None else config
@@ -252,3 +257,9 @@ def _named(sources: Sequence[LuminaireSource], folder: Path) -> dict[str, Lumina
         check_asset_output(LampFiles(folder, name).asset)
         named[name] = source
     return named
+
+
+def _part(task: object) -> Part:
+    if isinstance(task, str) or not isinstance(task, Sequence) or len(task) != 2:
+        raise LumitreeError(f"task is {shown(repr(task), 60)}; expected (number, count)")
+    return Part(*task)

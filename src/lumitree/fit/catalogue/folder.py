@@ -10,7 +10,7 @@ from typing import Any
 
 from lumitree._version import __version__
 from lumitree.core.arguments import check_count
-from lumitree.core.files import write_json
+from lumitree.core.files import is_temporary, write_json
 from lumitree.core.reading import Record, parse_json, read_bytes
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.catalogue.record import (
@@ -149,6 +149,9 @@ class Records:
                 lamps[name] = FolderLamp(lamp, image if image in within else None)
         for file, entry in within.items():
             name = file.removesuffix(FAILURE)
+            if is_temporary(file):
+                # Of a process that writes it, or was killed meanwhile.
+                continue
             if name != file and (reason := self._cached(entry, name, LampFiles.read_failure)):
                 lamps[name] = FolderLamp(BakedLamp(name, "", "failed", error=reason))
         return lamps

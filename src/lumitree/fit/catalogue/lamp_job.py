@@ -11,6 +11,7 @@ from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import MANIFEST
 from lumitree.core.files import WriteError
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
+from lumitree.core.packing import variant_here
 from lumitree.core.progress import ProgressCallback
 from lumitree.core.reading import read_bytes
 from lumitree.core.work_folder import BusyFolderError
@@ -33,7 +34,8 @@ from lumitree.lamp.importers.model_folder import noted_files
 from lumitree.lamp.sent import absolute_source
 from lumitree.lamp.source import LuminaireSource, dataset_folder, gldf_variant, source_kind
 
-_MAX_SOURCE_BYTES = 1 << 26
+# That of the largest format, ray files.
+_MAX_SOURCE_BYTES = 1 << 32
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +76,9 @@ class LampJob:
     def elsewhere(self) -> "LampJob":
         """The same for a process that may have another working folder."""
         source, folder = absolute_source(self.source), Path(os.path.abspath(self.folder))
-        return dataclasses.replace(self, folder=folder, source=source)
+        return dataclasses.replace(
+            self, folder=folder, source=source, variant=self.variant or variant_here()
+        )
 
     def here(self, outcome: Outcome) -> Outcome:
         """What became of the lamp `elsewhere`, with the names that this process uses."""

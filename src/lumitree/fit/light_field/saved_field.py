@@ -6,6 +6,7 @@ import warnings
 from dataclasses import asdict
 from pathlib import Path
 
+from lumitree._version import __version__
 from lumitree.asset.asset import light_field_asset
 from lumitree.asset.file import load, save
 from lumitree.asset.light_field import LightField
@@ -30,7 +31,8 @@ class SavedLightField:
     """
 
     def __init__(self, folder: Path, luminaire: Luminaire, config: LightFieldFitConfig) -> None:
-        record = json.dumps([luminaire.fingerprint, asdict(config)], sort_keys=True)
+        members = [__version__, luminaire.fingerprint, asdict(config)]
+        record = json.dumps(members, sort_keys=True)
         self._digest = hashlib.sha256(record.encode()).hexdigest()
         self._path, self._frame = folder / LIGHT_FIELD_STATE, luminaire.frame
 

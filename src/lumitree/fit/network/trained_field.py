@@ -34,6 +34,7 @@ class TrainedField:
         frame: the luminaire's local frame.
         luminaire: name of the luminaire.
         num_steps: number of training steps.
+        planned_steps: number of those of the whole run.
         occupancy: cells that may be occupied; density is 0 outside of them.
         emission_weights: weights of the emission along a ray that it was trained with.
     """
@@ -44,6 +45,7 @@ class TrainedField:
     frame: LocalFrame
     luminaire: str
     num_steps: int
+    planned_steps: int
     occupancy: Occupancy
     emission_weights: EmissionWeights
     _rays_per_call: int
@@ -133,6 +135,7 @@ def load_field(run_path: str | os.PathLike[str]) -> TrainedField:
         frame=record.frame,
         luminaire=record.luminaire,
         num_steps=int(state.step),
+        planned_steps=config.num_steps,
         occupancy=occupancy,
         emission_weights=config.emission_weights,
         _rays_per_call=max(1, chunk // positions),

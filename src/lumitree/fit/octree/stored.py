@@ -1,6 +1,8 @@
 """Rays of stored views, for a luminaire that cannot be traced: `RaySource` from a dataset."""
 
 import dataclasses
+import hashlib
+import json
 from typing import Any
 
 import drjit as dr
@@ -47,9 +49,12 @@ class StoredRays:
 
     @property
     def subject(self) -> Subject:
-        """The luminaire that the views show."""
+        """The luminaire that the views show; another capture of it is another subject."""
         of = self._manifest
-        return Subject(of.luminaire, of.fingerprint, of.local_frame)
+        captured = [of.fingerprint, of.split, of.resolution, of.samples_per_pixel, of.path_depth]
+        captured += [[frame.file, frame.halton_index] for frame in of.frames]
+        fingerprint = hashlib.sha256(json.dumps(captured).encode()).hexdigest()
+        return Subject(of.luminaire, fingerprint, of.local_frame)
 
     def max_radiance(self) -> float:
         """L_max."""
