@@ -38,6 +38,15 @@ def test_an_override_reaches_all_surfaces_of_a_material(tmp_path, key):
     assert flux_from_radiance(model.materials[0].radiance, area) == pytest.approx(1600)
 
 
+def test_materials_of_one_name_are_two(tmp_path):
+    gltf = Gltf()
+    for x in (0, 3):
+        gltf.quad(gltf.material(name="paint"), translation=[x, 0, 0])
+    model = model_of(tmp_path, gltf, "[material.paint_2]\nemitter = { radiance = 2 }")
+    assert [item.title for item in model.materials] == ["paint", "paint_2"]
+    assert [item.radiance for item in model.materials] == [None, (2.0, 2.0, 2.0)]
+
+
 def test_names_of_any_alphabet_are_those_of_the_file(tmp_path):
     gltf = Gltf()
     for name, x in (("灯泡", 0), ("灯罩", 3)):

@@ -51,6 +51,9 @@ class Materials:
         images = Images()
         self._textures = Textures(images, GltfImages(document, images))
         self._layers: dict[int | None, Layers] = {}
+        # Unique, also where a file has two materials of one name.
+        self._titles = Names("_")
+        self._title_of: dict[int | None, str] = {}
         self._read: dict[tuple[int | None, Use], tuple[Material, RGB | None]] = {}
 
     @property
@@ -103,6 +106,8 @@ class Materials:
         factor = None
         if use.coloured:
             surface, factor = _painted(layers, surface, base)
+        if index not in self._title_of:
+            self._title_of[index] = self._titles.unique(layers.name)
         opacity = _opacity(layers, base)
         radiance = _radiance(layers, opacity)
         if not radiance.black() and item.flag("doubleSided") and not use.closed:
@@ -114,7 +119,7 @@ class Materials:
             self._textures.value(opacity),
             self._normal_map(layers, use.mirrored),
             item.flag("doubleSided"),
-            layers.name,
+            self._title_of[index],
         )
         return material, factor
 
