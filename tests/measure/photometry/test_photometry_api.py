@@ -141,6 +141,14 @@ def test_units_and_upward_axes(mi):
     assert offset == pytest.approx(np.tile([0.01, 0.03, -0.02], (len(rays), 1)), abs=1e-4)
 
 
+def test_a_file_that_states_no_colour_has_none(folder):
+    lamp = lumitree.photometry("lamp.xml", ["a.ies"], step=10, paths=PATHS)
+    file = lumitree.photometry("a.ies", ["b.html"], step=10, paths=PATHS)
+    assert lamp.colour_temperature is not None
+    assert (file.colour_temperature, file.duv) == (None, None)
+    assert "not known" in (folder / "b.html").read_text(encoding="utf-8")
+
+
 @pytest.mark.slow
 def test_an_ies_file_there_and_back(folder, capsys):
     """Luminaire, IES file, asset, and its photometry."""

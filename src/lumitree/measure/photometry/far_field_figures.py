@@ -64,6 +64,9 @@ def evaluated(
     certain = intensity - _CERTAIN * error
     plane, row = np.unravel_index(certain.argmax(), certain.shape)
     (kelvin, duv), (kelvin_error, duv_error) = (each.tolist() for each in jackknife(colour))
+    mean = measurement.watts.mean(axis=0)
+    # Photometric files that state no colour have equal R, G and B.
+    coloured = file is None or not np.allclose(mean, mean[0], rtol=1e-6, atol=0)
     angles = {
         part: {
             name: _estimate(lambda used, c=c, part=part: _width(measurement, used, c, part))
@@ -81,8 +84,10 @@ def evaluated(
         max_gamma=float(grid.gamma[row]),
         beam_angles=angles[BEAM],
         field_angles=angles[FIELD],
-        colour_temperature=Estimate(kelvin, kelvin_error) if math.isfinite(kelvin_error) else None,
-        duv=Estimate(duv, duv_error) if math.isfinite(duv_error) else None,
+        colour_temperature=Estimate(kelvin, kelvin_error)
+        if coloured and math.isfinite(kelvin_error)
+        else None,
+        duv=Estimate(duv, duv_error) if coloured and math.isfinite(duv_error) else None,
         spectrum_share=0.0 if measurement.spectrum is None else measurement.spectrum.share,
         emitted_colour=colour_figures(measurement.spectrum, measurement.watts.mean(axis=0)),
     )

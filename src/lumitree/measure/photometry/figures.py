@@ -59,7 +59,8 @@ class PhotometricFigures:
             in which the intensity is at least half of it, degrees; 360 if it is so everywhere.
         field_angles: the same for a tenth.
         colour_temperature: correlated colour temperature of the mean colour of the light that
-            leaves, by its RGB, K; None if it is not defined for this colour.
+            leaves, by its RGB, K; None if it is not defined for this colour,
+            or if a photometric file states none.
         duv: distance of this colour from the Planckian locus, CIE 1960 (u, v); positive above.
         spectrum_share: part of the luminous flux of the bare emitters whose spectrum is known.
         emitted_colour: colour of the bare emitters by their spectrum; None if it is not known.

@@ -50,8 +50,8 @@ def figure_rows(
         rows.append((f"field angle {name} (10 %)", f"{figures.field_angles[name]}°"))
     temperature = figures.colour_temperature
     rows += [
-        ("colour temperature", "not defined" if temperature is None else f"{temperature} K"),
-        ("Duv", "not defined" if figures.duv is None else str(figures.duv)),
+        ("colour temperature", "not known" if temperature is None else f"{temperature} K"),
+        ("Duv", "not known" if figures.duv is None else str(figures.duv)),
         *_colour_rows(figures),
         ("UGR, 4H x 8H, 70/50/20", _catalogue_ugr(ugr)),
         ("size of the bounding box", " x ".join(f"{side:.4g}" for side in size) + " m"),
