@@ -48,7 +48,7 @@ def test_what_is_not_an_asset_is_named(tmp_path, name, monkeypatch, capsys):
     content, kind = FILES[name]
     (tmp_path / name).write_bytes(content)
     assert what_it_is(name) == (None if name == "a.bin" else kind)
-    for command in (["info", name], ["view", name, "-o", "a.html"]):
+    for command in (["info", name], ["view", name, "-o", "page.html"]):
         assert main(command) == 2
         error = capsys.readouterr().err
         assert f"{name} is {kind}, not a .lumitree asset; expected" in error
