@@ -250,3 +250,10 @@ def test_a_changed_file_is_read_again(folder):
     (folder / "a.ies").write_text((folder / "a.ies").read_text() + "\n")
     assert lumitree.load("a.ies") is not first
     assert asset_lumens(first) == pytest.approx(100 * np.pi, rel=0.02)
+
+
+def test_a_bake_does_not_advise_what_a_file_cannot_have(folder, capsys):
+    """Also where a list names the file."""
+    (folder / "lamps.txt").write_text("a.ies\n")
+    assert main(["bake", "@lamps.txt", "-o", "a.lumitree"]) == 0
+    assert "Images show the light field, blurred.\n" in capsys.readouterr().out

@@ -224,19 +224,18 @@ def show(args: argparse.Namespace, result: Any) -> None:
         print_open(result.index if args.task is None else result.folder)
     else:
         print_report(result.to_json())
-        print(_shown(result.asset, _listed(args.luminaires)[0]))
+        print(_shown(result.asset))
         print_open(result.path)
 
 
-def _shown(asset: "Asset", source: str) -> str:
-    """What images show of an asset that was baked from a source, and what it may lack for more."""
-    from lumitree.lamp.source import source_kind
-
+def _shown(asset: "Asset") -> str:
+    """What images show of an asset, and what it may lack for more."""
     appearance = asset.info.appearance
     line = _SHOWN[appearance]
     if appearance == "geometry" and asset.num_leaves == 0:
         line += " Other integrators than lumitree_path need a radiance field: --parts all adds it."
-    if appearance == "light" and source_kind(source) == "luminaire":
+    # A photometric file has no light paths, and no geometry to add.
+    if appearance == "light" and asset.info.light_field_paths is not None:
         line += " --parts light,geometry adds what sharp ones need."
     return line
 

@@ -148,10 +148,10 @@ class Records:
             if asset is not None and asset.stat().st_size == size:
                 lamps[name] = FolderLamp(lamp, image if image in within else None)
         for file, entry in within.items():
-            name = file.removesuffix(FAILURE)
+            # Of a process that writes it, or was killed meanwhile.
             if is_temporary(file):
-                # Of a process that writes it, or was killed meanwhile.
                 continue
+            name = file.removesuffix(FAILURE)
             if name != file and (reason := self._cached(entry, name, LampFiles.read_failure)):
                 lamps[name] = FolderLamp(BakedLamp(name, "", "failed", error=reason))
         return lamps
