@@ -1,5 +1,8 @@
 """Light of lamps recorded apart, buffers of surfaces, budgets, and denoising."""
 
+from contextlib import nullcontext
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -171,9 +174,42 @@ def test_noise_is_the_deviation_between_seeds(mi, room):
         render_passes(scene, integrator, Budget(32, noise=1e-4), seed=seed) for seed in range(24)
     ]
     grey = np.array([image.radiance for image in images], np.float64).mean(axis=-1)
-    measured = grey.std(axis=0, ddof=1).sum() / grey.mean(axis=0).sum()
+    blocks = [(rows, columns) for rows in halves(grey.shape[1]) for columns in halves(grey.shape[2])]
+    level = np.array([grey[:, rows, columns].mean() for rows, columns in blocks])
+    variance = grey.var(axis=0, ddof=1)
+    error = np.sqrt([variance[each].mean() for each in blocks])
+    weights = 1 / np.maximum(level, np.median(level))
+    measured = (weights * error).sum() / (weights * level).sum()
     assert np.mean([image.noise for image in images]) == pytest.approx(measured, rel=0.1)
     assert all(image.samples_per_pixel == 32 for image in images)
+
+
+@pytest.mark.parametrize("chance", [0.3, 0.003])
+def test_noise_of_light_that_rare_samples_find(chance):
+    """Nor does a lamp that is seen without noise hide it."""
+    from lumitree.rendering.passes import Budget, render_passes
+
+    generator = np.random.default_rng(5)
+
+    def passes(plan):
+        for _, samples in plan:
+            light = generator.binomial(samples, chance, (64, 80)) / samples / chance
+            light[:16, :16] = 1e4
+            yield np.repeat(light[..., None], 3, axis=-1).astype(np.float32)
+
+    film = SimpleNamespace(crop_size=lambda: [80, 64])
+    scene = SimpleNamespace(sensors=lambda: [SimpleNamespace(film=lambda: film)])
+    found = render_passes(
+        scene, None, Budget(40, noise=1e-4), renderer=lambda plan: nullcontext(passes(plan))
+    )
+    # One of the 20 blocks has no noise.
+    expected = 0.95 * np.sqrt((1 - chance) / chance / 40)
+    assert found.noise == pytest.approx(expected, rel=0.05)
+
+
+def halves(size):
+    """Slices of 16 pixels."""
+    return [slice(start, start + 16) for start in range(0, size, 16)]
 
 
 def test_a_render_stops_at_the_first_limit(room):

@@ -33,6 +33,8 @@ _MIN_PASSES = 8
 # Least time between two images that are shown while they are rendered, s, and the largest part of
 # the time that showing them takes.
 _SECONDS_BETWEEN_IMAGES, _MOST_TIME_OF_IMAGES = 2.0, 0.1
+# Width and height of the blocks of pixels over which noise is averaged.
+_BLOCK = 16
 # Samples per pixel of a pass at most, where it is not known how many there will be.
 _MAX_SAMPLES_PER_PIXEL = 16
 
@@ -74,8 +76,10 @@ class Rendering:
         channels: float32 [H, W, C], linear radiance of R, G and B, W/(m² sr), and then the further
             channels of the integrator.
         samples_per_pixel: samples per pixel.
-        noise: sum over all pixels of the standard errors of their radiance, averaged over R, G and
-            B, relative to the sum of this radiance; None if there was one pass only.
+        noise: relative standard error of the radiance of a pixel, averaged over R, G and B: the root
+            mean square in blocks of 16 x 16 pixels, relative to their mean radiance, averaged over
+            blocks of equal weight, but those that are darker than the median of the blocks with
+            light in proportion to their radiance. None if there was one pass only.
         seconds: time of rendering, s.
     """
 
@@ -117,14 +121,32 @@ def _noise(sums: PassSums) -> float | None:
     """As `Rendering.noise`.
 
     The variance of one sample is Σ_k n_k (x_k - x)² / (K - 1), and that of the mean the N-th part
-    of it.
+    of it. Where light is found by rare samples only, most pixels have neither light nor variance
+    yet: only the mean over many of them is known.
     """
     if sums.passes < 2:
         return None
     mean = sums.grey / sums.samples
     squares = np.maximum(sums.squares - sums.samples * mean**2, 0)
-    error = np.sqrt(squares / (sums.passes - 1) / sums.samples)
-    return float(error.sum() / mean.sum()) if mean.any() else 0.0
+    variance = _block_means(squares / (sums.passes - 1) / sums.samples)
+    level = _block_means(mean)
+    lit = level > 0
+    if not lit.any():
+        return 0.0
+    error, level = np.sqrt(variance[lit]), level[lit]
+    # Neither the lamp itself nor what is nearly black decides.
+    weights = 1 / np.maximum(level, np.median(level))
+    return float((weights * error).sum() / (weights * level).sum())
+
+
+def _block_means(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Means over blocks of `_BLOCK` x `_BLOCK` pixels of [H, W]; those at the edges are smaller."""
+    for axis, size in enumerate(pixels.shape):
+        starts = np.arange(0, size, _BLOCK)
+        counts = np.diff(starts, append=size)
+        sums = np.add.reduceat(pixels, starts, axis=axis)
+        pixels = sums / np.expand_dims(counts, 1 - axis)
+    return pixels
 
 
 # Renders passes, given as seed and samples per pixel, and returns their images in the same order.

@@ -54,8 +54,9 @@ class RenderResult(SavedImage):
         resolution: width and height in pixels.
         samples_per_pixel: samples per pixel.
         mean_radiance: mean over pixels and channels, W/(m² sr).
-        noise: estimated standard error of the pixels before denoising: its sum over all pixels,
-            relative to the sum of their radiance. None if there was one pass only.
+        noise: estimated standard error of a pixel before denoising, relative to the mean radiance
+            around it, averaged over the image: neither the lamp itself nor what is nearly black
+            decides. 0.1 is grain that is seen, 0.02 is hardly. None if there was one pass only.
         layers: by name, float32 [height, width, 3], the radiance of the light of one luminaire, or
             of the room; their sum is the image. Empty if they were not asked for.
         noisy: float32 [height, width, 3], radiance before denoising; None as `albedo`.
