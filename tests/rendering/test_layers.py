@@ -113,6 +113,7 @@ def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
     assert mixed.pixels == pytest.approx(expected, abs=1e-5)
     assert mixed.layers == ["lamp", "room", "room_2"]
     assert mixed.exposure == lumitree.mix(path).exposure
+    assert lumitree.mix(path, exposure=0.25).exposure == 0.25
     with pytest.raises(LumitreeError, match="the image is not made of layers alone"):
         lumitree.mix(layers | {"odd": layers["room"][1:]})
     with pytest.raises(LumitreeError, match=r"no layer 'hall'; it has lamp, room, room_2"):
@@ -174,7 +175,9 @@ def test_noise_is_the_deviation_between_seeds(mi, room):
         render_passes(scene, integrator, Budget(32, noise=1e-4), seed=seed) for seed in range(24)
     ]
     grey = np.array([image.radiance for image in images], np.float64).mean(axis=-1)
-    blocks = [(rows, columns) for rows in halves(grey.shape[1]) for columns in halves(grey.shape[2])]
+    blocks = [
+        (rows, columns) for rows in halves(grey.shape[1]) for columns in halves(grey.shape[2])
+    ]
     level = np.array([grey[:, rows, columns].mean() for rows, columns in blocks])
     variance = grey.var(axis=0, ddof=1)
     error = np.sqrt([variance[each].mean() for each in blocks])

@@ -173,7 +173,6 @@ def test_the_image_so_far_is_shown_while_it_is_rendered(mi, room, monkeypatch):
 
 
 def test_images_state_exposure_and_view(mi, room, tmp_path):
-    import io
     import json
 
     from PIL import Image
@@ -185,8 +184,21 @@ def test_images_state_exposure_and_view(mi, room, tmp_path):
     found.save(tmp_path / "a.png")
     with Image.open(tmp_path / "a.png") as image:
         assert json.loads(image.info["Comment"])["exposure"] == settings["exposure"]
+    again = render(room, exposure=2 * found.exposure)
+    assert again.exposure == json.loads(again.settings)["exposure"] == 2 * found.exposure
+    assert np.mean(decoded(again)) > 1.2 * np.mean(decoded(found))
+    with pytest.raises(LumitreeError, match="exposure is 0; expected"):
+        render(room, exposure=0)
     pytest.importorskip("PyOpenColorIO", reason="the optional dependency filmic is not installed")
     filmic = render(room, view="filmic")
     assert_similar(filmic.pixels, found.pixels)
-    shown, clipped = (np.asarray(Image.open(io.BytesIO(each.png)), int) for each in (filmic, found))
-    assert (shown != clipped).any()
+    assert (decoded(filmic) != decoded(found)).any()
+
+
+def decoded(result):
+    """What the PNG file of an image shows, [H, W, 3]."""
+    import io
+
+    from PIL import Image
+
+    return np.asarray(Image.open(io.BytesIO(result.png)), int)

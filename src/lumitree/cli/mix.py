@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> Any:
     import lumitree
 
     check_outputs(args.output)
-    result = lumitree.mix(args.layers, dict(args.gain), view=args.view)
+    result = lumitree.mix(args.layers, dict(args.gain), view=args.view, exposure=args.exposure)
     result.save(args.output)
     return image_report(result, args.output)
 

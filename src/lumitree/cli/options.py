@@ -123,13 +123,20 @@ def add_variant(parser: argparse.ArgumentParser, more: str = "") -> None:
 
 
 def add_view(parser: argparse.ArgumentParser) -> None:
-    """Add `--view`, the view transform of an image."""
+    """Add `--view` and `--exposure`, by which a .png shows an image."""
     parser.add_argument(
         "--view",
         choices=("standard", "filmic"),
         default="standard",
         help="view transform of a .png: standard, clipped sRGB; or filmic, the transform of ACES "
         "2.0 (`pip install 'lumitree[filmic]'`)",
+    )
+    parser.add_argument(
+        "--exposure",
+        type=float,
+        metavar="X",
+        help="factor on the radiance before the view transform of a .png, such as the one printed "
+        "for another image (default: by the log-average luminance of the image)",
     )
 
 

@@ -116,6 +116,7 @@ def run(args: argparse.Namespace) -> Any:
             width=args.width,
             unit=options.number(args.unit),
             view=args.view,
+            exposure=args.exposure,
             so_far=(lambda image: image.save(args.output)) if args.progressive else None,
             proxy=args.proxy,
             work=work,

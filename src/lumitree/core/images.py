@@ -105,6 +105,15 @@ def auto_exposure(radiance: NDArray[np.floating]) -> float:
     return float(0.9 / np.percentile(lit, 98)) if lit.size else 1.0
 
 
+def block_means(pixels: NDArray[np.float64], side: int) -> NDArray[np.float64]:
+    """Means over blocks of `side` x `side` pixels of [H, W]; those at two edges may be smaller."""
+    for axis, size in enumerate(pixels.shape):
+        starts = np.arange(0, size, side)
+        counts = np.diff(starts, append=size)
+        pixels = np.add.reduceat(pixels, starts, axis=axis) / np.expand_dims(counts, 1 - axis)
+    return pixels
+
+
 def max_radiance(images: Iterable[NDArray[np.floating]]) -> float:
     """L_max: the 99.99th percentile over the pixels of all images [..., 3], largest channel.
 

@@ -11,8 +11,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.arguments import check_choice
-from lumitree.core.images import tonemap
+from lumitree.core.arguments import check_choice, check_range
+from lumitree.core.images import block_means, tonemap
 from lumitree.core.photometry import LUMA
 from lumitree.errors import LumitreeError
 
@@ -27,13 +27,16 @@ _LINEAR, _DISPLAY = "Linear Rec.709 (sRGB)", "sRGB - Display"
 _FILMIC = "ACES 2.0 - SDR 100 nits (Rec.709)"
 
 
-def check_view(view: View) -> None:
+def check_view(view: View, exposure: float | None = None) -> None:
     """Refuse a view transform that there is not, or whose package is missing, before any work.
 
     Raises:
-        LumitreeError: there is no such view, or "filmic" is asked for without OpenColorIO.
+        LumitreeError: there is no such view, "filmic" is asked for without OpenColorIO, or the
+            exposure is out of range.
     """
     check_choice("view", view, VIEWS)
+    if exposure is not None:
+        check_range("exposure", exposure, 1e-12, 1e12)
     if view == "filmic":
         _filmic()
 
@@ -58,10 +61,7 @@ def room_exposure(radiance: NDArray[np.floating]) -> float:
     mean of logarithms hardly depends on it. Blocks that are black are left out.
     """
     means = np.nan_to_num(np.asarray(radiance, np.float64)) @ np.array(LUMA)
-    for axis, side in enumerate(means.shape):
-        starts = range(0, side, _BLOCK)
-        sizes = np.diff([*starts, side])
-        means = np.add.reduceat(means, starts, axis=axis) / np.expand_dims(sizes, 1 - axis)
+    means = block_means(means, _BLOCK)
     lit = means[means > 0]
     return float(_KEY / np.exp(np.log(lit).mean())) if lit.size else 1.0
 

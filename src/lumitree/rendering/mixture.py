@@ -27,8 +27,8 @@ class MixResult(SavedImage):
     Attributes:
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
-        exposure: factor on the radiance before the view transform of `png`: that of the layers
-            without gains.
+        exposure: factor on the radiance before the view transform of `png`; by default that of the
+            layers without gains.
         layers: names of the layers.
         resolution: width and height in pixels.
         mean_radiance: mean over pixels and channels, W/(m² sr).
@@ -45,6 +45,7 @@ def mix(
     gains: Mapping[str, float | tuple[float, float, float]] | None = None,
     *,
     view: View = "standard",
+    exposure: float | None = None,
 ) -> MixResult:
     """Change the brightness and the colour of lamps in an image, without rendering it again.
 
@@ -54,6 +55,8 @@ def mix(
         gains: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
             0 to 10⁶. Default: 1.
         view: view transform of `png`, as for `render`.
+        exposure: factor on the radiance before it, 10⁻¹² to 10¹². Default: that of the layers
+            without gains.
 
     Returns:
         The image as `pixels`, float32 [height, width, 3], linear radiance in W/(m² sr), and
@@ -61,9 +64,10 @@ def mix(
 
     Raises:
         LumitreeError: the file is missing, damaged or has no layers; a gain is out of range or
-            of a layer that there is not; or `view` is "filmic" without OpenColorIO.
+            of a layer that there is not; `exposure` is out of range; or `view` is "filmic" without
+            OpenColorIO.
     """
-    check_view(view)
+    check_view(view, exposure)
     factors = {name: check_gain(gain) for name, gain in (gains or {}).items()}
     watch = Stopwatch()
     with watch.stage("mix"):
@@ -97,8 +101,9 @@ def mix(
                 f"the layers of {what} have radiance above {_MAX_RADIANCE:g} W/(m² sr) with these "
                 "gains; render them again, or use smaller gains"
             )
-    # That of the image as it was rendered, so that a lamp that is dimmed looks dimmed.
-    exposure = room_exposure(np.stack(list(colours.values())).sum(axis=0, dtype=np.float64))
+    if exposure is None:
+        # That of the image as it was rendered, so that a lamp that is dimmed looks dimmed.
+        exposure = room_exposure(np.stack(list(colours.values())).sum(axis=0, dtype=np.float64))
     settings = image_settings(
         "mix", layers=file, gains=factors, view=view, exposure=exposure, rendered=rendered
     )

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.arguments import MAX_SAMPLES
+from lumitree.core.images import block_means
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
@@ -76,10 +77,10 @@ class Rendering:
         channels: float32 [H, W, C], linear radiance of R, G and B, W/(m² sr), and then the further
             channels of the integrator.
         samples_per_pixel: samples per pixel.
-        noise: relative standard error of the radiance of a pixel, averaged over R, G and B: the root
-            mean square in blocks of 16 x 16 pixels, relative to their mean radiance, averaged over
-            blocks of equal weight, but those that are darker than the median of the blocks with
-            light in proportion to their radiance. None if there was one pass only.
+        noise: relative standard error of the radiance of a pixel, averaged over R, G and B: the
+            root mean square in each block of 16 x 16 pixels, relative to the block's mean radiance;
+            averaged over the blocks, of which those darker than the median of the blocks with light
+            weigh in proportion to their radiance. None if there was one pass only.
         seconds: time of rendering, s.
     """
 
@@ -128,8 +129,8 @@ def _noise(sums: PassSums) -> float | None:
         return None
     mean = sums.grey / sums.samples
     squares = np.maximum(sums.squares - sums.samples * mean**2, 0)
-    variance = _block_means(squares / (sums.passes - 1) / sums.samples)
-    level = _block_means(mean)
+    variance = block_means(squares / (sums.passes - 1) / sums.samples, _BLOCK)
+    level = block_means(mean, _BLOCK)
     lit = level > 0
     if not lit.any():
         return 0.0
@@ -137,16 +138,6 @@ def _noise(sums: PassSums) -> float | None:
     # Neither the lamp itself nor what is nearly black decides.
     weights = 1 / np.maximum(level, np.median(level))
     return float((weights * error).sum() / (weights * level).sum())
-
-
-def _block_means(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Means over blocks of `_BLOCK` x `_BLOCK` pixels of [H, W]; those at the edges are smaller."""
-    for axis, size in enumerate(pixels.shape):
-        starts = np.arange(0, size, _BLOCK)
-        counts = np.diff(starts, append=size)
-        sums = np.add.reduceat(pixels, starts, axis=axis)
-        pixels = sums / np.expand_dims(counts, 1 - axis)
-    return pixels
 
 
 # Renders passes, given as seed and samples per pixel, and returns their images in the same order.

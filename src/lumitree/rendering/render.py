@@ -49,8 +49,8 @@ class RenderResult(SavedImage):
     Attributes:
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
-        exposure: factor on the radiance before the view transform of `png`: with it the log-average
-            luminance of the image is 0.15 of that of white.
+        exposure: factor on the radiance before the view transform of `png`. By default the
+            log-average luminance of the image is then 0.15 of that of white.
         resolution: width and height in pixels.
         samples_per_pixel: samples per pixel.
         mean_radiance: mean over pixels and channels, W/(m² sr).
@@ -129,6 +129,7 @@ def render(
     proxy: "ProxyKind" = "box",
     unit: float | str = "m",
     view: View = "standard",
+    exposure: float | None = None,
     so_far: "Callable[[RenderResult], None] | None" = None,
     work: FilePath | None = None,
     seed: int = 0,
@@ -167,6 +168,9 @@ def render(
             counts for `Placement.lumens`, and for nothing else.
         view: view transform of `png`: "standard", clipped sRGB; or "filmic", the output transform
             of ACES 2.0 for displays of 100 cd/m², which needs the optional dependency `filmic`.
+        exposure: factor on the radiance before the view transform, 10⁻¹² to 10¹², such as
+            `RenderResult.exposure` of another image, which is then shown alike. Default: by the
+            log-average luminance of the image.
         so_far: function that is called with the image so far, without layers and before denoising,
             after the first pass and then every two seconds or more.
         work: folder in which the passes so far are kept every half minute, and at the end. The same
@@ -197,7 +201,7 @@ def render(
     _check(samples_per_pixel, time, noise, width)
     check_items("placements", placements, Placement)
     check_seed(seed)
-    check_view(view)
+    check_view(view, exposure)
     metres = metres_of(unit)
     check_executor(executor)
     mi = load_mitsuba(variant)
@@ -215,7 +219,7 @@ def render(
     def result(
         rendering: "Rendering", pixels: NDArray[np.float32], filtered: bool, **parts: Any
     ) -> RenderResult:
-        exposure = room_exposure(pixels)
+        factor = room_exposure(pixels) if exposure is None else exposure
         settings = image_settings(
             "render",
             scene=Path(scene).name if isinstance(scene, str | os.PathLike) else None,
@@ -228,20 +232,20 @@ def render(
             proxy=proxy,
             unit=unit,
             view=view,
-            exposure=exposure,
+            exposure=factor,
             seed=seed,
             variant=mi.variant(),
         )
         return RenderResult(
             pixels=pixels,
             settings=settings,
-            exposure=exposure,
+            exposure=factor,
             resolution=(pixels.shape[1], pixels.shape[0]),
             samples_per_pixel=rendering.samples_per_pixel,
             noise=rendering.noise,
             mean_radiance=float(pixels.mean()),
             camera=job.camera,
-            png=encode_png(displayed(pixels, exposure, view), settings),
+            png=encode_png(displayed(pixels, factor, view), settings),
             **parts,
             **watch.costs(),
         )
