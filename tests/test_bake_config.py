@@ -87,7 +87,7 @@ def test_a_budget_of_rays_replaces_that_of_time(tmp_path):
         ("irradiance_paths = -1", "irradiance_paths is -1"),
         ("tree_deep = 1", "unknown key 'tree_deep'"),
         ("[octree.refine]\nray = 1", "unknown key 'octree.refine.ray'"),
-        ("[octree.refine]\nrays = 1", "rays is 1; expected a multiple of 16"),
+        ("[octree.refine]\nrays = 17", "rays is 17; expected a multiple of 16"),
         (
             'parts = ["field"]\n[octree.views]\nhull_level = 3',
             "octree.views.hull_level: not for a luminaire such as",

@@ -65,7 +65,11 @@ def _lines(config: Any, name: str) -> list[str]:
         lines += ["", f"# {_summary(type(config))}", f"[{name}]"]
     for field in fields:
         if field.name not in groups:
-            lines += ["", *_comment(meanings[field.name])] if field.name in meanings else []
+            meaning = meanings.get(field.name, "")
+            if (limits := field.metadata.get("limits")) is not None:
+                low, high = (f"{x:,}" if isinstance(x, int) else f"{x:g}" for x in limits)
+                meaning += f" From {low} to {high}."
+            lines += ["", *_comment(meaning)] if meaning else []
             lines.append(f"#{field.name} = {_shown(getattr(config, field.name))}")
     for group in groups:
         lines += _lines(getattr(config, group), f"{name}.{group}" if name else group)

@@ -7,13 +7,14 @@ The settings are part of the saved state of a bake: a state is only continued wi
 """
 
 import dataclasses
+from typing import Any
 
 from lumitree.core.arguments import MAX_RAYS, MAX_SECONDS, check_choice, check_count, check_range
 from lumitree.core.harmonics import MAX_L
 from lumitree.core.seeds import check_seed
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.errors import LumitreeError
-from lumitree.octree.build import check_tree_depth
+from lumitree.octree.build import MAX_TREE_DEPTH, check_tree_depth
 
 # Rays come in tiles of this many rays a side: neighbours, which a vector unit traces together. No
 # setting, since means and uncertainties over tiles depend on it.
@@ -21,18 +22,39 @@ TILE_SIDE = 4
 TILE_RAYS = TILE_SIDE**2
 
 
+_FACTOR = 1e-6, 1e6
+_LEVEL = 1, MAX_TREE_DEPTH
+_SHARE = 0.0, 1.0
+_EMISSION = 1e-9, 0.999
+_DECAY = 0.0, 0.9999
+_INTERVAL = 1e-3, 1.0
+_PRIOR = 0.0, 1e9
+_PATHS_PER_RAY = 1e-3, 1e3
+_RAYS = TILE_RAYS, 1 << 30
+
+
+def _setting(default: Any, limits: tuple[float, float]) -> Any:
+    """Field of a group with a default, from the first to the second of two limits."""
+    return dataclasses.field(default=default, metadata={"limits": limits})
+
+
 @dataclasses.dataclass(frozen=True)
 class _Settings:
-    """Numbers of which none is negative, and no interval is 0; counts of rays are whole tiles."""
+    """Numbers within the limits of their fields; counts of rays are whole tiles.
+
+    Raises:
+        LumitreeError: a setting is out of range.
+    """
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name.endswith("rays") and (value < TILE_RAYS or value % TILE_RAYS):
-                raise LumitreeError(f"{name} is {value}; expected a multiple of {TILE_RAYS}")
-            if not value >= 0:
-                raise LumitreeError(f"{name} is {value}; expected 0 or more")
-            if name.endswith(("interval", "stride")) and value == 0:
-                raise LumitreeError(f"{name} is 0; expected more than 0")
+        for field in dataclasses.fields(self):
+            if (limits := field.metadata.get("limits")) is None:
+                continue
+            value = getattr(self, field.name)
+            check = check_count if type(field.default) is int else check_range
+            check(field.name, value, *limits)
+            if limits == _RAYS and value % TILE_RAYS:
+                raise LumitreeError(f"{field.name} is {value}; expected a multiple of {TILE_RAYS}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,9 +68,9 @@ class MaxRadianceConfig(_Settings):
             outshines its pixel, in a leaf that hides only part of it.
     """
 
-    rays: int = 1 << 21
-    paths: int = 2
-    headroom: float = 4.0
+    rays: int = _setting(1 << 21, _RAYS)
+    paths: int = _setting(2, (1, 1 << 16))
+    headroom: float = _setting(4.0, (1.0, 1e6))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,18 +96,26 @@ class EstimateConfig(_Settings):
         opaque_from: opacity above which a leaf is made opaque.
     """
 
-    rays: int = 1 << 23
-    growth_rays: int = 1 << 22
-    batch_rays: int = 1 << 20
-    light_paths_per_ray: float = 0.5
-    start_level: int = 5
-    max_level: int = 8
-    logit_directions: int = 32
-    min_emission: float = 1e-5
-    max_emission: float = 0.99
-    prior_paths: float = 20.0
-    prior_band_paths: float = 200.0
-    opaque_from: float = 0.9
+    rays: int = _setting(1 << 23, _RAYS)
+    growth_rays: int = _setting(1 << 22, _RAYS)
+    batch_rays: int = _setting(1 << 20, _RAYS)
+    light_paths_per_ray: float = _setting(0.5, _PATHS_PER_RAY)
+    start_level: int = _setting(5, _LEVEL)
+    max_level: int = _setting(8, _LEVEL)
+    logit_directions: int = _setting(32, (1, 1 << 16))
+    min_emission: float = _setting(1e-5, _EMISSION)
+    max_emission: float = _setting(0.99, _EMISSION)
+    prior_paths: float = _setting(20.0, (1e-3, 1e9))
+    prior_band_paths: float = _setting(200.0, _PRIOR)
+    opaque_from: float = _setting(0.9, _SHARE)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.min_emission < self.max_emission:
+            raise LumitreeError(
+                f"min_emission {self.min_emission:g} is not below max_emission "
+                f"{self.max_emission:g}"
+            )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,11 +131,11 @@ class ViewsConfig(_Settings):
             farther from the result than a first estimate is.
     """
 
-    held_out_stride: int = 8
-    hull_level: int = 6
-    hull_optical_depth: float = 0.3
-    hull_emission: float = 0.01
-    coefficient_rate_factor: float = 4.0
+    held_out_stride: int = _setting(8, (2, 1 << 16))
+    hull_level: int = _setting(6, _LEVEL)
+    hull_optical_depth: float = _setting(0.3, _FACTOR)
+    hull_emission: float = _setting(0.01, _EMISSION)
+    coefficient_rate_factor: float = _setting(4.0, _FACTOR)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,16 +156,16 @@ class CalibrationConfig(_Settings):
         max_shift: largest shift of a logit in one round.
     """
 
-    rounds: int = 4
-    rays: int = 1 << 17
-    light_paths_per_ray: float = 0.5
-    coarsest_level: int = 3
-    finest_level: int = 5
-    max_band: int = 1
-    prior_paths: float = 1000.0
-    region_levels: int = 3
-    min_factor: float = 0.1
-    max_shift: float = 2.0
+    rounds: int = _setting(4, (0, 1 << 16))
+    rays: int = _setting(1 << 17, _RAYS)
+    light_paths_per_ray: float = _setting(0.5, _PATHS_PER_RAY)
+    coarsest_level: int = _setting(3, _LEVEL)
+    finest_level: int = _setting(5, _LEVEL)
+    max_band: int = _setting(1, (0, MAX_L))
+    prior_paths: float = _setting(1000.0, _PRIOR)
+    region_levels: int = _setting(3, (0, MAX_TREE_DEPTH))
+    min_factor: float = _setting(0.1, _SHARE)
+    max_shift: float = _setting(2.0, (0.0, 1e6))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -158,9 +188,9 @@ class FluxConfig(_Settings):
         light_paths_per_ray: light paths traced for each ray.
     """
 
-    draws: int = 8
-    rays: int = 1 << 20
-    light_paths_per_ray: float = 1 / 16
+    draws: int = _setting(8, (1, 1 << 16))
+    rays: int = _setting(1 << 20, _RAYS)
+    light_paths_per_ray: float = _setting(1 / 16, _PATHS_PER_RAY)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,8 +202,8 @@ class HeldOutConfig(_Settings):
         paths: camera paths for each of a ray's two independent estimates of radiance.
     """
 
-    rays: int = 1 << 17
-    paths: int = 8
+    rays: int = _setting(1 << 17, _RAYS)
+    paths: int = _setting(8, (1, 1 << 16))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -197,27 +227,18 @@ class RefineConfig(_Settings):
         smoothing_interval: steps from one regularisation to the next.
     """
 
-    rays: int = 1 << 15
-    light_paths_per_ray: float = 0.5
-    opacity_rays_per_ray: int = 4
-    epsilon: float = 0.0005
-    opacity_weight: float = 5.0
-    density_rate: float = 0.15
-    coefficient_rate: float = 0.03
-    final_rate: float = 0.05
-    mean_decay: float = 0.9
-    square_decay: float = 0.98
-    smoothing: float = 0.5
-    smoothing_interval: int = 8
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("epsilon", "density_rate", "coefficient_rate", "final_rate"):
-            if not getattr(self, name) > 0:
-                raise LumitreeError(f"{name} is {getattr(self, name)}; expected more than 0")
-        for name in ("final_rate", "smoothing"):
-            if getattr(self, name) > 1:
-                raise LumitreeError(f"{name} is {getattr(self, name)}; expected at most 1")
+    rays: int = _setting(1 << 15, _RAYS)
+    light_paths_per_ray: float = _setting(0.5, _PATHS_PER_RAY)
+    opacity_rays_per_ray: int = _setting(4, (0, 1 << 10))
+    epsilon: float = _setting(0.0005, (1e-9, 1.0))
+    opacity_weight: float = _setting(5.0, (0.0, 1e6))
+    density_rate: float = _setting(0.15, _FACTOR)
+    coefficient_rate: float = _setting(0.03, _FACTOR)
+    final_rate: float = _setting(0.05, (1e-9, 1.0))
+    mean_decay: float = _setting(0.9, _DECAY)
+    square_decay: float = _setting(0.98, _DECAY)
+    smoothing: float = _setting(0.5, _SHARE)
+    smoothing_interval: int = _setting(8, (1, 1 << 30))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -235,12 +256,12 @@ class SplitConfig(_Settings):
         min_optical_depth: leaves with a smaller optical depth across are dropped.
     """
 
-    indicator_rays: int = 1 << 20
-    indicator_batches: int = 4
-    indicator_opacity_weight: float = 500.0
-    covered_error: float = 0.99
-    max_leaves: int = 3_000_000
-    min_optical_depth: float = 2e-3
+    indicator_rays: int = _setting(1 << 20, _RAYS)
+    indicator_batches: int = _setting(4, (1, 1 << 16))
+    indicator_opacity_weight: float = _setting(500.0, (0.0, 1e6))
+    covered_error: float = _setting(0.99, _SHARE)
+    max_leaves: int = _setting(3_000_000, (1, 1 << 30))
+    min_optical_depth: float = _setting(2e-3, (0.0, 1e6))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -259,16 +280,16 @@ class ScheduleConfig(_Settings):
             that saving the last one took.
     """
 
-    score_interval: float = 0.04
-    split_interval: float = 0.15
-    last_split: float = 0.65
-    closing_calibrations: float = 2.5
-    save_seconds: float = 10.0
-    save_time_factor: float = 50.0
+    score_interval: float = _setting(0.04, _INTERVAL)
+    split_interval: float = _setting(0.15, _INTERVAL)
+    last_split: float = _setting(0.65, _SHARE)
+    closing_calibrations: float = _setting(2.5, (0.0, 1e6))
+    save_seconds: float = _setting(10.0, (0.0, 1e6))
+    save_time_factor: float = _setting(50.0, (0.0, 1e6))
 
 
 @dataclasses.dataclass(frozen=True)
-class OctreeConfig:
+class OctreeConfig(_Settings):
     """Settings of the octree fit that do not depend on what a bake is asked for.
 
     Attributes:
@@ -279,7 +300,7 @@ class OctreeConfig:
             settings of the parts of the bake.
     """
 
-    ray_spacing_level: int = 6
+    ray_spacing_level: int = _setting(6, _LEVEL)
     max_radiance: MaxRadianceConfig = MaxRadianceConfig()
     estimate: EstimateConfig = EstimateConfig()
     views: ViewsConfig = ViewsConfig()
@@ -315,6 +336,7 @@ class OctreeFitConfig(OctreeConfig):
     seed: int = 0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_tree_depth(self.tree_depth)
         check_count("l_max", self.l_max, 0, MAX_L)
         check_choice("law", self.law, LAWS)

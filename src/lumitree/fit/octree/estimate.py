@@ -60,7 +60,7 @@ def estimate(
         stream = SeedStream(Purpose.ESTIMATE, batch)
         statistics.add_rays(octree, rays.draw_terminated(size, stream))
         # Flux in units of the radiance of one ray.
-        paths = rays.light_paths(round(config.light_paths_per_ray * size), stream)
+        paths = rays.light_paths(max(1, round(config.light_paths_per_ray * size)), stream)
         statistics.add_light_paths(octree, paths, size / rays.measure)
     # A cell that no ray enters is inside of something: it is kept, and made opaque.
     kept = dr.compress((statistics.terminated > 0) | (statistics.entered == 0))

@@ -78,7 +78,7 @@ class TracedRays:
             none = mi.Float()
             return Rays(origin, direction, none, mi.Color3f(none), none)
         through, seen = self._follow_smooth(origin, direction, stream)
-        paths = self.light_paths(round(light_paths_per_ray * count), stream)
+        paths = self.light_paths(max(1, round(light_paths_per_ray * count)), stream)
         share = dr.opaque(mi.Float, 1 / num_rays)
         # The measure of the wanted rays is that part of all.
         scale = dr.opaque(mi.Float, count / (num_rays * self.measure))
