@@ -57,10 +57,10 @@ def test_tiles_show_pixels_one_to_one_where_legible(resolution, side):
 
     layout = preview_layout(resolution)
     assert layout.tile == side
-    assert layout.size == (32 + 30 + 6 * side + 5 * 6, 32 + 60 + 26 + 4 * (side + 6))
+    assert layout.size == (32 + 30 + 6 * side + 5 * 6, 32 + 60 + 26 + 5 * (side + 6))
 
 
-def test_sheet_shows_radiance_twice_and_both_opacities(preview, tmp_path):
+def test_sheet_shows_soft_light_radiance_twice_and_both_opacities(preview, tmp_path):
     from lumitree.output.preview_sheet import draw_preview, preview_layout
 
     taken = preview(sphere("lamp", 1, inside=AREA))
@@ -69,11 +69,13 @@ def test_sheet_shows_radiance_twice_and_both_opacities(preview, tmp_path):
     with Image.open(tmp_path / "sheet.png") as image:
         assert image.size == layout.size
         middles = [[tile(image, layout, row, column)[94, 94] for column in range(6)]
-                   for row in range(4)]  # fmt: skip
-        corner = tile(image, layout, 3, 5)[3, 3]
+                   for row in range(5)]  # fmt: skip
+        corner = tile(image, layout, 4, 5)[3, 3]
+        backdrop = tile(image, layout, 0, 5)[3, 3]
         paper = np.asarray(image)[4, 4, :3]
     assert taken.exposure == pytest.approx(0.3)
     colours = [
+        tonemap(np.array([3, 2, 1]), 2 * 0.3),
         tonemap(np.array([3, 2, 1]), 0.3),
         tonemap(np.array([3, 2, 1]), 0.3 * 2**taken.more_stops),
         [255, 255, 255],
@@ -82,6 +84,7 @@ def test_sheet_shows_radiance_twice_and_both_opacities(preview, tmp_path):
     for row, colour in zip(middles, colours, strict=True):
         assert np.abs(np.array(row, float) - colour).max() <= 4
     assert corner.tolist() == [0, 0, 0]
+    assert np.abs(backdrop.astype(int) - tonemap(np.array(0.125))).max() <= 1
     # Neutral and dark, but told apart from the black of a tile.
     assert len(set(paper.tolist())) == 1
     assert 20 < paper[0] < 60
@@ -96,6 +99,7 @@ def test_labels(preview):
     assert texts[1] == f"2 shapes   ·   12 lm   ·   exposure {taken.exposure:.3g} in all views"
     assert texts[2:8] == list(VIEWS)
     assert texts[8:] == [
+        "in soft light",
         "radiance",
         f"radiance, {taken.more_stops} stops brighter",
         "geometric opacity",
@@ -111,11 +115,11 @@ def test_the_brighter_row_brings_what_is_lit_to_middle_grey():
     radiance[:9] = 0.01
     radiance[0] = 50.0
     opacity = np.ones((10, 10))
-    preview = Preview({"a": ViewImages(radiance, opacity, opacity)}, 1.0)
+    preview = Preview({"a": ViewImages(radiance, opacity, opacity)}, [], 1.0)
     assert preview.exposure == pytest.approx(0.9 / 50)
     # 0.01 is to become 0.18: 1000 times the exposure of what emits.
     assert preview.more_stops == 10
-    black = Preview({"a": ViewImages(0 * radiance, opacity, opacity)}, 1.0)
+    black = Preview({"a": ViewImages(0 * radiance, opacity, opacity)}, [], 1.0)
     assert (black.exposure, black.more_stops) == (1, 2)
 
 

@@ -9,6 +9,8 @@ from lumitree.errors import shown
 
 # Of keys that Mitsuba gives to elements without a name.
 _UNNAMED = "_arg_"
+# Class of Mitsuba that holds the shapes which instances repeat. `Scene.shapes` leaves it out.
+_GROUP = "ShapeGroupPlugin"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,6 +92,20 @@ def shape_of_object(number: int, shape: Any) -> SceneShape:
         bsdf="" if bsdf is None else bsdf.class_name(),
         emitter="" if emitter is None else emitter.class_name(),
     )
+
+
+def reusable_shapes(scene: Any) -> list[Any]:
+    """The shapes of a mi.Scene, for another one: the groups too that its instances repeat."""
+    mi = load_mitsuba()
+    groups = []
+
+    class Children(mi.TraversalCallback):
+        def put(self, name: str, value: Any, *_: Any) -> None:
+            if isinstance(value, mi.Object) and value.class_name() == _GROUP:
+                groups.append(value)
+
+    scene.traverse(Children())
+    return [*groups, *scene.shapes()]
 
 
 def shapes_of_scene(scene: Any, shapes: Sequence[SceneShape]) -> Sequence[SceneShape]:

@@ -19,7 +19,7 @@ from lumitree.measure.metrics import (
     view_metrics,
 )
 from lumitree.output.sheet import MAX_ROWS, SheetRow
-from lumitree.rendering.asset_images import GeometryCamera
+from lumitree.rendering.asset_images import geometry_camera
 from lumitree.rendering.asset_views import baked_view
 
 Predict = Callable[[Frame], tuple[NDArray[np.floating], NDArray[np.floating]]]
@@ -69,7 +69,7 @@ def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
     check_proportions(asset, manifest.local_frame, manifest.luminaire)
     if asset.num_leaves or asset.geometry is None:
         return compare_views(lambda frame: baked_view(asset, manifest, frame), dataset)
-    camera = GeometryCamera(asset, manifest.half_width, manifest.resolution)
+    camera = geometry_camera(asset, manifest.half_width, manifest.resolution)
     samples = manifest.samples_per_pixel
     return compare_views(
         lambda frame: camera.take(frame.pose, samples, frame.halton_index, "view"),

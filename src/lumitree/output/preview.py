@@ -106,9 +106,10 @@ def preview(
 ) -> PreviewResult | AssetPreviewResult:
     """Render six views of a luminaire or of an asset, and measure its flux and size.
 
-    The contact sheet shows the radiance at two exposures and both opacities, from six sides. Warns
-    of glass that Mitsuba cannot render correctly. Of an asset the sheet shows what images show
-    of it, its geometry, its field or else its light field, and one opacity.
+    The contact sheet shows the lamp in soft light, its own radiance at two exposures, and both
+    opacities, from six sides. Warns of glass that Mitsuba cannot render correctly. Of an asset the
+    sheet shows what images show of it, its geometry, its field or else its light field, and one
+    opacity.
 
     Args:
         luminaire: what to render: an asset, the path of a `.lumitree` file, of a photometric file

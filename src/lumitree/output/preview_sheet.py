@@ -16,6 +16,7 @@ from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.output.tiles import DARK, Layout, TileSheet, grey
 from lumitree.rendering.asset_images import shown_images
+from lumitree.rendering.studio import asset_photographs, luminaire_photographs
 from lumitree.trace.cameras import Camera, ViewImages
 
 # Direction from the luminaire to the camera, and the direction that is upwards in the image, in the
@@ -28,7 +29,7 @@ VIEWS = {
     "from above, +y": ((0, 1, 0), (0, 0, -1)),
     "from below, -y": ((0, -1, 0), (0, 0, 1)),
 }
-NUM_ROWS = 4
+NUM_ROWS = 5
 _MIN_STOPS = 2
 _MIN_TILE, _MAX_TILE = 192, 640
 
@@ -39,16 +40,18 @@ class Preview:
 
     Attributes:
         images: by the names of `VIEWS`.
+        photographs: of each view, sRGB bytes [H, W, 3], as `rendering.studio` makes them.
         paths_per_second: paths traced per second, without the time of compilation.
     """
 
     images: dict[str, ViewImages]
+    photographs: Sequence[NDArray[np.uint8]]
     paths_per_second: float
 
     @property
     def radiance(self) -> NDArray[np.float32]:
         """Radiance [6, H, W, 3] of all images, W/(m² sr)."""
-        return np.stack([image.radiance for image in self.images.values()])
+        return _all_radiance(self.images)
 
     @property
     def exposure(self) -> float:
@@ -80,16 +83,18 @@ def take_preview(luminaire: Luminaire, resolution: int, samples_per_pixel: int) 
     camera = Camera(luminaire, resolution, samples_per_pixel)
     images: dict[str, ViewImages] = {}
     seconds = []
+    poses = _poses(luminaire.bounding_radius)
     with progress(f"preview {luminaire.name}", len(VIEWS)) as advance:
-        for number, (name, (backward, up)) in enumerate(VIEWS.items()):
+        for number, (name, pose) in enumerate(zip(VIEWS, poses, strict=True)):
             start = time.perf_counter()
-            pose = pose_towards(backward, up, 2 * luminaire.bounding_radius)
             images[name] = camera.take(pose, SeedStream(Purpose.PREVIEW, number))
             seconds.append(time.perf_counter() - start)
             advance(1)
     # The first view is not counted, because its time includes compilation.
     paths = resolution**2 * samples_per_pixel * (len(VIEWS) - 1)
-    return Preview(images, paths / sum(seconds[1:]))
+    exposure = auto_exposure(_all_radiance(images))
+    photographs = luminaire_photographs(luminaire, poses, resolution, samples_per_pixel, exposure)
+    return Preview(images, photographs, paths / sum(seconds[1:]))
 
 
 def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) -> Preview:
@@ -102,13 +107,24 @@ def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) ->
         samples_per_pixel: paths per pixel, if the asset has geometry.
     """
     radius = float(np.linalg.norm(asset.frame.half_extents))
-    poses = [pose_towards(backward, up, 2 * radius) for backward, up in VIEWS.values()]
+    poses = _poses(radius)
     shown = shown_images(asset, poses, radius, resolution, samples_per_pixel)
     images = {
         name: ViewImages(radiance, opacity, opacity)
         for name, (radiance, opacity) in zip(VIEWS, shown, strict=True)
     }
-    return Preview(images, 0.0)
+    exposure = auto_exposure(_all_radiance(images))
+    photographs = asset_photographs(asset, poses, radius, resolution, samples_per_pixel, exposure)
+    return Preview(images, photographs, 0.0)
+
+
+def _poses(radius: float) -> list[NDArray[np.float64]]:
+    """`local_from_camera` [4, 4] of the views of a sphere of this radius, local units."""
+    return [pose_towards(backward, up, 2 * radius) for backward, up in VIEWS.values()]
+
+
+def _all_radiance(images: dict[str, ViewImages]) -> NDArray[np.float32]:
+    return np.stack([image.radiance for image in images.values()])
 
 
 def preview_layout(resolution: int, rows: int = NUM_ROWS) -> Layout:
@@ -122,8 +138,8 @@ def draw_preview(
 ) -> TileSheet:
     """Contact sheet with a column for each view.
 
-    Rows: radiance at two exposures, geometric opacity and straight-through opacity; of an asset
-    the two are one.
+    Rows: the lamp in soft light, its own radiance at two exposures, geometric opacity and
+    straight-through opacity; of an asset the two are one.
 
     Args:
         preview: the images.
@@ -144,11 +160,14 @@ def draw_preview(
         ),
         *((("opacity", opacities[0][1]),) if baked else opacities),
     )
-    sheet = TileSheet(preview_layout(preview.radiance.shape[1], len(rows)), DARK)
+    sheet = TileSheet(preview_layout(preview.radiance.shape[1], 1 + len(rows)), DARK)
     sheet.title(title, "   ·   ".join([*facts, f"exposure {exposure:.3g} in all views"]))
     for column, name in enumerate(preview.images):
         sheet.heading(column, name)
-    for row, (name, show) in enumerate(rows):
+    sheet.row_name(0, "in soft light")
+    for column, photograph in enumerate(preview.photographs):
+        sheet.image(0, column, photograph)
+    for row, (name, show) in enumerate(rows, 1):
         sheet.row_name(row, name)
         for column, image in enumerate(preview.images.values()):
             sheet.image(row, column, show(image))

@@ -1,7 +1,7 @@
 """An asset as images show it, alone: its geometry, its field, or else its light field."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mitsuba as mi
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset, light_field_asset
 from lumitree.asset.light_field import make_light_field
+from lumitree.core.frames import similarity_scale
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.rendering.asset_views import baked_image
@@ -21,6 +22,7 @@ from lumitree.trace.tracing import PATH_DEPTH
 _ROOT_SEED = 0
 # Distance from a camera to the nearest surface that it sees, local units.
 _NEAR = 1e-3
+_SAME = np.eye(4)
 
 Images = tuple[NDArray[np.float32], NDArray[np.float32]]
 
@@ -46,7 +48,7 @@ def shown_images(
     """
     name = f"preview {asset.luminaire}"
     if asset.geometry is not None:
-        camera = GeometryCamera(asset, half_width, resolution)
+        camera = geometry_camera(asset, half_width, resolution)
         return [
             camera.take(pose, samples_per_pixel, index, name) for index, pose in enumerate(poses)
         ]
@@ -71,16 +73,45 @@ def scene_alone(asset: Asset) -> dict[str, Any]:
     return {"type": "scene", "lamp": lamp}
 
 
-class GeometryCamera:
-    """A camera before the geometry of an asset; the scene is loaded once."""
+def geometry_camera(asset: Asset, half_width: float, resolution: int) -> "LampCamera":
+    """A camera before the geometry of an asset."""
+    return LampCamera(scene_alone(asset), geometry_integrator(), half_width, resolution)
 
-    def __init__(self, asset: Asset, half_width: float, resolution: int) -> None:
-        self._half_width = half_width
+
+def geometry_integrator() -> mi.Integrator:
+    """The integrator that shows the geometry of assets."""
+    return mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
+
+
+class LampCamera:
+    """A square orthographic camera before a lamp; the scene is loaded once.
+
+    Args:
+        scene: members of the scene, for `mi.load_dict`, without a camera.
+        integrator: what renders it.
+        half_width: half the side of the images, local units.
+        resolution: pixels per side.
+        scene_from_local: [4, 4]. Default: the frame of the scene is the local one.
+
+    Attributes:
+        scene: the scene.
+    """
+
+    def __init__(
+        self,
+        scene: Mapping[str, Any],
+        integrator: mi.Integrator,
+        half_width: float,
+        resolution: int,
+        scene_from_local: NDArray[np.float64] = _SAME,
+    ) -> None:
+        self._half_width, self._scene_from_local = half_width, scene_from_local
         film: dict[str, Any] = {"type": "hdrfilm", "width": resolution, "height": resolution}
         film |= {"pixel_format": "rgba", "rfilter": {"type": "box"}}
-        sensor = {"type": "orthographic", "film": film, "near_clip": _NEAR}
-        self._scene = mi.load_dict({**scene_alone(asset), "sensor": sensor})
-        self._integrator = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
+        near = _NEAR * similarity_scale(scene_from_local)
+        sensor = {"type": "orthographic", "film": film, "near_clip": near}
+        self.scene = mi.load_dict({**scene, "sensor": sensor})
+        self._integrator = integrator
 
     def take(
         self, pose: NDArray[np.float64], samples_per_pixel: int, index: int, name: str
@@ -94,13 +125,13 @@ class GeometryCamera:
         """
         # Mitsuba's cameras look along +z, with x to the left.
         axes = np.diag([-self._half_width, self._half_width, -1, 1])
-        parameters = mi.traverse(self._scene.sensors()[0])
-        parameters["to_world"] = mi.Transform4f(pose @ axes)
+        parameters = mi.traverse(self.scene.sensors()[0])
+        parameters["to_world"] = mi.Transform4f(self._scene_from_local @ pose @ axes)
         parameters.update()
         # A root seed has 31 bits.
         seed = SeedStream(Purpose.PREVIEW, index).seed(_ROOT_SEED) >> 1
         budget = Budget(samples_per_pixel)
         channels = render_passes(
-            self._scene, self._integrator, budget, seed=seed, name=name
+            self.scene, self._integrator, budget, seed=seed, name=name
         ).channels
         return channels[..., :3], channels[..., 3]

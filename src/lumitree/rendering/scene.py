@@ -20,7 +20,7 @@ from lumitree.lamp.luminaire import Luminaire, LuminaireLike
 from lumitree.lamp.media import any_heterogeneous
 from lumitree.lamp.probe import check_evaluates
 from lumitree.lamp.scene_file import SceneFile
-from lumitree.lamp.scene_shapes import SceneShape
+from lumitree.lamp.scene_shapes import SceneShape, reusable_shapes
 from lumitree.lamp.source import LuminaireSource
 from lumitree.octree.field import EXACT, Field, Thresholds
 from lumitree.rendering.asset_cache import open_field
@@ -136,7 +136,8 @@ def place_shapes(luminaire: LuminaireLike, scene_from_world: ArrayLike) -> dict[
     file = luminaire.parsed.moved(matrix)
     for node in file.nodes("Medium"):
         node.props["scale"] = node.props.get("scale", 1.0) / scale
-    return {f"luminaire_{i}": shape for i, shape in enumerate(file.instantiate().shapes())}
+    shapes = reusable_shapes(file.instantiate())
+    return {f"luminaire_{i}": shape for i, shape in enumerate(shapes)}
 
 
 def open_placements(placements: Sequence[Placement], metres: float = 1) -> list[PlacedLuminaire]:
@@ -171,7 +172,7 @@ def place_luminaires(
     """
     register()
     objects: dict[str, Any] = {"type": "scene"}
-    objects |= {f"room_{i}": item for i, item in enumerate(scene.shapes())}
+    objects |= {f"room_{i}": item for i, item in enumerate(reusable_shapes(scene))}
     objects |= {f"sensor_{i}": item for i, item in enumerate(scene.sensors())}
     if scene.environment() is not None:
         objects["environment"] = scene.environment()

@@ -1,0 +1,135 @@
+"""Lamps as a catalogue shows them: lit softly from around, with their own light added.
+
+By its own light alone most of a lamp is black: its metal and glass have nothing to reflect.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.core.directions import pose_towards
+from lumitree.core.images import auto_exposure, tonemap
+from lumitree.lamp.luminaire import Luminaire
+from lumitree.lamp.scene_shapes import reusable_shapes
+from lumitree.rendering.asset_images import (
+    LampCamera,
+    geometry_integrator,
+    scene_alone,
+    shown_images,
+)
+from lumitree.trace.tracing import PATH_DEPTH, path_integrator
+
+# Radiance of the backdrop and of the softboxes, relative to white; and how much brighter the lamp's
+# own light is than at its automatic exposure.
+_BACKDROP, _SOFTBOX, _OWN = 0.125, 3.0, 2.0
+# Directions of the softboxes from the lamp, their distance and half their side, in half sides of
+# the image: none of them is in the image.
+_DIRECTIONS = ((1, 0.7, 1), (-1, 0.7, 1), (1, 0.7, -1), (-1, 0.7, -1))
+_DISTANCE, _HALF_SIDE = 3.2, 1.0
+
+
+def asset_photographs(
+    asset: Asset,
+    poses: Sequence[NDArray[np.float64]],
+    half_width: float,
+    resolution: int,
+    samples_per_pixel: int,
+    exposure: float | None = None,
+) -> list[NDArray[np.uint8]]:
+    """sRGB images [H, W, 3] of an asset, before a grey backdrop.
+
+    Softboxes light its geometry. A field, which reflects nothing, has the backdrop alone.
+
+    Args:
+        poses, half_width, resolution, samples_per_pixel: as for `shown_images`.
+        exposure: factor on the radiance. Default: `auto_exposure` of the first image.
+    """
+    if asset.geometry is None:
+        shown = shown_images(asset, poses, half_width, resolution, samples_per_pixel)
+        factor = _OWN * (auto_exposure(shown[0][0]) if exposure is None else exposure)
+        return [
+            tonemap(radiance * factor + _BACKDROP * (1 - opacity[..., None]))
+            for radiance, opacity in shown
+        ]
+    studio = _Studio(scene_alone(asset), geometry_integrator(), half_width, resolution)
+    return studio.photographs(poses, samples_per_pixel, exposure, asset.luminaire)
+
+
+def luminaire_photographs(
+    luminaire: Luminaire,
+    poses: Sequence[NDArray[np.float64]],
+    resolution: int,
+    samples_per_pixel: int,
+    exposure: float,
+) -> list[NDArray[np.uint8]]:
+    """As `asset_photographs`, of a luminaire in its bounding sphere."""
+    shapes = {f"shape{i}": each for i, each in enumerate(reusable_shapes(luminaire.scene))}
+    studio = _Studio(
+        {"type": "scene", **shapes},
+        path_integrator(luminaire, PATH_DEPTH),
+        luminaire.bounding_radius,
+        resolution,
+        luminaire.scene_frame.world_from_local,
+    )
+    return studio.photographs(poses, samples_per_pixel, exposure, luminaire.name)
+
+
+class _Studio:
+    """A lamp between softboxes; arguments as of `LampCamera`."""
+
+    def __init__(
+        self,
+        lamp: Mapping[str, Any],
+        integrator: mi.Integrator,
+        half_width: float,
+        resolution: int,
+        scene_from_local: NDArray[np.float64] | None = None,
+    ) -> None:
+        frame = np.eye(4) if scene_from_local is None else scene_from_local
+        lights: dict[str, Any] = {"backdrop": _emitter("constant")}
+        for number, direction in enumerate(_DIRECTIONS):
+            pose = pose_towards(direction, (0, 1, 0), _DISTANCE * half_width)
+            side = _HALF_SIDE * half_width
+            # A rectangle emits along +z, away from where a camera at this pose looks.
+            turned = frame @ pose @ np.diag([side, -side, -1, 1])
+            lights[f"softbox{number}"] = {
+                "type": "rectangle",
+                "to_world": mi.ScalarTransform4f(turned),
+                "emitter": _emitter("area"),
+            }
+        self._camera = LampCamera({**lamp, **lights}, integrator, half_width, resolution, frame)
+
+    def photographs(
+        self,
+        poses: Sequence[NDArray[np.float64]],
+        samples_per_pixel: int,
+        exposure: float | None,
+        name: str,
+    ) -> list[NDArray[np.uint8]]:
+        """As `asset_photographs`."""
+        name = f"preview {name}"
+        if exposure is None:
+            # The same scene, whose kernel is compiled once.
+            exposure = auto_exposure(self._camera.take(poses[0], samples_per_pixel, 0, name)[0])
+        self._light(1 / (_OWN * exposure))
+        return [
+            tonemap(self._camera.take(pose, samples_per_pixel, index, name)[0], _OWN * exposure)
+            for index, pose in enumerate(poses)
+        ]
+
+    def _light(self, level: float) -> None:
+        """Switch the studio on; white is a radiance of `level`, W/(m² sr)."""
+        parameters = mi.traverse(self._camera.scene)
+        parameters["backdrop.radiance.value"] = _BACKDROP * level
+        for number in range(len(_DIRECTIONS)):
+            parameters[f"softbox{number}.emitter.radiance.value"] = _SOFTBOX * level
+        parameters.update()
+
+
+def _emitter(kind: str) -> dict[str, Any]:
+    """An emitter that is switched off."""
+    return {"type": kind, "radiance": {"type": "rgb", "value": 0.0}}
