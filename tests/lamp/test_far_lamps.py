@@ -269,7 +269,7 @@ def test_instances_of_a_group_are_moved_once(mi, tmp_path):
 
     matrix = np.diag([2.0, 2, 2, 1])
     matrix[:3, 3] = [0, 7, 0]
-    shapes = place_shapes(str(tmp_path / "lamp.xml"), matrix).values()
+    shapes = mi.load_dict({"type": "scene", **place_shapes(tmp_path / "lamp.xml", matrix)}).shapes()
     boxes = sorted(np.ravel([shape.bbox().min, shape.bbox().max]).tolist() for shape in shapes)
     assert np.allclose(boxes, [[-1, 6, -1, 1, 8, 1], [3, 6, -1, 5, 8, 1]], atol=1e-5)
 

@@ -247,24 +247,29 @@ def test_surfaces_are_built_again_only_when_shapes_change(mi, lamps):
     assert divided.of(scene)[0] is not first
 
 
-def test_a_scene_without_lamps_or_with_instances_is_not_divided(mi, lamps):
-    from lumitree.rendering.plugins.proxies import NONE, DividedScene
+def test_a_scene_without_lamps_is_not_divided(mi):
+    from lumitree.rendering.plugins.proxies import DividedScene
 
     plain = room(mi)
     surfaces, proxies, *_ = DividedScene().of(plain)
     assert surfaces is plain
     assert not proxies.exist
+
+
+def test_a_scene_with_instances_is_divided(mi, lamps):
+    from lumitree.rendering.plugins.proxies import NONE, DividedScene
+
     group = {"type": "shapegroup", "ball": {"type": "sphere", "radius": 0.2}}
     repeated = {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}}
     scene = room(mi, group=group, repeated=repeated, lamp0=lamps["lamp0"])
-    surfaces, proxies, room_only, _ = DividedScene().of(scene)
-    assert surfaces is scene
-    assert room_only is None
-    # Only rays that start in a proxy are found beside the scene.
-    ray = mi.Ray3f(mi.Point3f([9, 0.1], [0, 0.05], [0, 0.05]), mi.Vector3f(-1, 0, 0))
-    starts = mi.Bool(True)
-    _, lamp = proxies.first(ray, mi.Float(20), mi.Bool(True), starts)
-    assert list(np.array(lamp) == NONE) == [True, False]
+    surfaces, proxies, *_ = DividedScene().of(scene)
+    assert surfaces is not scene
+    assert len(surfaces.shapes()) == len(scene.shapes()) - 1
+    ray = mi.Ray3f(mi.Point3f(9, 0.05, 0.05), mi.Vector3f(-1, 0, 0))
+    distance, lamp = proxies.first(ray, mi.Float(20), mi.Bool(True), mi.Bool(False))
+    assert np.array(lamp)[0] != NONE
+    # The instance is behind the proxy.
+    assert np.array(surfaces.ray_intersect(ray).t)[0] > np.array(distance)[0]
 
 
 def test_lamps_of_another_scene_with_the_same_surfaces_light_what_is_in_their_boxes(mi, tmp_path):

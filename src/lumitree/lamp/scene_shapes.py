@@ -95,7 +95,12 @@ def shape_of_object(number: int, shape: Any) -> SceneShape:
 
 
 def reusable_shapes(scene: Any) -> list[Any]:
-    """The shapes of a mi.Scene, for another one: the groups too that its instances repeat."""
+    """The shapes of a mi.Scene, for another one: also the groups that its instances repeat."""
+    return [*shape_groups(scene), *scene.shapes()]
+
+
+def shape_groups(scene: Any) -> list[Any]:
+    """The groups of shapes that the instances of a mi.Scene repeat."""
     mi = load_mitsuba()
     groups = []
 
@@ -105,7 +110,7 @@ def reusable_shapes(scene: Any) -> list[Any]:
                 groups.append(value)
 
     scene.traverse(Children())
-    return [*groups, *scene.shapes()]
+    return groups
 
 
 def shapes_of_scene(scene: Any, shapes: Sequence[SceneShape]) -> Sequence[SceneShape]:

@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from lumitree.core.device import on_device
+from lumitree.lamp.scene_shapes import shape_groups
 from lumitree.rendering.placement_checks import holds_objects, overlapping
 from lumitree.rendering.plugins.box_tree import NODE_NUMBERS, box_tree
 from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
@@ -305,9 +306,8 @@ class DividedScene:
         """What rays of a scene are traced against, and the proxies that it leaves out.
 
         The scene itself, if it has no proxies or cannot be divided: under OptiX one kernel traces
-        one scene, and instances belong to the scene that they were loaded with. Then there is no
-        `room`, and what is in a box throws shadows only beyond the cell that light comes from, and
-        only for receivers in or near the box.
+        one scene. Then there is no `room`, and what is in a box throws shadows only beyond the cell
+        that light comes from, and only for receivers in or near the box.
         """
         shapes, emitters = scene.shapes(), scene.emitters()
         surfaces = [s for s in shapes if not isinstance(s.emitter(), DeferredEmitter)]
@@ -316,22 +316,22 @@ class DividedScene:
         on_gpu = dr.backend_v(mi.Float) == dr.JitBackend.CUDA
         if not lamps:
             return Divided(scene, Proxies([]), None, owners)
-        whole = on_gpu or any(map(is_instance, surfaces))
-        geometry = [_geometry(shape) for shape in surfaces]
+        groups = shape_groups(scene)
+        geometry = [_geometry(shape) for shape in [*groups, *surfaces]]
         same = surfaces == self._shapes and all(map(_same, geometry, self._geometry))
         # Another scene may have the same surfaces and other lamps.
         if not (same and all(lamp.placed in self._asked for lamp in lamps.values())):
             others = [shape for shape in surfaces if shape_number(shape) not in owners.owner]
-            if not same and not whole:
-                self._surfaces = _scene_of(surfaces)
-                self._room = _scene_of(others) if owners.exist else None
+            if not same and not on_gpu:
+                self._surfaces = _scene_of([*groups, *surfaces])
+                self._room = _scene_of([*groups, *others]) if owners.exist else None
             self._shapes, self._geometry = surfaces, geometry
             # Shadow rays that cross a traced proxy are dimmed by its field, even on the way to the
             # lamp's own light.
-            lighting = [lamp for lamp in lamps.values() if not (whole and lamp.placed.dims)]
+            lighting = [lamp for lamp in lamps.values() if not (on_gpu and lamp.placed.dims)]
             _light_insides(lighting, others)
             self._asked = weakref.WeakSet(lamp.placed for lamp in lamps.values())
-        if whole:
+        if on_gpu:
             return Divided(scene, Proxies(emitters, traced=True), None, owners)
         assert self._surfaces is not None
         holds = any(lamp.placed.holds for lamp in lamps.values())
