@@ -318,6 +318,20 @@ def test_the_best_field_so_far_is_written_and_continued(folder, monkeypatch, bak
     assert second.lamps[0].seconds > first.lamps[0].seconds
 
 
+@pytest.mark.slow
+def test_a_lamp_that_changed_since_it_was_interrupted_starts_again(folder, baked):
+    def stop(report):
+        if report.task.startswith("bake ") and report.within and report.done > 0.3:
+            signal.raise_signal(signal.SIGINT)
+
+    settings = {"parts": ("field",), "irradiance_paths": 0, "rays": 1 << 19}
+    first = lumitree.bake_many(["a.xml"], "out", standard(**settings), progress=stop)
+    assert states(first) == [("a", "interrupted")]
+    second = lumitree.bake_many(["a.xml"], "out", standard(**settings, l_max=0))
+    assert states(second) == [("a", "baked")]
+    assert not (folder / "out/a.work").exists()
+
+
 def test_names_and_arguments_are_checked_first(folder):
     (folder / "sub").mkdir()
     for names, message in (

@@ -19,6 +19,11 @@ def save_asset(asset: Asset, output: FilePath | None) -> Path | None:
     return Path(output)
 
 
+def work_folder_of(output: FilePath | None) -> Path:
+    """The folder in which the bake of an asset keeps its state, if none was chosen."""
+    return Path(str(output)).with_suffix(".work")
+
+
 @contextlib.contextmanager
 def open_work_folder(output: FilePath | None, work: FilePath | None) -> Iterator[WorkFolder]:
     """Context with the folder in which a bake keeps its state.
@@ -37,7 +42,7 @@ def open_work_folder(output: FilePath | None, work: FilePath | None) -> Iterator
         if temporary:
             work = stack.enter_context(scratch_folder()) / "work"
         elif work is None:
-            work = Path(str(output)).with_suffix(".work")
+            work = work_folder_of(output)
         folder = stack.enter_context(WorkFolder(str(work)))
         try:
             yield folder

@@ -1,6 +1,7 @@
 """The bake of one lamp of a list: a task for this process or for a worker."""
 
 import dataclasses
+import functools
 import hashlib
 import os
 import time
@@ -14,7 +15,7 @@ from lumitree.core.interrupt import deferred_interrupt, interruptible, interrupt
 from lumitree.core.packing import variant_here
 from lumitree.core.progress import ProgressCallback
 from lumitree.core.reading import read_bytes
-from lumitree.core.work_folder import BusyFolderError
+from lumitree.core.work_folder import BusyFolderError, WorkFolder
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.catalogue.claim import UNKNOWN, Owner, claimed
 from lumitree.fit.catalogue.folder import recorded
@@ -29,6 +30,7 @@ from lumitree.fit.catalogue.record import (
 from lumitree.fit.catalogue.stamps import stamps_of
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.sources import bake_source
+from lumitree.fit.work import work_folder_of
 from lumitree.formats.photometric_file import read_again
 from lumitree.lamp.importers.model_folder import noted_files
 from lumitree.lamp.sent import absolute_source
@@ -155,9 +157,24 @@ class LampJob:
                     files.write(kept)
                 return Outcome(self._lamp("kept", kept))
             seconds = found.seconds
-        result = bake_source(
-            luminaire, files.asset, self.config, variant=self.variant, progress=progress
+        # Needs Mitsuba's variant.
+        from lumitree.fit.octree.saved_state import STATE, OtherBakeError
+
+        bake = functools.partial(
+            bake_source,
+            luminaire,
+            files.asset,
+            self.config,
+            variant=self.variant,
+            progress=progress,
         )
+        try:
+            result = bake()
+        except OtherBakeError:
+            # The lamp or its settings have changed since its bake was interrupted.
+            with WorkFolder(work_folder_of(files.asset)) as work:
+                work.remove([STATE])
+            result = bake()
         # Otherwise a signal would make the next call repeat a bake that is complete.
         with deferred_interrupt() as interruption:
             image = files.write_image(result.asset, self.settings)

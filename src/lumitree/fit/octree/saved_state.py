@@ -24,6 +24,10 @@ STATE = "state.npz"
 _VERSION = 2
 
 
+class OtherBakeError(LumitreeError):
+    """A folder holds the state of another bake."""
+
+
 @dataclasses.dataclass(frozen=True)
 class SavedState:
     """What a folder holds of a bake.
@@ -66,7 +70,8 @@ class StateFile:
         """The state, or None if there is none.
 
         Raises:
-            LumitreeError: the file is damaged, or holds the state of another bake.
+            OtherBakeError: the file holds the state of another bake.
+            LumitreeError: it is damaged.
         """
         if not self._path.exists():
             return None
@@ -78,7 +83,7 @@ class StateFile:
         if "record" not in arrays:
             raise LumitreeError(f"{self._path} is no state of a bake; {again}")
         if str(arrays["record"]) != self._record:
-            raise LumitreeError(
+            raise OtherBakeError(
                 f"{self._path.parent} holds the unfinished bake of another luminaire, with other "
                 "settings or by another version of lumitree; remove it, or choose another output "
                 "with -o"
