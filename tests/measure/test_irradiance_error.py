@@ -110,6 +110,9 @@ def test_errors_are_found_and_noise_is_not_taken_for_one(mi):
     same = irradiance_error(noisy(truth, 0.2), noisy(truth, 0.1))
     assert (np.abs(same.ratio - 1) < 5 * same.ratio_error).all()
     assert (same.rms < 0.05).all()
+    # What noise hides has an error all the same.
+    assert ((same.rms_error > 0.002) & (same.rms_error < 0.1)).all()
+    assert (same.rms < 5 * same.rms_error).all()
     pattern = truth * (1.03 + 0.1 * np.sign(random.normal(size=(*truth.shape[:3], 1))))
     other = irradiance_error(noisy(pattern, 0.2), noisy(truth, 0.1))
     square = truth.sum(-1) ** 2

@@ -70,9 +70,10 @@ class IrradianceError:
         ratio, ratio_error: [7] mean of each face over the reference's, and standard error. NaN for
             a face that no light of the reference reaches.
         rms, rms_error: [7] root mean square difference of the patches of each face over the
-            reference's root mean square; the expected contribution of noise is subtracted, and a
-            difference below the noise counts as 0. Standard error by the jackknife. NaN for a face
-            where nine tenths of the reference's mean square are noise.
+            reference's root mean square; the expected contribution of noise is subtracted from the
+            mean square, and a difference below the noise counts as 0. The error is what it grows
+            by if the mean square is one standard error more, by the jackknife. NaN for a face where
+            nine tenths of the reference's mean square are noise.
         total_ratio, total_ratio_error: flux through the six faces of the cube over the
             reference's, and standard error.
     """
@@ -205,12 +206,15 @@ def irradiance_error(estimate: Irradiance, reference: Irradiance) -> IrradianceE
     """Compare two estimates of the irradiance around a luminaire."""
     first, second = luminance(estimate.batches), luminance(reference.batches)
     values, error = jackknife(lambda used: _compare(first[used], second[used]), len(first))
-    ratio, rms = slice(0, len(FACES)), slice(len(FACES), 2 * len(FACES))
+    ratio, square = slice(0, len(FACES)), slice(len(FACES), 2 * len(FACES))
+    # Of a square that is below its noise, the root has no derivative.
+    least = np.maximum(values[square], 0)
+    rms = np.sqrt(least)
     return IrradianceError(
         values[ratio],
         error[ratio],
-        values[rms],
-        error[rms],
+        rms,
+        np.sqrt(least + error[square]) - rms,
         total_ratio=float(values[-1]),
         total_ratio_error=float(error[-1]),
     )
@@ -242,20 +246,21 @@ def _compare(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray
     """Compare two [B, 7, P, P].
 
     Returns:
-        [15] 7 ratios of means, 7 relative RMS differences without noise, and the ratio of the means
-        over the faces of the cube. See `IrradianceError` for what is NaN.
+        [15] 7 ratios of means, 7 relative mean square differences without noise, which may be
+        negative, and the ratio of the means over the faces of the cube. See `IrradianceError` for
+        what is NaN.
     """
     a, b = first.mean(0), second.mean(0)
     noise_a, noise_b = first.var(0, ddof=1) / len(first), second.var(0, ddof=1) / len(second)
     faces = (1, 2)
-    square = np.maximum(((a - b) ** 2 - noise_a - noise_b).sum(faces), 0)
+    square = ((a - b) ** 2 - noise_a - noise_b).sum(faces)
     norm = (b**2 - noise_b).sum(faces)
     light_a, light_b = a.sum(faces), b.sum(faces)
     cube = slice(NUM_CUBE_FACES)
     return np.concatenate(
         [
             _divide(light_a, light_b, light_b > 0),
-            np.sqrt(_divide(square, norm, norm > _MIN_SIGNAL * (b**2).sum(faces))),
+            _divide(square, norm, norm > _MIN_SIGNAL * (b**2).sum(faces)),
             _divide(light_a[cube].sum(), light_b[cube].sum(), light_b[cube].any()),
         ],
         axis=None,

@@ -1,5 +1,7 @@
 """An asset as images show it, alone: its geometry, its field, or else its light field."""
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -73,7 +75,7 @@ def scene_alone(asset: Asset) -> dict[str, Any]:
     return {"type": "scene", "lamp": lamp}
 
 
-def geometry_camera(asset: Asset, half_width: float, resolution: int) -> "LampCamera":
+def geometry_camera(asset: Asset, half_width: float, resolution: int) -> LampCamera:
     """A camera before the geometry of an asset."""
     return LampCamera(scene_alone(asset), geometry_integrator(), half_width, resolution)
 

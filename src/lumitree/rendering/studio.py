@@ -3,6 +3,8 @@
 By its own light alone most of a lamp is black: its metal and glass have nothing to reflect.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import Any
 
