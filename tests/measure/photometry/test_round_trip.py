@@ -1,17 +1,24 @@
 """A file, the asset that it becomes, and the file that photometry writes of it."""
 
 import json
+import math
 
 import numpy as np
 import pytest
 
 import lumitree
 from lumitree.cli import main
+from lumitree.core.frames import LocalFrame
 from lumitree.formats.ies import read_ies, write_ies
 from lumitree.formats.ldt import read_ldt, write_ldt
 from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import IntensityDistribution, direction_of
-from lumitree.measure.photometry.exact_light import exact_grid, file_light, light_field_light
+from lumitree.measure.photometry.exact_light import (
+    ExactLight,
+    exact_grid,
+    file_light,
+    light_field_light,
+)
 from support.photometric_types import ies, world
 from support.slow import slow
 
@@ -112,3 +119,12 @@ def test_what_a_file_states_is_shown_and_kept(mi, tmp_path, monkeypatch, capsys)
     assert read_ies("b.ies").details["file_generation_type"] == "Undefined"
     lumitree.photometry(lumitree.load("a.ies"), "c.ies", step=5, paths=PATHS)
     assert read_ies("c.ies").details["file_generation_type"] == "Computer Simulation"
+
+
+@pytest.mark.parametrize(("resolution", "step"), [(16, 5.0), (32, 2.5), (64, 1.0), (128, 0.5)])
+def test_the_step_of_traced_light_is_at_most_half_a_bin(resolution, step):
+    width = math.degrees(math.sqrt(4 * math.pi) / resolution)
+    light = ExactLight(lambda direction: 1 + 0 * direction[:, 0], np.ones(3), width)
+    grid, intensity = exact_grid(light, LocalFrame(np.ones(3), np.eye(4)), None)
+    assert grid.step == step <= width / 2
+    assert intensity == pytest.approx(np.ones((len(grid.c), len(grid.gamma))))

@@ -26,9 +26,8 @@ _FILE_STEPS, _STEP = (10.0, 5.0, 2.5, 1.0, MIN_STEP), 1.0
 # Error of the flux at which the angles of a file that are on a grid are all that it has.
 _FLUX_ERROR = 1e-3
 # Error of intensities between nodes of a grid, over the largest, at which it is fine enough; and
-# the part of the light that may have a larger one, at the edges of beams, and where light paths
-# have left noise in a light field.
-_MAX_ERROR, _EDGE_LIGHT, _NOISY_LIGHT = 0.0025, 0.002, 0.02
+# the part of the light that may have a larger one, at the edges of beams.
+_MAX_ERROR, _EDGE_LIGHT = 0.0025, 0.002
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,13 +37,14 @@ class ExactLight:
     Attributes:
         intensity: function of local unit directions [N, 3]: luminous intensity [N].
         watts: [3] radiant flux of R, G and B.
-        is_noisy: whether it was estimated from light paths.
+        bin_width: of the bins of direction in which light paths were counted, degrees, on average;
+            None of other light.
         angles: C and γ of the intensities of a photometric file, degrees; None if it is none.
     """
 
     intensity: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     watts: NDArray[np.float64]
-    is_noisy: bool
+    bin_width: float | None
     angles: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
 
@@ -53,8 +53,9 @@ def light_field_light(asset: Asset) -> ExactLight | None:
     if asset.light_field is None:
         return None
     by_bin, watts = intensity_by_bin(asset), asset_watts(asset) / asset.frame.scale**2
-    is_noisy = asset.light_field.traced is not None
-    return ExactLight(lambda direction: interpolated(by_bin, direction), watts, is_noisy)
+    traced = asset.light_field.traced is not None
+    width = math.degrees(math.sqrt(4 * math.pi / len(by_bin))) if traced else None
+    return ExactLight(lambda direction: interpolated(by_bin, direction), watts, width)
 
 
 def file_light(distribution: IntensityDistribution, frame: LocalFrame) -> ExactLight:
@@ -66,7 +67,7 @@ def file_light(distribution: IntensityDistribution, frame: LocalFrame) -> ExactL
     return ExactLight(
         lambda direction: distribution.at(direction @ frame.rotation.T) / scale,
         np.full(3, distribution.lumens / LUMENS_PER_WATT / scale),
-        False,
+        None,
         (distribution.c, distribution.gamma),
     )
 
@@ -84,8 +85,12 @@ def exact_grid(
         light: the light.
         frame: the local frame.
         step: of the grid, degrees. None to choose it: of a file the coarsest of 10, 5, 2.5, 1 and
-            0.5 that has all of its angles; else 1, or 0.5 if that does not resolve the light.
+            0.5 that has all of its angles; of light in bins the coarsest of these that is at most
+            half a bin, below which there are only the kinks between bins; else 1, or 0.5 if that
+            does not resolve the light.
     """
+    if step is None and light.bin_width is not None:
+        step = next((each for each in _FILE_STEPS if each <= light.bin_width / 2), MIN_STEP)
     parts = 1 if step is None else math.ceil(step / MIN_STEP)
     fine = (MIN_STEP if step is None else step) / parts
     c = fine * np.arange(round(360 / fine), dtype=np.float64)
@@ -98,11 +103,10 @@ def exact_grid(
 
     directions, values = direction_of(c[:, None], gamma).reshape(-1, 3), candela(c, gamma).ravel()
     flux = values * node_solid_angles(c, gamma).ravel()
-    allowed = _NOISY_LIGHT if light.is_noisy else _EDGE_LIGHT
 
     def resolves(found: IntensityDistribution) -> bool:
         wrong = np.abs(found.at(directions) - values) > _MAX_ERROR * values.max()
-        return flux[wrong].sum() <= allowed * flux.sum()
+        return flux[wrong].sum() <= _EDGE_LIGHT * flux.sum()
 
     lumens = float(luminance(light.watts)) * frame.scale**2
     for each in () if light.angles is None else _FILE_STEPS if step is None else (step,):

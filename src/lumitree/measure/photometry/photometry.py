@@ -104,8 +104,10 @@ def photometry(
             (report). Default: none.
         step: angular step of the intensities in C and gamma, degrees: 0.5 to 30, a divisor of 90.
             Default: the finest of 1, 2.5, 5 and 10 at which the noise of the intensities is at
-            most 2 % RMS. Without noise 1, or 0.5 where 1 does not resolve the intensities; of
-            a photometric file the coarsest of 10, 5, 2.5, 1 and 0.5 that has all of its angles.
+            most 2 % RMS. Of a traced light field the coarsest of 10, 5, 2.5, 1 and 0.5 that is at
+            most half of its bins of direction, 2.5 for those of `bake`; of a photometric file the
+            coarsest that has all of its angles, and of an asset made from one 1, or 0.5 where 1
+            does not resolve the intensities.
         unit: unit of length of the source: "m", "cm", "mm", "in", "ft", or the metres in a unit,
             1e-6 to 1e6. Models (`.obj`, `.gltf`, `.glb`) are in metres once they are loaded.
             Photometric files state their unit, and none may be given.

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from lumitree.core.files import write_bytes
@@ -22,6 +23,7 @@ from lumitree.measure.photometry.tables import (
     NEAR_FIELD_HEADER,
     UGR_HEADER,
     figure_rows,
+    known_rows,
     near_field_rows,
     ugr_rows,
 )
@@ -148,7 +150,8 @@ def _notes(data: PhotometricData) -> tuple[str, ...]:
 
 
 def _figure_rows(data: PhotometricData) -> list[tuple[str, str]]:
-    return figure_rows(data.figures, data.size.tolist(), data.step, data.num_rays, data.ugr)
+    rows = figure_rows(data.figures, data.size.tolist(), data.step, data.num_rays, data.ugr)
+    return known_rows(rows)
 
 
 def _polar(axes: Any, data: PhotometricData) -> None:
@@ -165,8 +168,12 @@ def _polar(axes: Any, data: PhotometricData) -> None:
     axes.set_xticks(np.deg2rad(ticks), [f"{min(tick, 360 - tick)}°" for tick in ticks])
     axes.tick_params(labelsize=8)
     axes.set_ylim(0, None)
-    axes.set_title("intensity, cd", fontsize=10)
-    axes.legend(loc="lower right", bbox_to_anchor=(1.2, -0.12), fontsize=8, frameon=False)
+    axes.set_title("intensity, cd", fontsize=10, pad=16)
+    for x, text in ((0.0, "C180, C270"), (1.0, "C0, C90")):
+        axes.text(
+            x, -0.06, text, transform=axes.transAxes, fontsize=8, color="#57534e", ha="center"
+        )
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=8, frameon=False)
 
 
 def _isocandela(figure: Figure, axes: Any, data: PhotometricData) -> None:
@@ -174,8 +181,7 @@ def _isocandela(figure: Figure, axes: Any, data: PhotometricData) -> None:
     distribution = data.distribution
     c = np.append(distribution.c, 360)
     values = np.concatenate([distribution.intensity, distribution.intensity[:1]]).T
-    largest = float(values.max()) or 1.0
-    levels = np.linspace(0, largest, _LEVELS + 1)
+    levels = MaxNLocator(_LEVELS).tick_values(0, float(values.max()) or 1.0)
     filled = axes.contourf(c, distribution.gamma, values, levels=levels, cmap="viridis")
     axes.contour(c, distribution.gamma, values, levels=levels[1:-1], colors="white", linewidths=0.4)
     axes.set_xticks(np.arange(0, 361, 90))
@@ -185,7 +191,6 @@ def _isocandela(figure: Figure, axes: Any, data: PhotometricData) -> None:
     axes.tick_params(labelsize=8)
     axes.set_title("isocandela plot, cd", fontsize=10)
     bar = figure.colorbar(filled, ax=axes, ticks=levels[::2])
-    bar.ax.set_yticklabels([f"{level:.3g}" for level in levels[::2]])
     bar.ax.tick_params(labelsize=8)
 
 
@@ -210,7 +215,6 @@ def _html_table(rows: Any, header: tuple[str, ...] | None = None) -> str:
 
 
 def _wrapped(text: str, width: int = 118) -> str:
-
     return "\n".join(textwrap.wrap(text, width))
 
 

@@ -10,8 +10,10 @@ from lumitree.measure.photometry.figures import PLANES, Estimate, PhotometricFig
 from lumitree.measure.photometry.near_field import NearFieldLimit
 from lumitree.measure.photometry.ugr import CATALOGUE_ROOM, REFLECTANCES, ROOMS
 
-NEAR_FIELD_HEADER = ("direction", "intensity", "far field from", "difference at 5 x the size")
+NEAR_FIELD_HEADER = ("direction", "intensity in 5°", "far field from", "difference at 5 x the size")
 UGR_HEADER = ("room", *REFLECTANCES, *REFLECTANCES)
+_NEEDS_UGR = "needs the package eulumdat-ugr: pip install 'lumitree[ugr]'"
+_NEEDS_COLOUR = "needs the package colour-science: pip install 'lumitree[colour]'"
 
 
 def figure_rows(
@@ -53,12 +55,17 @@ def figure_rows(
         ("colour temperature", "not known" if temperature is None else f"{temperature} K"),
         ("Duv", "not known" if figures.duv is None else str(figures.duv)),
         *_colour_rows(figures),
-        ("UGR, 4H x 8H, 70/50/20", _catalogue_ugr(ugr)),
+        ("UGR, 4H x 8H, 70/50/20", _NEEDS_UGR if ugr is None else _catalogue_ugr(ugr)),
         ("size of the bounding box", " x ".join(f"{side:.4g}" for side in size) + " m"),
         ("angular step", f"{step:g}°"),
         ("rays", f"{rays:,}"),
     ]
     return rows
+
+
+def known_rows(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+    """`figure_rows` without those that say which package is missing here, for other readers."""
+    return [row for row in rows if row[1] not in (_NEEDS_UGR, _NEEDS_COLOUR)]
 
 
 def _colour_rows(figures: PhotometricFigures) -> list[tuple[str, str]]:
@@ -81,17 +88,14 @@ def _colour_rows(figures: PhotometricFigures) -> list[tuple[str, str]]:
 def _rendering_rows(rendering: RenderingIndices | None) -> list[tuple[str, str]]:
     cri, tm30 = "CRI of the emitters", "TM-30 of the emitters"
     if rendering is None:
-        needed = "needs the package colour-science: pip install 'lumitree[colour]'"
-        return [(cri, needed), (tm30, needed)]
+        return [(cri, _NEEDS_COLOUR), (tm30, _NEEDS_COLOUR)]
     return [
         (cri, f"Ra {rendering.ra:.0f}, R9 {rendering.r9:.0f}"),
         (tm30, f"Rf {rendering.rf:.0f}, Rg {rendering.rg:.0f}"),
     ]
 
 
-def _catalogue_ugr(ugr: NDArray[np.float64] | None) -> str:
-    if ugr is None:
-        return "needs the package eulumdat-ugr: pip install 'lumitree[ugr]'"
+def _catalogue_ugr(ugr: NDArray[np.float64]) -> str:
     crosswise, endwise = ugr[CATALOGUE_ROOM, [0, len(REFLECTANCES)]]
     return f"{_rating(crosswise)} crosswise, {_rating(endwise)} endwise"
 
