@@ -392,6 +392,20 @@ OUTSIDE += ["..\\secret.mtl", "file:///etc/secret.mtl", "https://example.org/sec
 OUTSIDE += ["data:text/plain,x", "\\\\host\\secret.mtl", "file:///C:/a/SECRET.mtl"]
 
 
+def test_images_beside_a_library_in_a_folder_below(model, tmp_path):
+    """Names in an MTL file are relative to it; those relative to the model are found too."""
+    (tmp_path / "parts/maps").mkdir(parents=True)
+    levels = {"parts/beside.png": 10, "parts/maps/below.png": 20, "above.png": 30, "own.png": 40}
+    for name, level in levels.items():
+        Image.new("RGB", (2, 2), (level, level, level)).save(tmp_path / name)
+    named = ["beside.png", "maps\\below.png", "../above.png", "own.png"]
+    blocks = [f"newmtl m{i}\nmap_Kd {name}\n" for i, name in enumerate(named)]
+    (tmp_path / "parts/lamp.mtl").write_text("".join(blocks))
+    faces = "".join(f"usemtl m{i}\nf 1/1 2/2 3/3 4/4\n" for i in range(len(named)))
+    found = model("mtllib parts/lamp.mtl\n" + QUAD + faces).materials
+    assert [each.surface.reflectance.pixels.max() for each in found] == [10, 20, 30, 40]
+
+
 @pytest.mark.parametrize("name", OUTSIDE)
 @pytest.mark.parametrize("where", ["mtllib", "map_Kd", "map_Bump"])
 def test_nothing_outside_the_folder_is_read(model, tmp_path, name, where):

@@ -1,5 +1,7 @@
 """The files that an OBJ model names: one that is missing is left out, with a warning."""
 
+import os
+import posixpath
 import warnings
 from collections.abc import Callable, Hashable
 from pathlib import Path
@@ -42,6 +44,15 @@ class ObjFolder:
                 stacklevel=3,
             )
         return path
+
+    def name_beside(self, path: Path, name: str) -> str:
+        """The name, in the model's folder, of a file that another names if it is relative to that.
+
+        The name as it is if there is no such file.
+        """
+        below = os.path.relpath(os.path.realpath(path.parent), os.path.realpath(self._model.parent))
+        beside = posixpath.normpath(f"{Path(below).as_posix()}/{name}".replace("\\", "/"))
+        return beside if os.path.isfile(self._model.parent / beside) else name
 
     def image(self, name: str, purpose: str) -> DecodedImage | None:
         """An image that the model names; None, after a warning, where there is none.

@@ -96,8 +96,17 @@ def _library(file: ObjFile, folder: ObjFolder) -> dict[str, MtlMaterial]:
     found: dict[str, MtlMaterial] = {}
     for path in paths:
         for name, entry in parse_mtl(path).items():
-            found.setdefault(name, entry)
+            found.setdefault(name, _with_images_beside(entry, path, folder))
     return found
+
+
+def _with_images_beside(material: MtlMaterial, library: Path, folder: ObjFolder) -> MtlMaterial:
+    """A material whose maps are those beside its MTL file, where that is in a folder below."""
+    maps = {
+        key: dataclasses.replace(entry, file=folder.name_beside(library, entry.file))
+        for key, entry in material.maps.items()
+    }
+    return dataclasses.replace(material, maps=maps)
 
 
 def part_names(titles: Iterable[str]) -> list[str]:
