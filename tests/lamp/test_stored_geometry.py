@@ -284,10 +284,10 @@ REFUSED = {
         ),
         "checkerboard",
     ),
-    "instances": (
-        '<shape type="shapegroup" id="g"><shape type="sphere"/></shape>'
-        '<shape type="instance"><ref id="g"/></shape>',
-        "shape 'g': a shapegroup holds an object",
+    "stretched instances of a sphere": (
+        '<shape type="shapegroup" id="g"><shape type="sphere"/></shape><shape type="instance">'
+        '<ref id="g"/><transform name="to_world"><scale y="2"/></transform></shape>',
+        "a sphere is scaled non-uniformly",
     ),
 }
 
@@ -306,3 +306,39 @@ def test_a_scene_without_a_file_is_refused(mi, luminaire):
     with pytest.raises(LumitreeError, match=r"mi\.Scene"):
         stored_geometry(lamp)
     assert dataclasses.is_dataclass(lamp)
+
+
+def test_instances_are_stored_as_copies(luminaire, monkeypatch):
+    """Of a box and a ball, each with a place of its own in the group."""
+    places = [
+        '<scale value="0.5"/><rotate y="1" angle="30"/><translate x="2"/>',
+        '<scale value="0.3"/><translate x="-2" y="1"/>',
+    ]
+    move = '<translate z="0.7"/>'
+
+    def box(more=""):
+        place = f'<transform name="to_world"><scale x="2"/>{move}{more}</transform>'
+        return f'<shape type="cube">{place}<bsdf type="diffuse"/></shape>'
+
+    def ball(more=""):
+        place = f'<transform name="to_world">{more}</transform>'
+        return f'<shape type="sphere"><float name="radius" value="0.4"/>{place}{GLASS}</shape>'
+
+    instances = [
+        '<shape type="instance"><ref id="group"/>'
+        f'<transform name="to_world">{place}</transform></shape>'
+        for place in places
+    ]
+    group = f'<shape type="shapegroup" id="group">{box()}{ball()}</shape>'
+    lamp = luminaire(group, *instances)
+    found = stored_geometry(lamp)
+    copies = [shape(place) for place in places for shape in (box, ball)]
+    expected = stored_geometry(luminaire(*copies))
+    assert found.shapes == expected.shapes
+    for name in ("vertices", "faces"):
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), abs=1e-6)
+    # The luminaire's own file keeps its instances.
+    assert [shape.class_name() for shape in lamp.scene.shapes()].count("Instance") == 2
+    monkeypatch.setattr("lumitree.lamp.stored_geometry._MAX_PRIMITIVES", 10)
+    with pytest.raises(LumitreeError, match="its instances have 27 triangles, expected at most 10"):
+        stored_geometry(lamp)

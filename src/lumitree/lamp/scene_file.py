@@ -23,6 +23,7 @@ from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.lamp.importers.overrides import select_names
 from lumitree.lamp.media import keep_clear_channels
 from lumitree.lamp.mesh_files import check_mesh_file
+from lumitree.lamp.scene_instances import copy_instances, matrix_of
 from lumitree.lamp.scene_shapes import SceneShape, shape_of_node
 from lumitree.lamp.spectra import spectra_of_emitters
 
@@ -240,7 +241,13 @@ class SceneFile:
         transform, found = load_mitsuba().ScalarTransform4d, self._copy()
         for props in found._placed_shapes():
             # The parser keeps transforms in double precision.
-            props["to_world"] = transform(matrix @ _matrix(props))
+            props["to_world"] = transform(matrix @ matrix_of(props))
+        return found
+
+    def without_instances(self) -> "SceneFile":
+        """The scene with copies of the shapes of groups in place of their instances."""
+        found = self._copy()
+        copy_instances(found._state)
         return found
 
     def _copy(self) -> "SceneFile":
@@ -262,13 +269,13 @@ class SceneFile:
                 continue
             for name in {"center", "p0", "p1"} & set(props.keys()):
                 props[name] = mi.ScalarPoint3d(_numbers(props, (name,), place) - place)
-            props["to_world"] = transform(_matrix(props) @ similarity(np.eye(3), 1.0, place))
+            props["to_world"] = transform(matrix_of(props) @ similarity(np.eye(3), 1.0, place))
         return found.moved(similarity(np.eye(3), 1.0, -np.asarray(origin)))
 
     def mesh_files(self) -> list[tuple[str, NDArray[np.float64]]]:
         """Name of each shape that a file has, and [3] where its transform puts (0, 0, 0)."""
         return [
-            (shown(props.id() or props["filename"], 100), _matrix(props)[:3, 3])
+            (shown(props.id() or props["filename"], 100), matrix_of(props)[:3, 3])
             for props in self._placed_shapes()
             if "filename" in props
         ]
@@ -281,7 +288,7 @@ class SceneFile:
         for props in self._placed_shapes():
             if "filename" in props or props.plugin_name() in ("instance", "merge"):
                 continue
-            matrix = _matrix(props)
+            matrix = matrix_of(props)
             place = _numbers(props, ("center", "p0"), np.zeros(3))
             length = np.linalg.norm(_numbers(props, ("p1",), place) - place)
             radius = _numbers(props, ("radius",), np.ones(()))
@@ -390,11 +397,6 @@ class SceneFile:
     def _references(self, props: Any) -> set[int]:
         """Indices of the nodes that a node refers to."""
         return {props[key].index() for key in list(props.keys()) if self._is_reference(props, key)}
-
-
-def _matrix(props: Any) -> NDArray[np.float64]:
-    """[4, 4] of the transform of a shape; Mitsuba refuses properties of other types."""
-    return np.array(getattr(props.get("to_world", None), "matrix", np.eye(4)), np.float64)
 
 
 def _numbers(props: Any, names: Sequence[str], default: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -26,21 +26,32 @@ _TRAVERSED = {
     "colours": VERTEX_COLOUR,
     "faces": "faces",
 }
+# Of all copies of instances; an asset has 36 bytes for each.
+_MAX_PRIMITIVES = 20_000_000
 _BITMAP = ("filename", "raw", "filter_type", "wrap_mode", "to_uv")
 
 
 def stored_geometry(luminaire: Luminaire) -> AssetGeometry:
     """The geometry of a luminaire, for its asset.
 
-    Meshes of one material and radiance are joined, which renders faster.
+    Meshes of one material and radiance are joined, which renders faster. Instances are copied.
 
     Raises:
-        LumitreeError: the luminaire cannot be stored: it has instances, a shape, BSDF, texture,
-            emitter or medium that is not in the lists of `asset.materials` and
-            `asset.geometry_media`, or it was made from a mi.Scene. The message is the reason.
+        LumitreeError: the luminaire cannot be stored: it has a shape, BSDF, texture, emitter or
+            medium that is not in the lists of `asset.materials` and `asset.geometry_media`, its
+            instances have too many triangles, or it was made from a mi.Scene. The message is the
+            reason.
     """
-    shapes = luminaire.scene.shapes()
-    return _Reader(luminaire.parsed).read(shapes, luminaire.origin)
+    file, shapes = luminaire.parsed, luminaire.scene.shapes()
+    if any(shape.class_name() == "Instance" for shape in shapes):
+        count = sum(shape.effective_primitive_count() for shape in shapes)
+        if count > _MAX_PRIMITIVES:
+            raise LumitreeError(
+                f"its instances have {count:,} triangles, expected at most {_MAX_PRIMITIVES:,}"
+            )
+        file = file.without_instances()
+        shapes = file.instantiate().shapes()
+    return _Reader(file).read(shapes, luminaire.origin)
 
 
 class _Reader:
@@ -61,7 +72,7 @@ class _Reader:
             with _of_shape(name):
                 described.append(self._describe(node.props))
         if len(shapes) != len(nodes):
-            raise LumitreeError("instances of shapes are not stored")
+            raise LumitreeError("a shape that becomes several, such as `merge`, is not stored")
         meshes: dict[str, list[tuple[Json, dict[str, NDArray[Any]]]]] = defaultdict(list)
         others = []
         for name, shape, description in zip(names, shapes, described, strict=True):

@@ -1,0 +1,54 @@
+"""Instances of a parsed scene as copies of the shapes of their groups."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.backend import load_mitsuba
+
+
+def copy_instances(state: Any) -> None:
+    """Replace the instances of a parsed scene by copies, which are placed in double precision.
+
+    Args:
+        state: mi.parser.ParserState, after `transform_all`; changed.
+    """
+    mi = load_mitsuba()
+    root = state.nodes[0].props
+    groups, copies = [], []
+    for key in list(root.keys()):
+        if root.type(key) != mi.Properties.Type.ResolvedReference:
+            continue
+        props = state.nodes[root[key].index()].props
+        match props.plugin_name():
+            case "shapegroup":
+                groups.append(key)
+            case "instance":
+                (group,) = _references(props)
+                copies.append((key, _references(state.nodes[group].props), matrix_of(props)))
+    for key, members, matrix in copies:
+        for member in members:
+            node, copied = state.nodes[member], mi.parser.SceneNode()
+            copied.type, copied.props = node.type, mi.Properties(node.props)
+            copied.file_index, copied.offset = node.file_index, node.offset
+            place = matrix @ matrix_of(node.props)
+            copied.props["to_world"] = mi.ScalarTransform4d(place)
+            number = len(state.nodes)
+            # The list of nodes may move in memory: what was taken from it is not used after this.
+            state.nodes.append(copied)
+            state.nodes[0].props[f"_arg_copy_{number}"] = mi.Properties.ResolvedReference(number)
+        del state.nodes[0].props[key]
+    for key in groups:
+        del state.nodes[0].props[key]
+
+
+def matrix_of(props: Any) -> NDArray[np.float64]:
+    """[4, 4] of the transform of a shape; Mitsuba refuses properties of other types."""
+    return np.array(getattr(props.get("to_world", None), "matrix", np.eye(4)), np.float64)
+
+
+def _references(props: Any) -> list[int]:
+    """Indices of the nodes that a node refers to."""
+    kind = load_mitsuba().Properties.Type.ResolvedReference
+    return [props[key].index() for key in list(props.keys()) if props.type(key) == kind]
