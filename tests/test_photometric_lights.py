@@ -21,6 +21,7 @@ from lumitree.lamp.source import LuminaireSource, source_kind
 from lumitree.rendering.asset_cache import open_asset
 from lumitree.rendering.asset_flux import asset_lumens, asset_watts
 from support.lamps import AREA, scene, sphere
+from support.slow import slow
 from support.tiny_bakes import set_qualities, standard
 from support.walls import irradiance
 
@@ -100,7 +101,7 @@ def test_a_file_is_the_asset_that_a_bake_makes_of_it(name):
     assert lumitree.load(name) is opened
 
 
-@pytest.mark.parametrize("name", ["a.ies", "d.TM25RAY"])
+@pytest.mark.parametrize("name", ["a.ies", slow("d.TM25RAY")])
 def test_commands_take_files(name, folder, capsys):
     for command, shown in (
         (["info", name], "lumens"),

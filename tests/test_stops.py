@@ -370,6 +370,7 @@ def test_a_full_work_disk_is_warned_of_once_and_the_bake_goes_on(
     assert left() == [*kept, "out/lamp.lumitree"]
 
 
+@pytest.mark.slow
 def test_a_full_disk_at_the_end_loses_no_work(tiny, steps, monkeypatch, capsys):
     with monkeypatch.context() as patch:
         patch.setattr("safetensors.numpy.save", run_out_of_disk)

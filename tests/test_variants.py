@@ -12,6 +12,7 @@ import pytest
 
 import lumitree
 from support.fields import uniform_asset
+from support.slow import slow_but_sets
 
 # Prints what `register` does, and the variant that is set afterwards.
 REGISTER = """
@@ -53,8 +54,14 @@ def set_variant(variant):
     return f"mi.set_variant({variant!r})\n" if variant else ""
 
 
-@pytest.mark.parametrize("variant", [None, "llvm_ad_rgb", "scalar_rgb"])
-@pytest.mark.parametrize("first", ["mitsuba", "lumitree"])
+@pytest.mark.parametrize(
+    ("first", "variant"),
+    slow_but_sets(
+        [("mitsuba", "llvm_ad_rgb"), ("mitsuba", "scalar_rgb"), ("lumitree", None)],
+        ("mitsuba", "lumitree"),
+        (None, "llvm_ad_rgb", "scalar_rgb"),
+    ),
+)
 def test_either_may_be_imported_first(first, variant):
     mitsuba, ours = "import mitsuba as mi\n" + set_variant(variant), "import lumitree\n"
     code = mitsuba + ours if first == "mitsuba" else ours + mitsuba

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.baselines.traced_rays import TracedRays
+from support.slow import slow_but_sets
 
 HALF = np.array([1.0, 0.75, 0.5])
 PATHS = 1 << 18
@@ -122,10 +123,18 @@ def test_flux_is_that_of_the_rays(mi, rays, fit):
     assert (np.abs(flux.sum(axis=1) - expected) <= 5 * error + slack * expected.max()).all()
 
 
+FAR, NEAR = (0.4, 4, 0.3), (1.5, 0.9, -0.8)
+
+
+# What is quick here and in the test below has each fit at least once.
 @pytest.mark.parametrize(
-    "fit", [far_field, sphere, points, table, harmonics, wavelets, light_field]
+    ("fit", "place"),
+    slow_but_sets(
+        [(far_field, FAR), (points, NEAR), (harmonics, NEAR), (wavelets, FAR), (light_field, NEAR)],
+        [far_field, sphere, points, table, harmonics, wavelets, light_field],
+        [FAR, NEAR],
+    ),
 )
-@pytest.mark.parametrize("place", [(0.4, 4, 0.3), (1.5, 0.9, -0.8)])
 def test_directions_bring_what_rays_do(mi, rays, fit, place):
     """Irradiance on a small disk, by directions towards the lamp and by rays that hit it."""
     import drjit as dr
@@ -155,8 +164,14 @@ def test_directions_bring_what_rays_do(mi, rays, fit, place):
     assert (np.abs(found - expected) < 4.5 * error + 1e-9).all()
 
 
-@pytest.mark.parametrize("fit", [sphere, table, harmonics, wavelets, light_field])
-@pytest.mark.parametrize("place", [(0.4, 4, 0.3), (1.5, 0.9, -0.8)])
+@pytest.mark.parametrize(
+    ("fit", "place"),
+    slow_but_sets(
+        [(sphere, NEAR), (table, FAR), (harmonics, FAR), (light_field, NEAR)],
+        [sphere, table, harmonics, wavelets, light_field],
+        [FAR, NEAR],
+    ),
+)
 def test_lines_show_what_directions_bring(mi, rays, fit, place):
     """Irradiance by directions of their own, and by uniform ones towards the box's corners."""
     import drjit as dr

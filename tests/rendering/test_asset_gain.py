@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from test_gain import GAIN, lamps, render, scene_with
+from test_gain import ASSETS, GAIN, lamps, render, scene_with
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
@@ -21,9 +21,10 @@ from support.lamps import AREA, lamp_of, sphere
 from support.light_fields import random_light_field
 from support.packed_assets import unpack_asset
 from support.reference_field import integrate_ray
+from support.slow import slow_but_sets
 
 
-@pytest.fixture(params=["field", "both", "light"])
+@pytest.fixture(params=ASSETS)
 def asset(request):
     return lamps()[request.param]
 
@@ -62,7 +63,13 @@ def test_rays_agree_with_the_reference_implementation(mi):
     assert radiance[:, 2].max() > 0
 
 
-@pytest.mark.parametrize("kind", ["lumitree_path", "path"])
+@pytest.mark.parametrize(
+    ("asset", "kind"),
+    slow_but_sets(
+        [("light", "lumitree_path"), ("both", "path")], ASSETS, ("lumitree_path", "path")
+    ),
+    indirect=["asset"],
+)
 def test_it_multiplies_the_gain_of_a_placed_lamp(mi, asset, kind):
     lumitree.register()
     there = np.array(render(mi, scene_with(mi, asset, gain=np.multiply(GAIN, 2)), kind, seed=5))

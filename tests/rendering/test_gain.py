@@ -12,9 +12,11 @@ from lumitree.errors import LumitreeError
 from lumitree.rendering.placement import Placement
 from support.fields import random_asset
 from support.light_fields import random_light_field
+from support.slow import slow_but_sets
 
 GAIN = (0.5, 2.0, 3.0)
 NAME = "lamp.emitter.gain"
+ASSETS = ("field", "both", "light")
 
 
 def lamps():
@@ -28,7 +30,7 @@ def lamps():
     }
 
 
-@pytest.fixture(params=["field", "both", "light"])
+@pytest.fixture(params=ASSETS)
 def asset(request):
     return lamps()[request.param]
 
@@ -57,7 +59,15 @@ def render(mi, scene, kind="lumitree_path", *, seed=1, params=None, **options):
     return mi.render(scene, params, integrator=integrator, spp=16, seed=seed, **options)
 
 
-@pytest.mark.parametrize("kind", ["lumitree_path", "path", "volpath", "prb"])
+@pytest.mark.parametrize(
+    ("asset", "kind"),
+    slow_but_sets(
+        [("light", "lumitree_path"), ("both", "path"), ("field", "volpath"), ("both", "prb")],
+        ASSETS,
+        ("lumitree_path", "path", "volpath", "prb"),
+    ),
+    indirect=["asset"],
+)
 def test_an_image_is_proportional_to_the_gain(mi, asset, kind):
     plain, gained = (
         np.array(render(mi, scene_with(mi, asset, gain=gain), kind)) for gain in (1, GAIN)
@@ -162,7 +172,11 @@ def test_another_gain_needs_no_reload_and_no_new_kernel(mi, asset):
             assert image == pytest.approx(plain * gain, rel=1e-4, abs=1e-5)
 
 
-@pytest.mark.parametrize("kind", ["lumitree_path", "prb"])
+@pytest.mark.parametrize(
+    ("asset", "kind"),
+    slow_but_sets([("light", "lumitree_path"), ("field", "prb")], ASSETS, ("lumitree_path", "prb")),
+    indirect=["asset"],
+)
 def test_the_gradient_is_that_of_finite_differences(mi, asset, kind):
     import drjit as dr
 

@@ -15,7 +15,7 @@ from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.rendering.scene import place_shapes
 from support import tiny_bakes
 from support.lamps import GLASS, cube, scene, sphere
-from support.slow import slow
+from support.slow import slow, slow_but
 
 SIDE, PASSES = 16, 16
 BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0,0,0"/></bsdf>'
@@ -163,7 +163,7 @@ def before_a_panel(name, **objects):
     return {"sensor": camera(origin, target, fov), "back": back, **objects}
 
 
-@pytest.mark.parametrize("name", VIEWS)
+@pytest.mark.parametrize("name", slow_but(["outside", "inside the bulb"], VIEWS))
 def test_specular_paths_see_the_lamp_as_it_is(specular, name):
     """Images of glass, mirrors and the filament are those of the explicit lamp."""
     lamp, asset = specular

@@ -118,7 +118,7 @@ def lit_floor(*blocks):
     }
 
 
-@pytest.mark.parametrize("bsdf", ["null", "dielectric", "roughdielectric"])
+@pytest.mark.parametrize("bsdf", ["null", slow("dielectric"), slow("roughdielectric")])
 def test_shadow_rays_and_paths_cross_media(mi, bsdf):
     """Through clear borders by next-event estimation, through glass by paths: as `volpathmis`."""
     to_world = mi.ScalarTransform4f().translate([0, 1.1, 0]).rotate([0, 0, 1], 10)

@@ -1,5 +1,6 @@
 """Images whose call was interrupted continue from the passes that were kept."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -16,20 +17,17 @@ from support.small_room import SMALL_ROOM
 SAMPLES = 12
 
 
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch, mi):
-    """Passes of two samples per pixel, each of which is kept."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "room.xml").write_text(SMALL_ROOM)
-    lumitree.save(random_asset(3), tmp_path / "lamp.lumitree")
+def keep_passes(folder, monkeypatch):
+    """A room and a lamp; passes of two samples per pixel, each of which is kept."""
+    monkeypatch.chdir(folder)
+    (folder / "room.xml").write_text(SMALL_ROOM)
+    lumitree.save(random_asset(3), folder / "lamp.lumitree")
     monkeypatch.setattr(passes, "_SAMPLES_PER_PASS", dict.fromkeys(passes._SAMPLES_PER_PASS, 768))
     monkeypatch.setattr(saved_passes, "_SECONDS_BETWEEN_STATES", 0.0)
     monkeypatch.setattr(saved_passes, "_MOST_TIME_OF_STATES", 1e9)
-    return tmp_path
 
 
-@pytest.fixture
-def rendered(monkeypatch):
+def note_passes(monkeypatch):
     """Seeds of the passes that were rendered; a list `stop_at` ends the process after so many."""
     render_pass, seeds = passes.render_pass, []
 
@@ -42,6 +40,17 @@ def rendered(monkeypatch):
     stop_at = [-1]
     monkeypatch.setattr(passes, "render_pass", noted)
     return seeds, stop_at
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch, mi):
+    keep_passes(tmp_path, monkeypatch)
+    return tmp_path
+
+
+@pytest.fixture
+def rendered(monkeypatch):
+    return note_passes(monkeypatch)
 
 
 def render(samples=SAMPLES, room="room.xml", source="lamp.lumitree", **options):
@@ -58,6 +67,16 @@ def interrupted(rendered, after, **options):
         render(**options)
     stop_at[0] = -1
     seeds.clear()
+
+
+@pytest.fixture(scope="module")
+def saved_state(mi, tmp_path_factory):
+    """The work folder of an image that was interrupted after four passes."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        folder = tmp_path_factory.mktemp("interrupted")
+        keep_passes(folder, monkeypatch)
+        interrupted(note_passes(monkeypatch), 4)
+    return folder / "work"
 
 
 def test_an_interrupted_image_continues(rendered):
@@ -131,9 +150,9 @@ def test_time_that_was_spent_counts(rendered):
         slow("shape", "expected"),
     ],
 )
-def test_what_is_no_state_of_this_image_is_not_continued(rendered, change, message):
-    interrupted(rendered, 4)
+def test_what_is_no_state_of_this_image_is_not_continued(rendered, saved_state, change, message):
     state, options = Path("work/passes.npz"), {}
+    shutil.copytree(saved_state, "work")
     arrays = dict(np.load(state))
     if change == "room":
         Path("room.xml").write_text(SMALL_ROOM.replace('value="6"', 'value="5"'))

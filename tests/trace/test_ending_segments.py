@@ -109,13 +109,21 @@ def reference(mi, lamp, count, seed, depth):
     to_local = lamp.scene_frame.local_from_world
     side = 1 << depth
     active = np.ones(count, bool)
+    # Evaluated as a whole after emission and after each event, with the random numbers' state:
+    # else each array would have a kernel of its own, and each event longer ones.
+    sampler.schedule_state()
+    dr.eval(ray, flux)
     begin = np.array(ray.o).T
     total, moment = np.zeros(3), np.zeros(3)
     for _ in range(LOOP_DEPTH):
         si = scene.ray_intersect(ray, mi.Bool(active))
-        valid = np.array(si.is_valid())
         sample, weight = si.bsdf().sample(context, si, sampler.next_1d(), sampler.next_2d())
-        null = np.array(mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)) & valid
+        is_valid, is_null = si.is_valid(), mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        weighted, following = flux * weight, spawn(si, si.to_world(sample.wo), extent)
+        sampler.schedule_state()
+        dr.eval(si.p, is_valid, is_null, weighted, following)
+        valid = np.array(is_valid)
+        null = np.array(is_null) & valid
         end = np.where(valid[:, None], np.array(si.p).T, np.array(ray.o).T)
         stops = active & ~null
         start, stop = (points @ to_local[:3, :3].T + to_local[:3, 3] for points in (begin, end))
@@ -124,11 +132,8 @@ def reference(mi, lamp, count, seed, depth):
         carried = np.array(flux).T[stops]
         total += carried.sum(axis=0)
         moment += (carried * np.linalg.norm(stop - start, axis=1)[stops, None]).sum(axis=0)
-        flux *= weight
-        ray = spawn(si, si.to_world(sample.wo), extent)
-        active &= valid & (np.array(dr.max(flux)) > 0)
-        # Else each event would compile kernels of all that came before.
-        dr.eval(ray, flux)
+        flux, ray = weighted, following
+        active &= valid & (np.array(flux).max(axis=0) > 0)
         begin = np.where((active & ~null)[:, None], np.array(ray.o).T, begin)
         if not active.any():
             break

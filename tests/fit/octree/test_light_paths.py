@@ -5,6 +5,7 @@ import pytest
 
 from lumitree.core.frames import from_viewer
 from support.lamps import AREA, GLASS, cube, sphere
+from support.slow import slow_but
 from support.traced_lamps import (
     CLUTTER,
     DIFFUSE,
@@ -97,6 +98,7 @@ SCENES = [
     "smooth mirror",
     "smooth glass",
 ]
+QUICK_SCENES = ["clutter", "beside fog", "in coloured milk", "smooth glass"]
 
 
 def middle(origin, direction):
@@ -131,7 +133,7 @@ def agree(sums, errors, expected, expected_errors):
     assert (z**2).mean() < 1 + 5 * np.sqrt(2 / len(z))
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", slow_but(QUICK_SCENES, SCENES))
 def test_straight_through_radiance_and_light_paths_are_all_light(lamp, tmp_path, name):
     """In total, by direction, and by position: as traced by `path` and `volpath`."""
     rays = source(lamp(*shapes_of(name, tmp_path)))
