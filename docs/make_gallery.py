@@ -13,7 +13,6 @@ from PIL import Image
 
 import lumitree
 from lumitree.core.files import write_bytes
-from lumitree.fit.catalogue.thumbnail import thumbnail_kind
 from lumitree.lamp.builtin.registry import BUILTIN
 
 DOCS = Path(__file__).parent
@@ -21,6 +20,8 @@ BAKES = DOCS / "generated" / "lamps"
 PAGES = DOCS / "generated" / "extra" / "gallery"
 THUMBNAILS = DOCS / "images" / "gallery"
 LARGEST_PAGE = 4_000_000
+# Of the images.
+PIXELS, SAMPLES = 320, 512
 
 
 def main() -> None:
@@ -31,6 +32,9 @@ def main() -> None:
     )
     PAGES.mkdir(parents=True, exist_ok=True)
     THUMBNAILS.mkdir(parents=True, exist_ok=True)
+    # Needs a variant of Mitsuba, which a bake chooses.
+    from lumitree.rendering.studio import portrait
+
     for lamp in result.lamps:
         if lamp.path is None:
             raise SystemExit(f"{lamp.name}: {lamp.error or lamp.state}")
@@ -38,8 +42,8 @@ def main() -> None:
         if (size := page.page_bytes) > LARGEST_PAGE:
             raise SystemExit(f"{lamp.name}: {size:,} bytes; expected at most {LARGEST_PAGE:,}")
         stream = io.BytesIO()
-        with Image.open(BAKES / "index-files" / f"{lamp.name}.{thumbnail_kind()}") as image:
-            image.convert("RGB").save(stream, "JPEG", quality=85)
+        image = portrait(lumitree.load(lamp.path), PIXELS, SAMPLES)
+        Image.fromarray(image).save(stream, "JPEG", quality=85)
         write_bytes(THUMBNAILS / f"{lamp.name}.jpg", stream.getvalue())
         print(
             f"{lamp.name}: asset {lamp.path.stat().st_size / 1e6:.2f} MB, page {size / 1e6:.2f} MB"

@@ -32,6 +32,8 @@ _BACKDROP, _SOFTBOX, _OWN = 0.125, 3.0, 2.0
 # the image: none of them is in the image.
 _DIRECTIONS = ((1, 0.7, 1), (-1, 0.7, 1), (1, 0.7, -1), (-1, 0.7, -1))
 _DISTANCE, _HALF_SIDE = 3.2, 1.0
+# Direction from the lamp to the camera of a portrait, and width of the image over that of the lamp.
+_PORTRAIT, _MARGIN = (0.4, 0.25, 0.882), 1.06
 
 
 def asset_photographs(
@@ -78,6 +80,15 @@ def luminaire_photographs(
         luminaire.scene_frame.world_from_local,
     )
     return studio.photographs(poses, samples_per_pixel, exposure, luminaire.name)
+
+
+def portrait(asset: Asset, resolution: int, samples_per_pixel: int) -> NDArray[np.uint8]:
+    """sRGB image [H, W, 3] of an asset from obliquely in front, which its box fills."""
+    pose = pose_towards(_PORTRAIT, (0, 1, 0), 4.0)
+    # Half the width of the bounding box as the camera sees it.
+    across, up = np.abs(pose[:3, :2].T) @ asset.frame.half_extents
+    half_width = _MARGIN * max(across, up)
+    return asset_photographs(asset, [pose], half_width, resolution, samples_per_pixel)[0]
 
 
 class _Studio:

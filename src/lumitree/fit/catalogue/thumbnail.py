@@ -4,20 +4,16 @@ import io
 import json
 from typing import Any
 
-import numpy as np
 from PIL import Image, features
 
 from lumitree.asset.asset import Asset
 from lumitree.core.image_settings import image_settings
 from lumitree.core.images import encode_png
 
-# Pixels per side, paths per pixel, and direction from the lamp to the camera. On a CPU these are
-# two equal passes of `rendering.passes`: passes of two sizes would compile two kernels for each
-# lamp, which takes as long as the bake of a small one.
+# Pixels per side, and paths per pixel. On a CPU these are two equal passes of `rendering.passes`:
+# passes of two sizes would compile two kernels for each lamp, which takes as long as the bake of a
+# small one.
 _PIXELS, _SAMPLES = 192, 28
-_FROM = (0.4, 0.25, 0.882)
-# Width of the image over that of the lamp.
-_MARGIN = 1.06
 # A PNG file has up to 50 kB because of the noise, a WebP file of this quality 2 to 5 kB.
 _QUALITY = 80
 # Tag of EXIF: ImageDescription.
@@ -31,14 +27,9 @@ def thumbnail_kind() -> str:
 
 def thumbnail(asset: Asset, settings: Any) -> bytes:
     """An image file of an asset, which states the settings of its bake."""
-    from lumitree.core.directions import pose_towards
-    from lumitree.rendering.studio import asset_photographs
+    from lumitree.rendering.studio import portrait
 
-    pose = pose_towards(_FROM, (0, 1, 0), 4.0)
-    # Half the width of the bounding box as the camera sees it.
-    across, up = np.abs(pose[:3, :2].T) @ asset.frame.half_extents
-    half_width = _MARGIN * max(across, up)
-    (pixels,) = asset_photographs(asset, [pose], half_width, _PIXELS, _SAMPLES)
+    pixels = portrait(asset, _PIXELS, _SAMPLES)
     described = image_settings("bake", lamp=asset.luminaire, settings=settings)
     if thumbnail_kind() == "png":
         return encode_png(pixels, described)
