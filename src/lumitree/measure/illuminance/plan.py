@@ -111,13 +111,14 @@ def _draw(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None:
         )
         if min(plane.shape) > 1 and plan.area.largest > plan.area.smallest:
             u, v = place.reshape(*plane.shape, 2).transpose(2, 0, 1)
-            lines = axes.contour(u, v, grid, levels=levels, colors="white", linewidths=0.7)
+            lines = axes.contour(u, v, grid, levels=levels, colors="white", linewidths=1.0)
             if plan.area.count > _MAX_VALUES:
                 axes.clabel(lines, fontsize=7, fmt="%g")
     if plan.area.count <= _MAX_VALUES:
         _values(axes, place, plan.lux, largest)
     bar = figure.colorbar(colours, ax=axes, shrink=0.8)
     bar.ax.tick_params(labelsize=7)
+    bar.set_label("lx", fontsize=8)
 
 
 def _smooth(grid: NDArray[np.float64]) -> str:
