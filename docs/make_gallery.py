@@ -21,7 +21,7 @@ PAGES = DOCS / "generated" / "extra" / "gallery"
 THUMBNAILS = DOCS / "images" / "gallery"
 LARGEST_PAGE = 4_000_000
 # Of the images.
-PIXELS, SAMPLES = 320, 512
+PIXELS, SAMPLES = 320, 128
 
 
 def main() -> None:
