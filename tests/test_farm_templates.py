@@ -41,12 +41,13 @@ def test_slurm(tmp_path):
         "PATH": f"{tmp_path}:/usr/bin:/bin",
         "SLURM_ARRAY_TASK_ID": "7",
         "SLURM_ARRAY_TASK_COUNT": "100",
+        "SLURM_CPUS_PER_TASK": "8",
     }
     run = subprocess.run(
         ["bash", script], env=environment, capture_output=True, text=True, check=True
     )
-    program, *arguments = run.stdout.splitlines()
-    assert program == "lumitree"
+    cores, program, *arguments = run.stdout.splitlines()
+    assert (cores, program) == ("--cpus-per-task=8", "lumitree")
     check_bake(arguments, (7, 100))
     assert "#SBATCH --array=1-100\n" in script.read_text()
 

@@ -18,4 +18,5 @@ set -euo pipefail
 # Of an array 1-100 in steps of 1, as above, the tasks have these numbers.
 task="$SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT"
 
-exec srun lumitree bake @lamps.txt -o baked/ --quality standard --task "$task"
+# Tasks of srun do not inherit the number of processors in all versions of Slurm.
+exec srun --cpus-per-task="$SLURM_CPUS_PER_TASK" lumitree bake @lamps.txt -o baked/ --quality standard --task "$task"

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import textwrap
 import time
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -164,6 +164,21 @@ def test_the_loss_of_a_worker_is_one_line(error):
         results(Lossy(error, 3), executors.double, range(5), total=5, in_order=True)
 
 
+def test_lost_connections_are_said_to_be_that():
+    with pytest.raises(LumitreeError, match=r"^the connection to the workers was lost, or"):
+        results(Lossy(CancelledError(), 1), executors.double, range(5), total=5, in_order=True)
+
+
+def test_tasks_run_with_the_variant_that_was_set_where_they_were_submitted(monkeypatch):
+    """What a worker keeps from an earlier task is of that variant."""
+    loaded = []
+    monkeypatch.setattr("lumitree.core.executor.load_mitsuba", loaded.append)
+    for variant in ("llvm_ad_spectral", "llvm_ad_rgb", None):
+        monkeypatch.setattr("lumitree.core.executor.variant_here", lambda variant=variant: variant)
+        assert results(LastFirst(), executors.double, [1]) == [(0, 2)]
+    assert loaded == ["llvm_ad_spectral", "llvm_ad_rgb"]
+
+
 def test_a_pool_runs_tasks_in_its_processes(pool):
     found = results(pool, executors.pid, range(8))
     processes = {process for _, process in found}
@@ -188,7 +203,7 @@ def test_workers_import_what_their_tasks_need(pool):
 def test_a_worker_of_another_version_is_refused():
     expected = r"^a worker has lumitree .*, but the tasks are of lumitree 0\.0\.1; install the same"
     with pytest.raises(LumitreeError, match=expected):
-        _run("0.0.1", executors.double, (1,))
+        _run("0.0.1", None, executors.double, (1,))
 
 
 def test_errors_and_warnings_cross_processes(pool):
@@ -228,7 +243,7 @@ def test_the_end_of_a_pool_stops_tasks(tmp_path):
 
 
 def _task(*arguments):
-    return _run(__version__, arguments[0], arguments[1:])
+    return _run(__version__, None, arguments[0], arguments[1:])
 
 
 SCRIPT = """

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lumitree.core.frames import LocalFrame
 from lumitree.octree.build import child_cells
 from lumitree.octree.coarse import COARSE_DEPTH, coarsened
 from lumitree.octree.leaves import leaf_cells
@@ -55,6 +56,20 @@ def test_a_black_half_of_a_cell_hides_the_lines_that_cross_it():
     cells = cells[cells[:, 0] % 2 == 0]
     found = density_of(cells, np.full(4, COARSE_DEPTH + 1), np.full(4, 1e6), law="exponential")
     assert np.exp(-found.density * SIDE) == pytest.approx([1 / 3], rel=1e-5)
+
+
+@pytest.mark.parametrize("law", ["linear", "exponential"])
+def test_cells_at_the_faces_of_a_flat_box_are_opaque(law):
+    """Rays cross them within the box only, where the leaves fill them."""
+    frame = LocalFrame(np.array([1.0, 1.0, 0.033]), np.eye(4))
+    cells = np.stack(np.meshgrid(*[np.arange(8)] * 2, np.arange(123, 133), indexing="ij"), -1)
+    cells = cells.reshape(-1, 3)
+    found = density_of(
+        cells, np.full(len(cells), 8), np.full(len(cells), 400.0), law=law, frame=frame
+    )
+    assert len(found.density) == 2
+    # Half of the box is in each of both layers.
+    assert (np.exp(-found.density * 0.033) < 1e-3).all()
 
 
 def test_leaves_below_the_smallest_density_are_empty():

@@ -6,6 +6,7 @@ import pytest
 from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
 from lumitree.octree.extract import extract
+from lumitree.octree.leaves import leaf_cells
 from support.reference_field import leaf_boxes
 from support.slow import slow
 
@@ -71,7 +72,23 @@ def test_mass_is_kept():
 def test_nothing_outside_the_box():
     children, density, coefficients = extract(ball(), np.array([1.0, 0.2, 1.0]), 5)
     lower, upper = leaf_boxes(as_asset(children, density, coefficients, 5))
-    assert np.abs((lower + upper) / 2)[:, 1].max() < 0.2
+    assert (np.minimum(np.abs(lower), np.abs(upper))[:, 1] < 0.2).all()
+
+
+@pytest.mark.parametrize("depth", [6, 8])
+def test_what_touches_a_face_of_a_flat_box_is_found(depth):
+    """In cells of which less than a quarter is inside, and with the density that it has there."""
+    half = np.array([1.0, 1.0, 0.1])
+
+    def skin(positions):
+        density = np.where(positions[:, 2] > 0.1 - 1 / 128, 1000, 0).astype(np.float32)
+        return density, np.zeros((len(positions), 3, 1), np.float32)
+
+    children, density, _ = extract(skin, half, depth)
+    cells, _ = leaf_cells(children, len(density))
+    top = cells[:, 2] == int(1.1 * (1 << depth) / 2)
+    assert top.sum() == (1 << depth) ** 2
+    assert (density[top] == 1000).all()
 
 
 def test_chunks_do_not_change_the_result(monkeypatch):

@@ -6,7 +6,7 @@ import pytest
 from lumitree.lamp.loading import load_luminaire
 from lumitree.rendering.scene import place_shapes
 from lumitree.trace.tracing import path_integrator
-from support.lamps import cube, scene, sphere
+from support.lamps import AREA, cube, lamp_of, scene, sphere
 
 LAMP = (
     '<shape type="sphere" id="lamp"><point name="center" x="9" y="0" z="3"/>'
@@ -106,3 +106,17 @@ def test_medium_that_is_clear_in_one_channel_scatters_in_the_others(mi, tmp_path
     # Of the light of a furnace, less is absorbed than a straight line meets.
     assert radiance[0].mean() > np.exp(-1) + 0.1
     assert radiance[2].mean() == pytest.approx(1, abs=0.05)
+
+
+def test_emitters_through_which_light_passes_are_seen(mi, tmp_path):
+    """Rays meet nothing but null surfaces."""
+    from lumitree.core.directions import pose_towards
+    from lumitree.trace.cameras import Camera
+    from support.traced_lamps import stream
+
+    null = '<bsdf type="null"/>'
+    lamp = lamp_of(tmp_path, sphere("glow", 1, inside=AREA + null))
+    assert path_integrator(lamp, 8).class_name() == "VolumetricPathIntegrator"
+    image = Camera(lamp, 8, 4).take(pose_towards((0, 0, 1), (0, 1, 0), 4.0), stream(1))
+    # The rays cross the near side and the far side, of which the inner one does not emit.
+    assert image.radiance[3, 4] == pytest.approx([3, 2, 1], rel=1e-4)

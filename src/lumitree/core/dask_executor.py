@@ -27,7 +27,10 @@ def dask_executor(address: str) -> Iterator[Executor]:
     distributed = importlib.import_module("distributed")
 
     # Loss of connection is an exception; Dask logs it on many lines too.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    # Some of its loggers have levels of their own.
+    for name in ("distributed", *logging.root.manager.loggerDict):
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
         # A client of a wrong address cannot be closed.
         distributed.comm.get_address_host_port(address)

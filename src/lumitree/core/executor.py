@@ -7,6 +7,7 @@ arguments, all of which can be pickled.
 
 import contextlib
 import itertools
+import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -21,6 +22,8 @@ from concurrent.futures import (
 from typing import Any, TypeVar
 
 from lumitree._version import __version__
+from lumitree.core.backend import load_mitsuba
+from lumitree.core.packing import variant_here
 from lumitree.core.process_pool import stopped_by_pool
 from lumitree.core.progress import reporting
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
@@ -76,7 +79,8 @@ def run_tasks(
 
     Args:
         executor: what runs the tasks. In one process they run one after another.
-        function: of a module, so that it can be pickled. It sets the variant of Mitsuba itself.
+        function: of a module, so that it can be pickled. It runs with the variant of Mitsuba that
+            is set here, if there is one.
         arguments: those of each task, as a tuple; read only when the task is submitted.
         what: name of the results in the plural, for messages, such as "views".
         total: number of tasks, for messages; None if it is not known.
@@ -119,7 +123,7 @@ def _results(
     for finished in itertools.count():
         with _explaining_loss(finished, *names):
             for index, each in itertools.islice(waiting, limit - len(pending)):
-                pending[executor.submit(_run, __version__, function, each)] = index
+                pending[executor.submit(_run, __version__, variant_here(), function, each)] = index
             if not pending:
                 return
             done = {next(iter(pending))}
@@ -136,7 +140,7 @@ def _results(
 
 
 def _run(
-    version: str, function: Callable[..., R], arguments: tuple[Any, ...]
+    version: str, variant: str | None, function: Callable[..., R], arguments: tuple[Any, ...]
 ) -> tuple[R, list[str]]:
     """Run a task in a worker; returns its result and the texts of its warnings."""
     if version != __version__:
@@ -145,6 +149,9 @@ def _run(
             "install the same version everywhere"
         )
     with _one_at_a_time, stopped_by_pool(), reporting(None):
+        if variant is not None and "mitsuba" in sys.modules:
+            # What a worker has kept from an earlier task is of the variant that it was made with.
+            load_mitsuba(variant)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", LumitreeWarning)
             result = explained(function)(*arguments)
@@ -169,10 +176,10 @@ def _explaining_loss(finished: int, what: str, total: int | None, remedy: str) -
         ):
             raise
         count = f"{finished:,}" if total is None else f"{finished:,} of {total:,}"
-        raise LumitreeError(
-            "a worker ended unexpectedly, perhaps for lack of memory; "
-            f"{count} {what} are finished; {remedy}"
-        ) from error
+        lost = "a worker ended unexpectedly, perhaps for lack of memory"
+        if isinstance(error, CancelledError):
+            lost = "the connection to the workers was lost, or the tasks were cancelled there"
+        raise LumitreeError(f"{lost}; {count} {what} are finished; {remedy}") from error
 
 
 def _num_workers(executor: Executor) -> int:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 COARSE_DEPTH, _FINE_LEVELS = 5, 3
 # A cell transmits at least this part of the light, so that its density is finite.
 _LEAST = 1e-4
+# Halvings of the range of a density, and local units that no side is below.
+_BISECTIONS, _TINY = 40, 1e-9
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -53,9 +55,10 @@ class CoarseField:
 def coarsened(asset: "FieldData", min_density: float = 0.0) -> CoarseField:
     """Field of depth `COARSE_DEPTH` with about the same mean transmittance.
 
-    A cell that has leaves of the given field gets the density -ln(t) / a. Here a is its side, and t
-    is the mean transmittance of the lines through it along x, y and z. The law of the result
-    is therefore the exponential one, whatever the law of the given field.
+    A cell that has leaves of the given field gets the density with which it transmits as much light
+    along x, y and z together, by the area of the cell across each, as the leaves do on average. Of
+    a cell that a face of the bounding box divides the part inside counts, to which rays are
+    clipped. The law of the result is the exponential one, whatever the law of the given field.
 
     Args:
         asset: a field.
@@ -64,29 +67,75 @@ def coarsened(asset: "FieldData", min_density: float = 0.0) -> CoarseField:
     cells, levels = leaf_cells(asset.children, asset.num_leaves)
     density = np.where(asset.density < min_density, 0, asset.density).astype(np.float64)
     resolution, side = 1 << _FINE_LEVELS, 2.0 / (1 << COARSE_DEPTH)
+    half = asset.frame.half_extents
     # Leaves that are not below the coarse depth stay.
     stay = levels <= COARSE_DEPTH
-    sides = 2.0 / (1 << levels[stay])
-    kept = transmittance(density[stay] * sides, asset.law, np)
+    sides = _within(cells[stay], (2.0 / (1 << levels[stay]))[:, None], half)
+    kept = transmittance(density[stay, None] * sides, asset.law, np)
     below = cells[~stay], levels[~stay] - COARSE_DEPTH, density[~stay]
     parents, index = np.unique(below[0] >> below[1][:, None], axis=0, return_inverse=True)
     grid = np.zeros((len(parents), resolution, resolution, resolution), np.float32)
     for steps in np.unique(below[1]):
         chosen = below[1] == steps
         _fill(grid, index[chosen].ravel(), below[0][chosen], int(steps), below[2][chosen])
-    depths = (grid.sum(axis=axis) * (side / resolution) for axis in (1, 2, 3))
-    lines = [transmittance(depth, asset.law, np).mean(axis=(1, 2)) for depth in depths]
-    through = np.concatenate([kept, np.mean(lines, axis=0)])
-    sides = np.concatenate([sides, np.full(len(parents), side)])
+    # Lengths [M, R, 3] of the grids' steps along each axis within the box.
+    fine = parents[:, None, :] * resolution + np.arange(resolution)[:, None]
+    steps = _within(fine, side / resolution, half)
+    lines = [_through(grid, steps, axis, asset.law) for axis in range(3)]
+    through = np.concatenate([kept, np.stack(lines, axis=-1)])
+    sides = np.concatenate([sides, steps.sum(axis=1)])
     return CoarseField(
         children=build_children(
             np.concatenate([cells[stay], parents]),
             np.concatenate([levels[stay], np.full(len(parents), COARSE_DEPTH)]),
         ),
-        density=(-np.log(np.maximum(through, _LEAST)) / sides).astype(np.float32),
+        density=_density(through, sides).astype(np.float32),
         frame=asset.frame,
         luminaire=asset.luminaire,
     )
+
+
+def _within(
+    cells: NDArray[np.int64], side: float | NDArray[np.float64], half_extents: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Sides [..., 3] of the parts of cells [..., 3] within the bounding box."""
+    lower = np.maximum(cells * side - 1, -half_extents)
+    upper = np.minimum((cells + 1) * side - 1, half_extents)
+    return np.maximum(upper - lower, 0)
+
+
+def _through(
+    grid: NDArray[np.float32], steps: NDArray[np.float64], axis: int, law: Law
+) -> NDArray[np.float64]:
+    """Mean transmittance [M] of the lines through each grid [M, R, R, R] along an axis.
+
+    Args:
+        steps: [M, R, 3] lengths of the grid's steps along each axis.
+    """
+    lengths = [steps[..., each] for each in range(3)]
+    along = lengths.pop(axis)
+    depth = np.einsum("mabc,ma->mbc", np.moveaxis(grid, axis + 1, 1), along)
+    area = lengths[0][:, :, None] * lengths[1][:, None, :]
+    light = (transmittance(depth, law, np) * area).sum(axis=(1, 2))
+    return light / np.maximum(area.sum(axis=(1, 2)), _TINY)
+
+
+def _density(through: NDArray[np.float64], sides: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Density [M] of cells that transmit the parts `through` [M, 3] of the light along each axis.
+
+    It solves Σ_i A_i exp(-density · a_i) = Σ_i A_i t_i by bisection, with the side a_i and the area
+    across it A_i.
+    """
+    sides = np.maximum(sides, _TINY)
+    area = np.prod(sides, axis=1, keepdims=True) / sides
+    area /= area.sum(axis=1, keepdims=True)
+    light = np.maximum((area * through).sum(axis=1), _LEAST)
+    low, high = np.zeros(len(sides)), -np.log(_LEAST) / sides.min(axis=1)
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        is_more = (area * np.exp(-middle[:, None] * sides)).sum(axis=1) > light
+        low, high = np.where(is_more, middle, low), np.where(is_more, high, middle)
+    return low
 
 
 def _fill(

@@ -123,14 +123,18 @@ def _query_inside(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Field at `offsets` [S, 3] in [0, 1)³ of each cell: density [M, S], coefficients [M, S, 3, K].
 
-    The density is 0 outside the proxy box.
+    Of a cell that a face of the proxy box divides the part inside counts: rays end at the box. The
+    density is 0 in cells outside.
     """
-    corner_and_offset = cells[:, None, :] + offsets
-    positions = (corner_and_offset * (2 / (1 << level)) - 1).astype(np.float32)
-    density, coefficients = query(positions.reshape(-1, 3))
+    side = 2 / (1 << level)
+    lower = np.maximum(cells * side - 1, -half_extents)
+    upper = np.minimum((cells + 1) * side - 1, half_extents)
+    positions = lower[:, None, :] + offsets * (upper - lower)[:, None, :]
+    density, coefficients = query(positions.reshape(-1, 3).astype(np.float32))
     shape = positions.shape[:2]
-    inside = (np.abs(positions) <= half_extents).all(axis=-1)
-    return density.reshape(shape) * inside, coefficients.reshape(*shape, *coefficients.shape[1:])
+    inside = np.all(lower < upper, axis=-1)
+    density = density.reshape(shape) * inside[:, None]
+    return density, coefficients.reshape(*shape, *coefficients.shape[1:])
 
 
 def _chunks(cells: NDArray[np.int32], samples: int) -> Iterator[NDArray[np.int32]]:

@@ -17,8 +17,9 @@ PATH_DEPTH = 128
 def path_integrator(luminaire: Luminaire, path_depth: int, **options: Any) -> Any:
     """The mi.Integrator that traces this luminaire's paths.
 
-    `path` where there are neither media nor alpha masks. Its next-event estimation takes a mask for
-    opaque: the light of a spot light in its shade would be found by chance alone.
+    `path` where there are neither media, alpha masks nor null surfaces. Its next-event estimation
+    takes these for opaque: the light of a spot light in their shade would be found by chance alone.
+    And it counts no light of rays that meet nothing else.
 
     `volpath` samples distances by one channel's extinction, so that in coloured media the weights
     of the others have no bound; `volpathmis` weighs all three. But where media scatter that has
@@ -35,10 +36,16 @@ def path_integrator(luminaire: Luminaire, path_depth: int, **options: Any) -> An
 def integrator_kind(luminaire: Luminaire) -> str:
     """Name of the Mitsuba integrator of `path_integrator`."""
     if not luminaire.has_media:
-        masked = any(shape.bsdf().class_name() == "MaskBSDF" for shape in luminaire.scene.shapes())
-        return "volpath" if masked else "path"
+        return "volpath" if any(map(_is_passed, luminaire.scene.shapes())) else "path"
     only_colours = not luminaire.scatters and any(map(is_coloured, media(luminaire.scene)))
     return "volpathmis" if only_colours else "volpath"
+
+
+def _is_passed(shape: Any) -> bool:
+    """Whether light may pass a shape as if it were not there."""
+    mi, bsdf = load_mitsuba(), shape.bsdf()
+    # Thin glass, which Mitsuba counts among these, is lit as glass is.
+    return mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null) and bsdf.class_name() != "ThinDielectric"
 
 
 def check_finite(luminaire: Luminaire, values: NDArray[np.floating]) -> None:

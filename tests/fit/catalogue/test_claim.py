@@ -131,15 +131,31 @@ def test_without_locks_the_process_of_this_host_decides(path):
 
 
 @pytest.mark.parametrize("content", ["", "{", '{"host": "a", "process": 1e99, "since": 0}'])
-def test_a_claim_that_says_nothing_is_left_for_ten_minutes(path, content):
-    """Its process may not have written it yet."""
+def test_a_claim_that_says_nothing_is_left_for_some_seconds(path, content):
+    """Its process may not have written it yet, or was killed before it did."""
     path.parent.mkdir()
     path.write_text(content)
     with claimed(path) as owner:
         assert str(owner) == "another process"
-    os.utime(path, (0, 0))
+    then = time.time() - 10
+    os.utime(path, (then, then))
     with claimed(path) as owner:
         assert owner is None
+
+
+def test_a_process_that_looks_at_a_new_claim_does_not_take_it(path, monkeypatch):
+    """Between its creation and its first lock."""
+    looked = []
+
+    def lock(handle):
+        looked.append(handle)
+        return False if len(looked) < 3 else files.lock(handle)
+
+    monkeypatch.setattr(claim, "lock", lock)
+    with claimed(path) as owner:
+        assert owner is None
+        assert json.loads(path.read_text())["process"] == os.getpid()
+    assert len(looked) == 3
 
 
 @pytest.mark.parametrize("process", [-1, 0, 2**70])

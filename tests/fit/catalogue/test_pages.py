@@ -86,7 +86,9 @@ def test_states_are_shown(tmp_path):
     write_lamp(tmp_path, "done")
     write_lamp(tmp_path, "half", finished=False)
     LampFiles(tmp_path, "dark").write_failure("holds no <emitter>")
-    write_part(tmp_path, Part(1, 2), ["done", "later"])
+    write_part(tmp_path, Part(1, 2), ["done", "later", "dark"])
+    # It failed, and is in no list any more.
+    LampFiles(tmp_path, "gone").write_failure("holds no <emitter>")
     page = write(tmp_path, [BakedLamp("own", "own.xml", "waiting")])
     assert "5 lamps (1 interrupted, 1 failed, 2 not baked yet)." in page
     assert '<div class="failed">failed: holds no &lt;emitter&gt;</div>' in page

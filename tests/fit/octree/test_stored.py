@@ -63,6 +63,24 @@ def test_rays_have_the_values_of_their_pixels(mi, dataset):
     assert len(seen) == VIEWS - 2
 
 
+def test_all_pixels_are_drawn_alike(mi, dataset):
+    from lumitree.fit.octree.stored import StoredRays
+
+    rays = StoredRays(dataset, 8).draw(1 << 18, stream(4), everywhere)
+    origin, direction = np.array(rays.origin).T, np.array(rays.direction).T
+    half = dataset.manifest.half_width
+    columns = []
+    for view in dataset.views():
+        pose = view.frame.pose
+        of_view = np.abs(direction + pose[:3, 2]).max(axis=1) < 1e-4
+        offset = origin[of_view] - pose[:3, 3]
+        columns.append((offset @ pose[:3, 0] + half) / (2 * half) * RESOLUTION)
+    counts, _ = np.histogram(np.concatenate(columns), RESOLUTION, (0, RESOLUTION))
+    # Four columns of a tile are drawn together: 16 times fewer are independent.
+    expected = counts.mean()
+    assert np.abs(counts - expected).max() < 6 * np.sqrt(16 * expected)
+
+
 def test_held_out_views_are_others(mi, dataset):
     from lumitree.core.seeds import Purpose, SeedStream
     from lumitree.fit.octree.stored import StoredRays

@@ -69,9 +69,11 @@ def test_intensities_keep_their_lumens_and_their_colour():
 def test_tables_hold_the_flux(tmp_path, count):
     asset = lamp()
     result = lumitree.export(asset, tmp_path / "the lamp.rad", lights=count)
-    names = ["the lamp.rad", "the_lamp.b.dat", "the_lamp.cal", "the_lamp.g.dat", "the_lamp.r.dat"]
+    # The digest of a name that not all files can have.
+    stem = "the_lamp-04410513"
+    names = ["the lamp.rad", *(f"{stem}.{each}" for each in ("b.dat", "cal", "g.dat", "r.dat"))]
     assert sorted(os.listdir(tmp_path)) == names == [each.name for each in result.files]
-    tables = np.stack([table(tmp_path / f"the_lamp.{each}.dat") for each in "rgb"], axis=-1)
+    tables = np.stack([table(tmp_path / f"{stem}.{each}.dat") for each in "rgb"], axis=-1)
     inner = tables[:count, 1:-1, 1:-1].reshape(count, -1, 3)
     flux = np.einsum("sbc,b->c", inner, solid_angles(8))
     assert lumens(flux) == pytest.approx(float(luminance(asset_watts(asset))), rel=1e-4)

@@ -1,6 +1,7 @@
 """What all targets of `lumitree export` have in common."""
 
 import os
+import re
 from importlib.util import find_spec
 
 import pytest
@@ -9,6 +10,7 @@ import lumitree
 from lumitree.cli import main
 from lumitree.errors import LumitreeError
 from lumitree.output.targets.registry import TARGETS, find_target
+from lumitree.output.targets.target import ExportRequest
 from support.exported_lamps import lamp
 from support.fields import random_asset
 
@@ -25,9 +27,10 @@ OUTPUTS = (
 def test_the_suffix_or_a_slash_chooses_the_target():
     for output, suffix in (
         ("a/lamp.rad", ".rad"), ("lamp", ""), ("lamp.rad/", ""), ("lamp.v2.pbrt", ".pbrt"),
+        ("lamp.RAD", ".rad"),
     ):  # fmt: skip
         assert find_target(output) is TARGETS[suffix]
-    for output in ("lamp.ies", "lamp.RAD", "a.b/lamp.txt"):
+    for output in ("lamp.ies", "a.b/lamp.txt"):
         with pytest.raises(LumitreeError, match=r"does not end in \.py, .* and is not a folder"):
             find_target(output)
 
@@ -75,3 +78,15 @@ def test_every_target_explains_what_it_cannot_write(mi, tmp_path, monkeypatch, c
         (line,) = capsys.readouterr().err.splitlines()
         assert message in line
     assert sorted(os.listdir(tmp_path)) == ["field.lumitree", "lamp.lumitree"]
+
+
+def test_files_of_names_of_other_scripts_are_told_apart():
+    names = ["灯笼.rad", "台灯.rad", "a b.rad", "a_b.rad", "plain-1.rad"]
+    stems = [request(name).stem for name in names]
+    assert len(set(stems)) == len(names)
+    assert stems[3:] == ["a_b", "plain-1"]
+    assert all(re.fullmatch(r"[A-Za-z0-9_.-]+", stem) for stem in stems)
+
+
+def request(name):
+    return ExportRequest(asset=None, lights=1, up="y", seed=0, blender=None, name=name)

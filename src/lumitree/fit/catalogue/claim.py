@@ -31,6 +31,8 @@ from lumitree.core.system import is_running, lock
 from lumitree.errors import LumitreeError, shown
 
 _RENEW_SECONDS, _ABANDONED_SECONDS = 60.0, 600.0
+# In which a process that makes a claim writes it, and another one looks at it, at most.
+_LOOK_SECONDS = 5.0
 _MAX_CLAIM_BYTES = 10_000
 
 
@@ -97,7 +99,7 @@ def _take(path: Path) -> tuple[int, Owner | None]:
                 handle, is_new = os.open(path, os.O_RDWR), False
             except FileNotFoundError:
                 continue
-        locked = lock(handle)
+        locked = _lock_new(handle) if is_new else lock(handle)
         if locked is False:
             return handle, _read(handle) or UNKNOWN
         # Its owner may just have removed it.
@@ -117,6 +119,14 @@ def _take(path: Path) -> tuple[int, Owner | None]:
     return handle, None
 
 
+def _lock_new(handle: int) -> bool | None:
+    """As `lock`, of a file that this process made; another one may look at it, for a moment."""
+    end = time.monotonic() + _LOOK_SECONDS
+    while (locked := lock(handle)) is False and time.monotonic() < end:
+        time.sleep(0.01)
+    return locked
+
+
 def _living(handle: int, locked: bool | None, folder: Path) -> Owner | None:
     """The owner of a claim that is not locked by another process; None if it is abandoned."""
     owner = _read(handle)
@@ -131,7 +141,9 @@ def _living(handle: int, locked: bool | None, folder: Path) -> Owner | None:
         file.write(b"0")
         file.flush()
         now = os.fstat(file.fileno()).st_mtime
-    is_abandoned = now - os.fstat(handle).st_mtime > _ABANDONED_SECONDS
+    # A process that has made a claim writes into it at once, unless it is killed.
+    limit = _LOOK_SECONDS if owner is None else _ABANDONED_SECONDS
+    is_abandoned = now - os.fstat(handle).st_mtime > limit
     return None if is_abandoned else owner or UNKNOWN
 
 

@@ -76,16 +76,17 @@ class FolderIndex:
 
     def _lamps(self, lamps: Iterable[BakedLamp]) -> list[FolderLamp]:
         """Lamps of the folder, of the list, and of the parts that have begun, by name."""
-        found = {
-            name: FolderLamp(BakedLamp(name, "", "waiting")) for name in read_parts(self._root)[0]
-        }
+        listed, _, parts = read_parts(self._root)
+        found = {name: FolderLamp(BakedLamp(name, "", "waiting")) for name in listed}
         own = {lamp.name: FolderLamp(lamp) for lamp in lamps if lamp.path is None}
         found |= own
         found |= {
             name: each
             for name, each in self._records.lamps().items()
             # Of earlier settings, while the list does not say what became of the lamp.
-            if name not in own or own[name].lamp.state == "waiting"
+            if (name not in own or own[name].lamp.state == "waiting")
+            # What failed, and no list has any more, would never be baked.
+            and not (parts and each.lamp.state == "failed" and name not in found)
         }
         return sorted(found.values(), key=lambda each: (each.lamp.name.casefold(), each.lamp.name))
 

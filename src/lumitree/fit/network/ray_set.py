@@ -130,8 +130,11 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
         )
         geometry.append(_view_geometry(origins, direction))
         kept.append(np.flatnonzero(_crossing(occupancy, origins, direction)))
-    if not any(len(pixels) for pixels in kept):
-        raise LumitreeError(f"no ray of {dataset.folder} crosses the luminaire; capture it again")
+    if (count := sum(map(len, kept))) < 2:
+        rays = "one ray" if count else "no ray"
+        raise LumitreeError(
+            f"{rays} of {dataset.folder} crosses the luminaire; capture it again, with more pixels"
+        )
     corners, column_steps, row_steps, directions = (
         np.stack(x) for x in zip(*geometry, strict=True)
     )

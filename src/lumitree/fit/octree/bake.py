@@ -212,7 +212,7 @@ def _continued_seed(asset: Asset, seed: int) -> int:
 
 
 def _visible_radiance(source: TracedRays, config: OctreeFitConfig) -> float:
-    """99.99th percentile of the radiance of pixels as wide as the smallest leaves.
+    """`TracedRays.max_radiance` of pixels as wide as the smallest leaves.
 
     Raises:
         LumitreeError: it is 0.
@@ -220,8 +220,9 @@ def _visible_radiance(source: TracedRays, config: OctreeFitConfig) -> float:
     max_radiance = source.max_radiance(2 / (1 << config.tree_depth), config.max_radiance)
     if not max_radiance > 0:
         raise LumitreeError(
-            f"{source.subject.name} sends no light out of its bounding box; a luminaire needs an "
-            "emitter that can be seen from outside"
+            f"no light of {source.subject.name} is seen from outside its bounding box; a luminaire "
+            "needs an emitter that can be, and one too small for rays to find can be baked with "
+            "--parts light"
         )
     return max_radiance
 
@@ -230,6 +231,11 @@ def _first_field(source: TracedRays, config: OctreeFitConfig, max_radiance: floa
     """The calibrated first estimate."""
     level = min(config.tree_depth, config.estimate.max_level)
     cells = grow(source, level, config.estimate)
+    if not len(cells):
+        raise LumitreeError(
+            f"no ray ends on a surface or in a medium of {source.subject.name}, so that it has no "
+            "radiance field; bake it with --parts light"
+        )
     first = estimate(source, cells, level, config.l_max, config.law, max_radiance, config.estimate)
     levels = np.full(len(first.cells), level)
     field = _field(config, source, first.cells, levels, first.density, first.coefficients)

@@ -28,7 +28,7 @@ _SHARE = 0.0, 1.0
 _EMISSION = 1e-9, 0.999
 _DECAY = 0.0, 0.9999
 _INTERVAL = 1e-3, 1.0
-_PRIOR = 0.0, 1e9
+_PRIOR = 1e-3, 1e9
 _PATHS_PER_RAY = 1e-3, 1e3
 _RAYS = TILE_RAYS, 1 << 30
 
@@ -105,8 +105,8 @@ class EstimateConfig(_Settings):
     logit_directions: int = _setting(32, (1, 1 << 16))
     min_emission: float = _setting(1e-5, _EMISSION)
     max_emission: float = _setting(0.99, _EMISSION)
-    prior_paths: float = _setting(20.0, (1e-3, 1e9))
-    prior_band_paths: float = _setting(200.0, _PRIOR)
+    prior_paths: float = _setting(20.0, _PRIOR)
+    prior_band_paths: float = _setting(200.0, (0.0, 1e9))
     opaque_from: float = _setting(0.9, _SHARE)
 
     def __post_init__(self) -> None:
@@ -229,7 +229,7 @@ class RefineConfig(_Settings):
 
     rays: int = _setting(1 << 15, _RAYS)
     light_paths_per_ray: float = _setting(0.5, _PATHS_PER_RAY)
-    opacity_rays_per_ray: int = _setting(4, (0, 1 << 10))
+    opacity_rays_per_ray: int = _setting(4, (1, 1 << 10))
     epsilon: float = _setting(0.0005, (1e-9, 1.0))
     opacity_weight: float = _setting(5.0, (0.0, 1e6))
     density_rate: float = _setting(0.15, _FACTOR)

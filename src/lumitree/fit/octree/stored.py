@@ -138,8 +138,7 @@ class StoredRays:
         resolution, tiles = self._manifest.resolution, count // TILE_RAYS
         self._sampler.seed(stream.seed(self._seed, 0), tiles)
         view = mi.UInt32(dr.minimum(self._sampler.next_1d() * images.count, images.count - 1))
-        free = max(1, resolution - TILE_SIDE + 1)
-        corner = mi.Point2i(dr.floor(self._sampler.next_2d() * free))
+        corner = mi.Point2i(dr.floor(self._sampler.next_2d() * resolution))
         dr.eval(view, corner)
         self._sampler.seed(stream.seed(self._seed, 1), count)
         index = dr.arange(mi.UInt32, count)
@@ -148,7 +147,8 @@ class StoredRays:
         pixel = dr.gather(mi.Point2i, corner, tile) + mi.Point2i(
             within % TILE_SIDE, within // TILE_SIDE
         )
-        pixel = dr.minimum(pixel, resolution - 1)
+        # Beyond an edge at the opposite one, so that all pixels are drawn alike.
+        pixel = pixel % resolution
         place = mi.Point2f(pixel) + self._sampler.next_2d()
         origin = (
             dr.gather(mi.Vector3f, images.corner, view)

@@ -137,6 +137,8 @@ class TracedRays:
     def max_radiance(self, pixel: float, config: MaxRadianceConfig) -> float:
         """99.99th percentile of radiance over the pixels of views all around.
 
+        If that is 0, the radiance of the brightest pixel: all light is from a small part.
+
         The rays of a tile average to a pixel; views also hold pixels beside the box, which rays do
         not visit.
 
@@ -152,7 +154,7 @@ class TracedRays:
         views = 4 * np.pi * np.pi * self.luminaire.bounding_radius**2
         brightest = max(1, round(1e-4 * 3 * (config.rays // TILE_RAYS) * views / near.measure))
         values = np.sort(pixels.ravel())
-        return float(values[-min(brightest, len(values))])
+        return float(values[-min(brightest, len(values))] or values[-1])
 
     def _wanted_rays(self, count: int, stream: SeedStream, wanted: Wanted) -> tuple[Any, Any]:
         origin, direction = self.random_rays(count, stream)

@@ -22,8 +22,8 @@ from lumitree.output.orientation import Up, turn_up
 from lumitree.output.point_lights import PlacedLights, place_lights
 
 _LINE = 120
-# Longest name of a thing in Blender, less what the script appends; bytes of UTF-8.
-_NAME_CHARACTERS = 12
+# Longest name of a thing in Blender, 63, less what the script appends; bytes of UTF-8.
+_NAME_BYTES = 48
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,8 +77,13 @@ def geometry_script(geometry: AssetGeometry, name: str, up: Up) -> LampScript:
     """
     surfaces = Surfaces(geometry)
     description, arrays = _surface_data(geometry, surfaces, turn_up(up, "z"))
-    description |= {"name": shown(name, _NAME_CHARACTERS), "radius": 1.0, "lights": []}
+    description |= {"name": _short(name), "radius": 1.0, "lights": []}
     return LampScript(_filled(description, arrays), 0, sorted(surfaces.lost))
+
+
+def _short(name: str) -> str:
+    """A name that Blender does not cut."""
+    return shown(name, _NAME_BYTES).encode()[:_NAME_BYTES].decode(errors="ignore")
 
 
 def _surface_data(
@@ -114,7 +119,7 @@ def _light_data(
     relative = tables * (4 * np.pi / local.flux.mean(axis=1))[:, None, None, None]
     watts, total = points.watts.mean(axis=1), points.watts.sum(axis=0)
     description = {
-        "name": shown(asset.luminaire, _NAME_CHARACTERS),
+        "name": _short(asset.luminaire),
         "radius": float(frame.scale * np.linalg.norm(frame.half_extents)),
         "lights": [
             {"position": place, "watts": power}

@@ -29,7 +29,7 @@ def find_target(output: FilePath) -> Target:
         LumitreeError: there is none.
     """
     text = os.fspath(output)
-    suffix = "" if text.endswith("/") else Path(text).suffix
+    suffix = "" if text.endswith("/") else Path(text).suffix.lower()
     if suffix not in TARGETS:
         raise LumitreeError(
             f"output {shown(repr(text), 300)} does not end in {', '.join(filter(None, TARGETS))}, "

@@ -1,6 +1,8 @@
 """What a target of `lumitree export` is given, and what it returns."""
 
 import dataclasses
+import hashlib
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -32,8 +34,15 @@ class ExportRequest:
 
     @property
     def stem(self) -> str:
-        """The name without its suffix, of letters, digits, `_`, `.` and `-`, for other files."""
-        return re.sub(r"[^\w.-]", "_", Path(self.name).stem, flags=re.ASCII)
+        """The name without its suffix, of letters, digits, `_`, `.` and `-`, for other files.
+
+        Where others are replaced, with a digest: two names do not become one.
+        """
+        stem = Path(self.name).stem
+        plain = re.sub(r"[^\w.-]", "_", stem, flags=re.ASCII)
+        if plain == stem:
+            return stem
+        return f"{plain}-{hashlib.sha256(os.fsencode(stem)).hexdigest()[:8]}"
 
     @property
     def triangles(self) -> int:

@@ -93,10 +93,15 @@ class MaterialWriter:
 
 
 def _diffuse(surface: Surface) -> Layer:
-    """The colour; that of clear glass is its tint."""
+    """The colour; that of clear glass is what its tint has above its least channel.
+
+    What is not transparent of a surface is diffuse here: near a lamp grey glass would glow.
+    """
     material = surface.material
     if material.transmission == Layer() and material.colour.texture is None:
-        return Layer(surface.tint)
+        red, green, blue = surface.tint
+        least = min(surface.tint)
+        return Layer((red - least, green - least, blue - least))
     return material.colour
 
 

@@ -2,7 +2,10 @@
 const orbit = { yaw: 0, pitch: 0, distance: 0, target: [0, 0, 0], up: 1, fov: 0.6 };
 function resetView() {
   const [yaw, pitch] = asset.view;
-  Object.assign(orbit, { yaw, pitch, target: [0, 0, 0], distance: 0.92 * Math.hypot(...asset.half_extents) / Math.sin(orbit.fov / 2) });
+  // The bounding sphere fills the shorter side of the view.
+  const aspect = canvas.clientWidth / canvas.clientHeight || 1;
+  const half = Math.atan(Math.tan(orbit.fov / 2) * Math.min(1, aspect));
+  Object.assign(orbit, { yaw, pitch, target: [0, 0, 0], distance: Math.hypot(...asset.half_extents) / Math.sin(half) });
 }
 function currentView() {
   const c = Math.cos(orbit.pitch), local = [c * Math.sin(orbit.yaw), Math.sin(orbit.pitch), c * Math.cos(orbit.yaw)];

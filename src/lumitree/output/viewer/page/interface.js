@@ -265,8 +265,11 @@ async function start() {
   readSides(false);
   // The part of the address after # opens the page in a state, as #tab=walls&mode=3&stops=2.
   const wanted = new URLSearchParams(location.hash.slice(1));
-  for (const [name, id] of [["mode", "mode"], ["stops", "exposure"], ["tone", "curve"], ["background", "backdrop"], ["up", "up"]])
-    if (wanted.has(name)) $(id).value = wanted.get(name);
+  for (const [name, id] of [["mode", "mode"], ["stops", "exposure"], ["tone", "curve"], ["background", "backdrop"], ["up", "up"]]) {
+    const value = wanted.get(name), choices = $(id).options;
+    // Not all assets have all choices.
+    if (value !== null && (!choices || [...choices].some(each => each.value === value))) $(id).value = value;
+  }
   orbit.up = +$("up").value;
   for (const name of ["yaw", "pitch"]) if (wanted.has(name)) orbit[name] = +wanted.get(name) || 0;
   selectTab(asset.light_field && wanted.get("tab") === "walls" ? "walls" : "lamp");
