@@ -26,7 +26,11 @@ def add(commands: Any) -> None:
         "--lights", type=int, metavar="N", default=16, help="largest number of point lights"
     )
     parser.add_argument(
-        "--up", choices=("y", "z"), default="y", help="axis that points up in the lamp's file"
+        "--up",
+        choices=("y", "z"),
+        default="y",
+        help="axis that points up in the Mitsuba scene of the lamp; models and photometric files "
+        "have y up once they are baked (default: y)",
     )
     parser.add_argument(
         "--blender",

@@ -88,8 +88,9 @@ def export(
         output: path of the file to write, beside which other files have names derived from it; or
             of a folder that is new or empty.
         lights: largest number of point lights, 1 to 1,024.
-        up: the axis that points up in the luminaire's file, "y" or "z". Each program has its own
-            axis up (`ExportResult.orientation`), to which the lamp is turned.
+        up: the axis that points up in the luminaire's Mitsuba scene, "y" or "z"; models and
+            photometric files have y up once they are baked. Each program has its own axis up
+            (`ExportResult.orientation`), to which the lamp is turned.
         blender: program that makes `.blend` and `.vdb` files: Blender, or a Python with the module
             `bpy`. Default: `blender` on the search path, else this Python if it has `bpy`.
         seed: root seed of the clusters.

@@ -210,7 +210,13 @@ function connect() {
   $("tabs").hidden = !asset.light_field;
   for (const id of ["exposure", "curve", "backdrop"]) $(id).addEventListener("input", () => schedule());
   $("mode").addEventListener("input", () => schedule({ field: true }));
-  $("backdrop").addEventListener("change", () => { if ($("backdrop").value === "2") $("file").click(); });
+  let chosen = $("backdrop").value;
+  $("backdrop").addEventListener("change", () => {
+    if ($("backdrop").value === "2") $("file").click();
+    else chosen = $("backdrop").value;
+  });
+  // No image was chosen: the backdrop is what it was.
+  $("file").addEventListener("cancel", () => { $("backdrop").value = chosen; schedule(); });
   $("file").addEventListener("change", async () => {
     const file = $("file").files[0];
     $("file").value = "";
