@@ -16,6 +16,7 @@ import pytest
 from lumitree._version import __version__
 from lumitree.core.executor import _run, check_executor, run_tasks, tasks_at_once
 from lumitree.core.files import WriteError
+from lumitree.core.interrupt import Interrupted
 from lumitree.core.process_pool import process_pool
 from lumitree.core.system import num_cores
 from lumitree.core.work_folder import BusyFolderError
@@ -173,6 +174,8 @@ def test_tasks_run_with_the_variant_that_was_set_where_they_were_submitted(monke
     """What a worker keeps from an earlier task is of that variant."""
     loaded = []
     monkeypatch.setattr("lumitree.core.executor.load_mitsuba", loaded.append)
+    # As after a task that has used it.
+    monkeypatch.setitem(sys.modules, "mitsuba", sys.modules.get("mitsuba"))
     for variant in ("llvm_ad_spectral", "llvm_ad_rgb", None):
         monkeypatch.setattr("lumitree.core.executor.variant_here", lambda variant=variant: variant)
         assert results(LastFirst(), executors.double, [1]) == [(0, 2)]
@@ -242,6 +245,20 @@ def test_the_end_of_a_pool_stops_tasks(tmp_path):
     assert (tmp_path / "b.saved").exists()
 
 
+def test_a_signal_that_reaches_a_worker_first_begins_no_task(tmp_path):
+    with process_pool(1) as executor:
+        futures = [
+            executor.submit(_task, executors.begin_and_wait, tmp_path, name) for name in ("a", "b")
+        ]
+        while not (begun := list(tmp_path.iterdir())):
+            time.sleep(0.01)
+        os.kill(int(begun[0].name.partition(".")[2]), signal.SIGTERM)
+        for each in futures:
+            with pytest.raises(Interrupted):
+                each.result(LONG / 2)
+    assert list(tmp_path.iterdir()) == begun
+
+
 def _task(*arguments):
     return _run(__version__, None, arguments[0], arguments[1:])
 
@@ -250,6 +267,7 @@ SCRIPT = """
 import sys
 from lumitree.core.executor import run_tasks
 from lumitree.core.interrupt import interruptible
+from lumitree.core.interrupt import Interrupted
 from lumitree.core.process_pool import process_pool
 from lumitree.core.system import num_cores
 from support import executors

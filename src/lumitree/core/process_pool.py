@@ -87,14 +87,21 @@ def process_pool(workers: int) -> Iterator[Executor]:
 
 @contextlib.contextmanager
 def stopped_by_pool() -> Iterator[None]:
-    """Context of a task: in a worker of a pool the end of the pool raises `Interrupted` in it."""
+    """Context of a task: in a worker of a pool the end of the pool raises `Interrupted` in it.
+
+    A signal that reaches a worker first ends the pool too: otherwise the next task would begin.
+    """
     if _ended is None:
         yield
         return
-    with interruptible():
-        if _ended.value:
-            raise Interrupted(number=signal.SIGTERM)
-        yield
+    try:
+        with interruptible():
+            if _ended.value:
+                raise Interrupted(number=signal.SIGTERM)
+            yield
+    except Interrupted:
+        _ended.value = True
+        raise
 
 
 class _Process(SpawnProcess):
