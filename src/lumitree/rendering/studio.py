@@ -27,7 +27,7 @@ from lumitree.trace.tracing import PATH_DEPTH, path_integrator
 
 # Radiance of the backdrop and of the softboxes, relative to white; and how much brighter the lamp's
 # own light is than at its automatic exposure.
-_BACKDROP, _SOFTBOX, _OWN = 0.125, 3.0, 2.0
+BACKDROP, SOFTBOX, OWN = 0.125, 3.0, 2.0
 # Directions of the softboxes from the lamp, their distance and half their side, in half sides of
 # the image: none of them is in the image.
 _DIRECTIONS = ((1, 0.7, 1), (-1, 0.7, 1), (1, 0.7, -1), (-1, 0.7, -1))
@@ -54,9 +54,9 @@ def asset_photographs(
     """
     if asset.geometry is None:
         shown = shown_images(asset, poses, half_width, resolution, samples_per_pixel)
-        factor = _OWN * (auto_exposure(shown[0][0]) if exposure is None else exposure)
+        factor = OWN * (auto_exposure(shown[0][0]) if exposure is None else exposure)
         return [
-            tonemap(radiance * factor + _BACKDROP * (1 - opacity[..., None]))
+            tonemap(radiance * factor + BACKDROP * (1 - opacity[..., None]))
             for radiance, opacity in shown
         ]
     studio = _Studio(scene_alone(asset), geometry_integrator(), half_width, resolution)
@@ -85,10 +85,52 @@ def luminaire_photographs(
 def portrait(asset: Asset, resolution: int, samples_per_pixel: int) -> NDArray[np.uint8]:
     """sRGB image [H, W, 3] of an asset from obliquely in front, which its box fills."""
     pose = pose_towards(_PORTRAIT, (0, 1, 0), 4.0)
-    # Half the width of the bounding box as the camera sees it.
-    across, up = np.abs(pose[:3, :2].T) @ asset.frame.half_extents
-    half_width = _MARGIN * max(across, up)
+    half_width = portrait_half_width(asset)
     return asset_photographs(asset, [pose], half_width, resolution, samples_per_pixel)[0]
+
+
+def portrait_half_width(asset: Asset) -> float:
+    """Half the side of a portrait, local units."""
+    # Half the width of the bounding box as the camera sees it.
+    seen = np.abs(pose_towards(_PORTRAIT, (0, 1, 0), 4.0)[:3, :2].T) @ asset.frame.half_extents
+    return _MARGIN * float(seen.max())
+
+
+def softboxes(half_width: float) -> list[NDArray[np.float64]]:
+    """Squares from -1 to 1 that light a lamp, as [4, 4] `local_from_square`.
+
+    They emit along their +z, and are dark behind.
+
+    Args:
+        half_width: half the side of the image, local units.
+    """
+    side = _HALF_SIDE * half_width
+    return [
+        # Away from where a camera at this pose looks.
+        pose_towards(direction, (0, 1, 0), _DISTANCE * half_width) @ np.diag([side, -side, -1, 1])
+        for direction in _DIRECTIONS
+    ]
+
+
+def studio_lights(
+    half_width: float, white: float, scene_from_local: NDArray[np.float64] | None = None
+) -> dict[str, Any]:
+    """The backdrop and the softboxes, for `mi.load_dict`.
+
+    Args:
+        half_width: half the side of the image, local units.
+        white: radiance of white, W/(m² sr).
+        scene_from_local: [4, 4]. Default: the frame of the scene is the local one.
+    """
+    lights: dict[str, Any] = {"backdrop": _emitter("constant", BACKDROP * white)}
+    frame = np.eye(4) if scene_from_local is None else scene_from_local
+    for number, local_from_square in enumerate(softboxes(half_width)):
+        lights[f"softbox{number}"] = {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f(frame @ local_from_square),
+            "emitter": _emitter("area", SOFTBOX * white),
+        }
+    return lights
 
 
 class _Studio:
@@ -103,17 +145,7 @@ class _Studio:
         scene_from_local: NDArray[np.float64] | None = None,
     ) -> None:
         frame = np.eye(4) if scene_from_local is None else scene_from_local
-        lights: dict[str, Any] = {"backdrop": _emitter("constant")}
-        for number, direction in enumerate(_DIRECTIONS):
-            pose = pose_towards(direction, (0, 1, 0), _DISTANCE * half_width)
-            side = _HALF_SIDE * half_width
-            # A rectangle emits along +z, away from where a camera at this pose looks.
-            turned = frame @ pose @ np.diag([side, -side, -1, 1])
-            lights[f"softbox{number}"] = {
-                "type": "rectangle",
-                "to_world": mi.ScalarTransform4f(turned),
-                "emitter": _emitter("area"),
-            }
+        lights = studio_lights(half_width, 0.0, frame)
         self._camera = LampCamera({**lamp, **lights}, integrator, half_width, resolution, frame)
 
     def photographs(
@@ -128,21 +160,20 @@ class _Studio:
         if exposure is None:
             # The same scene, whose kernel is compiled once.
             exposure = auto_exposure(self._camera.take(poses[0], samples_per_pixel, 0, name)[0])
-        self._light(1 / (_OWN * exposure))
+        self._light(1 / (OWN * exposure))
         return [
-            tonemap(self._camera.take(pose, samples_per_pixel, index, name)[0], _OWN * exposure)
+            tonemap(self._camera.take(pose, samples_per_pixel, index, name)[0], OWN * exposure)
             for index, pose in enumerate(poses)
         ]
 
     def _light(self, level: float) -> None:
         """Switch the studio on; white is a radiance of `level`, W/(m² sr)."""
         parameters = mi.traverse(self._camera.scene)
-        parameters["backdrop.radiance.value"] = _BACKDROP * level
+        parameters["backdrop.radiance.value"] = BACKDROP * level
         for number in range(len(_DIRECTIONS)):
-            parameters[f"softbox{number}.emitter.radiance.value"] = _SOFTBOX * level
+            parameters[f"softbox{number}.emitter.radiance.value"] = SOFTBOX * level
         parameters.update()
 
 
-def _emitter(kind: str) -> dict[str, Any]:
-    """An emitter that is switched off."""
-    return {"type": kind, "radiance": {"type": "rgb", "value": 0.0}}
+def _emitter(kind: str, radiance: float) -> dict[str, Any]:
+    return {"type": kind, "radiance": {"type": "rgb", "value": radiance}}

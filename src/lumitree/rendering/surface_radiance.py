@@ -1,5 +1,6 @@
 """Mean radiance that the surfaces of an asset's geometry send out, as images show it."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import drjit as dr
@@ -28,6 +29,7 @@ def vertex_radiance(
     faces: NDArray[np.uint32],
     samples_per_face: int,
     name: str = "surfaces",
+    lights: Mapping[str, Any] | None = None,
 ) -> NDArray[np.float32]:
     """Mean radiance at the vertices of surfaces, over all directions of the front's hemisphere.
 
@@ -41,11 +43,12 @@ def vertex_radiance(
         faces: [F, 3] triangles, whose fronts are those of the geometry.
         samples_per_face: paths for each face.
         name: for the display of progress.
+        lights: other members of the scene, for `mi.load_dict`, local frame. Default: none.
 
     Returns:
         [V, 3], W/(m² sr); 0 for a vertex of no face.
     """
-    scene = mi.load_dict(scene_alone(asset))
+    scene = mi.load_dict({**scene_alone(asset), **(lights or {})})
     integrator: Any = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
     points = on_device(mi.Float, vertices)
     corners = on_device(mi.UInt32, faces)

@@ -82,6 +82,7 @@ def model_shapes():
 def test_image_is_that_of_the_model(mi, tmp_path):
     """Of all kinds of surfaces, as `lumitree_path` shows it; what is beside it is not hidden."""
     from lumitree.rendering.plugins.register import shape
+    from lumitree.rendering.studio import BACKDROP, portrait_half_width, studio_lights
 
     shapes, materials = model_shapes()
     checks = np.where((np.indices((64, 64)) // 32).sum(axis=0) % 2, 230, 60).astype(np.uint8)
@@ -111,6 +112,27 @@ def test_image_is_that_of_the_model(mi, tmp_path):
     assert nothing.any()
     assert (pixels[..., 3][nothing] > 0.98).all()
     assert pixels[..., 3][expected[..., 3] == 1].mean() < 0.5
+    # Absorbing glass tints it: the most of red.
+    seen = floats(found["seen"]).reshape(48, 48, 4)[::-1, :, :3]
+    np.testing.assert_allclose(seen.mean(axis=-1), pixels[..., 3], atol=1e-5)
+    tinted = seen[expected[..., 3] == 1].mean(axis=0)
+    assert tinted[0] > 1.1 * tinted[1] > 1.1 * tinted[2]
+
+    # In the studio, with the lamp switched off. Cameras of the page see no softboxes.
+    off = tuple({**each, "radiance": None} for each in shapes)
+    unlit = dataclasses.replace(asset, geometry=dataclasses.replace(geometry, shapes=off))
+    lamp = shape(unlit, np.eye(4), appearance="geometry")
+    lights = studio_lights(portrait_half_width(asset), 1.0)
+    scene = mi.load_dict({"type": "scene", "sensor": sensor, "lamp": lamp, **lights})
+    expected = np.array(mi.render(scene, integrator=integrator, spp=2048))[..., :3]
+    soft = floats(found["soft"]).reshape(48, 48, 4)[::-1, :, :3]
+    np.testing.assert_allclose(soft[nothing], BACKDROP, rtol=1e-5)
+    surface = np.where(nothing[..., None], 0, 1).reshape(12, 4, 12, 4, 1).min(axis=(1, 3))
+    shown, wanted = (
+        surface * each.reshape(12, 4, 12, 4, 3).mean(axis=(1, 3)) for each in (soft, expected)
+    )
+    assert shown.mean(axis=(0, 1)) == pytest.approx(wanted.mean(axis=(0, 1)), rel=0.03)
+    assert np.abs(shown - wanted).mean() < 0.04 * wanted.mean()
 
 
 @pytest.mark.parametrize(("law", "l_max"), [("linear", 2), ("exponential", 4)])

@@ -6,6 +6,7 @@ Symbols
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import mitsuba as mi
@@ -19,6 +20,7 @@ from lumitree.output.geometry_meshes import geometry_meshes, meshed
 from lumitree.output.viewer.patterns import SIDE, Patterns
 from lumitree.output.viewer.surfaces import Kind, Surface, page_surface
 from lumitree.output.viewer.triangles import Triangles
+from lumitree.rendering.studio import portrait_half_width, studio_lights
 from lumitree.rendering.surface_radiance import vertex_radiance
 
 # Codes of coordinates from -1 to 1, local units, and of octahedral coordinates of normals.
@@ -41,8 +43,9 @@ class PageModel:
         description: numbers, for JSON.
         arrays: codes by name: "positions" [V, 3], "normals" [V, 2], "places" [V, 2] on the
             image of their pattern, "light" [V, 6] of the front's and the back's R, G and B, which
-            the pattern is a factor of; "triangles" [F, 3], vertices; and "surfaces" [F], rows of
-            the description's "surfaces".
+            the pattern is a factor of, and "soft" [V, 6], the same by the light of the studio
+            alone; "triangles" [F, 3], vertices; and "surfaces" [F], rows of the description's
+            "surfaces".
     """
 
     description: dict[str, Any]
@@ -70,13 +73,20 @@ def page_model(asset: Asset) -> PageModel:
     vertices, normals, places, means, faces, surfaces = triangles.joined()
     ends = np.array([row.kind == Kind.ENDS for row in rows])[surfaces]
     backs = ends & np.array([row.has_back for row in rows])[surfaces]
-    light = _sent_out(asset, vertices, means, faces[ends], faces[backs])
+    seen = faces[ends], faces[backs]
+    light = _sent_out(asset, vertices, means, *seen)
     largest = float(light.max()) or 1.0
+    # The pattern of an emitter is that of its own light.
+    means[faces[np.array([row.emits for row in rows])[surfaces]]] = 1.0
+    lights = studio_lights(portrait_half_width(asset), 1.0)
+    soft = _sent_out(_unlit(asset), vertices, means, *seen, lights)
+    largest_soft = float(soft.max()) or 1.0
 
     description = {
         "triangles": len(faces),
         "surfaces": [number for row in rows for number in row.numbers()],
         "max_radiance": largest,
+        "max_soft": largest_soft,
         "patterns": patterns.encoded(),
         "pattern_side": SIDE,
         "codes": [
@@ -92,10 +102,18 @@ def page_model(asset: Asset) -> PageModel:
         "normals": _codes(_on_octahedron(normals), _NORMAL_CODES).astype(np.int16),
         "places": np.rint(places * _PLACE_CODES).astype(np.int32),
         "light": _radiance_codes(light / largest),
+        "soft": _radiance_codes(soft / largest_soft),
         "triangles": faces.astype(np.int32),
         "surfaces": surfaces.astype(np.uint8 if len(rows) <= 256 else np.uint16),
     }
     return PageModel(description, arrays)
+
+
+def _unlit(asset: Asset) -> Asset:
+    """The asset, whose geometry emits nothing."""
+    assert asset.geometry is not None
+    shapes = tuple({**shape, "radiance": None} for shape in asset.geometry.shapes)
+    return dataclasses.replace(asset, geometry=dataclasses.replace(asset.geometry, shapes=shapes))
 
 
 def _sent_out(
@@ -104,8 +122,13 @@ def _sent_out(
     pattern: NDArray[np.float32],
     fronts: NDArray[Any],
     backs: NDArray[Any],
+    lights: Mapping[str, Any] | None = None,
 ) -> NDArray[np.float32]:
-    """Mean radiance [V, 6] that vertices send out at front and back, over that of a pattern."""
+    """Mean radiance [V, 6] that vertices send out at front and back, over that of a pattern.
+
+    Args:
+        lights: as for `vertex_radiance`.
+    """
     count = len(vertices)
     if not len(fronts):
         return np.zeros((count, 6), np.float32)
@@ -113,9 +136,8 @@ def _sent_out(
     faces = np.concatenate([fronts, backs[:, ::-1] + count])
     paths = int(np.clip(_PATHS // len(faces), _LEAST_PATHS, _MOST_PATHS))
     both = np.concatenate([vertices, vertices])
-    radiance = vertex_radiance(
-        asset, both, faces.astype(np.uint32), paths, f"surfaces of {asset.luminaire}"
-    )
+    name = f"surfaces of {asset.luminaire}" + (", softly lit" if lights else "")
+    radiance = vertex_radiance(asset, both, faces.astype(np.uint32), paths, name, lights)
     # A vertex has a third of the paths of six triangles.
     steps = math.ceil(max(0.0, _PATHS_A_VERTEX / (2 * paths) - 1) / _JOINED)
     front, back = np.split(_smoothed(radiance, np.concatenate([pattern, pattern]), faces, steps), 2)

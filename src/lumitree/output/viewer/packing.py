@@ -30,6 +30,7 @@ from lumitree.errors import LumitreeError
 from lumitree.octree.wide_nodes import wide_levels, wide_nodes
 from lumitree.output.viewer.light_as_field import DEFAULT_VIEW, brightest_view, light_as_field
 from lumitree.output.viewer.model import page_model
+from lumitree.rendering.studio import BACKDROP, OWN, SOFTBOX, portrait_half_width, softboxes
 
 # WebGL 2 textures of 4096 texels a row; GPUs in use have at least 8192 rows.
 MAX_TEXELS = 4096 * 8192
@@ -94,6 +95,15 @@ def pack_asset(asset: Asset) -> PackedAsset:
         "view": view,
         "half_extents": asset.frame.half_extents.tolist(),
         "scale": float(asset.frame.scale),
+        "studio": {
+            "backdrop": BACKDROP,
+            "own": OWN,
+            "softbox": SOFTBOX,
+            # Columns of each: half of two sides, direction of the light and middle.
+            "softboxes": [
+                box[:3].T.ravel().tolist() for box in softboxes(portrait_half_width(asset))
+            ],
+        },
         "field": field,
         "model": model,
         "light_field": light,

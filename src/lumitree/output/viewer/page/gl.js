@@ -71,7 +71,11 @@ function makeProgram(fragment, defines = "") {
 class Layers { constructor(texture) { this.texture = texture; } }
 const layers = texture => new Layers(texture);
 
-// Draws one triangle over the viewport. Values: numbers, [1i|f, number], arrays, or textures.
+// An array of vectors of three numbers, as a value for `draw`.
+class Vectors { constructor(numbers) { this.numbers = numbers; } }
+const vectors = numbers => new Vectors(numbers);
+
+// Draws one triangle over the viewport. Values: numbers, arrays, vectors, or textures.
 function draw({ program, place }, values) {
   gl.useProgram(program);
   let unit = 0;
@@ -83,6 +87,7 @@ function draw({ program, place }, values) {
       else gl.bindTexture(gl.TEXTURE_2D, value);
       gl.uniform1i(at, unit++);
     } else if (typeof value === "number") gl.uniform1f(at, value);
+    else if (value instanceof Vectors) gl.uniform3fv(at, value.numbers);
     else if (value instanceof Int32Array) gl.uniform1iv(at, value);
     else if (value.length === 9) gl.uniformMatrix3fv(at, false, value);
     else gl[`uniform${value.length}fv`](at, value);

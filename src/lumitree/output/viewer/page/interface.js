@@ -30,6 +30,8 @@ function resize() {
   if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
 }
 
+// Backdrop that is a file.
+const IMAGE = "2";
 // The last mode shows the geometry, the others the field.
 const MODEL = 4, source = () => +$("mode").value === MODEL ? model : field;
 function drawLamp() {
@@ -50,10 +52,12 @@ function drawLamp() {
   gl.viewport(0, 0, canvas.width, canvas.height);
   const mode = +$("mode").value, stops = +$("exposure").value;
   draw(display, {
-    radiance: shown.target.textures[0], details: field.target.textures[1], background, colours,
+    radiance: shown.target.textures[0], seen: model.target.textures[1], soft: model.target.textures[2], details: field.target.textures[1], background, colours,
     resolution: [canvas.width, canvas.height], gain: state.keys.get(shown) * 2 ** stops, max_density: field.maxDensity,
+    own: asset.studio.own, studio_backdrop: asset.studio.backdrop, brightness: 2 ** stops, modelled: int(mode === MODEL ? 1 : 0),
     tree_depth: asset.field?.tree_depth ?? 0, mode: int(mode === MODEL ? 0 : mode), curve: int(+$("curve").value), backdrop: int(+$("backdrop").value),
   });
+  $("another").hidden = $("backdrop").value !== IMAGE;
   $("exposure-text").textContent = `${stops > 0 ? "+" : ""}${stops} stops`;
   $("marks").replaceChildren();
   if (mode === 2) legend([0, 1, 2, 3, 4].map(i => [i / 4, number(field.maxDensity * 10 ** (i - 4))]), "mean density of the leaves on the ray, per half of the longest side");
@@ -212,9 +216,10 @@ function connect() {
   $("mode").addEventListener("input", () => schedule({ field: true }));
   let chosen = $("backdrop").value;
   $("backdrop").addEventListener("change", () => {
-    if ($("backdrop").value === "2") $("file").click();
+    if ($("backdrop").value === IMAGE) $("file").click();
     else chosen = $("backdrop").value;
   });
+  $("another").addEventListener("click", () => $("file").click());
   // No image was chosen: the backdrop is what it was.
   $("file").addEventListener("cancel", () => { $("backdrop").value = chosen; schedule(); });
   $("file").addEventListener("change", async () => {
@@ -225,12 +230,12 @@ function connect() {
       const image = await createImageBitmap(file);
       gl.bindTexture(gl.TEXTURE_2D, background);
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
-      schedule();
+      chosen = IMAGE;
     } catch {
       // Not an image that this browser can read.
-      $("backdrop").value = "1";
-      schedule();
+      $("backdrop").value = chosen;
     }
+    schedule();
   });
   $("up").addEventListener("input", () => { orbit.up = +$("up").value; schedule({ field: true }); });
   $("reset").addEventListener("click", () => { resetView(); schedule({ field: true }); });
@@ -269,7 +274,12 @@ async function start() {
     if (available) state.keys.set(each, meter(each));
   state.loaded = true;
   readSides(false);
-  // The part of the address after # opens the page in a state, as #tab=walls&mode=3&stops=2.
+  readAddress();
+  window.addEventListener("hashchange", readAddress);
+}
+
+// The part of the address after # sets the state, as #tab=walls&mode=3&stops=2.
+function readAddress() {
   const wanted = new URLSearchParams(location.hash.slice(1));
   for (const [name, id] of [["mode", "mode"], ["stops", "exposure"], ["tone", "curve"], ["background", "backdrop"], ["up", "up"]]) {
     const value = wanted.get(name), choices = $(id).options;
@@ -292,7 +302,8 @@ window.lumitree = {
     for (let i = 0; i < samples && !shown.complete; ++i) ms += shown.draw(view, width, height);
     const { max_radiance } = asset.model ?? asset.field;
     const radiance = readTarget(shown.target, 0).map((x, i) => i % 4 === 3 ? x : x * max_radiance);
-    return { ms, radiance: toBase64(radiance), details: asset.model ? null : toBase64(readTarget(shown.target, 1)) };
+    const more = (asset.model ? ["seen", "soft"] : ["details"]).map((name, i) => [name, toBase64(readTarget(shown.target, 1 + i))]);
+    return { ms, radiance: toBase64(radiance), ...Object.fromEntries(more) };
   },
   async illuminance({ room, samples, patches }) {
     await this.ready;

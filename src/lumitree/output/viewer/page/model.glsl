@@ -5,11 +5,14 @@
 uniform isampler2D triangles;   // vertices and surface
 uniform sampler2D vertices;     // position; normal; and in w the place on the image of the pattern
 uniform sampler2D light;        // radiance of the front; of the back; relative to the largest
+uniform sampler2D soft_light;   // the same by the light of the studio; relative to white
 uniform sampler2D boxes;        // lower corner; upper corner; of leaves the first triangle, and the next one's
 uniform sampler2D surfaces;     // five texels, see Surface.numbers
 uniform sampler2D lights;       // of triangles that emit: sum of the power up to it, relative; number
 uniform mediump sampler2DArray patterns;
-uniform sampler2D previous;     // the image so far
+uniform sampler2D previous, previous_seen, previous_soft;   // the image so far
+uniform vec3 softboxes[16];     // of each: half of two sides, direction of the light, middle
+uniform float softbox, studio_backdrop;   // radiance, relative to white
 uniform int num_lights;
 uniform float power;            // of these triangles: luminance times area
 uniform int depth, sample_;     // of the tree's leaves; number of the sample
@@ -17,7 +20,9 @@ uniform vec3 eye;
 uniform mat3 camera;            // columns: right, up, forward
 uniform vec2 half_field;        // tangents of half the field of view
 uniform vec2 resolution;
-layout(location = 0) out vec4 radiance;   // radiance / largest; share of the light behind that is seen
+layout(location = 0) out vec4 radiance;   // radiance / largest; mean share of the light behind that is seen
+layout(location = 1) out vec4 seen;       // this share by colour
+layout(location = 2) out vec4 soft;       // radiance / white by the light of the studio, its backdrop included
 
 const int GLASS = 1, THIN_GLASS = 2, METAL = 3, HAS_BACK = 1, SMOOTH = 2, BETWEEN_MEDIA = 4, EMITS = 8, GGX = 16;
 const int MAX_VERTICES = 64, ROULETTE_FROM = 8, MAX_CROSSINGS = 32;
@@ -125,16 +130,36 @@ float fresnel(float c, float index, out float c_t) {   // index: beyond over bef
 
 vec3 schlick(vec3 r, float c) { return r + (1.0 - r) * pow(1.0 - c, 5.0); }
 
-// Radiance of a point of a triangle, by barycentric coordinates, at its front (0) or back (1).
-vec3 sent_out(ivec4 t, vec3 at, int back) {
-  vec3 sent = at.x * texelFetch(light, texel(2 * t.x + back), 0).rgb + at.y * texelFetch(light, texel(2 * t.y + back), 0).rgb
-    + at.z * texelFetch(light, texel(2 * t.z + back), 0).rgb;
+// Mean of a value of the corners of a triangle, by barycentric coordinates, at its front (0) or back (1).
+vec3 between(sampler2D values, ivec4 t, vec3 at, int back) {
+  return at.x * texelFetch(values, texel(2 * t.x + back), 0).rgb + at.y * texelFetch(values, texel(2 * t.y + back), 0).rgb
+    + at.z * texelFetch(values, texel(2 * t.z + back), 0).rgb;
+}
+vec3 pattern(ivec4 t, vec3 at) {
   float number = texelFetch(surfaces, texel(5 * t.w + 1), 0).w;
-  if (number == 0.0) return sent;
+  if (number == 0.0) return vec3(1);
   vec2 place = vec2(0);
   for (int k = 0; k < 3; ++k)
     place += at[k] * vec2(texelFetch(vertices, texel(2 * t[k]), 0).w, texelFetch(vertices, texel(2 * t[k] + 1), 0).w);
-  return sent * textureLod(patterns, vec3(place, number - 1.0), 0.0).rgb;
+  return textureLod(patterns, vec3(place, number - 1.0), 0.0).rgb;
+}
+// Radiance of a point of a triangle.
+vec3 sent_out(ivec4 t, vec3 at, int back) { return between(light, t, at, back) * pattern(t, at); }
+vec3 sent_out_softly(ivec4 t, vec3 at, int back, int flags) {
+  // The pattern of an emitter is that of its own light.
+  return between(soft_light, t, at, back) * ((flags & EMITS) != 0 ? vec3(1) : pattern(t, at));
+}
+
+// Radiance of the studio, which a ray meets that leaves the lamp.
+float studio(vec3 o, vec3 d) {
+  for (int k = 0; k < 16; k += 4) {
+    vec3 x = softboxes[k], y = softboxes[k + 1], z = softboxes[k + 2];
+    float c = dot(d, z);
+    if (c >= 0.0) continue;
+    vec3 at = o + dot(softboxes[k + 3] - o, z) / c * d - softboxes[k + 3];
+    if (dot(at, d) >= dot(o - softboxes[k + 3], d) && abs(dot(at, x)) <= dot(x, x) && abs(dot(at, y)) <= dot(y, y)) return softbox;
+  }
+  return studio_backdrop;
 }
 
 float luminance(vec3 c) { return dot(c, vec3(0.2126, 0.7152, 0.0722)); }
@@ -199,14 +224,18 @@ vec3 sampled_light(vec3 p, vec3 i, vec3 n, vec3 face, vec3 reflected, Rough roug
   return share * sent * schlick(reflected, c_m) * facets * hidden(dot(i, n), rough) * hidden(c_o, rough) / (4.0 * dot(i, n)) / (by_light + by_facets);
 }
 
-// Radiance along a ray, and the share of the light behind the lamp that it shows.
-vec4 follow(vec3 o, vec3 d) {
+// Along a ray: radiance, the share of the light behind the lamp that it shows, and radiance in the studio.
+struct Seen { vec3 own, behind, soft; };
+Seen follow(vec3 o, vec3 d) {
+  // Of the lamp's own light the share is less by the weight of sampled emitters.
   vec3 share = vec3(1), absorption = vec3(0), sum = vec3(0), rough_at = vec3(0);
+  bool bent = false;
   float by_facets = -1.0;   // density of the direction from the last vertex, if emitters were sampled there
   bool straight = false;
   for (int n = 0; n < MAX_VERTICES; ++n) {
     Hit hit = intersect(o, d);
-    if (hit.triangle < 0) return vec4(sum, straight ? 0.0 : dot(share, vec3(1.0 / 3.0)));
+    // Nobody sees the softboxes but in the lamp.
+    if (hit.triangle < 0) return Seen(sum, straight ? vec3(0) : share, share * (bent ? studio(o, d) : studio_backdrop));
     share *= exp(-absorption * hit.t);
     ivec4 t = texelFetch(triangles, texel(hit.triangle), 0);
     vec4 s = texelFetch(surfaces, texel(5 * t.w), 0);
@@ -215,15 +244,16 @@ vec4 follow(vec3 o, vec3 d) {
     vec3 a = texelFetch(vertices, texel(2 * t.x), 0).xyz, b = texelFetch(vertices, texel(2 * t.y), 0).xyz, c = texelFetch(vertices, texel(2 * t.z), 0).xyz;
     vec3 face = normalize(cross(b - a, c - a)), normal = face;
     bool front = dot(d, face) < 0.0;
-    if (!front && (flags & HAS_BACK) == 0 && kind != GLASS && kind != THIN_GLASS) return vec4(sum, 0);
+    if (!front && (flags & HAS_BACK) == 0 && kind != GLASS && kind != THIN_GLASS) return Seen(sum, vec3(0), vec3(0));
     vec3 p = o + hit.t * d;
     if (kind == 0) {
       int back = front ? 0 : 1;
+      vec3 own = share;
       if (front && by_facets > 0.0 && (flags & EMITS) != 0) {
         vec3 from = p - rough_at;
-        share *= by_facets / (by_facets + brightness(t.xyz) / power * dot(from, from) / max(-dot(d, face), 1e-6));
+        own *= by_facets / (by_facets + brightness(t.xyz) / power * dot(from, from) / max(-dot(d, face), 1e-6));
       }
-      return vec4(sum + share * sent_out(t, at, back), 0);
+      return Seen(sum + own * sent_out(t, at, back), vec3(0), share * sent_out_softly(t, at, back, flags));
     }
     if ((flags & SMOOTH) != 0) normal = normalize(at.x * texelFetch(vertices, texel(2 * t.x + 1), 0).xyz
       + at.y * texelFetch(vertices, texel(2 * t.y + 1), 0).xyz + at.z * texelFetch(vertices, texel(2 * t.z + 1), 0).xyz);
@@ -238,7 +268,7 @@ vec4 follow(vec3 o, vec3 d) {
     Rough rough = Rough(s.z, (flags & GGX) != 0);
     vec3 m = facet(normal, rough);
     float cosine = -dot(d, m);
-    if (cosine <= 0.0) return vec4(sum, 0);
+    if (cosine <= 0.0) return Seen(sum, vec3(0), vec3(0));
     vec3 towards = d + 2.0 * cosine * m;
     vec3 reflected = texelFetch(surfaces, texel(5 * t.w + 1), 0).rgb;
     bool crosses = false;
@@ -269,17 +299,18 @@ vec4 follow(vec3 o, vec3 d) {
     }
     share *= weight(normal, m, d, towards, rough);
     // A facet may send a ray to the wrong side of the surface.
-    if (dot(towards, normal) * (crosses ? -1.0 : 1.0) <= 0.0) return vec4(sum, 0);
+    if (dot(towards, normal) * (crosses ? -1.0 : 1.0) <= 0.0) return Seen(sum, vec3(0), vec3(0));
     if (crosses && (flags & BETWEEN_MEDIA) != 0) absorption = texelFetch(surfaces, texel(5 * t.w + (entering ? 3 : 4)), 0).rgb;
     o = p + face * (dot(towards, face) > 0.0 ? ABOVE : -ABOVE);
+    bent = bent || towards != d;
     d = towards;
     if (n >= ROULETTE_FROM) {
       float survival = min(max(share.r, max(share.g, share.b)), 0.95);
-      if (random() >= survival) return vec4(sum, 0);
+      if (random() >= survival) return Seen(sum, vec3(0), vec3(0));
       share /= survival;
     }
   }
-  return vec4(sum, 0);
+  return Seen(sum, vec3(0), vec3(0));
 }
 
 void main() {
@@ -287,6 +318,13 @@ void main() {
   state = uint(at.x) * 1973u + uint(at.y) * 9277u + uint(sample_) * 26699u + 1u;
   for (int i = 0; i < 3; ++i) state = (state ^ (state >> 16u)) * 2246822519u + 3266489917u;
   vec2 s = (2.0 * (vec2(at) + vec2(random(), random())) / resolution - 1.0) * half_field;
-  vec4 found = follow(eye, normalize(camera * vec3(s, 1)));
-  radiance = sample_ == 0 ? found : mix(texelFetch(previous, at, 0), found, 1.0 / float(sample_ + 1));
+  Seen found = follow(eye, normalize(camera * vec3(s, 1)));
+  radiance = vec4(found.own, dot(found.behind, vec3(1.0 / 3.0)));
+  seen = vec4(found.behind, 1);
+  soft = vec4(found.soft, 1);
+  if (sample_ == 0) return;
+  float part = 1.0 / float(sample_ + 1);
+  radiance = mix(texelFetch(previous, at, 0), radiance, part);
+  seen = mix(texelFetch(previous_seen, at, 0), seen, part);
+  soft = mix(texelFetch(previous_soft, at, 0), soft, part);
 }

@@ -23,7 +23,8 @@ function divide(order, middles, axis, first, middle, last) {
 
 // The geometry: its textures, and images of it, which become less noisy as long as the view stays.
 const model = {
-  targets: [makeTarget(1), makeTarget(1)],
+  // Radiance; what is seen behind; and radiance in the studio.
+  targets: [makeTarget(3), makeTarget(3)],
   samples: 0,
   maxSamples: 1024,
   async load(arrays) {
@@ -45,15 +46,20 @@ const model = {
       triangles[4 * i + 3] = arrays.surfaces[order[i]];
     }
     const relative = code => code > 0 ? 2 ** ((code - zero) / codesAStop) : 0;
-    const light = new Float32Array(8 * vertices);
-    for (let i = 0; i < 2 * vertices; ++i) {
-      const [r, g, b] = arrays.light.subarray(3 * i, 3 * i + 3);
-      light.set([relative(r + g), relative(g), relative(b + g)], 4 * i);
-    }
+    const radiance = (codes, scale) => {
+      const values = new Float32Array(8 * vertices);
+      for (let i = 0; i < 2 * vertices; ++i) {
+        const [r, g, b] = codes.subarray(3 * i, 3 * i + 3);
+        values.set([r + g, g, b + g].map(code => scale * relative(code)), 4 * i);
+      }
+      return values;
+    };
+    const light = radiance(arrays.light, 1), soft = radiance(arrays.soft, asset.model.max_soft);
     this.textures = {
       triangles: longTexture(triangles, 4, gl.RGBA32I, gl.RGBA_INTEGER, gl.INT),
       vertices: longTexture(points, 4, gl.RGBA32F, gl.RGBA, gl.FLOAT),
       light: longTexture(light, 4, gl.RGBA32F, gl.RGBA, gl.FLOAT),
+      soft_light: longTexture(soft, 4, gl.RGBA32F, gl.RGBA, gl.FLOAT),
       boxes: longTexture(this.boxes(triangles, points), 4, gl.RGBA32F, gl.RGBA, gl.FLOAT),
       lights: longTexture(this.lights(triangles, points, light), 2, gl.RG32F, gl.RG, gl.FLOAT),
       surfaces: longTexture(new Float32Array(surfaces), 4, gl.RGBA32F, gl.RGBA, gl.FLOAT),
@@ -147,10 +153,12 @@ const model = {
   get complete() { return this.samples >= this.maxSamples; },
   // Adds a sample to `target`; returns ms, the wait for the GPU included.
   draw({ eye, camera, fov }, width, height) {
-    const begin = performance.now(), previous = this.target.textures[0], t = Math.tan(fov / 2);
+    const begin = performance.now(), t = Math.tan(fov / 2), { softbox, softboxes, backdrop } = asset.studio;
+    const [previous, previous_seen, previous_soft] = this.target.textures;
     bindTarget(this.targets[~this.samples & 1], width, height);
     draw(this.program, {
-      ...this.textures, patterns: layers(this.patterns), previous, depth: int(this.depth), num_lights: int(this.numLights), power: this.power, sample_: int(this.samples),
+      ...this.textures, patterns: layers(this.patterns), previous, previous_seen, previous_soft,
+      softbox, studio_backdrop: backdrop, softboxes: vectors(softboxes.flat()), depth: int(this.depth), num_lights: int(this.numLights), power: this.power, sample_: int(this.samples),
       eye, camera, half_field: [t * width / height, t], resolution: [width, height],
     });
     this.samples += 1;
