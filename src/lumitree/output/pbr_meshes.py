@@ -77,6 +77,8 @@ def surfaces_of(asset: Asset, turn: NDArray[np.float64]) -> tuple[list[Surface],
         if any("attribute" in texture for texture in used):
             arrays["colours"] = mesh["colours"]
         uv = [texture_map(each, texcoords).astype(np.float32) for each in maps]
+        if not (material.emission.is_black or _is_closed(mesh)):
+            materials.lost.add("surfaces that emit and enclose nothing emit from their backs too")
         refracts = not (material.transmission.is_black or material.thin)
         thickness = _thickness(mesh) if refracts else 0.0
         found.append(Surface(arrays, material, uv, maps, thickness))
@@ -95,6 +97,13 @@ def _unit(normals: NDArray[np.floating]) -> NDArray[np.float32]:
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     safe = np.where(length > 0, normals / np.maximum(length, 1e-30), [0.0, 1.0, 0.0])
     return safe.astype(np.float32)
+
+
+def _is_closed(mesh: Arrays) -> bool:
+    """Whether a mesh encloses a volume, so that nobody sees its back."""
+    from trimesh import Trimesh
+
+    return Trimesh(mesh["vertices"], mesh["faces"]).is_watertight
 
 
 def _thickness(mesh: Arrays) -> float:

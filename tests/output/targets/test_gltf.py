@@ -138,6 +138,15 @@ def test_materials_have_the_numbers_of_the_lamp(tmp_path):
     assert thickness == pytest.approx(2 * 0.2 / 3, rel=2e-3)
 
 
+@pytest.mark.parametrize(("kind", "told"), [("rectangle", True), ("sphere", False)])
+def test_emission_from_backs_is_told(tmp_path, kind, told):
+    shapes = [{**shape, "radiance": None} for shape in small_geometry().shapes]
+    shapes[2] |= {"type": kind, "radiance": [1.0, 1, 1]}
+    asset = with_geometry(small_geometry(shapes=tuple(shapes)))
+    result = lumitree.export(asset, tmp_path / "lamp.glb")
+    assert any("from their backs" in line for line in result.not_carried_over) == told
+
+
 def test_a_medium_is_the_attenuation_of_a_volume(tmp_path):
     absorption = np.array([2.0, 20, 70])
     shapes = [dict(shape) for shape in small_geometry().shapes]
