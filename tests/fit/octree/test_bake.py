@@ -6,7 +6,7 @@ import signal
 import numpy as np
 import pytest
 
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, LumitreeWarning
 from support.fields import leaf_field
 from support.lamps import AREA, cube, sphere
 from support.slow import slow
@@ -68,6 +68,18 @@ def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     # Cells of an eighth of the radius: a channel may have a larger error than all together.
     assert flux == pytest.approx(expected, rel=0.02)
     assert flux.sum() == pytest.approx(expected.sum(), rel=0.015)
+
+
+def test_a_field_that_cannot_be_bright_enough_is_told(lamp, tmp_path):
+    """A dim sphere before which a small bright one has most of the light."""
+    from lumitree.fit.octree.bake import bake
+
+    dim, bright = (AREA.replace("3,2,1", f"{value}") for value in ("1,1,1", "4e5,4e5,4e5"))
+    luminaire = lamp(sphere("dim", 2, inside=dim), sphere("bright", 0.01, (0, 0, 2.02), bright))
+    # So few rays do not find it, so many do.
+    few = small_config(rays=1 << 12, max_radiance={"rays": 1 << 12}, flux={"rays": 1 << 21})
+    with pytest.warns(LumitreeWarning, match="brightest parts of .* exceed L_max"):
+        bake(luminaire, few, tmp_path / "state")
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ start from; `_run` is the rest.
 
 import dataclasses
 import math
+import warnings
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +21,7 @@ from lumitree.core.harmonics import Y_00, num_coefficients
 from lumitree.core.interrupt import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.fit.octree.calibration import calibrate
 from lumitree.fit.octree.config import OctreeFitConfig
 from lumitree.fit.octree.descent import Budget, Descent
@@ -38,6 +39,8 @@ from lumitree.lamp.luminaire import Luminaire
 from lumitree.octree.build import build_children
 from lumitree.octree.leaves import leaf_cells
 
+# A flux correction factor that images of the field show.
+_LARGE_FACTOR = 1.5
 # Makes the first field of a bake, and its L_max.
 Start = Callable[[], tuple[LeafField, float]]
 
@@ -179,6 +182,15 @@ def _run(
                 descent.best, source, max_radiance, config.flux, refiner.step, interruption
             )
             advance(1)
+        if factor > _LARGE_FACTOR and not interruption:
+            warnings.warn(
+                f"the brightest parts of {name} exceed L_max, and the field has {1 / factor:.0%} "
+                f"of its light; it is made {factor:.2g} times brighter everywhere, so that images "
+                "of it are too bright elsewhere; show the model (--parts all), or give a larger "
+                "max_radiance.headroom (--config)",
+                LumitreeWarning,
+                stacklevel=2,
+            )
         score = held_out.rescaled(factor).score(descent.best)
     asset = make_asset(descent.best, source.subject, factor * max_radiance)
     return OctreeFitResult(asset, score, budget.rays, budget.seconds, interruption.number)
