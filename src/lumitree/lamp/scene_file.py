@@ -23,7 +23,7 @@ from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.lamp.importers.overrides import select_names
 from lumitree.lamp.media import keep_clear_channels
 from lumitree.lamp.mesh_files import check_mesh_file
-from lumitree.lamp.scene_instances import copy_instances, matrix_of
+from lumitree.lamp.scene_instances import copy_instances, matrix_of, referred
 from lumitree.lamp.scene_shapes import SceneShape, shape_of_node
 from lumitree.lamp.spectra import spectra_of_emitters
 
@@ -70,7 +70,7 @@ class SceneFile:
             self._check_text(self.path)
         mi = load_mitsuba()
         # Compared for each property of each node.
-        self._types, self._reference = mi.ObjectType, mi.Properties.Type.ResolvedReference
+        self._types = mi.ObjectType
         self._config = mi.parser.ParserConfig(mi.variant())
         # Shapes keep the ids of the file; unused parameters are not reported.
         self._config.merge_meshes = self._config.merge_equivalent = False
@@ -139,7 +139,7 @@ class SceneFile:
         waiting = [0]
         while waiting:
             index = waiting.pop()
-            for inner in self._references(self._state.nodes[index].props):
+            for inner in referred(self._state.nodes[index].props).values():
                 if depth[index] >= depth.get(inner, 0):
                     depth[inner] = depth[index] + 1
                     waiting.append(inner)
@@ -187,7 +187,7 @@ class SceneFile:
         if not keep:
             kept |= children.keys() - groups - self._shapes.keys()
         # A group is kept if an instance of it is.
-        visible = {index for key in kept for index in self._references(children[key].props)}
+        visible = {index for key in kept for index in referred(children[key].props).values()}
         kept |= {key for key in groups if root[key].index() in visible}
         for key in children.keys() - kept:
             del root[key]
@@ -200,7 +200,7 @@ class SceneFile:
 
     def loose_lights(self) -> list[str]:
         """Plugins of the emitters that no shape has."""
-        held = {index for node in self.nodes("Shape") for index in self._references(node.props)}
+        held = {index for node in self.nodes("Shape") for index in referred(node.props).values()}
         loose = (self._state.nodes[index] for index in sorted(self._reached({0}) - held))
         return [node.props.plugin_name() for node in loose if self._is_a(node, "Emitter")]
 
@@ -210,14 +210,13 @@ class SceneFile:
 
     def children(self, props: Any) -> dict[str, Any]:
         """Nodes that a node's properties refer to, by the names of the properties."""
-        names = [key for key in list(props.keys()) if self._is_reference(props, key)]
-        return {key: self._state.nodes[props[key].index()] for key in names}
+        return {name: self._state.nodes[index] for name, index in referred(props).items()}
 
     def within(self, props: Any, *kinds: str) -> list[Any]:
         """Nodes of some types that a node refers to, and all within these, each once."""
         nodes = self._state.nodes
         start = {
-            i for i in self._references(props) if any(self._is_a(nodes[i], kind) for kind in kinds)
+            i for i in referred(props).values() if any(self._is_a(nodes[i], kind) for kind in kinds)
         }
         return [nodes[index] for index in sorted(self._reached(start))]
 
@@ -322,7 +321,7 @@ class SceneFile:
         """Indices of nodes and of all that they refer to, directly or within others."""
         found, waiting = set(start), list(start)
         while waiting:
-            inner = self._references(self._state.nodes[waiting.pop()].props)
+            inner = set(referred(self._state.nodes[waiting.pop()].props).values())
             waiting += inner - found
             found |= inner
         return found
@@ -390,13 +389,6 @@ class SceneFile:
 
     def _is_group(self, node: Any) -> bool:
         return self._is_a(node, "Shape") and node.props.plugin_name() == "shapegroup"
-
-    def _is_reference(self, props: Any, key: str) -> bool:
-        return props.type(key) == self._reference
-
-    def _references(self, props: Any) -> set[int]:
-        """Indices of the nodes that a node refers to."""
-        return {props[key].index() for key in list(props.keys()) if self._is_reference(props, key)}
 
 
 def _numbers(props: Any, names: Sequence[str], default: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,16 +17,15 @@ def copy_instances(state: Any) -> None:
     mi = load_mitsuba()
     root = state.nodes[0].props
     groups, copies = [], []
-    for key in list(root.keys()):
-        if root.type(key) != mi.Properties.Type.ResolvedReference:
-            continue
-        props = state.nodes[root[key].index()].props
+    for key, index in referred(root).items():
+        props = state.nodes[index].props
         match props.plugin_name():
             case "shapegroup":
                 groups.append(key)
             case "instance":
-                (group,) = _references(props)
-                copies.append((key, _references(state.nodes[group].props), matrix_of(props)))
+                (group,) = referred(props).values()
+                members = referred(state.nodes[group].props).values()
+                copies.append((key, members, matrix_of(props)))
     for key, members, matrix in copies:
         for member in members:
             node, copied = state.nodes[member], mi.parser.SceneNode()
@@ -48,7 +47,7 @@ def matrix_of(props: Any) -> NDArray[np.float64]:
     return np.array(getattr(props.get("to_world", None), "matrix", np.eye(4)), np.float64)
 
 
-def _references(props: Any) -> list[int]:
-    """Indices of the nodes that a node refers to."""
+def referred(props: Any) -> dict[str, int]:
+    """Indices of the nodes that a node refers to, by the names of the properties."""
     kind = load_mitsuba().Properties.Type.ResolvedReference
-    return [props[key].index() for key in list(props.keys()) if props.type(key) == kind]
+    return {key: props[key].index() for key in list(props.keys()) if props.type(key) == kind}
