@@ -42,7 +42,8 @@ def test_a_table_of_each_ray(mi):
     """By their power: tables are weights, which may have any sum."""
     items = {"radiant": column(1, 2, 4), "table": column(1, 2, 1)}
     found = rays_spectrum(items, [BLUE, [1, 7] * RED], 4, np.nan)
-    expected = 5 * sampled_spectrum(*BLUE.T) / 20 + 2 * sampled_spectrum(*RED.T) / 100
+    blue, red = (sampled_spectrum(*each.T, means=True) for each in (BLUE, RED))
+    expected = 5 * blue / 20 + 2 * red / 100
     assert found == pytest.approx(expected)
 
 
@@ -50,7 +51,7 @@ def test_luminous_flux_of_each_table(mi):
     items = {"luminous": column(1, 2, 4), "table": column(1, 2, 1)}
     found = rays_spectrum(items, [BLUE, RED], 4, np.nan)
     visible = matching_functions()[1]
-    blue, red = sampled_spectrum(*BLUE.T), sampled_spectrum(*RED.T)
+    blue, red = (sampled_spectrum(*each.T, means=True) for each in (BLUE, RED))
     assert found == pytest.approx(5 * blue / (blue @ visible) + 2 * red / (red @ visible))
 
 

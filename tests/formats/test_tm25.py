@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.core.photometry import LUMENS_PER_WATT, colour_temperature, luminance
+from lumitree.core.photometry import (
+    LUMENS_PER_WATT,
+    WAVELENGTHS,
+    colour_temperature,
+    luminance,
+    matching_functions,
+)
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.formats.rays import Rays
 from lumitree.formats.tm25 import read_tm25, write_tm25
@@ -123,13 +129,14 @@ def test_a_header_with_another_total_is_said(path, mi, flags, totals, message):
     assert flux.sum(axis=0) == pytest.approx([expected] * 3)
 
 
-def test_a_wide_spectral_table_is_refused_before_memory_is_taken(path, mi):
+def test_a_wide_spectral_table_takes_no_memory(path, mi):
     tracemalloc.start()
-    with pytest.raises(LumitreeError, match="span more than"):
-        read_flux(path, [[1.0], [1.0]], [1, 1, 0, 0, 1, 0, 0, 0], 3, tables=[[[0, 1], [9e8, 1]]])
+    flux = read_flux(path, [[1.0], [1.0]], [1, 1, 1, 0, 0, 0, 0, 0], 3, tables=[[[0, 1], [9e8, 1]]])
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 1 << 24
+    # The integral of V(λ) is 107 nm.
+    assert luminance(flux) == pytest.approx(683 * 107 / 9e8, rel=0.01)
 
 
 def test_wavelengths(path, mi):
@@ -162,6 +169,18 @@ def test_spectral_tables(path, mi):
     assert luminance(flux[0]) == pytest.approx(LUMENS_PER_WATT * 0.265, rel=0.01)
     assert flux[0, 1] == 0
     assert flux[1, 1] > 0
+
+
+def test_lines_between_whole_nanometres_keep_their_power(path, mi):
+    """By the integral of the table; its ends have 2 % of the power."""
+    table = np.array([[400, 0.005], [620.3, 0.005], [620.5, 100], [620.7, 0.005], [700, 0.005]])
+    flux = read_flux(path, [[1.0], [1.0]], [1, 1, 1, 0, 0, 0, 0, 0], 3, tables=[table])
+    x = np.linspace(400, 700, 300_001)
+    power = np.interp(x, *table.T)
+    visible = np.interp(x, WAVELENGTHS, matching_functions()[1])
+    expected = LUMENS_PER_WATT * (power * visible).sum() / power.sum()
+    assert luminance(flux) == pytest.approx(expected, rel=2e-3)
+    assert flux[0].argmax() == 0
 
 
 ROWS = [[*geometry, 1.0] for geometry in GEOMETRY]
@@ -217,7 +236,7 @@ def changed(offset, form, value):
         ),
         (file_bytes(ROWS, GOOD)[:-1], "bytes; expected"),
         (file_bytes([[*row[:6], 0] for row in ROWS], GOOD), "flux"),
-        (file_bytes(ROWS, GOOD, 3, tables=[[[500, 1], [400, 1]]]), "ascending"),
+        (file_bytes(ROWS, GOOD, 3, tables=[[[500, 1], [400, 1]]]), "do not increase"),
         (file_bytes(ROWS, GOOD, 3, tables=[[[500, np.nan], [600, 1]]]), "NaN"),
         (file_bytes([[*row, 3] for row in ROWS], [*GOOD[:7], 1], 4, tables=[[[500, 1]]]), "none"),
     ],

@@ -9,7 +9,7 @@ import lumitree
 from lumitree.cli import main
 from lumitree.core.file_kinds import SCENE, TM33, what_it_is
 from lumitree.core.octahedral import middle_directions
-from lumitree.core.photometry import blackbody_colour, colour_temperature, luminance
+from lumitree.core.photometry import LUMA, blackbody_colour, colour_temperature, luminance
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.formats.opening import POINT, Opening
 from lumitree.formats.tm33 import read_tm33
@@ -154,6 +154,18 @@ def test_a_spectrum_gives_the_colour(made):
         distribution, colour = read_tm33(made(before=off, after=spectrum))
     assert distribution.lumens == 0
     assert colour == (1, 1, 1)
+
+
+@pytest.mark.parametrize("powers", [
+    [(620.3, 0), (620.5, 1), (620.7, 0)],
+    [(400, 0), (620, 0), (620, 1), (621, 1), (621, 0), (700, 0)],
+])  # fmt: skip
+def test_a_narrow_line_gives_the_colour(made, powers):
+    rows = "".join(f'<PwrData w="{w}">{p}</PwrData>' for w, p in powers)
+    spectrum = f"<SpectralData><EmitterSpectral>{rows}</EmitterSpectral></SpectralData>"
+    red, green, _ = read_tm33(made(after=spectrum))[1]
+    assert green == 0
+    assert red == pytest.approx(1 / LUMA[0], rel=0.01)
 
 
 @pytest.mark.parametrize("kind", ["CIE_C", "IES _ C", "TypeC", "B"])

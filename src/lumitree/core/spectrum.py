@@ -11,7 +11,9 @@ _STEP = 1.0
 _MAX_SAMPLES = 1 << 20
 
 
-def sampled_spectrum(wavelengths: ArrayLike, values: ArrayLike) -> NDArray[np.float64]:
+def sampled_spectrum(
+    wavelengths: ArrayLike, values: ArrayLike, *, means: bool = False
+) -> NDArray[np.float64]:
     """A spectrum at `WAVELENGTHS`.
 
     It is linear between the wavelengths that are given, and 0 beyond them. If some are less than
@@ -21,6 +23,7 @@ def sampled_spectrum(wavelengths: ArrayLike, values: ArrayLike) -> NDArray[np.fl
         wavelengths: [N] nm, increasing.
         values: [N] power per nm in any unit, at least 0. A single one is the power of a line, which
             is divided between the two wavelengths next to it.
+        means: whether values are means in any case, so that their sum is the power.
 
     Returns:
         [471] power per nm; what is invisible is left out.
@@ -42,7 +45,7 @@ def sampled_spectrum(wavelengths: ArrayLike, values: ArrayLike) -> NDArray[np.fl
         )
     if values.size == 1:
         return values * np.maximum(1 - np.abs(WAVELENGTHS - wavelengths) / _STEP, 0)
-    if np.diff(wavelengths).min() >= _STEP:
+    if not means and np.diff(wavelengths).min() >= _STEP:
         return np.interp(WAVELENGTHS, wavelengths, values, left=0, right=0)
     return _means(wavelengths, values)
 

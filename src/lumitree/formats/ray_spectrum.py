@@ -69,8 +69,7 @@ def _mixture(
     if not ((number >= 1) & (number <= len(tables))).all():
         raise LumitreeError(f"a ray names none of the {len(tables)} spectral tables")
     index = number.astype(np.int64) - 1
-    # Of a power of 1, what is invisible included.
-    spectra = np.array([sampled_spectrum(*each.T) / max(_total(each), 1e-300) for each in tables])
+    spectra = np.array([spectrum_of_a_watt(each) for each in tables])
     power = _power(items, (spectra @ matching_functions()[1])[index])
     return np.bincount(index, power, len(tables)) @ spectra
 
@@ -83,6 +82,11 @@ def _power(items: dict[str, NDArray[np.float64]], efficacy: ArrayLike) -> NDArra
     return np.divide(flux, efficacy, out=np.zeros_like(flux), where=np.asarray(efficacy) > 0)
 
 
-def _total(table: NDArray[np.float64]) -> float:
-    """Power of a table that is linear between its wavelengths; that of a line if it has one."""
-    return float(np.trapezoid(table[:, 1], table[:, 0]) if len(table) > 1 else table[0, 1])
+def spectrum_of_a_watt(table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Power per nm [471] at `WAVELENGTHS` of a spectral table; the watt has its invisible light.
+
+    Args:
+        table: [n, 2] wavelengths, nm, and weights, linear between them; of one, a line.
+    """
+    total = np.trapezoid(table[:, 1], table[:, 0]) if len(table) > 1 else table[0, 1]
+    return sampled_spectrum(*table.T, means=True) / max(float(total), 1e-300)

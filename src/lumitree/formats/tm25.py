@@ -49,11 +49,12 @@ from lumitree.core.photometry import (
     luminance,
     srgb_from_xyz,
     xyz_from_srgb,
+    xyz_of_spectrum,
 )
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.photometric_text import date_of_writing, warn_of_file
-from lumitree.formats.ray_spectrum import rays_spectrum
+from lumitree.formats.ray_spectrum import rays_spectrum, spectrum_of_a_watt
 from lumitree.formats.rays import Rays
 from lumitree.formats.type_c import y_up, z_up
 
@@ -92,7 +93,6 @@ _COLUMNS = (
 )
 _TABLE_ALIGNMENT, _NAME_BYTES = 32, 512
 _MAX_TABLES, _MAX_ADDITIONAL = 1000, 1000
-_MAX_WAVELENGTHS = 100_000
 # Relative difference of fluxes that rounding may cause.
 _TOTAL_ERROR = 0.01
 
@@ -251,16 +251,17 @@ def _flux(
         x, z = items["tristimulus"].T
         xyz = np.stack([x, items["luminous"][:, 0], z], axis=1)
     elif spectrum == 1:
-        xyz = _matched(np.array([[wavelength]]), np.ones((1, 1)))
+        xyz = _line_colour(np.array([wavelength]))
     elif spectrum == 2 and "wavelength" in items:
-        xyz = _matched(items["wavelength"], np.ones_like(items["wavelength"]))
+        xyz = _line_colour(items["wavelength"][:, 0])
     elif spectrum == 3 and tables:
-        xyz = _table_colour(tables[0])[None]
+        xyz = xyz_of_spectrum(spectrum_of_a_watt(tables[0]))[None]
     elif spectrum == 4 and tables and "table" in items:
         index = items["table"][:, 0]
         if not ((index >= 1) & (index <= len(tables))).all():
             raise LumitreeError(f"a ray names none of the {len(tables)} spectral tables")
-        xyz = np.array([_table_colour(table) for table in tables])[index.astype(np.int64) - 1]
+        spectra = [spectrum_of_a_watt(each) for each in tables]
+        xyz = xyz_of_spectrum(spectra)[index.astype(np.int64) - 1]
     if xyz is None:
         flux = items["luminous"] / LUMENS_PER_WATT if "luminous" in items else items["radiant"]
         return np.repeat(flux, 3, axis=1)
@@ -273,26 +274,10 @@ def _flux(
     return _in_gamut(xyz)
 
 
-def _matched(wavelength: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """XYZ [N, 3] of one watt of light of wavelengths [N, M], nm, by weights; Y is V(λ)."""
+def _line_colour(wavelength: NDArray[np.float64]) -> NDArray[np.float64]:
+    """XYZ [N, 3] of one watt of light of one wavelength [N], nm, each; Y is V(λ)."""
     mi = load_mitsuba()
-    flat = on_device(mi.Float, wavelength)
-    matching = np.array(mi.cie1931_xyz(flat), np.float64).reshape(3, *wavelength.shape)
-    return ((matching * weight).sum(axis=-1) / weight.sum(axis=-1)).T
-
-
-def _table_colour(table: NDArray[np.float64]) -> NDArray[np.float64]:
-    """XYZ [3] of one watt of light with a spectrum, interpolated linearly."""
-    first, last = table[0, 0], table[-1, 0]
-    # Before memory is reserved for them.
-    if not (np.diff(table[:, 0]) > 0).all() or last - first > _MAX_WAVELENGTHS:
-        raise LumitreeError(
-            f"the wavelengths of a spectral table, {first:g} to {last:g} nm, are not ascending or "
-            f"span more than {_MAX_WAVELENGTHS} nm"
-        )
-    wavelength = np.arange(first, last + 1) if len(table) > 1 else table[:, 0]
-    weight = np.interp(wavelength, *table.T)
-    return _matched(wavelength[None], weight[None])[0]
+    return np.array(mi.cie1931_xyz(on_device(mi.Float, wavelength)), np.float64).T
 
 
 def _in_gamut(xyz: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -27,8 +27,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.photometry import LUMA, RGB, WAVELENGTHS, srgb_from_xyz, xyz_of_spectrum
+from lumitree.core.photometry import LUMA, RGB, srgb_from_xyz, xyz_of_spectrum
 from lumitree.core.reading import read_bytes
+from lumitree.core.spectrum import sampled_spectrum
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.opening import POINT, Opening
 from lumitree.formats.photometric_text import MAX_ANGLES, number, warn_of_file
@@ -249,9 +250,9 @@ def _colour(emitters: list[Element], lumens: list[float]) -> RGB:
             return (1.0, 1.0, 1.0)
         points = [(number_of(each, "w"), number(each.text or "", "a power")) for each in table]
         wavelength, power = np.array(sorted(points)).T
-        # 0 beyond its ends.
-        visible = np.interp(WAVELENGTHS, wavelength, np.maximum(power, 0), left=0, right=0)
-        xyz = xyz_of_spectrum(visible)
+        # Two powers at one wavelength are a step.
+        wavelength += 1e-9 * np.arange(len(wavelength))
+        xyz = xyz_of_spectrum(sampled_spectrum(wavelength, np.maximum(power, 0)))
         if not xyz[1] > 0:
             raise LumitreeError("a spectrum has no visible light, or negative numbers")
         total += xyz / xyz[1] * flux
