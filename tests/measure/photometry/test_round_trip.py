@@ -18,6 +18,7 @@ from lumitree.measure.photometry.exact_light import (
     exact_grid,
     file_light,
     light_field_light,
+    upward_share,
 )
 from support.photometric_types import ies, world
 from support.slow import slow
@@ -83,6 +84,19 @@ def test_intensities_there_and_back(mi, tmp_path, name):
         for again in (read_ies(tmp_path / "b.ies"), read_ldt(tmp_path / "b.ldt")):
             assert np.abs(again.at(direction) - exact).max() < TOLERANCE * exact.max()
             assert again.lumens == pytest.approx(lamp.lumens, rel=1e-3)
+
+
+@pytest.mark.parametrize(("first", "share"), [(0.0, 0.0), (90.0, 1.0)])
+def test_light_of_one_half_has_the_angles_of_its_file(mi, tmp_path, first, share):
+    gamma = first + np.arange(0, 91, 10)
+    candela = 100 * np.abs(np.cos(np.deg2rad(gamma)))
+    (tmp_path / "a.ies").write_text(ies("C", np.zeros(1), gamma, candela[None]))
+    lamp, frame = read_ies(tmp_path / "a.ies"), lumitree.load(tmp_path / "a.ies").frame
+    light = file_light(lamp, frame)
+    grid, intensity = exact_grid(light, frame, None)
+    assert grid.step == 10
+    assert intensity.max() == pytest.approx(100)
+    assert upward_share(light, frame) == share
 
 
 STATED = (

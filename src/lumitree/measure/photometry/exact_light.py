@@ -124,7 +124,19 @@ def exact_grid(
 
 
 def _on_grid(angles: NDArray[np.float64], step: float) -> bool:
-    """Whether angles are multiples of a step, but those just beyond the last one with light."""
-    distance = np.abs(angles / step - np.round(angles / step)) * step
-    edges = np.diff(angles, prepend=-1.0) <= 2 * EDGE
-    return bool(((distance < 1e-6) | edges).all())
+    """Whether angles are multiples of a step, but those just beyond or before one with light."""
+    on = np.abs(angles / step - np.round(angles / step)) * step < 1e-6
+    return on.any() and bool((np.abs(angles[:, None] - angles[on]).min(axis=1) <= 2 * EDGE).all())
+
+
+def upward_share(light: ExactLight, frame: LocalFrame) -> float:
+    """Part of the flux of light that goes up, +y of the file, 0 to 1."""
+    step = MIN_STEP / 2
+    # Between the angles of files, at which intensities may have steps.
+    c = np.arange(MIN_STEP, 360, 2 * MIN_STEP)
+    gamma = np.arange(step / 2, 180, step)
+    direction = direction_of(c[:, None], gamma).reshape(-1, 3)
+    intensity = light.intensity(direction @ frame.rotation).reshape(len(c), -1).mean(axis=0)
+    flux = intensity * np.sin(np.deg2rad(gamma))
+    total = flux.sum()
+    return float(flux[gamma > 90].sum() / total) if total > 0 else 0.0

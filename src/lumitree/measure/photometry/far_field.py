@@ -28,6 +28,7 @@ from lumitree.measure.photometry.exact_light import (
     exact_grid,
     file_light,
     light_field_light,
+    upward_share,
 )
 from lumitree.measure.photometry.near_field import NearFieldTest
 from lumitree.rendering.asset_rays import AssetRays
@@ -234,6 +235,7 @@ class _Tally:
             self.grid, intensity = exact_grid(source.exact, source.frame, step)
             self.intensity = np.repeat(intensity[None], BATCHES, axis=0)
             self.watts += source.exact.watts * source.frame.scale**2
+            self.upward += luminance(self.watts) * upward_share(source.exact, source.frame)
         brightest = _brightest(first.direction, lumens)
         self.near_field = NearFieldTest(source.frame.size.max(), brightest, BATCHES)
 
@@ -244,7 +246,7 @@ class _Tally:
         if not self._exact:
             self.intensity[batch] += self.grid.intensity(rays.direction, lumens)
             self.watts[batch] += flux.sum(axis=0)
-        self.upward[batch] += lumens[rays.direction[:, 1] > 0].sum()
+            self.upward[batch] += lumens[rays.direction[:, 1] > 0].sum()
         self.near_field.add(batch, rays.origin - self._centre, rays.direction, lumens)
 
 
