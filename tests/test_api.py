@@ -79,6 +79,7 @@ def test_bake_evaluate_render(mi, tiny, tmp_path, monkeypatch):
     json.dumps(report.to_json(), allow_nan=False)
 
 
+@pytest.mark.slow
 def test_irradiance_is_left_out_on_request_and_for_a_dataset(mi, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lamp.xml").write_text(LAMP)
@@ -272,6 +273,7 @@ def test_full_demo(tiny_demo, tmp_path, monkeypatch):
         assert image.max() > 0.4
 
 
+@pytest.mark.slow
 def test_results_are_readable_and_fit_json(mi, tiny, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lamp.xml").write_text(LAMP)
@@ -351,6 +353,7 @@ def test_scenes_that_are_no_luminaires_are_refused(mi):
             lumitree.load_luminaire(mi.load_dict(scene))
 
 
+@pytest.mark.slow
 def test_an_asset_in_memory_is_placed_and_evaluated(mi, tmp_path):
     asset = random_asset(4, half_extents=np.array([1.0, 0.5, 0.75]))
     lumitree.save(asset, tmp_path / "lamp.lumitree")

@@ -67,6 +67,7 @@ def files_of_lamps(folder):
     return sorted(each.name for each in (folder / "index-files").iterdir() if each.is_file())
 
 
+@pytest.mark.slow
 def test_lamps_are_baked_and_kept_while_source_and_settings_are_equal(folder, baked):
     first = lumitree.bake_many(["a.xml", "b.xml"], "out", standard(**SETTINGS))
     assert states(first) == [("a", "baked"), ("b", "baked")]

@@ -376,6 +376,7 @@ def test_list_tells_the_figures_of_every_lamp(capsys):
     assert f"{bulbs['triangles']:,} triangles, 5 emitters of up to 30 W/(m² sr)" in out
 
 
+@pytest.mark.slow
 def test_preview(capsys, monkeypatch):
     monkeypatch.setattr("lumitree.output.preview.FLUX_PATHS", 1)
     monkeypatch.setattr("lumitree.output.preview.BOUNCE_PATHS", 1)
@@ -410,6 +411,7 @@ def test_flux_is_told_to_the_second_digit_of_its_error(lumens, error, text):
     assert str(flux) == text
 
 
+@pytest.mark.slow
 def test_faults_of_glass_are_warned_of(capsys, folder, monkeypatch):
     monkeypatch.setattr("lumitree.output.preview.FLUX_PATHS", 1)
     sheets = "".join(
@@ -431,6 +433,7 @@ def test_faults_of_glass_are_warned_of(capsys, folder, monkeypatch):
     assert len(capsys.readouterr().err.splitlines()) == 6
 
 
+@pytest.mark.slow
 def test_render_places_several(capsys, folder):
     """Negative coordinates, an asset twice and an explicit luminaire, in one command."""
     assert main(["render", "room.xml", "-o", "image.exr", "--spp", "8",
@@ -449,6 +452,7 @@ def test_render_places_several(capsys, folder):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_render_writes_the_image_while_it_is_rendered(capsys, folder, monkeypatch):
     """A signal that stops the command leaves the image so far."""
     from lumitree.core.interrupt import Interrupted
@@ -469,6 +473,7 @@ def test_render_writes_the_image_while_it_is_rendered(capsys, folder, monkeypatc
     assert json.loads(Image.open("image.png").text["Comment"])["samples_per_pixel"] == 3
 
 
+@pytest.mark.slow
 def test_render_with_gains(capsys, folder):
     """Each --gain is for the placement before it."""
     from lumitree.core.images import read_exr
@@ -536,6 +541,7 @@ def test_full_disk(capsys, monkeypatch):
     assert created == set()
 
 
+@pytest.mark.slow
 def test_interrupted_capture_continues():
     """Ctrl-C ends with one line and status 130; the same command then does the rest."""
     command = [sys.executable, "-m", "lumitree", "capture", "lamp.xml", "-o", "d",

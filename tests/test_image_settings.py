@@ -41,6 +41,7 @@ def comment(path):
         return json.loads(image.text["Comment"])
 
 
+@pytest.mark.slow
 def test_renders_and_what_is_mixed_of_them():
     lamps = [lumitree.Placement("lamp.lumitree", at=(0, 0, 1), lumens=30.0, label="Küche")]
     image = lumitree.render("room.xml", lamps, samples_per_pixel=2, seed=7, layers=True, aov=True)
@@ -61,6 +62,7 @@ def test_renders_and_what_is_mixed_of_them():
     assert json.loads(mixed["rendered"]) == first
 
 
+@pytest.mark.slow
 def test_sheets(monkeypatch):
     monkeypatch.setattr(viewing, "FLUX_PATHS", 1 << 10)
     lumitree.preview("lamp.xml", "preview.png", resolution=8, samples_per_pixel=3)
@@ -71,6 +73,7 @@ def test_sheets(monkeypatch):
     assert "samples_per_pixel" not in comment("asset.png")
 
 
+@pytest.mark.slow
 def test_thumbnails_of_bakes_and_sheets_of_evaluations(monkeypatch):
     tiny_bakes.set_qualities(monkeypatch.setitem, tree_depth=3)
     lumitree.bake_many(["lamp.xml"], "lamps", standard(parts=["light"], seed=4))

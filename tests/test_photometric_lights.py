@@ -101,6 +101,7 @@ def test_a_file_is_the_asset_that_a_bake_makes_of_it(name):
     assert lumitree.load(name) is opened
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a.ies", slow("d.TM25RAY")])
 def test_commands_take_files(name, folder, capsys):
     for command, shown in (
@@ -116,6 +117,7 @@ def test_commands_take_files(name, folder, capsys):
     assert report["page_bytes"] == (folder / "lamp.html").stat().st_size
 
 
+@pytest.mark.slow
 def test_files_light_rooms(folder, bakes):
     command = ["render", "room.xml", "-o", "room.exr", "--spp", "16", "--json", "report.json"]
     place = ["--place", "a.ies", "--at", "0,2,0", "--lumens", "500", "--gain", "0.5,1,1"]
@@ -124,6 +126,7 @@ def test_files_light_rooms(folder, bakes):
     assert [name.rpartition("/")[2] for name in bakes] == ["a.ies", "c.Ray"]
 
 
+@pytest.mark.slow
 def test_placements_of_one_file_bake_once(folder, bakes):
     from lumitree.rendering.scene import PlacedLuminaire
 
@@ -133,7 +136,7 @@ def test_placements_of_one_file_bake_once(folder, bakes):
     assert len({id(each.field) for each in placed}) == len(bakes) == 1
 
 
-@pytest.mark.parametrize("how", ["path", "scene"])
+@pytest.mark.parametrize("how", [slow("path"), "scene"])
 def test_a_wall_gets_the_intensity_of_the_file(mi, folder, how):
     """E = I / d² below the lamp, for a file given to `shape` and in a scene."""
     lumitree.register()
@@ -157,6 +160,7 @@ def test_a_placed_file_has_the_flux_and_the_colour_that_are_asked_for():
     assert colour_temperature(watts)[0] == pytest.approx(2700, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_an_asset_is_compared_with_its_file(folder, capsys):
     lumitree.bake_photometric("a.ies", "a.lumitree", lumens=10.0)
     command = ["evaluate", "a.lumitree", "a.ies", "-o", "sheet.png", "--json", "report.json"]
@@ -246,6 +250,7 @@ def test_a_missing_or_broken_file_is_one_line(folder, capsys):
             assert error.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_changed_file_is_read_again(folder):
     first = lumitree.load("a.ies")
     (folder / "a.ies").write_text((folder / "a.ies").read_text() + "\n")

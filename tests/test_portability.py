@@ -4,6 +4,7 @@ The rules of Windows are those of `support.windows_rules`; nothing here runs on 
 """
 
 import ast
+import functools
 import os
 import subprocess
 import sys
@@ -27,8 +28,9 @@ POSIX_NAMES = {
 TEXT_METHODS = {"read_text": 1, "write_text": 2}
 
 
+@functools.cache
 def nodes_of(path):
-    return ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
 
 
 def imported(node):

@@ -109,6 +109,7 @@ def stop_and_finish(name, number, moment):
     assert left() == (sheets if name == "evaluate" else ["out/lamp.lumitree"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "number", "moment"),
     [
@@ -323,6 +324,7 @@ def test_a_bake_killed_while_it_calibrates_continues_there(tiny, steps, monkeypa
     assert left() == ["out/lamp.lumitree"]
 
 
+@pytest.mark.slow
 def test_a_killed_bake_repeats_one_step_and_gives_the_same_bytes(tiny, steps, monkeypatch):
     often = {"save_seconds": 0.0, "save_time_factor": 0.0}
     tiny_bakes.set_qualities(monkeypatch.setitem, rays=1 << 18, schedule=often)

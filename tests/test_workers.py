@@ -102,6 +102,7 @@ def assert_equal_images(found, expected):
     assert found == pytest.approx(expected, rel=1e-5, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_views_are_those_of_one_process(pool):
     expected = captured("alone")
     executor = LastFirst()
@@ -184,6 +185,7 @@ def test_a_slow_first_pass_does_not_end_an_image_of_workers(mi, monkeypatch):
     assert next(begun)[1] == plan.next_samples == SAMPLES
 
 
+@pytest.mark.slow
 def test_layers_are_those_of_one_process():
     lumitree.bake("lamp.xml", "lamp.lumitree", bake_config(), variant=VARIANT)
     placements = [lumitree.Placement("lamp.lumitree", at=(0, 1, 0), size=1)]

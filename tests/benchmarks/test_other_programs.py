@@ -58,6 +58,7 @@ def test_a_light_for_each_cell_gives_the_illuminance_of_the_lamp(rows, target, p
     assert f"| small | {target} |" in rows[1]
 
 
+@pytest.mark.slow
 def test_cycles_is_left_out_visibly_without_blender(rows):
     row = rows[0]["Blender's Cycles, .py"]
     assert "left_out" in row or row["ratio"] == pytest.approx(1, abs=0.02)

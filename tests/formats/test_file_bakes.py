@@ -297,6 +297,7 @@ def test_a_wall_gets_the_analytic_illuminance(mi, tmp_path, name, turned):
     assert np.ptp(found) < 1e-4 * found.max()
 
 
+@pytest.mark.slow
 def test_importance_sampling_of_a_narrow_spot_has_little_noise(mi, tmp_path):
     """Uniform directions of the proxy would have found it as well; light paths would not."""
     asset = bake_distribution(spot(power=200))

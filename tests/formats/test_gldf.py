@@ -329,6 +329,7 @@ def test_the_product_states_the_flux(made):
     )
 
 
+@pytest.mark.slow
 def test_lamps_of_an_equipment_and_channels_of_a_light_source(made):
     changeable = (
         '<Emitter id="e"><ChangeableLightEmitter><PhotometryReference photometryId="photometry"/>'
@@ -367,6 +368,7 @@ def test_emergency_operation_is_left_out(made):
         lumitree.load(made(xml, name="b.gldf"))
 
 
+@pytest.mark.slow
 def test_simple_geometries_and_none(made):
     """The opening is that of the product, or else that of the photometry."""
     simple = (

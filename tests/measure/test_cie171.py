@@ -251,6 +251,7 @@ def test_light_through_a_clear_pane(mi):
     agree(found.total, found.total_error, light.mean(axis=1) * 4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("obstructed", [False, slow(True)])
 def test_light_that_a_diffuse_square_reflects(mi, tmp_path, obstructed):
     """(5.6, 5.7) An evenly lit square, 2 m, lights a ceiling and a wall; a plate may hide some."""

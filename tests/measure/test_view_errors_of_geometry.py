@@ -1,5 +1,7 @@
 """Views of an asset that has geometry and no field."""
 
+import pytest
+
 import lumitree
 from lumitree.lamp.loading import load_luminaire
 from lumitree.measure.view_errors import evaluate_views
@@ -8,6 +10,7 @@ from support.lamps import AREA, scene, sphere
 from support.tiny_bakes import bake_config
 
 
+@pytest.mark.slow
 def test_geometry_is_compared_where_there_is_no_field(mi, tmp_path):
     path = tmp_path / "lamp.xml"
     path.write_text(scene(sphere("ball", 0.5, inside=AREA), sphere("other", 0.2, (0.9, 0, 0))))

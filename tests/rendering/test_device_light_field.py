@@ -290,7 +290,8 @@ SURFACES = {
 }
 
 
-@pytest.mark.parametrize("bsdf", slow_but(["sharp", "coated"], SURFACES))
+@pytest.mark.slow
+@pytest.mark.parametrize("bsdf", slow_but(["coated"], SURFACES))
 @pytest.mark.parametrize("height", [0.01, slow(3.0)])
 def test_each_surface_gets_the_light_once(mi, bsdf, height):
     """Against uniform sampling of the proxy, whose weights are by direction alone; two lamps."""
@@ -413,6 +414,7 @@ def test_a_camera_sees_the_field_and_a_wall_gets_the_light_field_light(mi):
     assert abs(stock[0][2] / both[0][2] - 1) > 0.1
 
 
+@pytest.mark.slow
 def test_light_of_others_passes_the_lamp_as_its_field_lets_it(mi):
     """A dark, half transparent field in front of a lit window, with and without exitant light."""
     glass = make_asset(

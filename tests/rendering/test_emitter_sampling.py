@@ -288,6 +288,7 @@ def test_unknown_sampling_is_refused(tmp_path):
         lumitree.shape(tmp_path / "lamp.lumitree", sampling="best")
 
 
+@pytest.mark.slow
 def test_particle_tracing_gives_the_image_of_path_tracing(mi, tmp_path):
     path = tmp_path / "lamp.lumitree"
     lumitree.save(random_asset(6), path)

@@ -122,6 +122,7 @@ def test_the_mean_is_that_of_a_uniform_choice(mi, uniform, parts, mixed):
     assert noise[0] < noise[1]
 
 
+@pytest.mark.slow
 def test_media_and_surfaces_that_let_light_through_get_light_from_all_sides(mi, uniform):
     fog = {"type": "homogeneous", "albedo": 0.8, "sigma_t": 0.5}
     cloud = {
@@ -158,6 +159,7 @@ def test_one_lamp_is_selected_as_before(mi):
     assert EmitterSelection(room(mi, **two), LampChoices()).by_receiver
 
 
+@pytest.mark.slow
 def test_emitters_of_a_mixed_scene(mi):
     """χ² of those that are no lamps; and p is what rays of the BSDF get for the same receiver."""
     import drjit as dr
@@ -188,6 +190,7 @@ def test_emitters_of_a_mixed_scene(mi):
     assert stats.chisquare(groups, [count / 4, count / 4, count / 2]).pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_a_gain_of_zero_and_a_change_of_gain_are_followed(mi):
     scene = room(mi, **lamps([make_asset("light")], 4))
     before = images(mi, scene, 1, 16)[0]
@@ -204,6 +207,7 @@ def test_a_gain_of_zero_and_a_change_of_gain_are_followed(mi):
     assert not images(mi, scene, 1, 16).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parts", PARTS)
 def test_lamps_of_one_kind_share_their_code(mi, monkeypatch, parts):
     """Equal images, with code for each lamp and for each kind; equal seeds."""

@@ -174,7 +174,7 @@ def test_another_gain_needs_no_reload_and_no_new_kernel(mi, asset):
 
 @pytest.mark.parametrize(
     ("asset", "kind"),
-    slow_but_sets([("light", "lumitree_path"), ("field", "prb")], ASSETS, ("lumitree_path", "prb")),
+    slow_but_sets([("field", "prb")], ASSETS, ("lumitree_path", "prb")),
     indirect=["asset"],
 )
 def test_the_gradient_is_that_of_finite_differences(mi, asset, kind):
@@ -201,6 +201,7 @@ def test_the_gradient_is_that_of_finite_differences(mi, asset, kind):
     assert min(differences) > 0.01
 
 
+@pytest.mark.slow
 def test_the_gain_of_an_image_is_recovered_by_descent(mi):
     import drjit as dr
 

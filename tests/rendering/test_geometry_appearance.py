@@ -163,7 +163,7 @@ def before_a_panel(name, **objects):
     return {"sensor": camera(origin, target, fov), "back": back, **objects}
 
 
-@pytest.mark.parametrize("name", slow_but(["outside", "inside the bulb"], VIEWS))
+@pytest.mark.parametrize("name", slow_but(["inside the bulb"], VIEWS))
 def test_specular_paths_see_the_lamp_as_it_is(specular, name):
     """Images of glass, mirrors and the filament are those of the explicit lamp."""
     lamp, asset = specular
@@ -233,7 +233,7 @@ def test_surfaces_that_lie_in_the_faces_of_the_box_are_met(make):
         slow("specular", {"type": "roughplastic", "alpha": 0.1}),
         slow("shaded", {"type": "diffuse"}),
         slow("shaded", {"type": "roughconductor", "alpha": 0.15}),
-        ("shaded", {"type": "roughplastic", "alpha": 0.1}),
+        slow("shaded", {"type": "roughplastic", "alpha": 0.1}),
     ],
 )
 def test_direct_light_is_the_light_field_once(request, which, bsdf):
@@ -247,6 +247,7 @@ def test_direct_light_is_the_light_field_once(request, which, bsdf):
     assert_same_expectation(ours, field)
 
 
+@pytest.mark.slow
 def test_direct_light_is_that_of_the_explicit_lamp(shaded):
     """The mean of the floor, within its noise and 1 % for the cells of the light field."""
     lamp, asset = shaded
@@ -309,6 +310,7 @@ PANE = scene(
 SHEET = {"type": "thindielectric", "int_ior": 1.5, "ext_ior": 1.0}
 
 
+@pytest.mark.slow
 def test_other_lights_pass_glass_with_its_fresnel_transmittance(make):
     """The floor under a pane is that under a sheet of thin glass, which is exact there."""
     import mitsuba as mi
@@ -334,6 +336,7 @@ def test_other_lights_pass_glass_with_its_fresnel_transmittance(make):
     assert ours.mean() < 0.97 * open_.mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place_at", [2.0, slow(1.0)], ids=["beside", "above"])
 def test_the_light_of_another_lamp_is_blocked_by_opaque_parts_alone(make, shaded, place_at):
     """Two geometries: as one with the shapes of the other as objects of the room."""
@@ -373,6 +376,7 @@ def test_a_receiver_that_touches_the_box_gets_its_light_once(shaded):
         assert_same_expectation(ours, field)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rr_depth", [2, slow(24)])
 def test_rough_surfaces_of_the_lamp_show_its_own_light(make, rr_depth):
     """Next-event estimation and paths that hit the filament, weighted against each other."""
@@ -384,6 +388,7 @@ def test_rough_surfaces_of_the_lamp_show_its_own_light(make, rr_depth):
     assert_same_expectation(ours, theirs)
 
 
+@pytest.mark.slow
 def test_a_surface_gets_the_own_light_of_its_lamp_alone(make, shaded):
     """The light of another lamp comes from its light field."""
     _, asset = shaded

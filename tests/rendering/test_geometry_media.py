@@ -119,6 +119,7 @@ def test_opal_glass_is_seen_as_it_is(make, name):
     assert_same_expectation(ours, theirs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["smooth", slow("frosted")])
 def test_a_lamp_that_lights_its_box_does_not_light_itself(make, name):
     """Something black in a corner of the box: the lamp looks as before, but for what it hides."""
@@ -131,6 +132,7 @@ def test_a_lamp_that_lights_its_box_does_not_light_itself(make, name):
     assert_same_expectation(ours, theirs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["smooth", slow("hollow")])
 def test_paths_from_elsewhere_do_not_find_the_lights_in_the_lamp(make, name):
     """A floor has that light already: its mean is that of the explicit lamp, within cells."""
@@ -154,6 +156,7 @@ def test_light_that_scatters_in_the_lamp_is_shown_at_any_depth(make):
     assert_same_expectation(shallow, deep)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["smooth", slow("frosted and hollow")])
 def test_direct_light_is_the_light_field_once(make, name):
     """A floor gets the same with the geometry as with the field: nothing is added by the shapes."""
@@ -216,6 +219,7 @@ def test_a_medium_gets_the_own_light_of_its_lamp_alone(make):
     assert_same_expectation(ours, theirs)
 
 
+@pytest.mark.slow
 def test_shapes_share_the_objects_of_equal_media(mi, make):
     from lumitree.lamp.media import media, scatters
 

@@ -50,6 +50,7 @@ def bar(frame=None):
     return with_geometry(stored_geometry(lamp), lamp.frame)
 
 
+@pytest.mark.slow
 def test_parts_of_a_bake(capsys):
     baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light", "geometry"]))
     assert baked.asset.parts == ("light", "geometry")

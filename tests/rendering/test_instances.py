@@ -32,6 +32,7 @@ def save(path, *shapes):
     return path
 
 
+@pytest.mark.slow
 def test_lamps_are_placed_in_a_room_with_instances(mi, tmp_path):
     lumitree.save(random_asset(3), tmp_path / "lamp.lumitree")
     lamps = [lumitree.Placement(str(tmp_path / "lamp.lumitree"), at=(0, 1, 0), size=0.5)]
@@ -49,6 +50,7 @@ def test_lamps_are_placed_in_a_room_with_instances(mi, tmp_path):
     assert np.abs(found.pixels - expected.pixels).mean() < 0.1 * expected.pixels.mean()
 
 
+@pytest.mark.slow
 def test_an_explicit_lamp_with_instances_is_placed_and_previewed(mi, tmp_path):
     lamp_of(
         tmp_path,

@@ -138,9 +138,10 @@ def test_without_luminaires_it_is_path(mi, name, options):
 @pytest.mark.parametrize(
     "options",
     [
-        *({"max_depth": depth} for depth in (0, 1, 2, 3)),
+        *(slow({"max_depth": depth}) for depth in (0, 1, 2)),
+        {"max_depth": 3},
         {"max_depth": 6, "rr_depth": 1},
-        {"max_depth": 3, "hide_emitters": True},
+        slow({"max_depth": 3, "hide_emitters": True}),
     ],
 )
 def test_without_null_surfaces_it_follows_path_number_by_number(mi, monkeypatch, options):
@@ -177,6 +178,7 @@ LIT = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [slow({"max_depth": 3}), {"max_depth": 8, "rr_depth": 2}],
@@ -218,7 +220,7 @@ def along(scene, origin, direction, **options):
     return np.array(radiance), np.array(valid)
 
 
-@pytest.mark.parametrize("count", [1, 2, 5])
+@pytest.mark.parametrize("count", [slow(1), 2, slow(5)])
 def test_a_chain_of_null_surfaces_neither_bounces_nor_plays_roulette(mi, lamp, count):
     sky_light = {"type": "constant", "radiance": grey(2)}
     scene = mi.load_dict({"type": "scene", "sky": sky_light, **slabs(lamp, count)})
@@ -228,7 +230,9 @@ def test_a_chain_of_null_surfaces_neither_bounces_nor_plays_roulette(mi, lamp, c
     assert np.ptp(seen) < 1e-5
 
 
-@pytest.mark.parametrize(("count", "density"), [(0, 0.25), slow(1, 0.25), (3, 0.25), slow(2, 10.0)])
+@pytest.mark.parametrize(
+    ("count", "density"), [(0, 0.25), slow(1, 0.25), slow(3, 0.25), slow(2, 10.0)]
+)
 def test_shadow_rays_cross_a_chain_of_null_surfaces(mi, lamp, count, density):
     """A matte floor under a sun above the slabs: reflectance 0.5 / π times T."""
     floor = mi.ScalarTransform4f().translate([0, -3, 0]).rotate([1, 0, 0], -90).scale(9)
@@ -250,6 +254,7 @@ def test_shadow_rays_cross_a_chain_of_null_surfaces(mi, lamp, count, density):
     assert valid.all()
 
 
+@pytest.mark.slow
 def test_a_shining_lamp_before_nothing_is_opaque_in_the_films_alpha(mi, lamp):
     bright = uniform_asset(10.0, [4.0, 2.0, 1.0])
     scene = mi.load_dict({"type": "scene", "lamp": lamp([0, 0, 0], 1, turn=0, asset=bright)})
@@ -259,6 +264,7 @@ def test_a_shining_lamp_before_nothing_is_opaque_in_the_films_alpha(mi, lamp):
     assert not along(scene, [4, -5, 0.2], [0, 1, 0])[1].any()
 
 
+@pytest.mark.slow
 def test_hidden_emitters_hide_the_lamp_but_not_its_light(mi, lamp):
     bright = uniform_asset(10.0, [4.0, 2.0, 1.0])
     scene = view(lamp=lamp([0, 1, 0], asset=bright))

@@ -38,13 +38,14 @@ def cube(mi, tmp_path):
     return lambda place: lumitree.shape(path, place), plain
 
 
-@pytest.mark.parametrize("name", slow_but(["far below", "near"], PLACES))
+@pytest.mark.parametrize("name", slow_but(["near"], PLACES))
 def test_near_and_far_a_wall_gets_what_an_area_light_sends(mi, cube, name):
     baked, plain = (make(TURNED) for make in cube)
     place = PLACES[name]
     agree(irradiance(mi, {"a": baked}, *place), irradiance(mi, {"a": plain}, *place, seed=50))
 
 
+@pytest.mark.slow
 def test_a_proxy_that_touches_a_wall_lights_it_beside_itself(mi, cube):
     """A lamp mounted under a ceiling; a point of the ceiling just past its edge."""
     place = similarity(np.eye(3), 0.5, [0, -0.5, 0])
@@ -70,6 +71,7 @@ def test_several_turned_and_scaled_instances_add_up_and_hide_each_other(mi, cube
     agree(irradiance(mi, baked, *place), irradiance(mi, plain, *place, seed=50))
 
 
+@pytest.mark.slow
 def test_two_lamps_are_seen_through_one_another(mi, tmp_path):
     """Half-transparent cubes one behind the other: L = L1 + T1 L2, from camera and shadow rays."""
     path, radiance = tmp_path / "mist.lumitree", np.array([2.0, 1.0, 0.5])

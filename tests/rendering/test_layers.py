@@ -54,6 +54,7 @@ FOG = """<sensor type="perspective"><medium type="homogeneous" name="medium">
 <rgb name="sigma_t" value="0.05, 0.1, 0.2"/><rgb name="albedo" value="0.9, 0.5, 0.7"/></medium>"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sensor", ['<sensor type="perspective">', slow(FOG)], ids=["clear", "fog"])
 def test_layers_add_up_to_the_image(room, lamps, tmp_path, sensor):
     room.write_text(room.read_text().replace('<sensor type="perspective">', sensor))
@@ -101,6 +102,7 @@ def test_layers_of_geometries(mi, room, tmp_path):
     assert left > 3 * right > 0
 
 
+@pytest.mark.slow
 def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
     path = tmp_path / "layers.exr"
     result = render(room, lamps, samples_per_pixel=16, layers=True)
@@ -136,6 +138,7 @@ def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
         lumitree.mix(image)
 
 
+@pytest.mark.slow
 def test_layers_have_no_names_of_other_channels(room, lamps, tmp_path):
     path = tmp_path / "layers.exr"
     named = [
@@ -166,6 +169,7 @@ def test_buffers_describe_the_surfaces(mi, room, tmp_path):
     assert found["albedo"][8, 5] == pytest.approx([0.6, 0.4, 0.2], abs=0.01)
 
 
+@pytest.mark.slow
 def test_noise_is_the_deviation_between_seeds(mi, room):
     from lumitree.rendering.passes import Budget, render_passes
     from lumitree.rendering.scene import load_scene

@@ -28,6 +28,7 @@ def faults(count):
     return json.loads(run.stdout)
 
 
+@pytest.mark.slow
 def test_materials_that_are_accepted_can_be_rendered():
     found = faults(300)
     assert found["faults"] == {}

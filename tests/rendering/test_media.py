@@ -184,6 +184,7 @@ SCATTERING = {
 
 
 # A hidden lamp is not in the image at all, while `volpathmis` hides its light alone.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "hide"),
     [

@@ -159,6 +159,7 @@ ROOM = (
 )
 
 
+@pytest.mark.slow
 def test_render_takes_the_file_and_options(tmp_path, mi, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "room.xml").write_text(ROOM)

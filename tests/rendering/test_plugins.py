@@ -129,6 +129,7 @@ def shape_hit(mi, shape, it, direction):
 shape_hit.scenes = {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("proxy", ["box", "sphere"])
 def test_sample_direction_weight_is_emission_over_pdf(mi, asset_file, proxy):
     import drjit as dr

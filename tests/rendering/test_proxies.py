@@ -205,6 +205,7 @@ def test_a_divided_scene_looks_the_same(mi, lamps, hidden):
     assert stats.ttest_ind(*means, equal_var=False).pvalue.min() > 1e-4
 
 
+@pytest.mark.slow
 def test_a_divided_scene_follows_its_shapes(mi, lamps):
     """A mesh and a sphere are moved: the image is that of a scene that was loaded so."""
     lamp = {"lamp0": lamps["lamp0"]}

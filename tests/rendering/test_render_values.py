@@ -153,6 +153,7 @@ def test_scenes_that_cannot_be_rendered_are_refused(mi, room):
         render({"type": "scene", "wall": {"type": "no_such_plugin"}})
 
 
+@pytest.mark.slow
 def test_the_image_so_far_is_shown_while_it_is_rendered(mi, room, monkeypatch):
     """After the first pass, then not more often than every two seconds; never the last one."""
     from lumitree.rendering import passes

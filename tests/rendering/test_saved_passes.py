@@ -118,6 +118,7 @@ def test_a_finished_image_is_not_rendered_again(rendered):
     assert rendered[0] == []
 
 
+@pytest.mark.slow
 def test_a_shorter_last_pass_is_only_that_of_the_same_number(rendered):
     render(samples=5)
     rendered[0].clear()
@@ -181,6 +182,7 @@ def test_images_of_a_short_time_leave_nothing(rendered, monkeypatch):
     assert not Path("work").exists()
 
 
+@pytest.mark.slow
 def test_the_command_removes_what_it_kept(rendered, capsys):
     command = ["render", "room.xml", "-o", "image.png", "--place", "lamp.lumitree", "--spp", "12"]
     seeds, stop_at = rendered

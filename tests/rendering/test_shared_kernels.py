@@ -61,6 +61,7 @@ def compiled(mi, asset):
     return sum(not kernel["cache_hit"] for kernel in kernels)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parts", ["light", slow("both")])
 def test_another_lamp_compiles_no_kernel(tmp_path, parts):
     """Each in a process of its own, with one cache.

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from lumitree.core.frames import LocalFrame
 from support.geometry_assets import small_geometry, with_geometry
@@ -67,6 +68,7 @@ def test_an_emitter_sends_out_its_radiance_at_its_front_alone(mi):
     assert found[count + used].mean() < 1e-2
 
 
+@pytest.mark.slow
 def test_equal_assets_have_equal_radiance(mi):
     from lumitree.rendering.surface_radiance import vertex_radiance
 

@@ -46,6 +46,7 @@ def test_standard_error_is_the_spread_of_independent_estimates(lamp):
     assert abs(lumens.mean() - LUMENS) < 4 * expected / np.sqrt(12)
 
 
+@pytest.mark.slow
 def test_light_paths_and_camera_paths_agree_behind_glass(mi, tmp_path):
     """A large lamp, for which Mitsuba's distance of rays from surfaces is small."""
     from lumitree.trace.flux import estimate_flux

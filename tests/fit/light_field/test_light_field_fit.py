@@ -324,6 +324,7 @@ def test_settings_out_of_range_are_refused(change, message):
         dataclasses.replace(CONFIG, **change)
 
 
+@pytest.mark.slow
 def test_batches_of_other_seeds_compile_no_kernels(mi, tmp_path):
     """Each has another number of paths that leave, and of segments that end on the lamp."""
     import drjit as dr

@@ -49,6 +49,7 @@ def untraced(monkeypatch):
     monkeypatch.setattr(light_field_bake, "bake_light_field", refuse)
 
 
+@pytest.mark.slow
 def test_the_light_field_alone(tmp_path):
     baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light"]))
     asset = baked.asset
@@ -124,6 +125,7 @@ def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
         lumitree.bake("lamp.xml", config=standard(parts=["light"], seed=1), work="state")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parts", [("light", "field", "geometry"), slow(("field",))])
 def test_a_bake_gets_the_flux_and_the_colour_that_are_asked_for(parts, capsys):
     """All parts are those of a bake without them, but for the gain, which later calls keep."""
@@ -255,6 +257,7 @@ def test_a_bake_states_the_error_of_its_irradiance(parts):
         assert ratio == pytest.approx(1, abs=5 * baked.irradiance["ratio_error"] + 0.005)
 
 
+@pytest.mark.slow
 def test_the_irradiance_is_compared_on_request(capsys):
     command = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--parts", "light", "--json", "r.json"]
     for paths, lines in ((None, 3), (4096, 3), (0, 0)):
@@ -315,6 +318,7 @@ def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch, capsys):
     assert sorted(os.listdir()) == ["lamp.lumitree", "lamp.xml"]
 
 
+@pytest.mark.slow
 def test_an_light_field_alone_is_evaluated():
     """What is seen of it is measured; its irradiance is that of the luminaire."""
     lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light"]))

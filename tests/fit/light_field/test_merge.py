@@ -68,6 +68,7 @@ def names(count):
     return [f"{letter}.lumitree" for letter in "abcd"[:count]]
 
 
+@pytest.mark.slow
 def test_merging_is_one_histogram_of_all_paths(mi, lamp, bakes):
     """The same light paths in one histogram: every bin is the same up to two roundings."""
     histogram = module.Histogram(CONFIG.depth, RESOLUTION)

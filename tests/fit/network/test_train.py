@@ -47,6 +47,7 @@ def _assert_same(first, second):
     jax.tree.map(np.testing.assert_array_equal, first, second)
 
 
+@pytest.mark.slow
 def test_resumed_run_equals_uninterrupted_one(dataset, tiny_run, tmp_path):
     half = train(dataset, tmp_path / "run", TINY, stop_after=10)
     assert half.steps == 10
@@ -85,6 +86,7 @@ def test_field_says_what_extraction_needs(tiny_run):
     np.testing.assert_array_equal(field.frame.world_from_local, np.eye(4))
 
 
+@pytest.mark.slow
 def test_the_rendered_views_are_those_of_the_training(dataset, tiny_run):
     """`TrainedField.render` reproduces the PSNR that training reports for the held-out rays."""
     data = Dataset.open(dataset)

@@ -47,6 +47,7 @@ def test_a_wrong_start_becomes_the_truth(mi, law, split):
     assert opacity_after < opacity_before / 2
 
 
+@pytest.mark.slow
 def test_smoothing_reduces_noise(mi):
     """A descent that starts at the truth, whose leaves are all equal."""
     cells = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), -1).reshape(-1, 3)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from support.lamps import AREA, cube, sphere
+from support.slow import slow
 from support.traced_lamps import (
     CLUTTER,
     arrays,
@@ -82,7 +83,7 @@ def test_transmittance_of_a_pane_is_fresnels(mi, lamp, kind, degrees):
     assert np.array(through) == pytest.approx(expected, abs=1e-5)
 
 
-@pytest.mark.parametrize("wanted", [everywhere, downwards])
+@pytest.mark.parametrize("wanted", [everywhere, slow(downwards)])
 def test_drawn_rays_integrate_any_function_of_wanted_rays(lamp, wanted):
     """Rays and light paths together have the means of camera paths alone."""
     rays = source(lamp(*CLUTTER))

@@ -178,6 +178,7 @@ def test_a_floor_has_the_illuminance_that_its_image_shows(mi):
     assert result.total[0] == pytest.approx(shown, rel=0.03)
 
 
+@pytest.mark.slow
 def test_receivers_inside_the_box_get_its_light(mi):
     points = placed().at + np.array([[0.02, -0.01, 0.03], [0.05, 0.02, -0.03]])
     result = lumitree.illuminance(room(mi), [placed()], direct_only=True, error=0.01, **at(*points))

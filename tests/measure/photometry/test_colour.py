@@ -109,6 +109,7 @@ def spectrum_file(path, spectrum):
     return f'<emitter type="area"><spectrum name="radiance" filename="{path.name}"/></emitter>'
 
 
+@pytest.mark.slow
 def test_a_lamp_its_asset_and_their_reports(folder, illuminants, capsys):
     emitter = spectrum_file(folder / "fl2.spd", illuminants["FL2"])
     (folder / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=emitter)))
@@ -147,6 +148,7 @@ def test_where_only_rgb_is_known_the_report_says_so(folder, capsys):
     assert expected in (folder / "a.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_lamp_with_both_kinds_of_emitters_says_how_much_is_known(folder):
     """Two equal spheres of equal luminance, one of them by RGB."""
     flat = '<emitter type="area"><spectrum name="radiance" value="1"/></emitter>'

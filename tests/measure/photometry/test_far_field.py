@@ -135,6 +135,7 @@ def test_the_distance_of_the_far_field(difference, error, expected):
     assert distance == (expected[0] and pytest.approx(expected[0], rel=0.02))
 
 
+@pytest.mark.slow
 def test_a_luminaire_that_absorbs(mi, tmp_path):
     """A black plate below a sphere: light output ratio, shares, and the flux of `preview`."""
     black = '<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>'
