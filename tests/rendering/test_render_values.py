@@ -9,6 +9,7 @@ from lumitree.rendering.layers import Unrecorded
 from support.fields import random_asset
 from support.lamps import AREA, sphere
 from support.lamps import scene as shapes
+from support.photometric_types import ies
 from support.small_room import SMALL_ROOM
 
 
@@ -126,6 +127,17 @@ def test_lumens_are_those_of_the_scene_in_its_unit(mi, room):
     assert images[0].max() > 0
     assert_similar(images[1], 1e4 * images[0])
     assert_similar(images[2], images[1])
+
+
+def test_a_file_in_metres_in_a_scene_in_centimetres_is_warned_of(mi, tmp_path):
+    from lumitree.rendering.scene import open_placements
+
+    (tmp_path / "a.ies").write_text(ies("C", [0], [0, 90], [[100, 0]]))
+    with pytest.warns(LumitreeWarning, match=r"size in metres, .* right with --size 40$"):
+        open_placements([lumitree.Placement(tmp_path / "a.ies")], 0.01)
+    for known in ({"size": 40}, {"lumens": 100}):
+        open_placements([lumitree.Placement(tmp_path / "a.ies", **known)], 0.01)
+    open_placements([lumitree.Placement(tmp_path / "a.ies")])
 
 
 @pytest.mark.parametrize("placements", [lumitree.Placement("a.lumitree"), "a.lumitree", [None]])

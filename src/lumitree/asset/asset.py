@@ -140,6 +140,14 @@ class Asset:
             geometry = dataclasses.replace(geometry, origin=(x, y, z))
         return dataclasses.replace(self, frame=self.frame.moved(offset), geometry=geometry)
 
+    def scaled(self, factor: float) -> "Asset":
+        """The asset of the luminaire with all lengths of its file times a factor.
+
+        Radiance stays, so that intensities and flux are multiplied by the factor's square.
+        """
+        geometry = None if self.geometry is None else self.geometry.scaled(factor)
+        return dataclasses.replace(self, frame=self.frame.scaled(factor), geometry=geometry)
+
     @property
     def info(self) -> "AssetInfo":
         """Size, depth and bounds of the asset."""

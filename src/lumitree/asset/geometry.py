@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.checks import expect, expect_arrays, naming, require
-from lumitree.asset.geometry_media import MEDIA_SIDES, check_medium
+from lumitree.asset.geometry_media import MEDIA_SIDES, check_medium, described_medium, side_medium
 from lumitree.asset.materials import check_material, check_radiance
 from lumitree.asset.textures import (
     VERTEX_RANGE,
@@ -116,6 +116,16 @@ class AssetGeometry:
     def file_from_geometry(self) -> NDArray[np.float64]:
         """[4, 4] translation from its coordinates to the frame of the luminaire's file."""
         return similarity(np.eye(3), 1.0, self.origin)
+
+    def scaled(self, factor: float) -> "AssetGeometry":
+        """The geometry with all lengths multiplied by a factor, in a smaller or larger unit."""
+        x, y, z = (factor * each for each in self.origin)
+        return dataclasses.replace(
+            self,
+            vertices=(factor * self.vertices).astype(np.float32),
+            shapes=tuple(_scaled(shape, factor) for shape in self.shapes),
+            origin=(x, y, z),
+        )
 
     @property
     def num_bytes(self) -> int:
@@ -221,6 +231,20 @@ def _used(index: int, geometry: AssetGeometry) -> str:
     first = next(found, None)
     of = "of no shape" if first is None else f"of shape {first}"
     return f"{index} ({shown(kind, 60)}, {of})"
+
+
+def _scaled(shape: Json, factor: float) -> Json:
+    changed: Json = {}
+    if "to_world" in shape:
+        changed["to_world"] = (np.diag([factor] * 3 + [1.0]) @ np.array(shape["to_world"])).tolist()
+    for side in MEDIA_SIDES:
+        if side in shape:
+            medium = side_medium(shape[side])
+            thinner = medium._replace(
+                absorption=medium.absorption / factor, scattering=medium.scattering / factor
+            )
+            changed[side] = described_medium(thinner)
+    return {**shape, **changed}
 
 
 def _check_shape(shape: Json, num_materials: int, images: Sequence[ImageFacts]) -> None:

@@ -26,6 +26,13 @@ def add(commands: Any) -> None:
         "--lights", type=int, metavar="N", default=16, help="largest number of point lights"
     )
     parser.add_argument(
+        "--unit",
+        default="m",
+        metavar="UNIT",
+        help="unit of length of the Mitsuba scene of the lamp: m, cm, mm, in, ft, or the metres in "
+        "a unit; models and photometric files are in metres once they are baked (default: m)",
+    )
+    parser.add_argument(
         "--up",
         choices=("y", "z"),
         default="y",
@@ -44,7 +51,12 @@ def run(args: argparse.Namespace) -> Any:
     import lumitree
 
     return lumitree.export(
-        args.asset, args.output, lights=args.lights, up=args.up, blender=args.blender
+        args.asset,
+        args.output,
+        lights=args.lights,
+        unit=options.number(args.unit),
+        up=args.up,
+        blender=args.blender,
     )
 
 

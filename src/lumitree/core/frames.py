@@ -243,6 +243,10 @@ class LocalFrame:
             similarity(np.eye(3), 1.0, np.asarray(offset, np.float64)) @ self.world_from_local,
         )
 
+    def scaled(self, factor: float) -> "LocalFrame":
+        """The local frame of the luminaire with all lengths of its file times a factor."""
+        return LocalFrame(self.half_extents, similarity(np.eye(3), factor) @ self.world_from_local)
+
     @property
     def local_from_world(self) -> NDArray[np.float64]:
         """[4, 4] inverse of `world_from_local`."""

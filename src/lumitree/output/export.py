@@ -11,6 +11,7 @@ from lumitree.core.files import FilePath, check_writable
 from lumitree.core.results import Result
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.units import metres_of
 from lumitree.core.work_folder import atomic_files, atomic_folder, check_new_folder
 from lumitree.errors import explained
 from lumitree.output.targets.registry import find_target
@@ -57,6 +58,7 @@ def export(
     output: FilePath,
     *,
     lights: int = DEFAULT_LIGHTS,
+    unit: float | str = "m",
     up: Literal["y", "z"] = "y",
     blender: FilePath | None = None,
     seed: int = 0,
@@ -88,6 +90,8 @@ def export(
         output: path of the file to write, beside which other files have names derived from it; or
             of a folder that is new or empty.
         lights: largest number of point lights, 1 to 1,024.
+        unit: unit of length of the luminaire's Mitsuba scene: "m", "cm", "mm", "in", "ft", or the
+            metres in a unit. Models and photometric files are in metres once they are baked.
         up: the axis that points up in the luminaire's Mitsuba scene, "y" or "z"; models and
             photometric files have y up once they are baked. Each program has its own axis up
             (`ExportResult.orientation`), to which the lamp is turned.
@@ -108,6 +112,7 @@ def export(
     (check_new_folder if target.is_folder else check_writable)(output)
     check_count("lights", lights, 1, MAX_LIGHTS)
     check_choice("up", up, ("y", "z"))
+    metres = metres_of(unit)
     check_seed(seed)
     if target.check is not None:
         target.check(blender)
@@ -115,7 +120,8 @@ def export(
     watch = Stopwatch()
     with watch.stage("load"):
         given = open_asset(asset)
-        loaded = given.near_origin
+        near = given.near_origin
+        loaded = near if metres == 1 else near.scaled(metres)
     request = ExportRequest(
         asset=loaded, lights=lights, up=up, seed=seed, blender=blender, name=output.name
     )
@@ -125,7 +131,7 @@ def export(
         names = sorted(each.name for each in folder.iterdir())
     files = [(output if target.is_folder else output.parent) / name for name in names]
     lost = written.not_carried_over
-    if loaded is not given:
+    if near is not given:
         place = ", ".join(f"{each:.10g}" for each in given.frame.centre)
         lost = [*lost, f"the place of the lamp in its file, ({place}): it is moved to the origin"]
     return ExportResult(

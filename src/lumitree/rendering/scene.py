@@ -21,7 +21,7 @@ from lumitree.lamp.media import any_heterogeneous
 from lumitree.lamp.probe import check_evaluates
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_shapes import SceneShape, reusable_shapes
-from lumitree.lamp.source import LuminaireSource
+from lumitree.lamp.source import LuminaireSource, source_kind
 from lumitree.octree.field import EXACT, Field, Thresholds
 from lumitree.rendering.asset_cache import open_field
 from lumitree.rendering.asset_flux import asset_watts, gain_to
@@ -151,8 +151,24 @@ def open_placements(placements: Sequence[Placement], metres: float = 1) -> list[
         placed = PlacedLuminaire(placement, loaded.get(key), metres)
         if placed.luminaire is not None:
             loaded[key] = placed.luminaire
+        _warn_of_unit(placed, metres)
         opened.append(placed)
     return opened
+
+
+def _warn_of_unit(placed: PlacedLuminaire, metres: float) -> None:
+    """Warn of a file in metres at its own size in a scene in another unit."""
+    placement = placed.placement
+    if metres == 1 or (placement.size, placement.lumens) != (None, None) or placed.field is None:
+        return
+    if source_kind(placement.source) == "photometric":
+        size = float(placed.field.asset.frame.size.max()) / metres
+        warnings.warn(
+            f"{placed.title} states its size in metres, and is as many units large in the scene, "
+            f"which are {metres:g} m each; its light is right with --size {size:.6g}",
+            LumitreeWarning,
+            stacklevel=4,
+        )
 
 
 def place_luminaires(
