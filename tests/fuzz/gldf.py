@@ -149,7 +149,7 @@ def _change_entry(data, rng):
 
 def read(folder):
     """The product, its model and its photometries, as `bake_gldf` reads them before it bakes."""
-    from lumitree.formats.photometric_file import read_distribution
+    from lumitree.formats.photometric_file import read_photometry
 
     path = folder / _FILE
     archive = Archive.open(path, KIND)
@@ -160,7 +160,7 @@ def read(folder):
     for each in found.emitters:
         content = archive.read(each.photometry.member(archive), "a photometric file")
         (folder / "copy.ldt").write_bytes(content)
-        read_distribution(folder / "copy.ldt")
+        read_photometry(folder / "copy.ldt")
     return path
 
 

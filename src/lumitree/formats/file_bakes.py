@@ -5,9 +5,8 @@ import os
 from lumitree.asset.asset import Asset
 from lumitree.formats.gldf_asset import bake_gldf
 from lumitree.formats.light_field import bake_distribution, bake_rays
-from lumitree.formats.photometric_file import read_distribution
+from lumitree.formats.photometric_file import read_photometry
 from lumitree.formats.tm25 import read_tm25
-from lumitree.formats.tm33 import read_tm33
 from lumitree.lamp.source import RAY_SUFFIXES, gldf_variant, photometric_suffix
 from lumitree.trace.light_field_config import LightFieldConfig
 
@@ -29,6 +28,6 @@ def bake_file(path: str | os.PathLike[str], config: LightFieldConfig) -> Asset:
         return bake_gldf(*gldf_variant(path))
     if suffix in RAY_SUFFIXES:
         return bake_rays(*read_tm25(path), config)
-    if (distribution := read_distribution(path)) is not None:
-        return bake_distribution(distribution)
-    return bake_distribution(*read_tm33(path))
+    found = read_photometry(path)
+    assert found is not None
+    return bake_distribution(*found)

@@ -26,7 +26,7 @@ from lumitree.formats.l3d import L3d, read_l3d
 from lumitree.formats.l3d_geometry import Y_UP, l3d_geometry, plain_name
 from lumitree.formats.light_field import bake_distribution
 from lumitree.formats.light_sources import LightSource, bake_sources
-from lumitree.formats.photometric_file import read_distribution
+from lumitree.formats.photometric_file import read_photometry
 from lumitree.formats.photometric_text import warn_of_file
 from lumitree.formats.tm33 import read_tm33
 from lumitree.formats.type_c import IntensityDistribution
@@ -175,4 +175,5 @@ class _Bake:
 
 
 def _read(path: Path) -> IntensityDistribution:
-    return read_distribution(path) or read_tm33(path)[0]
+    # What is none of them is refused as TM-33.
+    return (read_photometry(path) or read_tm33(path))[0]

@@ -3,34 +3,43 @@
 import os
 import warnings
 from collections.abc import Mapping
-from pathlib import Path
 
+from lumitree.core.photometry import RGB
 from lumitree.errors import LumitreeWarning
 from lumitree.formats.ies import read_ies
 from lumitree.formats.ldt import read_ldt
+from lumitree.formats.tm33 import read_tm33
 from lumitree.formats.type_c import IntensityDistribution
+from lumitree.lamp.source import RAY_SUFFIXES, photometric_suffix
 
+_WHITE = (1.0, 1.0, 1.0)
 _READERS = {".ies": read_ies, ".ldt": read_ldt}
 
 
-def read_distribution(path: str | os.PathLike[str]) -> IntensityDistribution | None:
-    """The intensities of an IES or EULUMDAT file; None for a file of another suffix.
+def read_photometry(path: str | os.PathLike[str]) -> tuple[IntensityDistribution, RGB] | None:
+    """The intensities of an IES, EULUMDAT or TM-33 file, and their colour of luminance 1.
+
+    None for GLDF files and ray files, whose light is not one distribution.
 
     Raises:
-        LumitreeError: as of `read_ies` and `read_ldt`.
+        LumitreeError: as of `read_ies`, `read_ldt` and `read_tm33`.
     """
-    read = _READERS.get(Path(path).suffix.lower())
-    return None if read is None else read(path)
+    suffix = photometric_suffix(path) or ""
+    if suffix == ".gldf" or suffix in RAY_SUFFIXES:
+        return None
+    read = _READERS.get(suffix)
+    return read_tm33(path) if read is None else (read(path), _WHITE)
 
 
 def read_again(path: str | os.PathLike[str]) -> IntensityDistribution | None:
-    """As `read_distribution`, without the warnings of a file that an asset was made of before."""
+    """Intensities of a file that an asset was made of before, without its warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LumitreeWarning)
-        return read_distribution(path)
+        found = read_photometry(path)
+    return None if found is None else found[0]
 
 
 def details_of(path: str | os.PathLike[str]) -> Mapping[str, str]:
     """What a photometric file states of how it was made; empty for other files."""
-    distribution = read_again(path)
+    distribution = read_again(path) if photometric_suffix(path) in _READERS else None
     return {} if distribution is None else distribution.details

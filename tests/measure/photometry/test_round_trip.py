@@ -12,6 +12,7 @@ from lumitree.core.frames import LocalFrame
 from lumitree.formats.ies import read_ies, write_ies
 from lumitree.formats.ldt import read_ldt, write_ldt
 from lumitree.formats.opening import Opening
+from lumitree.formats.tm33 import read_tm33
 from lumitree.formats.type_c import IntensityDistribution, direction_of
 from lumitree.measure.photometry.exact_light import (
     ExactLight,
@@ -22,6 +23,7 @@ from lumitree.measure.photometry.exact_light import (
 )
 from support.photometric_types import ies, world
 from support.slow import slow
+from support.tm33_files import table, tm33
 
 PATHS = 1 << 14
 # Largest error of an intensity, over the largest intensity.
@@ -134,6 +136,23 @@ def test_what_a_file_states_is_shown_and_kept(mi, tmp_path, monkeypatch, capsys)
     assert read_ies("b.ies").details["file_generation_type"] == "Undefined"
     lumitree.photometry(lumitree.load("a.ies"), "c.ies", step=5, paths=PATHS)
     assert read_ies("c.ies").details["file_generation_type"] == "Computer Simulation"
+
+
+def test_luminaire_data_keep_their_intensities_opening_and_colour(mi, tmp_path):
+    c, gamma = np.arange(0, 360, 30.0), np.arange(0, 181, 5.0)
+    spectrum = "".join(f'<PwrData w="{w}">{p}</PwrData>' for w, p in [(600, 1), (700, 1)])
+    spectrum = f"<SpectralData><EmitterSpectral>{spectrum}</EmitterSpectral></SpectralData>"
+    (tmp_path / "a.tm33").write_text(tm33(table(c, gamma), after=spectrum))
+    given, colour = read_tm33(tmp_path / "a.tm33")
+    result = lumitree.photometry(tmp_path / "a.tm33", tmp_path / "b.ies", paths=PATHS)
+    found = read_ies(tmp_path / "b.ies")
+    assert result.step == 5
+    direction = direction_of(c[:, None], gamma)
+    assert found.at(direction) == pytest.approx(given.at(direction), abs=1e-3)
+    assert found.opening == given.opening
+    assert found.details["file_generation_type"] == "Undefined"
+    assert colour[0] > 2
+    assert result.colour_temperature is None or result.colour_temperature.value < 1500
 
 
 @pytest.mark.parametrize(("resolution", "step"), [(16, 5.0), (32, 2.5), (64, 1.0), (128, 0.5)])

@@ -5,12 +5,12 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import interpolated
-from lumitree.core.photometry import LUMENS_PER_WATT, luminance
+from lumitree.core.photometry import luminance
 from lumitree.formats.symmetry import EDGE
 from lumitree.formats.type_c import (
     MIN_STEP,
@@ -58,15 +58,23 @@ def light_field_light(asset: Asset) -> ExactLight | None:
     return ExactLight(lambda direction: interpolated(by_bin, direction), watts, width)
 
 
-def file_light(distribution: IntensityDistribution, frame: LocalFrame) -> ExactLight:
+def file_light(
+    distribution: IntensityDistribution, frame: LocalFrame, colour: ArrayLike = (1.0, 1.0, 1.0)
+) -> ExactLight:
     """The light of a photometric file, of which there is an asset in this frame.
 
     The bins of the asset change intensities, so a file is converted without them.
+
+    Args:
+        distribution: of the file.
+        frame: of the asset.
+        colour: linear RGB of its light, of any luminance.
     """
     scale = frame.scale**2
+    rgb = np.asarray(colour, np.float64)
     return ExactLight(
         lambda direction: distribution.at(direction @ frame.rotation.T) / scale,
-        np.full(3, distribution.lumens / LUMENS_PER_WATT / scale),
+        rgb * (distribution.lumens / float(luminance(rgb)) / scale),
         None,
         (distribution.c, distribution.gamma),
     )

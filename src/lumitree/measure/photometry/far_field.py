@@ -31,6 +31,7 @@ from lumitree.measure.photometry.exact_light import (
     upward_share,
 )
 from lumitree.measure.photometry.near_field import NearFieldTest
+from lumitree.rendering.asset_flux import asset_watts
 from lumitree.rendering.asset_rays import AssetRays
 from lumitree.trace.emitted_rays import EmittedRays, RayBatch
 from lumitree.trace.emitted_spectrum import emitted_spectrum
@@ -102,7 +103,7 @@ def asset_source(asset: Asset, file: IntensityDistribution | None = None) -> Sou
     if file is None:
         exact = light_field_light(asset)
     else:
-        exact = file_light(file, asset.frame)
+        exact = file_light(file, asset.frame, asset_watts(asset))
     return Source(
         asset.luminaire, asset.frame, AssetRays(asset), spectrum=asset.spectrum, exact=exact
     )

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.photometry import colour_temperature, luminance
-from lumitree.formats.ies_fields import SIMULATED, UNDEFINED
+from lumitree.formats.ies_fields import SIMULATED
 from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import IntensityDistribution
 from lumitree.measure.batches import jackknife
@@ -31,7 +31,9 @@ _CERTAIN = 2
 
 
 def evaluated(
-    measurement: Measurement, file: IntensityDistribution | None = None
+    measurement: Measurement,
+    file: IntensityDistribution | None = None,
+    generation: str = SIMULATED,
 ) -> PhotometricData:
     """Figures, intensities and near-field limits of a measurement.
 
@@ -39,6 +41,7 @@ def evaluated(
         measurement: of a luminaire or an asset.
         file: the photometric file that the asset was made of: its luminous opening, the flux of its
             lamps and what it states of how it was made.
+        generation: file generation type of what is written.
     """
     grid, emitted = measurement.grid, measurement.emitted
 
@@ -101,7 +104,7 @@ def evaluated(
         if file is None
         else file.opening,
         emitted_lumens=None if emitted_lumens is None else emitted_lumens.value,
-        generation=SIMULATED if file is None else UNDEFINED,
+        generation=generation,
         details={} if file is None else file.details,
     )
     return PhotometricData(

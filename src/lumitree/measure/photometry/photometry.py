@@ -140,6 +140,7 @@ def photometry(
     check_choice("up", up, ("y", "z"))
     metres = metres_of(unit)
     load_rgb(variant)
+    from lumitree.formats.ies_fields import SIMULATED, UNDEFINED
     from lumitree.formats.photometric_file import read_again
     from lumitree.formats.type_c import Grid
     from lumitree.lamp.loading import load_luminaire
@@ -172,7 +173,8 @@ def photometry(
             _warn_far(measured)
         measured = oriented(measured, metres, up)
         measurement = measure(measured, paths, step=step, kept_rays=wanted, seed=seed)
-        data = evaluated(measurement, file)
+        # A converted file is no simulation, and no measurement either.
+        data = evaluated(measurement, file, UNDEFINED if is_file else SIMULATED)
     with watch.stage("write"):
         for path in outputs:
             _writer(_suffix(path), data, measurement.rays)(path)
