@@ -9,6 +9,7 @@ import pytest
 import lumitree
 from lumitree.cli import main
 from lumitree.core.frames import LocalFrame
+from lumitree.errors import LumitreeWarning
 from lumitree.formats.ies import read_ies, write_ies
 from lumitree.formats.ldt import read_ldt, write_ldt
 from lumitree.formats.opening import Opening
@@ -100,6 +101,13 @@ def test_light_of_one_half_has_the_angles_of_its_file(mi, tmp_path, first, share
     assert grid.step == 10
     assert intensity.max() == pytest.approx(100)
     assert upward_share(light, frame) == share
+
+
+def test_angles_finer_than_any_grid_are_told(mi, tmp_path):
+    gamma = np.concatenate([np.arange(0, 2, 0.2), np.arange(2, 91, 2.0)])
+    (tmp_path / "a.ies").write_text(ies("C", np.zeros(1), gamma, np.exp(-(gamma**2))[None]))
+    with pytest.warns(LumitreeWarning, match="as little as 0.2 degrees apart"):
+        assert lumitree.photometry(tmp_path / "a.ies", paths=PATHS).step == 0.5
 
 
 STATED = (

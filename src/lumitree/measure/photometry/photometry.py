@@ -20,12 +20,15 @@ from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.units import metres_of
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
+from lumitree.formats.symmetry import EDGE
+from lumitree.formats.type_c import MIN_STEP
 from lumitree.lamp.source import RAY_SUFFIXES, WRITTEN_SUFFIXES, LuminaireSource, source_kind
 from lumitree.measure.photometry.figures import PhotometricFigures
 from lumitree.measure.photometry.near_field import NearFieldLimit
 from lumitree.rendering.asset_cache import asset_of
 
 if TYPE_CHECKING:
+    from lumitree.formats.type_c import IntensityDistribution
     from lumitree.lamp.luminaire import LuminaireLike
     from lumitree.measure.photometry.far_field import Source
     from lumitree.measure.photometry.figures import PhotometricData
@@ -175,6 +178,8 @@ def photometry(
         measurement = measure(measured, paths, step=step, kept_rays=wanted, seed=seed)
         # A converted file is no simulation, and no measurement either.
         data = evaluated(measurement, file, UNDEFINED if is_file else SIMULATED)
+        if file is not None and step is None:
+            _warn_fine(file, data.step)
     with watch.stage("write"):
         for path in outputs:
             _writer(_suffix(path), data, measurement.rays)(path)
@@ -217,6 +222,20 @@ def _warn_far(source: "Source") -> None:
         warnings.warn(
             f"{source.name} is at ({place}) in its file, where the float32 coordinates of a "
             "ray file are too coarse; the rays are those of the lamp at the origin",
+            LumitreeWarning,
+            stacklevel=4,
+        )
+
+
+def _warn_fine(file: "IntensityDistribution", step: float) -> None:
+    """Warn of a photometric file whose angles are finer than any grid."""
+    steps = np.concatenate([np.diff(file.c), np.diff(file.gamma)])
+    # Beside a step at which the light ends.
+    least = float(steps.min(initial=MIN_STEP, where=steps > 2 * EDGE))
+    if least < MIN_STEP * (1 - 1e-6):
+        warnings.warn(
+            f"{file.name}: its angles are as little as {least:.3g} degrees apart; beam and field "
+            f"angles and the files that are written are of steps of {step:g} degrees",
             LumitreeWarning,
             stacklevel=4,
         )
