@@ -127,6 +127,9 @@ def test_settings_out_of_range_are_refused_when_they_are_made():
     train = dataclasses.replace(NetworkConfig().train, seed=3)
     with pytest.raises(lumitree.LumitreeError, match=r"train\.seed is 3; expected 0"):
         NetworkConfig(train=train)
+    literal = dataclasses.replace(NetworkConfig().train, emission_weights="literal")
+    with pytest.raises(lumitree.LumitreeError, match="expected decrease, as no asset has others"):
+        NetworkConfig(train=literal)
 
 
 def test_the_order_of_parts_is_no_setting():

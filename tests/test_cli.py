@@ -308,6 +308,11 @@ def test_damaged_dataset(network_packages, capsys, folder):
         (folder / "d" / "manifest.json").write_text(text)
         error, _ = fails(capsys, "train", "d", "-o", "run")
         assert message in error
+    (folder / "d" / "manifest.json").write_text(manifest)
+    view = folder / "d" / "view_000001.exr"
+    view.write_bytes(view.read_bytes()[:200])
+    error, _ = fails(capsys, "train", "d", "-o", "run")
+    assert error.rstrip().endswith("remove it, and the same capture makes it again")
 
 
 def test_asset_of_another_luminaire(capsys):
@@ -373,7 +378,7 @@ def test_list_tells_the_figures_of_every_lamp(capsys):
     assert bulbs["emitted_radiance"] == 30
     assert bulbs["size"][1] == pytest.approx(0.327, abs=1e-3)
     assert bulbs["has_media"] is False
-    assert f"{bulbs['triangles']:,} triangles, 5 emitters of up to 30 W/(m² sr)" in out
+    assert f"{bulbs['triangles']:,} triangles, emitters: 5, of up to 30 W/(m² sr)" in out
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ def show(args: argparse.Namespace, result: Any) -> None:
         size = " x ".join(f"{side:.3g}" for side in item["size"])
         print(f"{name:>20}  {item['description']}")
         print(
-            f"{'':>20}  {item['triangles']:,} triangles, {item['emitters']} emitters of up to "
+            f"{'':>20}  {item['triangles']:,} triangles, emitters: {item['emitters']}, of up to "
             f"{item['emitted_radiance']:.4g} W/(m² sr), {size} m, "
             f"{'media' if item['has_media'] else 'no media'}"
         )

@@ -49,6 +49,9 @@ def print_open(path: str | os.PathLike[str] | None) -> None:
         print(f"Open: {shown(path, LONGEST_LINE)}")
 
 
+_OF_FIELD = ("tree_depth", "leaves", "nodes", "l_max", "law", "max_radiance")
+
+
 def print_report(report: dict[str, Any]) -> None:
     """Print a dictionary of figures; nested dictionaries are flattened by one level."""
     flat: dict[str, Any] = {}
@@ -60,10 +63,12 @@ def print_report(report: dict[str, Any]) -> None:
         elif name == "irradiance":
             flat |= _irradiance_lines(value)
         elif isinstance(value, dict):
+            # An asset without a field says nothing of one.
+            unused = _OF_FIELD if value.get("leaves") == 0 else ()
             flat |= {
                 key: _megabytes(item) if key.endswith("_bytes") else _rounded(item)
                 for key, item in value.items()
-                if item is not None
+                if item is not None and key not in unused
             }
         elif value is not None:
             flat[name.replace("_", " ")] = _rounded(value)

@@ -210,7 +210,12 @@ class Dataset:
 
     def _read(self, frame: Frame) -> View:
         path = self.folder / frame.file
-        planes = read_exr(path)
+        try:
+            planes = read_exr(path)
+        except LumitreeError as error:
+            raise LumitreeError(
+                f"{error}; remove it, and the same capture makes it again"
+            ) from None
         size = (self.manifest.resolution, self.manifest.resolution)
         expected = {"RGB": (*size, 3), "geometric": size, "straight_through": size}
         found = {name: plane.shape for name, plane in planes.items()}

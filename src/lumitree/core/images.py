@@ -62,7 +62,7 @@ def read_exr(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
         raise LumitreeError(f"{path} is not a readable OpenEXR image: {_one_line(error)}") from None
     for name, plane in planes.items():
         if not np.isfinite(plane).all():
-            raise LumitreeError(f"{path}: channel {name} holds NaN or infinity; capture it again")
+            raise LumitreeError(f"{path}: channel {name} holds NaN or infinity")
     return planes
 
 

@@ -60,8 +60,9 @@ def bake(
     descent improves it until the budget is spent. The field is stored in a sparse octree.
 
     The state of the bake is kept in a work folder. If SIGINT (Ctrl-C), SIGTERM or SIGHUP
-    interrupts the bake, the best asset so far is written and returned. If `output` or `work` is
-    given, the same call continues the bake later.
+    interrupts the bake, the best asset so far is written and returned. Before there is one, as
+    within the light field, `KeyboardInterrupt` is raised. If `output` or `work` is given, the same
+    call continues the bake later.
 
     Args:
         luminaire: what to bake. One of: the name of a built-in luminaire; the path of a Mitsuba 3

@@ -107,11 +107,11 @@ def bake_network(
             executor=executor,
             progress=progress,
         )
-        from lumitree.fit.network.run import RUN_FILES
+        from lumitree.fit.network.run import RUN_FILES, has_checkpoint
 
         run = folder.path / "run"
         training = dataclasses.replace(config.train, seed=config.seed)
-        trained = _train(captured.dataset, run, training, run.exists(), progress)
+        trained = _train(captured.dataset, run, training, has_checkpoint(run), progress)
         if trained.stopped_by is not None:
             raise Interrupted("the same command continues", trained.stopped_by)
         with reporting(progress):

@@ -204,6 +204,11 @@ class NetworkConfig:
             raise LumitreeError(
                 f"train.seed is {self.train.seed}; expected 0: the training takes seed"
             )
+        if self.train.emission_weights != "decrease":
+            raise LumitreeError(
+                f"train.emission_weights is {self.train.emission_weights}; expected decrease, as "
+                "no asset has others"
+            )
 
     @property
     def light_field_fit(self) -> LightFieldFitConfig:

@@ -86,9 +86,9 @@ def _try(calls: Iterator[Callable[[], Any]], what: str) -> None:
             if reason is None:
                 raise
             raise LumitreeError(
-                f"{what} cannot be evaluated by Mitsuba in RGB: {shown(reason, 300)}; replace it, "
-                "or its texture or shape; images and colours as textures, and meshes and spheres "
-                "as shapes can be evaluated"
+                f"{what} cannot be evaluated by Mitsuba in {load_mitsuba().variant()}: "
+                f"{shown(reason, 300)}; replace it, or its texture or shape; images and colours as "
+                "textures, and meshes and spheres as shapes can be evaluated"
             ) from error
 
 

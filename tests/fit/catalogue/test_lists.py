@@ -118,7 +118,7 @@ def test_parts_of_a_list_are_baked_and_collected(folder, capsys):
     assert not (folder / "out/index.html").exists()
     assert main(["collect", "out"]) == 2
     captured = capsys.readouterr()
-    assert "1 tasks have not begun (2); the same tasks bake what is missing" in captured.err
+    assert "tasks that have not begun: 1 (2); the same tasks bake what is missing" in captured.err
     assert "Open: out/index.html" in captured.out
     assert main([*line, "2/2"]) == 0
     assert main(["collect", "out"]) == 0

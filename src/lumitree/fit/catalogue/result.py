@@ -75,5 +75,5 @@ class CollectResult(Result):
             parts = [f"of {len(self.lamps)} lamps {', '.join(parts)}"]
         if self.missing_tasks:
             numbers = shown_names(map(str, self.missing_tasks))
-            parts.append(f"{len(self.missing_tasks)} tasks have not begun ({numbers})")
+            parts.append(f"tasks that have not begun: {len(self.missing_tasks)} ({numbers})")
         return f"{'; '.join(parts)}; the same tasks bake what is missing" if parts else None

@@ -173,7 +173,10 @@ def restore_checkpoint(folder: Path, template: Any) -> Any:
             return manager.restore(step, args=ocp.args.StandardRestore(placed))
         # Orbax and TensorStore raise many types of exceptions for damaged files.
         except Exception as error:
+            remedy = "train again, in another folder"
+            if len(manager.all_steps()) > 1:
+                damaged = manager.directory / str(step)
+                remedy = f"remove {damaged} to fall back to the one before it"
             raise LumitreeError(
-                f"checkpoint {step} of {folder} is damaged ({type(error).__name__}); "
-                f"remove {manager.directory / str(step)} to fall back to the one before it"
+                f"checkpoint {step} of {folder} is damaged ({type(error).__name__}); {remedy}"
             ) from error

@@ -195,6 +195,7 @@ class _Loop:
                         self._save_or_warn(done, state)
                 advance(1, note)
             self._check(done)
+            self.seconds = self.earlier + time.monotonic() - start
             self._save(done, state)
         rate = (done - first) * self.config.rays_per_batch / max(self.seconds - self.earlier, 1e-9)
         black = psnr(jnp.zeros(3), self.held_out.radiance, self.rays.max_radiance)
@@ -210,9 +211,11 @@ class _Loop:
         bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if bad.size:
             step = done - len(values) + int(bad[0]) + 1
+            saved = self.checkpoints.latest_step()
+            kept = "" if saved is None else f" (the checkpoint of step {saved} there is good)"
             raise LumitreeError(
-                f"the loss is not finite at step {step}; the last checkpoint of {self.folder} is "
-                "good: lower learning_rate_start and train again"
+                f"the loss is not finite at step {step}; lower learning_rate_start, and train in "
+                f"another folder than {self.folder}{kept}"
             )
         self.pending.clear()
         return float(values[-1, 0]) if len(values) else float("nan")
