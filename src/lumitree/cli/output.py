@@ -9,6 +9,8 @@ from lumitree.errors import shown
 LONGEST_LINE = 1000
 # Longest list of lamps that is printed whole.
 _MOST_LAMPS = 100
+# Figures of a radiance field.
+_OF_FIELD = ("tree_depth", "leaves", "nodes", "l_max", "law", "max_radiance")
 
 
 def print_lines(values: dict[str, Any]) -> None:
@@ -47,9 +49,6 @@ def print_open(path: str | os.PathLike[str] | None) -> None:
     """Print the last line of a command: the file or folder to look at; None prints nothing."""
     if path is not None:
         print(f"Open: {shown(path, LONGEST_LINE)}")
-
-
-_OF_FIELD = ("tree_depth", "leaves", "nodes", "l_max", "law", "max_radiance")
 
 
 def print_report(report: dict[str, Any]) -> None:
