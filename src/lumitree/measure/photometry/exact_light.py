@@ -134,7 +134,9 @@ def exact_grid(
 def _on_grid(angles: NDArray[np.float64], step: float) -> bool:
     """Whether angles are multiples of a step, but those just beyond or before one with light."""
     on = np.abs(angles / step - np.round(angles / step)) * step < 1e-6
-    return on.any() and bool((np.abs(angles[:, None] - angles[on]).min(axis=1) <= 2 * EDGE).all())
+    if not on.any():
+        return False
+    return bool((np.abs(angles[:, None] - angles[on]).min(axis=1) <= 2 * EDGE).all())
 
 
 def upward_share(light: ExactLight, frame: LocalFrame) -> float:
