@@ -1,7 +1,7 @@
 // Tone mapping of the field, and false colour of its properties.
 uniform sampler2D radiance, seen, soft, details, background, colours;
 uniform vec2 resolution;
-uniform float gain, max_density, tree_depth, own, studio_backdrop, brightness;
+uniform float gain, max_density, tree_depth, studio_backdrop, brightness;
 uniform int mode, curve, backdrop, modelled;   // radiance, opacity, density, level; linear, ACES, AgX
 const int STUDIO = 3;
 out vec4 pixel;
@@ -53,7 +53,7 @@ void main() {
     vec3 linear = l.rgb * gain;
     if (backdrop == STUDIO) {
       vec3 lit = modelled != 0 ? texture(soft, uv).rgb : vec3(studio_backdrop * l.a);
-      linear = own * linear + brightness * lit;
+      linear += brightness * lit;
     } else linear += (modelled != 0 ? texture(seen, uv).rgb : vec3(l.a)) * behind(uv);
     c = curve == 0 ? encode(linear) : curve == 1 ? aces(linear) : agx(linear);
   } else if (mode == 1) c = vec3(1.0 - l.a);

@@ -31,7 +31,7 @@ function resize() {
 }
 
 // Backdrop that is a file.
-const IMAGE = "2";
+const IMAGE = "2", STUDIO = "3";
 // The last mode shows the geometry, the others the field.
 const MODEL = 4, source = () => +$("mode").value === MODEL ? model : field;
 function drawLamp() {
@@ -53,8 +53,8 @@ function drawLamp() {
   const mode = +$("mode").value, stops = +$("exposure").value;
   draw(display, {
     radiance: shown.target.textures[0], seen: model.target.textures[1], soft: model.target.textures[2], details: field.target.textures[1], background, colours,
-    resolution: [canvas.width, canvas.height], gain: state.keys.get(shown) * 2 ** stops, max_density: field.maxDensity,
-    own: asset.studio.own, studio_backdrop: asset.studio.backdrop, brightness: 2 ** stops, modelled: int(mode === MODEL ? 1 : 0),
+    resolution: [canvas.width, canvas.height], gain: state.keys.get(shown)[$("backdrop").value === STUDIO ? "studio" : "alone"] * 2 ** stops, max_density: field.maxDensity,
+    studio_backdrop: asset.studio.backdrop, brightness: 2 ** stops, modelled: int(mode === MODEL ? 1 : 0),
     tree_depth: asset.field?.tree_depth ?? 0, mode: int(mode === MODEL ? 0 : mode), curve: int(+$("curve").value), backdrop: int(+$("backdrop").value),
   });
   $("another").hidden = $("backdrop").value !== IMAGE;
@@ -69,16 +69,25 @@ function drawLamp() {
 const METERED = 16;
 // Radiance that counts as black, relative to the largest.
 const DARK = 1e-4;
-// The scale of radiance at 0 stops: the log-average of the pixels of the lamp is middle grey.
+// Filmic curves show as white what is a stop brighter.
+const FILMIC = 2;
+// The scales of radiance at 0 stops: alone the log-average of the pixels of the lamp is middle grey; in
+// the studio the brightest of them are as bright as in photographs (lumitree.rendering.studio).
 function meter(shown) {
   shown.restart();
   for (let i = 0; i < METERED && !shown.complete; ++i) shown.draw(currentView(), 160, 120);
-  const pixels = readTarget(shown.target), lit = [];
-  for (let i = 0; i < pixels.length; i += 4)
+  const pixels = readTarget(shown.target), lit = [], bright = [];
+  for (let i = 0; i < pixels.length; i += 4) {
+    const largest = Math.max(pixels[i], pixels[i + 1], pixels[i + 2]);
+    if (largest > 0) bright.push(largest);
     // A light field hides almost nothing.
     if (shown === model || asset.has_field ? pixels[i + 3] < 0.99 : pixels[i + 3] < 1) lit.push(0.2126 * pixels[i] + 0.7152 * pixels[i + 1] + 0.0722 * pixels[i + 2]);
+  }
+  bright.sort((a, b) => a - b);
+  const studio = bright.length ? asset.studio.own * FILMIC * 0.9 / bright[Math.round(0.98 * (bright.length - 1))] : 1;
   const dark = DARK * lit.reduce((a, b) => Math.max(a, b), 0);
-  return dark > 0 ? 0.18 / Math.exp(lit.reduce((sum, x) => sum + Math.log(x + dark), 0) / lit.length) : 1;
+  const alone = dark > 0 ? 0.18 / Math.exp(lit.reduce((sum, x) => sum + Math.log(x + dark), 0) / lit.length) : 1;
+  return { alone, studio };
 }
 
 function legend(ticks, title) {
