@@ -315,7 +315,7 @@ def test_a_bake_killed_in_its_first_step_continues_from_the_estimate(tiny, steps
 @pytest.mark.slow
 def test_a_bake_killed_while_it_calibrates_continues_there(tiny, steps, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("lumitree.fit.octree.bake.flux_correction_factor", die)
+        patch.setattr("lumitree.fit.octree.bake.flux_correction", die)
         assert main(list(BAKE)) == 1
     done = list(steps)
     assert len(done) > 5

@@ -130,13 +130,13 @@ def test_calibration_of_a_correct_field_adds_little_noise(mi):
 @pytest.mark.parametrize("split", [False, True])
 def test_flux_correction_factor_is_what_l_max_lacks(mi, split):
     """Of the true field, with an L_max that is too small."""
-    from lumitree.fit.octree.flux_correction import flux_correction_factor
+    from lumitree.fit.octree.flux_correction import flux_correction
 
     truth, _ = truth_and_start("exponential")
     rays = FieldRays(mi, truth, split=split)
 
     def factor(field, max_radiance):
-        return flux_correction_factor(field, rays, max_radiance, FLUX, 0)
+        return flux_correction(field, rays, max_radiance, FLUX, 0).factor
 
     assert factor(truth, 1.0) == pytest.approx(1, rel=0.01)
     assert factor(truth, 0.8) == pytest.approx(1.25, rel=0.01)

@@ -26,7 +26,7 @@ from lumitree.fit.octree.calibration import calibrate
 from lumitree.fit.octree.config import OctreeFitConfig
 from lumitree.fit.octree.descent import Budget, Descent
 from lumitree.fit.octree.estimate import estimate
-from lumitree.fit.octree.flux_correction import flux_correction_factor
+from lumitree.fit.octree.flux_correction import flux_correction
 from lumitree.fit.octree.growth import grow
 from lumitree.fit.octree.heldout import HeldOut, Score
 from lumitree.fit.octree.leaf_field import LeafField
@@ -39,8 +39,8 @@ from lumitree.lamp.luminaire import Luminaire
 from lumitree.octree.build import build_children
 from lumitree.octree.leaves import leaf_cells
 
-# A flux correction factor that images of the field show.
-_LARGE_FACTOR = 1.5
+# Part of the light above L_max from which images of the field show what makes up for it.
+_MUCH_BEYOND = 1 / 3
 # Makes the first field of a bake, and its L_max.
 Start = Callable[[], tuple[LeafField, float]]
 
@@ -178,16 +178,15 @@ def _run(
             stream = SeedStream(Purpose.CLOSING_CALIBRATION, refiner.step)
             calibrate(descent.best, source, max_radiance, config.calibration, stream, interruption)
             advance(1)
-            factor = flux_correction_factor(
+            factor, beyond = flux_correction(
                 descent.best, source, max_radiance, config.flux, refiner.step, interruption
             )
             advance(1)
-        if factor > _LARGE_FACTOR and not interruption:
+        if beyond > _MUCH_BEYOND and not interruption:
             warnings.warn(
-                f"the brightest parts of {name} exceed L_max, and the field has {1 / factor:.0%} "
-                f"of its light; it is made {factor:.2g} times brighter everywhere, so that images "
-                "of it are too bright elsewhere; show the model (--parts all), or give a larger "
-                "max_radiance.headroom (--config)",
+                f"{beyond:.0%} of the light of {name} is radiance above L_max; for it the field is "
+                f"{factor:.2g} times brighter everywhere, and images of it are too bright; show "
+                "the model (--parts all), or give a larger max_radiance.headroom (--config)",
                 LumitreeWarning,
                 stacklevel=2,
             )

@@ -1,6 +1,6 @@
 """The flux correction factor: total flux of the luminaire over that of the field."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -12,15 +12,27 @@ from lumitree.fit.octree.leaf_field import LeafField
 from lumitree.fit.octree.ray_source import RaySource
 
 
-def flux_correction_factor(
+class FluxCorrection(NamedTuple):
+    """The flux correction.
+
+    Attributes:
+        factor: on L_max, which gives the field the total flux of the source; 1 where either is 0.
+        beyond: part of the flux of the source that is radiance above L_max, which no field has.
+    """
+
+    factor: float
+    beyond: float
+
+
+def flux_correction(
     field: LeafField,
     source: RaySource,
     max_radiance: float,
     config: FluxConfig,
     step: int,
     interruption: Interruption | None = None,
-) -> float:
-    """The factor on L_max that gives the field the total flux of the source; 1 where either is 0.
+) -> FluxCorrection:
+    """The flux correction of a field.
 
     Args:
         max_radiance: L_max of the field.
@@ -28,7 +40,7 @@ def flux_correction_factor(
         step: steps of descent that made the field.
         interruption: no second draw is made once it is set.
     """
-    traced, shown = 0.0, 0.0
+    traced, shown, beyond = 0.0, 0.0, 0.0
     for draw in range(config.draws):
         if interruption and draw:
             break
@@ -37,7 +49,12 @@ def flux_correction_factor(
         radiance, _, _ = field.integrate(rays.origin, rays.direction)
         traced += float(dr.sum(rays.light, axis=None)[0]) / max_radiance
         shown += float(dr.sum(rays.share * radiance, axis=None)[0])
-    return traced / shown if traced > 0 and shown > 0 else 1.0
+        # Light paths, whose share is 0, bring light of no known radiance.
+        above = rays.light / max_radiance - rays.share
+        seen = dr.select(rays.share > 0, dr.maximum(above, 0), 0)
+        beyond += float(dr.sum(seen, axis=None)[0])
+    factor = traced / shown if traced > 0 and shown > 0 else 1.0
+    return FluxCorrection(factor, beyond / traced if traced > 0 else 0.0)
 
 
 def _all_rays(origin: Any, direction: Any) -> Any:
