@@ -13,12 +13,14 @@ is kept.
 """
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 # Entries from which curves are found; all are then given the nearest.
 _SAMPLES = 1 << 14
 _ITERATIONS = 8
-_CHUNK = 1 << 16
+_CHUNK = 1 << 15
+# Of numbers whose products are added exactly in double precision.
+_LARGEST = 1 << 20
 
 
 def codebook(
@@ -83,7 +85,17 @@ def _features(n: NDArray[np.float32], d: NDArray[np.float32]) -> NDArray[np.floa
 
 def _nearest(features: NDArray[np.float32], curves: NDArray[np.float32]) -> NDArray[np.intp]:
     """Index [N] of the curve at the least distance from each entry, by its `_features`."""
-    return (features @ np.hstack([curves, -2 * np.sqrt(curves)]).T).argmin(axis=1)
+    # Of whole numbers of 20 bits, so that sums are exact: those of BLAS otherwise depend on the
+    # number of its threads. The scale of an entry does not matter.
+    entries = _whole(features, np.abs(features).max(axis=1, keepdims=True))
+    terms = np.hstack([curves, -2 * np.sqrt(curves)])
+    return (entries @ _whole(terms, np.abs(terms).max()).T).argmin(axis=1)
+
+
+def _whole(values: NDArray[np.floating], largest: ArrayLike) -> NDArray[np.float64]:
+    """Whole numbers from -`_LARGEST` to `_LARGEST` in proportion to values."""
+    scale = _LARGEST / np.maximum(np.asarray(largest, np.float64), 1e-300)
+    return np.rint(values * scale)
 
 
 def _sums(values: NDArray[np.float32], rows: NDArray[np.intp], count: int) -> NDArray[np.float64]:
