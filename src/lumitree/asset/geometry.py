@@ -236,7 +236,8 @@ def _used(index: int, geometry: AssetGeometry) -> str:
 def _scaled(shape: Json, factor: float) -> Json:
     changed: Json = {}
     if "to_world" in shape:
-        changed["to_world"] = (np.diag([factor] * 3 + [1.0]) @ np.array(shape["to_world"])).tolist()
+        matrix = similarity(np.eye(3), factor) @ np.array(shape["to_world"])
+        changed["to_world"] = matrix.tolist()
     for side in MEDIA_SIDES:
         if side in shape:
             medium = side_medium(shape[side])

@@ -34,6 +34,7 @@ _DIRECTIONS = ((1, 0.7, 1), (-1, 0.7, 1), (1, 0.7, -1), (-1, 0.7, -1))
 _DISTANCE, _HALF_SIDE = 3.2, 1.0
 # Direction from the lamp to the camera of a portrait, and width of the image over that of the lamp.
 _PORTRAIT, _MARGIN = (0.4, 0.25, 0.882), 1.06
+_SAME = np.eye(4)
 
 
 def asset_photographs(
@@ -113,7 +114,7 @@ def softboxes(half_width: float) -> list[NDArray[np.float64]]:
 
 
 def studio_lights(
-    half_width: float, white: float, scene_from_local: NDArray[np.float64] | None = None
+    half_width: float, white: float, scene_from_local: NDArray[np.float64] = _SAME
 ) -> dict[str, Any]:
     """The backdrop and the softboxes, for `mi.load_dict`.
 
@@ -123,11 +124,10 @@ def studio_lights(
         scene_from_local: [4, 4]. Default: the frame of the scene is the local one.
     """
     lights: dict[str, Any] = {"backdrop": _emitter("constant", BACKDROP * white)}
-    frame = np.eye(4) if scene_from_local is None else scene_from_local
     for number, local_from_square in enumerate(softboxes(half_width)):
         lights[f"softbox{number}"] = {
             "type": "rectangle",
-            "to_world": mi.ScalarTransform4f(frame @ local_from_square),
+            "to_world": mi.ScalarTransform4f(scene_from_local @ local_from_square),
             "emitter": _emitter("area", SOFTBOX * white),
         }
     return lights
@@ -142,11 +142,11 @@ class _Studio:
         integrator: mi.Integrator,
         half_width: float,
         resolution: int,
-        scene_from_local: NDArray[np.float64] | None = None,
+        scene_from_local: NDArray[np.float64] = _SAME,
     ) -> None:
-        frame = np.eye(4) if scene_from_local is None else scene_from_local
-        lights = studio_lights(half_width, 0.0, frame)
-        self._camera = LampCamera({**lamp, **lights}, integrator, half_width, resolution, frame)
+        lights = studio_lights(half_width, 0.0, scene_from_local)
+        scene = {**lamp, **lights}
+        self._camera = LampCamera(scene, integrator, half_width, resolution, scene_from_local)
 
     def photographs(
         self,

@@ -13,7 +13,7 @@ is kept.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 # Entries from which curves are found; all are then given the nearest.
 _SAMPLES = 1 << 14
@@ -87,15 +87,14 @@ def _nearest(features: NDArray[np.float32], curves: NDArray[np.float32]) -> NDAr
     """Index [N] of the curve at the least distance from each entry, by its `_features`."""
     # Of whole numbers of 20 bits, so that sums are exact: those of BLAS otherwise depend on the
     # number of its threads. The scale of an entry does not matter.
-    entries = _whole(features, np.abs(features).max(axis=1, keepdims=True))
     terms = np.hstack([curves, -2 * np.sqrt(curves)])
-    return (entries @ _whole(terms, np.abs(terms).max()).T).argmin(axis=1)
+    return (_whole(features, 1) @ _whole(terms, None).T).argmin(axis=1)
 
 
-def _whole(values: NDArray[np.floating], largest: ArrayLike) -> NDArray[np.float64]:
-    """Whole numbers from -`_LARGEST` to `_LARGEST` in proportion to values."""
-    scale = _LARGEST / np.maximum(np.asarray(largest, np.float64), 1e-300)
-    return np.rint(values * scale)
+def _whole(values: NDArray[np.floating], axis: int | None) -> NDArray[np.float64]:
+    """Whole numbers in proportion to values along an axis, or to all; the largest `_LARGEST`."""
+    largest = np.abs(values).max(axis=axis, keepdims=True).astype(np.float64)
+    return np.rint(values * (_LARGEST / np.maximum(largest, 1e-300)))
 
 
 def _sums(values: NDArray[np.float32], rows: NDArray[np.intp], count: int) -> NDArray[np.float64]:

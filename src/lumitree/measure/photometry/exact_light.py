@@ -148,5 +148,5 @@ def upward_share(light: ExactLight, frame: LocalFrame) -> float:
     direction = direction_of(c[:, None], gamma).reshape(-1, 3)
     intensity = light.intensity(direction @ frame.rotation).reshape(len(c), -1).mean(axis=0)
     flux = intensity * np.sin(np.deg2rad(gamma))
-    total = flux.sum()
-    return float(flux[gamma > 90].sum() / total) if total > 0 else 0.0
+    up, down = float(flux[gamma > 90].sum()), float(flux[gamma < 90].sum())
+    return up / (up + down) if up > 0 else 0.0

@@ -21,14 +21,13 @@ from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.units import metres_of
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 from lumitree.formats.symmetry import EDGE
-from lumitree.formats.type_c import MIN_STEP
+from lumitree.formats.type_c import MIN_STEP, Grid, IntensityDistribution
 from lumitree.lamp.source import RAY_SUFFIXES, WRITTEN_SUFFIXES, LuminaireSource, source_kind
 from lumitree.measure.photometry.figures import PhotometricFigures
 from lumitree.measure.photometry.near_field import NearFieldLimit
 from lumitree.rendering.asset_cache import asset_of
 
 if TYPE_CHECKING:
-    from lumitree.formats.type_c import IntensityDistribution
     from lumitree.lamp.luminaire import LuminaireLike
     from lumitree.measure.photometry.far_field import Source
     from lumitree.measure.photometry.figures import PhotometricData
@@ -145,7 +144,6 @@ def photometry(
     load_rgb(variant)
     from lumitree.formats.ies_fields import SIMULATED, UNDEFINED
     from lumitree.formats.photometric_file import read_again
-    from lumitree.formats.type_c import Grid
     from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.photometry.far_field import (
         asset_source,
@@ -227,7 +225,7 @@ def _warn_far(source: "Source") -> None:
         )
 
 
-def _warn_fine(file: "IntensityDistribution", step: float) -> None:
+def _warn_fine(file: IntensityDistribution, step: float) -> None:
     """Warn of a photometric file whose angles are finer than any grid."""
     steps = np.concatenate([np.diff(file.c), np.diff(file.gamma)])
     # Beside a step at which the light ends.
