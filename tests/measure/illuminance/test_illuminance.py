@@ -366,6 +366,55 @@ def test_light_by_rare_paths_is_not_taken_for_darkness(mi):
     assert (result.total_error < 0.2 * expected).all()
 
 
+def even(lumens, at):
+    """A lamp of one cell, even in all directions."""
+    field = make_light_field(np.zeros((1, 3), int), np.ones((1, 64, 3)), 2)
+    asset = light_field_asset(field, LocalFrame(np.ones(3), np.eye(4)), "even")
+    return lumitree.Placement(asset, at=at, size=0.2, lumens=lumens)
+
+
+def test_light_by_rare_paths_is_found_beside_a_lamp(mi):
+    """Whose light is the same in all samples, so that only the rare ones differ."""
+    radius, distance, radiance = 0.1, 2.0, 5.0
+    glow = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
+    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1}}
+    things = {
+        "ball": {"type": "sphere", "radius": radius, "bsdf": white, "emitter": glow},
+        "glass": {"type": "sphere", "radius": 0.5, "bsdf": {"type": "dielectric", "int_ior": 1.5}},
+    }
+    turns = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    points = distance * np.stack([np.cos(turns), 0 * turns, np.sin(turns)], axis=1)
+    lamps, where = [even(4000, (0, 4, 0))], {"points": points, "normals": -points}
+    steady = lumitree.illuminance(room(mi), lamps, direct_only=True, **where).direct
+    result = lumitree.illuminance(room(mi, **things), lamps, error=0.1, **where)
+    expected = np.pi * LUMENS_PER_WATT * radiance * (radius / distance) ** 2
+    found = result.total - steady
+    assert found.mean() == pytest.approx(expected, rel=0.05)
+    assert (np.abs(found - expected) < 6 * result.total_error).all()
+    assert (result.total_error < 0.11 * result.total).all()
+
+
+@pytest.mark.parametrize("count", [5, pytest.param(9, marks=pytest.mark.slow)])
+def test_the_shadow_of_one_lamp_among_many_is_found(mi, count):
+    """At each point, as nearly all samples are of the others."""
+    grid = 2.0 * (np.arange(count) - (count - 1) / 2)
+    lamps = [even(500, (float(x), 3, float(z))) for x in grid for z in grid]
+    plate = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([0, 1.5, 0]).rotate([1, 0, 0], 90).scale(0.15),
+        "bsdf": {"type": "twosided", "bsdf": BLACK},
+    }
+    x, z = np.random.default_rng(1).uniform(-0.04, 0.04, (2, 200))
+    where = at(*np.stack([x, 0 * x, z], axis=1))
+    free = lumitree.illuminance(room(mi), lamps, direct_only=True, **where).direct
+    (middle,) = (lamp for lamp in lamps if lamp.at == (0, 3, 0))
+    shadowed = free - lumitree.illuminance(room(mi), [middle], direct_only=True, **where).direct
+    result = lumitree.illuminance(room(mi, plate=plate), lamps, direct_only=True, **where)
+    assert (np.abs(result.direct - shadowed) < 5 * result.direct_error).all()
+    assert (result.direct_error < 0.021 * result.direct).all()
+    assert result.direct.mean() == pytest.approx(shadowed.mean(), rel=0.005)
+
+
 def test_explicit_lamps_of_glass_are_told(mi, tmp_path):
     lamp = lamp_of(tmp_path, sphere("glass", 0.2, inside=GLASS), sphere("glow", 0.1, inside=AREA))
     hung = lumitree.Placement(lamp, at=(0, 2, 0))
@@ -376,3 +425,44 @@ def test_explicit_lamps_of_glass_are_told(mi, tmp_path):
 def test_a_scene_without_light_is_refused(mi):
     with pytest.raises(lumitree.LumitreeError, match="has no light"):
         lumitree.illuminance(room(mi), **at([0, 0, 0]))
+
+
+def test_receivers_in_a_medium_get_what_it_lets_through(mi):
+    """Beer's law in a block of a medium that absorbs; a plate of clear glass is no border of it."""
+    extinction = np.array([0.4, 0.6, 0.9])
+    medium = {
+        "type": "homogeneous",
+        "albedo": 0.0,
+        "sigma_t": {"type": "rgb", "value": extinction},
+    }
+    fog = {"type": "cube", "bsdf": {"type": "null"}, "interior": medium}
+    fog["to_world"] = mi.ScalarTransform4f().scale(5)
+    pane = {"type": "rectangle", "bsdf": {"type": "null"}}
+    pane["to_world"] = mi.ScalarTransform4f().translate([0, 1, 0]).rotate([1, 0, 0], 90)
+    intensity = np.array([3.0, 2.0, 1.0])
+    light = {
+        "type": "point",
+        "position": [0, 2, 0],
+        "intensity": {"type": "rgb", "value": intensity},
+    }
+    things = {"fog": fog, "pane": pane, "light": light}
+    result = lumitree.illuminance(room(mi, **things), **at([0, 0, 0], [0, 1.5, 0]))
+    distance = np.array([2, 0.5])
+    expected = luminance(intensity * np.exp(-extinction * distance[:, None])) / distance**2
+    # Shadow rays end a little before the light.
+    assert result.direct == pytest.approx(expected, rel=3e-3)
+    assert result.total == pytest.approx(expected, rel=3e-3)
+
+
+def test_light_of_surfaces_is_attenuated_by_the_medium_of_receivers(mi):
+    """A wall that emits, seen through one unit of a medium from all directions."""
+    medium = {"type": "homogeneous", "albedo": 0.0, "sigma_t": 0.7}
+    walls = furnace(mi, 0.5)
+    walls["fog"] = {"type": "sphere", "radius": 1, "bsdf": {"type": "null"}, "interior": medium}
+    walls["speck"] = {"type": "sphere", "radius": 0.01, "center": [0, 2, 0], "bsdf": BLACK}
+    result = lumitree.illuminance(walls, error=0.01, **at([0, 0, 0]))
+    clear = lumitree.illuminance(furnace(mi, 0.5), error=0.01, **at([0, 0, 0]))
+    # The wall gets a little less, too: by rays through the fog.
+    bound = np.exp(-0.7) * clear.total
+    assert result.direct == pytest.approx(np.exp(-0.7) * clear.direct, rel=0.03)
+    assert 0.85 * bound < result.total < 1.03 * bound

@@ -10,6 +10,11 @@ Symbols
     c   coefficient of the control variate w
     y   t + c (S - w), whose mean is that of t. Where nothing is shadowed, c = 1 and all samples are
         S; where everything is, c = 0 and all are 0
+    r   sample of the light of surfaces and media
+
+What is rare may not be in the samples yet, and then their variance is 0: the shadow of one lamp
+among many, or light that comes through glass. So shadows and light that is not summed are counted,
+each by itself, and what is rare has a variance of its own until there is enough of it.
 """
 
 from __future__ import annotations
@@ -29,6 +34,7 @@ from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.measure.illuminance.light import (
     behind_surfaces,
     emitter_light,
+    medium_at,
     receivers,
     reflected_light,
     summed_part,
@@ -49,9 +55,12 @@ _SUMS, _MAX_SUMS, _SUM_PART = 4, 1 << 10, 0.3
 _ENCLOSED = 0.1
 # Passes in which such a receiver is searched for light before it counts as inside.
 _SEARCHES = 16
-# A receiver with fewer samples that are not 0 has a variance that is not known yet. One without any
-# gets the second number of samples at least, and the third at most.
+# What has happened fewer times has a variance that is not known yet. A receiver to which no light
+# has come gets the second number of samples at least, and all together do if none has got any that
+# is not summed; none gets more than the third for what has not happened.
 _FEW, _UNSEEN, _MAX_UNSEEN = 8, 1 << 12, 1 << 14
+# Part by which a sample that nothing dims may differ from itself, by the order of factors.
+_ROUNDING = 1e-5
 # Errors are relative to the illuminance, but to no less than this part of the mean.
 FLOOR = 0.1
 
@@ -100,14 +109,37 @@ class _Moments:
         return spread / np.maximum(self.number - 1, 1) / self.number
 
     @property
-    def cautious_variance(self) -> _Array:
-        """Of the mean; for receivers with few samples that are not 0 that of all, if it is larger.
+    def doubt(self) -> _Array:
+        """What to add to the variance for receivers with few samples that are not 0.
 
-        Where light comes by rare paths, as through glass, their own may be 0 by chance.
+        Where light comes by rare paths, as through glass, their own may be 0 by chance. With it
+        they have that of all receivers.
         """
         own = self.variance
         of_all = (own * self.number).mean() / self.number
-        return np.where(self.hits < _FEW, np.maximum(own, of_all), own)
+        return np.where(self.hits < _FEW, np.maximum(of_all - own, 0), 0)
+
+
+class _Shadows:
+    """How many samples of lamps whose light is summed were dimmed, and how many got through."""
+
+    def __init__(self, count: int) -> None:
+        self._number, self._dimmed, self._lit = (np.zeros(count, np.int64) for _ in range(3))
+
+    def add(self, index: NDArray[np.int64], t: _Array, w: _Array) -> None:
+        self._number[index] += np.count_nonzero(w > 0, axis=1)
+        self._dimmed[index] += np.count_nonzero((w > 0) & (t < (1 - _ROUNDING) * w), axis=1)
+        self._lit[index] += np.count_nonzero((w > 0) & (t > 0), axis=1)
+
+    def doubt(self, summed: _Array) -> _Array:
+        """What to add to the variance where shadows, or the light between them, are rare.
+
+        Of n samples, which have about equal parts of S, as many and one more are taken to be of the
+        rarer kind.
+        """
+        rare = np.minimum(self._dimmed, self._lit)
+        n = np.maximum(self._number, 1)
+        return np.where(rare < _FEW, summed**2 * (rare + 1) / ((n + 2) * n), 0)
 
 
 class _Control:
@@ -164,10 +196,13 @@ def estimate(
     everyone = np.arange(count)
     summed, summed_variance = _summed(scene, points, normals, _SUM_PART * error, seed)
     control, direct, total = _Control(count), _Moments(count), _Moments(count)
+    # Of light that is not summed: the direct part of it, and all.
+    others, rest, shadows = _Moments(count), _Moments(count), _Shadows(count)
     sampler = _Sampler(scene, points, normals, seed)
     for index in _chunks(everyone, _PILOT):
         t, w, _ = sampler.draw(index, _PILOT, reflected=False)
         control.add(index, t, w)
+        shadows.add(index, t, w)
     left, samples, share = everyone, _MIN_SAMPLES, 0.0
     largest = np.zeros(count)
     with progress("illuminance", 1.0) as advance:
@@ -176,15 +211,24 @@ def estimate(
                 t, w, r = sampler.draw(index, samples, reflected=reflected)
                 c = control.coefficient(index)
                 y = t + c[:, None] * (summed[index, None] - w)
+                other = np.where(w > 0, 0, t)
                 direct.add(index, y)
                 total.add(index, y + r)
+                others.add(index, other)
+                rest.add(index, other + r)
                 control.add(index, t, w)
+                shadows.add(index, t, w)
                 largest[index] = np.maximum(largest[index], c)
-            mean, variance = total.mean, total.cautious_variance
+            mean, own = total.mean, total.variance
+            variance = own + rest.doubt + shadows.doubt(summed)
             goal = (error * np.maximum(mean, FLOOR * mean.mean())) ** 2
             unseen, number = total.hits == 0, total.number
             enough = (variance <= goal) & (~unseen | (number >= _UNSEEN))
-            left = np.flatnonzero(~enough & ~(unseen & (number >= _MAX_UNSEEN)))
+            if not rest.hits.any():
+                enough &= number.sum() >= _UNSEEN
+            # What is only doubtful ends some time.
+            enough |= (own <= goal) & (number >= _MAX_UNSEEN)
+            left = np.flatnonzero(~enough)
             done = float(np.mean(_ratio(goal, np.maximum(goal, variance))))
             spent = time.perf_counter() - start
             if seconds is not None:
@@ -195,16 +239,16 @@ def estimate(
             share = max(share, done)
             samples = int(np.clip(_AT_ONCE // max(len(left), 1), _MIN_SAMPLES, _MAX_SAMPLES))
     # Samples share the error of S.
-    rest = largest**2 * summed_variance
+    shared = largest**2 * summed_variance + shadows.doubt(summed)
     dark = np.flatnonzero(total.mean == 0)
     # Unknown inside solids: NaN.
     known = np.ones(count)
     known[dark[sampler.enclosed(dark)]] = np.nan
     return Estimate(
         known * direct.mean,
-        known * np.sqrt(direct.cautious_variance + rest),
+        known * np.sqrt(direct.variance + others.doubt + shared),
         known * total.mean,
-        known * np.sqrt(total.cautious_variance + rest),
+        known * np.sqrt(total.variance + rest.doubt + shared),
         total.number,
     )
 
@@ -225,13 +269,14 @@ class _Sampler:
         sampler.seed(stream.seed(self._seed), count * len(index))
         self._step += 1
         si = receivers(self._points[index], self._normals[index], count)
-        light = emitter_light(self._scene, si, sampler)
+        medium = medium_at(self._scene, si)
+        light = emitter_light(self._scene, si, medium, sampler)
         summed = summed_part(self._scene, si, light)
         reached = light.unshadowed * light.through
         unshadowed = dr.select(summed, light.unshadowed, 0)
         found = [reached, unshadowed]
         if reflected:
-            found.append(reflected_light(self._scene, si, sampler))
+            found.append(reflected_light(self._scene, si, medium, sampler))
         dr.eval(*found)
         lux = [luminance(np.array(each).T).reshape(len(index), count) for each in found]
         return lux[0], lux[1], lux[2] if reflected else np.zeros((len(index), 1))

@@ -19,6 +19,7 @@ from lumitree.rendering.plugins.emitter_calls import eval_target, is_summed, sam
 from lumitree.rendering.plugins.integrator import DEFAULT_RR_DEPTH, trace_paths
 from lumitree.rendering.plugins.path_scene import PathScene
 from lumitree.rendering.plugins.path_state import PathState
+from lumitree.rendering.plugins.proxies import MAX_CROSSINGS, NONE
 from lumitree.rendering.plugins.shadow_rays import visible
 from lumitree.trace.spawning import spawn
 
@@ -52,9 +53,30 @@ def receivers(
     return si
 
 
+@dr.syntax
+def medium_at(scene: PathScene, si: mi.SurfaceInteraction3f) -> mi.MediumPtr:
+    """Medium that receivers are in: that on this side of the first border along their normals."""
+    medium = dr.zeros(mi.MediumPtr, dr.width(si.p))
+    if dr.hint(scene.has_media, mode="scalar"):
+        owners = scene.divided.owners
+        direction, crossings = mi.Vector3f(si.n), mi.UInt32(0)
+        ray, active = spawn(si, direction, scene.extent), dr.full(mi.Bool, True, dr.width(si.p))
+        while active:
+            hit = scene.divided.surfaces.ray_intersect(ray, active)
+            active &= hit.is_valid()
+            # The glass of a placed lamp does not say what is around it.
+            border = active & hit.is_medium_transition() & (owners.of(hit.shape, active) == NONE)
+            medium[border] = hit.target_medium(-direction)
+            crossings += 1
+            active &= ~border & (crossings < MAX_CROSSINGS)
+            ray[active] = spawn(hit, direction, scene.extent)
+    return medium
+
+
 def emitter_light(
     scene: PathScene,
     si: mi.SurfaceInteraction3f,
+    medium: mi.MediumPtr,
     sampler: mi.Sampler,
     bsdf_pdf: float = 0,
 ) -> EmitterLight:
@@ -63,24 +85,25 @@ def emitter_light(
     Args:
         scene: must have an emitter.
         si: receivers.
+        medium: that they are in, from `medium_at`.
         sampler: of as many samples.
         bsdf_pdf: density per steradian and cosine with which directions are also sampled otherwise,
             for the weight of multiple importance sampling of baked luminaires.
     """
     active = dr.full(mi.Bool, True, dr.width(si.p))
-    index, emitter_weight, choice = scene.whole.sample_emitter(sampler.next_1d(), active)
-    emitter = scene.emitter(index, active)
-    sample = mi.Point2f(choice, sampler.next_1d())
-    sampled = dr.dispatch(emitter, sample_target, si, sample, active)
+    # By what each lamp sends there: of many, that which is shadowed may give most of the light.
+    selected = scene.selection.sample(si, mi.Vector3f(si.n), mi.UInt32(NONE), sampler, active)
+    active &= selected.weight > 0
+    emitter = scene.emitter(selected.index, active)
+    sampled = dr.dispatch(emitter, sample_target, si, selected.sample, active)
     ds = sampled.ds
     cosine = dr.maximum(dr.dot(si.n, ds.d), 0)
     found = active & sampled.valid & (cosine > 0)
-    none = dr.zeros(mi.MediumPtr)
-    through = visible(scene, si, ds, sampled.beyond, index, none, found)
+    through = visible(scene, si, ds, sampled.beyond, selected.index, medium, found)
     weight, _ = dr.dispatch(
-        emitter, eval_target, si, sampled, cosine * bsdf_pdf, dr.rcp(emitter_weight), found
+        emitter, eval_target, si, sampled, cosine * bsdf_pdf, selected.emitter_pmf, found
     )
-    light = dr.select(found, weight * (cosine * emitter_weight), 0)
+    light = dr.select(found, weight * (cosine * selected.weight), 0)
     return EmitterLight(emitter, light, through, found)
 
 
@@ -99,12 +122,12 @@ def summed_part(scene: PathScene, si: mi.SurfaceInteraction3f, light: EmitterLig
 
 
 def reflected_light(
-    scene: PathScene, si: mi.SurfaceInteraction3f, sampler: mi.Sampler
+    scene: PathScene, si: mi.SurfaceInteraction3f, medium: mi.MediumPtr, sampler: mi.Sampler
 ) -> mi.Spectrum:
     """Irradiance by one path of light from surfaces and media, of any length."""
     local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
     # A ray along the surface has no density, and brings nothing.
     ray = spawn(si, si.to_world(local), scene.extent)
-    path = PathState.received(mi.Interaction3f(si), ray, dr.zeros(mi.MediumPtr), local.z > 0)
+    path = PathState.received(mi.Interaction3f(si), ray, medium, local.z > 0)
     radiance, _, _ = trace_paths(scene, path, sampler, -1, DEFAULT_RR_DEPTH)
     return math.pi * radiance

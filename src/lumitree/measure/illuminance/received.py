@@ -57,7 +57,7 @@ def _receive(scene, si, sampler):
     """Estimates (mi.Color3f) of the irradiance of receivers."""
     proxies, owners = scene.divided.proxies, scene.divided.owners
     active = dr.full(mi.Bool, True, dr.width(si.p))
-    sampled = emitter_light(scene, si, sampler, 1 / math.pi)
+    sampled = emitter_light(scene, si, dr.zeros(mi.MediumPtr), sampler, 1 / math.pi)
     baked = dr.dispatch(sampled.emitter, is_baked, sampled.found)
     irradiance = dr.select(baked, sampled.unshadowed * sampled.through, 0)
 
@@ -72,7 +72,7 @@ def _receive(scene, si, sampler):
     while entered:
         ends = scene.divided.ends(ray, pi.t, lamp, ahead, entered)
         emitter = scene.emitter(lamp, entered)
-        emitter_pmf = scene.selection.pmf_by_weight(emitter)
+        emitter_pmf = scene.selection.pmf(emitter, mi.Interaction3f(si), entered)
         pdf = local.z * (1 / math.pi)
         light = dr.dispatch(
             emitter,
