@@ -56,6 +56,24 @@ def test_a_scene_that_is_included_belongs_to_the_fingerprint(folder):
     assert fingerprints[0] != fingerprints[1]
 
 
+@pytest.mark.parametrize(
+    "includes",
+    [
+        '<path value="parts"/><include filename="inner.xml"/>',
+        '<default name="part" value="parts/inner"/><include filename="$part.xml"/>',
+    ],
+)
+def test_a_scene_of_another_folder_belongs_to_the_fingerprint(folder, includes):
+    (folder / "parts").mkdir()
+    fingerprints = []
+    for radius in (0.1, 0.2, 0.1):
+        inner = scene(sphere("inner", radius, inside=AREA))
+        (folder / "parts/inner.xml").write_text(inner)
+        (folder / "lamp.xml").write_text(scene(includes))
+        fingerprints.append(load_luminaire("lamp.xml").fingerprint)
+    assert fingerprints[0] == fingerprints[2] != fingerprints[1]
+
+
 def test_files_that_parameters_name_are_not_known():
     shape = sphere("a", "$r", inside=AREA)
     assert files(scene('<default name="r" value="1"/>', shape)) is None

@@ -63,7 +63,7 @@ def chances(mi, light, x):
 @pytest.mark.parametrize("name", POINTS)
 def test_radiance_and_density_are_sums_over_all_cells(mi, light, name):
     from lumitree.rendering.sampling.light_bins import smooth_bin
-    from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
+    from lumitree.rendering.sampling.proxy import BoxProxy, cone_pdf, sample_cone
 
     field = some_light()
     count = 4096
@@ -79,7 +79,8 @@ def test_radiance_and_density_are_sums_over_all_cells(mi, light, name):
     last = np.maximum(np.maximum(near, far).min(axis=2), first)
     volume = (upper - lower).prod(axis=1)
     intensity = unpack(field.dense(field.intensity)) * field.scale
-    bins = np.array(smooth_bin(-direction, RESOLUTION))
+    entry = origin + BoxProxy(HALF).enter(origin, direction)[0] * direction
+    bins = np.array(smooth_bin(-direction, RESOLUTION, entry))
     expected = np.einsum("nc,cnk->nk", (last - first) / volume, intensity[:, bins])
     assert meets.mean() > 0.3
     found = np.array(radiance, np.float64).T
@@ -433,6 +434,83 @@ def test_light_of_others_passes_the_lamp_as_its_field_lets_it(mi):
     empty, _ = irradiance(mi, {"window": window}, *wall)
     agree(both, plain)
     assert (plain[0] < 0.95 * empty).all()
+
+
+@pytest.mark.parametrize("kind", ["point", "ball"])
+def test_what_is_behind_a_light_in_the_box_does_not_dim_it(mi, kind):
+    """The back half of the box is opaque; the light is before it, and so is the wall."""
+    cells = np.array([[x, y, 0] for x in range(2) for y in range(2)])
+    opaque = make_asset(cells, np.ones(4), np.full(4, 1e4), np.full((4, 3, 1), -60.0), tree_depth=1)
+    weak = make_light_field(np.array([[1, 1, 1]]), np.full((1, 16, 3), 1e-9), 2)
+    divided = dataclasses.replace(opaque, light_field=weak)
+    light = {
+        "point": {"type": "point", "position": [0.4, 0.3, 0.5], "intensity": 2.0},
+        "ball": {
+            "type": "sphere",
+            "center": [0.4, 0.3, 0.5],
+            "radius": 0.1,
+            "emitter": {"type": "area", "radiance": 2.0 / (np.pi * 0.1**2)},
+        },
+    }[kind]
+    wall = [0.2, 0, 3], [0, 0, -1]
+    lamp = {"lamp": lumitree.shape(divided)}
+    offset = np.array([0.2, 0, 3]) - [0.4, 0.3, 0.5]
+    expected = np.full(3, 2.0 * offset[2] / np.linalg.norm(offset) ** 3)
+    # Next-event estimation alone.
+    agree(irradiance(mi, {"light": light, **lamp}, *wall), (expected, 0))
+
+
+@pytest.mark.parametrize("sampling", ["emission", "uniform"])
+def test_a_camera_in_a_field_sees_what_is_before_it(mi, sampling):
+    """The back half of the box is opaque, and shines; the camera is before it, and so is a ball."""
+    cells = np.array([[x, y, 0] for x in range(2) for y in range(2)])
+    field = make_asset(
+        cells, np.ones(4), np.full(4, 1e4), np.zeros((4, 3, 1)), tree_depth=1, max_radiance=4.0
+    )
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": 0.5}}
+    ball = {
+        "type": "sphere",
+        "center": [0.5, 0, 0.3],
+        "radius": 0.05,
+        "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0}},
+    }
+    film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+    for target, expected in (((0, 0, 9), 0.5), ((0, 0, -9), 2.0), ((0.5, 0, 0.3), 0.0)):
+        place = mi.ScalarTransform4f().look_at([0, 0, 0.6], target, [0, 1, 0])
+        sensor = {"type": "radiancemeter", "to_world": place, "film": film}
+        lamp = lumitree.shape(field, sampling=sampling)
+        scene = mi.load_dict(
+            {"type": "scene", "sensor": sensor, "sky": sky, "ball": ball, "lamp": lamp}
+        )
+        integrator = mi.load_dict({"type": "lumitree_path"})
+        image = np.array(mi.render(scene, integrator=integrator, spp=4)).ravel()
+        assert image[:3] == pytest.approx(expected, abs=1e-3)
+
+
+def test_parallel_rays_see_the_mean_over_bins(mi):
+    """As those of an orthographic camera, which all have one direction."""
+    from lumitree.rendering.sampling.light_bins import bins_around
+    from lumitree.rendering.sampling.light_field import DeviceLightField
+
+    random = np.random.default_rng(6)
+    intensity = random.exponential(1, (1, RESOLUTION**2, 3))
+    field = make_light_field(np.array([[3, 4, 3]]), intensity, DEPTH)
+    light = DeviceLightField(field, HALF)
+    lower, upper = boxes(field)
+    direction = np.array([-0.05, 0.02, -1.0])
+    direction /= np.linalg.norm(direction)
+    point = lower + (upper - lower) * random.random((1 << 14, 3))
+    faces = (np.stack([lower, upper]) - point) / direction
+    length = (faces.max(axis=0).min(axis=1) - faces.min(axis=0).max(axis=1)).mean()
+    entry = on_device(mi.Point3f, point - 4 * direction)
+    way = mi.Vector3f(*direction.tolist())
+    radiance, _ = light.eval(entry, entry, way, mi.Float(0), mi.Bool(True))
+    bright = sum(
+        np.array(weight)[0] * unpack(field.dense(field.intensity))[0, np.array(index)[0]]
+        for index, weight in bins_around(-way, RESOLUTION)
+    )
+    expected = field.scale * bright * length / (upper - lower).prod()
+    assert np.array(radiance).mean(axis=1) == pytest.approx(expected, rel=0.02)
 
 
 def test_the_mean_over_bins_is_linear_between_their_middles(mi):

@@ -8,10 +8,11 @@ from scipy import stats
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
-from lumitree.core.frames import rotation, similarity
+from lumitree.core.frames import LocalFrame, rotation, similarity
 from support.fields import random_asset
 from support.light_fields import random_light_field
 from support.slow import slow
+from support.walls import irradiance
 
 PARTS = ("light", *(slow(each) for each in ("field", "both")))
 
@@ -120,6 +121,20 @@ def test_the_mean_is_that_of_a_uniform_choice(mi, uniform, parts, mixed):
     floor = np.s_[:, 7:]
     noise = [np.median(each[floor].std(axis=0)) for each in found]
     assert noise[0] < noise[1]
+
+
+def test_a_lamp_that_is_never_sampled_lights_a_wall(mi):
+    """The rays of BSDFs then find all of its light."""
+    asset = light_field_asset(random_light_field(1), LocalFrame(np.ones(3), np.eye(4)), "lamp")
+    far = lumitree.shape(asset, similarity(np.eye(3), 0.3, [0, 50, 0]))
+    found = []
+    for weight in (1.0, 0.0):
+        near = lumitree.shape(asset, similarity(rotation([0, 1, 1], 30), 0.3, [0, 1, 0]))
+        near["emitter"]["sampling_weight"] = weight
+        found.append(irradiance(mi, {"near": near, "far": far}, [0, -0.5, 0], [0, 1, 0]))
+    (first, first_error), (second, second_error) = found
+    assert (np.abs(first - second) < 4 * np.hypot(first_error, second_error)).all()
+    assert second == pytest.approx(first, rel=0.05)
 
 
 @pytest.mark.slow

@@ -293,6 +293,26 @@ def test_lamps_whose_boxes_overlap(mi, plate):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("shown", ["geometry", "explicit"])
+def test_a_lamp_in_the_box_of_another_throws_its_shadow(mi, plate, tmp_path, shown):
+    """A disc that hardly shines hangs over the bulb, in its box; above the disc it is dark."""
+    dim = f'{BLACK}<emitter type="area"><rgb name="radiance" value="0.001,0.001,0.001"/></emitter>'
+    parts = cube("disc", (0.35, 0.02, 0.35), inside=BLACK), sphere("dim", 0.02, (0, -0.1, 0), dim)
+    disc, asset = baked(tmp_path / "disc", *parts, paths=1 << 16)
+    place = similarity(np.eye(3), 1.0, [0, 0.5, 0])
+    other = {"disc": lumitree.shape(asset, place, appearance="geometry")}
+    if shown == "explicit":
+        other = place_shapes(disc, place)
+    # Within the box, near it and far away; the last two beside the shadow.
+    points = np.array([[0, 0.9, 0], [0, 1.3, 0], [0.3, 4, 0], [2.5, 1.5, 0], [4, 0.5, 0]])
+    normals = -points / np.linalg.norm(points, axis=1)[:, None]
+    light = received(placed(mi, plate[1], np.eye(4), **other), np.eye(4), points, normals, 1 << 13)
+    clear = np.pi * BULB**2 / (points**2).sum(axis=1)[:, None] * RADIANCE
+    assert (light[:3] < 0.02 * clear[:3]).all()
+    assert light[3:] / clear[3:] == pytest.approx(1, rel=0.1)
+
+
+@pytest.mark.slow
 def test_glass_about_the_light(mi, tmp_path):
     """What leaves a bulb of glass lights what is beside it."""
     bulb = (

@@ -320,3 +320,33 @@ def test_mixtures_beyond_single_precision_are_refused(mi, gain):
     layers = dict.fromkeys(("lamp", "room"), np.full((2, 2, 3), 2e38, np.float32))
     with pytest.raises(LumitreeError, match=r"radiance above 1e\+30"):
         lumitree.mix(layers, {"lamp": gain})
+
+
+@pytest.mark.parametrize("pixel_format", ["rgba", "luminance", slow("xyz"), slow("xyza")])
+def test_films_of_other_formats_are_read_as_rgb(room, pixel_format):
+    """Their further channels are those of the layers."""
+    expected = render(room, samples_per_pixel=1, layers=True, aov=True)
+    film = f'<string name="pixel_format" value="{pixel_format}"/>'
+    room.write_text(ROOM.format(film))
+    found = render(room, samples_per_pixel=1, layers=True, aov=True)
+    assert found.pixels == pytest.approx(expected.pixels, abs=1e-5)
+    assert found.albedo == pytest.approx(expected.albedo, abs=1e-5)
+    assert found.layers.keys() == expected.layers.keys()
+
+
+def test_films_that_are_created_already(mi):
+    """Alpha is left out; one without R, G and B is refused."""
+    light = {"type": "constant", "radiance": {"type": "rgb", "value": [3, 2, 1]}}
+    film = {"type": "hdrfilm", "width": 4, "height": 4}
+    for pixel_format in ("rgba", "luminance", "xyz"):
+        made = mi.load_dict({**film, "pixel_format": pixel_format})
+        sensor = {"type": "perspective", "film": made}
+        path = {"type": "path"}
+        scene = {"type": "scene", "light": light, "sensor": sensor, "integrator": path}
+        if pixel_format == "rgba":
+            found = lumitree.render(scene, samples_per_pixel=1, aov=True)
+            assert found.pixels == pytest.approx(np.broadcast_to([3, 2, 1], (4, 4, 3)))
+            assert found.albedo.shape == (4, 4, 3)
+            continue
+        with pytest.raises(LumitreeError, match="does not store R, G and B"):
+            lumitree.render(scene, samples_per_pixel=1)

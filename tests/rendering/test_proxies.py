@@ -1,6 +1,7 @@
 """Proxies that the integrator tests itself: where rays enter them, and images with them."""
 
 import gc
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -158,7 +159,7 @@ class Undivided:
     def of(self, scene):
         from lumitree.rendering.plugins.proxies import Divided, Owners, Proxies
 
-        return Divided(scene, Proxies([]), None, Owners({}))
+        return Divided(scene, Proxies([]), None, False, Owners({}))
 
 
 def room(mi, **objects):
@@ -189,8 +190,12 @@ def image(mi, scene, integrator, seed=0, spp=32):
 @pytest.mark.slow
 @pytest.mark.parametrize("hidden", [False, True])
 def test_a_divided_scene_looks_the_same(mi, lamps, hidden):
-    """A ball within one of four lamps, two of which overlap, before a wall."""
-    scene = room(mi, **lamps)
+    """A ball before four lamps, two of which overlap, before a wall.
+
+    In a lamp's box it would not: only a divided scene knows where rays end there.
+    """
+    ball = {"type": "sphere", "center": [0.4, 0.3, 3.0], "radius": 0.3}
+    scene = room(mi, **lamps, ball=ball)
     kinds = [
         mi.load_dict({"type": "lumitree_path", "max_depth": 4, "hide_emitters": hidden})
         for _ in range(2)
@@ -228,6 +233,27 @@ def test_a_divided_scene_follows_its_shapes(mi, lamps):
     # Equal seeds; rounding may send a few paths elsewhere.
     assert np.median(np.abs(after - expected)) < 1e-4
     assert after.mean() == pytest.approx(expected.mean(), rel=0.01)
+
+
+def test_lamps_have_bits_of_their_own(mi, tmp_path):
+    """Whatever other emitters are between them, as the materials of their geometry are."""
+    from lumitree.rendering.plugins.proxies import NONE, Owners, Proxies
+
+    nothing = SimpleNamespace(placed=SimpleNamespace(own_shapes=[], own_media=[]))
+    owners = Owners({0: nothing, 32: nothing, 64: nothing, 70: nothing})
+    lamp = on_device(mi.UInt32, np.array([0, 32, 64, 70, NONE]))
+    assert np.array(owners.bit(lamp, mi.Bool(True))).tolist() == [1, 2, 4, 8, 0]
+    lumitree.save(random_asset(5), tmp_path / "lamp.lumitree")
+    shapes = {
+        f"lamp{i}": lumitree.shape(
+            tmp_path / "lamp.lumitree", similarity(np.eye(3), 1, [4 * i, 0, 0])
+        )
+        for i in range(3)
+    }
+    lights = {f"light{i}": {"type": "point", "position": [0, i, 0]} for i in range(5)}
+    scene = mi.load_dict({"type": "scene", "lamp0": shapes["lamp0"], **lights, **shapes})
+    rows = np.array(Proxies(scene.emitters())._rows).reshape(-1, 16)
+    assert rows[:, 15].tolist() == list(range(len(rows)))
 
 
 def test_surfaces_are_built_again_only_when_shapes_change(mi, lamps):

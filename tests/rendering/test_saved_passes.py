@@ -139,6 +139,20 @@ def test_time_that_was_spent_counts(rendered):
     assert rendered[0] == []
 
 
+def test_an_image_with_a_pixel_that_is_no_number_is_continued(rendered, saved_state):
+    """It would be one too if it had not been interrupted."""
+    state = Path("work/passes.npz")
+    shutil.copytree(saved_state, "work")
+    arrays = dict(np.load(state))
+    for name in ("radiance", "grey", "squares"):
+        arrays[name][0, 0] = np.nan
+    np.savez(state, **arrays)
+    found = render()
+    assert np.isnan(found.pixels[0, 0]).all()
+    assert np.isfinite(found.pixels[1:]).all()
+    assert len(rendered[0]) == (SAMPLES - arrays["samples"]) // 2
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -166,8 +180,7 @@ def test_what_is_no_state_of_this_image_is_not_continued(rendered, saved_state, 
     elif change == "cut":
         state.write_bytes(state.read_bytes()[:-100])
     elif change == "nan":
-        arrays["grey"][0, 0] = np.nan
-        np.savez(state, **arrays)
+        np.savez(state, **arrays | {"seconds": np.array(np.nan)})
     else:
         np.savez(state, **arrays | {"squares": arrays["squares"][:1]})
     with pytest.warns(LumitreeWarning, match=f"not continued: .*{message}.*starts again"):

@@ -11,6 +11,7 @@ from lumitree.core.device import on_device
 from lumitree.errors import LumitreeWarning
 from support.fields import random_asset
 from support.lamps import sphere
+from support.light_fields import random_light_field
 
 ROOM = '<scene version="3.0.0"><integrator type="{}"/><sensor type="perspective"/>{}</scene>'
 
@@ -184,3 +185,21 @@ def test_volpath_is_off_where_it_is_warned_of(mi, asset):
     near, _ = mean_radiance(mi, lamp, "floor", [0, 0, 0], 1, "volpath")
     far, _ = mean_radiance(mi, lamp, "floor", [3e3] * 3, 1, "volpath")
     assert (np.abs(far / near - 1) > 0.01).all()
+
+
+@pytest.mark.parametrize(("height", "warned"), [(0.7, True), (1.3, True), (1.8, False)])
+@pytest.mark.parametrize("kind", ["cube", "rectangle", "sphere", "disk"])
+def test_what_is_in_the_sphere_of_a_lamp_is_warned_of(mi, kind, height, warned):
+    """It is not lit there, neither in the box nor above it; the sphere ends at √3."""
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
+
+    lamp = random_asset(3, light_field=random_light_field(3))
+    place = mi.ScalarTransform4f().translate([0, height, 0]).rotate([1, 0, 0], 90).scale(0.04)
+    thing = {"type": kind, "to_world": place}
+    scene = mi.load_dict({"type": "scene", "thing": thing})
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", LumitreeWarning)
+        place_luminaires(scene, [PlacedLuminaire(Placement(lamp, at=(0, 0, 0)))], "sphere")
+    messages = [str(each.message) for each in caught]
+    assert any("inside its sphere, where it is not lit" in each for each in messages) == warned

@@ -133,8 +133,12 @@ def fingerprint_of(file: SceneFile, source: LuminaireSource) -> str:
     digest = hashlib.sha256(read_bytes(file.path, "a Mitsuba scene", MAX_MODEL_BYTES))
     if file.path == Path(source.name) and (source.keep or source.drop):
         digest.update(repr((source.keep, source.drop)).encode())
-    for path in scene_names(file.path).included:
+    names = scene_names(file.path)
+    for path in names.included:
         digest.update(read_bytes(path, "a Mitsuba scene", MAX_MODEL_BYTES))
+    if not names.complete:
+        # Other parts may be included by parameters, or from other folders.
+        digest.update(file.parsed_text().encode())
     for spectrum in file.listed_spectra():
         digest.update(spectrum.tobytes())
     for path in file.references():

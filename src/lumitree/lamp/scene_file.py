@@ -220,6 +220,12 @@ class SceneFile:
         }
         return [nodes[index] for index in sorted(self._reached(start))]
 
+    def set_rgb_films(self) -> None:
+        """Make all films store R, G and B, and nothing else, whatever the file asks for."""
+        for film in self.nodes("Film"):
+            if film.props.plugin_name() == "hdrfilm":
+                film.props["pixel_format"] = "rgb"
+
     def set_box_filter(self) -> None:
         """Make the reconstruction filter of all sensors a box, so that pixels share no samples."""
         mi = load_mitsuba()
@@ -325,6 +331,12 @@ class SceneFile:
             waiting += inner - found
             found |= inner
         return found
+
+    def parsed_text(self) -> str:
+        """The scene as its file describes it, as XML: with the parts that it includes."""
+        parser = load_mitsuba().parser
+        with self._searching(), self._readable():
+            return parser.write_string(parser.parse_file(self._config, str(self.path)))
 
     def listed_spectra(self) -> Iterator[NDArray[np.float64]]:
         """Wavelengths and values of all spectra of the scene, also of those that files list."""

@@ -74,8 +74,8 @@ class Rendering:
     """An image and what is known of it.
 
     Attributes:
-        channels: float32 [H, W, C], linear radiance of R, G and B, W/(m² sr), and then the further
-            channels of the integrator.
+        channels: float32 [H, W, C], linear radiance of R, G and B, W/(m² sr), then alpha if the
+            film has it, and then the further channels of the integrator.
         samples_per_pixel: samples per pixel.
         noise: relative standard error of the radiance of a pixel, averaged over R, G and B: the
             root mean square in each block of 16 x 16 pixels, relative to the block's mean radiance;

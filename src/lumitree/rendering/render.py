@@ -140,7 +140,7 @@ def render(
     """Render a scene with luminaires placed in it.
 
     The integrator `path` of the scene is replaced by `lumitree_path`, or by `volpath` if there are
-    heterogeneous media. Warns if an object or the camera is inside a baked luminaire.
+    heterogeneous media. Warns of objects in a baked luminaire that are not lit there.
 
     The image is finished when the first of `samples_per_pixel`, `time` and `noise` is reached.
 

@@ -69,6 +69,8 @@ class RenderJob:
     """A scene with luminaires placed in it."""
 
     def __init__(self, described: Described) -> None:
+        import mitsuba as mi
+
         from lumitree.rendering.camera_view import camera_view
         from lumitree.rendering.layers import Layers, records_layers
         from lumitree.rendering.scene import (
@@ -88,6 +90,9 @@ class RenderJob:
         appearance = appearance_for(self.integrator)
         self._whole = place_luminaires(loaded, placed, described.proxy, appearance=appearance)
         self.camera = camera_view(loaded.sensors()[0])
+        film = loaded.sensors()[0].film()
+        # Channels before those of the integrator: R, G and B, and perhaps alpha.
+        self._of_film = 4 if mi.has_flag(film.flags(), mi.FilmFlags.Alpha) else 3
         if not self._whole.emitters():
             warnings.warn(
                 f"{scene_title(described.scene)} has no light, and its image is black; place a "
@@ -129,7 +134,7 @@ class RenderJob:
             )
         if self._layers is None:
             return rendering, None
-        return rendering, self._layers.divide(rendering.channels[..., 3:])
+        return rendering, self._layers.divide(rendering.channels[..., self._of_film :])
 
     def identity(self, seed: int) -> dict[str, Any]:
         """What makes the image, as `image_identity`."""

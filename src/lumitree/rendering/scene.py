@@ -28,7 +28,11 @@ from lumitree.rendering.asset_flux import asset_watts, gain_to
 from lumitree.rendering.integrators import integrator_for
 from lumitree.rendering.layers import records_layers
 from lumitree.rendering.placement import Placement
-from lumitree.rendering.placement_checks import holds_objects, warn_of_overlaps
+from lumitree.rendering.placement_checks import (
+    holds_objects,
+    reach_into_spheres,
+    warn_of_overlaps,
+)
 from lumitree.rendering.plugins.objects import load_ordered
 from lumitree.rendering.plugins.placed import Appearance, shows_geometry
 from lumitree.rendering.plugins.register import register, shape
@@ -250,13 +254,15 @@ def load_scene(
 
     Raises:
         LumitreeError: the scene cannot be loaded or has no camera, Mitsuba cannot evaluate one
-            of its BSDFs or emitters, or its film is created already and cannot be changed.
+            of its BSDFs or emitters, or its film is created already and cannot be changed, or
+            stores no R, G and B.
     """
     title = scene_title(source)
     scene, described = _open(source, title, box_filter=box_filter)
     sensors = scene.sensors()
     if not sensors:
         raise LumitreeError(f"{title} has no sensor; add a camera to the scene")
+    _check_rgb(sensors[0].film(), title)
     if box_filter and sensors[0].film().rfilter().class_name() != "BoxFilter":
         raise LumitreeError(
             f"{title} has a film that is created already; denoise needs one with the "
@@ -277,6 +283,20 @@ def load_scene(
                 _warn_far(item)
                 _warn_unlit_by_volpath(scene, item)
     return scene, integrator
+
+
+def _check_rgb(film: mi.Film, title: str) -> None:
+    """Refuse a film that does not store R, G and B; it may store alpha too."""
+    if film.class_name() == "HDRFilm":
+        # The bitmap exists from here on.
+        film.prepare([])
+        formats = mi.Bitmap.PixelFormat
+        if film.bitmap().pixel_format() in (formats.RGB, formats.RGBA):
+            return
+    raise LumitreeError(
+        f"{title} has a film that is created already, and does not store R, G and B; create an "
+        "hdrfilm with the pixel_format 'rgb'"
+    )
 
 
 def load_room(source: Any) -> mi.Scene:
@@ -321,6 +341,7 @@ def _create(
     file = SceneFile(source)
     # Copied, since creating the scene clears the nodes.
     described: list[Any] = [mi.Properties(n.props) for n in file.nodes("Integrator")][:1]
+    file.set_rgb_films()
     if box_filter:
         file.set_box_filter()
     notes = list(file.notes)
@@ -426,10 +447,12 @@ def _warn_unlit(
     if not lacking:
         return
     boxes = np.stack([placed.scene_from_box for placed, _ in lacking])
-    for (placed, told), holds in zip(lacking, holds_objects(scene.shapes(), boxes), strict=True):
+    # In the sphere around a box nothing is lit, and cameras there do not see the lamp.
+    holding = reach_into_spheres if proxy == "sphere" else holds_objects
+    for (placed, told), holds in zip(lacking, holding(scene.shapes(), boxes), strict=True):
         if holds:
             warnings.warn(
-                f"{placed.title}: an object of the room is inside its box, where it {told}",
+                f"{placed.title}: an object of the room is inside its {proxy}, where it {told}",
                 LumitreeWarning,
                 stacklevel=3,
             )

@@ -190,6 +190,7 @@ class DeferredEmitter(ABC):
         """Transmittance for a shadow ray that enters the proxy.
 
         Args:
-            ray, distance, active: as for `eval_entered`.
+            ray: the ray; what is behind its end does not count.
+            distance, active: as for `eval_entered`.
         """
         ...

@@ -43,7 +43,7 @@ def hit_light(
     no = mi.Bool(False)
     if isinstance(emitter, DeferredEmitter | LampLight):
         # Only where the scene is not divided.
-        ray = mi.Ray3f(si.p, -si.to_world(si.wi))
+        ray = mi.Ray3f(si.p, -si.to_world(si.wi), si.time, si.wavelengths)
         entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
         nowhere = mi.Float(dr.inf), mi.Float(dr.inf)
         hit = entered_light(

@@ -50,7 +50,12 @@ class EmitterSelection:
         self._scene, emitters = scene, scene.emitters()
         weights = np.array([emitter.sampling_weight() for emitter in emitters])
         self._total_weight = float(weights.sum())
-        lamps = {i: each for i, each in enumerate(emitters) if isinstance(each, DeferredEmitter)}
+        # Of those whose weight is 0 the rays of BSDFs find all light.
+        lamps = {
+            i: each
+            for i, each in enumerate(emitters)
+            if isinstance(each, DeferredEmitter) and weights[i] > 0
+        }
         self.by_receiver = len(lamps) > 1
         if not self.by_receiver:
             return

@@ -110,8 +110,8 @@ class LampLight:
             return mi.Float(1)
         placed = self.placed
         line = placed.entry(ray, distance)
-        # Not of what is behind a receiver in the box.
-        span = (mi.Float(0), mi.Float(dr.inf)) if placed.holds else None
+        # Not of what is behind a receiver, or behind a light, in the box.
+        span = mi.Float(0), (ray.maxt - distance) / placed.scale
         return dr.select(active, placed.shadow_field.transmittance(*line, active, span), 1)
 
     def towards(self, it, origin, direction, active):

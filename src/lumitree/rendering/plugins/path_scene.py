@@ -16,10 +16,6 @@ from lumitree.rendering.plugins.proxies import Divided, is_instance
 from lumitree.rendering.sampling.lamp_choice import LampChoices
 from lumitree.trace.spawning import scene_extent
 
-# Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
-# ends whatever the geometry.
-MAX_CROSSINGS = 1024
-
 
 class PathScene:
     """A scene as `lumitree_path` renders it. No PyTree: loops do not have it in their state.

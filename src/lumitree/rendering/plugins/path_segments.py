@@ -6,9 +6,9 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.rendering.plugins.emitter_calls import entered_light
-from lumitree.rendering.plugins.path_scene import MAX_CROSSINGS, PathScene
+from lumitree.rendering.plugins.path_scene import PathScene
 from lumitree.rendering.plugins.path_state import FreeFlight, Hit, PathState
-from lumitree.rendering.plugins.proxies import NONE
+from lumitree.rendering.plugins.proxies import MAX_CROSSINGS, NONE
 from lumitree.trace import medium_paths
 from lumitree.trace.spawning import spawn
 

@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.rendering.plugins.geometry_plugins import CROSSED_STRAIGHT
-from lumitree.rendering.plugins.path_scene import MAX_CROSSINGS, PathScene
+from lumitree.rendering.plugins.path_scene import PathScene
 from lumitree.rendering.plugins.path_state import (
     FreeFlight,
     Hit,
@@ -14,7 +14,7 @@ from lumitree.rendering.plugins.path_state import (
     Scattering,
     Vertex,
 )
-from lumitree.rendering.plugins.proxies import ALL, NONE, bit_of
+from lumitree.rendering.plugins.proxies import ALL, MAX_CROSSINGS, NONE
 from lumitree.trace import medium_paths
 from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
 from lumitree.trace.spawning import spawn
@@ -113,7 +113,7 @@ def scatter(
     path.skipped[vertex.on_proxy] = ALL
     if scene.shows_geometry:
         path.self_emission[bounces] = dr.select(vertex.shown, vertex.owner, NONE)
-        path.skipped[bounces | null] |= bit_of(vertex.owner)
+        path.skipped[bounces | null] |= owners.bit(vertex.owner, active)
     path.depth[bounces] += 1
     path.crossings[null] += 1
     if owners.scatter:

@@ -26,11 +26,17 @@ from lumitree.rendering.plugins.placed import Placed
 from lumitree.rendering.sampling.divided_sampling import left_out
 from lumitree.rendering.sampling.proxy import SphereProxy, safe_inverse, slab
 
+# Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
+# ends whatever the geometry.
+MAX_CROSSINGS = 1024
 # What stands for no emitter, and the bits of all.
 NONE = ALL = 0xFFFFFFFF
 # Packets of four numbers of a proxy on the device: a point, a matrix, whether it is a sphere,
-# whether it gives light to what is in it, and `sampled_alone_radius`; and of a node of the tree.
+# whether it gives light to what is in it, `sampled_alone_radius`, and the number of its bit in
+# masks of lamps; and of a node of the tree.
 _PACKETS, _NODE_PACKETS = 4, NODE_NUMBERS // 4
+# Bits of a mask of lamps. Of more lamps than that some share one.
+_BITS = 32
 # Part of the distance by which a ray may miss a node's box.
 _SLACK = 1e-5
 
@@ -51,7 +57,8 @@ class Proxies:
                 matrix, centre = emitter.placed.unit_proxy()
                 is_sphere = isinstance(emitter.placed.proxy, SphereProxy)
                 holds, alone = emitter.placed.holds, emitter.sampled_alone_radius()
-                rows.append([*centre, *matrix.ravel(), is_sphere, holds, alone, 0])
+                bit = len(rows) % _BITS
+                rows.append([*centre, *matrix.ravel(), is_sphere, holds, alone, bit])
                 # A sphere is contained in the box of the same matrix.
                 reach = np.abs(np.linalg.inv(matrix)).sum(axis=1)
                 boxes.append([centre - reach, centre + reach])
@@ -103,7 +110,7 @@ class Proxies:
             end: distance at which the ray ends.
             active: mask.
             starts: mask of these rays.
-            skipped: `bit_of` the lamps whose proxies are not entered at the origin.
+            skipped: mask of the lamps whose proxies are not entered at the origin (`Owners.bit`).
             sampled: vertex that the ray comes from, and density per steradian with which its BSDF
                 sampled the ray. Proxies are left out whose light next-event estimation alone finds
                 there, and which transmit all light (`DeferredEmitter.sampled_alone_radius`).
@@ -119,9 +126,7 @@ class Proxies:
             meets = active & (near <= far) & (far >= after) & (near <= distance)
             at_proxy = meets & (proxy != NONE)
             index = dr.gather(mi.UInt32, self._indices, proxy, at_proxy)
-            entry, enters = self._enter(
-                proxy, ray, at_proxy, starts, skipped & bit_of(index), sampled
-            )
+            entry, enters = self._enter(proxy, ray, at_proxy, starts, skipped, sampled)
             # Proxies that are entered at the same distance come in the order of their emitters.
             enters &= (entry > after) | ((entry == after) & (last != NONE) & (index > last))
             first = (entry == distance) & (found != NONE) & (index < found)
@@ -184,7 +189,8 @@ class Proxies:
         entry = dr.select(is_sphere, sphere_entry, dr.max(near))
         crosses = dr.select(is_sphere, off_axis < 1, dr.max(near) <= dr.min(far))
         outermost = dr.max(dr.abs(o))
-        begins = ~is_sphere & (outermost <= 1) & ((values[13] > 0) | starts) & (skipped == 0)
+        begins = ~is_sphere & (outermost <= 1) & ((values[13] > 0) | starts)
+        begins &= (skipped & (mi.UInt32(1) << mi.UInt32(values[15]))) == 0
         if self._traced:
             return mi.Float(0), active & begins
         return dr.select(begins, 0, entry), active & (begins | (crosses & (entry > 0)))
@@ -196,13 +202,17 @@ class Divided(NamedTuple):
     Attributes:
         surfaces: the scene that rays are traced against.
         proxies: those that it leaves out.
-        room: the surfaces without those of lamps; None if no lamp needs it.
+        room: what is traced where the own surfaces of a lamp do not block: the surfaces without
+            those of lamps; None if no lamp needs it.
+        overlap: whether lamps whose surfaces are traced have boxes that overlap. Then `room` has
+            the surfaces of all lamps, and those of one are passed by.
         owners: whose surfaces are whose.
     """
 
     surfaces: mi.Scene
     proxies: Proxies
     room: mi.Scene | None
+    overlap: bool
     owners: Owners
 
     def ends(
@@ -221,8 +231,28 @@ class Divided(NamedTuple):
         other = mi.Float(dr.inf)
         if self.room is not None:
             # What else is in the box may be behind the lamp's own surface.
-            other = self.room.ray_intersect_preliminary(ray, False, active & mine).t
+            other = self._behind(self.room, ray, lamp, active & mine)
         return dr.select(mine, distance, dr.inf), dr.select(mine, other, distance)
+
+    @dr.syntax
+    def _behind(self, room: mi.Scene, ray: mi.Ray3f, lamp: mi.UInt32, active: mi.Bool) -> mi.Float:
+        """Distance of the first surface that does not belong to a lamp."""
+        pi = room.ray_intersect_preliminary(ray, False, active)
+        distance = mi.Float(pi.t)
+        if dr.hint(self.overlap, mode="scalar"):
+            ray, passed, crossings = mi.Ray3f(ray), mi.Float(0), mi.UInt32(0)
+            own = active & pi.is_valid() & (self.owners.of(pi.shape, active) == lamp)
+            while own:
+                # In the direction of the ray, whatever the surface.
+                step = pi.t * (1 + mi.math.RayEpsilon) + mi.math.RayEpsilon * dr.max(dr.abs(ray.o))
+                passed += step
+                ray.o = dr.fma(step, ray.d, ray.o)
+                pi = room.ray_intersect_preliminary(ray, False, own)
+                distance[own] = passed + pi.t
+                crossings += 1
+                own &= pi.is_valid() & (self.owners.of(pi.shape, own) == lamp)
+                own &= crossings < MAX_CROSSINGS
+        return distance
 
 
 class Owners:
@@ -245,6 +275,8 @@ class Owners:
         self.exist, self.scatter = bool(self.owner), bool(owner_of_medium)
         self._lamps, self._lamps_of_media = _Numbers(self.owner), _Numbers(owner_of_medium)
         self._cloudy = _Numbers(cloudy)
+        # As `Proxies` numbers them.
+        self._bits = _Numbers({index: count % _BITS for count, index in enumerate(lamps)})
 
     def of(self, shape: mi.ShapePtr, active: mi.Bool) -> mi.UInt32:
         """Index of the emitter whose lamp a shape belongs to, or `NONE`."""
@@ -253,6 +285,11 @@ class Owners:
     def of_medium(self, medium: mi.MediumPtr, active: mi.Bool) -> mi.UInt32:
         """As `of`, for a medium; `NONE` for a medium that only absorbs."""
         return self._lamps_of_media.look_up(dr.reinterpret_array(mi.UInt32, medium), active)
+
+    def bit(self, lamp: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """The bit that stands for the lamp of an index in masks of lamps; 0 for `NONE`."""
+        number = self._bits.look_up(lamp, active)
+        return dr.select(number == NONE, 0, mi.UInt32(1) << (number & (_BITS - 1)))
 
     def scatters(self, lamp: mi.UInt32, active: mi.Bool) -> mi.Bool:
         """Whether media of the lamp of this index scatter."""
@@ -282,11 +319,6 @@ class _Numbers:
         return dr.select(known, dr.gather(mi.UInt32, self._table, number, known), NONE)
 
 
-def bit_of(lamp: mi.UInt32) -> mi.UInt32:
-    """A bit for the index of a lamp, which it shares with every 32nd lamp."""
-    return dr.select(lamp == NONE, 0, mi.UInt32(1) << (lamp & 31))
-
-
 class DividedScene:
     """The surfaces of a scene as a scene of their own, and its proxies.
 
@@ -299,6 +331,7 @@ class DividedScene:
         self._geometry: list[list[Any]] = []
         self._surfaces: mi.Scene | None = None
         self._room: mi.Scene | None = None
+        self._overlap = False
         # Lamps that were asked to light what is in their boxes.
         self._asked: weakref.WeakSet[Placed] = weakref.WeakSet()
 
@@ -315,7 +348,7 @@ class DividedScene:
         owners = Owners(lamps)
         on_gpu = dr.backend_v(mi.Float) == dr.JitBackend.CUDA
         if not lamps:
-            return Divided(scene, Proxies([]), None, owners)
+            return Divided(scene, Proxies([]), None, False, owners)
         groups = shape_groups(scene)
         geometry = [_geometry(shape) for shape in [*groups, *surfaces]]
         same = surfaces == self._shapes and all(map(_same, geometry, self._geometry))
@@ -329,24 +362,31 @@ class DividedScene:
             # Shadow rays that cross a traced proxy are dimmed by its field, even on the way to the
             # lamp's own light.
             lighting = [lamp for lamp in lamps.values() if not (on_gpu and lamp.placed.dims)]
-            _light_insides(lighting, others)
+            self._overlap = _light_insides(lighting, others)
             self._asked = weakref.WeakSet(lamp.placed for lamp in lamps.values())
         if on_gpu:
-            return Divided(scene, Proxies(emitters, traced=True), None, owners)
+            return Divided(scene, Proxies(emitters, traced=True), None, False, owners)
         assert self._surfaces is not None
-        holds = any(lamp.placed.holds for lamp in lamps.values())
-        return Divided(self._surfaces, Proxies(emitters), self._room if holds else None, owners)
+        room = self._surfaces if self._overlap else self._room
+        if not any(lamp.placed.holds for lamp in lamps.values()):
+            room = None
+        return Divided(self._surfaces, Proxies(emitters), room, self._overlap, owners)
 
 
-def _light_insides(lamps: list[DeferredEmitter], room: list[mi.Shape]) -> None:
-    """Let lamps light what is in their boxes: shapes of the room, and those of other lamps."""
+def _light_insides(lamps: list[DeferredEmitter], room: list[mi.Shape]) -> bool:
+    """Let lamps light what is in their boxes: shapes of the room, and those of other lamps.
+
+    Returns:
+        Whether there are shapes of another lamp in one's box.
+    """
     boxes = np.array([lamp.placed.scene_from_box for lamp in lamps]).reshape(-1, 4, 4)
-    holds = holds_objects(room, boxes)
+    holds, overlap = holds_objects(room, boxes), False
     for pair in overlapping(boxes):
         if any(lamps[i].placed.shows_geometry for i in pair):
-            holds[pair] = True
+            holds[pair], overlap = True, True
     for index in np.flatnonzero(holds):
         lamps[index].light_inside()
+    return overlap
 
 
 def _scene_of(shapes: list[mi.Shape]) -> mi.Scene:

@@ -107,10 +107,11 @@ class DividedSampler(DirectionSampler):
         active: mi.Bool,
         target: mi.Float | float = -dr.inf,
         specular_chain: mi.Bool | bool = False,
+        span: Span = None,
     ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
         """Radiance from a direction, transmittance, and the density per steradian of `sample`."""
         radiance, density = self._eval(x, entry, direction, distance, active)
-        radiance, through = self._divide(radiance, entry, direction, active, specular_chain)
+        radiance, through = self._divide(radiance, entry, direction, active, specular_chain, span)
         return radiance, through, density
 
     def _divide(

@@ -19,6 +19,7 @@ import numpy as np
 
 from lumitree.core.device import parameter
 from lumitree.octree.field import Field
+from lumitree.octree.traversal import Span
 from lumitree.rendering.sampling.light_leaves import LightLeaves, is_reached
 from lumitree.rendering.sampling.proxy import (
     Proxy,
@@ -121,6 +122,7 @@ class DirectionSampler(Protocol):
         active: mi.Bool,
         target: mi.Float | float = -dr.inf,
         specular_chain: mi.Bool | bool = False,
+        span: Span = None,
     ) -> tuple[mi.Color3f, mi.Float, mi.Float]: ...
 
     def pdf(
@@ -218,7 +220,10 @@ class DirectionSampler(Protocol):
             inside: as for `sample_target`.
             ends: where the ray ends in the box.
         """
-        return self.eval(x, entry, direction, distance, active, specular_chain=specular_chain)
+        span = mi.Float(0), ends.other
+        return self.eval(
+            x, entry, direction, distance, active, specular_chain=specular_chain, span=span
+        )
 
 
 class EmitterSampler(DirectionSampler):
@@ -273,6 +278,7 @@ class EmitterSampler(DirectionSampler):
         active: mi.Bool,
         target: mi.Float | float = -dr.inf,
         specular_chain: mi.Bool | bool = False,
+        span: Span = None,
     ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
         """Radiance from a direction, and the density with which `sample` returns it.
 
@@ -286,16 +292,17 @@ class EmitterSampler(DirectionSampler):
             target: as `sample` returned it with this direction.
             specular_chain: whether the radiance is for an image of the lamp. Here it is
                 the same as what the lamp sends to receivers.
+            span: distances from `entry` of the part of the ray that is in the scene. Default: all.
 
         Returns:
             Radiance and transmittance of the ray; density per steradian, 0 where
             `active` is false and where the ray is blocked before it reaches `target`.
         """
         if self._leaves is None:
-            radiance, through = self._field.emission(entry, direction, active)
+            radiance, through = self._field.emission(entry, direction, active, span)
             return radiance, through, dr.select(active, self._proxy.pdf(x, direction), 0)
         record = self._leaves.record(x, distance)
-        radiance, through, found = self._field.integrate(entry, direction, active, *record)
+        radiance, through, found = self._field.integrate(entry, direction, active, *record, span)
         return radiance, through, self._density(x, distance, target, found, active)
 
     def pdf(

@@ -58,14 +58,23 @@ def ending_by_bin(field: LightField) -> tuple[NDArray[np.uint32], float]:
     return ending, scale
 
 
-def smooth_bin(direction: mi.Vector3f, resolution: int) -> mi.UInt32:
+def smooth_bin(
+    direction: mi.Vector3f, resolution: int, origin: mi.Point3f | None = None
+) -> mi.UInt32:
     """A bin at random, so that the mean over bins is linear between their middles.
 
     Args:
         direction: of any length; the random numbers are made of its bits.
         resolution: bins a side.
+        origin: of a ray whose direction many rays may have: the numbers are of both.
     """
     random = scrambled(mi.Point2f(direction.x, direction.y))
+    if origin is not None:
+        # Three numbers in [0, 1) from the point, by which the others are turned.
+        first = scrambled(mi.Point2f(origin.x, origin.y))
+        other = scrambled(mi.Point2f(first.z, origin.z))
+        random += other
+        random -= dr.floor(random)
     return bin_of(direction, resolution, mi.Vector2f(random.x, random.y) - 0.5)
 
 

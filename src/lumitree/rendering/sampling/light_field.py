@@ -186,7 +186,7 @@ class DeviceLightField:
             Radiance; and density per steradian, 0 where `active` is false.
         """
         row = self._around.index(x)
-        bins = smooth_bin(-direction, self._resolution)
+        bins = smooth_bin(-direction, self._resolution, entry)
 
         def visit(state, cell, start, length, active):
             radiance, density = state
@@ -297,7 +297,7 @@ class DeviceLightField:
         """
         row = self._around.index(x)
         shared = mi.Bool(active) & (inverse > 0)
-        bins = smooth_bin(-direction, self._resolution)
+        bins = smooth_bin(-direction, self._resolution, entry)
 
         def visit(state, cell, start, length, active):
             active = ends.reached(start, blocked, active)
