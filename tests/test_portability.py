@@ -112,6 +112,7 @@ LAMP = (
 C_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": None}
 
 
+@pytest.mark.skipif(os.name == "nt", reason="it has no C locale")
 @pytest.mark.parametrize(
     "arguments", [["--help"], ["render", "--help"], ["list"], ["info", "lamp.lumitree"]]
 )

@@ -26,8 +26,37 @@ def test_no_llvm_is_refused():
 def test_where_none_is_bundled_one_is_to_be_installed(monkeypatch):
     """As on macOS and Windows."""
     monkeypatch.setattr(backend, "_bundled_llvm", lambda: None)
-    with pytest.raises(LumitreeError, match="install LLVM 17 or newer, and name its library"):
-        check_llvm(None, None)
+    for system, how in (("darwin", "brew install llvm"), ("win32", "winget install LLVM.LLVM")):
+        monkeypatch.setattr(sys, "platform", system)
+        with pytest.raises(LumitreeError) as caught:
+            check_llvm(None, None)
+        assert f"install LLVM 17 or newer ({how}), or name its library" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("files", "chosen"),
+    [
+        (["libLLVM-14.so.1", "libLLVM.so.19.1", "libLLVM-17.so"], 1),
+        (["llvm-18/lib/libLLVM.so.1", "llvm-9/lib/libLLVM.so.1"], 0),
+        (["llvm@18/lib/libLLVM.dylib", "llvm/lib/libLLVM.dylib"], 1),
+        (["LLVM/bin/LLVM-C.dll"], 0),
+        (["libLLVM-14.so.1"], None),
+        ([], None),
+    ],
+)
+def test_the_newest_llvm_of_the_system_is_taken(tmp_path, monkeypatch, files, chosen):
+    monkeypatch.setattr(backend, "_bundled_llvm", lambda: None)
+    monkeypatch.setitem(backend._LLVM_PLACES, sys.platform, ("$ROOT/*LLVM*", "$ROOT/*/*/*LLVM*"))
+    monkeypatch.setenv("ROOT", str(tmp_path))
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "")
+    monkeypatch.delitem(sys.modules, "drjit", raising=False)
+    for name in files:
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    backend.select_llvm()
+    expected = "" if chosen is None else str(tmp_path / files[chosen])
+    assert os.environ["DRJIT_LIBLLVM_PATH"] == expected
 
 
 @pytest.mark.parametrize("version", [(19, 1, 0), (23, 1, 4)])

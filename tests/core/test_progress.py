@@ -17,6 +17,21 @@ def test_plain_lines_with_time_left(monkeypatch, capsys):
     assert lines[-1] == "bake: 100 %, 0 s left, note"
 
 
+def test_the_time_left_forgets_a_slow_beginning(monkeypatch):
+    """The first unit takes 60 s, and each further one 1 s."""
+    seen = []
+    times = iter([0, 60, *range(61, 200), 200])
+    monkeypatch.setattr(module.time, "monotonic", lambda: next(times))
+    with module.reporting(seen.append), module.progress("bake", 200) as advance:
+        for _ in range(140):
+            advance(1)
+    left = {report.done: report.seconds_left for report in seen[:-1]}
+    assert left[1] == 199 * 60
+    # Half of the time lies after the first unit.
+    assert left[62] == 138
+    assert left[140] == 60
+
+
 def test_short_work_is_silent(monkeypatch, capsys):
     clock = itertools.count(0, 0.1)
     monkeypatch.setattr(module, "_QUIET_SECONDS", 2.0)

@@ -1,11 +1,13 @@
 """What differs between operating systems, with the rules of Windows where they can be had."""
 
+import ctypes
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from lumitree.core import system
-from support.windows_rules import run_by_windows_rules
+from support.windows_rules import run_by_windows_rules, run_script_without_posix
 
 
 def test_this_system_has_what_it_should():
@@ -30,6 +32,154 @@ def test_the_fallbacks_take_over(tmp_path):
         tmp_path,
     )
     assert result.stdout.splitlines() == ["None None None", "True", "0 255 False", "False True"]
+
+
+def test_files_that_others_have_open_are_replaced_a_little_later(tmp_path):
+    result = run_by_windows_rules(
+        """
+        import os, threading, time
+        from pathlib import Path
+        from lumitree.core import files
+
+        def closed_soon(name):
+            Path(name).write_text("old")
+            handle = os.open(name, os.O_RDONLY)
+            threading.Timer(0.3, os.close, [handle]).start()
+
+        closed_soon("file.txt")
+        files.write_bytes("file.txt", b"new")
+        closed_soon("other.txt")
+        files.remove(Path("other.txt"))
+        print(Path("file.txt").read_text(), os.listdir("."))
+        """,
+        tmp_path,
+    )
+    assert result.stdout == "new ['file.txt']\n"
+
+
+def test_a_file_that_stays_open_is_an_error_by_windows_rules(tmp_path):
+    result = run_by_windows_rules(
+        """
+        import os
+        from pathlib import Path
+        from lumitree.core import files
+
+        Path("file.txt").write_text("old")
+        with open("file.txt"):
+            try:
+                files.write_bytes("file.txt", b"new")
+            except files.WriteError as error:
+                print(error)
+        print(Path("file.txt").read_text(), os.listdir("."))
+        """,
+        tmp_path,
+    )
+    first, second = result.stdout.splitlines()
+    assert first.startswith("cannot write file.txt: it is used")
+    assert second == "old ['file.txt']"
+
+
+@pytest.mark.parametrize(
+    "name", ["a:b.exr", "what?.png", "con", "NUL.exr", "com1.ies", "lamp.", "lamp ", "a\tb"]
+)
+def test_names_that_windows_refuses(tmp_path, name):
+    result = run_by_windows_rules(
+        f"""
+        from lumitree.core import files
+        from lumitree.errors import LumitreeError
+
+        files.check_writable("console.exr")
+        try:
+            files.check_writable({name!r})
+        except LumitreeError as error:
+            print(error)
+        """,
+        tmp_path,
+    )
+    assert "no files with such a name" in result.stdout
+
+
+def test_a_folder_that_cannot_be_written_is_found_by_windows_rules(tmp_path):
+    """There `os.access` says that every folder can be written."""
+    result = run_by_windows_rules(
+        """
+        import os
+        from pathlib import Path
+        from lumitree.core import files
+        from lumitree.errors import LumitreeError
+
+        opened = os.open
+        def refused(path, *arguments, **options):
+            if "full" in str(path):
+                raise PermissionError(13, "refused", path)
+            return opened(path, *arguments, **options)
+        os.open = refused
+        Path("full").mkdir()
+        files.check_writable("file.txt")
+        try:
+            files.check_writable("full/file.txt")
+        except LumitreeError as error:
+            print(error, os.listdir("."), os.listdir("full"))
+        """,
+        tmp_path,
+    )
+    assert result.stdout.startswith("cannot write full/file.txt: Permission denied")
+    assert result.stdout.endswith("['full'] []\n")
+
+
+@pytest.mark.parametrize(
+    ("handle", "error", "waited", "expected"),
+    [(7, 0, 0x102, True), (7, 0, 0, False), (0, 87, None, False), (0, 5, None, True)],
+    ids=["it runs", "it has ended", "there is none", "of another user"],
+)
+def test_processes_of_windows(monkeypatch, handle, error, waited, expected):
+    """By the answers that Windows documents for OpenProcess and WaitForSingleObject."""
+    closed = []
+    kernel = SimpleNamespace(
+        OpenProcess=lambda *_: handle,
+        WaitForSingleObject=lambda *_: waited,
+        CloseHandle=closed.append,
+    )
+    monkeypatch.setattr(ctypes, "get_last_error", lambda: error, raising=False)
+    assert system._is_running(kernel, 12) is expected
+    assert closed == ([handle] if handle else [])
+
+
+def test_a_pool_stops_its_tasks_without_posix(tmp_path):
+    """Where `terminate` would end them at once, a task is interrupted, and can save its state."""
+    result = run_script_without_posix(
+        """
+        import time
+        from pathlib import Path
+
+        from lumitree._version import __version__
+        from lumitree.core.executor import _run
+        from lumitree.core.process_pool import process_pool
+
+        def work(number):
+            try:
+                Path(f"{number} begun").touch()
+                end = time.monotonic() + 60
+                while time.monotonic() < end:
+                    time.sleep(0.01)
+            finally:
+                Path(f"{number} saved").touch()
+
+        if __name__ == "__main__":
+            try:
+                with process_pool(1) as executor:
+                    for number in range(3):
+                        executor.submit(_run, __version__, None, work, (number,))
+                    while not Path("0 begun").exists():
+                        time.sleep(0.01)
+                    raise ZeroDivisionError
+            except ZeroDivisionError:
+                print(sorted(path.name for path in Path().glob("[0-9]*")))
+        """,
+        tmp_path,
+        timeout=40,
+    )
+    assert result.stdout == "['0 begun', '0 saved']\n"
 
 
 def test_files_and_folders_are_atomic_by_windows_rules(tmp_path):

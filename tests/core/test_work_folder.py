@@ -83,6 +83,22 @@ def test_only_what_lumitree_wrote_is_removed(tmp_path, name):
     assert [entry for entry in left if (work.path / entry).is_file()] == sorted([MARKER, name])
 
 
+def test_files_of_a_desktop_do_not_count(tmp_path):
+    """As the Finder of macOS and the Explorer of Windows add them to folders that they show."""
+    for name in ("work", "new"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / ".DS_Store").touch()
+    check_new_folder(tmp_path / "new")
+    with atomic_folder(tmp_path / "new") as inside:
+        (inside / "lamp.ies").touch()
+    assert os.listdir(tmp_path / "new") == ["lamp.ies"]
+    with WorkFolder(tmp_path / "work") as work:
+        fill(work.path)
+        (work.path / "dataset" / "desktop.ini").touch()
+        work.remove(NAMES)
+    assert not (tmp_path / "work").exists()
+
+
 def test_links_are_removed_not_followed(tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "precious.txt").write_text("mine")

@@ -65,6 +65,9 @@ def test_ranges_of_gamma_are_filled_with_darkness():
         ([0.0], [-10.0, 90]),
         ([0.0], [90.0]),
         ([0.0, 400], [0.0, 180]),
+        ([30.0, 210], [0.0, 180]),
+        # There are no planes between 270 and 360.
+        ([0.0, 30, 60, 90, 120, 150, 180, 210, 240, 270], [0.0, 180]),
     ],
 )
 def test_other_angles_are_refused(c, gamma):

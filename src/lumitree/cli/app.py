@@ -35,6 +35,7 @@ from lumitree.cli.output import LONGEST_LINE
 from lumitree.core.backend import quieten
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.program import ignore_signals
+from lumitree.core.system import is_broken_pipe
 from lumitree.core.work_folder import remove_abandoned_scratch
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
@@ -120,9 +121,9 @@ def _show(args: argparse.Namespace, result: Any) -> None:
     try:
         args.show(args, result)
         sys.stdout.flush()
-    except BrokenPipeError:
-        raise
     except OSError as error:
+        if is_broken_pipe(error):
+            raise BrokenPipeError from error
         # Else the end of the process tries to write the same again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise LumitreeError(

@@ -1,8 +1,8 @@
 """`lumitree bake`."""
 
 import argparse
-import codecs
 import dataclasses
+import glob
 import os
 import sys
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from lumitree.cli import options
 from lumitree.cli.output import print_lamps, print_open, print_report
+from lumitree.core.system import SEPARATORS, SHELL_EXPANDS
 from lumitree.errors import LumitreeError, shown
 
 if TYPE_CHECKING:
@@ -181,7 +182,7 @@ def run(args: argparse.Namespace) -> Any:
         )
     settings = _settings(args)
     luminaires = [options.luminaire(args, name) for name in _listed(args.luminaires)]
-    if len(luminaires) != 1 or args.output.endswith("/"):
+    if len(luminaires) != 1 or args.output.endswith(SEPARATORS):
         return _run_many(args, luminaires, settings)
     if args.task is not None:
         raise LumitreeError(
@@ -352,17 +353,29 @@ def _run_many(args: argparse.Namespace, luminaires: list[Any], settings: _Settin
 def _listed(names: list[str]) -> list[str]:
     """The names, with those that the file of a name @FILE lists in its place."""
     from lumitree.core.reading import read_bytes
+    from lumitree.core.text import in_utf8
 
     found: list[str] = []
     for name in names:
         if not name.startswith("@"):
-            found.append(name)
+            found += _expanded(name)
             continue
-        content = read_bytes(name[1:], "a list of luminaires", _MAX_LIST_BYTES)
-        # Which editors of Windows write.
-        content = content.removeprefix(codecs.BOM_UTF8)
-        found += [line.strip() for line in os.fsdecode(content).split("\n") if line.strip()]
+        content = in_utf8(read_bytes(name[1:], "a list of luminaires", _MAX_LIST_BYTES))
+        try:
+            text = os.fsdecode(content)
+        except UnicodeDecodeError:
+            raise LumitreeError(
+                f"{shown(name[1:], 300)} is not in UTF-8; save the list of luminaires in UTF-8"
+            ) from None
+        found += [line.strip() for line in text.split("\n") if line.strip()]
     return found
+
+
+def _expanded(name: str) -> list[str]:
+    """The files of a pattern such as *.ies, where the shell leaves patterns to the program."""
+    if SHELL_EXPANDS or not glob.has_magic(name) or os.path.exists(name):
+        return [name]
+    return sorted(glob.glob(name)) or [name]
 
 
 def _write_config(args: argparse.Namespace) -> dict[str, str]:

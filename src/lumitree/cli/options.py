@@ -268,7 +268,7 @@ def check_files(args: argparse.Namespace) -> None:
         place = _place(text)
         if place in written:
             raise LumitreeError(f"{shown(text, 300)} is given for two outputs; name each its own")
-        if place in read and os.path.isfile(place):
+        if place in read and os.path.isfile(text):
             raise LumitreeError(
                 f"{shown(text, 300)} is read, and would be written over; choose another output"
             )
@@ -287,7 +287,10 @@ def _texts(values: Iterable[Any]) -> Iterator[str]:
 
 
 def _place(name: str) -> str:
-    """The file that a name stands for, which may have several."""
+    """The file that a name stands for, which may have several, as with Lamp.ies and lamp.ies."""
+    with contextlib.suppress(OSError, ValueError):
+        found = os.stat(name)
+        return f"{found.st_dev}:{found.st_ino}"
     return os.path.normcase(os.path.realpath(name))
 
 

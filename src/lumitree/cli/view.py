@@ -5,7 +5,10 @@ from typing import Any
 
 from lumitree.cli import options
 from lumitree.cli.output import print_open
-from lumitree.core.interrupt import Interrupted
+from lumitree.core.interrupt import deferred_interrupt
+
+# Interval at which a server looks whether it is to end, s.
+_LOOK_SECONDS = 0.2
 
 
 def add(commands: Any) -> None:
@@ -31,12 +34,14 @@ def run(args: argparse.Namespace) -> Any:
     result = lumitree.view(args.asset, args.output)
     if result.page is not None:
         return result
-    with open_server(result.html, args.port) as server:
+    with (
+        open_server(result.html, args.port) as server,
+        deferred_interrupt("the page is no longer served") as stop,
+    ):
         print(f"open {address(server)} in a browser; Ctrl-C ends", flush=True)
-        try:
-            server.serve_forever()
-        except Interrupted as interrupted:
-            raise Interrupted("the page is no longer served", interrupted.number) from None
+        server.timeout = _LOOK_SECONDS
+        while not stop:
+            server.handle_request()
     return result
 
 

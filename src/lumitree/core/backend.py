@@ -3,12 +3,16 @@
 Mitsuba's CPU variants compile kernels with libLLVM, and load it when `mitsuba` is first imported.
 Debian's versions 14 to 16 abort the process on machines with AVX-512. On Linux x86-64 lumitree
 therefore depends on a tested library (the package `karellen-llvm-core`), and passes its path to
-Dr.Jit before that import. A value of DRJIT_LIBLLVM_PATH that the user has set is kept.
+Dr.Jit before that import. On other systems it passes the newest one where installers put them. A
+value of DRJIT_LIBLLVM_PATH that the user has set is kept.
 """
 
 import contextlib
+import glob
 import importlib
+import math
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator
@@ -23,6 +27,31 @@ GPU_VARIANT = "cuda_ad_rgb"
 _RGB, _SPECTRAL = "_ad_rgb", "_ad_spectral"
 # The AVX-512 back end of older versions cannot compile the `fminimum` that Dr.Jit emits.
 MIN_LLVM = 17
+# Where installers put libLLVM, by `sys.platform`, and how it is installed there.
+_LLVM_PLACES = {
+    "darwin": (
+        "/opt/homebrew/opt/llvm*/lib/libLLVM.dylib",
+        "/usr/local/opt/llvm*/lib/libLLVM.dylib",
+        "$CONDA_PREFIX/lib/libLLVM*.dylib",
+    ),
+    "linux": (
+        "/usr/lib/*-linux-gnu/libLLVM*.so*",
+        "/usr/lib/llvm-*/lib/libLLVM*.so*",
+        "/usr/lib64/libLLVM*.so*",
+        "$CONDA_PREFIX/lib/libLLVM*.so*",
+    ),
+    "win32": (
+        r"%ProgramFiles%\LLVM\bin\LLVM-C.dll",
+        r"%CONDA_PREFIX%\Library\bin\LLVM-C.dll",
+    ),
+}
+_LLVM_INSTALLERS = {
+    "darwin": " (brew install llvm)",
+    "linux": f" (on Debian and Ubuntu: apt install libllvm{MIN_LLVM + 2})",
+    "win32": " (winget install LLVM.LLVM)",
+}
+# The major version in the path of a libLLVM.
+_LLVM_VERSION = re.compile(r"llvm(?:-|@|\.so\.|\.)?(\d+)", re.IGNORECASE)
 # Whether `quieten` was called, and whether `warn_of_gpu` has warned.
 _quiet = _warned_of_gpu = False
 # Threads of CPU variants; None for as many as there are cores.
@@ -33,9 +62,9 @@ def select_llvm() -> None:
     """Set the libLLVM that Dr.Jit loads, unless Dr.Jit is loaded or the user has set one."""
     if "drjit" in sys.modules or os.environ.get("DRJIT_LIBLLVM_PATH"):
         return
-    bundled = _bundled_llvm()
-    if bundled is not None:
-        os.environ["DRJIT_LIBLLVM_PATH"] = str(bundled)
+    found = _bundled_llvm() or _installed_llvm()
+    if found is not None:
+        os.environ["DRJIT_LIBLLVM_PATH"] = str(found)
 
 
 def load_rgb(variant: str | None = None) -> Any:
@@ -177,7 +206,8 @@ def _import_mitsuba() -> Any:
             raise
         raise LumitreeError(
             f"Mitsuba cannot be loaded: {shown(reason, 200)}; install what is missing (for "
-            "libatomic.so.1 on Debian and Ubuntu: apt install libatomic1)"
+            "libatomic.so.1 on Debian and Ubuntu: apt install libatomic1; on Windows it is often "
+            "the Visual C++ Redistributable of Microsoft)"
         ) from error
 
 
@@ -185,7 +215,8 @@ def _remedy() -> str:
     """What to do about a libLLVM that cannot be used."""
     if _bundled_llvm() is not None:
         return "unset DRJIT_LIBLLVM_PATH to use the one that comes with lumitree"
-    return f"install LLVM {MIN_LLVM} or newer, and name its library with DRJIT_LIBLLVM_PATH"
+    how = _LLVM_INSTALLERS.get(sys.platform, "")
+    return f"install LLVM {MIN_LLVM} or newer{how}, or name its library with DRJIT_LIBLLVM_PATH"
 
 
 def _bundled_llvm() -> Path | None:
@@ -198,3 +229,17 @@ def _bundled_llvm() -> Path | None:
         return None
     libraries = [file for file in files if file.name.startswith("libLLVM.so.")]
     return Path(str(libraries[0].locate())).resolve() if libraries else None
+
+
+def _installed_llvm() -> Path | None:
+    """The newest libLLVM among those where installers put them; None if none can be used."""
+    patterns = map(os.path.expandvars, _LLVM_PLACES.get(sys.platform, ()))
+    found = [(_version_in(name), name) for pattern in patterns for name in glob.glob(pattern)]
+    usable = [each for each in found if each[0] >= MIN_LLVM]
+    return Path(max(usable)[1]) if usable else None
+
+
+def _version_in(path: str) -> float:
+    """Major version of a libLLVM by its path; infinite, as the newest one, if it states none."""
+    version = _LLVM_VERSION.search(path)
+    return math.inf if version is None else float(version[1])

@@ -26,6 +26,7 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.core.packing import variant_here
 from lumitree.core.process_pool import stopped_by_pool
 from lumitree.core.progress import reporting
+from lumitree.core.system import WAIT_SECONDS
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 
 R = TypeVar("R")
@@ -126,9 +127,9 @@ def _results(
                 pending[executor.submit(_run, __version__, variant_here(), function, each)] = index
             if not pending:
                 return
-            done = {next(iter(pending))}
-            if not in_order:
-                done = wait(pending, return_when=FIRST_COMPLETED).done
+            awaited, done = [next(iter(pending))] if in_order else list(pending), set[Future[Any]]()
+            while not done:
+                done = wait(awaited, WAIT_SECONDS, FIRST_COMPLETED).done
             future = min(done, key=pending.__getitem__)
             result, messages = future.result()
         index = pending.pop(future)

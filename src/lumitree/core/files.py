@@ -12,11 +12,15 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from lumitree.core.system import (
+    accepts_name,
     is_read_only,
+    is_writable,
     keep,
     lock,
     longest_name,
     release,
+    remove,
+    replace,
 )
 from lumitree.errors import LumitreeError, shown
 
@@ -25,7 +29,12 @@ TEMPORARY = ".lumitree-"
 # Temporary folders have names that begin so.
 SCRATCH = "lumitree-scratch-"
 # What the system says of a full disk; libraries repeat it in messages of their own.
-_FULL = {number: os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)}
+_FULL = {
+    number: text
+    for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    # Windows has no quota of this kind, and no text for it.
+    if not (text := os.strerror(number)).startswith("Unknown error")
+}
 # A folder of more entries is listed at most once in so many seconds; when, by its path.
 _LARGE_FOLDER, _LIST_AGAIN_SECONDS = 1000, 60.0
 _listed_again: dict[str, float] = {}
@@ -96,12 +105,14 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
+        replace(temporary, path)
     except Exception as error:
         raise_write_error(path, error)
     finally:
         release(handle)
-        temporary.unlink(missing_ok=True)
+        # Where that fails, what went wrong before says more.
+        with contextlib.suppress(OSError):
+            remove(temporary)
 
 
 def flush_to_disk(path: Path) -> None:
@@ -138,7 +149,7 @@ def _create_locked(path: Path) -> tuple[int | None, Path]:
         if lock(handle) is not False and os.fstat(handle).st_nlink:
             return keep(handle), Path(name)
         os.close(handle)
-        Path(name).unlink(missing_ok=True)
+        remove(Path(name))
 
 
 @contextlib.contextmanager
@@ -168,8 +179,10 @@ def exclusive(path: Path, *, wait: bool = False) -> Iterator[bool]:
     try:
         yield held
     finally:
-        if held:
-            path.unlink(missing_ok=True)
+        # Where another process has it open, that one removes it.
+        with contextlib.suppress(PermissionError):
+            if held:
+                remove(path)
         release(kept)
 
 
@@ -193,7 +206,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         _check_name(path.name, folder)
         if not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-        if not os.access(folder, os.W_OK | os.X_OK):
+        if not is_writable(folder):
             number = errno.EROFS if is_read_only(folder) else errno.EACCES
             raise OSError(number, os.strerror(number))
     except (OSError, ValueError) as error:
@@ -233,12 +246,13 @@ def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
 
 def write_json(path: str | os.PathLike[str], value: Any) -> None:
     """Write `value` as indented JSON, atomically."""
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_bytes(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
 
 
 def _check_name(name: str, folder: Path) -> None:
-    """Refuse a name whose temporary name would be too long for the file system."""
+    """Refuse a name that the system does not accept, or whose temporary name would be too long."""
+    if not accepts_name(name):
+        raise OSError(errno.EINVAL, "this system has no files with such a name")
     longest = longest_name(folder) - len(f".{TEMPORARY}") - 8
     if len(os.fsencode(name)) > longest:
         raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))

@@ -5,15 +5,18 @@ import what their tasks need, and nothing else.
 
 Ctrl-C and the closing of a terminal reach all processes of a command. The workers ignore them, and
 the parent decides. At the end of the pool it sends SIGTERM to workers that have a task, by which
-the task ends as any work of lumitree does, with its state saved.
+the task ends as any work of lumitree does, with its state saved. Where there is no such signal, on
+Windows, each worker looks at a shared flag, and interrupts its task itself.
 """
 
+import _thread
 import contextlib
 import ctypes
 import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from multiprocessing.context import SpawnContext, SpawnProcess
@@ -24,13 +27,17 @@ from lumitree.core import backend
 from lumitree.core.arguments import check_count
 from lumitree.core.interrupt import Interrupted, announce_nothing, interruptible
 from lumitree.core.system import (
+    MAX_WORKERS,
     STOP_SIGNALS,
+    TASK_STOP,
+    TERMINATES_AT_ONCE,
     num_cores,
     stop_signals_blocked,
     unblock_stop_signals,
 )
 
-MAX_WORKERS = 1024
+# Interval at which a worker looks at the flag of its pool, s.
+_LOOK_SECONDS = 0.2
 # Of OpenBLAS, MKL, Accelerate, and libraries that use OpenMP.
 _BLAS_VARIABLES = (
     "OPENBLAS_NUM_THREADS",
@@ -53,7 +60,7 @@ def process_pool(workers: int) -> Iterator[Executor]:
     its work below `if __name__ == "__main__":`.
 
     Args:
-        workers: number of processes, 1 to 1024.
+        workers: number of processes, 1 to 1024; on Windows to 61.
 
     Raises:
         LumitreeError: the number is out of range.
@@ -74,10 +81,16 @@ def process_pool(workers: int) -> Iterator[Executor]:
     finally:
         ended.value = True
         begun = [process for process in context.made if process.pid is not None]
-        for process in begun:
-            process.terminate()
         try:
-            executor.shutdown(cancel_futures=True)
+            if TERMINATES_AT_ONCE:
+                # They end by themselves; signals reach only waits that are short.
+                executor.shutdown(wait=False, cancel_futures=True)
+                while any(process.is_alive() for process in begun):
+                    time.sleep(_LOOK_SECONDS)
+            else:
+                for process in begun:
+                    process.terminate()
+                executor.shutdown(cancel_futures=True)
         except BaseException:
             # A second signal.
             for process in begun:
@@ -159,13 +172,22 @@ def _begin_worker(ended: Any, threads: int, quiet: bool) -> None:
     announce_nothing()
     for number in STOP_SIGNALS:
         # Between tasks there is nothing to stop, but an ignored signal would stay so in them.
-        between = (lambda *_: None) if number == signal.SIGTERM else signal.SIG_IGN
+        between = (lambda *_: None) if number == TASK_STOP else signal.SIG_IGN
         signal.signal(number, between)
     unblock_stop_signals()
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    if TERMINATES_AT_ONCE:
+        threading.Thread(target=_end_with_pool, daemon=True).start()
     backend.use_threads(threads)
     if quiet:
         backend.quieten()
+
+
+def _end_with_pool() -> None:
+    """Stop the task of this worker when its pool has ended."""
+    while not _ended.value:
+        time.sleep(_LOOK_SECONDS)
+    _thread.interrupt_main(TASK_STOP)
 
 
 def _end_with_parent() -> None:

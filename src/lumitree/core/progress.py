@@ -3,6 +3,7 @@
 The default callback shows a bar with the time left, or prints lines where there is no terminal.
 """
 
+import collections
 import contextlib
 import contextvars
 import dataclasses
@@ -148,11 +149,18 @@ def progress(description: str, total: float, done: float = 0) -> Iterator[Advanc
         done: units that an earlier run has already done.
     """
     callback, within = _callback.get(), _current.get()
-    start, first, latest = time.monotonic(), done, ""
+    start, latest = time.monotonic(), ""
+    # Time and work done of earlier reports, of which the first is half as old as the task.
+    earlier = collections.deque([(0.0, done)])
 
     def report(finished: bool) -> None:
         seconds = time.monotonic() - start
-        left = (total - done) * seconds / (done - first) if done > first else None
+        # Of the second half alone: the first units of work may compile kernels, or be kept.
+        while len(earlier) > 1 and earlier[1][0] <= seconds / 2:
+            earlier.popleft()
+        then, first = earlier[0]
+        left = (total - done) * (seconds - then) / (done - first) if done > first else None
+        earlier.append((seconds, done))
         state = Progress(description, done, total, seconds, left, latest, finished, within)
         _current.set(state)
         if callback is not None:

@@ -2,18 +2,24 @@
 
 Only this module imports what POSIX systems alone have. Elsewhere, as on Windows, files are not
 locked: two processes may do the same work twice, and temporary files that killed processes left
-stay. Nothing half-written is ever under a final name, on any system.
+stay. Nor are files renamed or removed there that any process has open. Nothing half-written is ever
+under a final name, on any system.
 """
 
 import _thread
 import contextlib
+import ctypes
 import errno
 import os
+import re
+import secrets
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any, TypeVar
 
 try:
     import fcntl
@@ -31,8 +37,31 @@ _STOP = (signal.SIGINT, _BREAK or signal.SIGTERM, TERMINAL_CLOSED)
 STOP_SIGNALS: tuple[int, ...] = tuple(number for number in _STOP if number is not None)
 # What `repeat` sends to this process: its alarm clock, or a signal that nobody else sends.
 REPEATED: signal.Signals = getattr(signal, "SIGALRM", signal.SIGTERM)
+# The signal by which the pool of `process_pool` stops a task.
+TASK_STOP: signal.Signals = getattr(signal, "SIGBREAK", signal.SIGTERM)
+# Whether `Process.terminate` ends a process at once, without a signal that it could handle.
+TERMINATES_AT_ONCE = fcntl is None
+# Longest wait for a lock, s, where a signal does not end it; None where it does.
+WAIT_SECONDS: float | None = 0.2 if fcntl is None else None
+# The most workers of a `ProcessPoolExecutor`: Windows waits for at most 63 things at once.
+MAX_WORKERS = 61 if fcntl is None else 1024
+# Whether the shell replaces patterns such as *.ies by the names of files.
+SHELL_EXPANDS = fcntl is not None
+# What ends the name of a folder.
+SEPARATORS = ("/", os.sep)
+# Files that a desktop adds to folders by itself.
+DESKTOP_FILES = frozenset({".DS_Store", "desktop.ini", "Thumbs.db"})
 # Names of files have at most so many bytes where the system does not say how many.
 _LONGEST_NAME = 255
+# Names of files that Windows refuses, or takes for a device or a stream of another file.
+_RESERVED = re.compile(
+    r'(con|prn|aux|nul|com[0-9]|lpt[0-9])([. ].*)?|.*[<>:"|?*\x00-\x1f].*|.*[. ]', re.I | re.DOTALL
+)
+# For so long other processes may have a file open, such as an indexer of its folder, s.
+_PATIENCE_SECONDS = 2.0
+# Of `OpenProcess` and `WaitForSingleObject`.
+_SYNCHRONIZE, _ACCESS_DENIED, _WAIT_TIMEOUT = 0x00100000, 5, 0x102
+R = TypeVar("R")
 # The thread that repeats a signal where there is no timer, by the event that ends it.
 _repeating: threading.Event | None = None
 
@@ -106,15 +135,67 @@ def open_folder(folder: Path) -> int | None:
 
 def is_running(process: int) -> bool:
     """Whether there is a process of this number; True where it is not known."""
-    # On Windows this call would send Ctrl-C.
-    if fcntl is not None:
-        try:
-            os.kill(process, 0)
-        except ProcessLookupError:
-            return False
-        except (OSError, OverflowError):
-            pass
+    # On Windows `os.kill` would send Ctrl-C.
+    if fcntl is None:
+        kernel = _kernel32()
+        return kernel is None or _is_running(kernel, process)
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        pass
     return True
+
+
+def _kernel32() -> Any:
+    """Functions of Windows on processes; None on other systems."""
+    if not hasattr(ctypes, "WinDLL"):
+        return None
+    kernel = ctypes.WinDLL("kernel32", use_last_error=True)  # type: ignore[attr-defined]
+    kernel.OpenProcess.restype = ctypes.c_void_p
+    kernel.WaitForSingleObject.argtypes = (ctypes.c_void_p, ctypes.c_uint32)
+    kernel.CloseHandle.argtypes = (ctypes.c_void_p,)
+    return kernel
+
+
+def _is_running(kernel: Any, process: int) -> bool:
+    """As `is_running`, by the functions of Windows."""
+    handle = kernel.OpenProcess(_SYNCHRONIZE, False, ctypes.c_uint32(process))
+    if not handle:
+        # Of a process of another user nothing else is known.
+        return ctypes.get_last_error() == _ACCESS_DENIED  # type: ignore[attr-defined]
+    try:
+        return kernel.WaitForSingleObject(handle, 0) == _WAIT_TIMEOUT
+    finally:
+        kernel.CloseHandle(handle)
+
+
+def replace(source: Path, target: Path) -> None:
+    """Rename a file or a folder to another name, whose file it replaces."""
+    patiently(os.replace, source, target)
+
+
+def remove(path: Path) -> None:
+    """Remove a file, if there is one."""
+    with contextlib.suppress(FileNotFoundError):
+        patiently(os.unlink, path)
+
+
+def patiently(function: Callable[..., R], *arguments: Any) -> R:
+    """Call a function on files, which Windows refuses while another process has them open.
+
+    Raises:
+        PermissionError: it is still refused after a while; on other systems at once.
+    """
+    end = time.monotonic() + (_PATIENCE_SECONDS if fcntl is None else 0.0)
+    while True:
+        try:
+            return function(*arguments)
+        except PermissionError:
+            if time.monotonic() >= end:
+                raise
+            time.sleep(0.05)
 
 
 def peak_memory_bytes() -> int:
@@ -132,9 +213,34 @@ def longest_name(folder: Path) -> int:
     return _LONGEST_NAME
 
 
+def accepts_name(name: str) -> bool:
+    """Whether a file may have this name, apart from its length."""
+    return fcntl is not None or _RESERVED.fullmatch(name) is None
+
+
+def is_writable(folder: Path) -> bool:
+    """Whether files can be made in a folder, by this process."""
+    if fcntl is not None:
+        return os.access(folder, os.W_OK | os.X_OK)
+    # There `os.access` knows nothing of who may write.
+    probe = folder / f".lumitree-{secrets.token_hex(8)}"
+    try:
+        os.close(os.open(probe, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+    except OSError:
+        return False
+    remove(probe)
+    return True
+
+
 def is_read_only(folder: Path) -> bool:
     """Whether the file system of a folder is mounted read-only; False where it is not known."""
     return hasattr(os, "statvfs") and bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
+
+
+def is_broken_pipe(error: OSError) -> bool:
+    """Whether the program that reads the output has ended."""
+    # Windows says no more than that the argument is invalid.
+    return isinstance(error, BrokenPipeError) or (fcntl is None and error.errno == errno.EINVAL)
 
 
 def is_closed_terminal(descriptor: int) -> bool:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeGuard, TypeVar
 
 from lumitree.core.reading import read_bytes
+from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError, shown
 
 _MAX_BYTES = 2**20
@@ -29,7 +30,7 @@ def read_toml(path: Path, expected: str) -> "Table":
     """
     data = read_bytes(path, expected, _MAX_BYTES)
     try:
-        table = tomllib.loads(data.decode("utf-8"))
+        table = tomllib.loads(in_utf8(data).decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise LumitreeError(
             f"{shown(path, 300)} is not valid TOML in UTF-8: {shown(error, 200)}"

@@ -23,7 +23,16 @@ from lumitree.core.files import (
     flush_to_disk,
     raise_write_error,
 )
-from lumitree.core.system import keep, lock, open_folder, release
+from lumitree.core.system import (
+    DESKTOP_FILES,
+    keep,
+    lock,
+    open_folder,
+    patiently,
+    release,
+    remove,
+    replace,
+)
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 MARKER = ".lumitree-work"
@@ -57,7 +66,7 @@ class WorkFolder:
             self._made = not self.path.exists()
             self.path.mkdir(parents=True, exist_ok=True)
             marker = self.path / MARKER
-            if not marker.exists() and (found := sorted(os.listdir(self.path))):
+            if not marker.exists() and (found := contents(self.path)):
                 raise LumitreeError(
                     f"{self.path} holds what lumitree did not write ({shown(found[0])}); choose an "
                     "empty or a new folder with --work, or move it away"
@@ -103,19 +112,19 @@ class WorkFolder:
     def is_empty(self) -> bool:
         """Whether the folder holds nothing from which a later call could continue."""
         try:
-            return set(os.listdir(self.path)) <= {MARKER}
+            return set(contents(self.path)) <= {MARKER}
         except OSError:
             return True
 
     def _close(self) -> None:
         release(self._handle)
         if self.is_empty:
-            (self.path / MARKER).unlink(missing_ok=True)
+            remove(self.path / MARKER)
             if self._made:
-                self.path.rmdir()
+                _remove_empty(self.path)
         elif not (self.path / MARKER).exists():
             # Someone removed the folder, and the work wrote into it again.
-            (self.path / MARKER).write_text(_MARKER_TEXT, encoding="utf-8")
+            (self.path / MARKER).write_bytes(_MARKER_TEXT.encode())
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove what lumitree wrote, and the folder if it is then empty.
@@ -127,10 +136,10 @@ class WorkFolder:
         kept = [MARKER]
         try:
             remove_written(self.path, names)
-            kept = [entry for entry in sorted(os.listdir(self.path)) if entry != MARKER]
+            kept = [entry for entry in contents(self.path) if entry != MARKER]
             if not kept:
-                (self.path / MARKER).unlink(missing_ok=True)
-                self.path.rmdir()
+                remove(self.path / MARKER)
+                _remove_empty(self.path)
         except FileNotFoundError:
             kept = []
         except OSError as error:
@@ -177,6 +186,18 @@ def alone_in(folder: Path) -> Iterator[None]:
         release(handle)
 
 
+def contents(folder: Path) -> list[str]:
+    """Names of what a folder holds, apart from files that a desktop adds by itself."""
+    return sorted(set(os.listdir(folder)) - DESKTOP_FILES)
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove a folder that holds nothing but what a desktop has added."""
+    for name in set(os.listdir(folder)) & DESKTOP_FILES:
+        remove(folder / name)
+    patiently(folder.rmdir)
+
+
 def remove_written(folder: Path, names: Iterable[str]) -> None:
     """Remove what lumitree wrote into a folder, and the folders in it that are then empty.
 
@@ -189,12 +210,12 @@ def remove_written(folder: Path, names: Iterable[str]) -> None:
     for name in names:
         for path in folder.glob(name):
             if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path)
+                patiently(shutil.rmtree, path)
             else:
-                path.unlink()
+                remove(path)
     for inner, _, _ in os.walk(folder, topdown=False):
-        if inner != str(folder) and not os.listdir(inner):
-            os.rmdir(inner)
+        if inner != str(folder) and not contents(Path(inner)):
+            _remove_empty(Path(inner))
 
 
 @contextlib.contextmanager
@@ -279,7 +300,7 @@ def atomic_files(output: Path) -> Iterator[Path]:
         _flush(files)
         others = [each for each in sorted(files.iterdir()) if each.name != output.name]
         for each in (*others, files / output.name):
-            os.replace(each, output.parent / each.name)
+            replace(each, output.parent / each.name)
 
 
 @contextlib.contextmanager
@@ -299,8 +320,8 @@ def atomic_folder(output: Path) -> Iterator[Path]:
         folder = output.resolve()
         if folder.is_dir():
             # Windows does not rename to a folder that exists. Fails if it holds something by now.
-            folder.rmdir()
-        os.replace(files, folder)
+            _remove_empty(folder)
+        replace(files, folder)
 
 
 def check_new_folder(path: Path) -> None:
@@ -309,7 +330,7 @@ def check_new_folder(path: Path) -> None:
     Raises:
         LumitreeError: it is a file, holds something, or cannot be written.
     """
-    if path.is_dir() and (found := sorted(os.listdir(path))):
+    if path.is_dir() and (found := contents(path)):
         raise LumitreeError(
             f"{shown(path, 300)} is a folder that holds {shown(found[0])}; choose a new or an "
             "empty folder with -o"

@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 EDGE = 1e-3
 # Negative intensities below this part of the largest are noise of the instrument.
 _NOISE = 1e-3
+# Between the steps of angles that were written with few digits, degrees.
+_ROUNDING = 0.1
 # Step of the grid that Type B is interpolated on, degrees.
 _STEP_OF_B = 1.0
 # First and last plane of a file, and the planes that its symmetries reflect at, one after another.
@@ -62,10 +64,15 @@ def completed(c: Array, gamma: Array, intensity: Array) -> tuple[Array, Array, A
         c, intensity = _reflected(c, intensity, plane)
     if len(c) == 1:
         c = np.zeros(1)
-    elif not (c[-1] - c[0] <= 360 and c[-1] - c[0] >= 270 and c[0] >= -360 and c[-1] <= 720):
+    elif not (180 < c[-1] - c[0] <= 360 and c[0] >= -360 and c[-1] <= 720):
         raise LumitreeError(
             f"its C angles are {_range(c)}; expected one angle, 0 to 90, 180 or 360, just below "
             "360, or 90 to 270"
+        )
+    elif 360 - (c[-1] - c[0]) > np.diff(c).max() + _ROUNDING:
+        raise LumitreeError(
+            f"its C angles are {_range(c)}, in steps of at most {np.diff(c).max():g} degrees, and "
+            f"there is none between {c[-1]:g} and {c[0] + 360:g}; expected the whole circle"
         )
     c, first = np.unique((c % 360).round(9) % 360, return_index=True)
     gamma, intensity = _with_edges(gamma, intensity[first], 0, 180)

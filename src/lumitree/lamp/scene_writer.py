@@ -16,6 +16,7 @@ from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.core.device import on_device
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import is_far, similarity
+from lumitree.core.system import accepts_name
 from lumitree.lamp.meshes import Floats, Mesh
 from lumitree.lamp.parts import (
     WHITE,
@@ -69,7 +70,9 @@ class _Writer:
         for name in sorted(used):
             self._bsdf(root, self._materials[name])
         for part in self._model.parts:
-            mesh_file = f"meshes/{part.name}.ply"
+            # Such as con, which is a device of Windows.
+            sign = "" if accepts_name(part.name) else "="
+            mesh_file = f"meshes/{sign}{part.name}.ply"
             _write_mesh(self._folder / mesh_file, part.mesh)
             for copy in range(len(part.places)):
                 self._shape(root, part, copy, mesh_file)

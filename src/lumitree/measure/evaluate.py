@@ -243,9 +243,10 @@ def compare_assets(
     if not np.allclose(asset.frame.size, reference.frame.size, rtol=1e-3, atol=0):
         sizes = [" x ".join(f"{side:.4g}" for side in e.frame.size) for e in (asset, reference)]
         raise LumitreeError(
-            f"{asset.luminaire} has a bounding box of {sizes[0]}, and {reference.luminaire} one of "
-            f"{sizes[1]}, around which the irradiance cannot be compared; compare their far "
-            "fields, by `lumitree photometry` of each"
+            f"the asset of {asset.luminaire} has a bounding box of {sizes[0]}, and that of "
+            f"{reference.luminaire} to compare it with one of {sizes[1]}, around which the "
+            "irradiance cannot be compared; compare their far fields, by `lumitree photometry` of "
+            "each"
         )
     title = asset.luminaire if path is None else f"{asset.luminaire}, {path}"
     settings = image_settings("evaluate", asset=title, irradiance_paths=irradiance_paths)

@@ -4,10 +4,12 @@ import json
 import os
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import lumitree
+from lumitree.cli import bake as bake_command
 from lumitree.cli import main
 from lumitree.cli.output import print_lamps
 from lumitree.core.dask_executor import dask_executor
@@ -104,6 +106,34 @@ def test_an_executor_gives_the_same_bytes(folder):
         records = [LampFiles(folder / each, name).read() for each in ("one", "out")]
         assert records[0].options == records[1].options
         assert records[0].figures == records[1].figures
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_lists_that_windows_writes(folder, monkeypatch, encoding):
+    """With its marks, its ends of lines, and the sign that ends the name of a folder there."""
+    monkeypatch.setattr(bake_command, "SEPARATORS", ("/", "\\"))
+    taken = []
+    monkeypatch.setattr(lumitree, "bake_many", lambda names, *_, **__: taken.extend(names))
+    monkeypatch.setattr(bake_command, "show", lambda *_: None)
+    (folder / "lamps.txt").write_bytes("größe.xml\r\n".encode(encoding))
+    assert main(["bake", "@lamps.txt", "-o", "out\\"]) == 0
+    assert [Path(str(getattr(each, "name", each))).name for each in taken] == ["größe.xml"]
+
+
+def test_a_list_in_another_encoding_is_refused(folder, capsys, monkeypatch):
+    """Where names of files are in UTF-8, as on Windows."""
+    monkeypatch.setattr(bake_command, "os", SimpleNamespace(fsdecode=lambda each: each.decode()))
+    (folder / "lamps.txt").write_bytes("größe.xml".encode("cp1252"))
+    assert main(["bake", "@lamps.txt", "-o", "out/"]) == 2
+    assert "lamps.txt is not in UTF-8; save the list" in capsys.readouterr().err
+
+
+def test_patterns_that_no_shell_replaces(folder, monkeypatch):
+    monkeypatch.setattr(bake_command, "SHELL_EXPANDS", False)
+    for name in ("[c].xml", "d[1].xml"):
+        (folder / name).touch()
+    names = ["?.xml", "d[1].xml", "none*.xml"]
+    assert bake_command._listed(names) == ["a.xml", "b.xml", "c.xml", "d[1].xml", "none*.xml"]
 
 
 def test_parts_of_a_list_are_baked_and_collected(folder, capsys):

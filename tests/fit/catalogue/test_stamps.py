@@ -87,6 +87,20 @@ def test_what_may_have_changed_since_it_was_read_has_no_stamp(file, tmp_path):
     assert stamps_of([tmp_path], tmp_path, now) is None
 
 
+def test_files_on_another_disk_have_absolute_names(file, tmp_path, monkeypatch):
+    """Windows has no relative path between its disks."""
+
+    def relpath(*_):
+        raise ValueError("path is on mount 'D:', start on mount 'C:'")
+
+    expected = FileStamp.of(file, tmp_path)
+    monkeypatch.setattr(stamps.os.path, "relpath", relpath)
+    stamp = FileStamp.of(file, tmp_path / "other")
+    assert stamp.name == file.absolute().as_posix()
+    assert stamp.digest == expected.digest
+    assert stamp.current(tmp_path / "other") == stamp
+
+
 def test_pipes_are_not_opened(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     assert FileStamp.of(tmp_path / "pipe", tmp_path) is None

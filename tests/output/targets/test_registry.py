@@ -9,6 +9,7 @@ import pytest
 import lumitree
 from lumitree.cli import main
 from lumitree.errors import LumitreeError
+from lumitree.output.targets import registry
 from lumitree.output.targets.registry import TARGETS, find_target
 from lumitree.output.targets.target import ExportRequest
 from support.exported_lamps import lamp
@@ -24,10 +25,12 @@ OUTPUTS = (
 )
 
 
-def test_the_suffix_or_a_slash_chooses_the_target():
+def test_the_suffix_or_a_slash_chooses_the_target(monkeypatch):
+    # On Windows.
+    monkeypatch.setattr(registry, "SEPARATORS", ("/", "\\"))
     for output, suffix in (
         ("a/lamp.rad", ".rad"), ("lamp", ""), ("lamp.rad/", ""), ("lamp.v2.pbrt", ".pbrt"),
-        ("lamp.RAD", ".rad"),
+        ("lamp.RAD", ".rad"), ("lamp.rad\\", ""),
     ):  # fmt: skip
         assert find_target(output) is TARGETS[suffix]
     for output in ("lamp.ies", "a.b/lamp.txt"):

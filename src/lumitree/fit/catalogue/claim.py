@@ -27,7 +27,7 @@ from pathlib import Path
 from lumitree.core.files import WriteError
 from lumitree.core.interrupt import Interrupted, deferred_interrupt
 from lumitree.core.reading import Record, parse_json
-from lumitree.core.system import is_running, lock
+from lumitree.core.system import is_running, lock, patiently, remove
 from lumitree.errors import LumitreeError, shown
 
 _RENEW_SECONDS, _ABANDONED_SECONDS = 60.0, 600.0
@@ -71,29 +71,29 @@ def claimed(path: Path) -> Iterator[Owner | None]:
     try:
         # Else a signal could leave a file that stays open, and so locked.
         with deferred_interrupt() as interruption:
-            handle, owner = _take(path)
+            taken = _take(path)
     except OSError as error:
         raise WriteError(path.parent, error) from error
+    if isinstance(taken, Owner):
+        yield taken
+        return
     try:
         if interruption.number is not None:
             raise Interrupted(number=interruption.number)
-        with _renewed(path) if owner is None else contextlib.nullcontext():
-            yield owner
+        with _renewed(path):
+            yield None
     finally:
-        # While it is locked, so that it is not a claim of another process.
-        is_removed = owner is not None or _release(path, handle)
-        os.close(handle)
-        if not is_removed:
-            path.unlink(missing_ok=True)
+        _release(path, taken)
 
 
-def _take(path: Path) -> tuple[int, Owner | None]:
-    """Take a claim: its file, which is open, and its owner if that is another process."""
+def _take(path: Path) -> int | Owner:
+    """Take a claim: its file, which is open; or its owner if that is another process."""
     path.parent.mkdir(parents=True, exist_ok=True)
     while True:
         try:
             # Of several processes only one makes the file, also where there are no locks.
-            handle, is_new = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), True
+            flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
+            handle, is_new = patiently(os.open, path, flags, 0o666), True
         except FileExistsError:
             try:
                 handle, is_new = os.open(path, os.O_RDWR), False
@@ -101,22 +101,28 @@ def _take(path: Path) -> tuple[int, Owner | None]:
                 continue
         locked = _lock_new(handle) if is_new else lock(handle)
         if locked is False:
-            return handle, _read(handle) or UNKNOWN
+            return _closed(handle, _read(handle) or UNKNOWN)
         # Its owner may just have removed it.
         if os.fstat(handle).st_nlink:
             break
         os.close(handle)
     if not is_new and (owner := _living(handle, locked, path.parent)) is not None:
-        return handle, owner
+        return _closed(handle, owner)
     try:
         os.ftruncate(handle, 0)
         os.lseek(handle, 0, os.SEEK_SET)
         os.write(handle, json.dumps(dataclasses.asdict(_this_process())).encode())
     except OSError:
         os.close(handle)
-        path.unlink(missing_ok=True)
+        remove(path)
         raise
-    return handle, None
+    return handle
+
+
+def _closed(handle: int, owner: Owner) -> Owner:
+    """The owner of a claim, whose file is closed: Windows does not remove files that are open."""
+    os.close(handle)
+    return owner
 
 
 def _lock_new(handle: int) -> bool | None:
@@ -180,15 +186,22 @@ def _renewed(path: Path) -> Iterator[None]:
         thread.join()
 
 
-def _release(path: Path, handle: int) -> bool:
-    """Remove a claim, unless another process has taken it; returns False if it is still there.
-
-    Windows does not remove files that are open.
-    """
+def _release(path: Path, handle: int) -> None:
+    """Close the file of a claim, and remove it unless another process has taken it."""
     owner = _read(handle)
-    if owner is not None and (owner.host, owner.process) == (socket.gethostname(), os.getpid()):
-        try:
+    is_ours = owner is not None and (owner.host, owner.process) == (
+        socket.gethostname(),
+        os.getpid(),
+    )
+    try:
+        # While it is locked, so that it is not a claim of another process.
+        if is_ours:
             path.unlink(missing_ok=True)
-        except PermissionError:
-            return False
-    return True
+    except PermissionError:
+        # On Windows it is removed when it is closed. If it stays, it names no owner.
+        os.ftruncate(handle, 0)
+        os.close(handle)
+        with contextlib.suppress(PermissionError):
+            remove(path)
+    else:
+        os.close(handle)

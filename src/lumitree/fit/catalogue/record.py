@@ -6,15 +6,15 @@ process that is killed damages none.
 
 import dataclasses
 import json
-import os
 from pathlib import Path
 from typing import Any, Literal
 
 from lumitree.asset.asset import Asset
 from lumitree.core.files import write_bytes, write_json
 from lumitree.core.reading import Record, parse_json, read_bytes
+from lumitree.core.system import remove
 from lumitree.errors import LumitreeError, shown
-from lumitree.fit.catalogue.stamps import FileStamp, current_stamps, read_stamp
+from lumitree.fit.catalogue.stamps import FileStamp, current_stamps, read_stamp, relative_name
 from lumitree.fit.catalogue.thumbnail import thumbnail, thumbnail_kind
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.sources import PHOTOMETRIC_SETTINGS
@@ -155,7 +155,7 @@ class LampFiles:
     def write(self, record: LampRecord) -> None:
         """Write the record; the lamp has then not failed."""
         write_json(self._within(RECORD), _json(record))
-        self._within(FAILURE).unlink(missing_ok=True)
+        remove(self._within(FAILURE))
 
     def write_failure(self, reason: str) -> None:
         """Write why a bake failed. The record of an earlier one stays."""
@@ -256,11 +256,8 @@ def settings_text(config: BakeConfig, source: LuminaireSource) -> str:
 def options_text(source: LuminaireSource, folder: Path) -> str:
     """How a source is named and read, as JSON: its file and its options, relative to a folder."""
 
-    def relative(name: str) -> str:
-        return os.path.relpath(os.path.abspath(name), os.path.abspath(folder))
-
-    name = source.name if source.name in BUILTIN else relative(source.name)
-    materials = None if source.materials is None else relative(source.materials)
+    name = source.name if source.name in BUILTIN else relative_name(source.name, folder)
+    materials = None if source.materials is None else relative_name(source.materials, folder)
     return json.dumps([name, materials, source.keep, source.drop])
 
 

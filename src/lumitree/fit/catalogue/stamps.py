@@ -1,5 +1,6 @@
 """Size, time and digest of a file, by which a later call finds out whether it has changed."""
 
+import contextlib
 import dataclasses
 import hashlib
 import os
@@ -43,7 +44,7 @@ class FileStamp:
         Returns:
             None if the file may have changed since, or is no file that can be read.
         """
-        name = os.path.relpath(os.path.abspath(path), os.path.abspath(folder))
+        name = relative_name(path, folder)
         try:
             if os.path.exists(path) and not os.path.isfile(path):
                 return None
@@ -119,6 +120,15 @@ def current_stamps(stamps: Iterable[FileStamp], folder: Path) -> tuple[FileStamp
             return None
         found.append(now)
     return tuple(found)
+
+
+def relative_name(path: str | Path, folder: Path) -> str:
+    """Path relative to a folder, with / on each system; absolute if it is on another disk."""
+    path = os.path.abspath(path)
+    # Windows has no relative path between its disks.
+    with contextlib.suppress(ValueError):
+        path = os.path.relpath(path, os.path.abspath(folder))
+    return path.replace(os.sep, "/")
 
 
 def file_digest(path: Path) -> str:

@@ -1,5 +1,6 @@
 """Runs a script in Blender: a program, or a Python that has the module `bpy`."""
 
+import glob
 import os
 import shutil
 import subprocess
@@ -10,6 +11,11 @@ from pathlib import Path
 from lumitree.errors import LumitreeError, shown
 
 _LIMIT = 600
+# Where Blender is installed, on macOS and on Windows.
+_PLACES = (
+    "/Applications/Blender.app/Contents/MacOS/Blender",
+    r"%ProgramFiles%\Blender Foundation\*\blender.exe",
+)
 # Runs a script by Python without its folder on the path of imports; ends with 3 without bpy.
 _PYTHON = """
 import runpy, sys
@@ -33,13 +39,15 @@ def find_blender(program: str | os.PathLike[str] | None) -> str:
         LumitreeError: there is none.
     """
     if program is not None:
-        found = shutil.which(program)
+        # An application of macOS is a folder.
+        inside = os.path.join(program, "Contents", "MacOS", "Blender")
+        found = shutil.which(inside) or shutil.which(program)
         if found is None:
             raise LumitreeError(
                 f"{shown(program, 200)} is not a program; expected Blender, or a Python with bpy"
             )
         return found
-    found = shutil.which("blender")
+    found = shutil.which("blender") or _installed()
     if found is not None:
         return found
     import importlib.util
@@ -50,6 +58,12 @@ def find_blender(program: str | os.PathLike[str] | None) -> str:
         "no Blender was found to write the file; name it with --blender, put it on PATH, or "
         "write a .py file, which runs in any Blender"
     )
+
+
+def _installed() -> str | None:
+    """The Blender that an installer put where it does, and not on the search path."""
+    found = [name for pattern in _PLACES for name in glob.glob(os.path.expandvars(pattern))]
+    return max(found, default=None)
 
 
 def run_script(

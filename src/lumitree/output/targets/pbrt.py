@@ -119,7 +119,7 @@ def _write(request: ExportRequest, folder: Path) -> Written:
                 write_exr(folder / name, {"Y": image.watts.astype(np.float32)})
                 lines += _light(position, image.colour.tolist(), name)
             advance(1)
-    (folder / request.name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (folder / request.name).write_bytes(("\n".join(lines) + "\n").encode())
     return Written(
         units=_UNITS,
         orientation=file_orientation("y") + "; coordinates are right-handed, those of pbrt's "

@@ -80,12 +80,12 @@ def _write(request: ExportRequest, folder: Path) -> Written:
     count = len(lights.position)
     # Radiance separates words by spaces, and looks for files by their names alone.
     stem = request.stem
-    (folder / f"{stem}.cal").write_text(_map(lights), encoding="ascii")
+    (folder / f"{stem}.cal").write_text(_map(lights), encoding="ascii", newline="\n")
     for channel, name in enumerate("rgb"):
-        with open(folder / f"{stem}.{name}.dat", "w", encoding="ascii") as file:
+        with open(folder / f"{stem}.{name}.dat", "w", encoding="ascii", newline="\n") as file:
             _write_table(file, lights, channel)
     scene = "".join(f"{line}\n" for line in _scene(request.asset.luminaire, stem, lights))
-    (folder / request.name).write_text(scene, encoding="utf-8")
+    (folder / request.name).write_text(scene, encoding="utf-8", newline="\n")
     return Written(
         units=_UNITS,
         orientation=file_orientation("z"),

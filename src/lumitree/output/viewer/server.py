@@ -1,5 +1,6 @@
 """A web server on this computer that serves one page."""
 
+import os
 import sys
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -50,6 +51,8 @@ def address(server: ThreadingHTTPServer) -> str:
 class _Server(ThreadingHTTPServer):
     # Else a browser's open connection would keep the command from ending.
     daemon_threads = True
+    # On Windows two servers could have one port.
+    allow_reuse_address = os.name != "nt"
     # Else the sixth connection at a time waits for a second.
     request_queue_size = 128
 
