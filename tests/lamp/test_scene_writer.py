@@ -19,6 +19,7 @@ from lumitree.lamp.parts import (
     Texture,
     VertexColour,
 )
+from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_writer import write_scene
 from support.variant import VARIANT
 
@@ -180,3 +181,24 @@ def test_media_have_their_coefficients(mi, tmp_path):
     albedo = np.ravel(parameters["albedo.value.value"])
     np.testing.assert_allclose(extinction, (2, 2, 0.25), rtol=1e-5)
     np.testing.assert_allclose(extinction * albedo, (0, 1.5, 0.25), atol=1e-6)
+
+
+def test_names_of_copies_materials_and_parts_do_not_collide(tmp_path):
+    """Whatever they are called: shapes and materials have one namespace in a scene."""
+    places = (np.eye(4), np.diag([1.0, 1, -1, 1]))
+    grey = Diffuse((0.5, 0.5, 0.5))
+    parts = (
+        Part("crystal", SQUARE, "bulb", places),
+        Part("crystal_2", SQUARE, "bulb"),
+        Part("crystal_1", SQUARE, "bulb"),
+        Part("material_bulb", SQUARE, "bulb"),
+    )
+    scene = write_scene(Geometry(parts, (Material("bulb", grey),)), tmp_path)
+    names = [shape.name for shape in SceneFile(scene).shapes]
+    assert names == ["crystal_1_2", "crystal_2_2", "crystal_2", "crystal_1", "material_bulb_2"]
+
+
+@pytest.mark.parametrize("surface", [Metal(roughness=0.005), Glass(roughness=0.005)])
+def test_surfaces_smoother_than_an_asset_holds_are_smooth(mi, tmp_path, surface):
+    scene = written(mi, tmp_path, surface)
+    assert scene.shapes()[0].bsdf().class_name() in ("SmoothConductor", "SmoothDielectric")

@@ -8,6 +8,7 @@ import pytest
 
 from lumitree.asset.asset import NO_GAIN
 from lumitree.asset.file import load, save
+from lumitree.core.backend import load_mitsuba
 from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
 from lumitree.lamp.loading import load_luminaire
@@ -306,6 +307,33 @@ def test_a_scene_without_a_file_is_refused(mi, luminaire):
     with pytest.raises(LumitreeError, match=r"mi\.Scene"):
         stored_geometry(lamp)
     assert dataclasses.is_dataclass(lamp)
+
+
+@pytest.mark.parametrize("normals", [False, True])
+def test_mirrored_instances_keep_their_outside(luminaire, tmp_path, normals):
+    """Mitsuba turns the normals of meshes that are mirrored, and not those of such instances."""
+    mi = load_mitsuba()
+    mesh = mi.Mesh("triangle", 3, 1, has_vertex_normals=normals)
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = [0.0, 0, 0, 1, 0, 0, 0, 1, 0]
+    parameters["faces"] = [0, 1, 2]
+    if normals:
+        parameters["vertex_normals"] = [0.0, 0, 1] * 3
+    parameters.update()
+    mesh.write_ply(str(tmp_path / "triangle.ply"))
+    file = f'<string name="filename" value="{tmp_path}/triangle.ply"/>{GLASS}'
+    lamp = luminaire(
+        f'<shape type="shapegroup" id="group"><shape type="ply">{file}</shape></shape>',
+        '<shape type="instance"><ref id="group"/><transform name="to_world"><scale x="-1"/>'
+        "</transform></shape>",
+    )
+    found = stored_geometry(lamp)
+    (index,) = (i for i, each in enumerate(found.shapes) if each["type"] == "mesh")
+    mesh = found.meshes()[index]
+    a, b, c = mesh["vertices"][mesh["faces"][0]]
+    assert np.cross(b - a, c - a) == pytest.approx([0, 0, 1])
+    if len(mesh["normals"]):
+        assert mesh["normals"] == pytest.approx(np.tile([0, 0, 1], (3, 1)))
 
 
 def test_instances_are_stored_as_copies(luminaire, monkeypatch):

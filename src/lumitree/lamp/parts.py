@@ -69,7 +69,7 @@ class Glass:
 
     Attributes:
         ior: index of refraction, above 1.
-        roughness: square root of the GGX alpha; 0 is smooth. A thin sheet is always smooth.
+        roughness: square root of alpha; below 0.01 it is smooth. A thin sheet is always smooth.
         tint: factor of the transmitted light at each crossing of the surface.
         thin: the mesh is a single sheet; otherwise it is a closed surface of a solid.
         medium: what fills a solid; None for nothing.
@@ -88,7 +88,7 @@ class Metal:
 
     Attributes:
         tint: factor of the reflected light.
-        roughness: square root of the GGX alpha; 0 is a mirror.
+        roughness: square root of alpha; below 0.01 it is a mirror.
         conductor: measured index of refraction by Mitsuba's name ("Au", "Cr", ...); "none"
             reflects everything.
     """
@@ -174,6 +174,7 @@ class Part:
         places: `world_from_part` [4, 4] of every copy.
         objects: of every copy, the name of the object in the model's file; () where objects have no
             names but that of the part.
+        in_metres: whether the mesh is in metres, whatever the unit of the model is.
     """
 
     name: str
@@ -181,6 +182,7 @@ class Part:
     material: str
     places: tuple[Floats, ...] = (np.eye(4),)
     objects: tuple[str, ...] = ()
+    in_metres: bool = False
 
 
 def check_shapes(count: int, where: str) -> None:

@@ -62,6 +62,8 @@ class SceneFile:
         """
         described = dict(source) if isinstance(source, Mapping) else None
         self._kept = folder
+        # Numbers of nodes, from `copy_instances`.
+        self._mirrored: frozenset[int] = frozenset()
         # Relative names in a dictionary are those of the working folder.
         self.path, self._folder, self._name = Path(), Path(), "the scene's dictionary"
         if not isinstance(source, Mapping):
@@ -252,8 +254,14 @@ class SceneFile:
     def without_instances(self) -> "SceneFile":
         """The scene with copies of the shapes of groups in place of their instances."""
         found = self._copy()
-        copy_instances(found._state)
+        found._mirrored = copy_instances(found._state)
         return found
+
+    def mirrored(self) -> list[bool]:
+        """Of each node of `nodes("Shape")`, whether it is a copy of a mirrored instance."""
+        numbers = sorted(self._reached({0}))
+        shapes = [each for each in numbers if self._is_a(self._state.nodes[each], "Shape")]
+        return [each in self._mirrored for each in shapes]
 
     def _copy(self) -> "SceneFile":
         found = copy.copy(self)

@@ -8,15 +8,19 @@ from numpy.typing import NDArray
 from lumitree.core.backend import load_mitsuba
 
 
-def copy_instances(state: Any) -> None:
+def copy_instances(state: Any) -> frozenset[int]:
     """Replace the instances of a parsed scene by copies, which are placed in double precision.
 
     Args:
         state: mi.parser.ParserState, after `transform_all`; changed.
+
+    Returns:
+        Numbers of the nodes that are copies of mirrored instances. Mitsuba turns the normals of a
+        mesh whose own transform mirrors it, but not those of a mirrored instance.
     """
     mi = load_mitsuba()
     root = state.nodes[0].props
-    groups, copies = [], []
+    groups, copies, mirrored = [], [], set[int]()
     for key, index in referred(root).items():
         props = state.nodes[index].props
         match props.plugin_name():
@@ -34,12 +38,15 @@ def copy_instances(state: Any) -> None:
             place = matrix @ matrix_of(node.props)
             copied.props["to_world"] = mi.ScalarTransform4d(place)
             number = len(state.nodes)
+            if np.linalg.det(matrix[:3, :3]) < 0:
+                mirrored.add(number)
             # The list of nodes may move in memory: what was taken from it is not used after this.
             state.nodes.append(copied)
             state.nodes[0].props[f"_arg_copy_{number}"] = mi.Properties.ResolvedReference(number)
         del state.nodes[0].props[key]
     for key in groups:
         del state.nodes[0].props[key]
+    return frozenset(mirrored)
 
 
 def matrix_of(props: Any) -> NDArray[np.float64]:

@@ -18,6 +18,7 @@ from lumitree.core.files import atomic_path
 from lumitree.core.frames import is_far, similarity
 from lumitree.core.system import accepts_name
 from lumitree.lamp.meshes import Floats, Mesh
+from lumitree.lamp.names import Names
 from lumitree.lamp.parts import (
     WHITE,
     Colour,
@@ -39,6 +40,9 @@ from lumitree.lamp.scene_shapes import SceneShape
 SCENE_FILE = "luminaire.xml"
 # Of the ids of materials.
 _PREFIX = "material_"
+# Roughness below which a surface is smooth: the geometry of an asset has no smaller alpha than its
+# square.
+_SMOOTH = 0.01
 
 
 def write_scene(model: Geometry, folder: str | os.PathLike[str]) -> Path:
@@ -69,13 +73,19 @@ class _Writer:
         used = {part.material for part in self._model.parts}
         for name in sorted(used):
             self._bsdf(root, self._materials[name])
+        # Shapes and materials share one namespace. Parts in one place keep their names.
+        ids, single = Names("_"), [part for part in self._model.parts if len(part.places) == 1]
+        for name in sorted(used):
+            ids.unique(_reference(self._materials[name]))
+        own = {part.name: ids.unique(part.name) for part in single}
         for part in self._model.parts:
             # Such as con, which is a device of Windows.
             sign = "" if accepts_name(part.name) else "="
             mesh_file = f"meshes/{sign}{part.name}.ply"
             _write_mesh(self._folder / mesh_file, part.mesh)
             for copy in range(len(part.places)):
-                self._shape(root, part, copy, mesh_file)
+                name = own.get(part.name) or ids.unique(f"{part.name}_{copy + 1}")
+                self._shape(root, part, copy, name, mesh_file)
         ElementTree.indent(root, "    ")
         path = self._folder / SCENE_FILE
         with atomic_path(path) as temporary:
@@ -83,9 +93,8 @@ class _Writer:
             temporary.write_text(text, encoding="utf-8", newline="\n")
         return path
 
-    def _shape(self, root: Element, part: Part, copy: int, mesh_file: str) -> None:
+    def _shape(self, root: Element, part: Part, copy: int, name: str, mesh_file: str) -> None:
         material = self._materials[part.material]
-        name = part.name if len(part.places) == 1 else f"{part.name}_{copy + 1}"
         shape = SubElement(root, "shape", type="ply", id=name)
         _add(shape, "string", "filename", mesh_file)
         _transform(shape, "to_world", part.places[copy], exact=self._far)
@@ -114,10 +123,11 @@ class _Writer:
             case Glass():
                 self._glass(parent, surface, name)
             case Metal():
-                kind = "roughconductor" if surface.roughness > 0 else "conductor"
+                rough = surface.roughness >= _SMOOTH
+                kind = "roughconductor" if rough else "conductor"
                 bsdf = SubElement(parent, "bsdf", {"type": kind, **name})
                 _add(bsdf, "string", "material", surface.conductor)
-                if surface.roughness > 0:
+                if rough:
                     _add(bsdf, "float", "alpha", _number(surface.roughness**2))
                 self._colour(bsdf, "specular_reflectance", surface.tint)
             case Diffuse():
@@ -127,7 +137,7 @@ class _Writer:
                 self._principled(parent, surface, name)
 
     def _glass(self, parent: Element, glass: Glass, name: dict[str, str]) -> None:
-        rough = glass.roughness > 0 and not glass.thin
+        rough = glass.roughness >= _SMOOTH and not glass.thin
         kind = "thindielectric" if glass.thin else "roughdielectric" if rough else "dielectric"
         bsdf = SubElement(parent, "bsdf", {"type": kind, **name})
         _add(bsdf, "float", "int_ior", _number(glass.ior))

@@ -16,6 +16,7 @@ from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.media import stored_medium
+from lumitree.lamp.meshes import area_normals
 from lumitree.lamp.scene_file import SceneFile
 
 _ANALYTIC = ("sphere", "disk", "cylinder", "rectangle")
@@ -75,11 +76,16 @@ class _Reader:
             raise LumitreeError("a shape that becomes several, such as `merge`, is not stored")
         meshes: dict[str, list[tuple[Json, dict[str, NDArray[Any]]]]] = defaultdict(list)
         others = []
-        for name, shape, description in zip(names, shapes, described, strict=True):
+        mirrored = self._file.mirrored()
+        for turned, name, shape, description in zip(
+            mirrored, names, shapes, described, strict=True
+        ):
             with _of_shape(name):
                 description |= _media(shape)
             # A rectangle is a mesh to Mitsuba, but has no arrays.
             mesh = _arrays(shape) if shape.is_mesh() else {}
+            if mesh and turned:
+                _turn(mesh)
             with _of_shape(name):
                 material = self._materials[description["material"]]
                 check_surface(material, description["radiance"], mesh, self._facts)
@@ -237,6 +243,16 @@ def _arrays(shape: Any) -> dict[str, NDArray[Any]]:
         if values.size:
             found[name] = values.reshape(-1, width)
     return found
+
+
+def _turn(mesh: dict[str, NDArray[Any]]) -> None:
+    """Turn the faces of a mesh round, and its normals if Mitsuba has made them from the faces."""
+    mesh["faces"] = mesh["faces"][:, ::-1]
+    if "normals" in mesh:
+        of_faces = area_normals(mesh["vertices"].astype(np.float64), mesh["faces"])
+        of_vertices = mesh["normals"][mesh["faces"]].sum(axis=1)
+        if (of_faces * of_vertices).sum() < 0:
+            mesh["normals"] = -mesh["normals"]
 
 
 def _analytic(name: str, shape: Any, description: Json) -> Json:

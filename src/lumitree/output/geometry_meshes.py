@@ -13,6 +13,10 @@ from lumitree.core.frames import similarity_scale
 # Segments of a circle in place of an analytic shape.
 _SEGMENTS = 96
 
+# Part of a mesh from which on it is both mirrored and not, and what is lost then.
+MIXED = 0.01
+MIRRORED_PARTLY = "normal maps are wrong where texture coordinates are mirrored beside others"
+
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -42,6 +46,21 @@ def geometry_meshes(geometry: AssetGeometry, to_frame: NDArray[np.float64]) -> l
             }
         )
     return found
+
+
+def mirrored_share(mesh: Arrays) -> float:
+    """Part of a mesh whose texture coordinates are mirrored, by their area; 0 without any.
+
+    There the second axis of normal maps is turned round in other programs, but not in Mitsuba,
+    which has the product of the normal and the first axis.
+    """
+    if "texcoords" not in mesh:
+        return 0.0
+    a, b, c = (mesh["texcoords"][mesh["faces"][:, i]].astype(np.float64) for i in range(3))
+    (x, y), (z, w) = (b - a).T, (c - a).T
+    # v points down, so counter-clockwise faces run clockwise in (u, v).
+    area = x * w - y * z
+    return float(area[area > 0].sum() / max(np.abs(area).sum(), 1e-300))
 
 
 def meshed(geometry: AssetGeometry) -> AssetGeometry:

@@ -28,6 +28,17 @@ def principled_index(material: Json) -> float:
     return max(float((1 + root) / (1 - root)), 1.0)
 
 
+def clearcoat_roughness(material: Json) -> float:
+    """Roughness of the clear coat of a principled material, the root of its alpha.
+
+    Of a texture of the gloss that of the mean.
+    """
+    gloss = material.get("clearcoat_gloss", 0.0)
+    # As Mitsuba has it: alpha is 0.1 at gloss 0, and 0.001 at gloss 1.
+    alpha = 0.1 - 0.099 * (0.5 if isinstance(gloss, dict) else gloss)
+    return float(alpha**0.5)
+
+
 def normal_reflectance(material: Json) -> list[float]:
     """Reflectance [3] of a conductor at normal incidence, by Fresnel's equations."""
     given = {name: material[name] for name in ("material", "eta", "k") if name in material}

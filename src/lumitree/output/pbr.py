@@ -15,6 +15,7 @@ from lumitree.asset.geometry_media import scattering_sides, side_medium
 from lumitree.asset.textures import ImageFacts, Json
 from lumitree.core.photometry import RGB
 from lumitree.output.optics import (
+    clearcoat_roughness,
     normal_reflectance,
     plastic_index,
     principled_index,
@@ -107,6 +108,7 @@ class PbrMaterial:
     clearcoat_roughness: float = 0.0
     sheen: Layer = _BLACK
     normal: Json | None = None
+    normal_mirrored: bool = False
     two_sided: bool = False
     emission: Layer = _BLACK
 
@@ -231,9 +233,6 @@ class PbrMaterials:
         unknown = ("flatness", "spec_tint", "sheen_tint", "anisotropic")
         if any(material.get(name) for name in unknown):
             self.lost.add("flatness, tints and anisotropy of principled materials are left out")
-        gloss = material.get("clearcoat_gloss", 0.0)
-        # As Mitsuba has it: alpha is 0.1 at gloss 0, and 0.001 at gloss 1.
-        alpha = 0.1 - 0.099 * (0.5 if isinstance(gloss, dict) else gloss)
         return PbrMaterial(
             layer(material.get("base_color", 0.5)),
             metallic=layer(material.get("metallic", 0.0)),
@@ -241,7 +240,7 @@ class PbrMaterials:
             index=principled_index(material),
             transmission=layer(material.get("spec_trans", 0.0)),
             clearcoat=layer(material.get("clearcoat", 0.0)),
-            clearcoat_roughness=alpha**0.5,
+            clearcoat_roughness=clearcoat_roughness(material),
             sheen=layer(material.get("sheen", 0.0)),
         )
 

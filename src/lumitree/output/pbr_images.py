@@ -61,9 +61,11 @@ class PbrImages:
         """Name of the file of a layer that has one number."""
         return self.add(self.number_pixels(layer))
 
-    def normals(self, texture: Json) -> str:
-        """Name of the file of a normal map."""
+    def normals(self, texture: Json, mirrored: bool) -> str:
+        """Name of the file of a normal map; `mirrored`: with its second axis turned round."""
         values = self._linear(Layer(texture=texture))
+        if mirrored:
+            values[..., 1] = 1 - values[..., 1]
         return self.add(np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8))
 
     def add(self, pixels: Pixels) -> str:

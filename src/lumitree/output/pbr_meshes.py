@@ -10,7 +10,13 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.textures import Json, texture_map, textures_of
 from lumitree.core.frames import similarity
 from lumitree.core.photometry import RGB
-from lumitree.output.geometry_meshes import Arrays, geometry_meshes
+from lumitree.output.geometry_meshes import (
+    MIRRORED_PARTLY,
+    MIXED,
+    Arrays,
+    geometry_meshes,
+    mirrored_share,
+)
 from lumitree.output.pbr import Layer, PbrMaterial, PbrMaterials
 
 # Lines that are true of every lamp with surfaces.
@@ -63,6 +69,11 @@ def surfaces_of(asset: Asset, turn: NDArray[np.float64]) -> tuple[list[Surface],
     meshes = geometry_meshes(geometry, similarity(turn))
     for shape, mesh in zip(geometry.shapes, meshes, strict=True):
         material = materials.of(shape)
+        if material.normal is not None:
+            share = mirrored_share(mesh)
+            material = dataclasses.replace(material, normal_mirrored=share > 0.5)
+            if MIXED < share < 1 - MIXED:
+                materials.lost.add(MIRRORED_PARTLY)
         used = textures_used(material)
         maps: list[Any] = []
         for texture in used:

@@ -252,6 +252,84 @@ def test_glass_absorbs_as_the_medium_in_it(tmp_path, mi, scale):
     np.testing.assert_allclose(pixels, expected, rtol=0.01)
 
 
+SUN = """
+import math, runpy, sys
+import bpy
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene = bpy.context.scene
+runpy.run_path(sys.argv[1], run_name="lamp")["add_lamp"](scene)
+for light in bpy.data.lights:
+    light.energy = 0
+camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+camera.data.type, camera.data.ortho_scale, camera.location = "ORTHO", 0.5, (0, -5, 0)
+camera.rotation_euler = (math.pi / 2, 0, 0)
+sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+for each in (camera, sun):
+    scene.collection.objects.link(each)
+scene.camera, scene.render.engine, scene.cycles.samples = camera, "CYCLES", 4
+scene.cycles.use_denoising = False
+scene.view_settings.view_transform = "Raw"
+scene.render.resolution_x = scene.render.resolution_y = 4
+scene.render.image_settings.file_format = "OPEN_EXR"
+for sign in (-1, 1):
+    sun.rotation_euler = (math.pi / 2 + sign * math.pi / 6, 0, 0)
+    scene.render.filepath = sys.argv[2].replace("#", str(sign))
+    bpy.ops.render.render(write_still=True)
+"""
+
+
+@needs_blender
+@pytest.mark.slow
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_normal_maps_lean_as_in_mitsuba(tmp_path, mi, mirrored):
+    """A wall whose normals lean up is brighter where the sun is above it."""
+    wall = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32) / 2
+    uv = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)
+    # Mitsuba's second axis is the normal times the first one, whatever the coordinates are.
+    up = -0.6 if mirrored else 0.6
+    image = np.round((np.array([0, up, 0.8]) + 1) * 127.5).astype(np.uint8)
+    none = np.zeros((0, 3), np.float32)
+    shape = {"type": "mesh", "vertices": 4, "faces": 2, "flipped": False, "material": 0}
+    shape |= {"normals": False, "texcoords": True, "colours": False, "radiance": None}
+    texture = {"image": 0, "raw": True, "filter_type": "bilinear", "wrap_mode": "repeat"}
+    texture["to_uv"] = np.eye(4).tolist()
+    grey = {"type": "diffuse", "reflectance": 0.5}
+    geometry = AssetGeometry(
+        vertices=wall, normals=none, texcoords=uv * np.float32([-1 if mirrored else 1, 1]),
+        colours=none, faces=np.array([[0, 1, 2], [0, 2, 3]], np.uint32),
+        images=(np.tile(image, (4, 4, 1)),), shapes=(shape,),
+        materials=({"type": "normalmap", "normalmap": texture, "nested": [grey]},),
+    )  # fmt: skip
+    lamp = lumitree.shape(with_geometry(geometry), appearance="geometry")
+    light = mi.ScalarTransform4f().look_at
+    expected, found = [], []
+    lumitree.export(with_geometry(geometry), tmp_path / "wall.py")
+    script = ["-c", SUN, str(tmp_path / "wall.py"), str(tmp_path / "seen#.exr")]
+    subprocess.run([str(blender), *script], capture_output=True, check=True)
+    for sign in (-1, 1):
+        # Of the same sun.
+        from_y = -sign * np.sin(np.pi / 6)
+        sun = {"type": "directional", "direction": [0, -from_y, -np.cos(np.pi / 6)]}
+        scene = mi.load_dict(
+            {
+                "type": "scene",
+                "lamp": lamp,
+                "sun": {**sun, "irradiance": {"type": "rgb", "value": np.pi}},
+                "sensor": {
+                    "type": "radiancemeter",
+                    "to_world": light([0.05, 0.05, 5], [0.05, 0.05, 0], [0, 1, 0]),
+                    "film": {"type": "hdrfilm", "width": 1, "height": 1},
+                },
+            }
+        )
+        path = mi.load_dict({"type": "lumitree_path"})
+        expected.append(np.array(mi.render(scene, integrator=path, spp=4)).ravel()[0])
+        pixels = np.array(mi.Bitmap(str(tmp_path / f"seen{sign}.exr")))[..., 0]
+        found.append(float(np.median(pixels)))
+    assert expected[0] > 2 * expected[1]
+    assert found[0] / found[1] == pytest.approx(expected[0] / expected[1], rel=0.1)
+
+
 def test_a_volume_has_the_values_of_the_leaves():
     """Voxels of leaves do not overlap; at their centres are the leaf's density and emission."""
     from lumitree.output.blender.volume import volume_arrays

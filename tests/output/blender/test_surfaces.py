@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lumitree.core.frames import similarity
+from lumitree.output.geometry_meshes import MIRRORED_PARTLY, geometry_meshes, mirrored_share
 from support.every_material import DIFFUSE, MATERIALS, TEXTURE, every_material
 from support.geometry_assets import small_geometry
 
@@ -15,8 +16,8 @@ pytestmark = pytest.mark.usefixtures("mi")
 def trees(geometry):
     from lumitree.output.blender.surfaces import Surfaces
 
-    surfaces = Surfaces(geometry)
-    return [surfaces.tree(shape) for shape in geometry.shapes], surfaces.lost
+    surfaces, meshes = Surfaces(geometry), geometry_meshes(geometry, np.eye(4))
+    return list(map(surfaces.tree, geometry.shapes, meshes)), surfaces.lost
 
 
 def nodes_of(tree):
@@ -36,7 +37,7 @@ def test_emission_has_the_gain_of_the_asset_and_the_tint_of_the_lamp():
     for shape in shapes:
         (emission,) = (
             each
-            for each in nodes_of(Surfaces(geometry, (2.0, 1.0, 0.5)).tree(shape))
+            for each in nodes_of(Surfaces(geometry, (2.0, 1.0, 0.5)).tree(shape, {}))
             if each["node"] == "ShaderNodeEmission"
         )
         product = emission["inputs"]["Color"]
@@ -105,6 +106,35 @@ def test_roughness_and_index_are_numbers_of_blender():
     assert glass["inputs"]["IOR"] == pytest.approx(1.5046 / 1.000277, rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("signs", "share"), [([1, 1], 0.0), ([-1, -1], 1.0), ([-1, 1], 0.5)], ids=str
+)
+def test_normal_maps_are_turned_round_where_coordinates_are_mirrored(signs, share):
+    """Two quads side by side, whose u runs along x or against it; v points down."""
+    quad = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
+    uv = np.array([[0.0, 1], [1, 1], [1, 0], [0, 0]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.uint32)
+    normal_map = {"type": "normalmap", "normalmap": TEXTURE, "nested": [DIFFUSE]}
+    shape = {"type": "mesh", "vertices": 8, "faces": 4, "flipped": False, "material": 0}
+    shape |= {"normals": False, "texcoords": True, "colours": False, "radiance": None}
+    geometry = small_geometry(
+        materials=(normal_map,),
+        shapes=(shape,),
+        vertices=np.concatenate([quad, [*quad, 1, 0, 0]]).astype(np.float32),
+        texcoords=np.concatenate([uv * [sign, 1] for sign in signs]).astype(np.float32),
+        faces=np.concatenate([faces, faces + 4]).astype(np.uint32),
+        normals=np.zeros((0, 3), np.float32),
+        colours=np.zeros((0, 3), np.float32),
+    )
+    (mesh,) = geometry_meshes(geometry, np.eye(4))
+    assert mirrored_share(mesh) == pytest.approx(share)
+    (tree,), lost = trees(geometry)
+    (normals,) = (each for each in nodes_of(tree) if each["node"] == "ShaderNodeNormalMap")
+    turned = normals["inputs"]["Color"]["node"] == "ShaderNodeVectorMath"
+    assert turned == (share > 0.5)
+    assert (MIRRORED_PARTLY in lost) == (0 < share < 1)
+
+
 def test_coordinates_of_a_texture_are_mapped():
     from lumitree.output.blender.nodes import texture
 
@@ -113,7 +143,8 @@ def test_coordinates_of_a_texture_are_mapped():
     tree = texture({**TEXTURE, "to_uv": matrix.tolist()})
     vector = tree["inputs"]["Vector"]
     rows = [vector["inputs"][axis]["inputs"][1] for axis in (0, 1)]
-    assert rows == [[1, 2, 3], [4, 5, 6]]
+    # From 1 - v to 1 - v'.
+    assert rows == [[1, -2, 5], [-4, 5, -10]]
     assert vector["inputs"][0]["inputs"][0]["inputs"][1] == [0, 0, 1]
 
 

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from lumitree.core.frames import similarity
 from lumitree.core.photometry import radiance_from_flux
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
@@ -226,13 +227,18 @@ def _in_metres(model: Geometry, overrides: Overrides) -> Geometry:
     matrix = np.eye(4)
     matrix[:3, :3] = scale * upright
     return Geometry(
-        tuple(_moved(part, matrix) for part in model.parts),
+        tuple(_moved(part, matrix, scale) for part in model.parts),
         tuple(_rescaled(material, scale) for material in model.materials),
     )
 
 
-def _moved(part: Part, matrix: Floats) -> Part:
-    return dataclasses.replace(part, places=tuple(matrix @ place for place in part.places))
+def _moved(part: Part, matrix: Floats, scale: float) -> Part:
+    """The part in a model that a similarity of this scale has changed."""
+    places = [matrix @ place for place in part.places]
+    if part.in_metres:
+        own = similarity(np.eye(3), 1 / scale, np.zeros(3))
+        places = [place @ own for place in places]
+    return dataclasses.replace(part, places=tuple(places))
 
 
 def _rescaled(material: Material, scale: float) -> Material:

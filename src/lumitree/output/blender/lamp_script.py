@@ -139,7 +139,7 @@ class Lamp:
 
     def image(self, index, raw):
         if (index, raw) not in self.images:
-            pixels = self.arrays[f"image {index}"]
+            pixels = self.arrays[f"image {index}"][::-1]
             encoded = pixels.dtype == np.uint8
             colours = pixels.astype(np.float32) / (255 if encoded else 1)
             space = "sRGB" if encoded and not raw else "Non-Color"
@@ -148,7 +148,7 @@ class Lamp:
         return self.images[index, raw]
 
     def new_image(self, name, colours, space, as_float):
-        """Image from numbers [H, W, C] in the colour space; row 0 is at v = 0."""
+        """Image from numbers [H, W, C] in the colour space; row 0 is at v = 0 of Blender."""
         height, width, channels = colours.shape
         image = bpy.data.images.new(name, width, height, alpha=channels == 4, float_buffer=as_float)
         image.colorspace_settings.name = space
@@ -207,7 +207,9 @@ def make_mesh(name, arrays):
     mesh.polygons.foreach_set("use_smooth", np.full(len(faces), "normals" in arrays))
     if "texcoords" in arrays:
         layer = mesh.uv_layers.new(name="UVMap")
-        layer.data.foreach_set("uv", arrays["texcoords"][faces.ravel()].ravel())
+        # Blender counts v from the last row of an image.
+        texcoords = arrays["texcoords"] * [1, -1] + [0, 1]
+        layer.data.foreach_set("uv", texcoords[faces.ravel()].astype(np.float32).ravel())
     if "colours" in arrays:
         layer = mesh.color_attributes.new("vertex_color", "FLOAT_COLOR", "POINT")
         colours = np.ones((len(arrays["colours"]), 4), np.float32)

@@ -58,7 +58,11 @@ def add_shaders(first: Json, second: Json) -> Json:
 
 
 def texture(value: Json) -> Json:
-    """Tree of a texture of `asset.materials`. Row 0 of its image is at v = 0 in Mitsuba."""
+    """Tree of a texture of `asset.materials`.
+
+    Row 0 of its image is at v = 0 in Mitsuba, and at v = 1 in Blender, where v points up as the
+    second axis of normal maps does.
+    """
     if "attribute" in value:
         return node("ShaderNodeVertexColor", {}, {"layer_name": VERTEX_COLOUR})
     attributes = {
@@ -73,15 +77,18 @@ def texture(value: Json) -> Json:
 def _transformed(matrix: list[list[float]]) -> Json:
     """Coordinates of a texture, after an affine map of u and v."""
     uv = node("ShaderNodeTexCoord", output="UV")
-    rows = [[row[0], row[1], row[3]] for row in matrix[:2]]
+    (a, b, c), (d, e, f) = ((row[0], row[1], row[3]) for row in matrix[:2])
+    # From 1 - v to 1 - v'.
+    rows = [[a, -b, b + c], [-d, e, 1 - e - f]]
     if rows == [[1, 0, 0], [0, 1, 0]]:
         return uv
     # (u, v, 0) + (0, 0, 1), so that a product with a row is an affine function.
-    homogeneous = _vector("ADD", uv, [0.0, 0.0, 1.0])
-    products = [_vector("DOT_PRODUCT", homogeneous, row, output="Value") for row in rows]
+    homogeneous = vector("ADD", uv, [0.0, 0.0, 1.0])
+    products = [vector("DOT_PRODUCT", homogeneous, row, output="Value") for row in rows]
     return node("ShaderNodeCombineXYZ", {0: products[0], 1: products[1]})
 
 
-def _vector(operation: str, *values: Any, output: str | int = 0) -> Json:
+def vector(operation: str, *values: Any, output: str | int = 0) -> Json:
+    """Tree of an operation on vectors."""
     attributes = {"operation": operation}
     return node("ShaderNodeVectorMath", dict(enumerate(values)), attributes, output)

@@ -90,12 +90,13 @@ def _surface_data(
     geometry: AssetGeometry, surfaces: Surfaces, z_up: NDArray[np.float64]
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Materials and meshes of a geometry, in Blender's frame."""
+    meshes = geometry_meshes(geometry, similarity(z_up))
     description = {
-        "surfaces": [surfaces.tree(shape) for shape in geometry.shapes],
+        "surfaces": list(map(surfaces.tree, geometry.shapes, meshes)),
         "absorption": [absorption_inside(shape) for shape in geometry.shapes],
     }
     arrays: dict[str, NDArray[Any]] = {}
-    for index, mesh in enumerate(geometry_meshes(geometry, similarity(z_up))):
+    for index, mesh in enumerate(meshes):
         arrays |= {f"{index}.{name}": values for name, values in mesh.items()}
     arrays |= {f"image {i}": image for i, image in enumerate(geometry.images)}
     return description, arrays

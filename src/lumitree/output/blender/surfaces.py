@@ -26,8 +26,11 @@ from lumitree.output.blender.nodes import (
     mix_shaders,
     node,
     texture,
+    vector,
 )
+from lumitree.output.geometry_meshes import MIRRORED_PARTLY, MIXED, Arrays, mirrored_share
 from lumitree.output.optics import (
+    clearcoat_roughness,
     normal_reflectance,
     plastic_index,
     principled_index,
@@ -63,9 +66,11 @@ class Surfaces:
     def __init__(self, geometry: AssetGeometry, gain: tuple[float, float, float] = NO_GAIN) -> None:
         self._geometry, self._gain = geometry, gain
         self.lost: set[str] = set()
+        # `mirrored_share` of the shape whose tree is made.
+        self._mirrored = 0.0
 
-    def tree(self, shape: Json) -> Json:
-        """Tree of a shape's material, with what it emits.
+    def tree(self, shape: Json, mesh: Arrays) -> Json:
+        """Tree of a shape's material, with what it emits; `mesh` as of `geometry_meshes`.
 
         Only camera rays and mirror images show the emission: the point lights illuminate.
         """
@@ -73,6 +78,7 @@ class Surfaces:
             self.lost.add("media outside of a shape are left out")
         if scattering_sides(shape):
             self.lost.add("media absorb light and do not scatter it: opal glass is clear")
+        self._mirrored = mirrored_share(mesh)
         surface = self._surface(self._geometry.materials[shape["material"]], None)
         if shape["radiance"] is None:
             return surface
@@ -107,6 +113,10 @@ class Surfaces:
             return mix_shaders(weight, *(self._surface(each, normal) for each in inner))
         if kind == "normalmap":
             colour = self._value(material["normalmap"])
+            if self._mirrored > 0.5:
+                colour = vector("MULTIPLY_ADD", colour, [1.0, -1.0, 1.0], [0.0, 1.0, 0.0])
+            if MIXED < self._mirrored < 1 - MIXED:
+                self.lost.add(MIRRORED_PARTLY)
             return self._surface(inner[0], node("ShaderNodeNormalMap", {"Color": colour}))
         if kind == "bumpmap":
             self.lost.add("bump maps have no scale in lengths, so their depth may differ")
@@ -126,6 +136,8 @@ class Surfaces:
         return self._glass(material, self._roughness(material))
 
     def _glass(self, material: Json, roughness: Any) -> Json:
+        if material.get("specular_reflectance", 1.0) != 1.0:
+            self.lost.add("factors of what glass reflects are left out")
         colour = self._value(material.get("specular_transmittance", 1.0))
         inputs = {"Color": colour, "Roughness": roughness, "IOR": relative_index(material)}
         return node("ShaderNodeBsdfGlass", inputs)
@@ -180,6 +192,7 @@ class Surfaces:
         if material.get("flatness") or material.get("spec_tint") or material.get("sheen_tint"):
             self.lost.add("flatness and tints of principled materials are left out")
         inputs["IOR"] = principled_index(material)
+        inputs["Coat Roughness"] = clearcoat_roughness(material)
         return node("ShaderNodeBsdfPrincipled", inputs)
 
     def _principledthin(self, material: Json) -> Json:

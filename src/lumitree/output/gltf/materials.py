@@ -43,7 +43,7 @@ class GltfMaterials:
         made: Json = {"name": f"material{index}", "doubleSided": material.two_sided}
         made["pbrMetallicRoughness"] = self._core(made, surface)
         if material.normal is not None:
-            name = self._images.normals(material.normal)
+            name = self._images.normals(material.normal, material.normal_mirrored)
             made["normalTexture"] = self._texture(surface, material.normal, name)
         if not material.emission.is_black:
             self._add_emission(made, surface)
@@ -124,14 +124,10 @@ class GltfMaterials:
     def _add_transmission(self, made: Json, surface: Surface) -> None:
         material = surface.material
         if material.diffuse_transmission > 0:
-            self._glb.extend(
-                made,
-                "KHR_materials_diffuse_transmission",
-                {
-                    "diffuseTransmissionFactor": material.diffuse_transmission,
-                    "diffuseTransmissionColorFactor": list(material.colour.factor),
-                },
-            )
+            name = "diffuseTransmission"
+            diffuse: Json = {f"{name}Factor": material.diffuse_transmission}
+            diffuse |= self._coloured(surface, material.colour, f"{name}Color")
+            self._glb.extend(made, "KHR_materials_diffuse_transmission", diffuse)
         if material.transmission.is_black:
             return
         values: Json = {"transmissionFactor": material.transmission.number}
@@ -162,13 +158,17 @@ class GltfMaterials:
                 values["clearcoatTexture"] = self._texture(surface, image, name)
             self._glb.extend(made, "KHR_materials_clearcoat", values)
         if not material.sheen.is_black:
-            values = {"sheenColorFactor": list(material.sheen.factor)}
-            image = _image_of(material.sheen)
-            if image is not None:
-                name, scale = self._images.colours(material.sheen)
-                values["sheenColorFactor"] = (np.array(material.sheen.factor) * scale).tolist()
-                values["sheenColorTexture"] = self._texture(surface, image, name)
+            values = self._coloured(surface, material.sheen, "sheenColor")
             self._glb.extend(made, "KHR_materials_sheen", values)
+
+    def _coloured(self, surface: Surface, layer: Layer, name: str) -> Json:
+        """A colour of a name: its factor, and its texture if it has one."""
+        image = _image_of(layer)
+        if image is None:
+            return {f"{name}Factor": list(layer.factor)}
+        file, scale = self._images.colours(layer)
+        factor = (np.array(layer.factor) * scale).tolist()
+        return {f"{name}Factor": factor, f"{name}Texture": self._texture(surface, image, file)}
 
     def _texture(self, surface: Surface, texture: Json, name: str) -> Json:
         """Information of a texture with the image of a name."""

@@ -74,7 +74,7 @@ class MaterialWriter:
         if not material.sheen.is_black:
             lost.add("sheen is left out")
         if material.normal is not None:
-            shader.normals(material.normal)
+            shader.normals(material.normal, material.normal_mirrored)
 
     def _opacity(self, shader: Shader, material: PbrMaterial) -> None:
         through, opacity = material.transmission, material.opacity
@@ -86,7 +86,8 @@ class MaterialWriter:
         if through.texture is not None:
             self._place.lost.add("textures of transmission are replaced by 1")
         shader.numbered("opacity", opacity)
-        if material.opacity.texture is not None:
+        # A threshold would cut all of glass, whose opacity is small.
+        if material.opacity.texture is not None and through.is_black:
             values = self._place.images.number_pixels(material.opacity)
             if np.isin(values, (0, 255)).all():
                 shader.number("opacityThreshold", _CUT)

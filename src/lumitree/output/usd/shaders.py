@@ -100,9 +100,10 @@ class Shader:
         given = self._shader.CreateInput(name, self._types.Float)
         given.ConnectToSource(node.CreateOutput("r", self._types.Float))
 
-    def normals(self, texture: Json) -> None:
+    def normals(self, texture: Json, mirrored: bool) -> None:
         """The input "normal", of the values of a normal map, from -1 to 1."""
-        node = self._texture("normal", texture, self._place.images.normals(texture), "raw")
+        file = self._place.images.normals(texture, mirrored)
+        node = self._texture("normal", texture, file, "raw")
         vector = self._place.pxr.Gf.Vec4f
         node.CreateInput("scale", self._types.Float4).Set(vector(2, 2, 2, 1))
         node.CreateInput("bias", self._types.Float4).Set(vector(-1, -1, -1, 0))

@@ -13,6 +13,7 @@ from lumitree.lamp import parts as model_module
 from lumitree.lamp.importers.gltf import read_gltf
 from lumitree.lamp.importers.gltf.lights import LIGHT_RADIUS
 from lumitree.lamp.importers.gltf.reader import oriented_outwards
+from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.parts import Glass, VertexColour
 from support.gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box, sphere
 
@@ -341,6 +342,19 @@ def test_point_lights_become_small_spheres(tmp_path):
     # The flux of a light of I in all directions is 4π I; that of a Lambertian surface π L A.
     flux = 683 * np.pi * solid.area * np.array(material.radiance)
     np.testing.assert_allclose(flux, 4 * np.pi * 100 * np.array([1, 0.5, 0.25]), rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["point", "spot"])
+def test_lights_keep_their_size_in_models_of_another_unit(tmp_path, kind):
+    """Their intensity is in cd, whatever the unit of the model; only their place is in it."""
+    light = {"type": kind, "intensity": 100.0, "spot": {"outerConeAngle": 0.5}}
+    path = lamp_with_light(tmp_path, light, translation=[0, 300, 0])
+    (tmp_path / "lamp.toml").write_text('units = "cm"\nup = "z"\n')
+    lamp = load_luminaire(path)
+    balls = [shape for shape in lamp.scene.shapes() if shape.id().startswith("light")]
+    lower, upper = (np.ravel(each) for each in (balls[-1].bbox().min, balls[-1].bbox().max))
+    assert (upper + lower) / 2 == pytest.approx([0, 0, -3], abs=1e-4)
+    assert upper - lower == pytest.approx(np.full(3, 2 * LIGHT_RADIUS), rel=0.01)
 
 
 def test_a_point_light_of_15_candela_emits_188_lumens(tmp_path):

@@ -63,11 +63,13 @@ def light_parts(light: Item, world: Floats, name: str, notes: Notes) -> list[tup
         emitter, area, opacity = _spot(*cone)
         shade = Material(f"{name}_shade", _BLACK, opacity=opacity)
         mesh = _shade(cone[1])
-        others = [(Part(shade.name, mesh, shade.name, (_place(world, turned=True),)), shade)]
+        place = _place(world, turned=True)
+        others = [(Part(shade.name, mesh, shade.name, (place,), in_metres=True), shade)]
     red, green, blue = (intensity / area / LUMENS_PER_WATT * channel for channel in colour)
     radiance: RGB = (red, green, blue)
     material = Material(name, _BLACK, radiance=radiance)
-    part = Part(name, emitter, name, (_place(world, turned=cone is not None),))
+    place = _place(world, turned=cone is not None)
+    part = Part(name, emitter, name, (place,), in_metres=True)
     return [(part, material), *others]
 
 

@@ -15,7 +15,8 @@ SMOOTH = 0.03
 # The index of Mitsuba's rough glass must differ from that of air, and that of its principled BSDF
 # must be at least 1.001 in the geometry of an asset. An attenuation colour of 0 has no logarithm.
 _MIN_IOR, _MIN_PRINCIPLED_IOR, _MIN_ATTENUATION = 1.0001, 1.001, 1e-4
-_MAX_SPECULAR = 0.9
+# And at most this.
+_MAX_IOR = 10.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -169,6 +170,9 @@ def _ior(layers: Layers, transmits: bool) -> float:
     if 0 < ior < 1 and extension is not None:
         raise extension.error(f"is damaged: ior is {ior:g}; expected 0, or at least 1")
     specular = layers.item.extension("KHR_materials_specular")
+    if ior > _MAX_IOR:
+        layers.note(f"ior of {ior:g} ({_MAX_IOR:g} is used)")
+        ior = _MAX_IOR
     if specular is None and ior >= 1:
         return ior
     if transmits:
@@ -184,8 +188,8 @@ def _ior(layers: Layers, transmits: bool) -> float:
             layers.note("specular colour (its mean is used)")
         share = layers.single(factor, "texture of the specular factor")[0]
         reflected = min(reflected * float(np.mean(tint)), 1.0) * share
-    root = np.sqrt(min(reflected, _MAX_SPECULAR))
-    return float((1 + root) / (1 - root))
+    root = np.sqrt(min(reflected, 1.0))
+    return _MAX_IOR if root >= 1 else min(float((1 + root) / (1 - root)), _MAX_IOR)
 
 
 def _clearcoat(layers: Layers) -> tuple[Map, float]:

@@ -236,7 +236,12 @@ function connect() {
     $("file").value = "";
     if (!file) return;
     try {
-      const image = await createImageBitmap(file);
+      let image = await createImageBitmap(file);
+      const part = gl.getParameter(gl.MAX_TEXTURE_SIZE) / Math.max(image.width, image.height);
+      if (part < 1) {
+        const [resizeWidth, resizeHeight] = [image.width, image.height].map(side => Math.max(1, Math.floor(part * side)));
+        image = await createImageBitmap(file, { resizeWidth, resizeHeight });
+      }
       gl.bindTexture(gl.TEXTURE_2D, background);
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
       chosen = IMAGE;
