@@ -145,6 +145,23 @@ def test_a_full_disk_leaves_no_marker(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == []
 
 
+def test_a_folder_is_removed_while_it_is_held(tmp_path, monkeypatch):
+    """Else a process that begins there at that moment would lose its marker."""
+    seen = []
+
+    def noted(path):
+        with pytest.raises(BusyFolderError):
+            WorkFolder(path.parent)
+        seen.append(path)
+        path.unlink()
+
+    monkeypatch.setattr(work_folder, "remove", noted)
+    with WorkFolder(tmp_path / "work"):
+        pass
+    assert seen == [tmp_path / "work" / MARKER]
+    assert not (tmp_path / "work").exists()
+
+
 def test_one_process_at_a_time(tmp_path):
     with WorkFolder(tmp_path / "w"), pytest.raises(LumitreeError, match="another process works"):
         WorkFolder(tmp_path / "w")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.formats.ldt import read_ldt, write_ldt
+from lumitree.formats.ldt import ldt_of, read_ldt, write_ldt
 from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import IntensityDistribution, direction_of
 
@@ -146,3 +146,14 @@ def test_heights_above_the_sides_are_refused():
 def test_a_file_of_all_planes_has_the_flux_of_its_distribution(tmp_path):
     lamp = IntensityDistribution("own", C, GAMMA, 2 * intensities(24))
     assert read(tmp_path, text_of(0, intensities(24))).lumens == pytest.approx(lamp.lumens)
+
+
+@pytest.mark.parametrize("step", [1, 2.5, 10, 12])
+def test_the_downward_fraction_is_that_below_the_horizon(step):
+    """Of a source that is even, and of one of which all light goes down; also between nodes."""
+    gamma = np.arange(0, 180 + step, step).clip(0, 180)
+    even = IntensityDistribution("", np.zeros(1), gamma, np.ones((1, len(gamma))))
+    assert ldt_of(even).header.dff == pytest.approx(50, abs=0.01)
+    down = np.where(gamma < 60, 1.0, 0)[None]
+    found = ldt_of(IntensityDistribution("", np.zeros(1), gamma, down))
+    assert found.header.dff == pytest.approx(100, abs=0.01)

@@ -296,7 +296,7 @@ def _refuse_inapplicable(luminaire: Any, settings: _Settings) -> None:
     else:
         unused += _WORKERS
     if kind == "photometric":
-        unused += ("work",) if "light_field" not in unused else ("work", "quality")
+        unused += ("work", "quality")
     names = settings.given_of(unused)
     if names:
         what = {"photometric": "a photometric file", "dataset": "a dataset"}.get(

@@ -117,14 +117,17 @@ class WorkFolder:
             return True
 
     def _close(self) -> None:
-        release(self._handle)
-        if self.is_empty:
-            remove(self.path / MARKER)
-            if self._made:
-                _remove_empty(self.path)
-        elif not (self.path / MARKER).exists():
-            # Someone removed the folder, and the work wrote into it again.
-            (self.path / MARKER).write_bytes(_MARKER_TEXT.encode())
+        # While it is locked: the next process may begin here at once.
+        try:
+            if self.is_empty:
+                remove(self.path / MARKER)
+                if self._made:
+                    _remove_empty(self.path)
+            elif not (self.path / MARKER).exists():
+                # Someone removed the folder, and the work wrote into it again.
+                (self.path / MARKER).write_bytes(_MARKER_TEXT.encode())
+        finally:
+            release(self._handle)
 
     def remove(self, names: Iterable[str]) -> None:
         """Remove what lumitree wrote, and the folder if it is then empty.

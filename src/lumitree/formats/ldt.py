@@ -26,7 +26,7 @@ from lumitree.formats.photometric_text import (
     read_text,
     warn_of_file,
 )
-from lumitree.formats.symmetry import completed, without_noise
+from lumitree.formats.symmetry import EDGE, completed, without_noise
 from lumitree.formats.type_c import IntensityDistribution
 
 KIND = "EULUMDAT file"
@@ -87,8 +87,7 @@ def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
     # As written: the intensities are relative to it.
     lamp_lumens = float(f"{lamp_lumens:.6f}") or lamp_lumens
     c, gamma = distribution.c, distribution.gamma
-    below = np.where(gamma <= 90, distribution.intensity, 0)
-    angles = IntensityDistribution("", c, gamma, below).lumens
+    angles = _below(distribution).lumens
     opening = distribution.opening
     width, height, length = (1000 * side for side in opening.sides)
     width = 0.0 if opening.is_round else width
@@ -130,6 +129,16 @@ def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
         g_angles=gamma.tolist(),
     )
     return Ldt(header, (distribution.intensity * (1000 / lamp_lumens)).tolist())
+
+
+def _below(distribution: IntensityDistribution) -> IntensityDistribution:
+    """The distribution up to γ = 90, and dark above."""
+    lower = distribution.gamma < 90
+    horizontal = [np.interp(90, distribution.gamma, plane) for plane in distribution.intensity]
+    dark = np.zeros((len(distribution.c), 2))
+    intensity = np.column_stack([distribution.intensity[:, lower], horizontal, dark])
+    gamma = np.concatenate([distribution.gamma[lower], [90, 90 + EDGE, 180]])
+    return IntensityDistribution("", distribution.c, gamma, intensity)
 
 
 def read_ldt(path: str | os.PathLike[str]) -> IntensityDistribution:

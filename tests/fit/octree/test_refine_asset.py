@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from test_bake import interrupt_after, small_config
 
+from lumitree.core.frames import similarity
 from lumitree.errors import LumitreeError
 from lumitree.fit.octree.config import HeldOutConfig
 from lumitree.octree.leaves import leaf_cells
@@ -98,6 +99,16 @@ def test_an_asset_of_another_box_is_refused(ball, lamp, tmp_path):
             refine(asset, luminaire, small_config(), tmp_path)
         assert "\n" not in str(refusal.value)
     assert not list(tmp_path.glob("*.npz"))
+
+
+def test_a_small_lamp_is_told_from_one_of_another_size_or_place(lamp, tmp_path):
+    """The lengths of its file may be tiny beside a unit."""
+    from lumitree.fit.octree.bake import refine
+
+    small = lamp(sphere("lamp", 1e-3, inside=AREA))
+    for matrix in (similarity(np.eye(3), 5e-4), similarity(np.eye(3), 1e-3, [1e-4, 0, 0])):
+        with pytest.raises(LumitreeError, match="have different bounding boxes"):
+            refine(rough(small, world_from_local=matrix), small, small_config(), tmp_path)
 
 
 def test_a_dark_luminaire_is_refused(lamp, tmp_path):

@@ -250,6 +250,9 @@ def settings_text(config: BakeConfig, source: LuminaireSource) -> str:
     settings = dataclasses.asdict(config)
     if source_kind(source) == "photometric":
         settings = {name: settings[name] for name in PHOTOMETRIC_SETTINGS}
+        # Its numbers of light paths are for luminaires.
+        grid = settings["light_field"]
+        settings["light_field"] = {name: grid[name] for name in ("depth", "resolution")}
     return json.dumps(settings, sort_keys=True)
 
 

@@ -122,10 +122,9 @@ def refine(
             of another bake.
     """
     own, other = asset.frame, luminaire.frame
-    if not (
-        np.allclose(own.half_extents, other.half_extents, atol=1e-3)
-        and np.allclose(own.world_from_local, other.world_from_local, rtol=1e-3, atol=1e-3)
-    ):
+    moved = np.abs(own.world_from_local - other.world_from_local).max()
+    near = moved <= 1e-3 * min(own.scale, other.scale)
+    if not (near and np.allclose(own.half_extents, other.half_extents, atol=1e-3)):
         raise LumitreeError(
             f"the asset ({asset.luminaire}) and {luminaire.name} have different bounding boxes; "
             "refine an asset with its own luminaire"

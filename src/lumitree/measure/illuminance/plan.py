@@ -153,6 +153,8 @@ def _values(
 
 def _table(figure: Figure, plan: Plan) -> None:
     area = plan.area
+    known = np.isfinite(plan.direct)
+    mean = float(plan.direct[known].mean()) if known.any() else np.nan
     rows = [
         ("points", f"{area.count:,}" + (f", {area.enclosed:,} in solids" if area.enclosed else "")),
         ("mean", f"{area.mean:.4g} lx ± {area.mean_error:.2g}"),
@@ -160,8 +162,8 @@ def _table(figure: Figure, plan: Plan) -> None:
         ("largest", f"{area.largest:.4g} lx"),
         ("uniformity U0", f"{area.uniformity:.3f}"),
         ("diversity Ud", f"{area.diversity:.3f}"),
-        ("mean of the direct part", f"{np.nanmean(plan.direct):.4g} lx"),
-        ("largest standard error of a point", f"{np.nanmax(plan.error):.2g} lx"),
+        ("mean of the direct part", f"{mean:.4g} lx"),
+        ("largest standard error of a point", f"{max(plan.error[known], default=np.nan):.2g} lx"),
     ]
     for line, (name, value) in enumerate(rows):
         y = 0.36 - 0.026 * line

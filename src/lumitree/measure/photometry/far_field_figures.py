@@ -34,6 +34,8 @@ def evaluated(
     measurement: Measurement,
     file: IntensityDistribution | None = None,
     generation: str = SIMULATED,
+    *,
+    of_file: bool = False,
 ) -> PhotometricData:
     """Figures, intensities and near-field limits of a measurement.
 
@@ -42,6 +44,8 @@ def evaluated(
         file: the photometric file that the asset was made of: its luminous opening, the flux of its
             lamps and what it states of how it was made.
         generation: file generation type of what is written.
+        of_file: whether the light is that of a photometric file, also of one that was baked: those
+            that state no colour have equal R, G and B.
     """
     grid, emitted = measurement.grid, measurement.emitted
 
@@ -68,8 +72,7 @@ def evaluated(
     plane, row = np.unravel_index(certain.argmax(), certain.shape)
     (kelvin, duv), (kelvin_error, duv_error) = (each.tolist() for each in jackknife(colour))
     mean = measurement.watts.mean(axis=0)
-    # Photometric files that state no colour have equal R, G and B.
-    coloured = file is None or not np.allclose(mean, mean[0], rtol=1e-6, atol=0)
+    coloured = not (of_file and np.allclose(mean, mean[0], rtol=1e-6, atol=0))
     angles = {
         part: {
             name: _estimate(lambda used, c=c, part=part: _width(measurement, used, c, part))

@@ -175,7 +175,10 @@ def photometry(
         measured = oriented(measured, metres, up)
         measurement = measure(measured, paths, step=step, kept_rays=wanted, seed=seed)
         # A converted file is no simulation, and no measurement either.
-        data = evaluated(measurement, file, UNDEFINED if is_file else SIMULATED)
+        light = None if asset is None else asset.light_field
+        baked_file = light is not None and light.traced is None
+        generation = UNDEFINED if is_file else SIMULATED
+        data = evaluated(measurement, file, generation, of_file=is_file or baked_file)
         if file is not None and step is None:
             _warn_fine(file, data.step)
     with watch.stage("write"):
