@@ -340,6 +340,27 @@ def test_textures(quad, tmp_path):
         quad("map_Ke a.png\nmap_d -o 0.5 0 a.png")
 
 
+@pytest.mark.parametrize("signs", [(1,), (-1,), (1, -1)], ids=str)
+def test_normal_maps_are_turned_round_on_mirrored_coordinates(model, tmp_path, signs):
+    """Mitsuba's second axis is the normal times the first one, whatever the coordinates are."""
+    image(tmp_path / "n.png", np.full((2, 2, 3), np.round((np.array([0, 0.6, 0.8]) + 1) * 127.5)))
+    text = "usemtl a\n"
+    for index, sign in enumerate(signs):
+        corners = [(index, 0), (index + 1, 0), (index + 1, 1), (index, 1)]
+        text += "".join(f"v {x} {y} 0\nvt {sign * (x - index)} {y}\n" for x, y in corners)
+        first = 4 * index + 1
+        text += "f " + " ".join(f"{i}/{i}" for i in range(first, first + 4)) + "\n"
+    found = model(text, "newmtl a\nnorm n.png\n")
+    assert [part.name for part in found.parts] == (["a", "a-2"] if len(signs) == 2 else ["a"])
+    material = {each.name: each for each in found.materials}
+    assert {each.title for each in found.materials} == {"a"}
+    for part, sign in zip(found.parts, signs, strict=True):
+        assert len(part.mesh.faces) == 2
+        assert (material[part.material].name == "a") == (sign > 0)
+        green = material[part.material].normal_map.pixels[..., 1]
+        assert (green == (204 if sign > 0 else 51)).all()
+
+
 def test_opaque_image_as_opacity_and_roughness(quad, tmp_path):
     image(tmp_path / "m.png", np.full((2, 2, 3), 100))
     found = quad("map_d m.png\nd 0.5\nmap_Pr m.png")

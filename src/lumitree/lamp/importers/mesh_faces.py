@@ -1,6 +1,7 @@
 """Some of a mesh's faces, both sides of them, and surfaces with vertex colours."""
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,24 @@ def with_backs(mesh: Mesh, doubled: NDArray[np.bool_], distance: float) -> Mesh:
         if mesh.colours is None or back.colours is None
         else np.concatenate([mesh.colours, back.colours]),
     )
+
+
+def by_handedness(mesh: Mesh, bumpy: bool) -> Iterator[tuple[Mesh, bool]]:
+    """The faces whose texture coordinates are mirrored apart from the others, if a mesh is bumpy.
+
+    The second axis of normal maps is turned round there. Mitsuba's is the product of the normal and
+    the first axis.
+    """
+    if not bumpy or mesh.uv is None:
+        yield mesh, False
+        return
+    a, b, c = (mesh.uv[mesh.faces[:, i]] for i in range(3))
+    first, second = b - a, c - a
+    # v points down, so counter-clockwise faces run clockwise in (u, v).
+    mirrored = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] > 0
+    for side in (False, True):
+        if (mirrored == side).any():
+            yield selected(mesh, mirrored == side), side
 
 
 def painted(surface: Surface) -> Surface | None:

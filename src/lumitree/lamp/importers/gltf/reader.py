@@ -23,7 +23,7 @@ from lumitree.lamp.importers.gltf.nodes import Node, scene_nodes
 from lumitree.lamp.importers.gltf.notes import Notes
 from lumitree.lamp.importers.gltf.primitives import MAX_TRIANGLES, baked, read_triangles
 from lumitree.lamp.importers.gltf.variants import Variants
-from lumitree.lamp.importers.mesh_faces import selected
+from lumitree.lamp.importers.mesh_faces import by_handedness
 from lumitree.lamp.importers.mesh_normals import turned_with_normals
 from lumitree.lamp.importers.topology import Pieces, faces_to_turn, is_solid, weld
 from lumitree.lamp.meshes import Floats, Mesh
@@ -154,7 +154,7 @@ class _Reader:
             )
         for placed, places, scale in _placed(mesh, copies):
             used = scale if self._materials.solid(material) else 1.0
-            for piece, mirrored in _by_handedness(placed, self._materials.bumpy(material)):
+            for piece, mirrored in by_handedness(placed, self._materials.bumpy(material)):
                 use = Use(closed, mirrored, mesh.colours is not None, used)
                 self._add(name, piece, places, material, use)
 
@@ -208,20 +208,3 @@ def _placed(mesh: Mesh, copies: list[_Copy]) -> Iterator[tuple[Mesh, list[_Copy]
             yield baked(mesh, copy.world), [_Copy(np.eye(4), copy.object)], scale
     for scale, alike in shared.items():
         yield mesh, alike, scale
-
-
-def _by_handedness(mesh: Mesh, bumpy: bool) -> Iterator[tuple[Mesh, bool]]:
-    """The faces whose texture coordinates are mirrored apart from the others.
-
-    Only where there is a normal map: its second axis is turned round on mirrored faces.
-    """
-    if not bumpy or mesh.uv is None:
-        yield mesh, False
-        return
-    a, b, c = (mesh.uv[mesh.faces[:, i]] for i in range(3))
-    first, second = b - a, c - a
-    # v points down, so counter-clockwise faces run clockwise in (u, v).
-    mirrored = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] > 0
-    for side in (False, True):
-        if (mirrored == side).any():
-            yield selected(mesh, mirrored == side), side

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 
 from lumitree.errors import LumitreeWarning, shown, shown_names
+from lumitree.lamp.importers.mesh_faces import by_handedness
 from lumitree.lamp.importers.obj.files import ObjFolder
 from lumitree.lamp.importers.obj.materials import emits, material, without_mtl
 from lumitree.lamp.importers.obj.mesh import build_meshes
@@ -16,7 +17,7 @@ from lumitree.lamp.importers.obj.parse import ObjFile, parse_obj
 from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.names import Names
-from lumitree.lamp.parts import RGB, Geometry, Material, Part
+from lumitree.lamp.parts import RGB, Geometry, Material, Part, Texture
 
 _UNNAMED = "default"
 _MAX_NAME = 60
@@ -50,15 +51,36 @@ def read_obj(path: str | os.PathLike[str], emitting: Collection[str] = ()) -> Ge
             LumitreeWarning,
             stacklevel=2,
         )
-    materials, parts = [], []
+    materials: dict[str, Material] = {}
+    parts, taken, titles = [], Names("-"), Names(" ")
+    for name in names:
+        taken.unique(name)
+    for title in (*file.materials, _UNNAMED):
+        titles.unique(title)
     for name, (number, mesh) in zip(names, meshes.items(), strict=True):
         title = file.materials[number] or _UNNAMED
         source = library.get(file.materials[number])
         made, factor = _material(title, source, mesh, folder)
         colours = None if mesh.colours is None or factor is None else mesh.colours * factor
-        materials.append(made)
-        parts.append(Part(name, dataclasses.replace(mesh, colours=colours), title))
-    return Geometry(tuple(parts), tuple(materials))
+        coloured = dataclasses.replace(mesh, colours=colours)
+        pieces = by_handedness(coloured, made.normal_map is not None)
+        for count, (piece, mirrored) in enumerate(pieces):
+            used = made
+            if mirrored:
+                own = titles.unique(f"{title} mirrored")
+                used = dataclasses.replace(made, name=own, normal_map=_turned(made.normal_map))
+            materials[used.name] = used
+            parts.append(Part(taken.unique(name) if count else name, piece, used.name))
+    return Geometry(tuple(parts), tuple(materials.values()))
+
+
+def _turned(normal_map: Texture | None) -> Texture | None:
+    """A normal map with its second axis turned round."""
+    if normal_map is None:
+        return None
+    pixels = normal_map.pixels.copy()
+    pixels[..., 1] = 255 - pixels[..., 1]
+    return dataclasses.replace(normal_map, pixels=pixels)
 
 
 def _material(
