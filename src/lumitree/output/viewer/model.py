@@ -17,7 +17,7 @@ from lumitree.asset.asset import Asset
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import octahedral
 from lumitree.output.geometry_meshes import geometry_meshes, meshed
-from lumitree.output.viewer.patterns import SIDE, Patterns
+from lumitree.output.viewer.patterns import SIDE, WRAPS, Patterns
 from lumitree.output.viewer.surfaces import Kind, Surface, page_surface
 from lumitree.output.viewer.triangles import Triangles
 from lumitree.rendering.studio import portrait_half_width, studio_lights
@@ -66,7 +66,9 @@ def page_model(asset: Asset) -> PageModel:
         surface = page_surface(geometry, shape, asset.frame.scale)
         pattern = patterns.of(shape) if surface.kind == Kind.ENDS else None
         if pattern is not None:
-            surface = dataclasses.replace(surface, pattern=pattern[0] + 1)
+            number, texture = pattern
+            wrap = WRAPS[texture["wrap_mode"]]
+            surface = dataclasses.replace(surface, pattern=number + 1, wrap=wrap)
         if surface not in rows:
             rows.append(surface)
         triangles.add(mesh, rows.index(surface), surface.kind == Kind.ENDS, pattern)

@@ -20,6 +20,8 @@ from lumitree.core.images import linear_from_srgb, srgb_from_linear
 # Pixels a side in the page, and the largest number of images.
 SIDE, _MOST_IMAGES = 512, 64
 _QUALITY = 90
+# Numbers of what lies beyond the sides of an image, by `wrap_mode`.
+WRAPS = {"repeat": 0, "mirror": 1, "clamp": 2}
 # Colours of materials by the names of parameters, the first of which counts that is an image.
 _COLOURS = ("base_color", "reflectance", "diffuse_reflectance", "specular_transmittance")
 # Least value of a pattern, by which radiance is divided.
@@ -51,9 +53,17 @@ class Patterns:
             self._add(*key)
         return self._known[key], texture
 
-    def values(self, number: int, texcoords: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Values [N, 3] of a pattern at places [N, 2] of its image."""
-        column, row = ((texcoords % 1) * SIDE).astype(np.int64).clip(0, SIDE - 1).T
+    def values(
+        self, number: int, texcoords: NDArray[np.floating], wrap: str = "repeat"
+    ) -> NDArray[np.float32]:
+        """Values [N, 3] of a pattern at places [N, 2] of its image, also beyond its sides."""
+        if wrap == "clamp":
+            places = texcoords.clip(0, 1)
+        elif wrap == "mirror":
+            places = 1 - np.abs(texcoords % 2 - 1)
+        else:
+            places = texcoords % 1
+        column, row = (places * SIDE).astype(np.int64).clip(0, SIDE - 1).T
         return self._values[number][row, column]
 
     def encoded(self) -> list[str]:

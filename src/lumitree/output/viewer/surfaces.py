@@ -47,6 +47,8 @@ class Surface:
         emits: whether it emits, so that the page samples it.
         ggx: whether they have the distribution of Trowbridge and Reitz, else Beckmann's.
         pattern: number of the image that its radiance is in proportion to, from 1; 0 for none.
+        wrap: what lies beyond the sides of this image: repetitions (0), mirror images (1), or the
+            colours of the sides (2).
         inside, outside: [3] absorption behind and before it, per local unit.
     """
 
@@ -61,6 +63,7 @@ class Surface:
     emits: bool = False
     ggx: bool = False
     pattern: int = 0
+    wrap: int = 0
     inside: tuple[float, ...] = (0.0, 0.0, 0.0)
     outside: tuple[float, ...] = (0.0, 0.0, 0.0)
 
@@ -72,6 +75,7 @@ class Surface:
             + 4 * self.between_media
             + 8 * self.emits
             + 16 * self.ggx
+            + 32 * self.wrap
         )
         colours = (self.reflected, self.transmitted, self.inside, self.outside)
         padded = [number for colour in colours for number in (*colour, 0.0)]

@@ -62,7 +62,7 @@ class Triangles:
             normals = np.tile(_UPWARDS, (len(vertices), 1))
         mean = np.ones((len(vertices), 3))
         if pattern is not None:
-            mean = self._mean(pattern[0], places, faces)
+            mean = self._mean(pattern, places, faces)
         numbers = np.full(len(faces), row)
         self._parts.append((vertices, normals, places, mean, faces + self._count, numbers))
         self._count += len(vertices)
@@ -78,13 +78,17 @@ class Triangles:
         return tuple(map(np.concatenate, zip(*self._parts, strict=True)))
 
     def _mean(
-        self, number: int, places: NDArray[np.float64], faces: NDArray[np.integer]
+        self,
+        pattern: tuple[int, Json],
+        places: NDArray[np.float64],
+        faces: NDArray[np.integer],
     ) -> NDArray[np.float64]:
         """Mean [V, 3] of a pattern about vertices, weighted as radiance is."""
         sums, weights = np.zeros((len(places), 3)), np.zeros(len(places))
         corners = places[faces]
         for weight in _POINTS:
-            values = self._patterns.values(number, np.einsum("k,fkd->fd", weight, corners))
+            at, wrap = np.einsum("k,fkd->fd", weight, corners), pattern[1]["wrap_mode"]
+            values = self._patterns.values(pattern[0], at, wrap)
             for corner, share in enumerate(weight):
                 np.add.at(sums, faces[:, corner], share * values)
                 np.add.at(weights, faces[:, corner], share)

@@ -25,6 +25,7 @@ layout(location = 1) out vec4 seen;       // this share by colour
 layout(location = 2) out vec4 soft;       // radiance / white by the light of the studio, its backdrop included
 
 const int GLASS = 1, THIN_GLASS = 2, METAL = 3, HAS_BACK = 1, SMOOTH = 2, BETWEEN_MEDIA = 4, EMITS = 8, GGX = 16;
+const int REPEATED = 0, MIRRORED = 1;
 const int MAX_VERTICES = 64, ROULETTE_FROM = 8, MAX_CROSSINGS = 32;
 // Distance from a surface at which rays begin, local units.
 const float ABOVE = 2e-5;
@@ -141,6 +142,10 @@ vec3 pattern(ivec4 t, vec3 at) {
   vec2 place = vec2(0);
   for (int k = 0; k < 3; ++k)
     place += at[k] * vec2(texelFetch(vertices, texel(2 * t[k]), 0).w, texelFetch(vertices, texel(2 * t[k] + 1), 0).w);
+  int wrap = int(texelFetch(surfaces, texel(5 * t.w), 0).y) / 32;
+  vec2 border = 0.5 / vec2(textureSize(patterns, 0).xy);
+  if (wrap == MIRRORED) place = 1.0 - abs(mod(place, 2.0) - 1.0);
+  if (wrap != REPEATED) place = clamp(place, border, 1.0 - border);
   return textureLod(patterns, vec3(place, number - 1.0), 0.0).rgb;
 }
 // Radiance of a point of a triangle.
