@@ -5,7 +5,13 @@ import warnings
 import numpy as np
 import pytest
 
-from lumitree.core.photometry import blackbody_colour, blackbody_radiance, luminance
+from lumitree.core.photometry import (
+    WAVELENGTHS,
+    blackbody_colour,
+    blackbody_radiance,
+    blackbody_spectrum,
+    luminance,
+)
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.rendering.scene import place_shapes
 from support.lamps import lamp_of, scene, sphere
@@ -71,3 +77,15 @@ def test_a_temperature_out_of_range_is_refused(mi, tmp_path, temperature, messag
     body = '<emitter type="area"><spectrum type="blackbody" name="radiance"/></emitter>'
     with pytest.raises(LumitreeError, match="temperature of a blackbody is None"):
         lamp_of(tmp_path, sphere("a", 1, inside=body))
+
+
+@pytest.mark.parametrize(
+    ("shortest", "longest"), [(550, 551), (545, 555), (500, 500.2), (550.4, 550.6), (300, 900)]
+)
+def test_a_range_of_wavelengths_has_its_own_power(shortest, longest):
+    """Against the sum over a fine grid of Planck's law between the whole nanometres around."""
+    whole = blackbody_spectrum(3000)
+    fine = np.linspace(shortest, longest, 20001)
+    inside = np.interp(fine, WAVELENGTHS, whole, left=0, right=0)
+    found = blackbody_spectrum(3000, shortest, longest).sum()
+    assert found == pytest.approx(np.trapezoid(inside, fine), rel=0.01)

@@ -1,5 +1,6 @@
 """Glare of views, against the formula of CIE 117."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -46,9 +47,43 @@ def test_ugr_of_a_square_source(mi, offset, side):
         + (21 + 0.26667 * tau - 0.002963 * tau**2) * 1e-5 * sigma**2
     )
     expected = 8 * math.log10(0.25 / grey * lit**2 * omega / position**2)
-    assert found.source_solid_angle == pytest.approx(omega, rel=0.06)
+    # With the pixels that its border crosses.
+    assert found.source_solid_angle == pytest.approx(omega, rel=0.1)
     assert found.ugr == pytest.approx(expected, abs=0.4)
     assert found.vertical_illuminance == pytest.approx(200, rel=1e-3)
+
+
+def view_of(values):
+    """A render of luminances [H, W], cd/m², at 60 degrees; it is only looked at."""
+    pixels = np.repeat(np.asarray(values, np.float32)[..., None] / 683, 3, axis=2)
+    film = {"type": "hdrfilm", "width": 256, "height": 256}
+    camera = {"type": "perspective", "fov": 60, "film": film}
+    light = {"type": "constant", "radiance": {"type": "rgb", "value": 1}}
+    scene = {"type": "scene", "light": light, "camera": camera, "integrator": {"type": "path"}}
+    return dataclasses.replace(lumitree.render(scene, samples_per_pixel=1), pixels=pixels)
+
+
+@pytest.mark.parametrize(
+    ("lamp", "background"), [(1500, 30), (1900, 30), (2100, 30), (20_000, 2500), (8000, 300)]
+)
+def test_ugr_of_dim_lamps_and_of_bright_rooms(mi, lamp, background):
+    """Whether a source is above 2,000 cd/m² does not matter, nor whether the walls are."""
+    values = np.full((256, 256), float(background))
+    values[118:138, 118:138] = lamp
+    found = lumitree.glare(view_of(values), vertical_illuminance=200)
+    pixel = 2 * math.tan(math.radians(30)) / 256
+    expected = 8 * math.log10(0.25 / background * lamp**2 * (20 * pixel) ** 2)
+    assert found.ugr == pytest.approx(expected, abs=0.3)
+
+
+def test_before_black_there_is_no_rating(mi):
+    """Its formula divides by the background."""
+    values = np.zeros((256, 256))
+    values[100:140, 100:140] = 20_000.0
+    found = lumitree.glare(view_of(values), vertical_illuminance=200)
+    assert math.isnan(found.ugr)
+    assert found.background == 0
+    assert found.source_luminance == pytest.approx(20_000, rel=0.01)
 
 
 def test_an_even_view_has_no_source(mi):
@@ -73,10 +108,10 @@ def test_the_corners_of_an_image_may_be_dark(mi):
     camera["to_world"] = mi.ScalarTransform4f().look_at([0, 0, 0], [0, 0, -1], [0, 1, 0])
     scene = {"type": "scene", "sphere": sphere, "camera": camera, "path": {"type": "path"}}
     found = lumitree.glare(lumitree.render(scene, samples_per_pixel=16), 1)
-    assert found.source_solid_angle == pytest.approx(math.pi * 0.05**2, rel=0.06)
-    assert found.source_luminance == pytest.approx(6830, rel=0.06)
+    assert found.source_solid_angle == pytest.approx(math.pi * 0.05**2, rel=0.1)
+    assert found.source_luminance == pytest.approx(6830, rel=0.1)
     # Of pixels at the edge of the sphere.
-    assert 0 < found.background < 1
+    assert 0 <= found.background < 1
 
 
 def test_what_evalglare_says_is_one_line(mi, monkeypatch):

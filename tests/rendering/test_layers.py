@@ -1,5 +1,6 @@
 """Light of lamps recorded apart, buffers of surfaces, budgets, and denoising."""
 
+import dataclasses
 from contextlib import nullcontext
 from types import SimpleNamespace
 
@@ -350,3 +351,11 @@ def test_films_that_are_created_already(mi):
             continue
         with pytest.raises(LumitreeError, match="does not store R, G and B"):
             lumitree.render(scene, samples_per_pixel=1)
+
+
+def test_long_labels_are_cut_to_what_a_file_holds(room, lamps, tmp_path):
+    """Names of channels have 255 bytes at most; beyond them three channels would be one."""
+    long = [dataclasses.replace(each, label="ä" * 200) for each in lamps]
+    render(room, long, samples_per_pixel=1, layers=True).save_layers(tmp_path / "layers.exr")
+    layers = read_exr(tmp_path / "layers.exr")
+    assert sorted(layers) == ["room", "ä" * 100, "ä" * 100 + "_2"]

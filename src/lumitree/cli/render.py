@@ -1,12 +1,12 @@
 """`lumitree render`."""
 
 import argparse
-import dataclasses
 from typing import Any
 
 from lumitree.cli import options
 from lumitree.cli.output import check_outputs, image_report, print_open, print_report
 from lumitree.cli.placements import add_placements, placements
+from lumitree.core.results import plain
 
 
 def add(commands: Any) -> None:
@@ -123,18 +123,18 @@ def run(args: argparse.Namespace) -> Any:
             variant=args.variant,
             executor=executor,
         )
+    result.save(args.output)
     if args.aov is not None:
         result.save_aov(args.aov)
     if args.layers is not None:
         result.save_layers(args.layers)
     if args.luminance is not None:
         result.save_luminance(args.luminance)
-    result.save(args.output)
     if args.work is None:
         forget_passes(work)
     further = {"layers": args.layers, "aov": args.aov, "luminance": args.luminance}
     if args.glare:
-        further["glare"] = dataclasses.asdict(_glare(args, result))
+        further["glare"] = plain(_glare(args, result))
     return image_report(result, args.output) | further
 
 

@@ -101,7 +101,7 @@ def tonemap(radiance: NDArray[np.floating], exposure: float = 1.0) -> NDArray[np
 def auto_exposure(radiance: NDArray[np.floating]) -> float:
     """Exposure factor that maps the 98th percentile of the lit pixels' largest channel to 0.9."""
     brightest = np.asarray(radiance).max(axis=-1)
-    lit = brightest[brightest > 0]
+    lit = brightest[(brightest > 0) & np.isfinite(brightest)]
     return float(0.9 / np.percentile(lit, 98)) if lit.size else 1.0
 
 

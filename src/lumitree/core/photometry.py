@@ -107,8 +107,11 @@ def blackbody_spectrum(
     """
     if not 100 <= temperature <= 1e5:
         raise LumitreeError(f"a black body of {temperature:g} K; expected 100 to 100000 K")
-    power = _planck(np.array([temperature]))[0]
-    return np.where(np.clip(WAVELENGTHS, shortest, longest) == WAVELENGTHS, power, 0.0)
+    # Each wavelength stands for the nanometre around it, and the first and the last for all beyond.
+    first = -np.inf if shortest <= WAVELENGTHS[0] else shortest
+    last = np.inf if longest >= WAVELENGTHS[-1] else longest
+    within = np.minimum(WAVELENGTHS + 0.5, last) - np.maximum(WAVELENGTHS - 0.5, first)
+    return _planck(np.array([temperature]))[0] * within.clip(0, 1)
 
 
 def xyz_of_spectrum(spectrum: ArrayLike) -> NDArray[np.float64]:

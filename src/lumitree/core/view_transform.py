@@ -27,6 +27,10 @@ _LINEAR, _DISPLAY = "Linear Rec.709 (sRGB)", "sRGB - Display"
 _FILMIC = "ACES 2.0 - SDR 100 nits (Rec.709)"
 
 
+# Least and largest exposure.
+EXPOSURES = 1e-12, 1e12
+
+
 def check_view(view: View, exposure: float | None = None) -> None:
     """Refuse a view transform that there is not, or whose package is missing, before any work.
 
@@ -36,7 +40,7 @@ def check_view(view: View, exposure: float | None = None) -> None:
     """
     check_choice("view", view, VIEWS)
     if exposure is not None:
-        check_range("exposure", exposure, 1e-12, 1e12)
+        check_range("exposure", exposure, *EXPOSURES)
     if view == "filmic":
         _filmic()
 
@@ -60,10 +64,11 @@ def room_exposure(radiance: NDArray[np.floating]) -> float:
     A lamp that is seen is thousands of times brighter than its room, and covers little of it: a
     mean of logarithms hardly depends on it. Blocks that are black are left out.
     """
-    means = np.nan_to_num(np.asarray(radiance, np.float64)) @ np.array(LUMA)
-    means = block_means(means, _BLOCK)
+    finite = np.nan_to_num(np.asarray(radiance, np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+    means = block_means(finite @ np.array(LUMA), _BLOCK)
     lit = means[means > 0]
-    return float(_KEY / np.exp(np.log(lit).mean())) if lit.size else 1.0
+    exposure = _KEY / np.exp(np.log(lit).mean()) if lit.size else 1.0
+    return float(np.clip(exposure, *EXPOSURES))
 
 
 @functools.cache

@@ -19,6 +19,9 @@ _RADIANCE_EFFICACY = 179.0
 _BACKGROUND = 1
 # An RGBE pixel holds mantissas of 8 bits and an exponent, 128 for numbers from 0.5 to 1.
 _MANTISSA, _EXPONENT = 256, 128
+# Times the mean luminance of the image: what is brighter is a source of the UGR. evalglare's own
+# threshold, 2,000 cd/m², is that of daylight, and of the DGP.
+_BRIGHT = 5
 # Images with dark corners too, below 7 cd/m²: evalglare takes them for those of a fisheye.
 _DARK_CORNERS = "-f"
 
@@ -29,9 +32,10 @@ class Glare:
 
     Attributes:
         ugr: Unified Glare Rating (CIE 117), of the sources in the image: from 10, not perceptible,
-            to 28, intolerable. NaN without a source.
-        dgp: Daylight Glare Probability, 0 to 1; it holds for daylight, and for a vertical
-            illuminance above 380 lx.
+            to 28, intolerable. A source is what is brighter than 5 times the mean luminance of the
+            image. NaN without a source, and before a background that is black.
+        dgp: Daylight Glare Probability, 0 to 1, of sources above 2,000 cd/m²; it holds for
+            daylight, and for a vertical illuminance above 380 lx.
         vertical_illuminance: at the eye, lx.
         background: luminance of the image without its sources, cd/m².
         source_luminance: mean luminance of the sources, cd/m²; NaN without a source.
@@ -87,30 +91,32 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
     if min(height, width) < 64:
         raise LumitreeError(f"the image has {width} x {height} pixels; glare needs 64 x 64 or more")
     picture = _picture(luminance(image.pixels), image.camera)
-    try:
-        output = pyradiance.evalglare(
-            picture,
-            view=[_DARK_CORNERS],
-            detailed=True,
-            ev=vertical_illuminance,
-            bg_lum_mode=_BACKGROUND,
-        )
-    except RuntimeError as error:
-        reason = shown(" ".join(str(error).split()), 300)
-        raise LumitreeError(f"evalglare failed: {reason}") from None
-    return _read(output.decode(errors="replace"), vertical_illuminance)
 
+    def figures(**options: float) -> dict[str, float]:
+        """What evalglare prints: names, a colon, numbers."""
+        try:
+            output = pyradiance.evalglare(
+                picture,
+                view=[_DARK_CORNERS],
+                detailed=True,
+                ev=vertical_illuminance,
+                bg_lum_mode=_BACKGROUND,
+                **options,
+            )
+        except RuntimeError as error:
+            reason = shown(" ".join(str(error).split()), 300)
+            raise LumitreeError(f"evalglare failed: {reason}") from None
+        last = output.decode(errors="replace").strip().splitlines()[-1]
+        names, _, numbers = last.partition(":")
+        return dict(zip(names.split(","), map(float, numbers.split()), strict=False))
 
-def _read(output: str, vertical_illuminance: float) -> Glare:
-    """The figures that evalglare prints: names, a colon, numbers."""
-    names, _, numbers = output.strip().splitlines()[-1].partition(":")
-    values = dict(zip(names.split(","), map(float, numbers.split()), strict=False))
-    solid_angle = values["omega_sources"]
+    values = figures(threshold=_BRIGHT)
+    solid_angle, background = values["omega_sources"], max(values["lum_backg"], 0.0)
     return Glare(
-        ugr=values["ugr"] if solid_angle else math.nan,
-        dgp=values["dgp"],
+        ugr=values["ugr"] if solid_angle and background else math.nan,
+        dgp=figures()["dgp"],
         vertical_illuminance=vertical_illuminance,
-        background=values["lum_backg"],
+        background=background,
         source_luminance=values["lum_sources"] if solid_angle else math.nan,
         source_solid_angle=solid_angle,
     )

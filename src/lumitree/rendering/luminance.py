@@ -20,6 +20,7 @@ def luminance_png(luminance: NDArray[np.floating]) -> bytes:
     The scale is logarithmic. A thousandth of the pixels is brighter than it, and as many are darker
     unless it would then go over more than four decades.
     """
+    luminance = np.nan_to_num(luminance, nan=0.0, posinf=0.0, neginf=0.0)
     height, width = luminance.shape
     low, top = np.quantile(luminance, (_BEYOND, 1 - _BEYOND)).tolist()
     top = top or float(luminance.max()) or 1.0

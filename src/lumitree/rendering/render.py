@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 _SAMPLES_PER_PIXEL = 64
 # The layer of all light that is of no placed luminaire.
 _ROOM = "room"
+# Longest name of a layer, without its number.
+_NAME_BYTES = 200
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -317,6 +319,8 @@ def _names(placements: Sequence[Placement]) -> list[str]:
     for placement in placements:
         start = placement.label or Path(placement.name).stem
         start = re.sub(r"[^\w-]+", "_", start) or "lamp"
+        # Names of channels have 255 bytes at most.
+        start = start.encode()[:_NAME_BYTES].decode(errors="ignore")
         name, number = start, 1
         while name in (*names, "RGB", "RGBA"):
             number += 1
