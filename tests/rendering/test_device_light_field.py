@@ -63,7 +63,7 @@ def chances(mi, light, x):
 @pytest.mark.parametrize("name", POINTS)
 def test_radiance_and_density_are_sums_over_all_cells(mi, light, name):
     from lumitree.rendering.sampling.light_bins import smooth_bin
-    from lumitree.rendering.sampling.proxy import BoxProxy, cone_pdf, sample_cone
+    from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
 
     field = some_light()
     count = 4096
@@ -79,8 +79,7 @@ def test_radiance_and_density_are_sums_over_all_cells(mi, light, name):
     last = np.maximum(np.maximum(near, far).min(axis=2), first)
     volume = (upper - lower).prod(axis=1)
     intensity = unpack(field.dense(field.intensity)) * field.scale
-    entry = origin + BoxProxy(HALF).enter(origin, direction)[0] * direction
-    bins = np.array(smooth_bin(-direction, RESOLUTION, entry))
+    bins = np.array(smooth_bin(-direction, RESOLUTION))
     expected = np.einsum("nc,cnk->nk", (last - first) / volume, intensity[:, bins])
     assert meets.mean() > 0.3
     found = np.array(radiance, np.float64).T
@@ -158,12 +157,14 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
     weight = light.contribution(target, mi.Float(density(direction)), arrives)
     radius = float(np.linalg.norm(HALF))
     plain = sample_cone(origin, radius, uniform_samples(mi, count, 1).next_2d())
-    whole, _ = seen_from(mi, light, origin, plain)
+    near, _, enters = BoxProxy(HALF).enter(origin, plain)
+    entry = origin + near * plain
+    # The bins of both depend on all bits of the place.
+    dr.eval(entry)
+    whole, _ = light.eval(origin, entry, plain, near, enters, parallel=True)
     rest = mi.Color3f(0)
     if other:
-        near, _, enters = BoxProxy(HALF).enter(origin, plain)
-        inverse = dr.rcp(density(plain))
-        entry, seen = origin + near * plain, mi.Bool(False)
+        inverse, seen = dr.rcp(density(plain)), mi.Bool(False)
         ends = RayEnds(mi.Float(dr.inf), mi.Float(dr.inf))
         rest = light.received(origin, entry, plain, near, inverse, seen, ends, enters)
         # Only the balance heuristic with a positive b bounds the weights of near points.
@@ -504,7 +505,7 @@ def test_parallel_rays_see_the_mean_over_bins(mi):
     length = (faces.max(axis=0).min(axis=1) - faces.min(axis=0).max(axis=1)).mean()
     entry = on_device(mi.Point3f, point - 4 * direction)
     way = mi.Vector3f(*direction.tolist())
-    radiance, _ = light.eval(entry, entry, way, mi.Float(0), mi.Bool(True))
+    radiance, _ = light.eval(entry, entry, way, mi.Float(0), mi.Bool(True), parallel=True)
     bright = sum(
         np.array(weight)[0] * unpack(field.dense(field.intensity))[0, np.array(index)[0]]
         for index, weight in bins_around(-way, RESOLUTION)

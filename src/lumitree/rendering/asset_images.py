@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset, light_field_asset
 from lumitree.asset.light_field import make_light_field
+from lumitree.core.device import transforms_as_parameters
 from lumitree.core.frames import similarity_scale
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
@@ -113,6 +114,8 @@ class LampCamera:
         near = _NEAR * similarity_scale(scene_from_local)
         sensor = {"type": "orthographic", "film": film, "near_clip": near}
         self.scene = mi.load_dict({**scene, "sensor": sensor})
+        # Those of softboxes depend on the lamp's size.
+        transforms_as_parameters(self.scene.shapes())
         self._integrator = integrator
 
     def take(

@@ -40,7 +40,7 @@ def baked_image(
     """
     field = shared_field(asset)
     return image_of(
-        lambda origin, towards: look(asset, field, origin, towards, True),
+        lambda origin, towards: look(asset, field, origin, towards, True, parallel=True),
         local_from_camera,
         half_width,
         resolution,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.device import on_device
+from lumitree.core.device import on_device, transforms_as_parameters
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.rendering.asset_images import scene_alone
@@ -49,6 +49,7 @@ def vertex_radiance(
         [V, 3], W/(m² sr); 0 for a vertex of no face.
     """
     scene = mi.load_dict({**scene_alone(asset), **(lights or {})})
+    transforms_as_parameters(scene.shapes())
     integrator: Any = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
     points = on_device(mi.Float, vertices)
     corners = on_device(mi.UInt32, faces)

@@ -67,9 +67,10 @@ def add_entered_light(scene: PathScene, path: PathState, free_flight: FreeFlight
         path.ray, end, active, path.specular_chain, path.skipped, sampled
     )
     active &= lamp != NONE
-    ahead = divided.owners.of(path.pi.shape, active & path.pi.is_valid() & ~free_flight.collides)
+    # A lamp's light comes whole, whether or not the medium scatters the ray in its box.
+    ahead = divided.owners.of(path.pi.shape, active & path.pi.is_valid())
     while active:
-        ends = divided.ends(path.ray, end, lamp, ahead, active)
+        ends = divided.ends(path.ray, path.pi.t, lamp, ahead, active)
         emitter = scene.emitter(lamp, active)
         emitter_pmf = scene.selection.pmf(emitter, path.si_prev, active)
         emitter_pmf = dr.select(path.bsdf_delta_prev, 0, emitter_pmf)

@@ -55,16 +55,23 @@ def emitter_sampler(
 
 
 def look(
-    asset: Asset, field: Field, origin: mi.Point3f, direction: mi.Vector3f, active: mi.Bool | bool
+    asset: Asset,
+    field: Field,
+    origin: mi.Point3f,
+    direction: mi.Vector3f,
+    active: mi.Bool | bool,
+    *,
+    parallel: bool = False,
 ) -> tuple[mi.Color3f, mi.Float]:
     """Radiance and transmittance of a lamp in an image, as `Field.emission`.
 
-    An asset whose field is empty shows its light field, which hides nothing.
+    An asset whose field is empty shows its light field, which hides nothing; `parallel` as for
+    `DeviceLightField.eval`.
     """
     if asset.light_field is None or asset.num_leaves:
         return field.emission(origin, direction, active)
     light = device_light_field(asset)
-    radiance, _ = light.eval(origin, origin, direction, mi.Float(0), active)
+    radiance, _ = light.eval(origin, origin, direction, mi.Float(0), active, parallel=parallel)
     return radiance, dr.full(mi.Float, 1, dr.width(radiance))
 
 

@@ -172,6 +172,8 @@ class DeviceLightField:
         direction: mi.Vector3f,
         distance: mi.Float,
         active: mi.Bool | bool = True,
+        *,
+        parallel: bool = False,
     ) -> tuple[mi.Color3f, mi.Float]:
         """Radiance from a direction, and the density with which `sample` returns it.
 
@@ -181,12 +183,13 @@ class DeviceLightField:
             direction: unit direction from the receiver to it.
             distance: from the receiver to it.
             active: mask.
+            parallel: whether many rays may have one direction, as in an orthographic image.
 
         Returns:
             Radiance; and density per steradian, 0 where `active` is false.
         """
         row = self._around.index(x)
-        bins = smooth_bin(-direction, self._resolution, entry)
+        bins = smooth_bin(-direction, self._resolution, entry if parallel else None)
 
         def visit(state, cell, start, length, active):
             radiance, density = state
