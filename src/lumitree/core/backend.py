@@ -27,7 +27,8 @@ GPU_VARIANT = "cuda_ad_rgb"
 _RGB, _SPECTRAL = "_ad_rgb", "_ad_spectral"
 # The AVX-512 back end of older versions cannot compile the `fminimum` that Dr.Jit emits.
 MIN_LLVM = 17
-# Where installers put libLLVM, by `sys.platform`, and how it is installed there.
+# Where installers put libLLVM, by `sys.platform` (MACHINE: see `platform.machine`), and how it is
+# installed there.
 _LLVM_PLACES = {
     "darwin": (
         "/opt/homebrew/opt/llvm*/lib/libLLVM.dylib",
@@ -35,7 +36,7 @@ _LLVM_PLACES = {
         "$CONDA_PREFIX/lib/libLLVM*.dylib",
     ),
     "linux": (
-        "/usr/lib/*-linux-gnu/libLLVM*.so*",
+        "/usr/lib/MACHINE-linux-gnu/libLLVM*.so*",
         "/usr/lib/llvm-*/lib/libLLVM*.so*",
         "/usr/lib64/libLLVM*.so*",
         "$CONDA_PREFIX/lib/libLLVM*.so*",
@@ -233,7 +234,13 @@ def _bundled_llvm() -> Path | None:
 
 def _installed_llvm() -> Path | None:
     """The newest libLLVM among those where installers put them; None if none can be used."""
-    patterns = map(os.path.expandvars, _LLVM_PLACES.get(sys.platform, ()))
+    import platform
+
+    # A system may have the libraries of another architecture too.
+    places = [
+        each.replace("MACHINE", platform.machine()) for each in _LLVM_PLACES.get(sys.platform, ())
+    ]
+    patterns = map(os.path.expandvars, places)
     found = [(_version_in(name), name) for pattern in patterns for name in glob.glob(pattern)]
     usable = [each for each in found if each[0] >= MIN_LLVM]
     return Path(max(usable)[1]) if usable else None
