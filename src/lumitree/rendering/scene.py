@@ -294,8 +294,8 @@ def _check_rgb(film: mi.Film, title: str) -> None:
         if film.bitmap().pixel_format() in (formats.RGB, formats.RGBA):
             return
     raise LumitreeError(
-        f"{title} has a film that is created already, and does not store R, G and B; create an "
-        "hdrfilm with the pixel_format 'rgb'"
+        f"{title} has a film that does not store R, G and B; use an hdrfilm with the pixel_format "
+        "'rgb'"
     )
 
 

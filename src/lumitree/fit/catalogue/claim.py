@@ -188,14 +188,10 @@ def _renewed(path: Path) -> Iterator[None]:
 
 def _release(path: Path, handle: int) -> None:
     """Close the file of a claim, and remove it unless another process has taken it."""
-    owner = _read(handle)
-    is_ours = owner is not None and (owner.host, owner.process) == (
-        socket.gethostname(),
-        os.getpid(),
-    )
+    owner, this = _read(handle), _this_process()
     try:
         # While it is locked, so that it is not a claim of another process.
-        if is_ours:
+        if owner is not None and (owner.host, owner.process) == (this.host, this.process):
             path.unlink(missing_ok=True)
     except PermissionError:
         # On Windows it is removed when it is closed. If it stays, it names no owner.
