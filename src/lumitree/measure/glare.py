@@ -92,7 +92,7 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
         raise LumitreeError(f"the image has {width} x {height} pixels; glare needs 64 x 64 or more")
     picture = _picture(luminance(image.pixels), image.camera)
 
-    def figures(**options: float) -> dict[str, float]:
+    def figures(threshold: float | None = None) -> dict[str, float]:
         """What evalglare prints: names, a colon, numbers."""
         try:
             output = pyradiance.evalglare(
@@ -101,7 +101,7 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
                 detailed=True,
                 ev=vertical_illuminance,
                 bg_lum_mode=_BACKGROUND,
-                **options,
+                threshold=threshold,
             )
         except RuntimeError as error:
             reason = shown(" ".join(str(error).split()), 300)
@@ -110,7 +110,7 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
         names, _, numbers = last.partition(":")
         return dict(zip(names.split(","), map(float, numbers.split()), strict=False))
 
-    values = figures(threshold=_BRIGHT)
+    values = figures(_BRIGHT)
     solid_angle, background = values["omega_sources"], max(values["lum_backg"], 0.0)
     return Glare(
         ugr=values["ugr"] if solid_angle and background else math.nan,
