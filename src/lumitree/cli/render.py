@@ -6,7 +6,6 @@ from typing import Any
 from lumitree.cli import options
 from lumitree.cli.output import check_outputs, image_report, print_open, print_report
 from lumitree.cli.placements import add_placements, placements
-from lumitree.core.results import plain
 
 
 def add(commands: Any) -> None:
@@ -92,6 +91,7 @@ def run(args: argparse.Namespace) -> Any:
     import lumitree
     from lumitree.core.arguments import check_sheet_output
     from lumitree.core.backend import load_rgb
+    from lumitree.core.results import plain
     from lumitree.measure.glare import check_evalglare
     from lumitree.rendering.saved_passes import forget_passes
 

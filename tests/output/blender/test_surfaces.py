@@ -120,7 +120,7 @@ def test_normal_maps_are_turned_round_where_coordinates_are_mirrored(signs, shar
     geometry = small_geometry(
         materials=(normal_map,),
         shapes=(shape,),
-        vertices=np.concatenate([quad, [*quad, 1, 0, 0]]).astype(np.float32),
+        vertices=np.concatenate([quad, quad + np.array([1, 0, 0])]).astype(np.float32),
         texcoords=np.concatenate([uv * [sign, 1] for sign in signs]).astype(np.float32),
         faces=np.concatenate([faces, faces + 4]).astype(np.uint32),
         normals=np.zeros((0, 3), np.float32),
