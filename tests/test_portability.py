@@ -161,7 +161,7 @@ def test_commands_by_windows_rules(tmp_path):
     (tmp_path / "lamp.xml").write_text(LAMP, encoding="utf-8")
     commands = [
         "bake lamp.xml -o lamp.lumitree --parts all",
-        "refine lamp.lumitree lamp.xml -o lamp.lumitree --rays 300000 --irradiance-paths 16384",
+        "refine lamp.lumitree lamp.xml -o refined.lumitree --rays 300000 --irradiance-paths 16384",
         "bake lamp.xml -o lamps/ --parts light",
         "capture lamp.xml -o views --views 2 --resolution 16 --spp 4",
         "evaluate lamp.lumitree lamp.xml -o sheet.png --views 1 --resolution 16 --spp 4",

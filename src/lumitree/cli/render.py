@@ -123,13 +123,13 @@ def run(args: argparse.Namespace) -> Any:
             variant=args.variant,
             executor=executor,
         )
-    result.save(args.output)
     if args.aov is not None:
         result.save_aov(args.aov)
     if args.layers is not None:
         result.save_layers(args.layers)
     if args.luminance is not None:
         result.save_luminance(args.luminance)
+    result.save(args.output)
     if args.work is None:
         forget_passes(work)
     further = {"layers": args.layers, "aov": args.aov, "luminance": args.luminance}
