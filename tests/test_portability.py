@@ -166,7 +166,7 @@ def test_commands_by_windows_rules(tmp_path):
         "capture lamp.xml -o views --views 2 --resolution 16 --spp 4",
         "evaluate lamp.lumitree lamp.xml -o sheet.png --views 1 --resolution 16 --spp 4",
         "photometry lamp.lumitree -o lamp.ies -o lamp.pdf --step 30 --paths 65536",
-        "photometry lamp.ies -o lamp.ies --step 30 --paths 65536",
+        "photometry lamp.ies -o again.ies --step 30 --paths 65536",
         "export other.lumitree -o lamp.glb",
         "export other.lumitree -o lamp.rad",
         "view lamp.lumitree -o lamp.html",
