@@ -39,7 +39,10 @@ def test_files_that_others_have_open_are_replaced_a_little_later(tmp_path):
         """
         import os, threading, time
         from pathlib import Path
-        from lumitree.core import files
+        from lumitree.core import files, system
+
+        # However busy the machine is.
+        system._PATIENCE_SECONDS = 50
 
         def closed_soon(name):
             Path(name).write_text("old")
@@ -159,7 +162,7 @@ def test_a_pool_stops_its_tasks_without_posix(tmp_path):
         def work(number):
             try:
                 Path(f"{number} begun").touch()
-                end = time.monotonic() + 60
+                end = time.monotonic() + 600
                 while time.monotonic() < end:
                     time.sleep(0.01)
             finally:
@@ -177,7 +180,7 @@ def test_a_pool_stops_its_tasks_without_posix(tmp_path):
                 print(sorted(path.name for path in Path().glob("[0-9]*")))
         """,
         tmp_path,
-        timeout=40,
+        timeout=120,
     )
     assert result.stdout == "['0 begun', '0 saved']\n"
 

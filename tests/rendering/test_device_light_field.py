@@ -159,8 +159,8 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
     plain = sample_cone(origin, radius, uniform_samples(mi, count, 1).next_2d())
     near, _, enters = BoxProxy(HALF).enter(origin, plain)
     entry = origin + near * plain
-    # The bins of both depend on all bits of the place.
-    dr.eval(entry)
+    # The bins of both depend on all bits of the ray.
+    dr.eval(entry, plain)
     whole, _ = light.eval(origin, entry, plain, near, enters, parallel=True)
     rest = mi.Color3f(0)
     if other:

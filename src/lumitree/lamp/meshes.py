@@ -87,6 +87,13 @@ def area_normals(positions: Floats, faces: NDArray[np.int64]) -> Floats:
     return np.cross(b - a, c - a)
 
 
+def areas_on_image(uv: NDArray[np.floating], faces: NDArray[np.integer]) -> Floats:
+    """Twice the areas [F] of faces [F, 3] on an image, by uv [V, 2]; positive where mirrored."""
+    (x, y), (z, w) = (uv[faces[:, i]].T - uv[faces[:, 0]].T for i in (1, 2))
+    # v points down, so counter-clockwise faces run clockwise in (u, v).
+    return x * w - y * z
+
+
 def facets(triangles: Floats) -> Mesh:
     """Flat-shaded triangles [N, 3, 3], each with three vertices of its own."""
     positions, faces = triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from lumitree.asset.geometry import ARRAYS, AssetGeometry
 from lumitree.asset.textures import Json
 from lumitree.core.frames import similarity_scale
+from lumitree.lamp.meshes import areas_on_image
 
 # Segments of a circle in place of an analytic shape.
 _SEGMENTS = 96
@@ -56,10 +57,7 @@ def mirrored_share(mesh: Arrays) -> float:
     """
     if "texcoords" not in mesh:
         return 0.0
-    a, b, c = (mesh["texcoords"][mesh["faces"][:, i]].astype(np.float64) for i in range(3))
-    (x, y), (z, w) = (b - a).T, (c - a).T
-    # v points down, so counter-clockwise faces run clockwise in (u, v).
-    area = x * w - y * z
+    area = areas_on_image(mesh["texcoords"].astype(np.float64), mesh["faces"])
     return float(area[area > 0].sum() / max(np.abs(area).sum(), 1e-300))
 
 

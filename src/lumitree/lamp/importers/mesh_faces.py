@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.lamp.meshes import Mesh
+from lumitree.lamp.meshes import Mesh, areas_on_image
 from lumitree.lamp.parts import Diffuse, Principled, Surface, VertexColour
 
 
@@ -57,10 +57,7 @@ def by_handedness(mesh: Mesh, bumpy: bool) -> Iterator[tuple[Mesh, bool]]:
     if not bumpy or mesh.uv is None:
         yield mesh, False
         return
-    a, b, c = (mesh.uv[mesh.faces[:, i]] for i in range(3))
-    first, second = b - a, c - a
-    # v points down, so counter-clockwise faces run clockwise in (u, v).
-    mirrored = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] > 0
+    mirrored = areas_on_image(mesh.uv, mesh.faces) > 0
     for side in (False, True):
         if (mirrored == side).any():
             yield selected(mesh, mirrored == side), side
