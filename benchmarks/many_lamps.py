@@ -1,17 +1,19 @@
 """Folders of many lamps: time, memory and bytes of their bakes, and a model of a farm.
 
-    python -m benchmarks many_lamps --work FOLDER [--lamps 20] [--workers 1 2]
+    python -m benchmarks many_lamps --work FOLDER [--lamps 20] [--workers 1 2] [--rounds 1]
 
 Writes small lamps of three kinds into FOLDER, and bakes them by `lumitree bake --workers`, each
 worker with a core of its own; then the same command again, which keeps all of them, and `lumitree
-collect`. The baseline is one worker. The same command continues a run that was interrupted. From
-these figures it computes what 10,000 lamps take on 100 machines. Writes `many_lamps.json` and
-`many_lamps.md`.
+collect`. The baseline is one worker. Several rounds, each of lamps of its own, bake by the numbers
+of workers in turn, so that a machine that becomes slower does so for all. The same command
+continues a run that was interrupted. From these figures it computes what 10,000 lamps take on 100
+machines. Writes `many_lamps.json` and `many_lamps.md`.
 """
 
 import argparse
 import dataclasses
 import os
+import statistics
 import subprocess
 import time
 from pathlib import Path
@@ -90,8 +92,33 @@ def bake_table(rows: list[dict[str, Any]], lamps: int) -> Table:
 
 
 def _efficiency(first: dict[str, Any], row: dict[str, Any]) -> float:
-    """Seconds of workers in the first row over those in another one."""
-    return first["seconds"] * first["workers"] / (row["seconds"] * row["workers"])
+    """Seconds of workers in the first row over those in another one; the median of rounds."""
+    of_rounds = [
+        one * first["workers"] / (other * row["workers"])
+        for one, other in zip(first["rounds"], row["rounds"], strict=True)
+    ]
+    return statistics.median(of_rounds)
+
+
+def _together(workers: int, rounds: list[dict[str, float]]) -> dict[str, Any]:
+    """Row of a number of workers: sums over rounds, and the largest memory."""
+    return {
+        "workers": workers,
+        "seconds": sum(each["seconds"] for each in rounds),
+        "peak_bytes": max(each["peak_bytes"] for each in rounds),
+        "calls": sum(each["calls"] for each in rounds),
+        "rounds": [each["seconds"] for each in rounds],
+    }
+
+
+def rounds_table(rows: list[dict[str, Any]]) -> Table:
+    """Seconds of each round by the number of workers."""
+    heads = ["round", *(f"{row['workers']} workers, s" for row in rows)]
+    lines = [
+        [str(number), *(f"{seconds:.1f}" for seconds in each)]
+        for number, each in enumerate(zip(*(row["rounds"] for row in rows), strict=True), 1)
+    ]
+    return Table(heads, lines, left=0)
 
 
 def folder_table(found: dict[str, Any], lamps: int) -> Table:
@@ -132,7 +159,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--work", metavar="FOLDER", type=Path, required=True, help="lamps and assets; it is kept"
     )
-    parser.add_argument("--lamps", type=int, metavar="N", default=20, help="to bake")
+    parser.add_argument("--lamps", type=int, metavar="N", default=20, help="to bake in a round")
+    parser.add_argument("--rounds", type=int, metavar="N", default=1, help="each of other lamps")
     parser.add_argument("--workers", type=int, nargs="+", metavar="N", default=[1, 2])
     parser.add_argument("--quality", default="preview", choices=("preview", "standard", "high"))
     parser.add_argument("--seed", type=int, metavar="S", default=0, help="of the lamps")
@@ -141,18 +169,24 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    work = options.work.resolve()
-    write_lamps(work, options.lamps, options.seed)
+    works = [options.work.resolve()]
+    if options.rounds > 1:
+        works = [works[0] / f"round-{number}" for number in range(1, options.rounds + 1)]
+    for number, work in enumerate(works):
+        write_lamps(work, options.lamps, options.seed + number)
     load = round(os.getloadavg()[0], 1)
     results = Results(options, lamps=options.lamps, quality=options.quality, load_at_start=load)
-    rows = []
-    for workers in options.workers:
-        rows.append({"workers": workers, **bake(work, workers, options)})
-        print(bake_table(rows, options.lamps).text(), flush=True)
-    found = measure_folder(work, options.workers[0], options)
+    measured: dict[int, list[dict[str, float]]] = {workers: [] for workers in options.workers}
+    for work in works:
+        for workers in options.workers:
+            measured[workers].append(bake(work, workers, options))
+            print(f"{work.name}: {measured[workers][-1]['seconds']:.1f} s", flush=True)
+    rows = [_together(workers, rounds) for workers, rounds in measured.items()]
+    print(bake_table(rows, options.lamps * options.rounds).text(), flush=True)
+    found = measure_folder(works[0], options.workers[0], options)
     print(folder_table(found, options.lamps).text(), flush=True)
     # What the first command took beyond the bakes: start, and for each lamp reading and thumbnail.
-    beyond = max(0.0, rows[0]["seconds"] - sum(found["lamp_seconds"])) / options.lamps
+    beyond = max(0.0, rows[0]["rounds"][0] - sum(found["lamp_seconds"])) / options.lamps
     model = farm(
         [each + beyond for each in found["lamp_seconds"]],
         sum(found["bytes"][kind] for kind in ("assets", "records", "thumbnails")) / options.lamps,
@@ -169,9 +203,10 @@ def run(options: argparse.Namespace) -> None:
     sections = [
         "# Folders of many lamps\n",
         *([busy] if load > _IDLE_LOAD else []),
-        bake_table(rows, options.lamps).markdown(),
-        "Efficiency: seconds of workers over those of the first row; each worker has one core. "
-        "Peak memory: of all processes together.\n",
+        bake_table(rows, options.lamps * options.rounds).markdown(),
+        "Efficiency: seconds of workers in the first row over those in each; the median of rounds. "
+        "Each worker has one core. Peak memory: of all processes together.\n",
+        *([rounds_table(rows).markdown()] if options.rounds > 1 else []),
         folder_table(found, options.lamps).markdown(),
         farm_table(model).markdown(),
         f"A model: the measured lamps repeated, one worker a machine, bound by {model.bound}. "

@@ -11,6 +11,7 @@ import sys
 
 import jax
 import numpy as np
+import orbax.checkpoint as ocp
 import pytest
 
 import lumitree
@@ -20,7 +21,12 @@ from lumitree.fit.network import train as training
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.network.losses import psnr
 from lumitree.fit.network.ray_set import load_rays
-from lumitree.fit.network.run import RunRecord, restore_checkpoint
+from lumitree.fit.network.run import (
+    RunRecord,
+    open_checkpoints,
+    restore_checkpoint,
+    save_checkpoint,
+)
 from lumitree.fit.network.step import initial_state
 from lumitree.fit.network.train import train
 from lumitree.fit.network.trained_field import load_field
@@ -45,6 +51,24 @@ def _final_state(folder, config=TINY):
 
 def _assert_same(first, second):
     jax.tree.map(np.testing.assert_array_equal, first, second)
+
+
+@pytest.mark.parametrize("name", ["a [1] & 100%", "Zoë (灯)", "*?"])
+def test_checkpoints_of_a_folder_of_any_name_are_read_again(tmp_path, name):
+    state = {"weights": jax.numpy.arange(3.0), "step": jax.numpy.asarray(5)}
+    with open_checkpoints(tmp_path / name) as manager:
+        save_checkpoint(tmp_path / name, manager, 5, state)
+    _assert_same(restore_checkpoint(tmp_path / name, state), state)
+
+
+def test_checkpoints_of_earlier_versions_are_read(tmp_path):
+    """They are databases of Orbax (OCDBT), not files for each array."""
+    state = {"weights": jax.numpy.arange(3.0), "step": jax.numpy.asarray(5)}
+    with ocp.CheckpointManager((tmp_path / "checkpoints").resolve()) as manager:
+        manager.save(5, args=ocp.args.StandardSave(state))
+        manager.wait_until_finished()
+    assert (tmp_path / "checkpoints/5/default/manifest.ocdbt").exists()
+    _assert_same(restore_checkpoint(tmp_path, state), state)
 
 
 @pytest.mark.slow

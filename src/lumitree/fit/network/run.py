@@ -106,7 +106,12 @@ def open_checkpoints(folder: Path) -> Iterator[ocp.CheckpointManager]:
     """The checkpoints of a run; their folder is made if it is missing."""
     # Synchronous: a state is small, and must be on the disk before it is reported as saved.
     options = ocp.CheckpointManagerOptions(max_to_keep=2, enable_async_checkpointing=False)
-    with ocp.CheckpointManager((folder / CHECKPOINTS).resolve(), options=options) as manager:
+    # A file for each array: Orbax does not find the parts of its one database (OCDBT) in folders
+    # whose name has a bracket, which its search takes for a pattern. It reads both.
+    handler = ocp.StandardCheckpointHandler(use_ocdbt=False)
+    with ocp.CheckpointManager(
+        (folder / CHECKPOINTS).resolve(), options=options, item_handlers=handler
+    ) as manager:
         yield manager
 
 
