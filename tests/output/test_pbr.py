@@ -38,6 +38,14 @@ def test_all_plugins_that_an_asset_may_have_are_converted():
     assert any("bump maps" in line for line in materials.lost)
 
 
+@pytest.mark.parametrize("kind", ["dielectric", "thindielectric", "roughplastic"])
+@pytest.mark.parametrize("factor", [0.5, [1.0, 0.9, 0.8], TEXTURE])
+def test_factors_of_what_glass_and_plastic_reflect_are_said_to_be_lost(kind, factor):
+    assert not converted({"type": kind, "specular_reflectance": 1.0})[1]
+    _, lost = converted({"type": kind, "specular_reflectance": factor})
+    assert any("factors of what glass and plastic reflect" in line for line in lost)
+
+
 def test_roughness_is_the_root_of_alpha():
     assert converted({"type": "roughplastic", "alpha": 0.09})[0].roughness.number == 0.3
     assert converted({"type": "roughconductor", "alpha": 1.7})[0].roughness.number == 1

@@ -14,6 +14,17 @@ def relative_index(material: Json, default: float | None = None) -> float:
     return float(mi.traverse(mi.load_dict({"type": "dielectric", **plugin}))["eta"])
 
 
+# What an export that has no such factors says of them.
+LOST_REFLECTANCE = "factors of what glass and plastic reflect are left out"
+
+
+def has_reflectance_factor(material: Json) -> bool:
+    """Whether a dielectric or a plastic reflects other than by Fresnel's equations."""
+    if not material["type"].endswith(("dielectric", "plastic")):
+        return False
+    return material.get("specular_reflectance", 1.0) not in (1.0, [1.0, 1.0, 1.0])
+
+
 def plastic_index(material: Json) -> float:
     """Index of refraction of the coat of a plastic; by default that of Mitsuba."""
     return relative_index(material, default=1.49)

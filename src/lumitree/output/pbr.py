@@ -15,7 +15,9 @@ from lumitree.asset.geometry_media import scattering_sides, side_medium
 from lumitree.asset.textures import ImageFacts, Json
 from lumitree.core.photometry import RGB
 from lumitree.output.optics import (
+    LOST_REFLECTANCE,
     clearcoat_roughness,
+    has_reflectance_factor,
     normal_reflectance,
     plastic_index,
     principled_index,
@@ -154,6 +156,8 @@ class PbrMaterials:
         if inner:
             found = self._converted(inner[0])
             return self._modified(kind, material, found)
+        if has_reflectance_factor(material):
+            self.lost.add(LOST_REFLECTANCE)
         convert: Callable[[Json], PbrMaterial] = getattr(self, f"_{kind}")
         return convert(material)
 

@@ -28,10 +28,13 @@ from lumitree.trace.tracing import PATH_DEPTH, path_integrator
 # Radiance of the backdrop and of the softboxes, relative to white; and how much brighter the lamp's
 # own light is than at its automatic exposure.
 BACKDROP, SOFTBOX, OWN = 0.125, 3.0, 2.0
-# Directions of the softboxes from the lamp, their distance and half their side, in half sides of
+# Directions of the softboxes from the lamp, their distance and half their sides, in half sides of
 # the image: none of them is in the image.
-_DIRECTIONS = ((1, 0.7, 1), (-1, 0.7, 1), (1, 0.7, -1), (-1, 0.7, -1))
-_DISTANCE, _HALF_SIDE = 3.2, 1.0
+_DIRECTIONS = tuple(
+    np.array(each) / np.linalg.norm(each)
+    for each in ((1, 0.7, 1), (-1, 0.7, 1), (1, 0.7, -1), (-1, 0.7, -1))
+)
+_DISTANCE, _HALF_WIDTH, _HALF_HEIGHT = 5.05, 1.0, 1.58
 # Direction from the lamp to the camera of a portrait, and width of the image over that of the lamp.
 _PORTRAIT, _MARGIN = (0.4, 0.25, 0.882), 1.06
 _SAME = np.eye(4)
@@ -98,17 +101,17 @@ def portrait_half_width(asset: Asset) -> float:
 
 
 def softboxes(half_width: float) -> list[NDArray[np.float64]]:
-    """Squares from -1 to 1 that light a lamp, as [4, 4] `local_from_square`.
+    """Rectangles from -1 to 1 that light a lamp, as [4, 4] `local_from_rectangle`.
 
     They emit along their +z, and are dark behind.
 
     Args:
         half_width: half the side of the image, local units.
     """
-    side = _HALF_SIDE * half_width
+    # Turned away from where a camera at such a pose looks.
+    shape = np.diag([_HALF_WIDTH * half_width, -_HALF_HEIGHT * half_width, -1, 1])
     return [
-        # Away from where a camera at this pose looks.
-        pose_towards(direction, (0, 1, 0), _DISTANCE * half_width) @ np.diag([side, -side, -1, 1])
+        pose_towards(direction, (0, 1, 0), _DISTANCE * half_width) @ shape
         for direction in _DIRECTIONS
     ]
 
@@ -124,10 +127,10 @@ def studio_lights(
         scene_from_local: [4, 4]. Default: the frame of the scene is the local one.
     """
     lights: dict[str, Any] = {"backdrop": _emitter("constant", BACKDROP * white)}
-    for number, local_from_square in enumerate(softboxes(half_width)):
+    for number, local_from_rectangle in enumerate(softboxes(half_width)):
         lights[f"softbox{number}"] = {
             "type": "rectangle",
-            "to_world": mi.ScalarTransform4f(scene_from_local @ local_from_square),
+            "to_world": mi.ScalarTransform4f(scene_from_local @ local_from_rectangle),
             "emitter": _emitter("area", SOFTBOX * white),
         }
     return lights

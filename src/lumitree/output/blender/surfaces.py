@@ -30,7 +30,9 @@ from lumitree.output.blender.nodes import (
 )
 from lumitree.output.geometry_meshes import MIRRORED_PARTLY, MIXED, Arrays, mirrored_share
 from lumitree.output.optics import (
+    LOST_REFLECTANCE,
     clearcoat_roughness,
+    has_reflectance_factor,
     normal_reflectance,
     plastic_index,
     principled_index,
@@ -122,6 +124,8 @@ class Surfaces:
             self.lost.add("bump maps have no scale in lengths, so their depth may differ")
             inputs = {"Height": self._value(material["bumpmap"]), "Distance": 1.0}
             return self._surface(inner[0], node("ShaderNodeBump", inputs))
+        if has_reflectance_factor(material):
+            self.lost.add(LOST_REFLECTANCE)
         tree = getattr(self, f"_{kind}")(material)
         return _with_normal(tree, normal)
 
@@ -136,8 +140,6 @@ class Surfaces:
         return self._glass(material, self._roughness(material))
 
     def _glass(self, material: Json, roughness: Any) -> Json:
-        if material.get("specular_reflectance", 1.0) != 1.0:
-            self.lost.add("factors of what glass reflects are left out")
         colour = self._value(material.get("specular_transmittance", 1.0))
         inputs = {"Color": colour, "Roughness": roughness, "IOR": relative_index(material)}
         return node("ShaderNodeBsdfGlass", inputs)
