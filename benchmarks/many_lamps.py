@@ -113,7 +113,7 @@ def _together(workers: int, rounds: list[dict[str, float]]) -> dict[str, Any]:
 
 def rounds_table(rows: list[dict[str, Any]]) -> Table:
     """Seconds of each round by the number of workers."""
-    heads = ["round", *(f"{row['workers']} workers, s" for row in rows)]
+    heads = ["round", *(f"workers: {row['workers']}, s" for row in rows)]
     lines = [
         [str(number), *(f"{seconds:.1f}" for seconds in each)]
         for number, each in enumerate(zip(*(row["rounds"] for row in rows), strict=True), 1)
@@ -201,7 +201,7 @@ def run(options: argparse.Namespace) -> None:
     facts = results.setting()
     busy = f"Measured while the machine did other work (load {load}): the times are too long.\n"
     sections = [
-        "# Folders of many lamps\n",
+        f"# Folders of many lamps{', in rounds' if options.rounds > 1 else ''}\n",
         *([busy] if load > _IDLE_LOAD else []),
         bake_table(rows, options.lamps * options.rounds).markdown(),
         "Efficiency: seconds of workers in the first row over those in each; the median of rounds. "
