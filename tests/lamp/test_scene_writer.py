@@ -64,6 +64,29 @@ def test_vertex_colours_come_back(mi, tmp_path):
     np.testing.assert_allclose(reflectance(mi, scene, 0.99, -0.99), (0, 1, 0), atol=0.011)
 
 
+@pytest.mark.parametrize(
+    ("surface", "plugin"),
+    [
+        (Metal(roughness=0.6), {"type": "roughconductor", "material": "none"}),
+        (Glass(ior=1.5, roughness=0.6), {"type": "roughdielectric", "int_ior": 1.5, "ext_ior": 1.0}),
+    ],
+)
+def test_microfacets_are_those_of_ggx(mi, tmp_path, surface, plugin):
+    """As of glTF's materials: highlights have long tails."""
+    scene = written(mi, tmp_path, surface)
+    si = hit(mi, scene, 0, 0)
+    si.wi = mi.Vector3f(0, 0, 1)
+    # Beyond the peak, where Beckmann's distribution has half as much.
+    out = mi.Vector3f(float(np.sin(1.25)), 0, float(np.cos(1.25)))
+
+    def reflected(bsdf):
+        return np.array(bsdf.eval(mi.BSDFContext(), si, out)).ravel()
+
+    expected = reflected(mi.load_dict({**plugin, "distribution": "ggx", "alpha": 0.36}))
+    assert (expected > 1.2 * reflected(mi.load_dict({**plugin, "alpha": 0.36}))).all()
+    np.testing.assert_allclose(reflected(si.bsdf()), expected, rtol=1e-5)
+
+
 def corners(encoded):
     pixels = np.zeros((2, 2, 3), np.uint8)
     pixels[0, 0], pixels[0, 1], pixels[1, 0] = (188, 0, 0), (0, 188, 0), (0, 0, 188)

@@ -69,7 +69,8 @@ class Glass:
 
     Attributes:
         ior: index of refraction, above 1.
-        roughness: square root of alpha; below 0.01 it is smooth. A thin sheet is always smooth.
+        roughness: square root of the GGX alpha; below 0.01 it is smooth. A thin sheet is always
+            smooth.
         tint: factor of the transmitted light at each crossing of the surface.
         thin: the mesh is a single sheet; otherwise it is a closed surface of a solid.
         medium: what fills a solid; None for nothing.
@@ -88,7 +89,7 @@ class Metal:
 
     Attributes:
         tint: factor of the reflected light.
-        roughness: square root of alpha; below 0.01 it is a mirror.
+        roughness: square root of the GGX alpha; below 0.01 it is a mirror.
         conductor: measured index of refraction by Mitsuba's name ("Au", "Cr", ...); "none"
             reflects everything.
     """

@@ -128,7 +128,7 @@ class _Writer:
                 bsdf = SubElement(parent, "bsdf", {"type": kind, **name})
                 _add(bsdf, "string", "material", surface.conductor)
                 if rough:
-                    _add(bsdf, "float", "alpha", _number(surface.roughness**2))
+                    _rough(bsdf, surface.roughness)
                 self._colour(bsdf, "specular_reflectance", surface.tint)
             case Diffuse():
                 bsdf = SubElement(parent, "bsdf", {"type": "diffuse", **name})
@@ -143,7 +143,7 @@ class _Writer:
         _add(bsdf, "float", "int_ior", _number(glass.ior))
         _add(bsdf, "float", "ext_ior", "1")
         if rough:
-            _add(bsdf, "float", "alpha", _number(glass.roughness**2))
+            _rough(bsdf, glass.roughness)
         if glass.tint != WHITE:
             self._colour(bsdf, "specular_transmittance", glass.tint)
 
@@ -316,6 +316,12 @@ def _transform(parent: Element, name: str, matrix: Floats, *, exact: bool = Fals
 
 def _rgb(parent: Element, name: str, colour: tuple[float, ...]) -> None:
     _add(parent, "rgb", name, ", ".join(_number(channel) for channel in colour))
+
+
+def _rough(bsdf: Element, roughness: float) -> None:
+    """Microfacets of Trowbridge and Reitz (GGX), as models have them; Mitsuba's are Beckmann's."""
+    _add(bsdf, "string", "distribution", "ggx")
+    _add(bsdf, "float", "alpha", _number(roughness**2))
 
 
 def _add(parent: Element, kind: str, name: str, value: str) -> None:
