@@ -140,7 +140,7 @@ FILES = {
 @pytest.mark.parametrize("file", FILES)
 def test_models_load_with_their_overrides_and_shine(mi, file):
     from lumitree.core.photometry import flux_from_radiance
-    from lumitree.lamp.importers.overrides import material_area
+    from lumitree.lamp.importers.overrides import emitting_area
     from lumitree.lamp.loading import load_luminaire
     from lumitree.lamp.model_reading import read_model
     from lumitree.lamp.source import LuminaireSource
@@ -158,7 +158,7 @@ def test_models_load_with_their_overrides_and_shine(mi, file):
     assert luminaire.num_emitters == len(emitting)
     assert luminaire.size[0] == pytest.approx(width, rel=1e-3)
     given = sum(
-        flux_from_radiance(item.radiance, material_area(model, item.title)) for item in shining
+        flux_from_radiance(item.radiance, emitting_area(model, item.title)) for item in shining
     )
     flux = estimate_flux(luminaire, 1)
     assert 10 * flux.lumens_error < flux.lumens < given

@@ -64,11 +64,30 @@ def test_vertex_colours_come_back(mi, tmp_path):
     np.testing.assert_allclose(reflectance(mi, scene, 0.99, -0.99), (0, 1, 0), atol=0.011)
 
 
+@pytest.mark.parametrize("coordinates", [True, False])
+def test_masked_emitters_emit_where_they_are(mi, tmp_path, coordinates):
+    """Those of meshes without texture coordinates as their mask is at (0, 0)."""
+    mask = Texture(np.array([[[51], [255]], [[255], [0]]], np.uint8), False, nearest=True)
+    mesh = SQUARE if coordinates else dataclasses.replace(SQUARE, uv=None)
+    material = Material("coat", Diffuse(), (3.0, 2.0, 1.0), mask)
+    model = Geometry((Part("square", mesh, "coat", ONE_PLACE),), (material,))
+    scene = mi.load_file(str(write_scene(model, tmp_path)))
+    for x, y, share in ((-0.5, 0.5, 0.2), (0.5, 0.5, 1), (0.5, -0.5, 0)):
+        si = hit(mi, scene, x, y)
+        found = np.array(si.emitter(scene).eval(si)).ravel()
+        np.testing.assert_allclose(
+            found, (share if coordinates else 0.2) * np.array([3, 2, 1]), rtol=1e-4
+        )
+
+
 @pytest.mark.parametrize(
     ("surface", "plugin"),
     [
         (Metal(roughness=0.6), {"type": "roughconductor", "material": "none"}),
-        (Glass(ior=1.5, roughness=0.6), {"type": "roughdielectric", "int_ior": 1.5, "ext_ior": 1.0}),
+        (
+            Glass(ior=1.5, roughness=0.6),
+            {"type": "roughdielectric", "int_ior": 1.5, "ext_ior": 1.0},
+        ),
     ],
 )
 def test_microfacets_are_those_of_ggx(mi, tmp_path, surface, plugin):

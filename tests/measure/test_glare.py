@@ -86,6 +86,26 @@ def test_before_black_there_is_no_rating(mi):
     assert found.source_luminance == pytest.approx(20_000, rel=0.01)
 
 
+@pytest.mark.parametrize("vertical", [math.nan, math.inf, 0.0, -1.0])
+def test_without_vertical_illuminance_there_is_no_probability(mi, vertical):
+    """It is not known inside solids. The rating does not depend on it."""
+    values = np.full((256, 256), 30.0)
+    values[118:138, 118:138] = 8000
+    found = lumitree.glare(view_of(values), vertical)
+    assert math.isnan(found.dgp)
+    assert found.ugr == lumitree.glare(view_of(values), 200).ugr
+
+
+def test_infinite_pixels_do_not_count(mi):
+    values = np.full((256, 256), 30.0)
+    values[118:138, 118:138] = 8000
+    clean = lumitree.glare(view_of(values), 200)
+    values[10, 10] = math.inf
+    found = lumitree.glare(view_of(values), 200)
+    assert found.ugr == pytest.approx(clean.ugr, abs=0.01)
+    assert found.background == pytest.approx(clean.background, rel=0.01)
+
+
 def test_an_even_view_has_no_source(mi):
     scene = {
         "type": "scene",

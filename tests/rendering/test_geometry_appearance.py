@@ -363,7 +363,7 @@ def test_a_receiver_that_touches_the_box_gets_its_light_once(shaded):
     _, asset = shaded
     place = similarity(np.eye(3), 0.4, [0, 0, 0])
     half = asset.frame.half_extents[1] * asset.frame.scale * 0.4
-    for gap in (2e-5, 1e-2):
+    for gap in (-1e-4, 0.0, 2e-5, 1e-2):
         to_world = (
             mi.ScalarTransform4f().translate([0, half + gap, 0]).rotate([1, 0, 0], 90).scale(2)
         )

@@ -19,7 +19,7 @@ from lumitree.core.text import in_utf8
 from lumitree.formats.archive import Archive
 from lumitree.formats.l3d import L3d, L3dPart, LightObject
 from lumitree.lamp.importers.obj.reader import part_names, read_obj
-from lumitree.lamp.importers.overrides import material_area
+from lumitree.lamp.importers.overrides import emitting_area
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.names import Names
 from lumitree.lamp.parts import WHITE, Diffuse, Geometry, Material, Part
@@ -124,7 +124,7 @@ class _Builder:
 
     def _emitting(self, geometry: Geometry) -> tuple[Material, ...]:
         """The materials, with the radiance that gives each object its luminous flux."""
-        areas = {name: material_area(geometry, name) for name in self._lit}
+        areas = {name: emitting_area(geometry, name) for name in self._lit}
         total = dict.fromkeys(self._lumens, 0.0)
         for name, (owner, weight) in self._lit.items():
             total[owner] += weight * areas[name]

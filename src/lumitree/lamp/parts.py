@@ -144,7 +144,8 @@ class Material:
         name: unique in the lamp.
         title: its name in the model's file, which several may share: one material of the file may
             become one for each kind of mesh. Default: `name`.
-        radiance: emitted by the front of the surface; None where it does not emit.
+        radiance: emitted by the front of the surface where it is present; None where it does not
+            emit.
         opacity: in [0, 1]; light crosses the rest of the surface unchanged.
         normal_map: tangent-space normals, linear data.
         two_sided: the back reflects as the front does. Without effect on glass and thin

@@ -17,6 +17,7 @@ from lumitree.core.device import on_device
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import is_far, similarity
 from lumitree.core.system import accepts_name
+from lumitree.lamp.masked_emission import MaskedEmission
 from lumitree.lamp.meshes import Floats, Mesh
 from lumitree.lamp.names import Names
 from lumitree.lamp.parts import (
@@ -67,22 +68,27 @@ class _Writer:
         self._materials = {material.name: material for material in model.materials}
         # A texture that several materials share is written once.
         self._textures: dict[int, str] = {}
+        emission, used = MaskedEmission(), {part.material for part in self._model.parts}
+        self._emitted = {name: emission.of(self._materials[name]) for name in sorted(used)}
 
     def write(self) -> Path:
         root = Element("scene", version="3.0.0")
-        used = {part.material for part in self._model.parts}
-        for name in sorted(used):
+        for name in self._emitted:
             self._bsdf(root, self._materials[name])
         # Shapes and materials share one namespace. Parts in one place keep their names.
         ids, single = Names("_"), [part for part in self._model.parts if len(part.places) == 1]
-        for name in sorted(used):
+        for name in self._emitted:
             ids.unique(_reference(self._materials[name]))
         own = {part.name: ids.unique(part.name) for part in single}
         for part in self._model.parts:
             # Such as con, which is a device of Windows.
             sign = "" if accepts_name(part.name) else "="
             mesh_file = f"meshes/{sign}{part.name}.ply"
-            _write_mesh(self._folder / mesh_file, part.mesh)
+            mesh = part.mesh
+            if mesh.uv is None and isinstance(self._emitted[part.material], Texture):
+                # Mitsuba takes masks at (0, 0) there, but has no such emitters.
+                mesh = dataclasses.replace(mesh, uv=np.zeros((len(mesh.vertices), 2)))
+            _write_mesh(self._folder / mesh_file, mesh)
             for copy in range(len(part.places)):
                 name = own.get(part.name) or ids.unique(f"{part.name}_{copy + 1}")
                 self._shape(root, part, copy, name, mesh_file)
@@ -101,9 +107,10 @@ class _Writer:
         SubElement(shape, "ref", id=_reference(material))
         if isinstance(material.surface, Glass) and material.surface.medium is not None:
             _medium(shape, material.surface.medium)
-        if material.radiance is not None:
+        radiance = self._emitted[part.material]
+        if radiance is not None:
             emitter = SubElement(shape, "emitter", type="area")
-            self._colour(emitter, "radiance", material.radiance)
+            self._colour(emitter, "radiance", radiance)
 
     def _bsdf(self, root: Element, material: Material) -> None:
         """The material's layers, outermost first: mask, two-sidedness, normals, surface."""

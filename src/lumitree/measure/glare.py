@@ -73,7 +73,7 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
     Args:
         image: of a perspective camera, 64 pixels wide and high or more.
         vertical_illuminance: illuminance at the camera, with its direction of view as normal, lx:
-            as `illuminance` finds it.
+            as `illuminance` finds it. Where it is not known, NaN, or not positive, neither is DGP.
 
     Raises:
         LumitreeError: pyradiance is not installed, the camera has no `CameraView`, the image is too
@@ -99,7 +99,7 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
                 picture,
                 view=[_DARK_CORNERS],
                 detailed=True,
-                ev=vertical_illuminance,
+                ev=vertical_illuminance if known else 1.0,
                 bg_lum_mode=_BACKGROUND,
                 threshold=threshold,
             )
@@ -110,11 +110,12 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
         names, _, numbers = last.partition(":")
         return dict(zip(names.split(","), map(float, numbers.split()), strict=False))
 
+    known = math.isfinite(vertical_illuminance) and vertical_illuminance > 0
     values = figures(_BRIGHT)
     solid_angle, background = values["omega_sources"], max(values["lum_backg"], 0.0)
     return Glare(
         ugr=values["ugr"] if solid_angle and background else math.nan,
-        dgp=figures()["dgp"],
+        dgp=figures()["dgp"] if known else math.nan,
         vertical_illuminance=vertical_illuminance,
         background=background,
         source_luminance=values["lum_sources"] if solid_angle else math.nan,
@@ -125,7 +126,7 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
 def _picture(values: NDArray[np.float64], camera: CameraView) -> bytes:
     """A Radiance picture of luminances [H, W], cd/m², in grey."""
     height, width = values.shape
-    grey = np.maximum(np.nan_to_num(values), 0) / _RADIANCE_EFFICACY
+    grey = np.maximum(np.nan_to_num(values, posinf=0.0), 0) / _RADIANCE_EFFICACY
     mantissa, exponent = np.frexp(grey)
     pixels = np.empty((height, width, 4), np.uint8)
     pixels[..., :3] = np.minimum(mantissa * _MANTISSA, _MANTISSA - 1)[..., None]

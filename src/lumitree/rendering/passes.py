@@ -128,7 +128,14 @@ def _noise(sums: PassSums) -> float | None:
     if sums.passes < 2:
         return None
     mean = sums.grey / sums.samples
-    squares = np.maximum(sums.squares - sums.samples * mean**2, 0)
+    with np.errstate(invalid="ignore"):
+        squares = np.maximum(sums.squares - sums.samples * mean**2, 0)
+    known = np.isfinite(mean) & np.isfinite(squares)
+    if not known.any():
+        return None
+    # Pixels that are no numbers are as the others are in the mean.
+    mean = np.where(known, mean, mean[known].mean())
+    squares = np.where(known, squares, squares[known].mean())
     variance = block_means(squares / (sums.passes - 1) / sums.samples, _BLOCK)
     level = block_means(mean, _BLOCK)
     lit = level > 0

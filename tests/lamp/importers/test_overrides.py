@@ -15,10 +15,11 @@ from lumitree.lamp.importers.overrides import (
     Overrides,
     apply_overrides,
     check_emits,
-    material_area,
+    emitting_area,
     select_parts,
 )
 from lumitree.lamp.importers.overrides_file import read_overrides
+from lumitree.lamp.masked_emission import MaskedEmission
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import (
     Diffuse,
@@ -96,6 +97,45 @@ def test_what_is_not_named_stays(changed):
     assert changed("opacity = 1").radiance is None
 
 
+def test_emission_follows_the_opacity_of_the_override(written):
+    """It is that of the file where the surface is present; a flux is kept."""
+    model = lamp()
+    first, _ = model.materials
+    model = dataclasses.replace(
+        model, materials=(first, Material("bulb glass", Diffuse(), (2.0, 2.0, 2.0), opacity=0.5))
+    )
+
+    def emitted(lines):
+        found = apply_overrides(model, written('[material."bulb glass"]\n' + lines))
+        radiance = MaskedEmission().of(found.materials[1])
+        # Of a cube.
+        return radiance[0], 6 * np.pi * radiance[1]
+
+    assert emitted("opacity = 1")[0] == 2
+    assert emitted("diffuse = {}")[0] == 2
+    assert emitted("opacity = 0.25")[0] == 0.5
+    assert emitted("emitter = { radiance = 3 }")[0] == 1.5
+    for lines in ("", "opacity = 1\n", "opacity = 0.25\n"):
+        assert emitted(lines + "emitter = { lumens = 683 }")[1] == pytest.approx(1)
+
+
+def test_a_mesh_that_is_divided_for_its_normal_map_is_closed(changed):
+    """Its parts are open where texture coordinates are mirrored; together they are a solid."""
+    whole = box((1, 1, 1))
+    model = lamp()
+    halves = tuple(
+        Part(name, dataclasses.replace(whole, faces=faces), material, (np.eye(4),))
+        for name, material, faces in (
+            ("a", "bulb glass", whole.faces[::2]),
+            ("b", "bulb glass mirrored", whole.faces[1::2]),
+        )
+    )
+    glass = model.materials[1]
+    twin = dataclasses.replace(glass, name="bulb glass mirrored", title="bulb glass")
+    model = dataclasses.replace(model, parts=halves, materials=(*model.materials, twin))
+    assert not changed("glass = { ior = 1.5 }", model).surface.thin
+
+
 def test_glass_is_thin_where_the_mesh_is_open(changed):
     assert not changed("glass = {}").surface.thin
     assert changed("glass = {}", lamp(box(open_faces=1))).surface.thin
@@ -138,15 +178,16 @@ def test_lumens_are_shared_by_all_copies_in_metres(mi, changed):
     model = lamp(box((2, 3, 4)), (np.eye(4), turn))
     text = "emitter = { lumens = 800, temperature = 2700 }"
     found = changed(text, model, 'units = "cm"').radiance
-    assert flux_from_radiance(found, 260e-4) == pytest.approx(800)
+    # Of 0.3 of the surface.
+    assert flux_from_radiance(found, 0.3 * 260e-4) == pytest.approx(800)
     assert found[0] / found[1] == pytest.approx(np.divide(*blackbody_colour(2700)[:2]))
     white = changed("emitter = { lumens = 800 }", model, "units = 0.01").radiance
-    assert white == pytest.approx([800 / (683 * np.pi * 260e-4)] * 3)
+    assert white == pytest.approx([800 / (683 * np.pi * 0.3 * 260e-4)] * 3)
 
 
 def test_area_under_uneven_scaling():
     model = lamp(box((1, 1, 1)), (np.diag([1.0, 2.0, 3.0, 1.0]),))
-    assert material_area(model, "bulb glass") == pytest.approx(2 * (2 + 3 + 6))
+    assert emitting_area(model, "bulb glass") == pytest.approx(0.3 * 2 * (2 + 3 + 6))
 
 
 def test_units_and_up_axis_move_the_lamp(written):

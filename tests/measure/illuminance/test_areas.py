@@ -43,6 +43,14 @@ def test_wrong_planes_are_refused(arguments, message):
         lumitree.Plane(**{"centre": (0, 0, 0), **arguments})
 
 
+@pytest.mark.parametrize(
+    ("points", "shape"), [([[0, 0], [0]], "of lists of unequal lengths"), ([[0, 0]], r"\(1, 2\)")]
+)
+def test_points_of_other_shapes_are_refused(points, shape):
+    with pytest.raises(lumitree.LumitreeError, match=f"have the shapes {shape} and"):
+        areas.collect(None, (), (), points, [0, 1, 0], 0)
+
+
 def test_points_are_read_by_the_names_of_columns(tmp_path):
     path = tmp_path / "points.csv"
     path.write_text("name, nz,ny,nx, x,y,z\na, 0,1,0, 1,2,3\nb, 1,0,0, 4,5,6\n")

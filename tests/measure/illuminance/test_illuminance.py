@@ -415,6 +415,50 @@ def test_the_shadow_of_one_lamp_among_many_is_found(mi, count):
     assert result.direct.mean() == pytest.approx(shadowed.mean(), rel=0.005)
 
 
+def test_errors_of_sums_over_lamps_are_not_small_by_chance(mi):
+    """At each of many points: sums stop where their error is small enough."""
+    lamps = [
+        lumitree.Placement(lamp(), at=(2.0 * x, 2.5, 2.0 * z), size=1.0)
+        for x in (-1, 0, 1)
+        for z in (-1, 0, 1)
+    ]
+    x, z = np.random.default_rng(2).uniform(-3, 3, (2, 400))
+    where = at(*np.stack([x, 0 * x, z], axis=1))
+
+    def found(error, seed):
+        return lumitree.illuminance(
+            room(mi), lamps, error=error, direct_only=True, seed=seed, **where
+        )
+
+    # Nothing shadows the lamps, so that the sums are all that varies.
+    exact = found(0.002, 5)
+    scores = []
+    for seed in range(3):
+        result = found(0.01, seed)
+        error = np.hypot(result.direct_error, exact.direct_error)
+        scores.append((result.direct - exact.direct) / error)
+    assert np.std(scores) < 1.25
+    assert (np.abs(scores) > 3).mean() < 0.015
+
+
+def test_emitters_that_are_not_sampled_are_refused(mi):
+    ball = {"type": "sphere", "id": "ball", "emitter": {"type": "area", "sampling_weight": 0.0}}
+    things = {"ball": ball, "light": {"type": "point", "position": [0, 1, 0]}}
+    with pytest.raises(lumitree.LumitreeError, match="emitters with the sampling_weight 0"):
+        lumitree.illuminance(room(mi, **things), [even(100, (0, 3, 0))], **at([0, -2, 0]))
+
+
+def test_light_beyond_all_numbers_ends(mi):
+    light = {"type": "point", "position": [0, 1, 0]}
+    light["intensity"] = {"type": "rgb", "value": 3e38}
+    # Its radiance is infinite.
+    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1}}
+    wall = {"type": "sphere", "center": [0, 1.4, 0], "radius": 0.3, "bsdf": white}
+    with np.errstate(invalid="ignore"):
+        result = lumitree.illuminance(room(mi, light=light, wall=wall), **at([0, 0, 0], [2, 0, 0]))
+    assert not np.isfinite(result.total_error[0])
+
+
 def test_explicit_lamps_of_glass_are_told(mi, tmp_path):
     lamp = lamp_of(tmp_path, sphere("glass", 0.2, inside=GLASS), sphere("glow", 0.1, inside=AREA))
     hung = lumitree.Placement(lamp, at=(0, 2, 0))

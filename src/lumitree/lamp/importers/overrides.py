@@ -13,7 +13,8 @@ from lumitree.core.frames import similarity
 from lumitree.core.photometry import radiance_from_flux
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
-from lumitree.lamp.meshes import Floats, area_normals
+from lumitree.lamp.masked_emission import opacity_of_faces
+from lumitree.lamp.meshes import Floats, Mesh, area_normals, join
 from lumitree.lamp.parts import RGB, WHITE, Geometry, Glass, Material, Part, Surface
 
 # A pattern of digits alone; a name of this form is matched by "[#]3".
@@ -86,13 +87,16 @@ def apply_overrides(model: Geometry, overrides: Overrides) -> Geometry:
             )
         changes |= dict.fromkeys(titles, change)
     model = _in_metres(model, overrides)
-    materials = (
-        _overridden(model, material, changes[material.title], overrides.file)
-        if material.title in changes
-        else material
-        for material in model.materials
-    )
-    return dataclasses.replace(model, materials=tuple(materials))
+    # The flux of a material is emitted by what of its surface is present.
+    for change in (_resurfaced, _lit):
+        materials = (
+            change(model, material, changes[material.title], overrides.file)
+            if material.title in changes
+            else material
+            for material in model.materials
+        )
+        model = dataclasses.replace(model, materials=tuple(materials))
+    return model
 
 
 def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file: str) -> Geometry:
@@ -196,7 +200,11 @@ def check_emits(model: Geometry, file: str, overrides_name: str) -> None:
         overrides_name: name of the TOML file to write.
     """
     used = {part.material for part in model.parts}
-    if not any(item.radiance is not None for item in model.materials if item.name in used):
+    if not any(
+        item.radiance is not None and item.opacity != 0
+        for item in model.materials
+        if item.name in used
+    ):
         known = list(dict.fromkeys(i.title for i in model.materials if i.name in used))
         example = shown(known[0]).replace("\\", "\\\\").replace('"', '\\"') if known else "bulb"
         raise LumitreeError(
@@ -206,11 +214,15 @@ def check_emits(model: Geometry, file: str, overrides_name: str) -> None:
         )
 
 
-def material_area(model: Geometry, title: str) -> float:
-    """Area of all surfaces with a material of the file, every copy counted, in square units."""
-    total = 0.0
+def emitting_area(model: Geometry, title: str) -> float:
+    """Area of all surfaces with a material of the file, times their opacity, in square units.
+
+    Every copy counts.
+    """
+    total, materials = 0.0, {material.name: material for material in model.materials}
     for part in _parts_with(model, title):
-        normals = area_normals(part.mesh.vertices, part.mesh.faces)
+        opacity = opacity_of_faces(materials[part.material].opacity, part.mesh)
+        normals = opacity[:, None] * area_normals(part.mesh.vertices, part.mesh.faces)
         for place in part.places:
             linear = place[:3, :3]
             # Area vectors are transformed by the matrix of cofactors.
@@ -258,39 +270,45 @@ def _divided(colour: RGB, divisor: float) -> RGB:
     return (colour[0] / divisor, colour[1] / divisor, colour[2] / divisor)
 
 
-def _overridden(
+def _resurfaced(
     model: Geometry, material: Material, change: MaterialOverride, file: str
 ) -> Material:
+    """The material with the surface and the opacity of an override."""
     if change.surface is not None:
         # Opacity and normal map belong to the surface that is replaced.
         material = Material(
             material.name,
-            _settled(model, material.name, change),
+            _settled(model, material.title, change),
             material.radiance,
             two_sided=not isinstance(change.surface, Glass),
             title=material.title,
         )
     if change.opacity is not None:
         material = dataclasses.replace(material, opacity=change.opacity)
-    if change.emission is not None:
-        radiance = _radiance(model, material.title, change.emission, file)
-        material = dataclasses.replace(material, radiance=radiance)
     return material
 
 
-def _settled(model: Geometry, material: str, change: MaterialOverride) -> Surface:
+def _lit(model: Geometry, material: Material, change: MaterialOverride, file: str) -> Material:
+    """The material with the emission of an override."""
+    if change.emission is None:
+        return material
+    radiance = _radiance(model, material.title, change.emission, file)
+    return dataclasses.replace(material, radiance=radiance)
+
+
+def _settled(model: Geometry, title: str, change: MaterialOverride) -> Surface:
     """The surface; glass is a thin sheet if `guess_thin` is set and the meshes are not closed."""
     surface = change.surface
     assert surface is not None
     if not isinstance(surface, Glass) or surface.thin:
         return surface
-    shares = [count_solids(part.mesh) for part in model.parts if part.material == material]
+    shares = [count_solids(mesh) for mesh in _whole_meshes(_parts_with(model, title))]
     closed, pieces = (sum(column) for column in zip((0, 0), *shares, strict=True))
     if closed == pieces:
         return surface
     if not change.guess_thin:
         warnings.warn(
-            f"material {shown(material)!r} is solid glass, but only {closed} of its {pieces} "
+            f"material {shown(title)!r} is solid glass, but only {closed} of its {pieces} "
             "pieces are closed; light that enters the others never leaves the glass",
             LumitreeWarning,
             stacklevel=3,
@@ -298,12 +316,23 @@ def _settled(model: Geometry, material: str, change: MaterialOverride) -> Surfac
         return surface
     if closed:
         warnings.warn(
-            f"material {shown(material)!r}: {closed} of {pieces} pieces are closed, the others are "
+            f"material {shown(title)!r}: {closed} of {pieces} pieces are closed, the others are "
             "not; all are taken to be thin sheets; write thin = true or false",
             LumitreeWarning,
             stacklevel=3,
         )
     return dataclasses.replace(surface, thin=True)
+
+
+def _whole_meshes(parts: Sequence[Part]) -> list[Mesh]:
+    """Meshes of parts, of which those in one place count as one.
+
+    A mesh is divided where its texture coordinates are mirrored.
+    """
+    meshes: dict[bytes, list[Mesh]] = {}
+    for part in parts:
+        meshes.setdefault(np.array(part.places).tobytes(), []).append(part.mesh)
+    return [join(each) for each in meshes.values()]
 
 
 def _parts_with(model: Geometry, title: str) -> list[Part]:
@@ -318,7 +347,7 @@ def _radiance(model: Geometry, title: str, emission: Emission, file: str) -> RGB
     if not _parts_with(model, title):
         # All parts with the material were dropped, or none has it: no surface emits the flux.
         return None
-    area = material_area(model, title)
+    area = emitting_area(model, title)
     if area <= 0:
         raise LumitreeError(f"{file}: material {shown(title)!r} has no area to emit lumens from")
     return radiance_from_flux(emission.lumens, area, emission.colour)

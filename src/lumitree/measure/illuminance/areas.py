@@ -199,7 +199,7 @@ def _given(
         normal = np.broadcast_to(np.asarray(normals, np.float64), place.shape)
     except (TypeError, ValueError):
         raise LumitreeError(
-            f"points and normals have the shapes {np.shape(points)} and {np.shape(normals)}; "
+            f"points and normals have the shapes {_shape(points)} and {_shape(normals)}; "
             "expected [N, 3] both, or [3] for one normal"
         ) from None
     finite = np.isfinite(place).all() and np.isfinite(normal).all()
@@ -284,3 +284,10 @@ def _check_count(count: int) -> None:
         raise LumitreeError(
             f"there are {count:,} points; expected at most {MAX_POINTS:,}: use a larger spacing"
         )
+
+
+def _shape(values: ArrayLike) -> str:
+    try:
+        return str(np.shape(values))
+    except ValueError:
+        return "of lists of unequal lengths"

@@ -48,8 +48,9 @@ _MIN_SAMPLES, _MAX_SAMPLES = 64, 4096
 # Samples of a receiver that the first coefficients are estimated with; they are not used further.
 _PILOT = 16
 # Sums over the cells of light fields, each with other random points of the cells: so many at first,
-# and at once at most. Their standard error is brought below this part of the one that is wanted.
-_SUMS, _MAX_SUMS, _SUM_PART = 4, 1 << 10, 0.3
+# and at once at most. Their standard error is brought below this part of the one that is wanted. Of
+# fewer sums at first the variance is small by chance at some points, and stated too small there.
+_SUMS, _MAX_SUMS, _SUM_PART = 16, 1 << 10, 0.3
 # Part of the rays that end at backs of surfaces where a dark receiver is inside a solid. Not all of
 # them: faces of a solid may lie in those of another, as those of a cupboard in the walls.
 _ENCLOSED = 0.1
@@ -221,15 +222,19 @@ def estimate(
                 largest[index] = np.maximum(largest[index], c)
             mean, own = total.mean, total.variance
             variance = own + rest.doubt + shadows.doubt(summed)
-            goal = (error * np.maximum(mean, FLOOR * mean.mean())) ** 2
+            # Samples beyond all numbers do not become fewer.
+            lost = ~np.isfinite(variance)
+            level = mean[~lost].mean() if not lost.all() else 0.0
+            goal = (error * np.maximum(mean, FLOOR * level)) ** 2
             unseen, number = total.hits == 0, total.number
             enough = (variance <= goal) & (~unseen | (number >= _UNSEEN))
             if not rest.hits.any():
                 enough &= number.sum() >= _UNSEEN
             # What is only doubtful ends some time.
             enough |= (own <= goal) & (number >= _MAX_UNSEEN)
-            left = np.flatnonzero(~enough)
-            done = float(np.mean(_ratio(goal, np.maximum(goal, variance))))
+            left = np.flatnonzero(~enough & ~lost)
+            part = np.where(lost, 1, _ratio(goal, np.maximum(goal, variance)))
+            done = float(part.mean())
             spent = time.perf_counter() - start
             if seconds is not None:
                 done = max(done, min(1.0, spent / seconds))

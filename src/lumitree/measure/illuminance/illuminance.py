@@ -18,7 +18,7 @@ from lumitree.core.results import Result, plain
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.units import metres_of
-from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
 from lumitree.measure.illuminance.areas import Plane, Receivers, Surface, collect
 from lumitree.measure.illuminance.figures import AreaFigures
 from lumitree.rendering.placement import Placement
@@ -268,6 +268,7 @@ def _warn_of_glass(placed: "Sequence[PlacedLuminaire]") -> None:
 def _paths(scene: Any, title: str) -> "PathScene":
     """A scene with luminaires, for paths."""
     from lumitree.lamp.media import any_heterogeneous, media
+    from lumitree.rendering.plugins.geometry_plugins import GeometryEmitter
     from lumitree.rendering.plugins.path_scene import PathScene
     from lumitree.rendering.plugins.proxies import DividedScene
 
@@ -278,6 +279,17 @@ def _paths(scene: Any, title: str) -> "PathScene":
         )
     if not scene.emitters():
         raise LumitreeError(f"{title} has no light; place a lamp or add an emitter")
+    # Their light is not sampled. The models of lamps have none of their own.
+    left_out = [
+        each.id()
+        for each in scene.emitters()
+        if each.sampling_weight() <= 0 and not isinstance(each, GeometryEmitter)
+    ]
+    if left_out:
+        raise LumitreeError(
+            f"{title} has emitters with the sampling_weight 0, whose light would be missing "
+            f"({shown_names(left_out)}); give them a larger one"
+        )
     return PathScene(scene, DividedScene().of(scene), media(scene))
 
 

@@ -125,7 +125,7 @@ def emitter_class() -> type:
 
         def sample_direction(self, it, sample, active=True):
             placed = self.placed
-            x = placed.local_point(it.p)
+            x = placed.receiver(placed.local_point(it.p))
             direction, target = self.sampler.sample(x, sample, active)
             ds, active = self.light().towards(it, x, direction, active)
             ds.emitter = mi.EmitterPtr(self)

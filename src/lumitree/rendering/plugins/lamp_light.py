@@ -43,11 +43,14 @@ class LampLight:
 
     def sample_target(self, it, sample, active):
         placed = self.placed
-        x = placed.local_point(it.p)
+        at = placed.local_point(it.p)
+        x = placed.receiver(at)
         inside = placed.in_box(x) if placed.holds else mi.Bool(False)
         direction, target = self.sampler.sample_target(x, sample, active, inside)
         ds, valid = self.towards(it, x, direction, active)
-        end, beyond = ds.dist, mi.Float(0)
+        # From where the light leaves the box it is there already.
+        moved = mi.Bool(False) if placed.holds else placed.in_box(at)
+        end, beyond = dr.select(moved, 0, ds.dist), mi.Float(0)
         if placed.shows_geometry:
             # The lamp's own surfaces block up to the box, or within it up to the cell.
             border = self.sampler.border(x, direction, target, active) * placed.scale
@@ -68,8 +71,9 @@ class LampLight:
         x, direction = self.placed.local_line(it.p, sampled.ds.d)
         near = sampled.ds.dist / self.placed.scale
         if not self.placed.holds:
-            # A receiver in the margin is not found by rays of its BSDF.
-            bsdf_pdf = dr.select(self.placed.in_margin(x), 0, bsdf_pdf)
+            # Rays of the BSDF of a receiver that touches the box may not enter it.
+            bsdf_pdf = dr.select(self.placed.touches(x), 0, bsdf_pdf)
+            x = self.placed.receiver(x)
         weight, density = self.sampler.eval_target(
             x, direction, near, sampled.target, bsdf_pdf, emitter_pmf, active
         )
@@ -85,8 +89,8 @@ class LampLight:
         if placed.holds:
             inside = placed.in_box(x)
         else:
-            # Next-event estimation alone finds the light for receivers in the margin.
-            active &= (emitter_pmf <= 0) | ~placed.in_margin(x)
+            # Next-event estimation alone finds the light for receivers that touch the box.
+            active &= (emitter_pmf <= 0) | ~placed.touches(x)
         ends = RayEnds(*((end - distance) / placed.scale for end in ends))
         radiance, through, density = self.sampler.eval_hit(
             x,
@@ -125,7 +129,7 @@ class LampLight:
         ds.d = placed.scene_direction(direction)
         ds.dist = distance * placed.scale
         ds.time = it.time
-        # Rays that start within the margin of a proxy do not meet it, so that next-event
-        # estimation alone finds the lamp.
-        ds.delta = placed.in_margin(origin)
+        # Rays that start within a proxy do not meet it, so that next-event estimation alone finds
+        # the lamp.
+        ds.delta = placed.touches(placed.local_point(it.p))
         return ds, active & enters

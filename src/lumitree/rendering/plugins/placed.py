@@ -30,6 +30,8 @@ APPEARANCES: tuple[Appearance, ...] = get_args(Appearance)
 # A proxy around geometry is larger than its box by this part of the box's longest half-side. Else
 # rays that pass the proxy would also pass surfaces that lie in its faces, as of a canopy.
 GEOMETRY_MARGIN = 1e-3
+# Rays of points that are nearer to a proxy may start inside of it, local units.
+_TOUCH = 1e-3
 _OPTIONS = ("gain", "min_density", "max_opacity", "proxy", "sampling", "appearance", "to_world")
 
 
@@ -88,7 +90,9 @@ class Placed:
         scale = similarity_scale(scene_from_local, "to_world")
         self._scale, self._origin = scale, scene_from_local[:3, 3]
         self._axes = scene_from_local[:3, :3] / scale
-        self._half = parameter(mi.Vector3f, *(asset.frame.half_extents + self._margin).tolist())
+        half = asset.frame.half_extents + self._margin
+        self._half = parameter(mi.Vector3f, *half.tolist())
+        self._near = parameter(mi.Vector3f, *(half + _TOUCH).tolist())
         self.scale = mi.Float(scale)
         self._centre = mi.Point3f(self._origin)
         self._rotation = mi.Matrix3f(self._axes)
@@ -130,9 +134,23 @@ class Placed:
         """Field whose transmittance shadow rays get: of less detail beside a light field."""
         return self.field if self.asset.light_field is None else self.field.coarse
 
-    def in_margin(self, point: mi.Point3f) -> mi.Bool:
-        """Whether a point of the local frame is inside the proxy around its geometry."""
-        return self.in_box(point) if self.shows_geometry else mi.Bool(False)
+    def receiver(self, point: mi.Point3f) -> mi.Point3f:
+        """A point of the local frame where it gets the light that leaves the box.
+
+        What touches the box, such as the table below a lamp, may be a little inside of it. Its
+        light is that of the nearest point outside. Points get it where they are if the box holds
+        things.
+        """
+        if self.holds:
+            return point
+        depth = self._half - dr.abs(point)
+        face = depth == dr.min(depth)
+        outside = dr.select(face, dr.mulsign(self._half * (1 + 1e-5), mi.Vector3f(point)), point)
+        return dr.select(self.in_box(point), mi.Point3f(outside), point)
+
+    def touches(self, point: mi.Point3f) -> mi.Bool:
+        """Whether a point of the local frame is in the box, or rays from there may start in it."""
+        return dr.all(dr.abs(point) <= self._near)
 
     def in_box(self, point: mi.Point3f) -> mi.Bool:
         """Whether a point of the local frame is inside the box, with the margin of its geometry."""

@@ -83,7 +83,8 @@ def _transmittance(
     """
     through, ray, direction = mi.Spectrum(1), mi.Ray3f(ray), mi.Vector3f(ray.d)
     if dr.hint(not (scene.has_null_surfaces or passes), mode="scalar"):
-        through[traced.ray_test(ray, active)] = 0
+        # Of a length below 0, of which nothing is left, it tells a hit although it is not active.
+        through[active & traced.ray_test(ray, active)] = 0
         if dr.hint(scene.has_media, mode="scalar"):
             through *= medium_paths.transmittance(medium, ray.maxt, active, ray.wavelengths)
     else:

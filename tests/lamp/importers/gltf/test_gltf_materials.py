@@ -196,20 +196,6 @@ def test_emission(tmp_path):
     assert material_of(tmp_path, gltf, fields).radiance is None
 
 
-def test_emission_stops_where_the_surface_is_masked_out(tmp_path):
-    gltf = Gltf()
-    pixels = np.zeros((1, 4, 4))
-    pixels[0, 2:, 3] = 255
-    fields = {
-        "pbrMetallicRoughness": {"baseColorTexture": gltf.texture(pixels)},
-        "emissiveFactor": [1, 1, 1],
-        "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 3}},
-        "alphaMode": "MASK",
-    }
-    radiance = material_of(tmp_path, gltf, fields).radiance
-    np.testing.assert_allclose(radiance.pixels[0, :, 0] * 683, [0, 0, 3, 3], rtol=1e-6)
-
-
 def test_emission_of_the_back_is_reported_unless_it_is_hidden(tmp_path):
     fields = {"emissiveFactor": [1, 1, 1], "doubleSided": True}
     material_of(tmp_path, Gltf(), fields, "emission (from the front only)")

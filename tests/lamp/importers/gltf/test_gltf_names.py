@@ -5,7 +5,7 @@ import pytest
 
 from lumitree.core.photometry import flux_from_radiance
 from lumitree.errors import LumitreeError
-from lumitree.lamp.importers.overrides import material_area
+from lumitree.lamp.importers.overrides import emitting_area
 from lumitree.lamp.model_reading import read_model
 from lumitree.lamp.source import LuminaireSource
 from support.gltf_builder import QUAD, QUAD_FACES, Gltf
@@ -33,7 +33,7 @@ def test_an_override_reaches_all_surfaces_of_a_material(tmp_path, key):
     model = model_of(tmp_path, gltf, f'[material."{key}"]\nemitter = {{ lumens = 1600 }}')
     assert [item.title for item in model.materials] == ["bulb glass"] * 2
     assert model.materials[0].radiance == model.materials[1].radiance
-    area = material_area(model, "bulb glass")
+    area = emitting_area(model, "bulb glass")
     assert area == pytest.approx(4 * np.pi + 4, rel=0.05)
     assert flux_from_radiance(model.materials[0].radiance, area) == pytest.approx(1600)
 

@@ -109,7 +109,7 @@ class Materials:
         if index not in self._title_of:
             self._title_of[index] = self._titles.unique(layers.name)
         opacity = _opacity(layers, base)
-        radiance = _radiance(layers, opacity)
+        radiance = _radiance(layers)
         if not radiance.black() and item.flag("doubleSided") and not use.closed:
             layers.note("emission (from the front only)")
         material = Material(
@@ -179,15 +179,9 @@ def _opacity(layers: Layers, base: Base) -> Map:
     return base.alpha.applied(lambda values: (values >= cutoff).astype(values.dtype))
 
 
-def _radiance(layers: Layers, opacity: Map) -> Map:
-    """Emitted radiance, W/(m² sr), from the file's cd/m².
-
-    It is multiplied by the opacity, since Mitsuba's emitters also emit where the surface is masked.
-    """
+def _radiance(layers: Layers) -> Map:
+    """Emitted radiance, W/(m² sr), from the file's cd/m²."""
     extension = layers.item.extension("KHR_materials_emissive_strength")
     strength = 1.0 if extension is None else extension.number("emissiveStrength", 1.0, 0.0)
     emitted = layers.colour(layers.item, "emissive", (0.0, 0.0, 0.0), np.inf)
-    emitted = emitted.scaled(strength / LUMENS_PER_WATT)
-    if emitted.black() or (opacity.constant and opacity.mean() == (1.0,)):
-        return emitted
-    return layers.combined(np.multiply, emitted, opacity)
+    return emitted.scaled(strength / LUMENS_PER_WATT)

@@ -19,7 +19,6 @@ them out.
 import dataclasses
 import warnings
 from collections.abc import Callable, Hashable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +89,7 @@ class _Reader:
         result = Material(
             self._name,
             surface,
-            radiance=self._masked(self._radiance(), opacity),
+            radiance=self._radiance(),
             opacity=opacity,
             normal_map=self._normal_map(),
             two_sided=not isinstance(surface, Glass),
@@ -159,31 +158,6 @@ class _Reader:
         if texture is not None:
             return texture
         return (radiance[0], radiance[1], radiance[2]) if max(radiance) > 0 else None
-
-    def _masked(self, radiance: Colour | None, opacity: Value) -> Colour | None:
-        """Radiance times opacity, since Mitsuba's emitters also emit where they are masked."""
-        if radiance is None or opacity == 1.0:
-            return radiance
-        light: Any = radiance.pixels if isinstance(radiance, Texture) else np.array(radiance)
-        if not isinstance(opacity, Texture):
-            product = light * opacity
-            if isinstance(radiance, Texture):
-                return dataclasses.replace(radiance, pixels=product.astype(np.float32))
-            red, green, blue = product.tolist()
-            return (red, green, blue)
-        share = opacity.pixels.astype(np.float32) / 255
-        if not isinstance(radiance, Texture):
-            pixels = (share * light).astype(np.float32)
-            return dataclasses.replace(opacity, pixels=pixels, encoded=False)
-        if not np.array_equal(radiance.uv_transform, opacity.uv_transform):
-            self._ignored.append("map_d of what emits (its coordinates are not those of map_Ke)")
-            return radiance
-        rows, columns = (
-            np.arange(count) * had // count
-            for count, had in zip(light.shape[:2], share.shape[:2], strict=True)
-        )
-        pixels = (light * share[rows[:, None], columns]).astype(np.float32)
-        return dataclasses.replace(radiance, pixels=pixels)
 
     def _opacity(self) -> Value:
         coverage = self._coverage()
