@@ -30,14 +30,14 @@ def add(commands: Any) -> None:
         default="m",
         metavar="UNIT",
         help="unit of length of the Mitsuba scene of the lamp: m, cm, mm, in, ft, or the metres in "
-        "a unit; models and photometric files are in metres once they are baked (default: m)",
+        "a unit; models and photometric files are in metres once they are baked",
     )
     parser.add_argument(
         "--up",
         choices=("y", "z"),
         default="y",
         help="axis that points up in the Mitsuba scene of the lamp; models and photometric files "
-        "have y up once they are baked (default: y)",
+        "have y up once they are baked",
     )
     parser.add_argument(
         "--blender",

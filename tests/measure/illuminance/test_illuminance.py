@@ -441,6 +441,20 @@ def test_errors_of_sums_over_lamps_are_not_small_by_chance(mi):
     assert (np.abs(scores) > 3).mean() < 0.015
 
 
+def test_errors_of_points_by_a_lamp_are_not_those_of_points_in_its_box(mi):
+    """There its light is sampled; elsewhere it is summed, and nothing else can come."""
+    half = 0.5 * BOX[1] / BOX.max()
+    x = np.linspace(-0.3, 0.3, 10)
+    inside = np.stack([x, np.full(10, 1 - 0.9 * half), 0 * x], axis=1)
+    below = np.stack([x, np.full(10, -1.0), 0 * x], axis=1)
+    lamps = [lumitree.Placement(lamp(), at=(0, 1, 0), size=1.0)]
+    result = lumitree.illuminance(
+        room(mi), lamps, direct_only=True, **at(*inside, *below), error=0.2
+    )
+    assert (result.direct_error[10:] < 0.07 * result.direct[10:]).all()
+    assert (result.direct_error[:10] > 0).all()
+
+
 def test_emitters_that_are_not_sampled_are_refused(mi):
     ball = {"type": "sphere", "id": "ball", "emitter": {"type": "area", "sampling_weight": 0.0}}
     things = {"ball": ball, "light": {"type": "point", "position": [0, 1, 0]}}

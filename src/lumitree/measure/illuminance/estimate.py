@@ -201,15 +201,15 @@ def estimate(
     others, rest, shadows = _Moments(count), _Moments(count), _Shadows(count)
     sampler = _Sampler(scene, points, normals, seed)
     for index in _chunks(everyone, _PILOT):
-        t, w, _ = sampler.draw(index, _PILOT, reflected=False)
+        t, w, *_ = sampler.draw(index, _PILOT, reflected=False)
         control.add(index, t, w)
         shadows.add(index, t, w)
     left, samples, share = everyone, _MIN_SAMPLES, 0.0
-    largest = np.zeros(count)
+    largest, by_samples = np.zeros(count), np.zeros(count, bool)
     with progress("illuminance", 1.0) as advance:
         while len(left):
             for index in _chunks(left, samples):
-                t, w, r = sampler.draw(index, samples, reflected=reflected)
+                t, w, r, sampled = sampler.draw(index, samples, reflected=reflected)
                 c = control.coefficient(index)
                 y = t + c[:, None] * (summed[index, None] - w)
                 other = np.where(w > 0, 0, t)
@@ -220,8 +220,10 @@ def estimate(
                 control.add(index, t, w)
                 shadows.add(index, t, w)
                 largest[index] = np.maximum(largest[index], c)
+                by_samples[index] |= sampled
             mean, own = total.mean, total.variance
-            variance = own + rest.doubt + shadows.doubt(summed)
+            unsure = rest.doubt if reflected else by_samples * others.doubt
+            variance = own + unsure + shadows.doubt(summed)
             # Samples beyond all numbers do not become fewer.
             lost = ~np.isfinite(variance)
             level = mean[~lost].mean() if not lost.all() else 0.0
@@ -251,9 +253,9 @@ def estimate(
     known[dark[sampler.enclosed(dark)]] = np.nan
     return Estimate(
         known * direct.mean,
-        known * np.sqrt(direct.variance + others.doubt + shared),
+        known * np.sqrt(direct.variance + by_samples * others.doubt + shared),
         known * total.mean,
-        known * np.sqrt(total.variance + rest.doubt + shared),
+        known * np.sqrt(total.variance + unsure + shared),
         total.number,
     )
 
@@ -267,8 +269,13 @@ class _Sampler:
 
     def draw(
         self, index: NDArray[np.int64], count: int, *, reflected: bool
-    ) -> tuple[_Array, _Array, _Array]:
-        """t, w and reflected light [M, count], lx, of the receivers of an index [M]."""
+    ) -> tuple[_Array, _Array, _Array, NDArray[np.bool_]]:
+        """Samples of the receivers of an index [M].
+
+        Returns:
+            t, w and reflected light [M, count], lx; and whether [M] emitters may light a receiver
+            whose light is not summed.
+        """
         sampler = mi.load_dict({"type": "independent"})
         stream = SeedStream(Purpose.ILLUMINANCE, self._step)
         sampler.seed(stream.seed(self._seed), count * len(index))
@@ -282,9 +289,11 @@ class _Sampler:
         found = [reached, unshadowed]
         if reflected:
             found.append(reflected_light(self._scene, si, medium, sampler))
-        dr.eval(*found)
+        sampled = mi.UInt32(light.found & ~summed)
+        dr.eval(*found, sampled)
         lux = [luminance(np.array(each).T).reshape(len(index), count) for each in found]
-        return lux[0], lux[1], lux[2] if reflected else np.zeros((len(index), 1))
+        some = np.array(sampled).reshape(len(index), count).any(axis=1)
+        return lux[0], lux[1], lux[2] if reflected else np.zeros((len(index), 1)), some
 
     def enclosed(self, index: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Whether receivers of an index [M], to which no light comes, are inside solids.
@@ -296,7 +305,7 @@ class _Sampler:
             found[part] = self._behind(index[part]) > _ENCLOSED
         for _ in range(_SEARCHES):
             for part in _chunks(np.flatnonzero(found), _MIN_SAMPLES):
-                reached, _, reflected = self.draw(index[part], _MIN_SAMPLES, reflected=True)
+                reached, _, reflected, _ = self.draw(index[part], _MIN_SAMPLES, reflected=True)
                 found[part] = ~((reached > 0) | (reflected > 0)).any(axis=1)
         return found
 
