@@ -38,7 +38,11 @@ def test_where_none_is_bundled_one_is_to_be_installed(monkeypatch):
     [
         (["libLLVM-14.so.1", "libLLVM.so.19.1", "libLLVM-17.so"], 1),
         (["llvm-18/lib/libLLVM.so.1", "llvm-9/lib/libLLVM.so.1"], 0),
-        (["llvm@18/lib/libLLVM.dylib", "llvm/lib/libLLVM.dylib"], 1),
+        (["llvm@18/lib/libLLVM.dylib", "llvm/lib/libLLVM.dylib"], 0),
+        (["llvm@9/lib/libLLVM.dylib", "llvm/lib/libLLVM.dylib"], 1),
+        (["libLLVMSPIRVLib.so.15", "libLLVM.so.19.1", "libLLVM-C.so", "libLLVMSupport.so"], 1),
+        (["llvm15env/lib/libLLVM-19.so"], 0),
+        (["libLLVM.so", "libLLVM-18.so.1", "libLLVM.20.1.dylib"], 2),
         (["LLVM/bin/LLVM-C.dll"], 0),
         (["libLLVM-14.so.1"], None),
         ([], None),

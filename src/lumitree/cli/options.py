@@ -290,7 +290,9 @@ def _place(name: str) -> str:
     """The file that a name stands for, which may have several, as with Lamp.ies and lamp.ies."""
     with contextlib.suppress(OSError, ValueError):
         found = os.stat(name)
-        return f"{found.st_dev}:{found.st_ino}"
+        # Some file systems of Windows do not number files.
+        if found.st_ino:
+            return f"{found.st_dev}:{found.st_ino}"
     return os.path.normcase(os.path.realpath(name))
 
 

@@ -10,7 +10,6 @@ value of DRJIT_LIBLLVM_PATH that the user has set is kept.
 import contextlib
 import glob
 import importlib
-import math
 import os
 import re
 import sys
@@ -51,8 +50,10 @@ _LLVM_INSTALLERS = {
     "linux": f" (on Debian and Ubuntu: apt install libllvm{MIN_LLVM + 2})",
     "win32": " (winget install LLVM.LLVM)",
 }
-# The major version in the path of a libLLVM.
-_LLVM_VERSION = re.compile(r"llvm(?:-|@|\.so\.|\.)?(\d+)", re.IGNORECASE)
+# The library of LLVM itself, by its name; and its major version, there or in that of its folder.
+_LLVM_NAME = re.compile(r"libLLVM([-.]?\d[\d.]*)?\.(so|dylib)[\d.]*|LLVM-C\.dll", re.IGNORECASE)
+_LLVM_VERSION = re.compile(r"libLLVM(?:-|\.so\.|\.)?(\d+)", re.IGNORECASE)
+_LLVM_FOLDER = re.compile(r"[/\\]llvm[-@](\d+)[^/\\]*[/\\]", re.IGNORECASE)
 # Whether `quieten` was called, and whether `warn_of_gpu` has warned.
 _quiet = _warned_of_gpu = False
 # Threads of CPU variants; None for as many as there are cores.
@@ -241,12 +242,18 @@ def _installed_llvm() -> Path | None:
         each.replace("MACHINE", platform.machine()) for each in _LLVM_PLACES.get(sys.platform, ())
     ]
     patterns = map(os.path.expandvars, places)
-    found = [(_version_in(name), name) for pattern in patterns for name in glob.glob(pattern)]
-    usable = [each for each in found if each[0] >= MIN_LLVM]
+    names = [name for pattern in patterns for name in glob.glob(pattern)]
+    found = [(_version_in(name), name) for name in names if _LLVM_NAME.fullmatch(Path(name).name)]
+    # Of an unknown version it is taken if there is no other.
+    usable = [each for each in found if each[0] == 0 or each[0] >= MIN_LLVM]
     return Path(max(usable)[1]) if usable else None
 
 
-def _version_in(path: str) -> float:
-    """Major version of a libLLVM by its path; infinite, as the newest one, if it states none."""
-    version = _LLVM_VERSION.search(path)
-    return math.inf if version is None else float(version[1])
+def _version_in(path: str) -> int:
+    """Major version of a libLLVM by its name, or that of its folder; 0 if neither states it."""
+    name = _LLVM_VERSION.match(Path(os.path.realpath(path)).name)
+    folders = _LLVM_FOLDER.findall(path)
+    if name is None or (int(name[1]) < 4 and folders):
+        # libLLVM.so.1 is in a folder with the version of LLVM.
+        return int(folders[-1]) if folders else 0
+    return int(name[1])

@@ -176,6 +176,29 @@ def test_roughness_and_metalness_share_an_image(tmp_path):
     assert pixels[..., 2].mean() == pytest.approx(255 * geometry.images[0].mean(), rel=0.1)
 
 
+def test_what_emits_and_is_partly_present_keeps_its_light(tmp_path):
+    """It is multiplied by its opacity in the asset, and by readers of glTF."""
+    geometry = small_geometry()
+    masked = {"type": "mask", "opacity": 0.25, "nested": [MATERIALS[1]]}
+    shape = {**geometry.shapes[1], "material": len(geometry.materials)}
+    assert shape["radiance"] == [3.0, 2.0, 1.0]
+    geometry = dataclasses.replace(
+        geometry,
+        materials=(*geometry.materials, masked),
+        shapes=(geometry.shapes[0], shape, *geometry.shapes[2:]),
+    )
+    lumitree.export(with_geometry(geometry), tmp_path / "lamp.glb")
+    (found,) = (
+        each
+        for each in GltfFile(tmp_path / "lamp.glb").json["materials"]
+        if each["pbrMetallicRoughness"]["baseColorFactor"][3] == 0.25
+    )
+    assert found["alphaMode"] == "BLEND"
+    strength = found["extensions"]["KHR_materials_emissive_strength"]["emissiveStrength"]
+    emitted = 0.25 * strength * np.array(found["emissiveFactor"])
+    np.testing.assert_allclose(emitted, 683 * np.array([3, 2, 1]))
+
+
 def everything():
     """A lamp with every material, and a mask and a colour of which one is larger."""
     geometry = every_material()

@@ -2,6 +2,7 @@
 
 import glob
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -63,7 +64,12 @@ def find_blender(program: str | os.PathLike[str] | None) -> str:
 def _installed() -> str | None:
     """The Blender that an installer put where it does, and not on the search path."""
     found = [name for pattern in _PLACES for name in glob.glob(os.path.expandvars(pattern))]
-    return max(found, default=None)
+    return max(found, key=_numbers, default=None)
+
+
+def _numbers(name: str) -> list[int]:
+    """Numbers in a path, by which the newest Blender is found: 4.10 is newer than 4.2."""
+    return [int(each) for each in re.findall(r"\d+", name)]
 
 
 def run_script(

@@ -113,6 +113,12 @@ class GltfMaterials:
     def _add_emission(self, made: Json, surface: Surface) -> None:
         emission = surface.material.emission.scaled(LUMENS_PER_WATT)
         factor, image = np.array(emission.factor), _image_of(emission)
+        if made.get("alphaMode") == "BLEND":
+            # glTF multiplies what is emitted by the opacity, by which it is multiplied already.
+            if _image_of(surface.material.opacity) is not None:
+                self.lost.add("what emits is dimmed where its opacity is between 0 and 1")
+            elif surface.material.opacity.number > 0:
+                factor = factor / surface.material.opacity.number
         if image is not None:
             name, scale = self._images.colours(emission)
             factor = factor * scale
