@@ -205,7 +205,7 @@ def estimate(
         control.add(index, t, w)
         shadows.add(index, t, w)
     left, samples, share = everyone, _MIN_SAMPLES, 0.0
-    largest, by_samples = np.zeros(count), np.zeros(count, bool)
+    largest, by_samples, unsure = np.zeros(count), np.zeros(count, bool), np.zeros(count)
     with progress("illuminance", 1.0) as advance:
         while len(left):
             for index in _chunks(left, samples):
@@ -292,7 +292,7 @@ class _Sampler:
         sampled = mi.UInt32(light.found & ~summed)
         dr.eval(*found, sampled)
         lux = [luminance(np.array(each).T).reshape(len(index), count) for each in found]
-        some = np.array(sampled).reshape(len(index), count).any(axis=1)
+        some = np.array(sampled).reshape(len(index), count).max(axis=1) > 0
         return lux[0], lux[1], lux[2] if reflected else np.zeros((len(index), 1)), some
 
     def enclosed(self, index: NDArray[np.int64]) -> NDArray[np.bool_]:
