@@ -88,10 +88,12 @@ def test_flux_of_captured_views_agrees(lamp, tmp_path):
 
 @pytest.mark.slow
 def test_bounces_that_are_cut_off_are_missed(mi, tmp_path):
-    """Light crosses 6 invisible surfaces: paths of 4 bounces miss all of it, of 8 none."""
+    """Light crosses 6 surfaces of no glass: paths of 4 bounces miss all of it, of 8 none."""
     from lumitree.trace.flux import missed_by_depth
 
-    shells = [sphere(f"shell{i}", 1 + 0.1 * i, inside='<bsdf type="null"/>') for i in range(1, 7)]
+    nothing = '<bsdf type="dielectric"><float name="int_ior" value="1"/>'
+    nothing += '<float name="ext_ior" value="1"/></bsdf>'
+    shells = [sphere(f"shell{i}", 1 + 0.1 * i, inside=nothing) for i in range(1, 7)]
     (tmp_path / "lamp.xml").write_text(scene(sphere("lamp", 1, inside=AREA), *shells))
     missed = missed_by_depth(load_luminaire(tmp_path / "lamp.xml"), 1, (4, 8), 12)
     assert [each.path_depth for each in missed] == [4, 8]

@@ -56,12 +56,14 @@ def test_no_random_numbers_are_used_twice(bulb, small, tmp_path, seeds):
         Purpose.EXPORT,
         Purpose.PREVIEW,
         Purpose.FLUX,
+        Purpose.ILLUMINANCE,
         Purpose.IRRADIANCE,
         Purpose.LINES,
         Purpose.LONG_PATHS,
         Purpose.PHOTOMETRY,
         Purpose.RECEIVED,
         Purpose.RENDER,
+        Purpose.SPECTRUM,
         Purpose.SURFACES,
     }
     keys, values = zip(*seeds, strict=True)
