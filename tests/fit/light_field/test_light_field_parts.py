@@ -323,7 +323,7 @@ def test_an_light_field_alone_is_evaluated():
     """What is seen of it is measured; its irradiance is that of the luminaire."""
     lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light"]))
     metrics = lumitree.evaluate(
-        "lamp.lumitree", "lamp.xml", num_views=1, resolution=24, samples_per_pixel=16,
+        "lamp.lumitree", "lamp.xml", num_views=4, resolution=24, samples_per_pixel=16,
         irradiance_paths=1 << 16,
     ).metrics  # fmt: skip
     assert all(np.isfinite(value) for value in metrics.values() if value is not None)
