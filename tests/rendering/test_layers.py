@@ -192,9 +192,10 @@ def test_noise_is_the_deviation_between_seeds(mi, room):
     assert all(image.samples_per_pixel == 32 for image in images)
 
 
+@pytest.mark.parametrize("broken", [None, np.nan, np.inf])
 @pytest.mark.parametrize("chance", [0.3, 0.003])
-def test_noise_of_light_that_rare_samples_find(chance):
-    """Nor does a lamp that is seen without noise hide it."""
+def test_noise_of_light_that_rare_samples_find(mi, chance, broken):
+    """Nor does a lamp that is seen without noise hide it, or a pixel in each block that is NaN."""
     from lumitree.rendering.passes import Budget, render_passes
 
     generator = np.random.default_rng(5)
@@ -203,6 +204,8 @@ def test_noise_of_light_that_rare_samples_find(chance):
         for _, samples in plan:
             light = generator.binomial(samples, chance, (64, 80)) / samples / chance
             light[:16, :16] = 1e4
+            if broken is not None:
+                light[5::16, 3::16] = broken
             yield np.repeat(light[..., None], 3, axis=-1).astype(np.float32)
 
     film = SimpleNamespace(crop_size=lambda: [80, 64])

@@ -133,11 +133,12 @@ def _noise(sums: PassSums) -> float | None:
     known = np.isfinite(mean) & np.isfinite(squares)
     if not known.any():
         return None
-    # Pixels that are no numbers are as the others are in the mean.
-    mean = np.where(known, mean, mean[known].mean())
-    squares = np.where(known, squares, squares[known].mean())
-    variance = block_means(squares / (sums.passes - 1) / sums.samples, _BLOCK)
-    level = block_means(mean, _BLOCK)
+    # Of the pixels that are numbers.
+    share = np.maximum(block_means(known.astype(np.float64), _BLOCK), 1e-300)
+    variance = np.where(known, squares, 0) / (sums.passes - 1) / sums.samples
+    variance, level = (
+        block_means(each, _BLOCK) / share for each in (variance, np.where(known, mean, 0))
+    )
     lit = level > 0
     if not lit.any():
         return 0.0
@@ -211,8 +212,9 @@ def render_passes(
             sums = dataclasses.replace(added, seconds=plan.seconds)
             noise = _noise(sums)
             share = _share(budget, sums, noise)
-            advance(max(0.0, share - spent), "" if noise is None else f"noise {noise:.1%}")
-            spent = max(spent, share)
+            done = max(spent, share, _guess(budget, sums, noise))
+            advance(done - spent, "" if noise is None else f"noise {noise:.1%}")
+            spent = done
             if plan.is_over or share >= 1:
                 break
             if saved is not None:
@@ -229,6 +231,11 @@ def _share(budget: Budget, sums: PassSums, noise: float | None) -> float:
     """As `Budget.share`; the noise of few passes is not known well enough."""
     known = noise if sums.passes >= _MIN_PASSES else None
     return budget.share(sums.samples, sums.seconds, known)
+
+
+def _guess(budget: Budget, sums: PassSums, noise: float | None) -> float:
+    """The same for the display, from the noise of few passes."""
+    return min(budget.share(sums.samples, sums.seconds, noise), sums.passes / _MIN_PASSES)
 
 
 @contextlib.contextmanager
