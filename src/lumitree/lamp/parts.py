@@ -47,6 +47,7 @@ class VertexColour:
 
 Colour = RGB | Texture | VertexColour
 Value = float | Texture
+Microfacets = Literal["ggx", "beckmann"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,11 +70,12 @@ class Glass:
 
     Attributes:
         ior: index of refraction, above 1.
-        roughness: square root of the GGX alpha; below 0.01 it is smooth. A thin sheet is always
-            smooth.
+        roughness: square root of the alpha of microfacets; below 0.01 it is smooth. A thin sheet is
+            always smooth.
         tint: factor of the transmitted light at each crossing of the surface.
         thin: the mesh is a single sheet; otherwise it is a closed surface of a solid.
         medium: what fills a solid; None for nothing.
+        microfacets: their distribution; GGX, that of Trowbridge and Reitz, as models have it.
     """
 
     ior: float = 1.5
@@ -81,6 +83,7 @@ class Glass:
     tint: Colour = WHITE
     thin: bool = False
     medium: Medium | None = None
+    microfacets: Microfacets = "ggx"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,14 +92,16 @@ class Metal:
 
     Attributes:
         tint: factor of the reflected light.
-        roughness: square root of the GGX alpha; below 0.01 it is a mirror.
+        roughness: square root of the alpha of microfacets; below 0.01 it is a mirror.
         conductor: measured index of refraction by Mitsuba's name ("Au", "Cr", ...); "none"
             reflects everything.
+        microfacets: as of `Glass`.
     """
 
     tint: Colour = WHITE
     roughness: float = 0.0
     conductor: str = "none"
+    microfacets: Microfacets = "ggx"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -135,7 +135,7 @@ class _Writer:
                 bsdf = SubElement(parent, "bsdf", {"type": kind, **name})
                 _add(bsdf, "string", "material", surface.conductor)
                 if rough:
-                    _rough(bsdf, surface.roughness)
+                    _rough(bsdf, surface)
                 self._colour(bsdf, "specular_reflectance", surface.tint)
             case Diffuse():
                 bsdf = SubElement(parent, "bsdf", {"type": "diffuse", **name})
@@ -150,7 +150,7 @@ class _Writer:
         _add(bsdf, "float", "int_ior", _number(glass.ior))
         _add(bsdf, "float", "ext_ior", "1")
         if rough:
-            _rough(bsdf, glass.roughness)
+            _rough(bsdf, glass)
         if glass.tint != WHITE:
             self._colour(bsdf, "specular_transmittance", glass.tint)
 
@@ -325,10 +325,9 @@ def _rgb(parent: Element, name: str, colour: tuple[float, ...]) -> None:
     _add(parent, "rgb", name, ", ".join(_number(channel) for channel in colour))
 
 
-def _rough(bsdf: Element, roughness: float) -> None:
-    """Microfacets of Trowbridge and Reitz (GGX), as models have them; Mitsuba's are Beckmann's."""
-    _add(bsdf, "string", "distribution", "ggx")
-    _add(bsdf, "float", "alpha", _number(roughness**2))
+def _rough(bsdf: Element, surface: Glass | Metal) -> None:
+    _add(bsdf, "string", "distribution", surface.microfacets)
+    _add(bsdf, "float", "alpha", _number(surface.roughness**2))
 
 
 def _add(parent: Element, kind: str, name: str, value: str) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from lumitree.lamp.builtin.incandescent import Filament, HangingBulb, socket
 from lumitree.lamp.builtin.layout import at
 from lumitree.lamp.builtin.materials import (
+    BECKMANN,
     BRASS,
     GLASS,
     OPAL_SHEET,
@@ -31,7 +32,7 @@ _BULB = HangingBulb(
     _BULB_OUTSIDE, Filament(4, cage=0.0165, spacing=0.0165, top=-0.056, bottom=-0.094)
 )
 _MARBLE = Material("marble", Principled((0.74, 0.72, 0.69), roughness=0.35))
-_BRUSHED_STEEL = Material("brushed_steel", Metal((1.0, 1.0, 1.0), 0.4, "Cr"))
+_BRUSHED_STEEL = Material("brushed_steel", Metal((1.0, 1.0, 1.0), 0.4, "Cr", BECKMANN))
 
 
 def build() -> Geometry:

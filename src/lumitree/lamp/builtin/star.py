@@ -12,7 +12,7 @@ import numpy as np
 
 from lumitree.lamp.builtin.fittings import canopy, chain, strut
 from lumitree.lamp.builtin.layout import aimed, at
-from lumitree.lamp.builtin.materials import BRASS, emitting
+from lumitree.lamp.builtin.materials import BECKMANN, BRASS, emitting
 from lumitree.lamp.meshes import Floats, Mesh, facets, join, lathe, moved
 from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Medium, Part
 
@@ -31,7 +31,7 @@ _RAISED = 0.0078  # of the latter above the glass, metres
 # Frosted, and about 1.6 mean free paths thick: denser, or smooth, it traps much of the light for
 # longer than the paths of a capture.
 _MILK = Medium(absorption=(0.0, 0.0, 0.0), scattering=(400.0, 400.0, 400.0))
-_OPAL = Material("opal", Glass(ior=1.3, roughness=0.6, medium=_MILK))
+_OPAL = Material("opal", Glass(ior=1.3, roughness=0.6, medium=_MILK, microfacets=BECKMANN))
 _LAMP = Material("lamp", Diffuse((0.5, 0.5, 0.5)))
 
 
