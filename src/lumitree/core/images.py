@@ -92,6 +92,17 @@ def linear_from_srgb(encoded: ArrayLike) -> NDArray[np.floating]:
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
+def resized(values: NDArray[np.float32], height: int, width: int) -> NDArray[np.float32]:
+    """Values [H, W, C] in another size, interpolated linearly."""
+    planes = [
+        Image.fromarray(np.ascontiguousarray(values[..., at], np.float32)).resize(
+            (width, height), Image.Resampling.BILINEAR
+        )
+        for at in range(values.shape[2])
+    ]
+    return np.stack([np.asarray(plane) for plane in planes], axis=-1)
+
+
 def tonemap(radiance: NDArray[np.floating], exposure: float = 1.0) -> NDArray[np.uint8]:
     """sRGB bytes [..., 3] of linear radiance [..., 3], clipped at 1 after `exposure`."""
     linear = np.nan_to_num(np.asarray(radiance) * exposure, nan=0.0)

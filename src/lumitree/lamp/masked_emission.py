@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
-from lumitree.core.images import linear_from_srgb
+from lumitree.core.images import linear_from_srgb, resized
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.meshes import Floats, Mesh
-from lumitree.lamp.parts import Colour, Material, Texture, Value, VertexColour
+from lumitree.lamp.parts import RGB, Colour, Material, Texture, Value, VertexColour
 
 # Of all products of one model.
 _MAX_BYTES = 5 * 2**28
@@ -49,7 +48,7 @@ class MaskedEmission:
             if not isinstance(opacity, Texture):
                 red, green, blue = (float(opacity * value) for value in radiance)
                 return (red, green, blue)
-            return self._product(opacity, np.array([[radiance]]), radiance, material)
+            return self._product(radiance, opacity, opacity, material.title)
         if isinstance(opacity, Texture) and not _placed_alike(radiance, opacity):
             warnings.warn(
                 f"material {shown(material.title)!r}: its opacity has other texture coordinates "
@@ -58,34 +57,25 @@ class MaskedEmission:
                 stacklevel=2,
             )
             opacity = float(opacity.pixels.mean() / 255)
-        return self._product(opacity, _linear(radiance), id(radiance.pixels), material, radiance)
+        return self._product(radiance, opacity, radiance, material.title)
 
     def _product(
-        self,
-        opacity: Value,
-        light: Any,
-        key: Hashable,
-        material: Material,
-        placed: Texture | None = None,
+        self, radiance: RGB | Texture, opacity: Value, placed: Texture, title: str
     ) -> Texture:
-        """A texture like `placed`, or like the opacity; `key` tells what emits."""
-        textured = isinstance(opacity, Texture)
-        share: Any = opacity.pixels / np.float32(255) if textured else np.full((1, 1, 1), opacity)
-        placed = placed or (opacity if textured else None)
-        assert placed is not None
-        both = (key, id(opacity.pixels) if textured else opacity)
-        if both not in self._made:
+        """A texture that is placed like one of both."""
+        key = _key(radiance), _key(opacity)
+        if key not in self._made:
+            light, share = _linear(radiance), _linear(opacity)
             height, width = np.maximum(light.shape[:2], share.shape[:2]).tolist()
             size = sum(each.nbytes for each in self._made.values()) + 12 * height * width
             if size > _MAX_BYTES:
                 raise LumitreeError(
-                    f"material {shown(material.title)!r}: what it emits, times its opacity, brings "
-                    f"such images to {size >> 20} MiB; at most {_MAX_BYTES >> 20} MiB: make them "
-                    "smaller"
+                    f"material {shown(title)!r}: what it emits, times its opacity, brings such "
+                    f"images to {size >> 20} MiB; at most {_MAX_BYTES >> 20} MiB: make them smaller"
                 )
-            product = _resized(light, height, width) * _resized(share, height, width)
-            self._made[both] = product.astype(np.float32)
-        return dataclasses.replace(placed, pixels=self._made[both], encoded=False)
+            product = _enlarged(light, height, width) * _enlarged(share, height, width)
+            self._made[key] = product.astype(np.float32)
+        return dataclasses.replace(placed, pixels=self._made[key], encoded=False)
 
 
 def opacity_of_faces(opacity: Value, mesh: Mesh) -> Floats:
@@ -135,22 +125,22 @@ def _placed_alike(first: Texture, second: Texture) -> bool:
     return same and first.wrap == second.wrap
 
 
-def _linear(texture: Texture) -> Any:
-    """Linear values [H, W, 3]."""
-    if texture.pixels.dtype != np.uint8:
-        return texture.pixels
-    values = texture.pixels / np.float32(255)
-    return linear_from_srgb(values) if texture.encoded else values
+def _key(value: RGB | Value) -> Hashable:
+    return id(value.pixels) if isinstance(value, Texture) else value
 
 
-def _resized(values: Any, height: int, width: int) -> Any:
-    """Values [H, W, C] in another size, interpolated linearly; a single pixel stays one."""
+def _linear(value: RGB | Value) -> Any:
+    """Linear values [H, W, C]; [1, 1, C] of what is constant."""
+    if not isinstance(value, Texture):
+        return np.reshape(value, (1, 1, -1))
+    if value.pixels.dtype != np.uint8:
+        return value.pixels
+    pixels = value.pixels / np.float32(255)
+    return linear_from_srgb(pixels) if value.encoded else pixels
+
+
+def _enlarged(values: Any, height: int, width: int) -> Any:
+    """Values [H, W, C] in another size; a single pixel stays one."""
     if values.shape[:2] in ((1, 1), (height, width)):
         return values
-    planes = [
-        Image.fromarray(np.ascontiguousarray(values[..., at], np.float32)).resize(
-            (width, height), Image.Resampling.BILINEAR
-        )
-        for at in range(values.shape[2])
-    ]
-    return np.stack([np.asarray(plane) for plane in planes], axis=-1)
+    return resized(values, height, width)

@@ -91,6 +91,7 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
     if min(height, width) < 64:
         raise LumitreeError(f"the image has {width} x {height} pixels; glare needs 64 x 64 or more")
     picture = _picture(luminance(image.pixels), image.camera)
+    known = math.isfinite(vertical_illuminance) and vertical_illuminance > 0
 
     def figures(threshold: float | None = None) -> dict[str, float]:
         """What evalglare prints: names, a colon, numbers."""
@@ -110,7 +111,6 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
         names, _, numbers = last.partition(":")
         return dict(zip(names.split(","), map(float, numbers.split()), strict=False))
 
-    known = math.isfinite(vertical_illuminance) and vertical_illuminance > 0
     values = figures(_BRIGHT)
     solid_angle, background = values["omega_sources"], max(values["lum_backg"], 0.0)
     return Glare(

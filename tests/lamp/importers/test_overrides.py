@@ -131,8 +131,8 @@ def test_a_mesh_that_is_divided_for_its_normal_map_is_closed(changed):
         )
     )
     glass = model.materials[1]
-    twin = dataclasses.replace(glass, name="bulb glass mirrored", title="bulb glass")
-    model = dataclasses.replace(model, parts=halves, materials=(*model.materials, twin))
+    mirrored = dataclasses.replace(glass, name="bulb glass mirrored", title="bulb glass")
+    model = dataclasses.replace(model, parts=halves, materials=(*model.materials, mirrored))
     assert not changed("glass = { ior = 1.5 }", model).surface.thin
 
 

@@ -87,16 +87,15 @@ def apply_overrides(model: Geometry, overrides: Overrides) -> Geometry:
             )
         changes |= dict.fromkeys(titles, change)
     model = _in_metres(model, overrides)
-    # The flux of a material is emitted by what of its surface is present.
-    for change in (_resurfaced, _lit):
-        materials = (
-            change(model, material, changes[material.title], overrides.file)
-            if material.title in changes
-            else material
-            for material in model.materials
-        )
-        model = dataclasses.replace(model, materials=tuple(materials))
-    return model
+    own = [(each, changes.get(each.title, MaterialOverride())) for each in model.materials]
+    materials = tuple(_resurfaced(model, each, change) for each, change in own)
+    # A flux is emitted by what is present of the surfaces as they are now.
+    model = dataclasses.replace(model, materials=materials)
+    materials = tuple(
+        _lit(model, each, change, overrides.file)
+        for each, (_, change) in zip(materials, own, strict=True)
+    )
+    return dataclasses.replace(model, materials=materials)
 
 
 def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file: str) -> Geometry:
@@ -270,9 +269,7 @@ def _divided(colour: RGB, divisor: float) -> RGB:
     return (colour[0] / divisor, colour[1] / divisor, colour[2] / divisor)
 
 
-def _resurfaced(
-    model: Geometry, material: Material, change: MaterialOverride, file: str
-) -> Material:
+def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -> Material:
     """The material with the surface and the opacity of an override."""
     if change.surface is not None:
         # Opacity and normal map belong to the surface that is replaced.

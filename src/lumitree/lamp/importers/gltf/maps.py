@@ -12,9 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
-from lumitree.core.images import linear_from_srgb, srgb_from_linear
+from lumitree.core.images import linear_from_srgb, resized, srgb_from_linear
 from lumitree.lamp.importers.gltf.images import GltfImages, Sampler
 from lumitree.lamp.importers.gltf.item import Item
 from lumitree.lamp.importers.images import DecodedImage, Images, by_rows, looked_up
@@ -200,13 +199,7 @@ class Textures:
             return source
         channels = source.shape[2]
         self._images.spend(_FLOAT_BYTES * height * width * channels, source.where)
-        planes = [
-            Image.fromarray(np.ascontiguousarray(source.values()[..., at], np.float32)).resize(
-                (width, height), Image.Resampling.BILINEAR
-            )
-            for at in range(channels)
-        ]
-        floats = np.stack([np.asarray(plane) for plane in planes], axis=-1)
+        floats = resized(source.values(), height, width)
         return dataclasses.replace(source, image=None, floats=floats)
 
     def colour(self, source: Map) -> RGB | Texture:
