@@ -13,7 +13,7 @@ from lumitree.lamp.scene_instances import referred
 _PLUGIN = "lumitree_area"
 # Radiance that is everywhere the same. Mitsuba's own emitter samples such surfaces by area.
 _CONSTANT = ("d65", "irregular", "regular", "srgb", "uniform")
-_registered: set[str] = set()
+_registered: set[str | None] = set()
 
 
 def replace_textured_areas(state: Any) -> None:
