@@ -128,8 +128,9 @@ def image_grid(
     across = left + len(rows[0]) * (width + _GAP) - _GAP + _MARGIN
     down = top + len(rows) * (height + between) - between + bottom
     sheet = Sheet(figsize=(across / _DPI, down / _DPI), dpi=_DPI)
-    for y, line, style in ((24, title, {"fontsize": 15, "weight": "bold"}), (50, subtitle, {})):
-        sheet.text(_MARGIN / across, 1 - y / down, line, va="center", parse_math=False, **style)
+    literal: dict[str, Any] = {"parse_math": False, "va": "center"}
+    sheet.text(_MARGIN / across, 1 - 24 / down, title, fontsize=15, weight="bold", **literal)
+    sheet.text(_MARGIN / across, 1 - 50 / down, subtitle, **literal)
     cells = sheet.add_gridspec(
         len(rows),
         len(rows[0]),

@@ -52,7 +52,7 @@ class Preview:
     @property
     def radiance(self) -> NDArray[np.float32]:
         """Radiance [6, H, W, 3] of all images, W/(m² sr)."""
-        return _all_radiance(self.images)
+        return np.stack([image.radiance for image in self.images.values()])
 
     @property
     def exposure(self) -> float:
@@ -93,9 +93,11 @@ def take_preview(luminaire: Luminaire, resolution: int, samples_per_pixel: int) 
             advance(1)
     # The first view is not counted, because its time includes compilation.
     paths = resolution**2 * samples_per_pixel * (len(VIEWS) - 1)
-    exposure = auto_exposure(_all_radiance(images))
-    photographs = luminaire_photographs(luminaire, poses, resolution, samples_per_pixel, exposure)
-    return Preview(images, photographs, paths / sum(seconds[1:]))
+    preview = Preview(images, [], paths / sum(seconds[1:]))
+    photographs = luminaire_photographs(
+        luminaire, poses, resolution, samples_per_pixel, preview.exposure
+    )
+    return dataclasses.replace(preview, photographs=photographs)
 
 
 def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) -> Preview:
@@ -114,18 +116,16 @@ def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) ->
         name: ViewImages(radiance, opacity, opacity)
         for name, (radiance, opacity) in zip(VIEWS, shown, strict=True)
     }
-    exposure = auto_exposure(_all_radiance(images))
-    photographs = asset_photographs(asset, poses, radius, resolution, samples_per_pixel, exposure)
-    return Preview(images, photographs, 0.0)
+    preview = Preview(images, [], 0.0)
+    photographs = asset_photographs(
+        asset, poses, radius, resolution, samples_per_pixel, preview.exposure
+    )
+    return dataclasses.replace(preview, photographs=photographs)
 
 
 def _poses(radius: float) -> list[NDArray[np.float64]]:
     """`local_from_camera` [4, 4] of the views of a sphere of this radius, local units."""
     return [pose_towards(backward, up, 2 * radius) for backward, up in VIEWS.values()]
-
-
-def _all_radiance(images: dict[str, ViewImages]) -> NDArray[np.float32]:
-    return np.stack([image.radiance for image in images.values()])
 
 
 def draw_preview(
