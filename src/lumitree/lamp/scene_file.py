@@ -379,10 +379,10 @@ class SceneFile:
         replace_textured_areas(state)
         with self._searching(), self._readable(), second_thread():
             scene = mi.parser.instantiate(self._config, state)
-        if not isinstance(scene, mi.Scene):
-            raise LumitreeError(f"{self._name} does not hold a <scene>; found {type(scene)}")
+            if not isinstance(scene, mi.Scene):
+                raise LumitreeError(f"{self._name} does not hold a <scene>; found {type(scene)}")
+            complete_textured_areas(scene)
         transforms_as_parameters(scene.shapes())
-        complete_textured_areas(scene)
         if has_media:
             keep_clear_channels(scene)
         return scene
