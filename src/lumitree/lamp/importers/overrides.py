@@ -16,6 +16,7 @@ from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.masked_emission import opacity_of_faces
 from lumitree.lamp.meshes import Floats, Mesh, area_normals, join
 from lumitree.lamp.parts import RGB, WHITE, Geometry, Glass, Material, Part, Surface
+from lumitree.lamp.scene_writer import transmits
 
 # A pattern of digits alone; a name of this form is matched by "[#]3".
 _NUMBER = re.compile(r"#[0-9]{1,9}")
@@ -98,6 +99,22 @@ def apply_overrides(model: Geometry, overrides: Overrides) -> Geometry:
     return dataclasses.replace(model, materials=materials)
 
 
+def sided_materials(model: Geometry, overrides: Overrides) -> set[str]:
+    """Titles of materials whose front and back differ once the overrides are applied.
+
+    Those that emit, and those that reflect on one side only.
+    """
+    found = set()
+    for each in model.materials:
+        change = overrides.materials.get(each.title, overrides.materials.get(each.name))
+        emits, alike = each.radiance is not None, each.two_sided or transmits(each.surface)
+        if change is not None:
+            emits, alike = emits or change.emission is not None, alike or change.surface is not None
+        if emits or not alike:
+            found.add(each.title)
+    return found
+
+
 def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file: str) -> Geometry:
     """The parts that match a `keep` pattern and no `drop` pattern.
 
@@ -125,16 +142,8 @@ def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file
     for (part, at), wanted in zip(copies, chosen, strict=True):
         if wanted:
             kept.setdefault(part.name, []).append(at)
-    parts = tuple(_copies(part, kept[part.name]) for part in model.parts if part.name in kept)
+    parts = tuple(part.copies(kept[part.name]) for part in model.parts if part.name in kept)
     return dataclasses.replace(model, parts=parts)
-
-
-def _copies(part: Part, index: Sequence[int]) -> Part:
-    """A part with some of its copies."""
-    if len(index) == len(part.places):
-        return part
-    places, objects = (tuple(each[i] for i in index) for each in (part.places, part.objects))
-    return dataclasses.replace(part, places=places, objects=objects)
 
 
 def select_names(

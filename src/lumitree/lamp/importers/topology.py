@@ -5,6 +5,8 @@ The notions, which are the same for all file formats:
 * *place*: vertices whose positions are equal, to a tolerance, are in one place (`weld`). The
   faces [F, 3] of this module are triples of places, so that vertices which a file repeats do not
   open a surface.
+* *repeated*: a face whose corners are in the places of those of another. A copy may have been
+  rounded differently when it was written, so the tolerance is larger here (`repeats`).
 * *piece*: a set of faces that are connected by edges.
 * *consistent*: at every edge of the piece, as many faces run along it one way as the other, so
   that neighbouring faces have the same orientation.
@@ -24,12 +26,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeWarning
+from lumitree.lamp.importers.polygons import newell
 from lumitree.lamp.meshes import Floats, Mesh, area_normals
 
 Indices = NDArray[np.int64]
 
-# Tolerance of `weld`, as a fraction of the bounding box's diagonal.
+# Smallest tolerance of `weld`, as a fraction of the bounding box's diagonal.
 _WELD = 5e-7
+# Of the diagonal of a material's bounding box: its faces whose corners are all nearer than this are
+# one face. A copy of a face may have been rounded differently when it was written.
+_REPEATED = 1e-5
 # Closed pieces with a smaller volume, divided by area^1.5, are two sheets in one place; a sphere
 # has 0.09.
 _MIN_FULLNESS = 1e-6
@@ -39,17 +45,17 @@ _MAX_NESTING_WORK = 2_000_000_000
 _NESTING_PROBES = 8
 
 
-def weld(positions: Floats, tolerance: float = _WELD) -> Indices:
+def weld(positions: Floats, reach: float = 0.0) -> Indices:
     """Index [V] of each vertex's place, from 0; equal for vertices [V, 3] in one place.
 
     Args:
         positions: [V, 3].
-        tolerance: fraction of the bounding box's diagonal, at least 5e-7. Vertices no farther
-            apart than this along each axis are in one place; so are those connected by others.
+        reach: vertices no farther apart than this along each axis are in one place; so are those
+            connected by others. At least 5e-7 of the bounding box's diagonal is taken.
     """
     if not len(positions):
         return np.zeros(0, np.int64)
-    reach = max(float(np.linalg.norm(np.ptp(positions, axis=0))) * tolerance, 1e-300)
+    reach = max(float(np.linalg.norm(np.ptp(positions, axis=0))) * _WELD, reach, 1e-300)
     scaled = (positions - positions.min(axis=0)) / reach
     links = []
     # Two values no more than 1 apart share a cell of width 2 in one of two grids shifted by 1.
@@ -69,6 +75,44 @@ def connected(links: Indices, count: int) -> Indices:
 
     labels = trimesh.graph.connected_component_labels(links, node_count=count)
     return np.asarray(labels).astype(np.int64)
+
+
+def reach(points: Floats) -> float:
+    """Largest distance of corners that are in one place; `points` [..., 3] are a material's."""
+    return _REPEATED * float(np.linalg.norm(np.ptp(points.reshape(-1, 3), axis=0)))
+
+
+def repeats(corners: Floats, within: float) -> tuple[Indices, NDArray[np.bool_]]:
+    """The first face in the place of each, and whether the face is wound the other way.
+
+    Args:
+        corners: [F, N, 3] of faces of one material.
+        within: `reach` of the material.
+
+    Returns:
+        [F] indices of faces, and [F].
+    """
+    first, turned = np.arange(len(corners)), np.zeros(len(corners), np.bool_)
+    near = weld(corners.mean(axis=1), within)
+    chosen = np.flatnonzero(np.bincount(near)[near] > 1)
+    if not len(chosen):
+        return first, turned
+    own = corners[chosen]
+    places = np.sort(weld(own.reshape(-1, 3), within).reshape(own.shape[:2]), axis=1)
+    order = np.lexsort(places.T)
+    new = np.ones(len(places), bool)
+    new[1:] = (np.diff(places[order], axis=0) != 0).any(axis=1)
+    same = np.empty(len(places), np.int64)
+    same[order] = order[new][np.cumsum(new) - 1]
+    normals = newell(own)
+    first[chosen], turned[chosen] = chosen[same], (normals * normals[same]).sum(axis=1) < 0
+    # Faces too small for this comparison would all look alike.
+    small = chosen[(np.diff(places, axis=1) == 0).any(axis=1)]
+    first[small], turned[small] = small, False
+    if len(small) and within > 0:
+        finer, turned[small] = repeats(corners[small], 0.0)
+        first[small] = small[finer]
+    return first, turned
 
 
 class Pieces:
@@ -107,12 +151,13 @@ class Pieces:
 
 
 def count_solids(mesh: Mesh) -> tuple[int, int]:
-    """Number of solid pieces of a mesh, and number of all its pieces."""
-    places = weld(mesh.vertices)
-    pieces = Pieces(places[mesh.faces])
-    area = np.linalg.norm(area_normals(mesh.vertices, mesh.faces), axis=1) / 2
+    """Number of solid pieces of a mesh whose repeated faces count once, and of all its pieces."""
+    first, _ = repeats(mesh.vertices[mesh.faces], reach(mesh.vertices))
+    faces = mesh.faces[first == np.arange(len(first))]
+    pieces = Pieces(weld(mesh.vertices)[faces])
+    area = np.linalg.norm(area_normals(mesh.vertices, faces), axis=1) / 2
     area = np.bincount(pieces.label, area)
-    full = np.abs(_volumes(mesh.vertices, mesh.faces, pieces)) > _MIN_FULLNESS * area**1.5
+    full = np.abs(_volumes(mesh.vertices, faces, pieces)) > _MIN_FULLNESS * area**1.5
     return int((pieces.closed & pieces.consistent & full).sum()), len(pieces.closed)
 
 
