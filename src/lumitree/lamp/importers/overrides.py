@@ -69,6 +69,16 @@ class Overrides:
     variant: str | None = None
     materials: Mapping[str, MaterialOverride] = dataclasses.field(default_factory=dict)
 
+    def of(self, material: Material) -> MaterialOverride | None:
+        """What replaces parts of a material, by its name in the model's file or its own."""
+        return self.materials.get(material.title, self.materials.get(material.name))
+
+
+def setting(title: str, value: str) -> str:
+    """The line of a file of overrides that gives a material a value, for messages."""
+    name = shown(title).replace("\\", "\\\\").replace('"', '\\"')
+    return f'material."{name}".{value}'
+
 
 def apply_overrides(model: Geometry, overrides: Overrides) -> Geometry:
     """The model in metres, y up, with its materials changed.
@@ -106,7 +116,7 @@ def sided_materials(model: Geometry, overrides: Overrides) -> set[str]:
     """
     found = set()
     for each in model.materials:
-        change = overrides.materials.get(each.title, overrides.materials.get(each.name))
+        change = overrides.of(each)
         emits, alike = each.radiance is not None, each.two_sided or transmits(each.surface)
         if change is not None:
             emits, alike = emits or change.emission is not None, alike or change.surface is not None
@@ -214,11 +224,10 @@ def check_emits(model: Geometry, file: str, overrides_name: str) -> None:
         if item.name in used
     ):
         known = list(dict.fromkeys(i.title for i in model.materials if i.name in used))
-        example = shown(known[0]).replace("\\", "\\\\").replace('"', '\\"') if known else "bulb"
+        light = "emitter = { lumens = 800, temperature = 2700 }"
         raise LumitreeError(
             f"{file} has no emitter (materials: {shown_names(known)}); name one in "
-            f'{overrides_name}: material."{example}".emitter = '
-            "{ lumens = 800, temperature = 2700 }"
+            f"{overrides_name}: {setting(known[0] if known else 'bulb', light)}"
         )
 
 

@@ -21,6 +21,7 @@ The notions, which are the same for all file formats:
 """
 
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,8 @@ _REPEATED = 1e-5
 _MIN_FULLNESS = 1e-6
 # Largest number of tests of a triangle against a point with which pieces inside others are sought.
 _MAX_NESTING_WORK = 2_000_000_000
+# Most pieces that `has_body` looks at.
+_MAX_BODIES = 32
 # Vertices of a piece that must all lie inside another piece.
 _NESTING_PROBES = 8
 
@@ -167,6 +170,36 @@ def is_solid(mesh: Mesh) -> bool:
     return solids == pieces
 
 
+def probes(vertices: Floats) -> Floats:
+    """Some of the vertices [P, 3] of a piece or a part, by which it is found inside others."""
+    return vertices[np.linspace(0, len(vertices) - 1, _NESTING_PROBES).astype(np.int64)]
+
+
+def has_body(mesh: Mesh, alike: Sequence[Floats], others: Sequence[Floats]) -> bool:
+    """Whether a solid mesh has a piece that is no sheet around something else, as a bulb is.
+
+    There is nothing in such a piece, or the inner side of its wall. Some of many pieces are looked
+    at.
+
+    Args:
+        alike, others: `probes` of other parts, of the mesh's material and of others.
+    """
+    if not is_solid(mesh):
+        return False
+    label = Pieces(weld(mesh.vertices)[mesh.faces]).label
+    order = np.argsort(label, kind="stable")
+    corners = mesh.vertices[mesh.faces[order]]
+    pieces = np.split(corners, np.cumsum(np.bincount(label))[:-1])
+    own = [probes(piece.reshape(-1, 3)) for piece in pieces]
+    for at in range(0, len(pieces), -(-len(pieces) // _MAX_BODIES)):
+        piece = pieces[at]
+        if any(_encloses(piece, each) for each in (*own[:at], *own[at + 1 :], *alike)):
+            return True
+        if not any(_encloses(piece, each) for each in others):
+            return True
+    return False
+
+
 def faces_to_turn(
     positions: Floats, faces: Indices, pieces: Pieces, where: str
 ) -> NDArray[np.bool_]:
@@ -216,9 +249,7 @@ def _nesting(positions: Floats, faces: Indices, pieces: Pieces, where: str) -> I
     boxes = [positions[faces[groups[piece]].ravel()] for piece in closed]
     low = np.stack([box.min(axis=0) for box in boxes])
     high = np.stack([box.max(axis=0) for box in boxes])
-    probes = np.stack(
-        [box[np.linspace(0, len(box) - 1, _NESTING_PROBES).astype(np.int64)] for box in boxes]
-    )
+    points = [probes(box) for box in boxes]
     work = len(closed) ** 2
     for outer, piece in enumerate(closed):
         within = ((low > low[outer]) & (high < high[outer])).all(axis=1)
@@ -233,7 +264,7 @@ def _nesting(positions: Floats, faces: Indices, pieces: Pieces, where: str) -> I
             return np.zeros_like(depth)
         triangles = positions[faces[groups[piece]]]
         for inner in np.flatnonzero(within):
-            depth[closed[inner]] += _encloses(triangles, probes[inner])
+            depth[closed[inner]] += _encloses(triangles, points[inner])
     return depth
 
 
@@ -243,6 +274,9 @@ def _encloses(triangles: Floats, points: Floats) -> bool:
     Van Oosterom and Strackee, "The Solid Angle of a Plane Triangle", IEEE Trans. Biomed. Eng.
     30(2), 1983.
     """
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    if not ((points > low) & (points < high)).all():
+        return False
     for point in points:
         a, b, c = np.moveaxis(triangles - point, 1, 0)
         la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
