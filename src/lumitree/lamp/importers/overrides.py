@@ -1,8 +1,6 @@
 """Settings that replace or complete those of a model's file: materials, emission, unit, up axis."""
 
 import dataclasses
-import fnmatch
-import re
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Literal
@@ -15,11 +13,9 @@ from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.masked_emission import opacity_of_faces
 from lumitree.lamp.meshes import Floats, Mesh, area_normals, join
+from lumitree.lamp.names import select_names
 from lumitree.lamp.parts import RGB, WHITE, Geometry, Glass, Material, Part, Surface
 from lumitree.lamp.scene_writer import transmits
-
-# A pattern of digits alone; a name of this form is matched by "[#]3".
-_NUMBER = re.compile(r"#[0-9]{1,9}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,60 +150,6 @@ def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file
             kept.setdefault(part.name, []).append(at)
     parts = tuple(part.copies(kept[part.name]) for part in model.parts if part.name in kept)
     return dataclasses.replace(model, parts=parts)
-
-
-def select_names(
-    names: Sequence[Sequence[str]],
-    keep: Sequence[str],
-    drop: Sequence[str],
-    file: str,
-    kind: str,
-    listed: Sequence[str] | None = None,
-) -> list[bool]:
-    """Which of the things are kept, each known by one or more names.
-
-    Args:
-        file, kind: name of the file, and what the things are, for messages.
-        listed: descriptions of the things, for messages; those of a file whose things may also be
-            chosen by number, as "#3". None: by names alone.
-
-    Raises:
-        LumitreeError: a pattern matches nothing, or nothing is left.
-    """
-    numbered = listed is not None
-    matched = {
-        pattern: [_matches(pattern, own, at if numbered else None) for at, own in enumerate(names)]
-        for pattern in (*keep, *drop)
-    }
-    for pattern, hits in matched.items():
-        if not any(hits):
-            option = "--keep" if pattern in keep else "--drop"
-            raise LumitreeError(
-                f"{file}: {option} {shown(pattern)!r} matches no {kind}; there are "
-                f"{_known(names, listed, file)}"
-            )
-    kept = [
-        (not keep or any(matched[pattern][at] for pattern in keep))
-        and not any(matched[pattern][at] for pattern in drop)
-        for at in range(len(names))
-    ]
-    if not any(kept):
-        raise LumitreeError(f"{file}: --keep and --drop leave nothing; keep more or drop less")
-    return kept
-
-
-def _matches(pattern: str, names: Sequence[str], number: int | None) -> bool:
-    """Whether a pattern is the number of a thing, if it has one, or matches one of its names."""
-    if number is not None and _NUMBER.fullmatch(pattern):
-        return int(pattern[1:]) == number
-    return any(fnmatch.fnmatchcase(name, pattern) for name in names)
-
-
-def _known(names: Sequence[Sequence[str]], listed: Sequence[str] | None, file: str) -> str:
-    if listed is None:
-        return shown_names(dict.fromkeys(name for own in names for name in own if name))
-    how = f"; 'lumitree preview {file} --keep \"*\"' lists them with their numbers"
-    return shown_names(listed) + how
 
 
 def check_emits(model: Geometry, file: str, overrides_name: str) -> None:
