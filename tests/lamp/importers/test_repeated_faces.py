@@ -197,6 +197,8 @@ def glass_balls(*places, within=False):
     [
         glass_balls([1, 1, 1]),
         glass_balls([-1, -1, 1], [1, 1, 1]),
+        # Mirror images, with the other diagonals.
+        glass_balls([-1, 1, 1], [1, 1, -1], [-1, -1, -1]),
         glass_balls(1, within=True),
         glass_balls(-1, within=True),
         glass_balls(-1, 1, -1, within=True),
@@ -213,6 +215,26 @@ def test_a_repeated_ball_of_glass_is_one_solid(tmp_path, gltf):
     assert len(part.mesh.faces) == len(sphere(1.0, 12).faces)
     volume = (part.mesh.vertices[part.mesh.faces[:, 0]] * normals(model, "glass")).sum() / 3
     assert 3.5 < volume < 4.2
+
+
+def tube(*sides):
+    """Two of the three pairs of sides of a cube."""
+    gltf = Gltf()
+    vertices, faces = box([0, 0, 0], [1, 1, 1])
+    material = gltf.material(**LIT)
+    for dropped in sides:
+        centres = vertices[faces].max(axis=1) - vertices[faces].min(axis=1)
+        gltf.node(gltf.primitive(vertices, faces[centres[:, dropped] > 0], material=material))
+    return gltf
+
+
+def test_other_surfaces_with_the_same_vertices_stay(tmp_path):
+    """Two tubes: only the pair of sides that both have is used once."""
+    model, said = read(tube(1, 2).save(tmp_path))
+    assert said == [4]
+    assert area(model) == pytest.approx(6)
+    model, said = read(tube(1, 1).save(tmp_path))
+    assert (said, area(model)) == ([8], pytest.approx(4))
 
 
 def test_light_of_one_lamp_in_two_nodes_counts_once(tmp_path):

@@ -6,17 +6,22 @@ Every copy would emit and absorb light of its own.
 import dataclasses
 import warnings
 from collections import defaultdict
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeWarning, shown
 from lumitree.lamp.importers.mesh_faces import selected, with_backs
-from lumitree.lamp.importers.topology import reach, repeats
-from lumitree.lamp.meshes import Floats, Mesh
+from lumitree.lamp.importers.topology import Indices, reach, repeats, weld
+from lumitree.lamp.meshes import Floats, Mesh, area_normals
 from lumitree.lamp.names import Names
 from lumitree.lamp.parts import Geometry, Part
+
+# Of the area: difference of two surfaces that are the same, whose quads are not quite flat.
+_ALIKE = 0.01
+# Most copies of different surfaces in one box that others are compared with.
+_COMPARED = 8
 
 
 def kept_faces(
@@ -66,13 +71,18 @@ def without_repeated(model: Geometry, sided: Collection[str], file: str) -> Geom
     used: dict[tuple[str, int], tuple[NDArray[np.bool_], NDArray[np.bool_]]] = {}
     within, dropped = {}, 0
     for name, own in copies.items():
-        corners = np.concatenate([_corners(part, at) for part, at in own])
-        within[name] = reach(corners)
-        keep, both = kept_faces(corners, within[name], name in sided)
+        placed = [_placed(part, at) for part, at in own]
+        within[name] = reach(np.concatenate([vertices for vertices, _ in placed]))
+        twice = _repeated_surfaces(placed, within[name], name in sided)
+        single = [copy[0][copy[1]] for copy, again in zip(placed, twice, strict=True) if not again]
+        keep, both = kept_faces(np.concatenate(single), within[name], name in sided)
         dropped += int((~keep).sum() - both.sum())
-        ends = np.cumsum([len(part.mesh.faces) for part, _ in own])[:-1]
-        for (part, at), *masks in zip(own, np.split(keep, ends), np.split(both, ends), strict=True):
-            used[part.name, at] = (masks[0], masks[1])
+        ends = np.cumsum([len(corners) for corners in single])[:-1]
+        masks = iter(zip(np.split(keep, ends), np.split(both, ends), strict=True))
+        for (part, at), again in zip(own, twice, strict=True):
+            nothing = np.zeros(len(part.mesh.faces), np.bool_)
+            used[part.name, at] = (nothing, nothing) if again else next(masks)
+            dropped += len(nothing) * again
     warn_of_repeated(file, dropped)
     names, parts = Names("_"), []
     for part in model.parts:
@@ -94,7 +104,56 @@ def without_repeated(model: Geometry, sided: Collection[str], file: str) -> Geom
     return dataclasses.replace(model, parts=tuple(parts))
 
 
-def _corners(part: Part, at: int) -> Floats:
-    """Corners [F, 3, 3] of the triangles of a copy, in the model's frame."""
+def _placed(part: Part, at: int) -> tuple[Floats, Indices]:
+    """Vertices [V, 3] of a copy, in the model's frame, and its faces."""
     place = part.places[at]
-    return (part.mesh.vertices @ place[:3, :3].T + place[:3, 3])[part.mesh.faces]
+    return part.mesh.vertices @ place[:3, :3].T + place[:3, 3], part.mesh.faces
+
+
+def _repeated_surfaces(
+    copies: Sequence[tuple[Floats, Indices]], within: float, sided: bool
+) -> list[bool]:
+    """Which copies are the surface of an earlier one, cut into triangles in any way.
+
+    As a sphere and its mirror image, whose quads have the other diagonal.
+
+    Args:
+        copies: vertices [V, 3] and faces.
+        within, sided: as of `kept_faces`.
+    """
+    # Boxes, whose corners are in the same places.
+    low, high = (
+        weld(np.stack([end(vertices, axis=0) for vertices, _ in copies]), within)
+        for end in (np.min, np.max)
+    )
+    earlier: dict[tuple[int, int], list[int]] = defaultdict(list)
+    repeated = []
+    for at, (copy, *box) in enumerate(zip(copies, low.tolist(), high.tolist(), strict=True)):
+        others = earlier[box[0], box[1]]
+        sides = [_side(copies[other], copy, within) for other in others[:_COMPARED]]
+        repeated.append(any(side == 1 or (side == -1 and not sided) for side in sides))
+        if not repeated[-1]:
+            others.append(at)
+    return repeated
+
+
+def _side(one: tuple[Floats, Indices], other: tuple[Floats, Indices], within: float) -> int:
+    """1 where two surfaces are the same, -1 where one is the other turned round, 0 otherwise.
+
+    The same surfaces have vertices in the same places, and the same areas by their normals.
+    """
+    split = len(one[0])
+    places = weld(np.concatenate([one[0], other[0]]), within)
+    count = int(places.max()) + 1
+    fields, moments = [], []
+    for (vertices, faces), own in zip((one, other), np.split(places, [split]), strict=True):
+        if len(np.unique(own)) < count:
+            return 0
+        normals = area_normals(vertices, faces)
+        corners = own[faces].ravel()
+        fields.append([np.bincount(corners, np.repeat(axis, 3), count) for axis in normals.T])
+        lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
+        moments.append((normals / lengths[:, None]).T @ normals)
+    if np.abs(moments[1] - moments[0]).max() > _ALIKE * np.trace(moments[0]):
+        return 0
+    return int(np.sign((np.array(fields[0]) * np.array(fields[1])).sum()))
