@@ -156,7 +156,7 @@ class EmittingSurfaces:
         # Along the shading normal, which decides whether a surface emits.
         si.wi = mi.Vector3f(0, 0, 1)
         if mi.is_spectral:
-            si.wavelengths = mi.Color4f(*_WAVELENGTHS)
+            si.wavelengths = type(si.wavelengths)(*_WAVELENGTHS)
         values = dr.mean(radiance(si, index), axis=0)
         found = np.array(dr.select(si.is_valid(), values, 0), np.float64)
         return np.maximum(found.reshape(points, count).mean(axis=0), 0)
@@ -176,17 +176,16 @@ def emitting_surfaces(scene: mi.Scene) -> EmittingSurfaces:
 
 def _four_numbers(sample: mi.Point2f) -> tuple[mi.Point2f, mi.Point2f]:
     """Numbers in [0, 1) from all bits of two such numbers."""
-    words = [dr.reinterpret_array(mi.UInt32, each) for each in (sample.x, sample.y)]
-    points = []
-    for _ in range(2):
-        words = mi.sample_tea_32(*words)
-        points.append(mi.Point2f(*(mi.Float(word >> 8) * 2.0**-24 for word in words)))
-    return points[0], points[1]
+    x, y = (dr.reinterpret_array(mi.UInt32, each) for each in (sample.x, sample.y))
+    first = mi.sample_tea_32(x, y)
+    second = mi.sample_tea_32(first[1], first[0])
+    x, y, z, w = (mi.Float(word >> 8) * 2.0**-24 for word in (*first, *second))
+    return mi.Point2f(x, y), mi.Point2f(z, w)
 
 
 def _areas(shape: mi.Shape) -> NDArray[np.float64]:
     """Areas of the triangles [F] of a mesh; [1] of a primitive."""
-    if not shape.is_mesh():
+    if not isinstance(shape, mi.Mesh):
         return np.array(shape.surface_area(), np.float64).ravel()
     faces = np.array(shape.faces_buffer()).reshape(-1, 3)
     corners = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)[faces]

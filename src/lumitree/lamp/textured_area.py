@@ -13,7 +13,7 @@ from lumitree.lamp.scene_instances import referred
 _PLUGIN = "lumitree_area"
 # Radiance that is everywhere the same. Mitsuba's own emitter samples such surfaces by area.
 _CONSTANT = ("d65", "irregular", "regular", "srgb", "uniform")
-_registered: set[str] = set()
+_registered: set[str | None] = set()
 
 
 def replace_textured_areas(state: Any) -> None:
@@ -79,6 +79,8 @@ def _emitter_class() -> type:
             return self.eval(si, active)
 
         def sample_wavelengths(self, si, sample, active=True):
+            if not mi.is_spectral:
+                return mi.Color0f(), self.eval(si, active)
             shifts = [sample + i / dr.size_v(mi.Spectrum) for i in range(dr.size_v(mi.Spectrum))]
             return self._radiance.sample_spectrum(
                 si, mi.Spectrum([each - dr.floor(each) for each in shifts]), active
@@ -88,12 +90,14 @@ def _emitter_class() -> type:
             point = self._surfaces.sample(sample2, active)
             si, local = point.si, mi.warp.square_to_cosine_hemisphere(sample3)
             si.wi, si.time = local, time
-            if mi.is_spectral:
-                si.wavelengths, weight = self.sample_wavelengths(si, sample1, active)
-            else:
-                weight = self.eval(si, active)
+            si.wavelengths, weight = self.sample_wavelengths(si, sample1, active)
             weight = dr.select(point.density > 0, weight * dr.pi / point.density, 0)
             return si.spawn_ray(si.to_world(local)), weight
+
+        def sample_position(self, time, sample, active=True):
+            # Of light tracing, where it connects the surface with the camera.
+            ps = self.get_shape().sample_position(time, sample, active)
+            return ps, dr.select(ps.pdf > 0, dr.rcp(ps.pdf), 0)
 
         def traverse(self, callback):
             callback.put("radiance", self._radiance, mi.ParamFlags.Differentiable)

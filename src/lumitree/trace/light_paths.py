@@ -145,8 +145,9 @@ def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
     # Where the last chain of transmissions began, and its direction there.
     start, start_direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
     smooth = mi.Bool(True)
-    first = mi.Bool(True)
     medium = dr.zeros(mi.MediumPtr)
+    if dr.hint(luminaire.has_media, mode="scalar"):
+        medium = medium_paths.medium_around(scene, ray, extent)
     channel, ρ = medium_paths.draw_channel(sampler), mi.Color3f(1)
     depth = mi.UInt32(0)
     leaves = mi.Bool(False)
@@ -158,9 +159,6 @@ def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
         misses = active & ~si.is_valid()
         leaves |= misses
         active &= si.is_valid()
-        # An emitter inside a medium: the medium is that behind the first border.
-        medium = medium_paths.medium_after(si, -ray.d, medium, active & first)
-        first &= ~active
 
         arriving = mi.Color3f(flux)
         free_flight = medium_paths.free_flight(medium, channel, sampler, active)

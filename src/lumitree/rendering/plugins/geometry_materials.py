@@ -26,14 +26,15 @@ class Radiance:
     """
 
     def __init__(self, source: mi.Texture | Sequence[float]) -> None:
-        self._texture = source if isinstance(source, mi.Texture) else None
         self.constant: mi.Color3f | None = None
-        if not isinstance(source, mi.Texture):
+        if isinstance(source, mi.Texture):
+            self._texture = source
+        else:
             self.constant = parameter(mi.Color3f, *source)
 
     def __call__(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
         """Radiance of a point."""
-        if self._texture is None:
+        if self.constant is not None:
             return self.constant
         if mi.is_spectral:
             return self._texture.eval_3(si, active)
