@@ -217,6 +217,37 @@ def test_a_repeated_ball_of_glass_is_one_solid(tmp_path, gltf):
     assert 3.5 < volume < 4.2
 
 
+def touching_boxes():
+    """Two boxes that touch, in one primitive, with the same corners where they do."""
+    vertices, faces = box([0, 0, 0], [1, 1, 1])
+    # The other one is the mirror image, so that the triangles of the common side are the same.
+    mirrored = vertices * np.float32([-1, 1, 1])
+    return np.concatenate([vertices, mirrored]), np.concatenate([faces, faces[:, ::-1] + 8])
+
+
+def folded_box():
+    """A box with a fold: a triangle that stands on an edge, in both windings."""
+    vertices, faces = box([0, 0, 0], [1, 1, 1])
+    corner = np.float32([[0.5, -1, 0]])
+    # Along the edge between corners 0 and 4.
+    fold = np.array([[0, 4, 8], [4, 0, 8]])
+    return np.concatenate([vertices, corner]), np.concatenate([faces, fold])
+
+
+@pytest.mark.parametrize(("surface", "count"), [(touching_boxes(), 24), (folded_box(), 14)])
+def test_faces_that_close_solids_are_not_repeated(tmp_path, surface, count):
+    """Two of opposite winding in one place, each with neighbours of its own."""
+    gltf = Gltf()
+    vertices, faces = surface
+    glass = gltf.material(name="glass", **SMOOTH, extensions=SOLID)
+    gltf.node(gltf.primitive(vertices, faces.astype(np.uint32), material=glass))
+    gltf.quad(gltf.material(**LIT), translation=[0, 0, 9])
+    model, said = read(gltf.save(tmp_path))
+    (part,) = (each for each in model.parts if each.material.startswith("glass"))
+    assert said == []
+    assert len(part.mesh.faces) == count
+
+
 def tube(*sides):
     """Two of the three pairs of sides of a cube."""
     gltf = Gltf()

@@ -37,6 +37,8 @@ _WELD = 5e-7
 # Of the diagonal of a material's bounding box: its faces whose corners are all nearer than this are
 # one face. A copy of a face may have been rounded differently when it was written.
 _REPEATED = 1e-5
+# Most half-edges in one place that are taken for neighbours.
+_MAX_AT_EDGE = 8
 # Closed pieces with a smaller volume, divided by area^1.5, are two sheets in one place; a sphere
 # has 0.09.
 _MIN_FULLNESS = 1e-6
@@ -88,6 +90,9 @@ def reach(points: Floats) -> float:
 def repeats(corners: Floats, within: float) -> tuple[Indices, NDArray[np.bool_]]:
     """The first face in the place of each, and whether the face is wound the other way.
 
+    Two faces of opposite winding where solids touch, or a solid is folded, do not repeat each
+    other: without one the solid would be open. The neighbours of a repeated face are repeated, too.
+
     Args:
         corners: [F, N, 3] of faces of one material.
         within: `reach` of the material.
@@ -95,27 +100,70 @@ def repeats(corners: Floats, within: float) -> tuple[Indices, NDArray[np.bool_]]
     Returns:
         [F] indices of faces, and [F].
     """
+    first, turned = _in_one_place(corners, within)
+    if turned.any():
+        alone = np.bincount(first, minlength=len(first))[first] == 1
+        sheet = _sheets(corners, within, first)
+        kept = turned & (np.bincount(sheet, alone) > 0)[sheet]
+        first[kept], turned[kept] = np.flatnonzero(kept), False
+    return first, turned
+
+
+def _sheets(corners: Floats, within: float, first: Indices) -> Indices:
+    """Index [F] of the sheet of each face: neighbours of one orientation, and none in one place.
+
+    Args:
+        first: as of `repeats`.
+    """
+    count, size = corners.shape[:2]
+    start = weld(corners.reshape(-1, 3), within)
+    stop = np.roll(start.reshape(count, size), -1, axis=1).ravel()
+    edge = np.minimum(start, stop) * (int(start.max()) + 1) + np.maximum(start, stop)
+    order = np.argsort(edge, kind="stable")
+    edge, forward, place = edge[order], (start < stop)[order], np.repeat(first, size)[order]
+    links = []
+    for step in range(1, _MAX_AT_EDGE):
+        near, far = slice(0, -step), slice(step, None)
+        joined = (edge[near] == edge[far]) & (forward[near] != forward[far])
+        joined &= place[near] != place[far]
+        links.append(np.stack([order[near][joined], order[far][joined]], axis=1) // size)
+    return connected(np.concatenate(links), count)
+
+
+def _in_one_place(corners: Floats, within: float) -> tuple[Indices, NDArray[np.bool_]]:
+    """As `repeats`, without regard to neighbours."""
     first, turned = np.arange(len(corners)), np.zeros(len(corners), np.bool_)
     near = weld(corners.mean(axis=1), within)
     chosen = np.flatnonzero(np.bincount(near)[near] > 1)
     if not len(chosen):
         return first, turned
     own = corners[chosen]
-    places = np.sort(weld(own.reshape(-1, 3), within).reshape(own.shape[:2]), axis=1)
-    order = np.lexsort(places.T)
-    new = np.ones(len(places), bool)
-    new[1:] = (np.diff(places[order], axis=0) != 0).any(axis=1)
-    same = np.empty(len(places), np.int64)
-    same[order] = order[new][np.cumsum(new) - 1]
-    normals = newell(own)
-    first[chosen], turned[chosen] = chosen[same], (normals * normals[same]).sum(axis=1) < 0
+    places = weld(own.reshape(-1, 3), within).reshape(own.shape[:2])
+    sets = np.sort(places, axis=1)
     # Faces too small for this comparison would all look alike.
-    small = chosen[(np.diff(places, axis=1) == 0).any(axis=1)]
-    first[small], turned[small] = small, False
-    if len(small) and within > 0:
-        finer, turned[small] = repeats(corners[small], 0.0)
-        first[small] = small[finer]
+    small = (np.diff(sets, axis=1) == 0).any(axis=1)
+    order = np.lexsort(sets.T)
+    new = np.ones(len(sets), bool)
+    new[1:] = (np.diff(sets[order], axis=0) != 0).any(axis=1)
+    same = np.empty(len(sets), np.int64)
+    same[order] = order[new][np.cumsum(new) - 1]
+    same[small] = np.flatnonzero(small)
+    first[chosen], turned[chosen] = chosen[same], _turned(own, places, same)
+    if small.any() and within > 0:
+        finer, turned[chosen[small]] = _in_one_place(own[small], 0.0)
+        first[chosen[small]] = chosen[small][finer]
     return first, turned
+
+
+def _turned(corners: Floats, places: Indices, same: Indices) -> NDArray[np.bool_]:
+    """Whether faces [F, N, 3] are wound the other way than those of the same corners."""
+    if places.shape[1] > 3:
+        normals = newell(corners)
+        return (normals * normals[same]).sum(axis=1) < 0
+    # By the order of the corners: triangles without any area have no normals.
+    turn = (places.argmin(axis=1)[:, None] + np.arange(3)) % 3
+    cycles = np.take_along_axis(places, turn, axis=1)
+    return (cycles != cycles[same]).any(axis=1)
 
 
 class Pieces:
