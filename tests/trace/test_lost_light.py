@@ -44,7 +44,7 @@ def measured(lamp):
     ("around", "named"),
     [
         ([cube("box", 1, inside=DARK)], r"'box' \(diffuse 'paint'\)"),
-        # What is behind it, or lets light through, does not enclose.
+        # Shapes behind it, and shapes that let light through, do not enclose.
         (
             [
                 sphere("clear", 0.2, inside='<bsdf type="thindielectric"/>'),

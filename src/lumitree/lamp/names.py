@@ -80,8 +80,8 @@ def matching(
     Args:
         option, file, kind: the pattern's option, the name of the file, and what the things are, for
             messages.
-        listed: descriptions of the things, for messages; those of a file whose things may also be
-            chosen by number, as "#3". None: by names alone.
+        listed: descriptions of the things, for messages. They may then be chosen by number, too, as
+            "#3". None: by names alone.
         how: end of the message.
 
     Raises:

@@ -99,7 +99,7 @@ def lost_light(luminaire: Luminaire, seed: int) -> NDArray[np.float64]:
 
 
 def _enclosing(luminaire: Luminaire, seed: int) -> str:
-    """What encloses the emitters, and what to do."""
+    """The shapes that enclose the emitters, and the way to mend it."""
     lost = lost_light(luminaire, seed)
     emits = np.array([shape.is_emitter() for shape in luminaire.scene.shapes()])
     if (lost[~emits] > 0).any():

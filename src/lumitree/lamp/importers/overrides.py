@@ -66,7 +66,7 @@ class Overrides:
     materials: Mapping[str, MaterialOverride] = dataclasses.field(default_factory=dict)
 
     def of(self, material: Material) -> MaterialOverride | None:
-        """What replaces parts of a material, by its name in the model's file or its own."""
+        """The override of a material, by its name in the model's file or its own."""
         return self.materials.get(material.title, self.materials.get(material.name))
 
 

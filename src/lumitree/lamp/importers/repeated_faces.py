@@ -18,7 +18,8 @@ from lumitree.lamp.meshes import Floats, Mesh, area_normals
 from lumitree.lamp.names import Names
 from lumitree.lamp.parts import Geometry, Part
 
-# Of the area: difference of two surfaces that are the same, whose quads are not quite flat.
+# Largest difference of two surfaces that are the same, as a fraction of the area: quads may not be
+# flat.
 _ALIKE = 0.01
 # Most copies of different surfaces in one box that others are compared with.
 _COMPARED = 8

@@ -5,8 +5,8 @@ The notions, which are the same for all file formats:
 * *place*: vertices whose positions are equal, to a tolerance, are in one place (`weld`). The
   faces [F, 3] of this module are triples of places, so that vertices which a file repeats do not
   open a surface.
-* *repeated*: a face whose corners are in the places of those of another. A copy may have been
-  rounded differently when it was written, so the tolerance is larger here (`repeats`).
+* *repeated*: a face whose corners are in the same places as the corners of another. Copies may be
+  rounded differently, so the tolerance is larger here (`repeats`).
 * *piece*: a set of faces that are connected by edges.
 * *consistent*: at every edge of the piece, as many faces run along it one way as the other, so
   that neighbouring faces have the same orientation.
@@ -34,8 +34,8 @@ Indices = NDArray[np.int64]
 
 # Smallest tolerance of `weld`, as a fraction of the bounding box's diagonal.
 _WELD = 5e-7
-# Of the diagonal of a material's bounding box: its faces whose corners are all nearer than this are
-# one face. A copy of a face may have been rounded differently when it was written.
+# Distance of corners that are in one place to `repeats`, as a fraction of the diagonal of a
+# material's bounding box.
 _REPEATED = 1e-5
 # Most half-edges in one place that are taken for neighbours.
 _MAX_AT_EDGE = 8
@@ -156,7 +156,7 @@ def _in_one_place(corners: Floats, within: float) -> tuple[Indices, NDArray[np.b
 
 
 def _turned(corners: Floats, places: Indices, same: Indices) -> NDArray[np.bool_]:
-    """Whether faces [F, N, 3] are wound the other way than those of the same corners."""
+    """Whether faces [F, N, 3] are wound the other way than the faces `same` of their corners."""
     if places.shape[1] > 3:
         normals = newell(corners)
         return (normals * normals[same]).sum(axis=1) < 0

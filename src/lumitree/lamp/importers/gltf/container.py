@@ -21,7 +21,7 @@ from lumitree.lamp.importers.gltf.item import Item
 from lumitree.lamp.importers.model_folder import ModelFolder
 
 MAX_FILE_BYTES = 2**31
-# Of the JSON text; each takes about 100 bytes of memory.
+# Most values of the JSON text; each takes about 100 bytes of memory.
 MAX_VALUES = 5_000_000
 SUPPORTED_EXTENSIONS = frozenset(
     {
