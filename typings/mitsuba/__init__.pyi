@@ -244,6 +244,7 @@ class RayFlags:
     Minimal: _Flag
 
 def has_flag(flags: Any, flag: Any) -> Any: ...
+def luminance(value: Any) -> Any: ...
 
 class Object:
     @property
