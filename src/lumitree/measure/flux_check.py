@@ -44,8 +44,8 @@ def check_flux(luminaire: Luminaire, explicit: Irradiance) -> Json:
     if known and _differ(light, light_error, camera):
         warnings.warn(
             f"{luminaire.name} emits {flux_text(light, light_error)} by light paths, but {camera} "
-            "by camera paths that hit its emitters; one of both is wrong: look for materials that "
-            "create light, and for glass that is not closed",
+            "by camera paths that hit its emitters; one of both is wrong: look for surfaces that "
+            "coincide, for materials that create light, and for glass that is not closed",
             LumitreeWarning,
             stacklevel=3,
         )
