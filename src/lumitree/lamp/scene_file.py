@@ -23,6 +23,7 @@ from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.lamp.importers.overrides import select_names
 from lumitree.lamp.media import keep_clear_channels
 from lumitree.lamp.mesh_files import check_mesh_file
+from lumitree.lamp.metallic_roughness import register_metallic_roughness
 from lumitree.lamp.scene_instances import copy_instances, matrix_of, referred
 from lumitree.lamp.scene_shapes import SceneShape, shape_of_node
 from lumitree.lamp.spectra import spectra_of_emitters
@@ -71,6 +72,7 @@ class SceneFile:
             self._folder, self._name = self.path.parent, shown(source, 300)
             self._check_text(self.path)
         mi = load_mitsuba()
+        register_metallic_roughness()
         # Compared for each property of each node.
         self._types = mi.ObjectType
         self._config = mi.parser.ParserConfig(mi.variant())

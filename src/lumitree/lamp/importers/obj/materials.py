@@ -3,9 +3,9 @@
 1. Glass where `illum` is 4, 6, 7 or 9, or `d` is below 1 while `Ni` is above 1: `Ni` is the index
    of refraction (1.5 if it is no more than 1) and `Tf` the transmittance of the whole object. Glass
    is solid where the mesh is closed, otherwise one thin sheet. `d` has no further effect.
-2. Principled where there is a physically based key (`Pr`, `Pm`, `Ps`, `Pc`, `Pcr`, `aniso`).
+2. Metallic-roughness where there is a physically based key (`Pr`, `Pm`, `Ps`, `Pc`, `Pcr`, `aniso`).
 3. Metal where `illum` is 3 or 5 and `Ks` is at least as bright as `Kd`: it reflects `Ks`.
-4. Principled where `Ks` is not black and `illum` is not 0 or 1: `Kd`, with the roughness that
+4. Metallic-roughness where `Ks` is not black and `illum` is not 0 or 1: `Kd`, with the roughness that
    corresponds to `Ns`.
 5. Diffuse `Kd`.
 
@@ -37,7 +37,7 @@ from lumitree.lamp.parts import (
     Glass,
     Material,
     Metal,
-    Principled,
+    MetallicRoughness,
     Surface,
     Texture,
     Value,
@@ -114,12 +114,12 @@ class _Reader:
             return self._glass(ior, closed())
         base, specular = self._base(), self._rgb("Ks", (0.0, 0.0, 0.0))
         if any(key in self._values or f"map_{key}" in self._maps for key in _PHYSICAL):
-            return self._principled(base, ior)
+            return self._metallic_roughness(base, ior)
         diffuse = self._rgb("Kd", (0.5, 0.5, 0.5))
         if illum in _MIRROR_ILLUM and max(specular) >= max(diffuse) and max(specular) > 0:
             return Metal(specular, self._gloss())
         if illum not in (0, 1) and max(specular) > 0:
-            return Principled(base, roughness=self._gloss(), ior=ior)
+            return MetallicRoughness(base, roughness=self._gloss(), ior=ior)
         return Diffuse(base)
 
     def _glass(self, ior: float, closed: bool) -> Glass:
@@ -130,8 +130,8 @@ class _Reader:
         roughness = self._unit("Pr", 0.0) if closed else 0.0
         return Glass(ior, roughness, filtered, thin=not closed)
 
-    def _principled(self, base: Colour, ior: float) -> Principled:
-        return Principled(
+    def _metallic_roughness(self, base: Colour, ior: float) -> MetallicRoughness:
+        return MetallicRoughness(
             base,
             metallic=self._value("Pm", 0.0),
             roughness=self._value("Pr", 0.5),
@@ -139,8 +139,7 @@ class _Reader:
             ior=ior,
             sheen=self._value("Ps", 0.0),
             clearcoat=self._unit("Pc", 0.0),
-            # Mitsuba's alpha is 0.1 at gloss 0, and 0.001 at gloss 1.
-            clearcoat_gloss=float(np.clip((0.1 - self._unit("Pcr", 0.0) ** 2) / 0.099, 0, 1)),
+            clearcoat_roughness=self._unit("Pcr", 0.0),
         )
 
     def _base(self) -> Colour:
