@@ -17,7 +17,7 @@ from lumitree.lamp.builtin.materials import (
     emitting,
 )
 from lumitree.lamp.meshes import Floats, Mesh, join, lathe, moved, resample, smooth, sweep
-from lumitree.lamp.parts import Geometry, Material, Metal, Part, MetallicRoughness
+from lumitree.lamp.parts import Geometry, Material, Metal, MetallicRoughness, Part
 
 _RADIANCE = (150.0, 102.0, 55.0)
 _REACH = 1.2  # from the axis of the foot to that of the globe, metres

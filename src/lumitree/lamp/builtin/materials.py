@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from lumitree.lamp.parts import RGB, Diffuse, Glass, Material, Metal, Microfacets, MetallicRoughness
+from lumitree.lamp.parts import RGB, Diffuse, Glass, Material, Metal, MetallicRoughness, Microfacets
 
 # Of all rough surfaces of the built-in lamps. Of GGX's, `star` has a quarter less light: what is
 # reflected between microfacets is lost, at each of many crossings.

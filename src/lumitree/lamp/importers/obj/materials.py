@@ -3,10 +3,11 @@
 1. Glass where `illum` is 4, 6, 7 or 9, or `d` is below 1 while `Ni` is above 1: `Ni` is the index
    of refraction (1.5 if it is no more than 1) and `Tf` the transmittance of the whole object. Glass
    is solid where the mesh is closed, otherwise one thin sheet. `d` has no further effect.
-2. Metallic-roughness where there is a physically based key (`Pr`, `Pm`, `Ps`, `Pc`, `Pcr`, `aniso`).
+2. Metallic-roughness where there is a physically based key (`Pr`, `Pm`, `Ps`, `Pc`, `Pcr` or
+   `aniso`).
 3. Metal where `illum` is 3 or 5 and `Ks` is at least as bright as `Kd`: it reflects `Ks`.
-4. Metallic-roughness where `Ks` is not black and `illum` is not 0 or 1: `Kd`, with the roughness that
-   corresponds to `Ns`.
+4. Metallic-roughness where `Ks` is not black and `illum` is not 0 or 1: `Kd`, with the roughness
+   that corresponds to `Ns`.
 5. Diffuse `Kd`.
 
 In materials other than glass, `d` or 1 - `Tr` is the opacity. `Ke` is the emitted radiance,
