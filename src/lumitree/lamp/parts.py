@@ -113,7 +113,7 @@ class Diffuse:
 
 
 @dataclasses.dataclass(frozen=True)
-class MetallicRoughness:
+class Principled:
     """The material of glTF 2.0, which `lamp.metallic_roughness` renders; all in [0, 1] but `ior`.
 
     Attributes:
@@ -139,7 +139,7 @@ class MetallicRoughness:
     thin: bool = False
 
 
-Surface = Glass | Metal | Diffuse | MetallicRoughness
+Surface = Glass | Metal | Diffuse | Principled
 
 
 @dataclasses.dataclass(frozen=True)

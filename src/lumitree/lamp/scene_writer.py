@@ -20,7 +20,7 @@ from lumitree.core.system import accepts_name
 from lumitree.lamp.conductors import normal_reflectance
 from lumitree.lamp.masked_emission import MaskedEmission
 from lumitree.lamp.meshes import Floats, Mesh
-from lumitree.lamp.metallic_roughness import METALLIC_ROUGHNESS
+from lumitree.lamp.metallic_roughness import METALLIC_ROUGHNESS, register_metallic_roughness
 from lumitree.lamp.names import Names
 from lumitree.lamp.parts import (
     WHITE,
@@ -31,8 +31,8 @@ from lumitree.lamp.parts import (
     Material,
     Medium,
     Metal,
-    MetallicRoughness,
     Part,
+    Principled,
     Surface,
     Texture,
     Value,
@@ -60,6 +60,8 @@ def write_scene(model: Geometry, folder: str | os.PathLike[str]) -> Path:
     Raises:
         LumitreeError: the folder cannot be written.
     """
+    # The scene can then be loaded.
+    register_metallic_roughness()
     return _Writer(model, Path(folder)).write()
 
 
@@ -136,16 +138,16 @@ class _Writer:
             case Diffuse():
                 bsdf = SubElement(parent, "bsdf", {"type": "diffuse", **name})
                 self._colour(bsdf, "reflectance", surface.reflectance)
-            case MetallicRoughness():
-                self._metallic_roughness(parent, surface, name)
+            case Principled():
+                self._principled(parent, surface, name)
 
     def _metal(self, parent: Element, metal: Metal, name: dict[str, str]) -> None:
         rough = metal.roughness >= _SMOOTH
         if rough and metal.microfacets == "ggx":
             reflectance = normal_reflectance({"material": metal.conductor})
             colour = tuple((np.array(metal.tint) * reflectance).tolist())
-            surface = MetallicRoughness(colour, metallic=1.0, roughness=metal.roughness)
-            self._metallic_roughness(parent, surface, name)
+            surface = Principled(colour, metallic=1.0, roughness=metal.roughness)
+            self._principled(parent, surface, name)
             return
         kind = "roughconductor" if rough else "conductor"
         bsdf = SubElement(parent, "bsdf", {"type": kind, **name})
@@ -158,10 +160,10 @@ class _Writer:
         rough = glass.roughness >= _SMOOTH and not glass.thin
         if rough and glass.microfacets == "ggx":
             red, green, blue = (channel**2 for channel in glass.tint)
-            surface = MetallicRoughness(
+            surface = Principled(
                 (red, green, blue), roughness=glass.roughness, ior=glass.ior, transmission=1.0
             )
-            self._metallic_roughness(parent, surface, name)
+            self._principled(parent, surface, name)
             return
         kind = "thindielectric" if glass.thin else "roughdielectric" if rough else "dielectric"
         bsdf = SubElement(parent, "bsdf", {"type": kind, **name})
@@ -172,9 +174,7 @@ class _Writer:
         if glass.tint != WHITE:
             _rgb(bsdf, "specular_transmittance", glass.tint)
 
-    def _metallic_roughness(
-        self, parent: Element, surface: MetallicRoughness, name: dict[str, str]
-    ) -> None:
+    def _principled(self, parent: Element, surface: Principled, name: dict[str, str]) -> None:
         bsdf = SubElement(parent, "bsdf", {"type": METALLIC_ROUGHNESS, **name})
         self._colour(bsdf, "base_color", surface.base_color)
         for key, value, default in (
@@ -285,7 +285,7 @@ def _reference(material: Material) -> str:
 
 
 def _transmits(surface: Surface) -> bool:
-    if isinstance(surface, MetallicRoughness):
+    if isinstance(surface, Principled):
         diffuse = surface.thin and surface.diffuse_transmission > 0
         return diffuse or isinstance(surface.transmission, Texture) or surface.transmission > 0
     return isinstance(surface, Glass)

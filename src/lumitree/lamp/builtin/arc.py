@@ -17,7 +17,7 @@ from lumitree.lamp.builtin.materials import (
     emitting,
 )
 from lumitree.lamp.meshes import Floats, Mesh, join, lathe, moved, resample, smooth, sweep
-from lumitree.lamp.parts import Geometry, Material, Metal, MetallicRoughness, Part
+from lumitree.lamp.parts import Geometry, Material, Metal, Part, Principled
 
 _RADIANCE = (150.0, 102.0, 55.0)
 _REACH = 1.2  # from the axis of the foot to that of the globe, metres
@@ -31,7 +31,7 @@ _BULB_OUTSIDE = ((0, -0.128), (0.022, -0.128), (0.041, -0.108), (0.0405, -0.074)
 _BULB = HangingBulb(
     _BULB_OUTSIDE, Filament(4, cage=0.0165, spacing=0.0165, top=-0.056, bottom=-0.094)
 )
-_MARBLE = Material("marble", MetallicRoughness((0.74, 0.72, 0.69), roughness=0.35))
+_MARBLE = Material("marble", Principled((0.74, 0.72, 0.69), roughness=0.35))
 _BRUSHED_STEEL = Material("brushed_steel", Metal((1.0, 1.0, 1.0), 0.4, "Cr", BECKMANN))
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from lumitree.lamp.parts import RGB, Diffuse, Glass, Material, Metal, MetallicRoughness, Microfacets
+from lumitree.lamp.parts import RGB, Diffuse, Glass, Material, Metal, Microfacets, Principled
 
 # Of all rough surfaces of the built-in lamps. Of GGX's, `star` has a quarter less light: what is
 # reflected between microfacets is lost, at each of many crossings.
@@ -12,7 +12,7 @@ CRYSTAL = Material("crystal", Glass(ior=1.56))
 WAX = Material("wax", Diffuse((0.82, 0.76, 0.64)))
 OPAL_SHEET = Material(
     "opal_sheet",
-    MetallicRoughness((0.93, 0.88, 0.78), roughness=0.6, diffuse_transmission=1.1, thin=True),
+    Principled((0.93, 0.88, 0.78), roughness=0.6, diffuse_transmission=1.1, thin=True),
 )
 # Gold with a darker tint: Mitsuba has no data for brass.
 BRASS = Material("brass", Metal((0.95, 0.86, 0.86), 0.45, "Au", BECKMANN))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.lamp.meshes import Mesh, areas_on_image
-from lumitree.lamp.parts import Diffuse, MetallicRoughness, Surface, VertexColour
+from lumitree.lamp.parts import Diffuse, Principled, Surface, VertexColour
 
 
 def selected(mesh: Mesh, keep: NDArray[np.bool_]) -> Mesh:
@@ -68,7 +68,7 @@ def painted(surface: Surface) -> Surface | None:
     match surface:
         case Diffuse():
             return Diffuse(VertexColour())
-        case MetallicRoughness():
+        case Principled():
             return dataclasses.replace(surface, base_color=VertexColour())
         case _:
             return None

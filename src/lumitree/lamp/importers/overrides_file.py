@@ -31,7 +31,7 @@ from lumitree.lamp.parts import (
     Glass,
     Medium,
     Metal,
-    MetallicRoughness,
+    Principled,
     Surface,
 )
 
@@ -73,7 +73,7 @@ def _material(table: Table) -> MaterialOverride:
         "glass": _glass,
         "metal": _metal,
         "diffuse": _diffuse,
-        "principled": _metallic_roughness,
+        "principled": _principled,
     }
     surfaces: list[tuple[Surface, bool]] = []
     for key, read in readers.items():
@@ -134,10 +134,10 @@ def _diffuse(table: Table) -> tuple[Surface, bool]:
     return Diffuse(table.take("reflectance", _rgb(1.0)) or (0.5, 0.5, 0.5)), False
 
 
-def _metallic_roughness(table: Table) -> tuple[Surface, bool]:
+def _principled(table: Table) -> tuple[Surface, bool]:
     share = number(0.0, 1.0)
     return (
-        MetallicRoughness(
+        Principled(
             base_color=table.take("base_color", _rgb(1.0)) or (0.5, 0.5, 0.5),
             metallic=_or(table.take("metallic", share), 0.0),
             roughness=_or(table.take("roughness", share), 0.5),

@@ -7,7 +7,7 @@ import numpy as np
 from lumitree.lamp.importers.gltf.base import Base
 from lumitree.lamp.importers.gltf.layers import Layers
 from lumitree.lamp.importers.gltf.maps import Array, Map, Textures, constant
-from lumitree.lamp.parts import RGB, Diffuse, Glass, Medium, MetallicRoughness, Surface
+from lumitree.lamp.parts import RGB, Diffuse, Glass, Medium, Principled, Surface
 
 # Roughness below which a surface is smooth: alpha would be less than 0.001, the smallest of
 # Mitsuba's rough models.
@@ -82,7 +82,7 @@ def read_surface(
     thin = (through or scattered > 0) and not solid
     if through or scattered > 0:
         base = _absorbed(layers, base, volume, thickness)
-    return _metallic_roughness(layers, textures, base, transmission, scattered, thin)
+    return _principled(layers, textures, base, transmission, scattered, thin)
 
 
 def _glass(layers: Layers, base: Base, volume: Volume, solid: bool, thickness: float) -> Glass:
@@ -101,18 +101,18 @@ def _glass(layers: Layers, base: Base, volume: Volume, solid: bool, thickness: f
     return Glass(ior, 0.0, (red, green, blue), thin=True)
 
 
-def _metallic_roughness(
+def _principled(
     layers: Layers,
     textures: Textures,
     base: Base,
     transmission: Map,
     scattered: float,
     thin: bool,
-) -> MetallicRoughness:
+) -> Principled:
     roughness, anisotropy = _anisotropy(layers, base.roughness)
     clearcoat, clearcoat_roughness = _clearcoat(layers)
     ior, specular = _reflection(layers, transmits=not transmission.black())
-    return MetallicRoughness(
+    return Principled(
         textures.colour(base.colour),
         textures.value(base.metallic),
         textures.value(roughness),
@@ -179,8 +179,13 @@ def _reflection(layers: Layers, transmits: bool) -> tuple[float, Map]:
         if max(tint) > min(tint):
             layers.note("specular colour (its mean is used)")
         # The colour is a factor of the reflectance at normal incidence.
-        root = abs(ior - 1) / (ior + 1) * float(np.mean(tint)) ** 0.5
-        ior = (1 + root) / (1 - root) if root < 1 else 0.0
+        root = min(abs(ior - 1) / (ior + 1) * float(np.mean(tint)) ** 0.5, 1.0)
+        # Beyond the largest ior the factor has the rest.
+        largest = (_MAX_IOR - 1) / (_MAX_IOR + 1)
+        excess = max(root / largest, 1.0) ** 2
+        factor = factor.applied(lambda values: np.minimum(values * excess, 1))
+        root = min(root, largest)
+        ior = (1 + root) / (1 - root)
     if ior == 0:
         # It stands for an infinite one.
         ior = 1.5 if transmits else _MAX_IOR

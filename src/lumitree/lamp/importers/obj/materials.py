@@ -38,7 +38,7 @@ from lumitree.lamp.parts import (
     Glass,
     Material,
     Metal,
-    MetallicRoughness,
+    Principled,
     Surface,
     Texture,
     Value,
@@ -115,12 +115,12 @@ class _Reader:
             return self._glass(ior, closed())
         base, specular = self._base(), self._rgb("Ks", (0.0, 0.0, 0.0))
         if any(key in self._values or f"map_{key}" in self._maps for key in _PHYSICAL):
-            return self._metallic_roughness(base, ior)
+            return self._principled(base, ior)
         diffuse = self._rgb("Kd", (0.5, 0.5, 0.5))
         if illum in _MIRROR_ILLUM and max(specular) >= max(diffuse) and max(specular) > 0:
             return Metal(specular, self._gloss())
         if illum not in (0, 1) and max(specular) > 0:
-            return MetallicRoughness(base, roughness=self._gloss(), ior=ior)
+            return Principled(base, roughness=self._gloss(), ior=ior)
         return Diffuse(base)
 
     def _glass(self, ior: float, closed: bool) -> Glass:
@@ -131,8 +131,8 @@ class _Reader:
         roughness = self._unit("Pr", 0.0) if closed else 0.0
         return Glass(ior, roughness, filtered, thin=not closed)
 
-    def _metallic_roughness(self, base: Colour, ior: float) -> MetallicRoughness:
-        return MetallicRoughness(
+    def _principled(self, base: Colour, ior: float) -> Principled:
+        return Principled(
             base,
             metallic=self._value("Pm", 0.0),
             roughness=self._value("Pr", 0.5),
