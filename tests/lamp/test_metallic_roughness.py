@@ -121,7 +121,7 @@ def test_the_albedo_is_that_of_the_specification(mi, made, roughness):
                 place = index, channel
                 values = reflected[place], transmitted[place]
                 # A sample is reflected or transmitted, so the parts vary more than their sum.
-                slack = 4 * (error[place] + 0.5 / COUNT**0.5 * (0 < transmission)) + 0.002
+                slack = 4 * (error[place] + 0.5 / COUNT**0.5 * (transmission > 0)) + 0.002
                 assert values == pytest.approx(right, rel=0.01, abs=slack), (surface, cosine, base)
 
 

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import functools
 import operator
+from collections.abc import Sequence
 
 import drjit as dr
 import mitsuba as mi
@@ -52,7 +53,7 @@ def _schlick(cosine: mi.Float) -> mi.Float:
     return dr.power(1 - dr.clip(cosine, 0, 1), 5)
 
 
-def _ggx(alphas: tuple[mi.Float, mi.Float]) -> mi.MicrofacetDistribution:
+def _ggx(alphas: Sequence[mi.Float]) -> mi.MicrofacetDistribution:
     return mi.MicrofacetDistribution(mi.MicrofacetType.GGX, *alphas)
 
 
@@ -361,7 +362,7 @@ def metallic_roughness_class() -> type:
             return _Point(self, ctx, si, active).evaluate(wo)
 
         def eval_diffuse_reflectance(self, si, active=True):
-            return mi.Color3f(self.textures["base_color"].eval(si, active))
+            return self.textures["base_color"].eval(si, active)
 
         def to_string(self) -> str:
             return f"LumitreeMetallicRoughness[base_color={self.textures['base_color']}]"

@@ -11,14 +11,15 @@ the second, both from 0 to 1: the albedo changes fast at grazing angles.
 
 import dataclasses
 import functools
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-# Entries along each axis of a table, and samples of the normal along each axis of the unit square.
-SIZE, _SAMPLES = 48, 32
+# Entries along each axis of a table, and sampled normals for each entry.
+SIZE, _SAMPLES = 48, 1024
 # Least alpha of a surface; no normal is sampled in the plane of the surface.
 MIN_ALPHA, _MIN_COSINE = 1e-3, 1e-4
 
@@ -92,7 +93,8 @@ def hemisphere_mean(table: Floats) -> Floats:
     return np.einsum("...kc,k->...c", table, weight)
 
 
-def _tabulated(values) -> Floats:
+def _tabulated(values: Callable[[float, float], tuple[float, float]]) -> Floats:
+    """[SIZE, SIZE, 2] values for an alpha and a cosine."""
     roughness, cosines = np.linspace(0, 1, SIZE), np.linspace(0, 1, SIZE) ** 2
     return np.array(
         [
@@ -103,12 +105,10 @@ def _tabulated(values) -> Floats:
 
 
 @functools.cache
-def _unit_square() -> tuple[Floats, Floats]:
-    """Radius and azimuth of points that fill the unit disk evenly."""
-    # Points of a lattice whose projections on both axes are even.
-    count = _SAMPLES**2
-    index = np.arange(count)
-    return np.sqrt((index + 0.5) / count), 2 * np.pi * (index * 0.6180339887498949 % 1)
+def _unit_disk() -> tuple[Floats, Floats]:
+    """Radius and azimuth of points that fill the unit disk evenly, on a Fibonacci spiral."""
+    index = np.arange(_SAMPLES, dtype=np.float64)
+    return np.sqrt((index + 0.5) / _SAMPLES), 2 * np.pi * (index * 0.6180339887498949 % 1)
 
 
 def _visible_normals(alpha: float, cosine: float) -> tuple[Floats, Floats]:
@@ -119,7 +119,7 @@ def _visible_normals(alpha: float, cosine: float) -> tuple[Floats, Floats]:
     """
     sine = np.sqrt(1 - cosine**2)
     x, z = np.array([alpha * sine, cosine]) / np.hypot(alpha * sine, cosine)
-    radius, azimuth = _unit_square()
+    radius, azimuth = _unit_disk()
     first, second = radius * np.cos(azimuth), radius * np.sin(azimuth)
     mixed = 0.5 * (1 + z)
     second = (1 - mixed) * np.sqrt(1 - first**2) + mixed * second
