@@ -256,7 +256,6 @@ class EmitterFlags:
 
 class ParamFlags:
     Differentiable: _Flag
-    NonDifferentiable: _Flag
 
 class RayFlags:
     All: _Flag

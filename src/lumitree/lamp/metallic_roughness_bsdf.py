@@ -308,10 +308,11 @@ def metallic_roughness_class() -> type:
                 name: props.get_texture(name, value) for name, value in _DEFAULTS.items()
             }
             ior, self.thin = float(props.get("eta", 1.5)), bool(props.get("thin", False))
+            self.absent |= set() if self.thin else {"diff_trans"}
             self.eta = parameter(mi.Float, ior)
             self.f0 = parameter(mi.Float, ((ior - 1) / (ior + 1)) ** 2)
             clear, self.coated = "spec_trans" not in self.absent, "clearcoat" not in self.absent
-            self.transmits = clear or (self.thin and "diff_trans" not in self.absent)
+            self.transmits = clear or "diff_trans" not in self.absent
             self.has_back = self.thin or self.transmits
             self.lookup = reflection_lookup(mi.variant())
             self.glass = glass_lookup(mi.variant(), ior) if clear and not self.thin else None
@@ -334,7 +335,6 @@ def metallic_roughness_class() -> type:
         def traverse(self, callback) -> None:
             for name, texture in self.textures.items():
                 callback.put(name, texture, mi.ParamFlags.Differentiable)
-            callback.put("eta", self.eta, mi.ParamFlags.NonDifferentiable)
 
         def sample(self, ctx, si, sample1, sample2, active=True):
             point = _Point(self, ctx, si, active)

@@ -177,22 +177,17 @@ class _Writer:
     def _principled(self, parent: Element, surface: Principled, name: dict[str, str]) -> None:
         bsdf = SubElement(parent, "bsdf", {"type": METALLIC_ROUGHNESS, **name})
         self._colour(bsdf, "base_color", surface.base_color)
-        for key, value, default in (
-            ("metallic", surface.metallic, 0.0),
-            ("roughness", surface.roughness, 0.5),
-            ("anisotropic", surface.anisotropy, 0.0),
-            ("specular", surface.specular, 1.0),
-            ("spec_trans", surface.transmission, 0.0),
-            ("diff_trans", surface.diffuse_transmission, 0.0),
-            ("clearcoat", surface.clearcoat, 0.0),
-            ("clearcoat_roughness", surface.clearcoat_roughness, 0.0),
-            ("sheen", surface.sheen, 0.0),
-        ):
-            if value != default:
-                self._value(bsdf, key, value)
-        _add(bsdf, "float", "eta", _number(surface.ior))
-        if surface.thin:
-            _add(bsdf, "boolean", "thin", "true")
+        self._value(bsdf, "metallic", surface.metallic)
+        self._value(bsdf, "roughness", surface.roughness)
+        self._value(bsdf, "anisotropic", surface.anisotropy)
+        self._value(bsdf, "eta", surface.ior)
+        self._value(bsdf, "specular", surface.specular)
+        self._value(bsdf, "sheen", surface.sheen)
+        self._value(bsdf, "clearcoat", surface.clearcoat)
+        self._value(bsdf, "clearcoat_roughness", surface.clearcoat_roughness)
+        self._value(bsdf, "spec_trans", surface.transmission)
+        self._value(bsdf, "diff_trans", surface.diffuse_transmission)
+        _add(bsdf, "boolean", "thin", "true" if surface.thin else "false")
 
     def _colour(self, parent: Element, name: str, colour: Colour) -> None:
         match colour:

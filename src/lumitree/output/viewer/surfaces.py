@@ -146,7 +146,7 @@ def _metallic_roughness(material: Json) -> Surface | None:
 
 def _has_back(material: Json) -> bool:
     """Whether a material scatters light at its back, too."""
-    if material["type"] == "twosided" or transmits(material):
+    if material["type"] == "twosided" or material.get("thin", False) or transmits(material):
         return True
     return any(map(_has_back, material.get("nested", [])))
 
