@@ -14,10 +14,9 @@ _T = TypeVar("_T")
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 inf: float
-pi: float
-inv_pi: float
 two_pi: float
 inv_four_pi: float
+inv_pi: float
 
 class JitBackend:
     CUDA: JitBackend

@@ -216,7 +216,7 @@ class _Point:
         cosine, pmf = dr.abs(wo.z) * dr.inv_pi, self.pmf[_BASE]
         if "sheen" not in self.bsdf.absent:
             grazing = _schlick(dr.dot(wo, dr.normalize(self.wi + wo)))
-            base = dr.minimum(base + dr.pi * self.sheen * grazing, 1)
+            base = dr.minimum(base + self.sheen / dr.inv_pi * grazing, 1)
         value = self.metal * self.rebound * lost / self.lost_mean
         value += self.opaque * (1 - self.behind) * base * under
         if self.bsdf.transmits:
