@@ -159,6 +159,11 @@ def test_further_layers_create_no_light(mi, made, surface):
         assert (means >= 0.75).all()
 
 
+def test_sheen_of_a_black_base_is_sampled(mi, made):
+    found = [albedo(mi, made((0, 0, 0), sheen=sheen), [0.1])[0] for sheen in (0.0, 1.0)]
+    assert (found[1] > found[0] + 0.05).all()
+
+
 @pytest.mark.parametrize("name", SURFACES)
 def test_it_is_reciprocal(mi, made, name):
     """Light paths, which have the mode for importance, find what camera paths find."""

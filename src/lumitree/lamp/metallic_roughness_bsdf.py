@@ -150,7 +150,7 @@ class _Point:
         mirrored = self.layer(tinted, grazing)
         facet = self.metal * (base * tinted + grazing) + self.opaque * mirrored
         diffuse = self.metal * dr.mean(self.rebound) * lost
-        diffuse += self.opaque * (1 - self.behind) * base * under
+        diffuse += self.opaque * (1 - self.behind) * (base + 0.2 * self.sheen) * under
         behind = through = mi.Float(0)
         if bsdf.transmits:
             stays, crosses = self.glass[:2]
