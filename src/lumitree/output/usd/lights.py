@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lumitree.core.photometry import RGB
+from lumitree.core.photometry import LUMENS_PER_WATT, RGB
 from lumitree.formats.ies import ies_content
 from lumitree.output.ies_profiles import ProfiledLight
+from lumitree.output.spots import Spot
 
 # From a luminous intensity, cd, to the intensity of a normalised sphere of UsdLux.
 INTENSITY_PER_CANDELA = 4.0
@@ -39,8 +41,22 @@ class LightWriter:
         self._pxr, self._stage, self._parent, self._hidden = pxr, stage, parent, hidden
         self._radius = radius * _RADIUS
 
+    def add_spot(self, index: int, spot: Spot) -> None:
+        """Define a spot for Blender, whose importer makes π times its intensity the power, W."""
+        prim = self._define(
+            index,
+            spot.position,
+            INTENSITY_PER_CANDELA * spot.candela / LUMENS_PER_WATT,
+            spot.colour,
+        )
+        x, y, z, w = spot.rotation
+        prim.AddOrientOp().Set(self._pxr.Gf.Quatf(w, x, y, z))
+        shaping = self._pxr.UsdLux.ShapingAPI.Apply(prim.GetPrim())
+        shaping.CreateShapingConeAngleAttr(spot.half_angle)
+        shaping.CreateShapingConeSoftnessAttr(1.0)
+
     def add(self, index: int, light: ProfiledLight, profile: Path | None) -> None:
-        """Define a light.
+        """Define a light of UsdLux.
 
         Args:
             index: number of the light.
@@ -48,15 +64,10 @@ class LightWriter:
                 light that emits the same in all directions.
         """
         lux = self._pxr.UsdLux
-        prim = lux.SphereLight.Define(self._stage, f"{self._parent}/light{index}")
-        prim.AddTranslateOp().Set(self._pxr.Gf.Vec3d(*light.position.tolist()))
+        prim = self._define(
+            index, light.position, INTENSITY_PER_CANDELA * light.candela, light.colour
+        )
         prim.AddRotateXOp().Set(_TURN)
-        prim.CreateRadiusAttr(self._radius)
-        prim.CreateTreatAsPointAttr(True)
-        prim.CreateNormalizeAttr(True)
-        prim.CreateIntensityAttr(INTENSITY_PER_CANDELA * light.candela)
-        prim.CreateColorAttr(self._colour(light.colour))
-        prim.CreateExtentAttr(self._extent())
         if profile is not None:
             profile.write_bytes(ies_content(light.profile))
             shaping = lux.ShapingAPI.Apply(prim.GetPrim())
@@ -68,8 +79,18 @@ class LightWriter:
         linked = lux.LightAPI(prim.GetPrim()).GetShadowLinkCollectionAPI()
         linked.CreateExcludesRel().AddTarget(self._hidden)
 
-    def _colour(self, colour: RGB) -> Any:
-        return self._pxr.Gf.Vec3f(*colour)
+    def _define(
+        self, index: int, position: NDArray[np.float64], intensity: float, colour: RGB
+    ) -> Any:
+        prim = self._pxr.UsdLux.SphereLight.Define(self._stage, f"{self._parent}/light{index}")
+        prim.AddTranslateOp().Set(self._pxr.Gf.Vec3d(*position.tolist()))
+        prim.CreateRadiusAttr(self._radius)
+        prim.CreateTreatAsPointAttr(True)
+        prim.CreateNormalizeAttr(True)
+        prim.CreateIntensityAttr(intensity)
+        prim.CreateColorAttr(self._pxr.Gf.Vec3f(*colour))
+        prim.CreateExtentAttr(self._extent())
+        return prim
 
     def _extent(self) -> Any:
         corners = np.array([[-self._radius] * 3, [self._radius] * 3], np.float32)

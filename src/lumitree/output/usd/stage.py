@@ -12,6 +12,7 @@ from lumitree.errors import shown
 from lumitree.output.ies_profiles import ProfiledLight
 from lumitree.output.pbr_images import PbrImages
 from lumitree.output.pbr_meshes import Surface
+from lumitree.output.spots import Spot
 from lumitree.output.usd.lights import LightWriter
 from lumitree.output.usd.materials import MaterialWriter
 from lumitree.output.usd.shaders import ShaderPlace, primvar_name
@@ -22,6 +23,10 @@ _COMMENT = (
     "A lamp, written by lumitree. Metres, y up. Luminances are in cd/m²: a light of the intensity "
     "4 has a mean of 1 cd. The lamp's own shadows are in the IES profiles, so its surfaces are "
     "excluded from those of the lights. The variant off of glow has surfaces that do not emit."
+)
+_BLENDER_COMMENT = (
+    "A lamp, written by lumitree for Blender's importer, which ignores profiles and makes π I W "
+    "of a light of the intensity I. Metres, y up."
 )
 _NAME_CHARACTERS = 60
 
@@ -76,6 +81,15 @@ class LampStage:
         stage.GetRootLayer().Save()
         return lost
 
+    def write_spots(self, spots: Sequence[Spot]) -> None:
+        """Write one layer of spots for Blender, without surfaces."""
+        stage = self._new_stage(self._name, _BLENDER_COMMENT)
+        writer = self._light_writer(stage)
+        for index, spot in enumerate(spots):
+            writer.add_spot(index, spot)
+        self._add_extents(stage)
+        stage.GetRootLayer().Save()
+
     def _add_surfaces(
         self, stage: Any, surfaces: Sequence[Surface], *, materialx: bool
     ) -> list[str]:
@@ -106,20 +120,23 @@ class LampStage:
         self, stage: Any, lights: Sequence[ProfiledLight], files: Sequence[Path | None]
     ) -> None:
         """Define lights, and write their profiles into files; after the surfaces."""
+        writer = self._light_writer(stage)
+        for index, (light, file) in enumerate(zip(lights, files, strict=True)):
+            writer.add(index, light, file)
+        self._add_extents(stage)
+
+    def _light_writer(self, stage: Any) -> LightWriter:
         root = stage.GetDefaultPrim()
         self._pxr.Usd.ModelAPI(root).SetKind(self._pxr.Kind.Tokens.component)
         self._pxr.Usd.ModelAPI(root).SetAssetName(self._luminaire)
         self._pxr.UsdGeom.Xform.Define(stage, f"{self._root}/lights")
         half_side = float(self._asset.frame.scale)
         hidden = f"{self._root}/surfaces"
-        writer = LightWriter(self._pxr, stage, f"{self._root}/lights", hidden, half_side)
-        for index, (light, file) in enumerate(zip(lights, files, strict=True)):
-            writer.add(index, light, file)
-        self._add_extents(stage, root)
+        return LightWriter(self._pxr, stage, f"{self._root}/lights", hidden, half_side)
 
-    def _new_stage(self, name: str) -> Any:
+    def _new_stage(self, name: str, comment: str = _COMMENT) -> Any:
         stage = self._pxr.Usd.Stage.CreateNew(str(self._folder / name))
-        stage.GetRootLayer().comment = _COMMENT
+        stage.GetRootLayer().comment = comment
         self._pxr.UsdGeom.SetStageUpAxis(stage, self._pxr.UsdGeom.Tokens.y)
         self._pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         root = self._pxr.UsdGeom.Xform.Define(stage, self._root)
@@ -158,7 +175,8 @@ class LampStage:
             )
         return mesh
 
-    def _add_extents(self, stage: Any, root: Any) -> None:
+    def _add_extents(self, stage: Any) -> None:
+        root = stage.GetDefaultPrim()
         purposes = [self._pxr.UsdGeom.Tokens.default_]
         time = self._pxr.Usd.TimeCode.Default()
         hint = self._pxr.UsdGeom.BBoxCache(time, purposes).ComputeWorldBound(root)
