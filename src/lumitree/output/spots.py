@@ -1,5 +1,9 @@
 """Point lights as spots, which Blender's importers of glTF and OpenUSD take; they ignore profiles.
 
+The importer of glTF makes 4 π I / 683 W of I candela (`calc_energy_pointlike` of io_scene_gltf2,
+lighting mode "Standard"), and the importer of OpenUSD π times the intensity, which is 4 I for a
+normalised sphere (`USDLightReader::read_object_data`): there I must be in W/sr.
+
 Blender's spot with a blend of 1 has, at the angle θ to its axis, the intensity of a point light of
 the same power times smoothstep((cos θ - cos α) / (1 - cos α)), where α is half its angle
 (`spot_light_attenuation` of Cycles). A light is the sum of spots that is nearest to its intensity.

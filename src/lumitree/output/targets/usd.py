@@ -31,11 +31,9 @@ _UNITS = (
 
 
 def _write_stage(request: ExportRequest, folder: Path) -> Written:
-    stage = LampStage(load_usd(), folder, request.name, request.stem, request.asset)
     if request.importer == "blender":
-        spots, written = blender_spots(request)
-        stage.write_spots(spots)
-        return written
+        return _write_spots(request, folder, request.name)
+    stage = LampStage(load_usd(), folder, request.name, request.stem, request.asset, _UNITS)
     surfaces, lights, lost = _contents(request)
     return _written(surfaces, lights, [*lost, *stage.write_layers(surfaces, lights)])
 
@@ -45,17 +43,23 @@ def _write_package(request: ExportRequest, folder: Path) -> Written:
     pxr = load_usd()
     with scratch_folder() as scratch:
         name = f"{request.stem}.usdc"
-        stage = LampStage(pxr, scratch, name, request.stem, request.asset)
         if request.importer == "blender":
-            spots, written = blender_spots(request)
-            stage.write_spots(spots)
+            written = _write_spots(request, scratch, name)
         else:
+            stage = LampStage(pxr, scratch, name, request.stem, request.asset, _UNITS)
             surfaces, lights, lost = _contents(request)
             lost += stage.write_layer(surfaces, lights)
             written = _written(surfaces, lights, [_LOST_PROFILES, *lost])
         given = pxr.Sdf.AssetPath(str(scratch / name))
         if not pxr.UsdUtils.CreateNewUsdzPackage(given, str(folder / request.name), name):
             raise LumitreeError(f"OpenUSD did not write the package {shown(request.name, 200)}")
+    return written
+
+
+def _write_spots(request: ExportRequest, folder: Path, name: str) -> Written:
+    spots, written = blender_spots(request)
+    stage = LampStage(load_usd(), folder, name, request.stem, request.asset, written.units)
+    stage.write_layer([], spots)
     return written
 
 

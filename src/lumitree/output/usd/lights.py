@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lumitree.core.photometry import LUMENS_PER_WATT, RGB
+from lumitree.core.photometry import LUMENS_PER_WATT
 from lumitree.formats.ies import ies_content
 from lumitree.output.ies_profiles import ProfiledLight
 from lumitree.output.spots import Spot
@@ -41,33 +40,34 @@ class LightWriter:
         self._pxr, self._stage, self._parent, self._hidden = pxr, stage, parent, hidden
         self._radius = radius * _RADIUS
 
-    def add_spot(self, index: int, spot: Spot) -> None:
-        """Define a spot for Blender, whose importer makes π times its intensity the power, W."""
-        prim = self._define(
-            index,
-            spot.position,
-            INTENSITY_PER_CANDELA * spot.candela / LUMENS_PER_WATT,
-            spot.colour,
-        )
-        x, y, z, w = spot.rotation
-        prim.AddOrientOp().Set(self._pxr.Gf.Quatf(w, x, y, z))
-        shaping = self._pxr.UsdLux.ShapingAPI.Apply(prim.GetPrim())
-        shaping.CreateShapingConeAngleAttr(spot.half_angle)
-        shaping.CreateShapingConeSoftnessAttr(1.0)
-
-    def add(self, index: int, light: ProfiledLight, profile: Path | None) -> None:
-        """Define a light of UsdLux.
+    def add(self, index: int, light: ProfiledLight | Spot, profile: Path | None) -> None:
+        """Define a light.
 
         Args:
             index: number of the light.
+            light: Blender's importer makes W of the candela of UsdLux, so a spot has W/sr.
             profile: file that is written, with the name that it has beside the stage; None for a
-                light that emits the same in all directions.
+                light that emits the same in all directions, and for spots.
         """
         lux = self._pxr.UsdLux
-        prim = self._define(
-            index, light.position, INTENSITY_PER_CANDELA * light.candela, light.colour
-        )
+        prim = lux.SphereLight.Define(self._stage, f"{self._parent}/light{index}")
+        prim.AddTranslateOp().Set(self._pxr.Gf.Vec3d(*light.position.tolist()))
+        prim.CreateRadiusAttr(self._radius)
+        prim.CreateTreatAsPointAttr(True)
+        prim.CreateNormalizeAttr(True)
+        intensity = INTENSITY_PER_CANDELA * light.candela
+        prim.CreateColorAttr(self._pxr.Gf.Vec3f(*light.colour))
+        prim.CreateExtentAttr(self._extent())
+        if isinstance(light, Spot):
+            x, y, z, w = light.rotation
+            prim.AddOrientOp().Set(self._pxr.Gf.Quatf(w, x, y, z))
+            prim.CreateIntensityAttr(intensity / LUMENS_PER_WATT)
+            shaping = lux.ShapingAPI.Apply(prim.GetPrim())
+            shaping.CreateShapingConeAngleAttr(light.half_angle)
+            shaping.CreateShapingConeSoftnessAttr(1.0)
+            return
         prim.AddRotateXOp().Set(_TURN)
+        prim.CreateIntensityAttr(intensity)
         if profile is not None:
             profile.write_bytes(ies_content(light.profile))
             shaping = lux.ShapingAPI.Apply(prim.GetPrim())
@@ -78,19 +78,6 @@ class LightWriter:
         # All that the lamp hides is in its profiles.
         linked = lux.LightAPI(prim.GetPrim()).GetShadowLinkCollectionAPI()
         linked.CreateExcludesRel().AddTarget(self._hidden)
-
-    def _define(
-        self, index: int, position: NDArray[np.float64], intensity: float, colour: RGB
-    ) -> Any:
-        prim = self._pxr.UsdLux.SphereLight.Define(self._stage, f"{self._parent}/light{index}")
-        prim.AddTranslateOp().Set(self._pxr.Gf.Vec3d(*position.tolist()))
-        prim.CreateRadiusAttr(self._radius)
-        prim.CreateTreatAsPointAttr(True)
-        prim.CreateNormalizeAttr(True)
-        prim.CreateIntensityAttr(intensity)
-        prim.CreateColorAttr(self._pxr.Gf.Vec3f(*colour))
-        prim.CreateExtentAttr(self._extent())
-        return prim
 
     def _extent(self) -> Any:
         corners = np.array([[-self._radius] * 3, [self._radius] * 3], np.float32)

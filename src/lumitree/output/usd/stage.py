@@ -20,13 +20,8 @@ from lumitree.output.usd.shaders import ShaderPlace, primvar_name
 # Variants: whether the surfaces emit, which in path tracers illuminates.
 GLOW, SHOWN, HIDDEN = "glow", "on", "off"
 _COMMENT = (
-    "A lamp, written by lumitree. Metres, y up. Luminances are in cd/m²: a light of the intensity "
-    "4 has a mean of 1 cd. The lamp's own shadows are in the IES profiles, so its surfaces are "
-    "excluded from those of the lights. The variant off of glow has surfaces that do not emit."
-)
-_BLENDER_COMMENT = (
-    "A lamp, written by lumitree for Blender's importer, which ignores profiles and makes π I W "
-    "of a light of the intensity I. Metres, y up."
+    "The lamp's own shadows are in its lights, so their shadow links exclude its surfaces, if there "
+    "are any. Surfaces that emit do not in the variant off of glow."
 )
 _NAME_CHARACTERS = 60
 
@@ -40,11 +35,15 @@ class LampStage:
         name: name of the layer to open, such as "lamp.usda".
         stem: that the names of the other files begin with.
         asset: the lamp.
+        units: of lengths and of light, one line.
     """
 
-    def __init__(self, pxr: Any, folder: Path, name: str, stem: str, asset: Asset) -> None:
+    def __init__(
+        self, pxr: Any, folder: Path, name: str, stem: str, asset: Asset, units: str
+    ) -> None:
         self._pxr, self._folder, self._name, self._stem = pxr, folder, name, stem
         self._asset, self._luminaire = asset, shown(asset.luminaire, _NAME_CHARACTERS)
+        self._comment = f"A lamp, written by lumitree. y is up; {units}. {_COMMENT}"
         self._root = "/" + pxr.Tf.MakeValidIdentifier(self._luminaire)
 
     def write_layers(
@@ -68,7 +67,7 @@ class LampStage:
         return lost
 
     def write_layer(
-        self, surfaces: Sequence[Surface], lights: Sequence[ProfiledLight]
+        self, surfaces: Sequence[Surface], lights: Sequence[ProfiledLight | Spot]
     ) -> list[str]:
         """Write one layer of everything, with UsdPreviewSurface alone and lights without profiles.
 
@@ -80,15 +79,6 @@ class LampStage:
         self._add_lights(stage, lights, [None] * len(lights))
         stage.GetRootLayer().Save()
         return lost
-
-    def write_spots(self, spots: Sequence[Spot]) -> None:
-        """Write one layer of spots for Blender, without surfaces."""
-        stage = self._new_stage(self._name, _BLENDER_COMMENT)
-        writer = self._light_writer(stage)
-        for index, spot in enumerate(spots):
-            writer.add_spot(index, spot)
-        self._add_extents(stage)
-        stage.GetRootLayer().Save()
 
     def _add_surfaces(
         self, stage: Any, surfaces: Sequence[Surface], *, materialx: bool
@@ -117,26 +107,23 @@ class LampStage:
         return sorted(lost)
 
     def _add_lights(
-        self, stage: Any, lights: Sequence[ProfiledLight], files: Sequence[Path | None]
+        self, stage: Any, lights: Sequence[ProfiledLight | Spot], files: Sequence[Path | None]
     ) -> None:
         """Define lights, and write their profiles into files; after the surfaces."""
-        writer = self._light_writer(stage)
-        for index, (light, file) in enumerate(zip(lights, files, strict=True)):
-            writer.add(index, light, file)
-        self._add_extents(stage)
-
-    def _light_writer(self, stage: Any) -> LightWriter:
         root = stage.GetDefaultPrim()
         self._pxr.Usd.ModelAPI(root).SetKind(self._pxr.Kind.Tokens.component)
         self._pxr.Usd.ModelAPI(root).SetAssetName(self._luminaire)
         self._pxr.UsdGeom.Xform.Define(stage, f"{self._root}/lights")
         half_side = float(self._asset.frame.scale)
         hidden = f"{self._root}/surfaces"
-        return LightWriter(self._pxr, stage, f"{self._root}/lights", hidden, half_side)
+        writer = LightWriter(self._pxr, stage, f"{self._root}/lights", hidden, half_side)
+        for index, (light, file) in enumerate(zip(lights, files, strict=True)):
+            writer.add(index, light, file)
+        self._add_extents(stage, root)
 
-    def _new_stage(self, name: str, comment: str = _COMMENT) -> Any:
+    def _new_stage(self, name: str) -> Any:
         stage = self._pxr.Usd.Stage.CreateNew(str(self._folder / name))
-        stage.GetRootLayer().comment = comment
+        stage.GetRootLayer().comment = self._comment
         self._pxr.UsdGeom.SetStageUpAxis(stage, self._pxr.UsdGeom.Tokens.y)
         self._pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         root = self._pxr.UsdGeom.Xform.Define(stage, self._root)
@@ -175,8 +162,7 @@ class LampStage:
             )
         return mesh
 
-    def _add_extents(self, stage: Any) -> None:
-        root = stage.GetDefaultPrim()
+    def _add_extents(self, stage: Any, root: Any) -> None:
         purposes = [self._pxr.UsdGeom.Tokens.default_]
         time = self._pxr.Usd.TimeCode.Default()
         hint = self._pxr.UsdGeom.BBoxCache(time, purposes).ComputeWorldBound(root)
