@@ -61,9 +61,11 @@ def spots_of(lights: PlacedLights) -> list[Spot]:
         wanted = luminance(lights.local.intensity[index])
         own = np.concatenate([axes, directions[[wanted.argmax()]]])
         shapes = np.concatenate([_shape(directions @ own.T, each) for each in _HALF_ANGLES], axis=1)
-        flux = _weights(shapes * root[:, None], wanted * root) * (solid_angle @ shapes)
+        # Flux of a spot over its intensity.
+        size = np.repeat(np.pi * (1 - np.cos(np.radians(_HALF_ANGLES))), len(own))
+        flux = _weights(shapes * root[:, None], wanted * root) * size
         flux[flux < _SMALLEST * flux.sum()] = 0
-        intensity = watts.max() * flux / flux.sum() / (solid_angle @ shapes)
+        intensity = watts.max() * flux / flux.sum() / size
         red, green, blue = (watts / watts.max()).tolist()
         for spot in np.flatnonzero(flux):
             angle, axis = divmod(int(spot), len(own))

@@ -279,7 +279,7 @@ def test_the_official_validator_finds_no_errors(tmp_path, packages):
     assert report["info"]["drawCallCount"] == len(MATERIALS)
     lumitree.export(everything(), tmp_path / "spots.glb", importer="blender")
     report = json.loads(run_node(packages, VALIDATE, str(tmp_path / "spots.glb")))
-    assert report["issues"]["numErrors"] == 0, report["issues"]
+    assert report["issues"]["numErrors"] == 0, report["issues"]["messages"]
 
 
 LOAD = """(async () => {

@@ -20,8 +20,8 @@ from lumitree.output.usd.shaders import ShaderPlace, primvar_name
 # Variants: whether the surfaces emit, which in path tracers illuminates.
 GLOW, SHOWN, HIDDEN = "glow", "on", "off"
 _COMMENT = (
-    "The lamp's own shadows are in its lights, so their shadow links exclude its surfaces, if there "
-    "are any. Surfaces that emit do not in the variant off of glow."
+    "The lamp's own shadows are in its lights, so their shadow links exclude its surfaces. In the "
+    "variant off of glow surfaces do not emit."
 )
 _NAME_CHARACTERS = 60
 
