@@ -16,8 +16,9 @@ from lumitree.core.image_settings import image_settings
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import ImageResult, Json
 from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.turns import in_turn
 from lumitree.core.work_folder import scratch_folder
-from lumitree.errors import LumitreeError, explained
+from lumitree.errors import LumitreeError
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import dataset_folder
 from lumitree.measure.irradiance_check import check_irradiance_paths
@@ -67,7 +68,7 @@ class EvaluateResult(ImageResult):
     irradiance_png: bytes | None = dataclasses.field(default=None, repr=False)
 
 
-@explained
+@in_turn
 def evaluate(
     asset: Asset | FilePath,
     target: "Asset | LuminaireLike",
