@@ -27,6 +27,7 @@ from lumitree.core.files import (
     write_json,
 )
 from lumitree.core.images import check_image_name, read_exr, tonemap, write_exr
+from lumitree.core.reading import read_bytes
 from lumitree.core.work_folder import (
     atomic_files,
     atomic_folder,
@@ -100,6 +101,20 @@ def test_what_is_no_file_is_refused(tmp_path):
     with pytest.raises(LumitreeError, match="pipe is no folder"):
         check_new_folder(tmp_path / "pipe")
     assert {each: each.lstat() for each in tmp_path.iterdir()} == before
+
+
+def test_names_are_utf8(tmp_path):
+    """Libraries take no others, each with an exception of its own."""
+    name = tmp_path / "a\udcff.json"
+    for function in (
+        check_writable,
+        lambda path: write_json(path, {}),
+        lambda path: read_bytes(path, "a file", 1),
+    ):
+        with pytest.raises(LumitreeError, match=r"^the name .*a\?.json is not valid UTF-8") as told:
+            function(name)
+        assert str(told.value).isprintable()
+    assert os.listdir(tmp_path) == []
 
 
 def test_a_device_is_written_to():

@@ -25,6 +25,7 @@ from lumitree.core.system import (
     remove,
     replace,
 )
+from lumitree.core.text import check_utf8
 from lumitree.errors import LumitreeError, shown
 
 # The part of a temporary name before its random characters, and the pattern of the whole name.
@@ -98,6 +99,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         WriteError: the folder cannot be written, or the disk is full.
         LumitreeError: `path` is a folder or another object that is no file; see `is_stream`.
     """
+    check_utf8(path)
     path = Path(path)
     try:
         streamed = is_stream(path)
@@ -264,9 +266,10 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     Folders that are missing are made when the file is written.
 
     Raises:
-        LumitreeError: `path` is no file and no stream (see `is_stream`), or its folder cannot be
-            made or written.
+        LumitreeError: `path` is no file and no stream (see `is_stream`), its name is not UTF-8, or
+            its folder cannot be made or written.
     """
+    check_utf8(path)
     path = Path(path)
     try:
         if is_stream(path):

@@ -5,7 +5,7 @@ import copy
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 from xml.parsers import expat
 
 import numpy as np
@@ -35,6 +35,23 @@ _NEEDED = {"bitmap": ("filename", "bitmap", "data"), "blendbsdf": ("weight",)}
 _CHOSEN_BY = "shape's id, BSDF's id or number"
 
 
+def refuse_kind(source: object, what: str) -> NoReturn:
+    """Refuse a scene or a luminaire that is neither a name nor a dictionary.
+
+    Args:
+        what: "a scene" or "a luminaire".
+    """
+    kind = type(source)
+    if kind.__name__ == "Scene" and kind.__module__.startswith("mitsuba"):
+        raise LumitreeError(
+            "the scene was created in another variant of Mitsuba than "
+            f"{load_mitsuba().variant()}, which is set; create it in this one"
+        )
+    raise LumitreeError(
+        f"{what} is a name, path, dictionary or mitsuba.Scene, not of type {kind.__name__}"
+    )
+
+
 class SceneFile:
     """A parsed Mitsuba 3 scene, whose objects can be created any number of times."""
 
@@ -60,6 +77,8 @@ class SceneFile:
             LumitreeError: the file is missing or is not a Mitsuba scene, or a pattern matches no
                 shape.
         """
+        if not isinstance(source, str | os.PathLike | Mapping):
+            refuse_kind(source, "a scene")
         described = dict(source) if isinstance(source, Mapping) else None
         self._kept = folder
         # Numbers of nodes, from `copy_instances`.
