@@ -36,7 +36,7 @@ def lamp_of_cost(mi, monkeypatch):
 @pytest.mark.parametrize(
     ("time", "of_sample", "expected"),
     [
-        # 8 images of 16² pixels: 0.08 s for a sample, 10 s of processor time.
+        # 8 images of 16² pixels: 0.08 s for a sample, 8 s of processor time.
         (None, 0.01, 64),
         (None, 0.04, 16),
         (None, 1e-9, 256),

@@ -33,7 +33,7 @@ def add(commands: Any) -> None:
         "--time",
         type=options.duration,
         metavar="T",
-        help="time of the paths of all views, such as 90s or 5m (default: by --spp, or else 10 "
+        help="time of the paths of all views, such as 90s or 5m (default: by --spp, or else 8 "
         "seconds of processor time for at most 256 paths per pixel)",
     )
     options.add_irradiance_paths(parser, 1 << 20)

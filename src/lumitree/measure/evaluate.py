@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 IRRADIANCE_PATHS = 1 << 20
 # Processor time of the paths of all views, s, if neither samples nor a time is given, and the most
 # samples per pixel then. All else takes 10 to 15 s of processor time.
-_PROCESSOR_SECONDS, _SAMPLES_PER_PIXEL = 10.0, 256
+_PROCESSOR_SECONDS, _SAMPLES_PER_PIXEL = 8.0, 256
 # Samples per pixel of images by which the time of a sample is measured; the first compiles.
 _MEASURED = (1, 1, 17)
 
@@ -122,7 +122,7 @@ def evaluate(
         samples_per_pixel: paths per pixel of a rendered view, 1 to 1,048,576. Default: the power of
             two that the time allows, which is measured first.
         time: time of the paths of all views, s, 0.001 to 10⁷. Default: none if there are
-            `samples_per_pixel`; else 10 s of processor time (of all cores together), for at most
+            `samples_per_pixel`; else 8 s of processor time (of all cores together), for at most
             256 paths per pixel. All else takes about as long.
         irradiance_paths: number of light paths of the luminaire, and of rays of the asset, that the
             irradiance is estimated with, up to 67,108,864. 0: it is not compared.
