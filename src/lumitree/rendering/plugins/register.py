@@ -14,6 +14,7 @@ first three take the same properties:
                   emitter and the BSDF alone show the field
 
 `lumitree_proxy` is the proxy shape with the emitter and the BSDF attached: what a scene XML names.
+It is made of a sphere or of `lumitree_box`.
 With the appearance "geometry" it is several shapes: the proxy and those of the luminaire.
 L_o = gain · L_e + T · L_i (Eq. 2): the emitter returns gain · L_e, the BSDF T. The gain is
 a differentiable parameter of `mitsuba.traverse`, `<name of the shape>.emitter.gain`.
@@ -53,11 +54,13 @@ def register() -> None:
     # Their classes extend Mitsuba's, which a variant has to be set for.
     emitter = importlib.import_module("lumitree.rendering.plugins.emitter").emitter_class()
     bsdf = importlib.import_module("lumitree.rendering.plugins.bsdf").null_bsdf_class()
+    box = importlib.import_module("lumitree.rendering.plugins.box").box_class()
     integrator = importlib.import_module("lumitree.rendering.plugins.integrator").integrator_class()
     make = importlib.import_module("lumitree.rendering.plugins.shape").make_shapes
     options = importlib.import_module("lumitree.rendering.plugins.placed").plugin_options
     mi.register_emitter("lumitree", emitter)
     mi.register_bsdf("lumitree_null", bsdf)
+    mi.register_shape("lumitree_box", box)
     mi.register_integrator("lumitree_path", integrator)
 
     def make_proxy(props: Any) -> Any:
