@@ -173,8 +173,9 @@ def test_unwritable_folder(tmp_path):
 
 
 def test_json_refuses_nan(tmp_path):
-    with pytest.raises(ValueError, match="JSON"):
-        write_json(tmp_path / "a.json", {"x": float("nan")})
+    for number in ("nan", "inf", "-inf"):
+        with pytest.raises(LumitreeError, match=r"is not finite, and no file is written .*JSON"):
+            write_json(tmp_path / "a.json", {"x": [float(number)]})
     assert os.listdir(tmp_path) == []
 
 

@@ -322,8 +322,24 @@ def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
 
 
 def write_json(path: str | os.PathLike[str], value: Any) -> None:
-    """Write `value` as indented JSON, atomically."""
-    write_bytes(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
+    """Write `value` as indented JSON, atomically; errors as for `json_text`."""
+    write_bytes(path, (json_text(value, indent=1) + "\n").encode())
+
+
+def json_text(value: Any, indent: int | None = None) -> str:
+    """JSON text of a value: in one line without spaces, or indented.
+
+    Raises:
+        LumitreeError: a number is NaN or infinite, which JSON does not have.
+    """
+    separators = (",", ":") if indent is None else None
+    try:
+        return json.dumps(value, indent=indent, separators=separators, allow_nan=False)
+    except ValueError as error:
+        raise LumitreeError(
+            f"a number of the results is not finite, and no file is written ({error}); check the "
+            "lamp and its images for colours that are not numbers"
+        ) from None
 
 
 def _check_name(name: str, folder: Path) -> None:
