@@ -186,7 +186,8 @@ def baked(mi, tmp_path_factory):
 
 @pytest.mark.slow
 def test_baked_chandelier_shows_on_held_out_views(baked):
-    metrics = lumitree.evaluate(baked, CHANDELIER, num_views=4, resolution=128).metrics
+    views = {"num_views": 4, "resolution": 128, "samples_per_pixel": 256}
+    metrics = lumitree.evaluate(baked, CHANDELIER, **views).metrics
     assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 4
     assert metrics["opacity_rmse"] < 0.2
 

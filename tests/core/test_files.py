@@ -2,11 +2,14 @@
 
 import contextlib
 import errno
+import json
 import os
 import resource
+import socket
 import subprocess
 import sys
 import tempfile
+import tty
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +27,13 @@ from lumitree.core.files import (
     write_json,
 )
 from lumitree.core.images import check_image_name, read_exr, tonemap, write_exr
-from lumitree.core.work_folder import scratch_folder
+from lumitree.core.reading import read_bytes
+from lumitree.core.work_folder import (
+    atomic_files,
+    atomic_folder,
+    check_new_folder,
+    scratch_folder,
+)
 from lumitree.errors import LumitreeError
 from support.fields import random_asset
 
@@ -37,6 +46,115 @@ def test_failure_leaves_nothing_behind(tmp_path):
         raise RuntimeError
     assert target.read_text() == "before"
     assert os.listdir(tmp_path) == ["a.txt"]
+
+
+@pytest.mark.parametrize("exists", [True, False])
+@pytest.mark.parametrize("folder", [".", "other"])
+def test_links_are_followed(tmp_path, folder, exists):
+    """Also a link that leads to no file yet, and one in a chain; the links themselves stay."""
+    (tmp_path / "other").mkdir()
+    target = tmp_path / folder / "target.json"
+    if exists:
+        target.write_text("before")
+    links = [tmp_path / "a.json", tmp_path / "b.json"]
+    links[0].symlink_to(os.path.join(folder, "target.json"))
+    links[1].symlink_to(links[0])
+    for link in links:
+        check_writable(link)
+        write_json(link, {"at": link.name})
+        assert json.loads(target.read_text()) == {"at": link.name}
+        with atomic_files(link) as files:
+            (files / link.name).write_text("of several")
+        assert target.read_text() == "of several"
+    assert all(link.is_symlink() for link in links)
+    assert not target.is_symlink()
+    assert len([each for each in tmp_path.rglob("*") if each.is_file()]) == 3
+
+
+def test_a_link_to_a_folder_is_followed(tmp_path):
+    link = tmp_path / "link"
+    link.symlink_to("folder")
+    check_new_folder(link)
+    with atomic_folder(link) as files:
+        (files / "a").write_text("x")
+    assert link.is_symlink()
+    assert os.listdir(tmp_path / "folder") == ["a"]
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    """And stays as it is."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "loop").symlink_to("loop")
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(str(tmp_path / "socket"))
+    before = {each: each.lstat() for each in tmp_path.iterdir()}
+    for name, message in (
+        ("pipe", "it is a pipe, a socket or a disk; choose a file"),
+        ("socket", "it is a pipe, a socket or a disk; choose a file"),
+        ("folder", "it is a folder"),
+        ("loop", "symbolic links"),
+    ):
+        for write in (check_writable, lambda path: write_json(path, {})):
+            with pytest.raises(LumitreeError, match=f"^cannot write .*{name}: .*{message}"):
+                write(tmp_path / name)
+    with pytest.raises(LumitreeError, match="pipe is no folder"):
+        check_new_folder(tmp_path / "pipe")
+    assert {each: each.lstat() for each in tmp_path.iterdir()} == before
+
+
+def test_names_are_utf8(tmp_path):
+    """Libraries take no others, each with an exception of its own."""
+    name = tmp_path / "a\udcff.json"
+    for function in (
+        check_writable,
+        lambda path: write_json(path, {}),
+        lambda path: read_bytes(path, "a file", 1),
+    ):
+        with pytest.raises(LumitreeError, match=r"^the name .*a\?.json is not valid UTF-8") as told:
+            function(name)
+        assert str(told.value).isprintable()
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_device_is_written_to():
+    """A terminal here: in its folder nothing could be renamed."""
+    end, terminal = os.openpty()
+    tty.setraw(terminal)
+    name = os.ttyname(terminal)
+    check_writable(name)
+    write_json(name, {"a": 1})
+    assert json.loads(os.read(end, 100)) == {"a": 1}
+    os.close(terminal)
+    os.close(end)
+
+
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+@pytest.mark.parametrize("redirected", [True, False])
+def test_standard_output_is_written_to(tmp_path, stream, redirected):
+    """Behind what was printed before, also where it is redirected to a file."""
+    link, found = tmp_path / "link.json", tmp_path / "found"
+    link.symlink_to(f"/dev/{stream}")
+    code = (
+        "import sys\n"
+        "from lumitree.core.files import check_writable, write_json\n"
+        f"print('before', file=sys.{stream})\n"
+        "for name in sys.argv[1:]:\n"
+        "    check_writable(name)\n"
+        "    write_json(name, {})\n"
+        f"print('after', file=sys.{stream})\n"
+    )
+    names = [link, found] if redirected else [link]
+    with open(found, "wb") as file:
+        process = subprocess.run(
+            [sys.executable, "-c", code, *names],
+            **{stream: file if redirected else subprocess.PIPE},
+            check=True,
+        )
+    content = found.read_bytes() if redirected else getattr(process, stream)
+    assert content.split() == [b"before", *[b"{}"] * len(names), b"after"]
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["found", "link.json"]
+    assert link.is_symlink()
 
 
 def test_full_disk_is_one_line(tmp_path):
@@ -55,8 +173,9 @@ def test_unwritable_folder(tmp_path):
 
 
 def test_json_refuses_nan(tmp_path):
-    with pytest.raises(ValueError, match="JSON"):
-        write_json(tmp_path / "a.json", {"x": float("nan")})
+    for number in ("nan", "inf", "-inf"):
+        with pytest.raises(LumitreeError, match=r"is not finite, and no file is written .*JSON"):
+            write_json(tmp_path / "a.json", {"x": [float(number)]})
     assert os.listdir(tmp_path) == []
 
 

@@ -1,5 +1,7 @@
 """How a process is known to be the command line."""
 
+import shlex
+import subprocess
 import sys
 
 import pytest
@@ -25,3 +27,49 @@ def test_the_command_line_is_known_by_its_name_and_as_a_module(
     monkeypatch.setattr(sys, "argv", [name])
     monkeypatch.setattr(sys, "orig_argv", command)
     assert is_program() is expected
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-", ">/dev/null 2>/dev/full"])
+def test_streams_that_are_closed_or_full_end_no_command(tmp_path, closed):
+    """Files do not get the descriptors of streams, into which messages would then be written."""
+    code = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from lumitree.core.program import open_streams\n"
+        "open_streams()\n"
+        "file = open(sys.argv[1], 'w')\n"
+        "for stream in (sys.stdout, sys.stderr):\n"
+        "    print('a message', file=stream, flush=True)\n"
+        "file.write('done')\n"
+    )
+    command = shlex.join([sys.executable, "-c", code, str(tmp_path / "a")])
+    subprocess.run(["sh", "-c", f"{command} {closed}"], check=True, capture_output=True)
+    assert (tmp_path / "a").read_text() == "done"
+
+
+def test_nobody_has_to_read_standard_error():
+    code = (
+        "import sys\n"
+        "from lumitree.core.program import open_streams\n"
+        "open_streams()\n"
+        "sys.stdin.readline()\n"
+        "print('a message', file=sys.stderr)\n"
+        "print('done')\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    process.stderr.close()
+    process.stderr = None
+    assert process.communicate(b"\n") == (b"done\n", None)
+    assert process.returncode == 0
+
+
+@pytest.mark.parametrize("closed", [">&-", ">&- 2>&-"])
+def test_commands_end_well_without_standard_output(tmp_path, closed):
+    command = shlex.join([sys.executable, "-m", "lumitree", "list", "--json", "a.json"])
+    subprocess.run(["sh", "-c", f"{command} {closed}"], check=True, cwd=tmp_path)
+    assert "dallas" in (tmp_path / "a.json").read_text()

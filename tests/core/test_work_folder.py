@@ -340,7 +340,7 @@ def test_a_folder_appears_whole(tmp_path):
 def test_folders_that_hold_something_are_refused(tmp_path, monkeypatch):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine").write_text("")
-    for name, message in (("full", "holds mine"), ("full/mine", "is a file")):
+    for name, message in (("full", "holds mine"), ("full/mine", "is no folder")):
         with pytest.raises(LumitreeError, match=message):
             check_new_folder(tmp_path / name)
     with pytest.raises(LumitreeError, match="Not a directory"):

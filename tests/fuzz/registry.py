@@ -10,7 +10,6 @@ MODULES = {
     "photometric": ("ies", "ldt", "tm25", "tm33"),
     "gldf": ("gldf",),
     "models": ("obj", "gltf"),
-    "scenes": ("lamp", "room"),
     "tables": (
         *("placements", "settings", "points", "dataset", "layers", "record", "state", "run"),
     ),

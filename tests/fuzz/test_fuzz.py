@@ -32,7 +32,7 @@ def test_inputs_are_read_or_refused_in_a_line(name, mi, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["asset", "ies", "tm25", "gldf", "obj", "gltf", "lamp", "room"])
+@pytest.mark.parametrize("name", ["asset", "ies", "tm25", "gldf", "obj", "gltf"])
 def test_what_is_accepted_can_be_shown(name, mi, tmp_path):
     found, counts = dataclasses.replace(reader(name), full_share=1), collections.Counter()
     for number in range(30):

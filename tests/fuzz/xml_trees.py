@@ -30,20 +30,6 @@ def changed(content, rng, times=None):
     return pick(rng, _HEADS) + data if chance(rng, 0.1) else data
 
 
-def nudged(content, rng):
-    """Bytes of an XML text with one or two other numbers in its attributes."""
-    root = ElementTree.fromstring(content)
-    places = [(each, key) for each in root.iter() for key, value in each.attrib.items()
-              if any(char.isdigit() for char in value) and key in _VALUES]  # fmt: skip
-    for _ in range(pick(rng, (1, 1, 2))):
-        element, key = pick(rng, places)
-        words = element.get(key).replace(",", " ").split() or [""]
-        place = int(rng.integers(len(words)))
-        words[place] = token(rng, words[place])
-        element.set(key, " ".join(words))
-    return _written(root).encode("utf-8", "surrogatepass")
-
-
 def _written(element):
     """Text of an element, nested however deep; characters that XML does not allow stay."""
     parts, rest = [], [element]

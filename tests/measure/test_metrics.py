@@ -197,6 +197,20 @@ class TestHdrFlip:
         assert hdr_flip(black, black, 1.0) == 0
         assert 0 < hdr_flip(lamp(), black, 1.0) < 1
 
+    @pytest.mark.parametrize("rows", [(0, 4), (60, 100), (30, 31)])
+    def test_black_surroundings_are_left_out_exactly(self, rows):
+        """Where both images are black, and the filters reach nothing else, the error is 0."""
+        reference, baked = np.zeros((2, 160, 128, 3))
+        part = slice(*rows), slice(50, 70)
+        reference[part] = 0.5 * noise(3, 64)[: rows[1] - rows[0], :20]
+        baked[part] = 1.3 * reference[part]
+        images = (each.astype(np.float32) for each in (reference, baked))
+        _, whole, _ = flip_evaluator.evaluate(
+            *images, "HDR", applyMagma=False, parameters=flip_exposures(reference)
+        )
+        assert 0 < whole < 0.2
+        assert hdr_flip(baked, reference, 1.0) == pytest.approx(whole, rel=1e-5)
+
     def test_very_dim_reference_does_not_end_the_process(self):
         assert 0 <= hdr_flip(np.zeros_like(lamp()), 1e-9 * lamp(), 1.0) < 0.01
 

@@ -8,9 +8,11 @@ import pytest
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
+from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
 from lumitree.rendering.placement import Placement
 from support.fields import random_asset
+from support.geometry_assets import small_geometry, with_geometry
 from support.light_fields import random_light_field
 from support.slow import slow_but_sets
 
@@ -170,6 +172,33 @@ def test_another_gain_needs_no_reload_and_no_new_kernel(mi, asset):
             assert kernels
             assert all(kernel["cache_hit"] for kernel in kernels)
             assert image == pytest.approx(plain * gain, rel=1e-4, abs=1e-5)
+
+
+@pytest.mark.parametrize("appearance", ["field", "geometry"])
+def test_only_parameters_that_a_lamp_follows_are_shown(mi, appearance):
+    asset = with_geometry(small_geometry(), LocalFrame(np.ones(3), np.eye(4)))
+    params = mi.traverse(mi.load_dict(lumitree.shape(asset, appearance="field")))
+    assert set(params.keys()) == {"emitter.gain", "emitter.sampling_weight"}
+    scene = scene_with(mi, asset, appearance=appearance)
+    lamp = [key for key in mi.traverse(scene).keys() if key.startswith("lamp.")]  # noqa: SIM118
+    assert lamp == ["lamp.emitter.sampling_weight", NAME]
+
+
+def test_gradients_of_lamps_that_show_geometry_say_nothing(mi, capfd):
+    """Dr.Jit warns of each loop that derivatives cannot make an evaluated one."""
+    import drjit as dr
+
+    asset = with_geometry(small_geometry(), LocalFrame(np.ones(3), np.eye(4)))
+    scene = scene_with(mi, asset, appearance="geometry")
+    params = mi.traverse(scene)
+    dr.enable_grad(params[NAME])
+    params.update()
+    image = render(mi, scene, seed=5, params=params, seed_grad=1)
+    dr.backward(dr.mean(image, axis=None))
+    # An image is linear in the gain, which is 1, and there is no other light.
+    expected = float(np.array(render(mi, scene_with(mi, asset, appearance="geometry"))).mean())
+    assert float(np.sum(dr.grad(params[NAME]))) == pytest.approx(expected, rel=1e-3)
+    assert "".join(capfd.readouterr()) == ""
 
 
 @pytest.mark.parametrize(

@@ -475,3 +475,19 @@ def test_light_paths_start_at_the_box_of_a_lamp_with_geometry(shaded):
     assert images[1] > 0.01
     # The geometry's shapes stand in the way of some of the light paths.
     assert 0.1 * images[1] < images[0] < 1.1 * images[1]
+
+
+@pytest.mark.slow
+def test_other_integrators_light_a_room_alike(shaded):
+    """Whatever the lamp shows: what leaves its box is that of the light field."""
+    _, asset = shaded
+    view = camera([0, 1.2, 3], [0, 0, 0.0])
+    below = {"floor": floor({"type": "diffuse"}), "sensor": view}
+    images = [passes(below | baked(asset, each), "volpath", 256, max_depth=2)
+              for each in ("field", "geometry")]  # fmt: skip
+    # The lowest rows show the floor alone.
+    field, geometry = (each[:, SIDE * 3 // 4 :].mean(axis=(1, 2, 3)) for each in images)
+    error = np.hypot(field.std(ddof=1), geometry.std(ddof=1)) / np.sqrt(PASSES)
+    assert field.mean() > 0
+    assert error < 0.02 * field.mean()
+    assert geometry.mean() == pytest.approx(field.mean(), abs=4 * error + 0.005 * field.mean())

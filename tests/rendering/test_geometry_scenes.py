@@ -87,12 +87,14 @@ def test_geometry_alone_is_refused_before_any_work():
 
 def test_one_dictionary_and_one_element_expand_into_all_shapes(mi):
     asset = bar()
-    described = lumitree.shape(asset, appearance="geometry")
-    loaded = mi.load_dict({"type": "scene", "lamp": described})
-    assert len(loaded.shapes()) == 1 + len(asset.geometry.shapes)
+    # By default what the asset shows.
+    for options, count in (({}, 3), ({"appearance": "geometry"}, 3), ({"appearance": "field"}, 1)):
+        described = lumitree.shape(asset, **options)
+        loaded = mi.load_dict({"type": "scene", "lamp": described})
+        assert len(loaded.shapes()) == count
     save(asset, "lamp.lumitree")
-    appearance = '<string name="appearance" value="geometry"/>'
-    for lamp, count in ((GEOMETRY.format(appearance), 3), (GEOMETRY.format(""), 1)):
+    appearance = '<string name="appearance" value="field"/>'
+    for lamp, count in ((GEOMETRY.format(""), 3), (GEOMETRY.format(appearance), 1)):
         loaded = mi.load_string(f'<scene version="3.0.0"><path value="."/>{lamp}</scene>')
         assert len(loaded.shapes()) == count
     with pytest.raises(LumitreeError, match="appearance is 'x'; expected field, geometry"):
@@ -100,8 +102,9 @@ def test_one_dictionary_and_one_element_expand_into_all_shapes(mi):
 
 
 def test_an_asset_without_geometry_shows_its_field(mi):
-    described = lumitree.shape(random_asset(0), appearance="geometry")
-    assert len(mi.load_dict({"type": "scene", "lamp": described}).shapes()) == 1
+    for options in ({}, {"appearance": "geometry"}):
+        described = lumitree.shape(random_asset(0), **options)
+        assert len(mi.load_dict({"type": "scene", "lamp": described}).shapes()) == 1
 
 
 def test_every_kind_of_shape_and_material_can_be_placed(mi):

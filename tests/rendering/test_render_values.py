@@ -53,6 +53,47 @@ def test_files_dictionaries_and_scenes_give_equal_images(mi, room, tmp_path):
     assert_similar(render(built).pixels, file)
 
 
+@pytest.mark.parametrize(
+    ("film", "size"),
+    [
+        ({"width": 0, "height": 0}, "0 x 0"),
+        ({"crop_width": 0, "crop_offset_x": 0, "crop_height": 8, "crop_offset_y": 0}, "0 x 8"),
+        ({"width": 100_000, "height": 100_000}, "100,000 x 100,000"),
+    ],
+)
+@pytest.mark.parametrize("built", [True, False])
+def test_images_of_no_pixels_and_huge_ones_are_refused(mi, room, film, size, built):
+    room["sensor"]["film"].update(film)
+    scene = mi.load_dict(room | {"integrator": tracer(mi)}) if built else room
+    with pytest.raises(LumitreeError, match=f"image of {size} pixels; expected 1 to 16,384 a side"):
+        lumitree.render(scene, samples_per_pixel=1, progress=None)
+
+
+def test_a_width_may_not_make_an_image_huge(room):
+    room["sensor"]["film"].update(width=1, height=1000)
+    with pytest.raises(LumitreeError, match="image of 100 x 100,000 pixels"):
+        lumitree.render(room, samples_per_pixel=1, width=100, progress=None)
+
+
+def test_scenes_of_another_variant_are_told():
+    scene = type("Scene", (), {"__module__": "mitsuba.scalar_rgb"})()
+    options = {"points": [(0, 0, 0)], "normals": (0, 0, 1)}
+    for function, values in ((lumitree.render, {}), (lumitree.illuminance, options)):
+        with pytest.raises(LumitreeError, match="another variant of Mitsuba than llvm_ad_rgb"):
+            function(scene, progress=None, **values)
+    with pytest.raises(LumitreeError, match=r"a scene is a name, path, .*, not of type int"):
+        lumitree.render(7, progress=None)
+
+
+def test_names_of_scenes_are_utf8(tmp_path):
+    name = tmp_path / "r\udcff.xml"
+    name.write_text(SMALL_ROOM)
+    for function in (lumitree.render, lumitree.photometry):
+        with pytest.raises(LumitreeError, match=r"^the name .*r\?.xml is not valid UTF-8") as told:
+            function(name, progress=None)
+        assert str(told.value).isprintable()
+
+
 def test_a_dictionary_may_hold_objects(mi, room):
     objects = {
         "integrator": tracer(mi),

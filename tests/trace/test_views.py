@@ -220,7 +220,7 @@ def test_missing_files_and_wrong_formats(mi, tmp_path):
     with pytest.raises(LumitreeError, match=r"has an unsupported format; expected \.xml"):
         load_luminaire(tmp_path / "lamp.skp")
     (tmp_path / "half.xml").write_text('<scene version="3.0.0"><shape')
-    with pytest.raises(LumitreeError, match="unclosed token"):
+    with pytest.raises(LumitreeError, match=r"half\.xml cannot be loaded"):
         load_luminaire(tmp_path / "half.xml")
 
 

@@ -40,6 +40,11 @@ def one_minus_epsilon(t: Any) -> float: ...
 
 # Control flow and evaluation.
 def syntax(f: _F) -> _F: ...
+
+class JitFlag:
+    SymbolicLoops: JitFlag
+
+def flag(flag: JitFlag) -> bool: ...
 def hint(
     arg: _T,
     /,

@@ -34,7 +34,7 @@ from lumitree.cli.options import Parser, check_files
 from lumitree.cli.output import LONGEST_LINE
 from lumitree.core.backend import quieten
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
-from lumitree.core.program import ignore_signals
+from lumitree.core.program import ignore_signals, open_streams
 from lumitree.core.system import is_broken_pipe
 from lumitree.core.work_folder import remove_abandoned_scratch
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
@@ -77,6 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     try:
         if argv is None:
+            open_streams()
             _print_all_characters()
         return _run(list(sys.argv[1:] if argv is None else argv))
     except BrokenPipeError:

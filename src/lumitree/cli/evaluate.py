@@ -28,7 +28,14 @@ def add(commands: Any) -> None:
         help="contact sheet, .png (default: the name of ASSET with -evaluation.png); the "
         "irradiance in false colour is written beside it, with -irradiance.png",
     )
-    options.add_views(parser, 8, 256, 256)
+    options.add_views(parser, 8, 192, None)
+    parser.add_argument(
+        "--time",
+        type=options.duration,
+        metavar="T",
+        help="time of the paths of all views, such as 90s or 5m (default: by --spp, or else 8 "
+        "seconds of processor time for at most 256 paths per pixel)",
+    )
     options.add_irradiance_paths(parser, 1 << 20)
     options.add_variant(parser)
 
@@ -43,6 +50,7 @@ def run(args: argparse.Namespace) -> Any:
         num_views=args.views,
         resolution=args.resolution,
         samples_per_pixel=args.spp,
+        time=args.time,
         irradiance_paths=args.irradiance_paths,
         variant=args.variant,
     )

@@ -140,13 +140,15 @@ def add_view(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_views(parser: argparse.ArgumentParser, views: int, resolution: int, samples: int) -> None:
-    """Add `--views`, `--resolution` and `--spp`, with their defaults."""
+def add_views(
+    parser: argparse.ArgumentParser, views: int, resolution: int, samples: int | None
+) -> None:
+    """Add `--views`, `--resolution` and `--spp`, with their defaults; `--spp` may have none."""
     parser.add_argument("--views", type=int, metavar="N", default=views, help="number of views")
     add_pixels(parser, resolution, samples)
 
 
-def add_pixels(parser: argparse.ArgumentParser, resolution: int, samples: int) -> None:
+def add_pixels(parser: argparse.ArgumentParser, resolution: int, samples: int | None) -> None:
     """Add `--resolution` and `--spp`, with their defaults."""
     parser.add_argument(
         "--resolution", type=int, metavar="R", default=resolution, help="pixels per side of a view"

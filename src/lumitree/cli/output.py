@@ -82,7 +82,9 @@ def print_metrics(report: dict[str, Any]) -> None:
     from rich.text import Text
 
     name = shown(report["asset"]["luminaire"])
-    views = f"{len(report['views'])} held-out views" if report["views"] else "irradiance"
+    views = "irradiance"
+    if report["views"]:
+        views = f"{len(report['views'])} views, {report['samples_per_pixel']:,} paths per pixel"
     # Not a string, in which rich would interpret markup.
     table = Table(title=Text(f"{name}: {views}"))
     table.add_column("metric")

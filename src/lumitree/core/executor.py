@@ -8,7 +8,6 @@ arguments, all of which can be pickled.
 import contextlib
 import itertools
 import sys
-import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
@@ -27,14 +26,13 @@ from lumitree.core.packing import variant_here
 from lumitree.core.process_pool import stopped_by_pool
 from lumitree.core.progress import reporting
 from lumitree.core.system import WAIT_SECONDS
+from lumitree.core.turns import passed_on, turn
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 
 R = TypeVar("R")
 # Tasks that are submitted and whose results are not read yet, for each worker; and the number of
 # workers where the executor does not state it.
 _TASKS_PER_WORKER, _ASSUMED_WORKERS = 2, 32
-# Dr.Jit's and Mitsuba's state belongs to a process, and some executors run tasks in its threads.
-_one_at_a_time = threading.RLock()
 
 
 def check_executor(executor: Executor | None) -> None:
@@ -124,12 +122,16 @@ def _results(
     for finished in itertools.count():
         with _explaining_loss(finished, *names):
             for index, each in itertools.islice(waiting, limit - len(pending)):
-                pending[executor.submit(_run, __version__, variant_here(), function, each)] = index
+                # Some executors run tasks in threads of this process.
+                with passed_on():
+                    future = executor.submit(_run, __version__, variant_here(), function, each)
+                pending[future] = index
             if not pending:
                 return
             awaited, done = [next(iter(pending))] if in_order else list(pending), set[Future[Any]]()
             while not done:
-                done = wait(awaited, WAIT_SECONDS, FIRST_COMPLETED).done
+                with passed_on():
+                    done = wait(awaited, WAIT_SECONDS, FIRST_COMPLETED).done
             future = min(done, key=pending.__getitem__)
             result, messages = future.result()
         index = pending.pop(future)
@@ -149,7 +151,7 @@ def _run(
             f"a worker has lumitree {__version__}, but the tasks are of lumitree {version}; "
             "install the same version everywhere"
         )
-    with _one_at_a_time, stopped_by_pool(), reporting(None):
+    with turn(), stopped_by_pool(), reporting(None):
         if variant is not None and "mitsuba" in sys.modules:
             # What a worker has kept from an earlier task is of the variant that it was made with.
             load_mitsuba(variant)

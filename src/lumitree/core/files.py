@@ -5,6 +5,9 @@ import errno
 import json
 import os
 import re
+import shutil
+import stat
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -22,6 +25,7 @@ from lumitree.core.system import (
     remove,
     replace,
 )
+from lumitree.core.text import check_utf8
 from lumitree.errors import LumitreeError, shown
 
 # The part of a temporary name before its random characters, and the pattern of the whole name.
@@ -83,29 +87,39 @@ class WriteError(LumitreeError):
 
 @contextlib.contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary name beside `path`; rename it to `path` if the block succeeds.
+    """Yield a temporary name; rename it to `path` if the block succeeds.
+
+    Links are followed: the file to which they lead is replaced. A stream (see `is_stream`) is never
+    replaced: the content of the temporary file is written to it.
 
     The temporary file is flushed to disk before the rename, and removed if the block fails.
     Temporary files that killed processes left for the same `path` are removed too.
 
     Raises:
         WriteError: the folder cannot be written, or the disk is full.
+        LumitreeError: `path` is a folder or another object that is no file; see `is_stream`.
     """
+    check_utf8(path)
     path = Path(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_abandoned(path)
-        handle, temporary = _create_locked(path)
+        streamed = is_stream(path)
+        target = Path(tempfile.gettempdir(), path.name) if streamed else destination(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _remove_abandoned(target)
+        handle, temporary = _create_locked(target)
     except (OSError, ValueError) as error:
         raise WriteError(path, error) from error
     try:
         yield temporary
         flush_to_disk(temporary)
-        # mkstemp creates 0600; a finished result follows the user's umask.
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
-        replace(temporary, path)
+        if streamed:
+            _send(temporary, path)
+        else:
+            # mkstemp creates 0600; a finished result follows the user's umask.
+            umask = os.umask(0)
+            os.umask(umask)
+            os.chmod(temporary, 0o666 & ~umask)
+            replace(temporary, target)
     except Exception as error:
         raise_write_error(path, error)
     finally:
@@ -113,6 +127,66 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         # Where that fails, what went wrong before says more.
         with contextlib.suppress(OSError):
             remove(temporary)
+
+
+def destination(path: Path) -> Path:
+    """The path of the file or folder to which links lead; it may not exist."""
+    return Path(os.path.realpath(path))
+
+
+def is_stream(path: Path) -> bool:
+    """Whether an output is written to as a stream, and not replaced.
+
+    Streams are standard output and error, also under the name of a file to which they are
+    redirected; character devices such as `/dev/null`; and pipes that only have a name under
+    `/dev/fd`.
+
+    Raises:
+        LumitreeError: `path` is a folder, a named pipe, a socket or a disk.
+        OSError: the system does not say what it is.
+    """
+    try:
+        found = os.stat(path)
+    except FileNotFoundError:
+        return False
+    kind = found.st_mode
+    if _standard_stream(found) is not None or stat.S_ISCHR(kind):
+        return True
+    if stat.S_ISREG(kind):
+        return False
+    if stat.S_ISDIR(kind):
+        raise LumitreeError(
+            f"cannot write {shown(path, 400)}: it is a folder; choose a file with -o"
+        )
+    if stat.S_ISFIFO(kind) and not destination(path).exists():
+        return True
+    raise LumitreeError(
+        f"cannot write {shown(path, 400)}: it is a pipe, a socket or a disk; choose a file, or "
+        "/dev/stdout"
+    )
+
+
+def _standard_stream(found: os.stat_result) -> int | None:
+    """Descriptor of standard output or error, if what was found is one of them."""
+    for descriptor in (1, 2):
+        with contextlib.suppress(OSError):
+            if os.path.samestat(found, os.fstat(descriptor)):
+                return descriptor
+    return None
+
+
+def _send(content: Path, path: Path) -> None:
+    """Write the content of a file to a stream."""
+    descriptor = _standard_stream(os.stat(path))
+    # Behind what was printed before.
+    for printed in (sys.stdout, sys.stderr):
+        if printed is not None:
+            printed.flush()
+    with (
+        open(content, "rb") as file,
+        open(path if descriptor is None else os.dup(descriptor), "wb") as stream,
+    ):
+        shutil.copyfileobj(file, stream)
 
 
 def flush_to_disk(path: Path) -> None:
@@ -192,18 +266,21 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     Folders that are missing are made when the file is written.
 
     Raises:
-        LumitreeError: `path` is a folder, or its folder cannot be made or written.
+        LumitreeError: `path` is no file and no stream (see `is_stream`), its name is not UTF-8, or
+            its folder cannot be made or written.
     """
+    check_utf8(path)
     path = Path(path)
     try:
-        if "\0" in str(path):
-            raise ValueError("the name holds a null character")
-        if path.is_dir():
-            raise LumitreeError(f"cannot write {path}: it is a folder; choose a file with -o")
-        folder = path.parent
+        if is_stream(path):
+            if not os.access(path, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            return
+        target = destination(path)
+        folder = target.parent
         while not folder.exists() and folder != folder.parent:
             folder = folder.parent
-        _check_name(path.name, folder)
+        _check_name(target.name, folder)
         if not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
         if not is_writable(folder):
@@ -245,8 +322,24 @@ def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
 
 
 def write_json(path: str | os.PathLike[str], value: Any) -> None:
-    """Write `value` as indented JSON, atomically."""
-    write_bytes(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
+    """Write `value` as indented JSON, atomically; errors as for `json_text`."""
+    write_bytes(path, (json_text(value, indent=1) + "\n").encode())
+
+
+def json_text(value: Any, indent: int | None = None) -> str:
+    """JSON text of a value: in one line without spaces, or indented.
+
+    Raises:
+        LumitreeError: a number is NaN or infinite, which JSON does not have.
+    """
+    separators = (",", ":") if indent is None else None
+    try:
+        return json.dumps(value, indent=indent, separators=separators, allow_nan=False)
+    except ValueError as error:
+        raise LumitreeError(
+            f"a number of the results is not finite, and no file is written ({error}); check the "
+            "lamp and its images for colours that are not numbers"
+        ) from None
 
 
 def _check_name(name: str, folder: Path) -> None:

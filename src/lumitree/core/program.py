@@ -3,9 +3,11 @@
 In between `core.interrupt` handles them. This is imported before anything that takes time.
 """
 
+import io
 import os
 import signal
 import sys
+from typing import Any
 
 from lumitree.core.system import STOP_SIGNALS
 
@@ -31,6 +33,35 @@ def exit_on_signals() -> None:
     for number in STOP_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, end)
+
+
+class _Messages(io.FileIO):
+    """Standard error: what cannot be written there, as to a pipe that is closed, is dropped."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError:
+            return len(data)
+
+
+def open_streams() -> None:
+    """Open the null device in place of standard streams that the parent process has closed.
+
+    Else files would get their descriptors, and messages would be written into these files. Nor does
+    a standard error that nobody reads any more end the work.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            # The lowest number that is free, for this process and its children.
+            descriptor = os.open(os.devnull, os.O_RDWR)
+            os.set_inheritable(descriptor, True)
+            setattr(sys, name, os.fdopen(descriptor, mode, closefd=False))
+    if not sys.stderr.isatty():
+        raw = _Messages(sys.stderr.fileno(), "w", closefd=False)
+        sys.stderr = io.TextIOWrapper(
+            io.BufferedWriter(raw), sys.stderr.encoding, sys.stderr.errors, write_through=True
+        )
 
 
 def ignore_signals() -> None:

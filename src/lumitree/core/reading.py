@@ -17,6 +17,7 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.text import check_utf8
 from lumitree.errors import LumitreeError, shown
 
 _T = TypeVar("_T", bound=str | int)
@@ -54,8 +55,9 @@ def read_bytes(path: str | os.PathLike[str], expected: str, max_bytes: int) -> b
 
     Raises:
         LumitreeError: the file is missing, not regular (a folder, pipe or device), not readable or
-            too large.
+            too large, or its name is not UTF-8.
     """
+    check_utf8(path)
     path, name, limit = Path(path), shown(path, 300), max(max_bytes, 0)
     try:
         # Checked before the file is opened: opening a pipe would block.

@@ -1,8 +1,11 @@
-"""Text of files that do not say how they are encoded, and text in figures."""
+"""Text of files that do not say how they are encoded, names of files, and text in figures."""
 
 import contextlib
+import os
 import warnings
 from collections.abc import Iterator
+
+from lumitree.errors import LumitreeError, shown
 
 # UTF-16 without a byte order mark is recognised by this part of a file.
 _PROBE = 400
@@ -21,6 +24,19 @@ def in_utf8(content: bytes) -> bytes:
         # Some programs write \r\r\n.
         content = content.replace(b"\r\r\n", b"\n").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     return content
+
+
+def check_utf8(path: str | os.PathLike[str]) -> None:
+    """Refuse the name of a file that is not UTF-8.
+
+    Mitsuba, OpenEXR and Matplotlib take no other, each with an exception of its own.
+    """
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise LumitreeError(
+            f"the name {shown(path, 300)} is not valid UTF-8; rename it, or choose another"
+        ) from None
 
 
 @contextlib.contextmanager

@@ -19,6 +19,7 @@ from lumitree.core.files import (
     SCRATCH,
     TEMPORARY,
     WriteError,
+    atomic_path,
     check_writable,
     flush_to_disk,
     raise_write_error,
@@ -293,17 +294,18 @@ def _in_temporary() -> Iterator[None]:
 def atomic_files(output: Path) -> Iterator[Path]:
     """Yield a temporary folder; move its files beside `output` if the block succeeds.
 
-    The file with the name of `output` is moved last: while it is missing, so may others be.
+    Each is written as by `atomic_path`, and the file with the name of `output` last: while it is
+    missing, so may others be.
 
     Raises:
         WriteError: a file cannot be written, or the disk is full.
     """
     with _written_beside(output) as files:
         yield files
-        _flush(files)
         others = [each for each in sorted(files.iterdir()) if each.name != output.name]
         for each in (*others, files / output.name):
-            replace(each, output.parent / each.name)
+            with atomic_path(output.parent / each.name) as temporary:
+                shutil.copyfile(each, temporary)
 
 
 @contextlib.contextmanager
@@ -319,7 +321,8 @@ def atomic_folder(output: Path) -> Iterator[Path]:
     # A name such as "folder/.." has no stem.
     with _written_beside(output.resolve(), output) as files:
         yield files
-        _flush(files)
+        for each in files.iterdir():
+            flush_to_disk(each)
         folder = output.resolve()
         if folder.is_dir():
             # Windows does not rename to a folder that exists. Fails if it holds something by now.
@@ -340,8 +343,8 @@ def check_new_folder(path: Path) -> None:
         )
     if path.is_dir() and path.samefile("."):
         raise LumitreeError("the output is the current folder; choose a new folder with -o")
-    if path.is_file():
-        raise LumitreeError(f"{shown(path, 300)} is a file; choose a new or an empty folder")
+    if path.exists() and not path.is_dir():
+        raise LumitreeError(f"{shown(path, 300)} is no folder; choose a new or an empty one")
     check_writable(path / "file" if path.is_dir() else path)
 
 
@@ -371,11 +374,6 @@ def _written_beside(output: Path, name: Path | None = None) -> Iterator[Path]:
     finally:
         release(handle)
         shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _flush(folder: Path) -> None:
-    for each in folder.iterdir():
-        flush_to_disk(each)
 
 
 def _create_locked(root: Path, prefix: str) -> tuple[Path, int | None]:

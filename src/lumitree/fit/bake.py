@@ -15,8 +15,9 @@ from lumitree.core.executor import check_executor
 from lumitree.core.files import FilePath
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.turns import in_turn
 from lumitree.core.work_folder import WorkFolder
-from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.finishing import finish_bake, remove_state
 from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
@@ -40,7 +41,7 @@ _OTHERS = {
 }
 
 
-@explained
+@in_turn
 def bake(
     luminaire: "LuminaireLike",
     output: FilePath | None = None,
@@ -178,7 +179,7 @@ def _parts_and_geometry(
         return ("light", "field"), None
 
 
-@explained
+@in_turn
 def bake_views(
     dataset: FilePath,
     output: FilePath | None = None,
@@ -232,7 +233,7 @@ def bake_views(
         return _finish_fit(fit, asset, output, watch, at, work)
 
 
-@explained
+@in_turn
 def refine(
     asset: Asset | FilePath,
     luminaire: "LuminaireLike",

@@ -24,8 +24,9 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.system import peak_memory_bytes
+from lumitree.core.turns import in_turn
 from lumitree.core.work_folder import scratch_folder
-from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig, NetworkConfig, NetworkPreset, light_field_fit
 from lumitree.fit.finishing import finish_bake, remove_state
 from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from lumitree.lamp.sent import LampWorkers
 
 
-@explained
+@in_turn
 def bake_network(
     luminaire: "LuminaireLike",
     output: FilePath,
@@ -131,7 +132,7 @@ def bake_network(
     return dataclasses.replace(extracted, seconds=seconds, peak_memory_bytes=peak_memory_bytes())
 
 
-@explained
+@in_turn
 def capture(
     luminaire: "LuminaireLike",
     output: FilePath,
@@ -206,7 +207,7 @@ def capture(
     )
 
 
-@explained
+@in_turn
 def train(
     dataset: FilePath,
     output: FilePath,
@@ -271,7 +272,7 @@ def _train(
     )
 
 
-@explained
+@in_turn
 def extract(
     run: FilePath,
     output: FilePath | None = None,

@@ -9,13 +9,14 @@ from lumitree.asset.light_field import LightField
 from lumitree.core.arguments import check_asset_output
 from lumitree.core.files import FilePath
 from lumitree.core.stopwatch import Stopwatch
-from lumitree.errors import LumitreeError, explained, shown
+from lumitree.core.turns import in_turn
+from lumitree.errors import LumitreeError, shown
 from lumitree.fit.result import BakeResult
 from lumitree.fit.work import save_asset
 from lumitree.rendering.asset_cache import open_asset
 
 
-@explained
+@in_turn
 def merge(assets: "Sequence[Asset | FilePath]", output: FilePath | None = None) -> BakeResult:
     """Combine light fields of one luminaire that were baked with different seeds.
 

@@ -8,14 +8,15 @@ from lumitree.core.files import FilePath
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as steps
 from lumitree.core.stopwatch import Stopwatch
-from lumitree.errors import LumitreeError, explained, shown
+from lumitree.core.turns import in_turn
+from lumitree.errors import LumitreeError, shown
 from lumitree.fit.result import BakeResult
 from lumitree.fit.work import save_asset
 from lumitree.lamp.source import LuminaireSource, as_source, refuse_options, source_kind
 from lumitree.trace.light_field_config import LightFieldConfig
 
 
-@explained
+@in_turn
 def bake_photometric(
     file: FilePath | LuminaireSource,
     output: FilePath | None = None,

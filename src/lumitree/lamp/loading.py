@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.frames import LocalFrame, float32_step
-from lumitree.errors import LumitreeError, LumitreeWarning, explained
+from lumitree.core.turns import in_turn
+from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.far_coordinates import origin_near, warn_of_far_meshes
 from lumitree.lamp.luminaire import Luminaire, LuminaireLike
@@ -43,7 +44,7 @@ def builtin_luminaires() -> dict[str, dict[str, Any]]:
     }
 
 
-@explained
+@in_turn
 def load_luminaire(
     luminaire: LuminaireLike | Any,
     *,

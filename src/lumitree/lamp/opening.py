@@ -16,7 +16,7 @@ from lumitree.errors import LumitreeError, shown, shown_names
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES, noted_files
 from lumitree.lamp.model_reading import READERS, overrides_path, read_model
-from lumitree.lamp.scene_file import SceneFile
+from lumitree.lamp.scene_file import SceneFile, refuse_kind
 from lumitree.lamp.scene_names import scene_names
 from lumitree.lamp.scene_writer import write_scene
 from lumitree.lamp.source import LuminaireSource, as_source, source_kind
@@ -47,15 +47,7 @@ def luminaire_source(luminaire: Opened) -> LuminaireSource:
     if isinstance(luminaire, Mapping):
         return _written_dictionary(dict(luminaire))
     if not isinstance(luminaire, str | os.PathLike | LuminaireSource):
-        kind = type(luminaire)
-        if kind.__name__ == "Scene" and kind.__module__.startswith("mitsuba"):
-            raise LumitreeError(
-                "the scene was created in another variant of Mitsuba than "
-                f"{load_mitsuba().variant()}, which is set; create it in this one"
-            )
-        raise LumitreeError(
-            f"a luminaire is a name, path, dictionary or scene, not of type {kind.__name__}"
-        )
+        refuse_kind(luminaire, "a luminaire")
     return as_source(luminaire)
 
 

@@ -5,8 +5,7 @@ import copy
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
-from xml.parsers import expat
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,21 +17,30 @@ from lumitree.core.frames import similarity
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, renderer_reason, shown
 from lumitree.lamp.blackbodies import replace_blackbodies
-from lumitree.lamp.exr_files import check_exr_file
 from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.lamp.media import keep_clear_channels
-from lumitree.lamp.mesh_files import check_mesh_file
 from lumitree.lamp.metallic_roughness import register_metallic_roughness
 from lumitree.lamp.names import select_names
 from lumitree.lamp.scene_instances import copy_instances, matrix_of, referred
 from lumitree.lamp.scene_shapes import CHOSEN_BY, SceneShape, shape_of_node
 from lumitree.lamp.spectra import spectra_of_emitters
 
-# Largest nesting depths; in a luminaire's file they are about 8 and 6.
-_MAX_ELEMENTS, _MAX_OBJECTS = 64, 16
-# Parameters of which a plugin needs one: without them Mitsuba 3.9 ends the process.
-_NEEDED = {"bitmap": ("filename", "bitmap", "data"), "blendbsdf": ("weight",)}
-# What patterns are compared with, for messages.
+
+def refuse_kind(source: object, what: str) -> NoReturn:
+    """Refuse a scene or a luminaire that is neither a name nor a dictionary.
+
+    Args:
+        what: "a scene" or "a luminaire".
+    """
+    kind = type(source)
+    if kind.__name__ == "Scene" and kind.__module__.startswith("mitsuba"):
+        raise LumitreeError(
+            "the scene was created in another variant of Mitsuba than "
+            f"{load_mitsuba().variant()}, which is set; create it in this one"
+        )
+    raise LumitreeError(
+        f"{what} is a name, path, dictionary or mitsuba.Scene, not of type {kind.__name__}"
+    )
 
 
 class SceneFile:
@@ -60,6 +68,8 @@ class SceneFile:
             LumitreeError: the file is missing or is not a Mitsuba scene, or a pattern matches no
                 shape.
         """
+        if not isinstance(source, str | os.PathLike | Mapping):
+            refuse_kind(source, "a scene")
         described = dict(source) if isinstance(source, Mapping) else None
         self._kept = folder
         # Numbers of nodes, from `copy_instances`.
@@ -69,7 +79,9 @@ class SceneFile:
         if not isinstance(source, Mapping):
             self.path = Path(source)
             self._folder, self._name = self.path.parent, shown(source, 300)
-            self._check_text(self.path)
+            content = read_bytes(self.path, "a Mitsuba scene", MAX_MODEL_BYTES)
+            if (what := what_it_is(self.path, content)) not in (None, SCENE, XML):
+                raise LumitreeError(f"{self._name} is {what}; expected a Mitsuba 3 scene (.xml)")
         mi = load_mitsuba()
         register_metallic_roughness()
         # Compared for each property of each node.
@@ -85,7 +97,6 @@ class SceneFile:
             else:
                 self._state = mi.parser.parse_dict(self._config, described)
             mi.parser.transform_all(self._config, self._state)
-        self._check_nesting()
         # Shapes of the scene by their keys. A group is only visible through its instances.
         self._shapes = {
             key: shape_of_node(number, key, node, self)
@@ -93,80 +104,12 @@ class SceneFile:
         }
         if keep or drop:
             self._select(keep, drop)
-        self._check_objects()
         # Last, because equal BSDFs become one, with one id.
         mi.parser.transform_merge_equivalent(self._config, self._state)
         # Of emitters, by their ids.
         self.spectra = spectra_of_emitters(self)
         # What has been read in another way than Mitsuba would; one line each.
         self.notes = replace_blackbodies(self)
-
-    def _check_text(self, path: Path) -> None:
-        """Refuse XML that is not well-formed, or would overflow the stack of Mitsuba's parser."""
-        data = read_bytes(path, "a Mitsuba scene", MAX_MODEL_BYTES)
-        depth = 0
-
-        def opened(name: str, attributes: dict[str, str]) -> None:
-            nonlocal depth
-            depth += 1
-            if depth > _MAX_ELEMENTS:
-                raise LumitreeError(
-                    f"{self._name} holds elements nested more than {_MAX_ELEMENTS} deep; "
-                    "expected a Mitsuba 3 scene"
-                )
-
-        def closed(name: str) -> None:
-            nonlocal depth
-            depth -= 1
-
-        parser = expat.ParserCreate()
-        parser.StartElementHandler, parser.EndElementHandler = opened, closed
-        try:
-            parser.Parse(data, True)
-        except (expat.ExpatError, ValueError) as error:
-            if (what := what_it_is(path, data)) not in (None, SCENE, XML):
-                raise LumitreeError(
-                    f"{self._name} is {what}; expected a Mitsuba 3 scene (.xml)"
-                ) from None
-            raise LumitreeError(
-                f"{self._name} cannot be loaded: {shown(error)}; expected XML in UTF-8, or with "
-                "its encoding in the first line"
-            ) from None
-
-    def _check_nesting(self) -> None:
-        """Refuse objects nested so deeply that creating them takes exponential time.
-
-        A two-sided BSDF is built from two copies of the one that it holds.
-        """
-        depth = {0: 0}
-        waiting = [0]
-        while waiting:
-            index = waiting.pop()
-            for inner in referred(self._state.nodes[index].props).values():
-                if depth[index] >= depth.get(inner, 0):
-                    depth[inner] = depth[index] + 1
-                    waiting.append(inner)
-            if depth[index] > _MAX_OBJECTS:
-                raise LumitreeError(
-                    f"{self._name} holds objects nested more than {_MAX_OBJECTS} deep; expected a "
-                    "luminaire's shapes, materials and emitters"
-                )
-
-    def _check_objects(self) -> None:
-        """Refuse files and plugins with which Mitsuba would end the process."""
-        for props in (node.props for node in self._used()):
-            plugin = props.plugin_name()
-            needed = _NEEDED.get(plugin, ())
-            if needed and not any(key in props for key in needed):
-                raise LumitreeError(
-                    f"{self._name} holds a {plugin} without {' or '.join(map(repr, needed))}; "
-                    "Mitsuba needs it"
-                )
-            file, index = props.get("filename", None), props.get("shape_index", 0)
-            # Mitsuba refuses other types.
-            if isinstance(file, str) and isinstance(index, int):
-                check_mesh_file(plugin, self.resolve(file), index)
-                check_exr_file(self.resolve(file))
 
     def _root(self, kind: str) -> list[tuple[str, Any]]:
         """Keys and nodes of a type that the scene itself holds, in the order of the file."""
@@ -294,8 +237,6 @@ class SceneFile:
             if "filename" in props
         ]
 
-    # Coordinates of a damaged file may be too large.
-    @np.errstate(over="ignore", invalid="ignore")
     def analytic_box(self) -> NDArray[np.float64]:
         """[2, 3] a box around the shapes that are no files, in double precision; NaN for none."""
         corners = [np.full((2, 3), np.nan)]

@@ -163,7 +163,7 @@ class _Reader:
     def _texture(self, props: Any) -> Json:
         plugin = props.plugin_name()
         attribute = plugin == "mesh_attribute"
-        if not attribute and (plugin != "bitmap" or not props.has_property("filename")):
+        if not attribute and (plugin != "bitmap" or "filename" not in props):
             raise LumitreeError(f"a texture {plugin!r} is not stored; expected bitmap")
         known = ("name",) if attribute else _BITMAP
         if unknown := sorted(set(props.keys()) - set(known)):

@@ -2,13 +2,21 @@
 
 import contextlib
 import dataclasses
+import math
+import time as clocks
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from lumitree.asset.asset import Asset
-from lumitree.core.arguments import check_count, check_image_settings, check_sheet_output
+from lumitree.core.arguments import (
+    MAX_SAMPLES,
+    check_count,
+    check_image_settings,
+    check_range,
+    check_sheet_output,
+)
 from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import MAX_VIEWS, Dataset
 from lumitree.core.files import FilePath, write_bytes
@@ -16,8 +24,9 @@ from lumitree.core.image_settings import image_settings
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import ImageResult, Json
 from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.turns import in_turn
 from lumitree.core.work_folder import scratch_folder
-from lumitree.errors import LumitreeError, explained
+from lumitree.errors import LumitreeError
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import dataset_folder
 from lumitree.measure.irradiance_check import check_irradiance_paths
@@ -27,9 +36,14 @@ from lumitree.rendering.asset_info import asset_json
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
 
-# Light paths, and rays of the asset, of an evaluation's irradiance: 4 to 9 s each on 2 CPU cores,
-# for a standard error of about 0.5 % of the mean of a face.
+# Light paths, and rays of the asset, of an evaluation's irradiance: a few seconds of processor time
+# for both, for a standard error of about 0.5 % of the mean of a face.
 IRRADIANCE_PATHS = 1 << 20
+# Processor time of the paths of all views, s, if neither samples nor a time is given, and the most
+# samples per pixel then. All else takes 10 to 15 s of processor time.
+_PROCESSOR_SECONDS, _SAMPLES_PER_PIXEL = 8.0, 256
+# Samples per pixel of images by which the time of a sample is measured; the first compiles.
+_MEASURED = (1, 1, 17)
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -45,6 +59,7 @@ class EvaluateResult(ImageResult):
             below. One whose reference is too noisy, or dark, is omitted.
         max_radiance: L_max of the views, W/(m² sr), by which the metrics divide radiance; None if
             there are no views, because the asset was compared with another one.
+        samples_per_pixel: paths per pixel of the views; None if there are no views.
         views: metrics by name, of each view.
         asset: `Asset.info` as a dictionary, and file and size in bytes if the asset is a file.
         sheet: file of the contact sheet; None if none was written.
@@ -61,6 +76,7 @@ class EvaluateResult(ImageResult):
 
     metrics: dict[str, float]
     max_radiance: float | None
+    samples_per_pixel: int | None
     views: list[dict[str, Any]]
     asset: Json
     sheet: Path | None
@@ -69,15 +85,16 @@ class EvaluateResult(ImageResult):
     irradiance_png: bytes | None = dataclasses.field(default=None, repr=False)
 
 
-@explained
+@in_turn
 def evaluate(
     asset: Asset | FilePath,
     target: "Asset | LuminaireLike",
     sheet: FilePath | None = None,
     *,
     num_views: int = 8,
-    resolution: int = 256,
-    samples_per_pixel: int = 256,
+    resolution: int = 192,
+    samples_per_pixel: int | None = None,
+    time: float | None = None,
     irradiance_paths: int = IRRADIANCE_PATHS,
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
@@ -85,7 +102,8 @@ def evaluate(
     """Compare an asset with its luminaire: held-out views, and the irradiance around it.
 
     The views show the radiance field of the asset. Of an asset without one they show its geometry,
-    rendered with as many paths per pixel, so that what differs is mostly the noise of both.
+    rendered with as many paths per pixel, so that what differs is mostly the noise of both: more
+    paths give a higher PSNR.
 
     The irradiance is compared on the six faces of a cube of three times the size of the bounding
     box, and on a plane that touches the box from below. It is not compared for a dataset, whose
@@ -101,9 +119,13 @@ def evaluate(
         sheet: path of the PNG file of the contact sheet. The irradiance in false colour is written
             beside it, as sheet-irradiance.png for sheet.png. Default: no file is written.
         num_views: number of rendered views, 1 to 100,000. It does not apply to a dataset, nor do
-            the next two.
+            the next three.
         resolution: pixels per side of a rendered view, 1 to 16,384.
-        samples_per_pixel: paths per pixel of a rendered view, 1 to 1,048,576.
+        samples_per_pixel: paths per pixel of a rendered view, 1 to 1,048,576. Default: the power of
+            two that the time allows, which is measured first.
+        time: time of the paths of all views, s, 0.001 to 10⁷. Default: none if there are
+            `samples_per_pixel`; else 8 s of processor time (of all cores together), for at most
+            256 paths per pixel. All else takes about as long.
         irradiance_paths: number of light paths of the luminaire, and of rays of the asset, that the
             irradiance is estimated with, up to 67,108,864. 0: it is not compared.
         variant: Mitsuba variant; see `bake`.
@@ -125,7 +147,9 @@ def evaluate(
         check_sheet_output(irradiance_sheet)
     check_count("views", num_views, 1, MAX_VIEWS)
     check_irradiance_paths(irradiance_paths)
-    check_image_settings(resolution=resolution, spp=samples_per_pixel)
+    check_image_settings(resolution=resolution, spp=samples_per_pixel or 1)
+    if time is not None:
+        check_range("time", time, 1e-3, 1e7)
     mi = load_rgb(variant)
     from lumitree.measure.figures import draw_irradiance, draw_sheet
     from lumitree.measure.flux_check import check_flux
@@ -138,23 +162,24 @@ def evaluate(
     if (reference := asset_of(target)) is not None:
         with reporting(progress):
             return compare_assets(baked, path, reference, irradiance_sheet, irradiance_paths)
-    views = (
-        {}
-        if dataset_folder(target) is not None
-        else {
-            "num_views": num_views,
-            "resolution": resolution,
-            "samples_per_pixel": samples_per_pixel,
-            "irradiance_paths": irradiance_paths,
-        }
-    )
-    settings = image_settings("evaluate", asset=title, **views, variant=mi.variant())
     irradiance, irradiance_png, flux = None, None, {}
     watch = Stopwatch()
     with contextlib.ExitStack() as stack:
         stack.enter_context(reporting(progress))
         sizes = (num_views, resolution, samples_per_pixel)
-        lamp, dataset = _references(cast(Any, target), baked, watch, stack, sizes)
+        lamp, dataset = _references(cast(Any, target), baked, watch, stack, sizes, time)
+        samples = dataset.manifest.samples_per_pixel
+        views = (
+            {}
+            if lamp is None
+            else {
+                "num_views": num_views,
+                "resolution": resolution,
+                "samples_per_pixel": samples,
+                "irradiance_paths": irradiance_paths,
+            }
+        )
+        settings = image_settings("evaluate", asset=title, **views, variant=mi.variant())
         with watch.stage("evaluate"):
             result = evaluate_views(baked.without_gain, dataset)
             png = draw_sheet(result.rows, result.max_radiance, title).png(settings)
@@ -170,6 +195,7 @@ def evaluate(
     return EvaluateResult(
         metrics=result.metrics | ({} if irradiance is None else irradiance.metrics),
         max_radiance=result.max_radiance,
+        samples_per_pixel=samples,
         views=result.views,
         asset=asset_json(baked, path),
         sheet=None if sheet is None else Path(sheet),
@@ -186,7 +212,8 @@ def _references(
     asset: Asset,
     watch: Stopwatch,
     stack: contextlib.ExitStack,
-    sizes: tuple[int, int, int],
+    sizes: tuple[int, int, int | None],
+    time: float | None,
 ) -> tuple["Luminaire | None", Dataset]:
     """The views to compare with: those of a dataset, or new ones of the luminaire, which is first.
 
@@ -194,6 +221,7 @@ def _references(
         asset: what is compared, whose box has the proportions of the luminaire's.
         stack: removes the folder of new views when it is closed.
         sizes: number, resolution and samples per pixel of new views.
+        time: see `evaluate`.
     """
     from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.view_errors import check_proportions
@@ -207,6 +235,10 @@ def _references(
         lamp = load_luminaire(target)
         check_proportions(asset, lamp.frame, lamp.name)
         warn_of_faults(lamp)
+        if samples is None or time is not None:
+            # The geometry of the asset is rendered with as many paths.
+            pixels = count * resolution**2 * (1 if asset.num_leaves or not asset.geometry else 2)
+            samples = min(samples or MAX_SAMPLES, _samples_in(time, lamp, resolution, pixels))
         dataset = capture(
             lamp,
             folder,
@@ -216,6 +248,33 @@ def _references(
             split="test",
         )
     return lamp, dataset
+
+
+def _samples_in(time: float | None, lamp: "Luminaire", resolution: int, pixels: int) -> int:
+    """Paths per pixel that a time allows, a power of two; see `evaluate`.
+
+    Args:
+        resolution: of the views, pixels.
+        pixels: of all images together.
+    """
+    from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
+    from lumitree.core.seeds import Purpose, SeedStream
+    from lumitree.trace.cameras import Camera
+
+    if time is None:
+        clock, limit, most = clocks.process_time, _PROCESSOR_SECONDS, _SAMPLES_PER_PIXEL
+    else:
+        clock, limit, most = clocks.monotonic, time, MAX_SAMPLES
+    pose = view_pose(FIRST_TEST_INDEX, 2 * lamp.bounding_radius)
+    spent = []
+    for samples in _MEASURED:
+        start = clock()
+        Camera(lamp, resolution, samples).take(pose, SeedStream(Purpose.CAPTURE, FIRST_TEST_INDEX))
+        spent.append(clock() - start)
+    # Without the time that each image takes, however many samples it has.
+    of_sample = (spent[2] - spent[1]) / (_MEASURED[2] - _MEASURED[1]) / resolution**2
+    affordable = limit / max(of_sample * pixels, limit / most)
+    return 1 << max(0, math.floor(math.log2(affordable)))
 
 
 def compare_assets(
@@ -262,6 +321,7 @@ def compare_assets(
     return EvaluateResult(
         metrics=found.metrics,
         max_radiance=None,
+        samples_per_pixel=None,
         views=[],
         asset=asset_json(asset, path),
         sheet=None,

@@ -60,6 +60,8 @@ DISPLAY_PEAK = 4000.0  # luminance at which L_max is displayed, cd/m²
 _FLIP_ACES = (0.36 * 2.51, 0.6 * 0.03, 0.36 * 2.43, 0.6 * 0.59, 0.14)
 _FLIP_TARGET = 0.85
 _FLIP_FLOOR = 1e-3
+# Pixels, more than the radii of all filters of HDR-FLIP.
+_FLIP_MARGIN = 24
 
 
 def view_metrics(
@@ -306,9 +308,21 @@ def hdr_flip(
     if flip_evaluator is None:
         raise LumitreeError("HDR-FLIP needs the package flip-evaluator, which is not installed")
     r, b = (np.maximum(image / max_radiance, 0).astype(np.float32) for image in (reference, baked))
+    # Around what is black in both images the error is 0.
+    lit = (r + b).any(axis=-1)
+    part = _around(np.any(lit, axis=1)), _around(np.any(lit, axis=0))
+    r, b = (np.ascontiguousarray(image[part]) for image in (r, b))
     exposures = flip_exposures(reference / max_radiance)
     _, error, _ = flip_evaluator.evaluate(r, b, "HDR", applyMagma=False, parameters=exposures)
-    return float(error)
+    return float(error) * r.shape[0] * r.shape[1] / lit.size
+
+
+def _around(lit: NDArray[np.bool_]) -> slice:
+    """The rows or columns from the first to the last that are lit, and a margin."""
+    (found,) = np.nonzero(lit)
+    if not found.size:
+        return slice(0, 1)
+    return slice(max(0, int(found[0]) - _FLIP_MARGIN), int(found[-1]) + 1 + _FLIP_MARGIN)
 
 
 def flip_exposures(reference: NDArray[np.floating]) -> dict[str, float]:

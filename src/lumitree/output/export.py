@@ -11,9 +11,10 @@ from lumitree.core.files import FilePath, check_writable
 from lumitree.core.results import Result
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.turns import in_turn
 from lumitree.core.units import metres_of
 from lumitree.core.work_folder import atomic_files, atomic_folder, check_new_folder
-from lumitree.errors import LumitreeError, explained
+from lumitree.errors import LumitreeError
 from lumitree.output.targets.registry import find_target
 from lumitree.output.targets.target import ExportRequest, Importer
 from lumitree.rendering.asset_cache import open_asset
@@ -52,7 +53,7 @@ class ExportResult(Result):
     not_carried_over: list[str]
 
 
-@explained
+@in_turn
 def export(
     asset: Asset | FilePath,
     output: FilePath,

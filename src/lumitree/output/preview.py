@@ -15,7 +15,8 @@ from lumitree.core.image_settings import image_settings
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import ImageResult
 from lumitree.core.stopwatch import Stopwatch
-from lumitree.errors import LumitreeError, explained
+from lumitree.core.turns import in_turn
+from lumitree.errors import LumitreeError
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.rendering.asset_cache import asset_of
@@ -93,7 +94,7 @@ class AssetPreviewResult(ImageResult):
     sheet: Path | None
 
 
-@explained
+@in_turn
 def preview(
     luminaire: "Asset | LuminaireLike",
     sheet: FilePath | None = None,

@@ -14,7 +14,8 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.file import load as read_asset
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import FilePath
-from lumitree.errors import LumitreeError, explained, shown
+from lumitree.core.turns import in_turn
+from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.source import (
     LuminaireSource,
@@ -103,7 +104,7 @@ def open_field(
     return shared_field(open_asset(asset), min_density, max_opacity)
 
 
-@explained
+@in_turn
 def load(path: FilePath) -> Asset:
     """Read an asset from a file, and check it. Nothing in the file is executed.
 

@@ -12,8 +12,9 @@ from lumitree.core.files import FilePath
 from lumitree.core.image_settings import image_settings
 from lumitree.core.images import encode_png, read_comment, read_exr
 from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.turns import in_turn
 from lumitree.core.view_transform import View, check_view, displayed, room_exposure
-from lumitree.errors import LumitreeError, explained, shown
+from lumitree.errors import LumitreeError, shown
 from lumitree.rendering.saved_image import SavedImage
 
 # W/(m² sr); sums over the pixels of an image are then finite in single precision.
@@ -39,7 +40,7 @@ class MixResult(SavedImage):
     mean_radiance: float
 
 
-@explained
+@in_turn
 def mix(
     layers: FilePath | Mapping[str, NDArray[np.float32]],
     gains: Mapping[str, float | tuple[float, float, float]] | None = None,

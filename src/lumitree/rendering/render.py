@@ -21,6 +21,7 @@ from lumitree.core.images import check_exr_name, encode_png, write_exr
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.turns import in_turn
 from lumitree.core.units import metres_of
 from lumitree.core.view_transform import View, check_view, displayed, room_exposure
 from lumitree.core.work_folder import WorkFolder
@@ -116,7 +117,7 @@ class RenderResult(SavedImage):
         write_exr(path, {"RGB": self.noisy, "albedo": self.albedo, **normal}, self.settings)
 
 
-@explained
+@in_turn
 def render(
     scene: "FilePath | Mapping[str, Any] | Any",
     placements: Sequence[Placement] = (),

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lumitree.asset.asset import Asset
-from lumitree.core.arguments import check_gain
+from lumitree.core.arguments import MAX_PIXELS_A_SIDE, check_gain
 from lumitree.core.frames import float32_step, is_far, similarity, similarity_scale
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.loading import load_luminaire
@@ -262,7 +262,7 @@ def load_scene(
     sensors = scene.sensors()
     if not sensors:
         raise LumitreeError(f"{title} has no sensor; add a camera to the scene")
-    _check_rgb(sensors[0].film(), title)
+    _check_size(sensors[0].film(), title)
     if box_filter and sensors[0].film().rfilter().class_name() != "BoxFilter":
         raise LumitreeError(
             f"{title} has a film that is created already; denoise needs one with the "
@@ -275,6 +275,8 @@ def load_scene(
                 "another, or describe the sensor by a dictionary"
             )
         set_film_width(scene, width)
+        _check_size(sensors[0].film(), title)
+    _check_rgb(sensors[0].film(), title)
     heterogeneous = any_heterogeneous(scene)
     integrator = integrator_for(scene, described, title, heterogeneous=heterogeneous)
     if not records_layers(integrator):
@@ -283,6 +285,16 @@ def load_scene(
                 _warn_far(item)
                 _warn_unlit_by_volpath(scene, item)
     return scene, integrator
+
+
+def _check_size(film: mi.Film, title: str) -> None:
+    """Refuse a film of no pixels, or of more than memory is likely to hold."""
+    width, height = (int(each) for each in film.crop_size())
+    if not (1 <= width <= MAX_PIXELS_A_SIDE and 1 <= height <= MAX_PIXELS_A_SIDE):
+        raise LumitreeError(
+            f"{title} has an image of {width:,} x {height:,} pixels; expected 1 to "
+            f"{MAX_PIXELS_A_SIDE:,} a side"
+        )
 
 
 def _check_rgb(film: mi.Film, title: str) -> None:

@@ -8,6 +8,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.device import parameter
 from lumitree.core.seeds import SeedStream
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.trace.straight_through import straight_through
@@ -88,7 +89,8 @@ class Camera:
         resolution = self._resolution
         count = resolution**2 * samples
         self._sampler.seed(sampler_seed, count)
-        pixel = dr.arange(mi.UInt32, count) // samples
+        # Another number of samples does not compile another kernel.
+        pixel = dr.arange(mi.UInt32, count) // parameter(mi.UInt32, samples)
         jitter = self._sampler.next_2d()
         ray = self._ray(pose, mi.Point2f(pixel % resolution, pixel // resolution) + jitter)
         hit = self._luminaire.scene.ray_test(ray)

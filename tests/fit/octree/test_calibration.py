@@ -150,3 +150,32 @@ def test_flux_correction_factor_is_what_l_max_lacks(mi, split):
         float(np.array(f.integrate(origin, direction)[0]).sum()) for f in (truth, part)
     )
     assert factor(part, 1.0) == pytest.approx(whole / halved, rel=0.06)
+
+
+def test_both_end_after_a_first_part_when_the_time_is_over(mi):
+    """A bake keeps to its time, and nothing of it is left out."""
+    from lumitree.fit.octree.calibration import calibrate
+    from lumitree.fit.octree.flux_correction import flux_correction
+
+    truth, _ = truth_and_start("exponential")
+    rays, drawn = FieldRays(mi, truth, split=True), []
+    draw = rays.draw
+    rays.draw = lambda count, *others: drawn.append(count) or draw(count, *others)
+    config = CalibrationConfig(rays=1 << 12)
+    for over, rounds, draws in ((lambda: True, 1, 1), (lambda: False, 4, FLUX.draws)):
+        calibrate(truth, rays, 1.0, config, stream(0), over)
+        assert drawn == [1 << 12] * 2 * rounds
+        flux_correction(truth, rays, 1.0, FLUX, 0, over)
+        assert drawn[2 * rounds :] == [FLUX.rays] * draws
+        drawn.clear()
+
+
+def test_the_time_is_over_when_it_is_spent_and_not_reserved(mi):
+    from lumitree.fit.octree.descent import Budget
+    from support.tiny_bakes import octree_fit
+
+    budget = Budget(octree_fit(time=100.0, rays=None), 50.0, 0)
+    budget.reserved = 60.0
+    assert (budget.progress, budget.is_over) == (1, False)
+    assert Budget(octree_fit(time=100.0, rays=None), 101.0, 0).is_over
+    assert not Budget(octree_fit(time=None, rays=5), 1e9, 0).is_over

@@ -16,7 +16,8 @@ from lumitree.core.interrupt import deferred_interrupt, interruptible, interrupt
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_of
 from lumitree.core.system import peak_memory_bytes
-from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
+from lumitree.core.turns import in_turn
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.catalogue.claim import UNKNOWN
 from lumitree.fit.catalogue.folder import Part, check_folder, mark_folder, write_part
 from lumitree.fit.catalogue.index import FolderIndex, check_index
@@ -33,7 +34,7 @@ from lumitree.lamp.source import LuminaireSource, as_source, gldf_variant, sourc
 _AGAIN_SECONDS = 0.5
 
 
-@explained
+@in_turn
 def bake_many(
     luminaires: Sequence[FilePath | LuminaireSource],
     folder: FilePath,

@@ -168,6 +168,10 @@ def _run(
     first = refiner.field if best is None else best
     descent = Descent(refiner, first, source, max_radiance, held_out, budget, config, state_file)
     with deferred_interrupt() as interruption:
+
+        def over() -> bool:
+            return budget.is_over or bool(interruption)
+
         # At once, so that the first estimate, which takes tens of seconds, need not be repeated.
         descent.save()
         descent.run(f"{verb} {name}", interruption)
@@ -175,10 +179,11 @@ def _run(
             # The descent leaves small bright parts a few percent too bright. What the calibration
             # cannot reach, as where the sigmoid saturates, the flux correction factor makes up for.
             stream = SeedStream(Purpose.CLOSING_CALIBRATION, refiner.step)
-            calibrate(descent.best, source, max_radiance, config.calibration, stream, interruption)
+            if not interruption:
+                calibrate(descent.best, source, max_radiance, config.calibration, stream, over)
             advance(1)
             factor, beyond = flux_correction(
-                descent.best, source, max_radiance, config.flux, refiner.step, interruption
+                descent.best, source, max_radiance, config.flux, refiner.step, over
             )
             advance(1)
         if beyond > _MUCH_BEYOND and not interruption:

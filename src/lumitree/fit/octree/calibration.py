@@ -15,6 +15,7 @@ Symbols
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import drjit as dr
 import mitsuba as mi
@@ -23,7 +24,6 @@ from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
 from lumitree.core.harmonics import Y_00, num_coefficients
-from lumitree.core.interrupt import Interruption
 from lumitree.core.seeds import SeedStream
 from lumitree.fit.octree.adjoint import emission_moments
 from lumitree.fit.octree.config import CalibrationConfig
@@ -40,14 +40,14 @@ def calibrate(
     max_radiance: float,
     config: CalibrationConfig,
     stream: SeedStream,
-    interruption: Interruption | None = None,
+    over: Callable[[], bool] | None = None,
 ) -> None:
     """Scale the emission of a field's leaves, by channel, region and side, in place.
 
     Args:
         max_radiance: L_max of the field.
         stream: purpose and step of the rays; all of its draws are used.
-        interruption: no further round begins once it is set; every round improves the field.
+        over: no second round begins once it returns true; every round improves the field.
     """
     levels = [_cells(field, level) for level in range(config.finest_level + 1)]
     cell = levels[config.finest_level]
@@ -55,7 +55,7 @@ def calibrate(
     above = [index[member] for index in levels]
     harmonics = num_coefficients(min(config.max_band, field.l_max))
     for turn in range(config.rounds):
-        if interruption:
+        if turn and over is not None and over():
             return
         streams = [dataclasses.replace(stream, draw=2 * turn + half) for half in range(2)]
         halves = [

@@ -37,6 +37,11 @@ class Budget:
         return self._earlier + time.monotonic() - self._start
 
     @property
+    def is_over(self) -> bool:
+        """Whether the time is spent, also what is reserved; False without a limit of time."""
+        return self._config.time is not None and self.seconds >= self._config.time
+
+    @property
     def progress(self) -> float:
         """Share of the budget that is spent, 1 when it is all."""
         shares = [0.0]
@@ -133,7 +138,7 @@ class Descent:
         calibrate(refiner.field, self._source, self._max_radiance, self._config.calibration, stream)
         self._budget.reserved = schedule.closing_calibrations * (time.monotonic() - start)
         deepest = int(refiner.field.levels.max())
-        if deepest < self._config.tree_depth:
+        if deepest < self._config.tree_depth and self._budget.progress < 1:
             refiner.split(deepest + 1)
 
 

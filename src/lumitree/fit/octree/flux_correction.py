@@ -1,11 +1,11 @@
 """The flux correction factor: total flux of the luminaire over that of the field."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 
-from lumitree.core.interrupt import Interruption
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.octree.config import FluxConfig
 from lumitree.fit.octree.leaf_field import LeafField
@@ -30,7 +30,7 @@ def flux_correction(
     max_radiance: float,
     config: FluxConfig,
     step: int,
-    interruption: Interruption | None = None,
+    over: Callable[[], bool] | None = None,
 ) -> FluxCorrection:
     """The flux correction of a field.
 
@@ -38,11 +38,11 @@ def flux_correction(
         max_radiance: L_max of the field.
         config: how many rays; with fewer draws the factor is less precise.
         step: steps of descent that made the field.
-        interruption: no second draw is made once it is set.
+        over: no second draw is made once it returns true.
     """
     traced, shown, beyond = 0.0, 0.0, 0.0
     for draw in range(config.draws):
-        if interruption and draw:
+        if draw and over is not None and over():
             break
         stream = SeedStream(Purpose.FLUX_CORRECTION, step, draw)
         rays = source.draw(config.rays, stream, _all_rays, config.light_paths_per_ray)

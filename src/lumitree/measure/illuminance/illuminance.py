@@ -17,6 +17,7 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import Result, plain
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.turns import in_turn
 from lumitree.core.units import metres_of
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
 from lumitree.measure.illuminance.areas import Plane, Receivers, Surface, chosen_shapes, collect
@@ -128,7 +129,7 @@ _COLUMNS = (
 )
 
 
-@explained
+@in_turn
 def illuminance(
     scene: "FilePath | Mapping[str, Any] | Any",
     placements: Sequence[Placement] = (),

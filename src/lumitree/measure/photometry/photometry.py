@@ -18,8 +18,9 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import ImageResult
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.turns import in_turn
 from lumitree.core.units import metres_of
-from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.formats.symmetry import EDGE
 from lumitree.formats.type_c import MIN_STEP, Grid, IntensityDistribution
 from lumitree.lamp.source import RAY_SUFFIXES, WRITTEN_SUFFIXES, LuminaireSource, source_kind
@@ -78,7 +79,7 @@ class PhotometryResult(ImageResult, PhotometricFigures):
     ugr: NDArray[np.float64] | None = dataclasses.field(default=None, repr=False)
 
 
-@explained
+@in_turn
 def photometry(
     source: "Asset | LuminaireLike",
     output: FilePath | Sequence[FilePath] = (),

@@ -3,7 +3,6 @@
 import base64
 import dataclasses
 import io
-import json
 from importlib import resources
 from typing import Any
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.geometry import AssetGeometry
+from lumitree.core.files import json_text
 from lumitree.core.frames import similarity
 from lumitree.core.photometry import colour_temperature
 from lumitree.errors import shown
@@ -136,7 +136,7 @@ def _light_data(
 
 def _block(description: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> str:
     """An archive of NumPy in base64, in lines."""
-    text = json.dumps(description, separators=(",", ":"), allow_nan=False).encode()
+    text = json_text(description).encode()
     content = io.BytesIO()
     np.savez_compressed(content, description=np.frombuffer(text, np.uint8), **arrays)  # type: ignore[arg-type]
     coded = base64.b64encode(content.getvalue()).decode("ascii")

@@ -1,6 +1,5 @@
 """Binary glTF files: a JSON object and the bytes that it refers to."""
 
-import json
 import struct
 from typing import Any
 
@@ -8,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.textures import Json
+from lumitree.core.files import json_text
 
 VERTICES, INDICES = 34962, 34963
 _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
@@ -80,7 +80,7 @@ class Glb:
             made["buffers"] = [{"byteLength": len(self._data)}]
         if self._used:
             made["extensionsUsed"] = sorted(self._used)
-        text = json.dumps(made, separators=(",", ":"), allow_nan=False).encode()
+        text = json_text(made).encode()
         text += b" " * (-len(text) % _ALIGNMENT)
         chunks = struct.pack("<I4s", len(text), _JSON) + text
         if self._data:

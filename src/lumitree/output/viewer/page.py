@@ -1,13 +1,13 @@
 """The page of the viewer: a template with the asset, style, scripts and shaders in it."""
 
 import html
-import json
 from importlib import resources
 
 import matplotlib
 import numpy as np
 
 from lumitree.asset.asset import Asset
+from lumitree.core.files import json_text
 from lumitree.output.viewer.packing import pack_asset
 
 # In the order in which they are run; all share one scope.
@@ -49,7 +49,7 @@ def _file(name: str) -> str:
 
 def _json(value: object) -> str:
     """JSON that can stand in a script element: it has no `<`, so that it cannot end it."""
-    return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")
+    return json_text(value).replace("<", "\\u003c")
 
 
 def _colour_map() -> list[int]:

@@ -8,7 +8,8 @@ from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, check_writable, write_bytes
 from lumitree.core.results import Result
 from lumitree.core.stopwatch import Stopwatch
-from lumitree.errors import LumitreeError, explained, shown
+from lumitree.core.turns import in_turn
+from lumitree.errors import LumitreeError, shown
 from lumitree.rendering.asset_cache import open_asset
 
 
@@ -40,7 +41,7 @@ def _check_page_name(path: FilePath) -> None:
         raise LumitreeError(f"page name {name} does not end in .html")
 
 
-@explained
+@in_turn
 def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
     """Make a web page that shows an asset, and the illuminance around it.
 

@@ -121,8 +121,10 @@ def add_self_emission(
     shows = (shows | vertex.active_medium) & vertex.shown & (vertex.owner != NONE)
     sample = sampler.next_2d()
     light, emitter = mi.Spectrum(0), dr.zeros(mi.EmitterPtr)
-    # A branch: most packets of rays have no such vertex, and skip the code.
-    if shows:
+    # A branch: most packets of rays have no such vertex, and skip the code. Where derivatives make
+    # the loops of this integrator evaluated ones, it is evaluated too: shadow rays have a loop.
+    mode = None if dr.flag(dr.JitFlag.SymbolicLoops) else "evaluated"
+    if dr.hint(shows, mode=mode):
         light, emitter = _self_emission(scene, path, vertex, sample, shows)
     path.add_light(scene, emitter, light, mi.Bool(False), shows)
     return shows

@@ -41,10 +41,10 @@ def plugin_options(props: mi.Properties) -> dict[str, Any]:
     Raises:
         LumitreeError: there is no file name.
     """
-    options = {name: props[name] for name in _OPTIONS if props.has_property(name)}
+    options = {name: props[name] for name in _OPTIONS if name in props}
     if "to_world" in options:
         options["to_world"] = np.array(options["to_world"].matrix)
-    if not props.has_property("filename"):
+    if "filename" not in props:
         raise LumitreeError(
             "plugin 'lumitree' needs a 'filename': a .lumitree asset or a photometric file"
         )

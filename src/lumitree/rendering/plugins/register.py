@@ -9,10 +9,12 @@ first three take the same properties:
     min_density, max_opacity    see `lumitree.octree.field.Field`; exact by default
     sampling      "emission" (default), or "uniform" over the proxy
     gain          factor on the emitted light, a number or R, G, B; default 1. The BSDF ignores it
-    appearance    "field" (default), or "geometry": images show the luminaire itself, if the asset
-                  has it; for the integrator `lumitree_path` only
+    appearance    "geometry": images show the luminaire itself, for the integrator `lumitree_path`;
+                  or "field". Default of `lumitree_proxy`: "geometry" if the asset has it. The
+                  emitter and the BSDF alone show the field
 
 `lumitree_proxy` is the proxy shape with the emitter and the BSDF attached: what a scene XML names.
+It is made of a sphere or of `lumitree_box`.
 With the appearance "geometry" it is several shapes: the proxy and those of the luminaire.
 L_o = gain · L_e + T · L_i (Eq. 2): the emitter returns gain · L_e, the BSDF T. The gain is
 a differentiable parameter of `mitsuba.traverse`, `<name of the shape>.emitter.gain`.
@@ -53,11 +55,13 @@ def register() -> None:
     # Their classes extend Mitsuba's, which a variant has to be set for.
     emitter = importlib.import_module("lumitree.rendering.plugins.emitter").emitter_class()
     bsdf = importlib.import_module("lumitree.rendering.plugins.bsdf").null_bsdf_class()
+    box = importlib.import_module("lumitree.rendering.plugins.box").box_class()
     integrator = importlib.import_module("lumitree.rendering.plugins.integrator").integrator_class()
     make = importlib.import_module("lumitree.rendering.plugins.shape").make_shapes
     options = importlib.import_module("lumitree.rendering.plugins.placed").plugin_options
     mi.register_emitter("lumitree", emitter)
     mi.register_bsdf("lumitree_null", bsdf)
+    mi.register_shape("lumitree_box", box)
     mi.register_integrator("lumitree_path", integrator)
     register_metallic_roughness()
 
@@ -82,7 +86,7 @@ def shape(
     max_opacity: float = 1.0,
     sampling: "Sampling" = "emission",
     gain: ArrayLike | Any = 1.0,
-    appearance: "Appearance" = "field",
+    appearance: "Appearance | None" = None,
 ) -> dict[str, Any]:
     """A baked luminaire as a shape dictionary for `mitsuba.load_dict`.
 
@@ -95,8 +99,10 @@ def shape(
         max_opacity: rays end at this opacity (the paper: 0.9).
         sampling: of directions: "emission", about in proportion to it, or "uniform" over the proxy.
         gain: [3] factors on the R, G and B of the emitted light, or one number for all; 0 to 10⁶.
-        appearance: what images show. "field": the radiance field. "geometry": the luminaire itself,
-            if the asset has it; only for the integrator `lumitree_path`.
+        appearance: what images show. "geometry": the luminaire itself, if the asset has it; for the
+            integrator `lumitree_path`: under others the room is lit as well, but the lamp looks
+            dark behind its light field. "field": the radiance field, or else the light field.
+            Default: the geometry if the asset has it, as `render` shows it.
 
     Returns:
         The proxy shape with the emitter `lumitree` and the BSDF `lumitree_null` attached; and with

@@ -46,16 +46,18 @@ def describe_proxy(
     max_opacity: float = 1.0,
     sampling: Sampling = "emission",
     gain: ArrayLike | Any = 1.0,
-    appearance: Appearance = "field",
+    appearance: Appearance | None = None,
 ) -> dict[str, Any]:
     """What `lumitree.shape` returns, with its arguments."""
-    check_kinds(proxy, sampling, appearance)
+    check_kinds(proxy, sampling, appearance or "field")
     factors = check_gain(gain)
     matrix = np.asarray(getattr(to_world, "matrix", np.eye(4) if to_world is None else to_world))
     if matrix.shape == (4, 4, 1):
         matrix = matrix[..., 0]
     similarity_scale(matrix, "to_world")
     opened = open_asset(asset)
+    if appearance is None:
+        appearance = "geometry" if opened.geometry is not None else "field"
     field = open_field(opened, min_density, max_opacity)
     # In double precision where the transform ends far from where it begins.
     transform = mi.ScalarTransform4d if opened.frame.is_far else mi.ScalarTransform4f

@@ -30,7 +30,7 @@ class BoxProxy:
 
     def __init__(self, half_extents: NDArray[np.float64]) -> None:
         self.half = parameter(mi.Vector3f, *half_extents.tolist())
-        self.shape = {"type": "cube"}
+        self.shape = {"type": "lumitree_box"}
         self.shape_scale = half_extents
 
     def _visible_areas(self, origin: mi.Point3f) -> mi.Vector3f:
