@@ -88,8 +88,7 @@ class Entries:
         reach_curves: NDArray[np.float32],
         unoccluded: NDArray[np.float32],
         seed: int,
-        *,
-        independent: NDArray[np.float32] | None = None,
+        independent: NDArray[np.float32],
     ) -> LightInside:
         """The light inside the box.
 
@@ -107,7 +106,7 @@ class Entries:
             MAX_CURVES,
             MAX_FACTOR,
             stream.seed(seed),
-            independent=None if independent is None else _held(independent, valid),
+            independent=_held(independent, valid),
         )
         return LightInside(
             cells=self.cells.astype(np.uint8),
