@@ -5,8 +5,6 @@ first three take the same properties:
 
     filename      the asset, or a photometric file or ray file
     to_world      where the luminaire goes, relative to its own file's frame (default: there)
-    proxy         "box" (default) or "sphere"
-    min_density, max_opacity    see `lumitree.octree.field.Field`; exact by default
     sampling      "emission" (default), or "uniform" over the proxy
     gain          factor on the emitted light, a number or R, G, B; default 1. The BSDF ignores it
     appearance    "field" (default), or "geometry": images show the luminaire itself, if the asset
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
     from lumitree.asset.asset import Asset
     from lumitree.rendering.plugins.placed import Appearance
     from lumitree.rendering.sampling.emitter_sampling import Sampling
-    from lumitree.rendering.sampling.proxy import ProxyKind
 
 _registered: set[str] = set()
 _TOO_MANY = (
@@ -75,9 +72,6 @@ def register() -> None:
 def shape(
     asset: "Asset | str | os.PathLike[str]",
     to_world: ArrayLike | Any | None = None,
-    proxy: "ProxyKind" = "box",
-    min_density: float = 0.0,
-    max_opacity: float = 1.0,
     sampling: "Sampling" = "emission",
     gain: ArrayLike | Any = 1.0,
     appearance: "Appearance" = "field",
@@ -88,9 +82,6 @@ def shape(
         asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file.
         to_world: [4, 4] matrix or Mitsuba transform that moves the luminaire from its own
             file's frame into the scene; rotation, translation and uniform scale. Default: stay.
-        proxy: "box" or "sphere", the surface that carries the field.
-        min_density: leaves below this density count as empty (the paper: 0.1).
-        max_opacity: rays end at this opacity (the paper: 0.9).
         sampling: of directions: "emission", about in proportion to it, or "uniform" over the proxy.
         gain: [3] factors on the R, G and B of the emitted light, or one number for all; 0 to 10⁶.
         appearance: what images show. "field": the radiance field. "geometry": the luminaire itself,
@@ -107,6 +98,4 @@ def shape(
     register()
     from lumitree.rendering.plugins.shape import describe_proxy
 
-    return describe_proxy(
-        asset, to_world, proxy, min_density, max_opacity, sampling, gain, appearance
-    )
+    return describe_proxy(asset, to_world, sampling, gain, appearance)
