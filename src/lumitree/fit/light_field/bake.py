@@ -75,9 +75,8 @@ def bake_light_field(
     intensity = intensity_of_histogram(histogram.flux)
     field = make_light_field(histogram.cells, intensity, config.depth, traced)
     entries = make_entries(field, ending.cells, ending.flux, ending.by_reach)
-    reach, curves = entries.reach(config.seed)
     free, other = unoccluded(luminaire, entries, config.seed)
-    inside = entries.encoded(reach, curves, free, config.seed, other)
+    inside = entries.encoded(free, other, config.seed)
     field = dataclasses.replace(field, inside=inside)
     saved.save(field)
     return field
