@@ -92,7 +92,7 @@ def measure_points(asset: str, options: argparse.Namespace) -> dict:
     from lumitree.rendering.asset_cache import open_field
     from lumitree.rendering.sampling.emitter_sampling import EmitterSampler
     from lumitree.rendering.sampling.light_leaves import light_leaves
-    from lumitree.rendering.sampling.proxy import make_proxy
+    from lumitree.rendering.sampling.proxy import BoxProxy
 
     field = open_field(asset)
     half = field.asset.frame.half_extents
@@ -100,7 +100,7 @@ def measure_points(asset: str, options: argparse.Namespace) -> dict:
     leaves = light_leaves(field)
     dr.sync_thread()
     row: dict = {"table_seconds": time.perf_counter() - start}
-    proxy = make_proxy("box", half)
+    proxy = BoxProxy(half)
     samplers = {
         "uniform": EmitterSampler(proxy, field, None),
         "emission": EmitterSampler(proxy, field, leaves),

@@ -24,9 +24,7 @@ scene = mi.load_dict(
             "film": {"type": "hdrfilm", "width": 240, "height": 160},
         },
         "floor": {"type": "rectangle", "to_world": place().rotate([1, 0, 0], -90).scale(5)},
-        "left": lumitree.shape(
-            "ball.lumitree", place().translate([-1.2, 0.9, 0]).scale(0.7), proxy="sphere"
-        ),
+        "left": lumitree.shape("ball.lumitree", place().translate([-1.2, 0.9, 0]).scale(0.7)),
         "right": lumitree.shape("ball.lumitree", place().translate([1.2, 0.6, -1]).scale(0.4)),
     }
 )

@@ -9,7 +9,6 @@ import pytest
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.light_field import TracedPaths
 from lumitree.cli import main
 from lumitree.core.images import write_exr
 from support.fields import random_asset
@@ -36,11 +35,7 @@ def folder(tmp_path, monkeypatch, mi):
     frame = random_asset(0).frame
     lumitree.save(random_asset(0), "field.lumitree")
     write_exr("layers.exr", {"hall": np.ones((2, 3, 3), np.float32)})
-    for seed in (0, 1):
-        traced = TracedPaths(1000, (seed,), 64 * "0")
-        lumitree.save(
-            light_field_asset(random_light_field(0, traced=traced), frame, "x"), f"{seed}.lumitree"
-        )
+    lumitree.save(light_field_asset(random_light_field(0), frame, "x"), "light.lumitree")
 
 
 @pytest.mark.parametrize(
@@ -48,7 +43,6 @@ def folder(tmp_path, monkeypatch, mi):
     [
         ((*LAMP, "-o", "new/a.lumitree"), "new/a.lumitree"),
         ((*LAMP, "-o", "new/"), "new/index.html"),
-        (("merge", "0.lumitree", "1.lumitree", "-o", "m.lumitree"), "m.lumitree"),
         slow(("preview", "lamp.xml", "-o", "s.png", *SMALL), "s.png"),
         (("preview", "field.lumitree", "-o", "s.png", *SMALL), "s.png"),
         (("capture", "lamp.xml", "-o", "d", "--views", "1", *SMALL), "d"),
@@ -58,10 +52,10 @@ def folder(tmp_path, monkeypatch, mi):
           "0,0,5"), "r.png"),
         (("mix", "layers.exr", "-o", "m.png", "--gain", "hall=0.5"), "m.png"),
         (("view", "field.lumitree", "-o", "v.html"), "v.html"),
-        (("export", "1.lumitree", "-o", "e.py"), "e.py"),
-        (("photometry", "1.lumitree", "-o", "p.ies", "-o", "p.html", "--paths", "16384",
+        (("export", "light.lumitree", "-o", "e.py"), "e.py"),
+        (("photometry", "light.lumitree", "-o", "p.ies", "-o", "p.html", "--paths", "16384",
           "--step", "10"), "p.html"),
-        slow(("photometry", "1.lumitree", "-o", "p.ldt", "--paths", "16384", "--step", "10"),
+        slow(("photometry", "light.lumitree", "-o", "p.ldt", "--paths", "16384", "--step", "10"),
             "p.ldt"),
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, tuple) else value,

@@ -76,7 +76,7 @@ def test_the_wheel_has_the_package_alone(distributions):
     assert package == files_of_package()
     for name in ("py.typed", "output/viewer/page/template.html", "__init__.pyi"):
         assert f"lumitree/{name}" in package
-    assert "lumitree/output/blender/extension/blender_manifest.toml" in package
+    assert "lumitree/output/blender/lumitree-blender.zip" in package
     assert f"{info}/licenses/LICENSE" in names
     assert f"{info}/entry_points.txt" in names
 

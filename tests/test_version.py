@@ -13,7 +13,7 @@ from packaging.utils import canonicalize_name
 import lumitree
 
 ROOT = Path(__file__).parents[1]
-EXTENSION = ROOT / "src/lumitree/output/blender/extension/blender_manifest.toml"
+EXTENSION = ROOT / "integrations/blender/lumitree_blender/blender_manifest.toml"
 
 
 def read(path):

@@ -22,9 +22,10 @@ _SOURCES = ("rendering", "octree", "asset", "core")
 
 @dataclasses.dataclass(frozen=True)
 class Way:
-    """How the baked lamp is rendered; members as the arguments of `place_luminaires`.
+    """How the baked lamp is rendered: `sampling` as for `place_luminaires`, and thresholds.
 
-    Images show the geometry of a lamp, if its asset has one.
+    The thresholds are the arguments of `lumitree.octree.field.Field`. Images show the geometry of a
+    lamp, if its asset has one.
     """
 
     sampling: "Sampling" = "emission"
@@ -40,7 +41,6 @@ class Method:
     ) -> None:
         from lumitree.lamp.loading import load_luminaire
         from lumitree.lamp.scene_file import SceneFile
-        from lumitree.octree.field import Thresholds
         from lumitree.rendering.passes import Budget, render_passes
         from lumitree.rendering.placement import Placement
         from lumitree.rendering.plugins.placed import shows_geometry
@@ -56,13 +56,8 @@ class Method:
         source = pair.asset if baked else pair.luminaire
         way = Way() if way is None else way
         lamp = PlacedLuminaire(Placement(source, at=pair.at, size=pair.size))
-        scene = place_luminaires(
-            room,
-            [lamp],
-            sampling=way.sampling,
-            appearance="geometry",
-            thresholds=Thresholds(way.min_density, way.max_opacity),
-        )
+        scene = place_luminaires(room, [lamp], sampling=way.sampling, appearance="geometry")
+        set_thresholds(scene, way)
         # Whether it converges to the explicit lamp's image, but for the illumination's error.
         self.converges = lamp.field is None or shows_geometry(lamp.field.asset, "geometry")
         mi = load_mitsuba()
@@ -110,6 +105,21 @@ class Method:
         """With the variance of the long run."""
         variance = noise(self.long.batches, weights) * self.long.samples_per_pixel
         return Pace(variance, seconds, bias)
+
+
+def set_thresholds(scene: Any, way: Way) -> None:
+    """Give the lamps of a scene fields with the thresholds of `way`; exact fields stay."""
+    if (way.min_density, way.max_opacity) == (0.0, 1.0):
+        return
+    from lumitree.octree.field import Field
+    from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
+
+    lamps: list[Any] = [each for each in scene.emitters() if isinstance(each, DeferredEmitter)]
+    for lamp in lamps:
+        field = Field(lamp.placed.asset, way.min_density, way.max_opacity)
+        lamp.placed.field = lamp.get_shape().bsdf().placed.field = field
+        # The sampler was made of the exact field.
+        del lamp.sampler
 
 
 def first_samples(pixels: int) -> int:

@@ -7,9 +7,9 @@ import numpy as np
 
 from benchmarks.common.timing import MIN_ROUNDS, Job, interleaved
 from benchmarks.inside_box.patches import NORMALS, Floats, Rectangle
+from benchmarks.inside_box.received import received_irradiance
 from lumitree.asset.asset import Asset
 from lumitree.core.photometry import LUMA
-from lumitree.measure.illuminance.received import received_irradiance
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.plugins.placed import Appearance
 from lumitree.rendering.scene import PlacedLuminaire, place_luminaires

@@ -175,7 +175,6 @@ JOBS = (
         resume=("--resume",),
         after=("extract", "out/run", "-o", "out/run.lumitree", "--tree-depth", "4"),
     ),
-    Job("merge", ("merge", "first.lumitree", "second.lumitree", "-o", "out/both.lumitree")),
     Job(
         "render",
         ("render", "room.xml", *_PLACED, "-o", "out/image.exr", "--spp", str(_SAMPLES),

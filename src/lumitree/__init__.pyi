@@ -34,7 +34,6 @@ from .fit.catalogue.result import BakeManyResult as BakeManyResult
 from .fit.catalogue.result import CollectResult as CollectResult
 from .fit.config import BakeConfig as BakeConfig
 from .fit.config import NetworkConfig as NetworkConfig
-from .fit.merge import merge as merge
 from .fit.octree.config import OctreeConfig as OctreeConfig
 from .fit.octree.config import OctreeFitConfig as OctreeFitConfig
 from .fit.photometric_files import bake_photometric as bake_photometric

@@ -12,6 +12,7 @@ from benchmarks.common.results import Results
 from benchmarks.equal_error.pairs import Pair, read_pairs
 from benchmarks.equal_error.readings import display_levels, display_rows
 from benchmarks.equal_quality import measure, write
+from lumitree.core.device import on_device
 from support.fields import random_asset
 from support.lamps import AREA, cube, scene, sphere
 
@@ -136,3 +137,28 @@ def test_kept_images_depend_on_all_code_that_renders(monkeypatch):
     method.code_digest()
     folders = {path.parent.name for path in files}
     assert {"rendering", "plugins", "sampling", "octree", "asset", "core"} <= folders
+
+
+def test_thresholds_reach_the_fields_of_placed_lamps(mi):
+    """The radiance of rays to the lamp is that of a field with the thresholds."""
+    from benchmarks.equal_error.method import Way, set_thresholds
+    from lumitree.octree.field import Field
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
+
+    asset = random_asset(7)
+    empty = mi.load_dict({"type": "scene"})
+    scene = place_luminaires(empty, [PlacedLuminaire(Placement(asset))], sampling="uniform")
+    direction = np.random.default_rng(7).normal(size=(500, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    o, d = on_device(mi.Point3f, -3 * direction), on_device(mi.Vector3f, direction)
+    si = scene.ray_intersect(mi.Ray3f(o, d))
+    exact = np.array(si.emitter(scene).eval(si))
+    set_thresholds(scene, Way("uniform", 0.1, 0.9))
+    (emitter,) = scene.emitters()
+    line, enters = emitter.placed.entering_line(si, si.is_valid())
+    radiance, through = (np.array(each) for each in Field(asset, 0.1, 0.9).emission(*line, enters))
+    assert np.array(emitter.eval(si)) == pytest.approx(radiance, rel=1e-5)
+    assert exact != pytest.approx(radiance, rel=1e-2)
+    transmittance = np.array(si.bsdf().eval_null_transmission(si))
+    assert transmittance == pytest.approx(np.broadcast_to(through, (3, 500)), abs=1e-5)

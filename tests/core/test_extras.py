@@ -31,7 +31,7 @@ class Hider:
 
 sys.meta_path.insert(0, Hider())
 """
-# Scripts and extensions that Blender runs import its own module.
+# Scripts that Blender runs import its own module.
 IMPORT_ALL = """
 import importlib, pkgutil
 import lumitree, lumitree.cli
@@ -40,7 +40,7 @@ from lumitree.core.backend import load_mitsuba
 load_mitsuba("llvm_ad_rgb")
 for module in pkgutil.walk_packages(lumitree.__path__, "lumitree."):
     name = module.name
-    apart = name.startswith(("lumitree.fit.network.", "lumitree.output.blender.extension."))
+    apart = name.startswith("lumitree.fit.network.")
     if not apart and not name.endswith(("__main__", "_script")):
         importlib.import_module(name)
 import lumitree.fit.network.config

@@ -10,12 +10,6 @@ from support.fields import make_asset, random_asset, uniform_asset
 from support.receivers import HALF, POINTS, device_point, uniform_samples
 
 
-def visible_points(kind):
-    """The sphere is larger than the box; from inside it nothing is sampled."""
-    radius = np.linalg.norm(HALF)
-    return [n for n, p in POINTS.items() if kind == "box" or np.linalg.norm(p) > radius]
-
-
 def lamp(**fields):
     """Small bright cells, each brighter on one side, in a few large and dim ones."""
     random = np.random.default_rng(3)
@@ -37,18 +31,15 @@ def lamp(**fields):
 
 @pytest.fixture(scope="module")
 def samplers(mi):
-    """Field, sampler by emission and uniform one, for both proxies."""
+    """Field, sampler by emission and uniform one."""
     from lumitree.octree.field import Field
     from lumitree.rendering.sampling.emitter_sampling import EmitterSampler
     from lumitree.rendering.sampling.light_leaves import light_leaves
-    from lumitree.rendering.sampling.proxy import PROXY_KINDS, make_proxy
+    from lumitree.rendering.sampling.proxy import BoxProxy
 
     field = Field(lamp())
     both = (light_leaves(field), None)
-    return field, {
-        kind: tuple(Drawn(EmitterSampler, make_proxy(kind, HALF), field, each) for each in both)
-        for kind in PROXY_KINDS
-    }
+    return field, *(Drawn(EmitterSampler, BoxProxy(HALF), field, each) for each in both)
 
 
 class Drawn:
@@ -79,15 +70,13 @@ def estimates(mi, sampler, name, count=1 << 17):
     return np.array(dr.mean(radiance) * dr.select(pdf > 0, dr.rcp(pdf), 0), np.float64)
 
 
-@pytest.mark.parametrize(
-    ("kind", "name"), [(kind, n) for kind in ("box", "sphere") for n in visible_points(kind)]
-)
-def test_density_is_that_of_the_samples(mi, samplers, kind, name):
+@pytest.mark.parametrize("name", POINTS)
+def test_density_is_that_of_the_samples(mi, samplers, name):
     """χ² over the directions towards the bounding sphere, or all directions from within it."""
     import drjit as dr
     from mitsuba.chi2 import ChiSquareTest, PlanarDomain
 
-    sampler = samplers[1][kind][0]
+    sampler = samplers[1]
     origin = device_point(mi, name)
     distance = np.linalg.norm(POINTS[name])
     frame = mi.Frame3f(mi.Vector3f((-np.array(POINTS[name]) / distance).tolist()))
@@ -119,7 +108,7 @@ def test_density_is_that_of_the_samples(mi, samplers, kind, name):
         ires=128,
         sample_count=2_000_000,
     )
-    assert test.run(test_count=len(POINTS) + len(visible_points("sphere"))), test.messages
+    assert test.run(test_count=len(POINTS)), test.messages
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +119,7 @@ def seen(mi, samplers):
 
     from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
 
-    field, _ = samplers
+    field = samplers[0]
     radius = float(np.linalg.norm(HALF))
     found = {}
     for name in POINTS:
@@ -146,10 +135,9 @@ def seen(mi, samplers):
     return found
 
 
-@pytest.mark.parametrize("kind", ["box", "sphere"])
-def test_means_are_right_and_variances_lower_than_of_uniform_sampling(mi, samplers, seen, kind):
-    by_emission, uniform = samplers[1][kind]
-    for name in visible_points(kind):
+def test_means_are_right_and_variances_lower_than_of_uniform_sampling(mi, samplers, seen):
+    _, by_emission, uniform = samplers
+    for name in POINTS:
         drawn = estimates(mi, by_emission, name)
         _, solid_angle, radiance = seen[name]
         plain = radiance * solid_angle
@@ -158,10 +146,9 @@ def test_means_are_right_and_variances_lower_than_of_uniform_sampling(mi, sample
         assert drawn.var() < estimates(mi, uniform, name).var() / 4, name
 
 
-@pytest.mark.parametrize("kind", ["box", "sphere"])
-def test_density_adds_up_to_what_is_not_drawn_in_vain(mi, samplers, seen, kind):
-    sampler = samplers[1][kind][0]
-    for name in visible_points(kind):
+def test_density_adds_up_to_what_is_not_drawn_in_vain(mi, samplers, seen):
+    sampler = samplers[1]
+    for name in POINTS:
         direction, solid_angle, radiance = seen[name]
         pdf = np.array(sampler.pdf(device_point(mi, name), direction), np.float64)
         # Some samples miss the proxy, and some would come from leaves that others hide.
@@ -175,19 +162,18 @@ def test_density_adds_up_to_what_is_not_drawn_in_vain(mi, samplers, seen, kind):
         assert pdf[radiance > 0].min() > 0, name
 
 
-@pytest.mark.parametrize("kind", ["box", "sphere"])
-def test_no_sample_is_brighter_than_the_bound(mi, samplers, kind):
+def test_no_sample_is_brighter_than_the_bound(mi, samplers):
     from lumitree.rendering.sampling.emitter_sampling import UNIFORM_FRACTION
 
-    field, by_proxy = samplers
+    field, by_emission, _ = samplers
     bound = 4 * np.pi * field.asset.max_radiance / UNIFORM_FRACTION
-    for name in visible_points(kind):
-        assert estimates(mi, by_proxy[kind][0], name, 1 << 19).max() <= bound
+    for name in POINTS:
+        assert estimates(mi, by_emission, name, 1 << 19).max() <= bound
 
 
 def test_density_of_a_sample_is_that_of_its_direction(mi, samplers):
     """Where rounding puts a direction past the edge of a leaf the two may differ."""
-    sampler = samplers[1]["box"][0]
+    sampler = samplers[1]
     for name in POINTS:
         origin = device_point(mi, name)
         direction, pdf, _ = sampler.sample(origin, uniform_samples(mi, 1 << 16).next_2d())
@@ -198,10 +184,9 @@ def test_density_of_a_sample_is_that_of_its_direction(mi, samplers):
 
 def test_nothing_is_sampled_from_inside(mi, samplers):
     origin = mi.Point3f(0.2, 0.1, -0.3)
-    for by_emission, uniform in samplers[1].values():
-        for sampler in (by_emission, uniform):
-            _, pdf, _ = sampler.sample(origin, uniform_samples(mi, 1024).next_2d())
-            assert not np.array(pdf).any()
+    for sampler in samplers[1:]:
+        _, pdf, _ = sampler.sample(origin, uniform_samples(mi, 1024).next_2d())
+        assert not np.array(pdf).any()
 
 
 def test_instances_share_one_table(mi, tmp_path):
@@ -211,7 +196,7 @@ def test_instances_share_one_table(mi, tmp_path):
     lumitree.save(lamp(), path)
     place = similarity(rotation([1, 0, 1], 70), 3.0, [5, 0, 0])
     near = mi.load_dict(lumitree.shape(path)).emitter()
-    far = mi.load_dict(lumitree.shape(path, place, "sphere")).emitter()
+    far = mi.load_dict(lumitree.shape(path, place)).emitter()
     assert light_leaves(near.placed.field) is light_leaves(far.placed.field)
 
 
@@ -240,27 +225,25 @@ def emitted(mi, shape, count=1 << 19):
     return ray, np.array(weight, np.float64).T
 
 
-@pytest.mark.parametrize("proxy", ["box", "sphere"])
-def test_rays_carry_the_flux_of_an_area_light(mi, tmp_path, proxy):
+def test_rays_carry_the_flux_of_an_area_light(mi, tmp_path):
     """An opaque cube of one radiance sends out π times its area times that."""
     lumitree.save(uniform_asset(1e4, [4.0, 2.0, 1.0]), tmp_path / "cube.lumitree")
     place = similarity(rotation([0, 1, 1], 25), 0.3, [0, 1.0, 0])
-    shape = mi.load_dict(lumitree.shape(tmp_path / "cube.lumitree", place, proxy))
+    shape = mi.load_dict(lumitree.shape(tmp_path / "cube.lumitree", place))
     _, weight = emitted(mi, shape)
     expected = np.pi * 24 * 0.3**2 * np.array([4.0, 2.0, 1.0])
     error = weight.std(axis=0) / np.sqrt(len(weight))
     assert (np.abs(weight.mean(axis=0) - expected) < 4 * error + 2e-3 * expected).all()
 
 
-@pytest.mark.parametrize("proxy", ["box", "sphere"])
-def test_rays_leave_the_proxy_with_the_same_flux_as_uniform_ones(mi, tmp_path, proxy):
+def test_rays_leave_the_proxy_with_the_same_flux_as_uniform_ones(mi, tmp_path):
     import drjit as dr
 
     path = tmp_path / "lamp.lumitree"
     lumitree.save(lamp(), path)
     place = similarity(rotation([1, 2, 3], 40), 0.4, [0.1, 0.9, -0.2])
     shapes = [
-        mi.load_dict(lumitree.shape(path, place, proxy, sampling=sampling))
+        mi.load_dict(lumitree.shape(path, place, sampling=sampling))
         for sampling in ("emission", "uniform")
     ]
     ray, drawn = emitted(mi, shapes[0])

@@ -37,8 +37,7 @@ def lamps(assets, count=9):
         at = [2.0 * (index % 3) - 2, random.uniform(0.5, 1), 2.0 * (index // 3) - 2]
         asset = assets[index % len(assets)]
         gain = tuple(random.uniform(0.5, 2, 3))
-        proxy = "sphere" if index == 4 else "box"
-        found[f"lamp{index}"] = lumitree.shape(asset, similarity(turn, size, at), proxy, gain=gain)
+        found[f"lamp{index}"] = lumitree.shape(asset, similarity(turn, size, at), gain=gain)
     return found
 
 

@@ -162,4 +162,3 @@ def test_instances_share_one_field(mi, tmp_path):
     save(random_asset(1), tmp_path / "a.lumitree")
     first = open_field(tmp_path / "a.lumitree")
     assert open_field(tmp_path / "." / "a.lumitree") is first
-    assert open_field(tmp_path / "a.lumitree", max_opacity=0.9) is not first

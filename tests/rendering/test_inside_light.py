@@ -60,7 +60,7 @@ def placed(mi, asset, place, appearance="geometry", **things):
 
 
 def received(scene, place, points, normals, samples=1 << 15):
-    from lumitree.measure.illuminance.received import received_irradiance
+    from benchmarks.inside_box.received import received_irradiance
 
     points = np.asarray(points) @ place[:3, :3].T + place[:3, 3]
     return received_irradiance(scene, points, np.asarray(normals) @ place[:3, :3].T, samples)

@@ -21,10 +21,10 @@ SIDE, PASSES = 16, 16
 def lamp(tmp_path):
     """A function that places an asset: shape dictionary of a random lamp, or of the one given."""
 
-    def place(centre, size=0.5, *, turn=30, proxy="box", asset=None, seed=11):
+    def place(centre, size=0.5, *, turn=30, asset=None, seed=11):
         path = tmp_path / f"lamp{seed}{'' if asset is None else id(asset)}.lumitree"
         lumitree.save(random_asset(seed, density_scale=3.0) if asset is None else asset, path)
-        return lumitree.shape(path, similarity(rotation([0, 1, 1], turn), size, centre), proxy)
+        return lumitree.shape(path, similarity(rotation([0, 1, 1], turn), size, centre))
 
     return place
 
@@ -162,11 +162,11 @@ LIT = {
     },
     "two lamps through each other": lambda lamp: {
         "front": lamp([0.2, 1.1, 1.0], 0.4),
-        "back": lamp([0, 1.0, -0.6], 0.6, seed=12, proxy="sphere"),
+        "back": lamp([0, 1.0, -0.6], 0.6, seed=12),
     },
     "environment map behind": lambda lamp: {"lamp": lamp([0, 1.2, 0], 0.7), "sky": sky()},
     "mirror": lambda lamp: {
-        "lamp": lamp([0.3, 1.3, 0], proxy="sphere"),
+        "lamp": lamp([0.3, 1.3, 0]),
         "ball": ball("conductor"),
         "window": window(-1),
     },

@@ -99,7 +99,7 @@ def placed_flux(mi, placement):
     from lumitree.rendering.plugins.placed import APPEARANCES
     from lumitree.rendering.scene import PlacedLuminaire
 
-    shape = PlacedLuminaire(placement).shapes("box", "emission", APPEARANCES[0])
+    shape = PlacedLuminaire(placement).shapes("emission", APPEARANCES[0])
     emitter = mi.load_dict({"type": "scene", **shape}).emitters()[0]
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(7, 1 << 20)

@@ -68,22 +68,12 @@ def agree(first, second, significance=4.5):
     return np.abs(z).max() < significance
 
 
-@pytest.mark.parametrize(
-    ("proxy", "origin"),
-    [
-        ("box", (0.9, 1.1, 0.5)),
-        slow("box", (0.05, 1.7, -0.15)),
-        ("box", (0.6, 0.5, -0.7)),
-        slow("sphere", (0.9, 1.1, 0.5)),
-        ("sphere", (0.05, 1.7, -0.15)),
-        slow("sphere", (0.6, 0.5, -0.7)),
-    ],
-)
-def test_pdf_direction_matches_sample_direction(mi, asset_file, proxy, origin):
+@pytest.mark.parametrize("origin", [(0.9, 1.1, 0.5), slow((0.05, 1.7, -0.15)), (0.6, 0.5, -0.7)])
+def test_pdf_direction_matches_sample_direction(mi, asset_file, origin):
     from mitsuba.chi2 import ChiSquareTest, SphericalDomain
 
     path = asset_file(random_asset(0, half_extents=np.array([1.0, 0.7, 0.4])))
-    shape = mi.load_dict(lumitree.shape(path, TURNED, proxy))
+    shape = mi.load_dict(lumitree.shape(path, TURNED))
     emitter = shape.emitter()
     it = mi.Interaction3f()
     it.p = mi.Point3f(*origin)
@@ -130,12 +120,11 @@ shape_hit.scenes = {}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("proxy", ["box", "sphere"])
-def test_sample_direction_weight_is_emission_over_pdf(mi, asset_file, proxy):
+def test_sample_direction_weight_is_emission_over_pdf(mi, asset_file):
     import drjit as dr
 
     path = asset_file(random_asset(2, half_extents=np.array([0.5, 1.0, 0.8])))
-    shape = mi.load_dict(lumitree.shape(path, TURNED, proxy))
+    shape = mi.load_dict(lumitree.shape(path, TURNED))
     scene = mi.load_dict({"type": "scene", "s": shape})
     it = dr.zeros(mi.Interaction3f, 4096)
     it.p = mi.Point3f(1.5, 2.0, 0.7)
@@ -160,11 +149,10 @@ def test_sample_direction_weight_is_emission_over_pdf(mi, asset_file, proxy):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("proxy", ["box", "sphere"])
-def test_emitter_bsdf_and_mis_sampling_agree(mi, asset_file, proxy):
+def test_emitter_bsdf_and_mis_sampling_agree(mi, asset_file):
     """The same direct light by next-event estimation alone, by BSDF sampling alone and by MIS."""
     path = asset_file(random_asset(11, density_scale=3.0))
-    lamp = lumitree.shape(path, similarity(rotation([0, 0, 1], 30), 0.5, [0, 1.2, 0]), proxy)
+    lamp = lumitree.shape(path, similarity(rotation([0, 0, 1], 30), 0.5, [0, 1.2, 0]))
     scene = room(lamp)
     volpath = render(scene, 512)
     emitter_only, bsdf_only = (render_direct(mi, scene, 512, use) for use in ("emitter", "bsdf"))
@@ -250,8 +238,7 @@ def test_uniform_opaque_field_is_an_area_light(mi, asset_file, law):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("proxy", ["box", "sphere"])
-def test_empty_field_is_not_there(mi, asset_file, proxy):
+def test_empty_field_is_not_there(mi, asset_file):
     """Behind it a window and a ball whose shadow falls through the empty proxy."""
     empty = make_asset(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 3, 9)))
     extra = {
@@ -264,7 +251,7 @@ def test_empty_field_is_not_there(mi, asset_file, proxy):
         },
         "ball": {"type": "sphere", "center": [0, 1.6, -1.2], "radius": 0.2},
     }
-    lamp = lumitree.shape(asset_file(empty), similarity(np.eye(3), 0.6, [0, 1.0, 0]), proxy)
+    lamp = lumitree.shape(asset_file(empty), similarity(np.eye(3), 0.6, [0, 1.0, 0]))
     assert agree(render(room(lamp, **extra), 512), render(room(None, **extra), 512, seed=99))
 
 
@@ -335,7 +322,7 @@ def test_bad_transforms_are_refused(mi, asset_file, matrix, message):
         lumitree.shape(asset_file(random_asset(0)), matrix)
 
 
-@pytest.mark.parametrize("option", ["proxy", "sampling", "appearance"])
+@pytest.mark.parametrize("option", ["sampling", "appearance"])
 def test_plugins_refuse_unknown_words(mi, asset_file, option):
     shape = dict(lumitree.shape(asset_file(random_asset(0))))
     shape["emitter"] = {**shape["emitter"], option: "odd"}
@@ -343,8 +330,8 @@ def test_plugins_refuse_unknown_words(mi, asset_file, option):
         mi.load_dict(shape)
 
 
-def test_unknown_proxy_and_missing_asset(mi, asset_file, tmp_path):
-    with pytest.raises(LumitreeError, match="proxy is 'cone'"):
-        lumitree.shape(asset_file(random_asset(0)), proxy="cone")
+def test_unknown_sampling_and_missing_asset(mi, asset_file, tmp_path):
+    with pytest.raises(LumitreeError, match="sampling is 'odd'"):
+        lumitree.shape(asset_file(random_asset(0)), sampling="odd")
     with pytest.raises(LumitreeError, match="does not exist"):
         lumitree.shape(tmp_path / "nothing.lumitree")

@@ -13,12 +13,12 @@ from lumitree.core.frames import rotation, similarity
 from support.fields import random_asset
 
 PLACES = (
-    # centre, size, degrees, proxy
+    # centre, size, degrees
     # No two faces are in one plane: where they are, a traced ray misses one of them.
-    ([0.0, 0.0, 0.0], 1.0, 0, "box"),
-    ([1.0, 0.1, 0.05], 1.0, 5, "box"),
-    ([0.3, 0.2, 0.1], 2.0, 40, "box"),
-    ([-2.0, 0.5, 0.0], 0.8, 20, "sphere"),
+    ([0.0, 0.0, 0.0], 1.0, 0),
+    ([1.0, 0.1, 0.05], 1.0, 5),
+    ([0.3, 0.2, 0.1], 2.0, 40),
+    ([-2.0, 0.5, 0.0], 0.8, 20),
 )
 
 
@@ -29,8 +29,8 @@ def lamps(mi, tmp_path):
     path = tmp_path / "lamp.lumitree"
     lumitree.save(asset, path)
     return {
-        f"lamp{i}": lumitree.shape(path, similarity(rotation([0, 1, 1], turn), size, at), proxy)
-        for i, (at, size, turn, proxy) in enumerate(PLACES)
+        f"lamp{i}": lumitree.shape(path, similarity(rotation([0, 1, 1], turn), size, at))
+        for i, (at, size, turn) in enumerate(PLACES)
     }
 
 
@@ -253,7 +253,7 @@ def test_lamps_have_bits_of_their_own(mi, tmp_path):
     lights = {f"light{i}": {"type": "point", "position": [0, i, 0]} for i in range(5)}
     scene = mi.load_dict({"type": "scene", "lamp0": shapes["lamp0"], **lights, **shapes})
     rows = np.array(Proxies(scene.emitters())._rows).reshape(-1, 16)
-    assert rows[:, 15].tolist() == list(range(len(rows)))
+    assert rows[:, 14].tolist() == list(range(len(rows)))
 
 
 def test_surfaces_are_built_again_only_when_shapes_change(mi, lamps):

@@ -11,7 +11,6 @@ from lumitree.core.device import on_device
 from lumitree.errors import LumitreeWarning
 from support.fields import random_asset
 from support.lamps import sphere
-from support.light_fields import random_light_field
 
 ROOM = '<scene version="3.0.0"><integrator type="{}"/><sensor type="perspective"/>{}</scene>'
 
@@ -55,20 +54,6 @@ def test_an_asset_is_read_once_however_often_it_is_placed(mi, asset, loads, plac
     assert len(loads) == 1
 
 
-def test_thresholds_reach_the_plugins_of_a_placed_asset(mi, asset):
-    from lumitree.octree.field import Thresholds
-    from lumitree.rendering.placement import Placement
-    from lumitree.rendering.scene import PlacedLuminaire
-
-    placed = PlacedLuminaire(Placement(asset))
-    shapes = placed.shapes("box", "uniform", "field", Thresholds(0.1, 0.9))
-    for plugin in ("emitter", "bsdf"):
-        found = shapes["proxy"][plugin]
-        assert (found["min_density"], found["max_opacity"]) == (0.1, 0.9)
-    exact = placed.shapes("box", "uniform", "field")["proxy"]["emitter"]
-    assert (exact["min_density"], exact["max_opacity"]) == (0.0, 1.0)
-
-
 def test_emitters_have_the_same_order_each_time(mi, asset):
     """Otherwise emitters are chosen by other random numbers, and equal seeds differ."""
     from lumitree.rendering.demo_room import demo_room
@@ -95,7 +80,7 @@ def test_the_ball_of_the_demonstration_hangs_in_the_box_clear_of_the_lamp(mi):
     box = placed.scene_from_box
     inside = np.abs(np.linalg.solve(box, [*centre, 1])[:3]) * np.diag(box)[:3]
     assert (inside + radius < np.diag(box)[:3]).all()
-    lamp = mi.load_dict({"type": "scene", **placed.shapes("box", "emission", "field")})
+    lamp = mi.load_dict({"type": "scene", **placed.shapes("emission", "field")})
     directions = np.random.default_rng(0).normal(size=(1 << 14, 3)).astype(np.float32)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     ray = mi.Ray3f(mi.Point3f(*centre.tolist()), on_device(mi.Vector3f, directions))
@@ -185,21 +170,3 @@ def test_volpath_is_off_where_it_is_warned_of(mi, asset):
     near, _ = mean_radiance(mi, lamp, "floor", [0, 0, 0], 1, "volpath")
     far, _ = mean_radiance(mi, lamp, "floor", [3e3] * 3, 1, "volpath")
     assert (np.abs(far / near - 1) > 0.01).all()
-
-
-@pytest.mark.parametrize(("height", "warned"), [(0.7, True), (1.3, True), (1.8, False)])
-@pytest.mark.parametrize("kind", ["cube", "rectangle", "sphere", "disk"])
-def test_what_is_in_the_sphere_of_a_lamp_is_warned_of(mi, kind, height, warned):
-    """It is not lit there, neither in the box nor above it; the sphere ends at √3."""
-    from lumitree.rendering.placement import Placement
-    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
-
-    lamp = random_asset(3, light_field=random_light_field(3))
-    place = mi.ScalarTransform4f().translate([0, height, 0]).rotate([1, 0, 0], 90).scale(0.04)
-    thing = {"type": kind, "to_world": place}
-    scene = mi.load_dict({"type": "scene", "thing": thing})
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", LumitreeWarning)
-        place_luminaires(scene, [PlacedLuminaire(Placement(lamp, at=(0, 0, 0)))], "sphere")
-    messages = [str(each.message) for each in caught]
-    assert any("inside its sphere, where it is not lit" in each for each in messages) == warned

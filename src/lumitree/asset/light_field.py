@@ -60,7 +60,7 @@ class TracedPaths:
     noise: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what could not be merged."""
+        """Check the members."""
         what, seeds = functools.partial(expect, "record of light paths"), self.seeds
         what(
             type(self.count) is int and 1 <= self.count <= MAX_PATHS,

@@ -12,15 +12,14 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "asset",
         metavar="ASSET",
-        help="a .lumitree file with a light field, or with a field for .vdb; or a photometric file",
+        help="a .lumitree file with a light field, or a photometric file",
     )
     options.add_output(
         parser,
         "OUTPUT",
         "what to write: .py (a script that contains the lamp and runs in Blender 4.2 or newer), "
-        ".blend (the same, made by Blender), .vdb (density and emission of the field), .rad "
-        "(Radiance), .pbrt (pbrt-v4), .usda or .usdz (OpenUSD), .glb (glTF), or a folder (an IES "
-        "file for each light, for all others)",
+        ".blend (the same, made by Blender), .rad (Radiance), .pbrt (pbrt-v4), .usda or .usdz "
+        "(OpenUSD), .glb (glTF), or a folder (an IES file for each light, for all others)",
     )
     parser.add_argument(
         "--lights", type=int, metavar="N", default=16, help="largest number of point lights"
@@ -42,7 +41,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--blender",
         metavar="PROGRAM",
-        help="Blender, or a Python with the module bpy, for .blend and .vdb (default: blender on "
+        help="Blender, or a Python with the module bpy, for .blend (default: blender on "
         "PATH, else this Python if it has bpy)",
     )
     parser.add_argument(

@@ -75,12 +75,6 @@ def add(commands: Any) -> None:
         metavar="W",
         help="width of the image in pixels (default: the scene's)",
     )
-    parser.add_argument(
-        "--proxy",
-        choices=("box", "sphere"),
-        default="box",
-        help="surface that carries a baked luminaire",
-    )
     options.add_work(parser, "IMAGE followed by .work")
     options.add_variant(parser, "; llvm_ad_spectral or cuda_ad_spectral to render spectra")
     options.add_executor(parser, "the samples")
@@ -115,7 +109,6 @@ def run(args: argparse.Namespace) -> Any:
             view=args.view,
             exposure=args.exposure,
             so_far=(lambda image: image.save(args.output)) if args.progressive else None,
-            proxy=args.proxy,
             work=work,
             variant=args.variant,
             executor=executor,

@@ -34,11 +34,11 @@ def check_range(name: str, value: float, low: float, high: float, unit: str = ""
         raise LumitreeError(f"{name} is {_number(value)}; {expected}")
 
 
-def check_count(name: str, value: int, low: int, high: int, unit: str = "") -> None:
+def check_count(name: str, value: int, low: int, high: int) -> None:
     """Refuse what is not a whole number of the type int in [low, high], as `check_range`."""
     if type(value) is not int:
         raise LumitreeError(f"{name} is {_number(value)}; expected a whole number (int)")
-    check_range(name, value, low, high, unit)
+    check_range(name, value, low, high)
 
 
 def _number(value: object) -> str:

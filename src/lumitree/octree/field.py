@@ -10,7 +10,7 @@ import functools
 import threading
 import weakref
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -30,16 +30,6 @@ Record = Callable[..., Any]
 # Coefficients that are loaded at once: gathers of single halves take three times as long.
 _PACKET = 8
 _LARGEST_HALF = float(np.finfo(np.float16).max)
-
-
-class Thresholds(NamedTuple):
-    """Where the traversal of a field is cut short; see `Field`."""
-
-    min_density: float = 0.0
-    max_opacity: float = 1.0
-
-
-EXACT = Thresholds()
 
 
 class Field:
@@ -252,21 +242,21 @@ def _from_half(bits, unit):
 
 
 _LOCK = threading.Lock()
-_SHARED: weakref.WeakKeyDictionary[FieldData, dict[tuple[object, ...], weakref.ref[Field]]] = (
+_SHARED: weakref.WeakKeyDictionary[FieldData, dict[str | None, weakref.ref[Field]]] = (
     weakref.WeakKeyDictionary()
 )
 
 
-def shared_field(asset: FieldData, min_density: float = 0.0, max_opacity: float = 1.0) -> Field:
+def shared_field(asset: FieldData) -> Field:
     """Field of an asset in the variant that is set; all users of an asset share one copy."""
-    key = (mi.variant(), min_density, max_opacity)
+    key = mi.variant()
     with _LOCK:
         known = _SHARED.setdefault(asset, {}).get(key)
     field = None if known is None else known()
     if field is None:
         # Mitsuba creates plugins in parallel, and a thread that waits for the device may create
         # others meanwhile. So the lock is not held here; of two fields, the first is kept.
-        field = Field(asset, min_density, max_opacity)
+        field = Field(asset)
         with _LOCK:
             known = _SHARED[asset].get(key)
             other = None if known is None else known()

@@ -75,8 +75,6 @@ def export(
       so that cameras and mirrors show it, and neither illuminates nor casts shadows. All are
       children of one empty, whose transform and property "gain" apply to the lamp.
     * `.blend`: the file that this script makes.
-    * `.vdb`: the field as OpenVDB grids instead (`density` and `emission`, see
-      `output.blender.volume`); it needs the module `openvdb` of Blender 4.4 or newer.
     * `.rad`: a scene of Radiance, with function and data files beside it.
     * `.pbrt`: a scene of pbrt-v4 to include, with images beside it.
     * `.usda`: a layer of OpenUSD with the lights. The surfaces, the images, and an IES profile for
@@ -88,7 +86,7 @@ def export(
 
     Args:
         asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file. It
-            needs a light field, or a field for `.vdb`.
+            needs a light field.
         output: path of the file to write, beside which other files have names derived from it; or
             of a folder that is new or empty.
         lights: largest number of point lights, 1 to 1,024.
@@ -97,7 +95,7 @@ def export(
         up: the axis that points up in the luminaire's Mitsuba scene, "y" or "z"; models and
             photometric files have y up once they are baked. Each program has its own axis up
             (`ExportResult.orientation`), to which the lamp is turned.
-        blender: program that makes `.blend` and `.vdb` files: Blender, or a Python with the module
+        blender: program that makes `.blend` files: Blender, or a Python with the module
             `bpy`. Default: `blender` on the search path, else this Python if it has `bpy`.
         importer: for `.glb`, `.usda` and `.usdz`, the program that reads the file. "blender" writes
             no surfaces, and lights as spots without profiles, of which Blender's importer makes the

@@ -95,13 +95,11 @@ def _read(path: str | os.PathLike[str]) -> Asset:
     return read_asset(path)
 
 
-def open_field(
-    asset: Asset | str | os.PathLike[str], min_density: float = 0.0, max_opacity: float = 1.0
-) -> "Field":
-    """The field of an asset on the device; arguments as for `open_asset` and `Field`."""
+def open_field(asset: Asset | str | os.PathLike[str]) -> "Field":
+    """The field of an asset on the device; the argument as for `open_asset`."""
     from lumitree.octree.field import shared_field
 
-    return shared_field(open_asset(asset), min_density, max_opacity)
+    return shared_field(open_asset(asset))
 
 
 @in_turn

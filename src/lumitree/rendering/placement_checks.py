@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from trimesh.triangles import closest_point
 
 from lumitree.errors import LumitreeWarning
 
@@ -43,33 +42,6 @@ def holds_objects(shapes: Sequence[mi.Shape], boxes: NDArray[np.float64]) -> NDA
             within = _in_boxes(shape, lower, upper)
             holds[near] = [within(box) for box in boxes[near]]
     return holds
-
-
-def reach_into_spheres(shapes: Sequence[mi.Shape], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether one of some shapes is in the sphere around each box, by more than it may touch.
-
-    Arguments and exactness as for `holds_objects`.
-    """
-    centres = boxes[:, :3, 3]
-    # Half of a diagonal of the box.
-    radii = _INSIDE * np.linalg.norm(boxes[:, :3, :3], axis=(1, 2))
-    reaches = np.zeros(len(boxes), bool)
-    for shape in shapes:
-        lower, upper = (np.ravel(each) for each in (shape.bbox().min, shape.bbox().max))
-        nearest = np.clip(centres, lower, upper)
-        near = np.flatnonzero(~reaches & (np.linalg.norm(nearest - centres, axis=1) < radii))
-        triangles = _triangles(shape) if len(near) else None
-        for index in near:
-            centre, radius = centres[index], radii[index]
-            if triangles is not None:
-                closest = closest_point(triangles, np.tile(centre, (len(triangles), 1)))
-                reaches[index] = np.linalg.norm(closest - centre, axis=1).min() < radius
-            elif shape.class_name() == "Sphere":
-                distance = np.linalg.norm((lower + upper) / 2 - centre)
-                reaches[index] = abs(distance - (upper[0] - lower[0]) / 2) < radius
-            else:
-                reaches[index] = True
-    return reaches
 
 
 def _in_boxes(

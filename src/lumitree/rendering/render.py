@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from lumitree.rendering.camera_view import CameraView
     from lumitree.rendering.layers import Recorded
     from lumitree.rendering.passes import Rendering
-    from lumitree.rendering.sampling.proxy import ProxyKind
 
 # Samples per pixel if no limit is given.
 _SAMPLES_PER_PIXEL = 64
@@ -129,7 +128,6 @@ def render(
     layers: bool = False,
     aov: bool = False,
     width: int | None = None,
-    proxy: "ProxyKind" = "box",
     unit: float | str = "m",
     view: View = "standard",
     exposure: float | None = None,
@@ -166,7 +164,6 @@ def render(
         aov: whether albedo and normal of the first surface that is not specular are also returned.
         width: width of the image in pixels, 1 to 16,384; the aspect ratio stays. Default: the
             scene's.
-        proxy: surface that carries a baked luminaire, "box" or "sphere".
         unit: unit of length of the scene: "m", "cm", "mm", "in", "ft", or the metres in a unit. It
             counts for `Placement.lumens`, and for nothing else.
         view: view transform of `png`: "standard", clipped sRGB; or "filmic", the output transform
@@ -232,7 +229,6 @@ def render(
             time=time,
             noise=rendering.noise,
             denoise=filtered,
-            proxy=proxy,
             unit=unit,
             view=view,
             exposure=factor,
@@ -260,7 +256,7 @@ def render(
     by_lamp = layers if denoise or layers or aov else None
     with reporting(progress):
         with watch.stage("load"):
-            described = Described(scene, placements, proxy, width, metres, denoise, by_lamp)
+            described = Described(scene, placements, width, metres, denoise, by_lamp)
             renderer = None if executor is None else renderer_of(executor, described)
             job = RenderJob(described)
         with watch.stage("render"), contextlib.ExitStack() as stack:

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from lumitree.rendering.layers import Recorded
     from lumitree.rendering.passes import Budget, Renderer, Rendering
     from lumitree.rendering.placement import Placement
-    from lumitree.rendering.sampling.proxy import ProxyKind
     from lumitree.rendering.saved_passes import SavedPasses
 
 # What to do if a worker is lost.
@@ -30,7 +29,7 @@ _CONTINUE = "the same call continues, or begins again without `work`"
 
 @dataclasses.dataclass(frozen=True)
 class Described:
-    """What is rendered; the first four as for `render`.
+    """What is rendered; the first three as for `render`.
 
     Attributes:
         metres: in a unit of length of the scene.
@@ -41,7 +40,6 @@ class Described:
 
     scene: Any
     placements: "Sequence[Placement]"
-    proxy: "ProxyKind"
     width: int | None
     metres: float
     box_filter: bool
@@ -88,7 +86,7 @@ class RenderJob:
             described.scene, placed, box_filter=described.box_filter, width=described.width
         )
         appearance = appearance_for(self.integrator)
-        self._whole = place_luminaires(loaded, placed, described.proxy, appearance=appearance)
+        self._whole = place_luminaires(loaded, placed, appearance=appearance)
         self.camera = camera_view(loaded.sensors()[0])
         film = loaded.sensors()[0].film()
         # Channels before those of the integrator: R, G and B, and perhaps alpha.
@@ -144,7 +142,6 @@ class RenderJob:
 
         described = self._described
         settings = {
-            "proxy": described.proxy,
             "width": described.width,
             "metres": described.metres,
             "box_filter": described.box_filter,

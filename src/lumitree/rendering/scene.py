@@ -22,22 +22,17 @@ from lumitree.lamp.probe import check_evaluates
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_shapes import SceneShape, reusable_shapes, shapes_of_scene
 from lumitree.lamp.source import LuminaireSource, source_kind
-from lumitree.octree.field import EXACT, Field, Thresholds
+from lumitree.octree.field import Field
 from lumitree.rendering.asset_cache import open_field
 from lumitree.rendering.asset_flux import asset_watts, gain_to
 from lumitree.rendering.integrators import integrator_for
 from lumitree.rendering.layers import records_layers
 from lumitree.rendering.placement import Placement
-from lumitree.rendering.placement_checks import (
-    holds_objects,
-    reach_into_spheres,
-    warn_of_overlaps,
-)
+from lumitree.rendering.placement_checks import holds_objects, warn_of_overlaps
 from lumitree.rendering.plugins.objects import load_ordered
 from lumitree.rendering.plugins.placed import Appearance, shows_geometry
 from lumitree.rendering.plugins.register import register, shape
 from lumitree.rendering.sampling.emitter_sampling import Sampling
-from lumitree.rendering.sampling.proxy import ProxyKind
 
 # `volpath` starts rays (1 + largest coordinate) * RayEpsilon from surfaces. Where that is this part
 # of a lamp's size, the irradiance 0.7 sizes below it is 1 % too high; at 3 times this part, 4 %.
@@ -103,25 +98,12 @@ class PlacedLuminaire:
         """Whether images show its radiance field."""
         return self.field is not None and not shows_geometry(self.field.asset, appearance)
 
-    def shapes(
-        self,
-        proxy: ProxyKind,
-        sampling: Sampling,
-        appearance: Appearance,
-        thresholds: Thresholds = EXACT,
-    ) -> dict[str, Any]:
+    def shapes(self, sampling: Sampling, appearance: Appearance) -> dict[str, Any]:
         """Shapes for `mitsuba.load_dict`; arguments as for `place_luminaires`."""
         if self.luminaire is not None:
             return place_shapes(self.luminaire, self.scene_from_world)
         source = cast(Any, self.placement.source)
-        options: dict[str, Any] = {
-            "sampling": sampling,
-            "gain": self.gain,
-            "appearance": appearance,
-            "min_density": thresholds.min_density,
-            "max_opacity": thresholds.max_opacity,
-        }
-        return {"proxy": shape(source, self.scene_from_world, proxy, **options)}
+        return {"proxy": shape(source, self.scene_from_world, sampling, self.gain, appearance)}
 
 
 def place_shapes(luminaire: LuminaireLike, scene_from_world: ArrayLike) -> dict[str, Any]:
@@ -178,15 +160,12 @@ def _warn_of_unit(placed: PlacedLuminaire, metres: float) -> None:
 def place_luminaires(
     scene: mi.Scene,
     luminaires: Sequence[PlacedLuminaire],
-    proxy: ProxyKind = "box",
     sampling: Sampling = "emission",
     appearance: Appearance = "field",
-    thresholds: Thresholds = EXACT,
 ) -> mi.Scene:
     """Scene with the objects of another one and the placed luminaires.
 
-    The appearance "geometry" is for `lumitree_path` only (`appearance_for`). The thresholds are
-    those of all baked luminaires.
+    The appearance "geometry" is for `lumitree_path` only (`appearance_for`).
 
     Warns on standard error of objects in the box of a luminaire that does not light them there.
     """
@@ -208,7 +187,7 @@ def place_luminaires(
             )
         taken.add(place)
     _warn_rounded(luminaires)
-    _warn_unlit(scene, luminaires, proxy, sampling)
+    _warn_unlit(scene, luminaires, sampling)
     if luminaires:
         warn_of_overlaps(
             np.stack([placed.scene_from_box for placed in luminaires]),
@@ -217,7 +196,7 @@ def place_luminaires(
             [placed.is_shown_by_field(appearance) for placed in luminaires],
         )
     for start, placed in zip(placed_ids(luminaires), luminaires, strict=True):
-        shapes = placed.shapes(proxy, sampling, appearance, thresholds)
+        shapes = placed.shapes(sampling, appearance)
         objects |= {start + name: value for name, value in shapes.items()}
     loaded = load_ordered(objects)
     # The names in the dictionary became the ids.
@@ -440,9 +419,7 @@ def _warn_unlit_by_volpath(scene: mi.Scene, placed: PlacedLuminaire) -> None:
         )
 
 
-def _warn_unlit(
-    scene: mi.Scene, luminaires: Sequence[PlacedLuminaire], proxy: ProxyKind, sampling: Sampling
-) -> None:
+def _warn_unlit(scene: mi.Scene, luminaires: Sequence[PlacedLuminaire], sampling: Sampling) -> None:
     """Tell of baked luminaires that do not light what is in their boxes."""
     lacking = []
     for placed in luminaires:
@@ -452,20 +429,18 @@ def _warn_unlit(
             continue
         if light_field is None:
             told = "is not lit: the asset has no light field; bake it with --parts light"
-        elif sampling == "uniform" or proxy == "sphere":
-            told = 'is not lit; use the proxy "box" and the sampling "emission"'
+        elif sampling == "uniform":
+            told = 'is not lit; use the sampling "emission"'
         else:
             continue
         lacking.append((placed, told))
     if not lacking:
         return
     boxes = np.stack([placed.scene_from_box for placed, _ in lacking])
-    # In the sphere around a box nothing is lit, and cameras there do not see the lamp.
-    holding = reach_into_spheres if proxy == "sphere" else holds_objects
-    for (placed, told), holds in zip(lacking, holding(scene.shapes(), boxes), strict=True):
+    for (placed, told), holds in zip(lacking, holds_objects(scene.shapes(), boxes), strict=True):
         if holds:
             warnings.warn(
-                f"{placed.title}: an object of the room is inside its {proxy}, where it {told}",
+                f"{placed.title}: an object of the room is inside its box, where it {told}",
                 LumitreeWarning,
                 stacklevel=3,
             )

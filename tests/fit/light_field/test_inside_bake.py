@@ -12,7 +12,6 @@ from lumitree.core.device import on_device
 from lumitree.core.octahedral import bin_of, coarse_bin, coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.fit.light_field.merge import merge_light_fields
 from lumitree.fit.light_field.visibility import _free_length
 from lumitree.trace.ending_segments import EndingConfig
 from lumitree.trace.lamp_rays import LampRays
@@ -234,35 +233,3 @@ def test_null_surfaces_do_not_block(mi, lamp, field, tmp_path):
 
 def test_an_equal_bake_gives_equal_light_inside(lamp, field, tmp_path):
     assert_equal_fields(bake_light_field(lamp, CONFIG, tmp_path), field)
-
-
-@pytest.fixture(scope="module")
-def merged(lamp, field, tmp_path_factory):
-    config = dataclasses.replace(CONFIG, seed=1)
-    other = bake_light_field(lamp, config, tmp_path_factory.mktemp("other"))
-    return merge_light_fields([field, other], ["a", "b"]), other
-
-
-def test_merged_light_inside_is_the_mean(field, merged):
-    result, other = merged
-    mean = (ending_flux(field) + ending_flux(other)) / 2
-    assert ending_flux(result) == pytest.approx(mean, rel=1e-3)
-    cells = {tuple(each) for part in (field, other) for each in part.inside.cells.tolist()}
-    assert {tuple(each) for each in result.inside.cells.tolist()} == cells
-
-
-@pytest.mark.parametrize("surfaces", [False, True])
-@pytest.mark.parametrize("x", [0.75, -1.0])
-def test_merged_light_inside_illuminates(mi, lamp, field, merged, x, surfaces):
-    result, other = merged
-    light = [
-        irradiance(mi, lamp, each, [x, 0, 0], [-np.sign(x), 0, 0], surfaces=surfaces)
-        for each in (field, other, result)
-    ]
-    assert light[2] == pytest.approx((light[0] + light[1]) / 2, rel=0.02)
-
-
-def test_a_field_without_light_inside_merges_into_one_without(field, merged):
-    plain = dataclasses.replace(merged[1], inside=None)
-    result = merge_light_fields([field, plain], ["a", "b"])
-    assert result.inside is None

@@ -16,7 +16,7 @@ from lumitree.core.octahedral import own_solid_angles, solid_angles
 from lumitree.core.progress import reporting
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.light_field import batches as module
-from lumitree.fit.light_field.bake import bake_light_field
+from lumitree.fit.light_field.bake import bake_light_field, relative_noise
 from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.trace.lamp_rays import LampRays
 from lumitree.trace.light_field_config import LightFieldFitConfig
@@ -345,3 +345,18 @@ def test_batches_of_other_seeds_compile_no_kernels(mi, tmp_path):
             new.append(sum(not kernel["cache_hit"] for kernel in kernels))
     assert len(kernels) > 2
     assert new[1:] == [0, 0, 0]
+
+
+def test_the_noise_of_a_sphere_is_known(ball, field):
+    """Its paths are spread evenly: R² bins of N paths have a relative error of √(R² / N)."""
+    spread = 5 / np.sqrt(2 * (CONFIG.paths // CONFIG.batch - 1) * CONFIG.resolution**2)
+    expected = np.sqrt(CONFIG.resolution**2 / CONFIG.paths)
+    assert field.traced.noise == pytest.approx(expected, rel=spread)
+
+
+def test_noise_from_one_estimate_or_none_is_not_known():
+    assert relative_noise(np.ones((1, 16))) is None
+    assert relative_noise(np.zeros((2, 16))) is None
+    # Of 1, 3 and 5: Σ (I - Ī)² / (K (K - 1)) = 8 / 6, and Ī = 3.
+    estimates = np.array([[1.0], [3.0], [5.0]]).repeat(16, axis=1)
+    assert relative_noise(estimates) == pytest.approx((8 / 6) ** 0.5 / 3)

@@ -88,7 +88,7 @@ def placed(**options):
 
 def received(mi, things, placements, points, normals, samples=1 << 15):
     """Illuminance by next-event estimation and rays of a BSDF, and its standard error."""
-    from lumitree.measure.illuminance.received import received_irradiance
+    from benchmarks.inside_box.received import received_irradiance
     from lumitree.rendering.scene import load_room, open_placements, place_luminaires
 
     scene = place_luminaires(load_room(room(mi, **things))[0], open_placements(placements))

@@ -136,13 +136,11 @@ def folder(tmp_path, monkeypatch):
     ("arguments", "message"),
     [
         (["field.lumitree", "-o", "a.py"], "no light field"),
-        (["lamp.lumitree", "-o", "a.fbx"], "does not end in .py, .blend, .vdb"),
+        (["lamp.lumitree", "-o", "a.fbx"], "does not end in .py, .blend, .rad"),
         (["half.lumitree", "-o", "a.py"], "half.lumitree"),
         (["none.lumitree", "-o", "a.py"], "none.lumitree"),
         (["lamp.lumitree", "-o", "lamp.lumitree/a.py"], "cannot write"),
         (["lamp.lumitree", "-o", "a.py", "--lights", "0"], "lights is 0; expected 1 to 1,024"),
-        (["field.lumitree", "-o", "a.vdb"], "no Blender was found"),
-        (["lamp.lumitree", "-o", "a.vdb"], "has no field"),
         (["lamp.lumitree", "-o", "a.blend"], "no Blender was found"),
         (["lamp.lumitree", "-o", "a.blend", "--blender", "none"], "none is not a program"),
         (["lamp.lumitree", "-o", "a.blend", "--blender", "./fails"], "status 7: it failed"),
@@ -328,61 +326,6 @@ def test_normal_maps_lean_as_in_mitsuba(tmp_path, mi, mirrored):
         found.append(float(np.median(pixels)))
     assert expected[0] > 2 * expected[1]
     assert found[0] / found[1] == pytest.approx(expected[0] / expected[1], rel=0.1)
-
-
-def test_a_volume_has_the_values_of_the_leaves():
-    """Voxels of leaves do not overlap; at their centres are the leaf's density and emission."""
-    from lumitree.output.blender.volume import volume_arrays
-    from support.reference_field import leaf_boxes
-
-    asset = dataclasses.replace(random_asset(3, tree_depth=4, l_max=2), frame=FRAME, gain=GAIN)
-    arrays = volume_arrays(asset, np.eye(3))
-    lower, upper = leaf_boxes(asset)
-    homogeneous = np.concatenate([arrays["first"], np.ones((asset.num_leaves, 1))], axis=1)
-    first = (homogeneous @ arrays["transform"].T)[:, :3]
-    local = (first - FRAME.centre) @ FRAME.rotation / FRAME.scale
-    np.testing.assert_allclose(local, lower + 1 / 16, atol=1e-9)
-    sides = (arrays["last"] - arrays["first"] + 1).prod(axis=1)
-    np.testing.assert_array_equal(sides, np.round((upper - lower).prod(axis=1) * 8**3))
-    np.testing.assert_allclose(arrays["density"] * FRAME.scale, asset.density, rtol=1e-6)
-    # The mean over many random directions.
-    from lumitree.core.harmonics import basis_array
-
-    directions = np.random.default_rng(1).normal(size=(20_000, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    logit = asset.coefficients[0].astype(np.float64) @ basis_array(directions, 2).T
-    radiance = asset.max_radiance * np.array(GAIN)[:, None] / (1 + np.exp(-logit))
-    error = radiance.std(axis=1) / np.sqrt(20_000)
-    found = arrays["emission"][0] / arrays["density"][0]
-    assert (np.abs(found - radiance.mean(axis=1)) < 5 * error + 0.01 * found).all()
-
-
-@needs_blender
-@pytest.mark.slow
-def test_blender_writes_the_voxels(tmp_path):
-    from lumitree.output.blender.volume import volume_arrays
-
-    asset = random_asset(3, tree_depth=4)
-    path = tmp_path / "field.vdb"
-    result = lumitree.export(asset, path, up="z", blender=blender)
-    assert result.lights == 0
-    assert os.listdir(tmp_path) == ["field.vdb"]
-    arrays = volume_arrays(asset, np.eye(3))
-    code = (
-        "import sys, json, runpy, bpy; vdb = runpy.run_path(sys.argv[1])['find_openvdb']();"
-        "index = json.loads(sys.argv[3]); read = [vdb.read(sys.argv[2], name).getAccessor() for"
-        " name in ('density', 'emission')];"
-        "print(json.dumps([[a.getValue(tuple(i)) for i in index] for a in read]))"
-    )
-    script = os.path.join(os.path.dirname(lumitree.__file__), "output", "blender", "vdb_script.py")
-    last = json.dumps(arrays["last"].tolist())
-    run = subprocess.run(
-        [str(blender), "-c", code, script, str(path), last], capture_output=True, text=True,
-        check=True,
-    )  # fmt: skip
-    density, emission = json.loads(run.stdout.splitlines()[-1])
-    np.testing.assert_allclose(density, arrays["density"], rtol=1e-6)
-    np.testing.assert_allclose(emission, arrays["emission"], rtol=1e-6)
 
 
 @needs_blender

@@ -85,7 +85,7 @@ def test_tables_hold_the_flux(tmp_path, count):
 
 def received(mi, asset, points, normals):
     """Illuminance that lumitree itself computes, of a frame with y up."""
-    from lumitree.measure.illuminance.received import received_irradiance
+    from benchmarks.inside_box.received import received_irradiance
 
     scene = mi.load_dict({"type": "scene", "lamp": lumitree.shape(asset)})
     return luminance(received_irradiance(scene, points, normals, 1 << 14))

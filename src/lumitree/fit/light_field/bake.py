@@ -7,14 +7,14 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.asset.light_field import LightField, TracedPaths, make_light_field
-from lumitree.core.octahedral import intensity_of_histogram, own_solid_angles
+from lumitree.core.octahedral import intensity_of_histogram, own_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
 from lumitree.fit.light_field.batches import num_batches, path_batches
 from lumitree.fit.light_field.inside import DISTANCES, make_entries
-from lumitree.fit.light_field.merge import relative_noise
 from lumitree.fit.light_field.saved_field import SavedLightField
 from lumitree.fit.light_field.visibility import unoccluded
 from lumitree.lamp.luminaire import Luminaire
@@ -67,19 +67,37 @@ def bake_light_field(
         count=batches * config.batch,
         seeds=(config.seed,),
         luminaire=luminaire.fingerprint,
-        noise=relative_noise(
-            np.array(by_direction) / own_solid_angles(config.resolution), np.ones(batches)
-        ),
+        noise=relative_noise(np.array(by_direction) / own_solid_angles(config.resolution)),
     )
     intensity = intensity_of_histogram(histogram.flux)
     field = make_light_field(histogram.cells, intensity, config.depth, traced)
     entries = make_entries(field, ending.cells, ending.flux, ending.by_reach)
-    reach, curves = entries.reach(config.seed)
     free, other = unoccluded(luminaire, entries, config.seed)
-    inside = entries.encoded(reach, curves, free, config.seed, independent=other)
+    inside = entries.encoded(free, other, config.seed)
     field = dataclasses.replace(field, inside=inside)
     saved.save(field)
     return field
+
+
+def relative_noise(estimates: NDArray[np.float64]) -> float | None:
+    """Relative standard error of the mean of independent estimates, from their spread.
+
+    With K estimates I_k of mean Ī, the variance of Ī in a bin is Σ (I_k - Ī)² / (K (K - 1)).
+
+    Args:
+        estimates: [K, R²] luminous intensity in each bin of direction.
+
+    Returns:
+        Root mean square of the standard error over that of Ī, both over the sphere. None for K = 1
+        and for estimates without light.
+    """
+    solid_angle, count = solid_angles(round(estimates.shape[1] ** 0.5)), len(estimates)
+    mean = (1 / count * estimates).sum(axis=0)
+    light = (solid_angle * mean**2).sum()
+    if count < 2 or not light > 0:
+        return None
+    variance = (1 / count * (estimates - mean) ** 2).sum(axis=0) / (count - 1)
+    return float(np.sqrt((solid_angle * variance).sum() / light))
 
 
 def _divided(rays: BinnedRays, count: int) -> BinnedRays:

@@ -69,7 +69,7 @@ class Entries:
         leaving = by_coarse_bin(self.exits * solid_angle).sum(axis=2)
         return leaving[self.lit][:, None] + self.beyond
 
-    def reach(self, seed: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    def _reach(self, seed: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Curve of each entry, and the curves of s; `seed` is the root seed."""
         rows = np.zeros(len(self.bins), np.uint8)
         ends = np.flatnonzero(self.beyond[:, 0])
@@ -83,22 +83,16 @@ class Entries:
         return rows, np.minimum.accumulate(curves, axis=1)
 
     def encoded(
-        self,
-        reach: NDArray[np.uint8],
-        reach_curves: NDArray[np.float32],
-        unoccluded: NDArray[np.float32],
-        seed: int,
-        *,
-        independent: NDArray[np.float32] | None = None,
+        self, unoccluded: NDArray[np.float32], independent: NDArray[np.float32], seed: int
     ) -> LightInside:
         """The light inside the box.
 
         Args:
-            reach, reach_curves: of `reach`.
             unoccluded: luminous flux [E, K] of (I + J) V by entry and distance.
-            seed: root seed.
             independent: another estimate of it, see `codebook`.
+            seed: root seed.
         """
+        reach, reach_curves = self._reach(seed)
         stream = SeedStream(Purpose.VISIBILITY, 0, 1)
         valid = unoccluded >= _LEAST * unoccluded[:, :1]
         visibility, visibility_curves = codebook(
@@ -107,7 +101,7 @@ class Entries:
             MAX_CURVES,
             MAX_FACTOR,
             stream.seed(seed),
-            independent=None if independent is None else _held(independent, valid),
+            independent=_held(independent, valid),
         )
         return LightInside(
             cells=self.cells.astype(np.uint8),

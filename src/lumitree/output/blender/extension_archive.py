@@ -1,26 +1,17 @@
-"""The extension for Blender as an archive, which Blender installs."""
+"""The extension for Blender as an archive, which Blender installs.
+
+`integrations/blender` has its sources, and makes the archive beside this module.
+"""
 
 import dataclasses
-import io
-import json
-import zipfile
 from importlib import resources
 from pathlib import Path
 
-import numpy as np
-
 from lumitree._version import __version__
 from lumitree.core.files import FilePath, check_writable, write_bytes
-from lumitree.core.photometry import MAX_TEMPERATURE, MIN_TEMPERATURE, blackbody_colour
 from lumitree.core.results import Result
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.errors import LumitreeError, explained, shown
-
-# Temperatures of the table of colours, equally spaced in 1/K: colours between them are exact to
-# 0.01 % of the brightest channel.
-_TEMPERATURES = 200
-# Of all members of the archive, so that equal contents give equal bytes.
-_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -30,7 +21,7 @@ class BlenderExtensionResult(Result):
     Attributes:
         file: the archive.
         file_bytes: its size.
-        version: of the extension, which is that of lumitree.
+        version: of the extension, equal to lumitree's version.
     """
 
     file: Path
@@ -57,31 +48,9 @@ def blender_extension(output: FilePath) -> BlenderExtensionResult:
     check_writable(output)
     watch = Stopwatch()
     with watch.stage("write"):
-        content = _archive()
+        archive = resources.files("lumitree.output.blender") / "lumitree-blender.zip"
+        content = archive.read_bytes()
         write_bytes(output, content)
     return BlenderExtensionResult(
         file=output, file_bytes=len(content), version=__version__, **watch.costs()
     )
-
-
-def _archive() -> bytes:
-    folder = resources.files("lumitree.output.blender.extension")
-    files = {
-        each.name: each.read_bytes()
-        for each in folder.iterdir()
-        if each.name.endswith((".py", ".toml"))
-    }
-    files["blackbody.json"] = json.dumps(_blackbody_table()).encode()
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as archive:
-        for name in sorted(files):
-            member = zipfile.ZipInfo(name, _DATE)
-            archive.writestr(member, files[name], zipfile.ZIP_DEFLATED)
-    return content.getvalue()
-
-
-def _blackbody_table() -> dict[str, list]:
-    """What `extension.light` reads."""
-    reciprocal = np.linspace(1 / MAX_TEMPERATURE, 1 / MIN_TEMPERATURE, _TEMPERATURES)
-    colours = [blackbody_colour(float(1 / each)) for each in reciprocal]
-    return {"reciprocal": reciprocal.tolist(), "colour": colours}

@@ -6,14 +6,13 @@ from pathlib import Path
 from lumitree.core.files import FilePath
 from lumitree.core.system import SEPARATORS
 from lumitree.errors import LumitreeError, shown
-from lumitree.output.targets import blender, gltf, ies_folder, openvdb, pbrt, radiance, usd
+from lumitree.output.targets import blender, gltf, ies_folder, pbrt, radiance, usd
 from lumitree.output.targets.target import Target
 
 # A folder has no suffix.
 TARGETS: dict[str, Target] = {
     ".py": blender.SCRIPT,
     ".blend": blender.BLEND,
-    ".vdb": openvdb.TARGET,
     ".rad": radiance.TARGET,
     ".pbrt": pbrt.TARGET,
     ".usda": usd.STAGE,

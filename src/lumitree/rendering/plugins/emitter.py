@@ -16,7 +16,6 @@ from lumitree.rendering.plugins.light_colour import light_colour
 from lumitree.rendering.plugins.objects import complete_later
 from lumitree.rendering.plugins.placed import Placed
 from lumitree.rendering.sampling.divided_sampling import emitter_sampler, left_out_radius
-from lumitree.rendering.sampling.proxy import BoxProxy
 
 
 def emitter_class() -> type:
@@ -55,7 +54,7 @@ def emitter_class() -> type:
 
         def light_inside(self):
             placed = self.placed
-            if self.sampler.includes_mis and isinstance(placed.proxy, BoxProxy):
+            if self.sampler.includes_mis:
                 self.sampler.light_inside()
                 placed.holds = True
 

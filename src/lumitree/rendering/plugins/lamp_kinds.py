@@ -116,5 +116,5 @@ def _concatenated(colours: list[mi.Color3f]) -> mi.Color3f:
 def _kind(lamp: DeferredEmitter) -> Hashable:
     """Equal for lamps whose code is the same."""
     placed = lamp.placed
-    what = id(placed.asset), id(placed.field), type(placed.proxy), placed.sampling
+    what = id(placed.asset), id(placed.field), placed.sampling
     return *what, placed.shows_geometry, placed.holds

@@ -22,7 +22,7 @@ from lumitree.octree.field_data import FieldData
 from lumitree.rendering.asset_cache import open_asset, open_field
 from lumitree.rendering.asset_flux import axis_intensities
 from lumitree.rendering.sampling.emitter_sampling import SAMPLING_KINDS
-from lumitree.rendering.sampling.proxy import PROXY_KINDS, make_proxy
+from lumitree.rendering.sampling.proxy import BoxProxy
 from lumitree.rendering.sampling.self_lights import SelfLights
 
 Appearance = Literal["field", "geometry"]
@@ -32,7 +32,7 @@ APPEARANCES: tuple[Appearance, ...] = get_args(Appearance)
 GEOMETRY_MARGIN = 1e-3
 # Rays of points that are nearer to a proxy may start inside of it, local units.
 _TOUCH = 1e-3
-_OPTIONS = ("gain", "min_density", "max_opacity", "proxy", "sampling", "appearance", "to_world")
+_OPTIONS = ("gain", "sampling", "appearance", "to_world")
 
 
 def plugin_options(props: mi.Properties) -> dict[str, Any]:
@@ -54,9 +54,8 @@ def plugin_options(props: mi.Properties) -> dict[str, Any]:
     return {"asset": found if variant is None else f"{found}#{variant}", **options}
 
 
-def check_kinds(proxy: str, sampling: str, appearance: str) -> None:
-    """Refuse a proxy, a sampling or an appearance that there is not."""
-    check_choice("proxy", proxy, PROXY_KINDS)
+def check_kinds(sampling: str, appearance: str) -> None:
+    """Refuse a sampling or an appearance that there is not."""
     check_choice("sampling", sampling, SAMPLING_KINDS)
     check_choice("appearance", appearance, APPEARANCES)
 
@@ -71,13 +70,12 @@ class Placed:
 
     def __init__(self, props: mi.Properties) -> None:
         options = plugin_options(props)
-        thresholds = {n: options[n] for n in ("min_density", "max_opacity") if n in options}
         self.asset = asset = open_asset(options["asset"])
-        self.field = open_field(asset, **thresholds)
-        proxy, self.sampling = options.get("proxy", "box"), options.get("sampling", "emission")
+        self.field = open_field(asset)
+        self.sampling = options.get("sampling", "emission")
         appearance = options.get("appearance", "field")
-        check_kinds(proxy, self.sampling, appearance)
-        self.proxy = make_proxy(proxy, asset.frame.half_extents)
+        check_kinds(self.sampling, appearance)
+        self.proxy = BoxProxy(asset.frame.half_extents)
         self.shows_geometry = shows_geometry(asset, appearance)
         # Whether something else of the scene is in the box, and gets light there.
         self.holds = False
@@ -116,12 +114,12 @@ class Placed:
         return GEOMETRY_MARGIN if self.shows_geometry else 0.0
 
     def unit_proxy(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The transform that makes the proxy the cube of [-1, 1]³, or the unit sphere.
+        """The transform that makes the proxy the cube of [-1, 1]³.
 
         Returns:
             [3, 3] and [3], M and c, which take a point p of the scene to M (p - c).
         """
-        side = self._scale * (np.asarray(self.proxy.shape_scale) + self._margin)
+        side = self._scale * (self.asset.frame.half_extents + self._margin)
         return self._axes.T / side[:, None], self._origin
 
     @property

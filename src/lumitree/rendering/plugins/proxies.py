@@ -24,16 +24,16 @@ from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
 from lumitree.rendering.plugins.objects import make_object, shape_number
 from lumitree.rendering.plugins.placed import Placed
 from lumitree.rendering.sampling.divided_sampling import left_out
-from lumitree.rendering.sampling.proxy import SphereProxy, safe_inverse, slab
+from lumitree.rendering.sampling.proxy import safe_inverse, slab
 
 # Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
 # ends whatever the geometry.
 MAX_CROSSINGS = 1024
 # What stands for no emitter, and the bits of all.
 NONE = ALL = 0xFFFFFFFF
-# Packets of four numbers of a proxy on the device: a point, a matrix, whether it is a sphere,
-# whether it gives light to what is in it, `sampled_alone_radius`, and the number of its bit in
-# masks of lamps; and of a node of the tree.
+# Packets of four numbers of a proxy on the device: a point, a matrix, whether it gives light to
+# what is in it, `sampled_alone_radius`, the number of its bit in masks of lamps, and 0; and of a
+# node of the tree.
 _PACKETS, _NODE_PACKETS = 4, NODE_NUMBERS // 4
 # Bits of a mask of lamps. Of more lamps than that some share one.
 _BITS = 32
@@ -55,11 +55,9 @@ class Proxies:
         for index, emitter in enumerate(emitters):
             if isinstance(emitter, DeferredEmitter):
                 matrix, centre = emitter.placed.unit_proxy()
-                is_sphere = isinstance(emitter.placed.proxy, SphereProxy)
                 holds, alone = emitter.placed.holds, emitter.sampled_alone_radius()
                 bit = len(rows) % _BITS
-                rows.append([*centre, *matrix.ravel(), is_sphere, holds, alone, bit])
-                # A sphere is contained in the box of the same matrix.
+                rows.append([*centre, *matrix.ravel(), holds, alone, bit, 0])
                 reach = np.abs(np.linalg.inv(matrix)).sum(axis=1)
                 boxes.append([centre - reach, centre + reach])
                 indices.append(index)
@@ -173,24 +171,19 @@ class Proxies:
             for i in range(_PACKETS)
         ]
         values = [number for packet in packets for number in packet]
-        matrix, is_sphere = mi.Matrix3f(*values[3:12]), values[12] > 0
+        matrix, (holds, radius, bit) = mi.Matrix3f(*values[3:12]), values[12:15]
         if sampled is not None:
             # A little less often than the lamp itself does, whose rounding is another.
             x, pdf = sampled
-            x, radius = mi.Point3f(x - mi.Point3f(*values[:3])), values[14]
+            x = mi.Point3f(x - mi.Point3f(*values[:3]))
             active &= (radius <= 0) | ~left_out(x, radius, pdf * (1 + _SLACK))
-        # In these coordinates the proxy is the cube of [-1, 1]³, or the unit sphere.
+        # In these coordinates the proxy is the cube of [-1, 1]³.
         o, d = mi.Vector3f(matrix @ (ray.o - mi.Point3f(*values[:3]))), matrix @ ray.d
         near, far = slab(-o, mi.Vector3f(1), safe_inverse(d))
-        inverse_square = dr.rcp(dr.squared_norm(d))
-        middle = -dr.dot(o, d) * inverse_square
-        off_axis = dr.squared_norm(o + middle * d)
-        sphere_entry = middle - dr.safe_sqrt((1 - off_axis) * inverse_square)
-        entry = dr.select(is_sphere, sphere_entry, dr.max(near))
-        crosses = dr.select(is_sphere, off_axis < 1, dr.max(near) <= dr.min(far))
-        outermost = dr.max(dr.abs(o))
-        begins = ~is_sphere & (outermost <= 1) & ((values[13] > 0) | starts)
-        begins &= (skipped & (mi.UInt32(1) << mi.UInt32(values[15]))) == 0
+        entry = dr.max(near)
+        crosses = entry <= dr.min(far)
+        begins = (dr.max(dr.abs(o)) <= 1) & ((holds > 0) | starts)
+        begins &= (skipped & (mi.UInt32(1) << mi.UInt32(bit))) == 0
         if self._traced:
             return mi.Float(0), active & begins
         return dr.select(begins, 0, entry), active & (begins | (crosses & (entry > 0)))

@@ -5,17 +5,14 @@ first three take the same properties:
 
     filename      the asset, or a photometric file or ray file
     to_world      where the luminaire goes, relative to its own file's frame (default: there)
-    proxy         "box" (default) or "sphere"
-    min_density, max_opacity    see `lumitree.octree.field.Field`; exact by default
     sampling      "emission" (default), or "uniform" over the proxy
     gain          factor on the emitted light, a number or R, G, B; default 1. The BSDF ignores it
     appearance    "geometry": images show the luminaire itself, for the integrator `lumitree_path`;
                   or "field". Default of `lumitree_proxy`: "geometry" if the asset has it. The
                   emitter and the BSDF alone show the field
 
-`lumitree_proxy` is the proxy shape with the emitter and the BSDF attached: what a scene XML names.
-It is made of a sphere or of `lumitree_box`.
-With the appearance "geometry" it is several shapes: the proxy and those of the luminaire.
+`lumitree_proxy` is the proxy, a `lumitree_box`, with the emitter and the BSDF attached: what a scene
+XML names. With the appearance "geometry" it is several shapes: the proxy and those of the luminaire.
 L_o = gain · L_e + T · L_i (Eq. 2): the emitter returns gain · L_e, the BSDF T. The gain is
 a differentiable parameter of `mitsuba.traverse`, `<name of the shape>.emitter.gain`.
 """
@@ -34,7 +31,6 @@ if TYPE_CHECKING:
     from lumitree.asset.asset import Asset
     from lumitree.rendering.plugins.placed import Appearance
     from lumitree.rendering.sampling.emitter_sampling import Sampling
-    from lumitree.rendering.sampling.proxy import ProxyKind
 
 _registered: set[str] = set()
 _TOO_MANY = (
@@ -81,9 +77,6 @@ def register() -> None:
 def shape(
     asset: "Asset | str | os.PathLike[str]",
     to_world: ArrayLike | Any | None = None,
-    proxy: "ProxyKind" = "box",
-    min_density: float = 0.0,
-    max_opacity: float = 1.0,
     sampling: "Sampling" = "emission",
     gain: ArrayLike | Any = 1.0,
     appearance: "Appearance | None" = None,
@@ -94,9 +87,6 @@ def shape(
         asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file.
         to_world: [4, 4] matrix or Mitsuba transform that moves the luminaire from its own
             file's frame into the scene; rotation, translation and uniform scale. Default: stay.
-        proxy: "box" or "sphere", the surface that carries the field.
-        min_density: leaves below this density count as empty (the paper: 0.1).
-        max_opacity: rays end at this opacity (the paper: 0.9).
         sampling: of directions: "emission", about in proportion to it, or "uniform" over the proxy.
         gain: [3] factors on the R, G and B of the emitted light, or one number for all; 0 to 10⁶.
         appearance: what images show. "geometry": the luminaire itself, if the asset has it; for the
@@ -115,6 +105,4 @@ def shape(
     register()
     from lumitree.rendering.plugins.shape import describe_proxy
 
-    return describe_proxy(
-        asset, to_world, proxy, min_density, max_opacity, sampling, gain, appearance
-    )
+    return describe_proxy(asset, to_world, sampling, gain, appearance)

@@ -29,7 +29,6 @@ from lumitree.rendering.plugins.placed import (
     shows_geometry,
 )
 from lumitree.rendering.sampling.emitter_sampling import Sampling
-from lumitree.rendering.sampling.proxy import ProxyKind, make_proxy
 
 
 class _Shape(dict[str, Any]):
@@ -41,15 +40,12 @@ class _Shape(dict[str, Any]):
 def describe_proxy(
     asset: Asset | str | os.PathLike[str],
     to_world: ArrayLike | Any | None = None,
-    proxy: ProxyKind = "box",
-    min_density: float = 0.0,
-    max_opacity: float = 1.0,
     sampling: Sampling = "emission",
     gain: ArrayLike | Any = 1.0,
     appearance: Appearance | None = None,
 ) -> dict[str, Any]:
     """What `lumitree.shape` returns, with its arguments."""
-    check_kinds(proxy, sampling, appearance or "field")
+    check_kinds(sampling, appearance or "field")
     factors = check_gain(gain)
     matrix = np.asarray(getattr(to_world, "matrix", np.eye(4) if to_world is None else to_world))
     if matrix.shape == (4, 4, 1):
@@ -58,15 +54,12 @@ def describe_proxy(
     opened = open_asset(asset)
     if appearance is None:
         appearance = "geometry" if opened.geometry is not None else "field"
-    field = open_field(opened, min_density, max_opacity)
+    field = open_field(opened)
     # In double precision where the transform ends far from where it begins.
     transform = mi.ScalarTransform4d if opened.frame.is_far else mi.ScalarTransform4f
     options = {
         "filename": file_name(asset),
         "to_world": transform(matrix),
-        "proxy": proxy,
-        "min_density": min_density,
-        "max_opacity": max_opacity,
         "sampling": sampling,
         "appearance": appearance,
     }
@@ -74,7 +67,7 @@ def describe_proxy(
         # One dictionary cannot describe several shapes; the plugin calls `make_shapes`.
         description = _Shape(type="lumitree_proxy", gain=list(factors), **options)
     else:
-        description = _proxy(opened, matrix, proxy, 0.0, list(factors), options)
+        description = _proxy(opened, matrix, 0.0, list(factors), options)
     description.field = field
     return description
 
@@ -91,14 +84,7 @@ def make_shapes(name: str, **options: Any) -> Any:
     placed = Placed(make_properties("lumitree_proxy", properties))
     matrix = np.array(properties["to_world"].matrix, np.float64).reshape(4, 4)
     proxy = load_ordered(
-        _proxy(
-            placed.asset,
-            matrix,
-            properties["proxy"],
-            GEOMETRY_MARGIN,
-            description["gain"],
-            properties,
-        )
+        _proxy(placed.asset, matrix, GEOMETRY_MARGIN, description["gain"], properties)
     )
     # The plugin `merge` expands into the shapes that it is given.
     assert placed.asset.geometry is not None
@@ -114,18 +100,12 @@ def make_shapes(name: str, **options: Any) -> Any:
 
 
 def _proxy(
-    asset: Asset,
-    matrix: Any,
-    proxy: ProxyKind,
-    margin: float,
-    gain: list[float],
-    options: dict[str, Any],
+    asset: Asset, matrix: Any, margin: float, gain: list[float], options: dict[str, Any]
 ) -> _Shape:
     """The surface, larger than the box by a margin, with emitter and BSDF attached."""
-    surface = make_proxy(proxy, asset.frame.half_extents)
-    scale = np.diag([*(np.asarray(surface.shape_scale) + margin), 1])
+    scale = np.diag([*(asset.frame.half_extents + margin), 1])
     return _Shape(
-        **surface.shape,
+        type="lumitree_box",
         to_world=mi.ScalarTransform4f(matrix @ asset.frame.world_from_local @ scale),
         emitter={"type": "lumitree", "gain": gain, **options},
         bsdf={"type": "lumitree_null", **options},

@@ -25,7 +25,7 @@ from lumitree.rendering.sampling.emitter_sampling import (
 from lumitree.rendering.sampling.light_field import device_light_field
 from lumitree.rendering.sampling.light_inside import InsideLight, inside_light
 from lumitree.rendering.sampling.light_leaves import light_leaves
-from lumitree.rendering.sampling.proxy import Proxy, cone_pdf
+from lumitree.rendering.sampling.proxy import BoxProxy, cone_pdf
 from lumitree.rendering.sampling.samples import scrambled
 
 # Where the BSDF's density is below this part of a uniform density over the lamp's bounding sphere,
@@ -37,7 +37,7 @@ _CUTOFF, _CUTOFF_RADIUS = 0.5, 1.25
 def emitter_sampler(
     asset: Asset,
     field: Field,
-    proxy: Proxy,
+    proxy: BoxProxy,
     sampling: Sampling = "emission",
     *,
     blocked: bool = False,
@@ -87,7 +87,7 @@ class DividedSampler(DirectionSampler):
         uniform: proxy whose directions are sampled uniformly, instead of by emission.
     """
 
-    def __init__(self, asset: Asset, field: Field, uniform: Proxy | None = None) -> None:
+    def __init__(self, asset: Asset, field: Field, uniform: BoxProxy | None = None) -> None:
         self._asset, self._field, self._uniform = asset, field, uniform
         self._light = device_light_field(asset)
 

@@ -22,7 +22,7 @@ from lumitree.octree.field import Field
 from lumitree.octree.traversal import Span
 from lumitree.rendering.sampling.light_leaves import LightLeaves, is_reached
 from lumitree.rendering.sampling.proxy import (
-    Proxy,
+    BoxProxy,
     cone_pdf,
     point_on_box,
     projected_areas,
@@ -235,7 +235,7 @@ class EmitterSampler(DirectionSampler):
         leaves: None for uniform sampling alone.
     """
 
-    def __init__(self, proxy: Proxy, field: Field, leaves: LightLeaves | None) -> None:
+    def __init__(self, proxy: BoxProxy, field: Field, leaves: LightLeaves | None) -> None:
         self._proxy, self._field, self._leaves = proxy, field, leaves
         half_extents = field.asset.frame.half_extents
         self._half = parameter(mi.Vector3f, *half_extents.tolist())

@@ -1,6 +1,6 @@
-"""Sampling directions towards a proxy, in the luminaire's local frame.
+"""Sampling directions towards the proxy, a box, in the luminaire's local frame.
 
-Both proxies are sampled from outside only: from a point inside, nothing is.
+It is sampled from outside only: from a point inside, nothing is.
 
 Symbols
     h       half extents of the box
@@ -10,8 +10,6 @@ Symbols
 
 from __future__ import annotations
 
-from typing import Literal, get_args
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -19,10 +17,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.device import parameter
 
-ProxyKind = Literal["box", "sphere"]
 _PARALLEL = 1e-12
-
-PROXY_KINDS: tuple[ProxyKind, ...] = get_args(ProxyKind)
 
 
 class BoxProxy:
@@ -30,8 +25,6 @@ class BoxProxy:
 
     def __init__(self, half_extents: NDArray[np.float64]) -> None:
         self.half = parameter(mi.Vector3f, *half_extents.tolist())
-        self.shape = {"type": "lumitree_box"}
-        self.shape_scale = half_extents
 
     def _visible_areas(self, origin: mi.Point3f) -> mi.Vector3f:
         return dr.select(dr.abs(origin) > self.half, face_areas(self.half), 0)
@@ -56,43 +49,6 @@ class BoxProxy:
         cosine = -dr.dot(normal, direction)
         total = dr.sum(self._visible_areas(origin))
         return dr.select(hit & (total > 0), dr.square(distance) / (cosine * total), 0)
-
-
-class SphereProxy:
-    """The sphere through the box's corners; the visible cone is sampled uniformly."""
-
-    def __init__(self, half_extents: NDArray[np.float64]) -> None:
-        self.radius = float(np.linalg.norm(half_extents))
-        self.shape = {"type": "sphere"}
-        self.shape_scale = np.full(3, self.radius)
-
-    def sample(self, origin: mi.Point3f, sample: mi.Point2f) -> mi.Vector3f:
-        """Direction from `origin` for a sample in the unit square; valid where `pdf` is not 0."""
-        return sample_cone(origin, self.radius, sample)
-
-    def enter(
-        self, origin: mi.Point3f, direction: mi.Vector3f
-    ) -> tuple[mi.Float, mi.Vector3f, mi.Bool]:
-        """Distance and outward normal where a line enters from outside, and whether it does."""
-        along = -dr.dot(mi.Vector3f(origin), direction)
-        off_axis = dr.squared_norm(mi.Vector3f(origin) + along * direction)
-        distance = along - dr.safe_sqrt(self.radius**2 - off_axis)
-        normal = dr.normalize(mi.Vector3f(origin) + distance * direction)
-        return distance, normal, (distance > 0) & (off_axis < self.radius**2)
-
-    def pdf(self, origin: mi.Point3f, direction: mi.Vector3f) -> mi.Float:
-        """Density with which `sample` gives `direction` from `origin`."""
-        outside = dr.squared_norm(mi.Vector3f(origin)) > self.radius**2
-        _, _, hit = self.enter(origin, direction)
-        return dr.select(hit & outside, cone_pdf(origin, self.radius), 0)
-
-
-Proxy = BoxProxy | SphereProxy
-
-
-def make_proxy(kind: ProxyKind, half_extents: NDArray[np.float64]) -> Proxy:
-    """Proxy of the given kind around the box with `half_extents` [3], local units."""
-    return BoxProxy(half_extents) if kind == "box" else SphereProxy(half_extents)
 
 
 def sample_cone(origin: mi.Point3f, radius: float, sample: mi.Point2f) -> mi.Vector3f:

@@ -1,7 +1,7 @@
 """Luminous flux and colour temperature of a lamp, as factors on its light.
 
-`blackbody.json`, which stands beside this file in an installed extension, has the colours of black
-bodies that lumitree uses (`core.photometry.blackbody_colour`).
+`blackbody.json` has the colours of black bodies that lumitree uses
+(`core.photometry.blackbody_colour`). `make_archive.py` writes it.
 
 Symbols
     watts       flux of the lamp without factors and at a scale of 1: R, G and B, W

@@ -51,8 +51,8 @@ class BakeSelected(bpy.types.Operator, ExportHelper):
         name="Quality",
         description="Number of light paths",
         items=[
-            ("preview", "Preview", "2 million light paths"),
-            ("standard", "Standard", "4 million light paths"),
+            ("preview", "Preview", "1 million light paths"),
+            ("standard", "Standard", "2 million light paths"),
             ("high", "High", "16 million light paths"),
         ],
         default="standard",

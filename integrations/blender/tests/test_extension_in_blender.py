@@ -16,7 +16,7 @@ from lumitree.core.frames import LocalFrame, rotation, similarity
 from support.light_fields import random_light_field
 
 blender = os.environ.get("LUMITREE_BLENDER_PYTHON")
-TINY_BAKES = Path(__file__).parents[2] / "support" / "tiny_bakes.py"
+TINY_BAKES = Path(__file__).parents[3] / "tests" / "support" / "tiny_bakes.py"
 
 pytestmark = [
     pytest.mark.slow,
@@ -99,7 +99,7 @@ FRAME = LocalFrame([1, 0.5, 1], similarity(rotation([0, 1, 0], 90), 0.2, [1.0, 2
 
 
 @pytest.fixture
-def asset(tmp_path, mi):
+def asset(tmp_path):
     made = light_field_asset(random_light_field(1, depth=3, count=20), FRAME, "lamp")
     made = dataclasses.replace(made, gain=(2.0, 1.0, 0.5))
     lumitree.save(made, tmp_path / "lamp.lumitree")

@@ -1,5 +1,6 @@
 """The extension for Blender: its archive, and what of it needs no Blender."""
 
+import ast
 import sys
 import time
 import tomllib
@@ -9,21 +10,9 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.cli import main
-from lumitree.errors import LumitreeError
-from lumitree.output.blender.extension import light, model_file, program
+import make_archive
+from lumitree_blender import light, model_file, program
 from support.gltf_builder import Gltf
-
-
-@pytest.fixture
-def table(archive, tmp_path, monkeypatch):
-    """The table of an installed extension."""
-    with zipfile.ZipFile(archive) as found:
-        found.extract("blackbody.json", tmp_path)
-    monkeypatch.setattr(light, "TABLE", tmp_path / "blackbody.json")
-    light._table.cache_clear()
-    yield
-    light._table.cache_clear()
 
 
 def test_the_manifest_is_one_of_blender_4_2(archive):
@@ -47,23 +36,28 @@ def test_the_manifest_is_one_of_blender_4_2(archive):
     assert set(manifest["permissions"]) == {"files"}
 
 
-def test_equal_versions_give_equal_archives(archive, tmp_path):
-    result = lumitree.blender_extension(tmp_path / "again.zip")
-    content = (tmp_path / "again.zip").read_bytes()
-    assert content == archive.read_bytes()
-    assert (result.file_bytes, result.version) == (len(content), lumitree.__version__)
+def test_the_archive_in_the_package_is_up_to_date(archive):
+    """If this fails, run `python integrations/blender/make_archive.py`."""
+    assert make_archive.ARCHIVE.read_bytes() == archive.read_bytes()
 
 
-def test_the_command_writes_it_and_refuses_other_names(tmp_path, monkeypatch, capsys, mi):
-    monkeypatch.chdir(tmp_path)
-    assert main(["blender-extension", "-o", "x.zip"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "Open: x.zip"
-    assert zipfile.is_zipfile("x.zip")
-    assert main(["blender-extension", "-o", "x.tar"]) == 2
-    assert "does not end in .zip" in capsys.readouterr().err
+def imported(path):
+    """Names of the modules that a file imports, but for relative imports."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (name.name for name in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            yield node.module
 
 
-def test_factors_are_those_of_lumitree(table, mi):
+def test_it_imports_the_standard_library_and_blender_alone():
+    paths = make_archive.FOLDER.glob("*.py")
+    found = {name.partition(".")[0] for path in paths for name in imported(path)}
+    assert "bpy" in found
+    assert found <= sys.stdlib_module_names | {"bpy", "bpy_extras", "mathutils"}
+
+
+def test_factors_are_those_of_lumitree():
     from lumitree.core.photometry import luminance
     from lumitree.rendering.asset_flux import gain_to
 
@@ -78,13 +72,13 @@ def test_factors_are_those_of_lumitree(table, mi):
         assert found == pytest.approx(float(luminance(watts)) * 1.5 * 4, rel=1e-3)
 
 
-def test_a_temperature_needs_light_in_its_channels(table):
+def test_a_temperature_needs_light_in_its_channels():
     assert light.tint_for([1.0, 1.0, 0.0], 6500.0) is None
     # A black body of 1500 K is so red that its blue is clipped.
     assert light.tint_for([1.0, 1.0, 0.0], 1500.0)[2] == 0
 
 
-def test_models_become_photometric_and_relative_to_a_point(tmp_path, mi):
+def test_models_become_photometric_and_relative_to_a_point(tmp_path):
     from lumitree.lamp.importers.gltf import read_gltf
 
     gltf = Gltf()
@@ -106,7 +100,7 @@ def test_models_become_photometric_and_relative_to_a_point(tmp_path, mi):
         np.testing.assert_allclose(place[:3, 3], 0, atol=1e-6)
 
 
-def test_closed_glass_is_solid_as_in_cycles(tmp_path, mi):
+def test_closed_glass_is_solid_as_in_cycles(tmp_path):
     from lumitree.lamp.importers.gltf import read_gltf
 
     gltf = Gltf()
@@ -183,8 +177,3 @@ def test_programs_are_found(tmp_path, monkeypatch):
     assert program.find_program(python3) == [python3, "-m", "lumitree"]
     with pytest.raises(program.ExtensionError, match="does not start"):
         program.Job([[str(tmp_path)]], tmp_path / "log")
-
-
-def test_a_wrong_name_is_refused(tmp_path):
-    with pytest.raises(LumitreeError, match=r"does not end in \.zip"):
-        lumitree.blender_extension(tmp_path / "extension")
