@@ -87,7 +87,10 @@ def shape(
     Args:
         asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file.
         to_world: [4, 4] matrix or Mitsuba transform that moves the luminaire from its own
-            file's frame into the scene; rotation, translation and uniform scale. Default: stay.
+            file's frame into the scene; rotation, translation and uniform scale. Default: stay. A
+            scale changes neither intensities nor flux of a photometric file, for a scene in metres;
+            other lamps keep their radiance. In a scene of another unit a photometric file needs a
+            `gain` of one over the square of the metres in that unit.
         proxy: "box" or "sphere", the surface that carries the field.
         min_density: leaves below this density count as empty (the paper: 0.1).
         max_opacity: rays end at this opacity (the paper: 0.9).
