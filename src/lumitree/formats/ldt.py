@@ -5,6 +5,7 @@ the C planes, the γ angles, and for each plane that the symmetry does not make 
 intensities at all γ.
 """
 
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,8 @@ def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
 
     The flux of the lamps is that of the bare emitters. If it is not known, it is that of the
     luminaire, and the number of lamps is -1 (absolute photometry). Direct ratios are 0. A round
-    luminous area has its diameter as length and no width; other shapes become boxes. The length is
+    luminous area has its diameter as length and no width; other shapes become boxes. Ellipsoids
+    become cylinders or boxes that are as large seen from below and from the sides. The length is
     along C = 90, as of linear luminaires.
     """
     from pyldt import Ldt, LdtHeader
@@ -89,9 +91,13 @@ def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
     c, gamma = distribution.c, distribution.gamma
     angles = _below(distribution).lumens
     opening = distribution.opening
-    width, height, length = (1000 * side for side in opening.sides)
-    width = 0.0 if opening.is_round else width
-    heights = [1000 * each for each in opening.heights or 4 * opening.sides[1:2]]
+    area = math.pi / 4 if opening.shape == "ellipsoid" else 1.0
+    sides = [1000 * side for side in opening.sides]
+    if opening.is_round:
+        width, height, length = 0.0, area * sides[1], sides[2]
+    else:
+        width, height, length = (math.sqrt(area) * side for side in sides)
+    heights = [1000 * each for each in opening.heights or ()] or 4 * [height]
     source = "simulated" if distribution.generation == SIMULATED else "converted"
     header = LdtHeader(
         company=_MAKER,

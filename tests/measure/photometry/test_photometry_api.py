@@ -51,7 +51,7 @@ def test_all_files_of_a_luminaire(folder):
         assert distribution.lumens == pytest.approx(result.lumens.value, rel=1e-5)
         assert distribution.intensity == pytest.approx(result.intensity, rel=1e-5)
         assert distribution.emitted_lumens == pytest.approx(result.emitted_lumens.value)
-        assert distribution.opening.sides == pytest.approx((1, 1, 1))
+        assert distribution.opening.sides[::2] == pytest.approx((1, 1), rel=0.02)
     rays, _ = read_tm25("lamp.ray")
     assert 1000 <= len(rays) < PATHS
     assert luminance(rays.flux.sum(axis=0)) == pytest.approx(result.lumens.value, rel=0.02)
