@@ -26,6 +26,7 @@ from lumitree.formats.photometric_text import (
     one_line,
     read_text,
     warn_of_file,
+    warn_of_flux,
 )
 from lumitree.formats.symmetry import EDGE, completed, without_noise
 from lumitree.formats.type_c import IntensityDistribution
@@ -54,8 +55,6 @@ _FIELDS = {
     _SETS + 1: "number of lamps",
     _SETS + 3: "luminous flux of the lamps",
 }
-# Relative difference of fluxes that coarse angles may cause.
-_FLUX_ERROR = 0.05
 # Each kind of symmetry: of how many equal parts of the circle planes are stored, and the first.
 _STORED = {0: (1, 0.0), 1: (0, 0.0), 2: (2, 0.0), 3: (2, 0.75), 4: (4, 0.0)}
 
@@ -231,14 +230,12 @@ class _Reader:
     def _compare_flux(self, lumens: float, flux: float, factor: float) -> None:
         """Warn of intensities whose flux is not what the file states; 0 stands for unknown."""
         stated = flux * self._field(_RATIO) / 100
-        if min(stated, lumens) > 0 and abs(lumens - stated) > _FLUX_ERROR * stated:
-            by = "" if factor == 1 else f" (its conversion factor of {factor:g} is applied)"
-            warn_of_file(
-                self._path,
-                f"its intensities have {lumens:.6g} lm{by}, but its lamps of {flux:g} lm with a "
-                f"light output ratio of {self._field(_RATIO):g} % give {stated:.6g} lm; the "
-                "intensities are used (give the flux that you know by lumens)",
-            )
+        by = "" if factor == 1 else f" (its conversion factor of {factor:g} is applied)"
+        what = (
+            f"but its lamps of {flux:g} lm with a light output ratio of {self._field(_RATIO):g} % "
+            f"give {stated:.6g} lm{by}"
+        )
+        warn_of_flux(self._path, lumens, stated, what)
 
     def _opening(self) -> Opening:
         """A width of 0 is that of a round area, whose diameter is the length."""

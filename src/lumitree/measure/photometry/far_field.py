@@ -173,7 +173,8 @@ def measure(
         seed: root seed.
 
     Raises:
-        LumitreeError: no light leaves the luminaire, or a path's flux is NaN or infinite.
+        LumitreeError: no light leaves the luminaire, or the flux of a path or of the bare emitters
+            is NaN or infinite.
     """
     pieces = RayBatches(
         source.rays,
@@ -231,6 +232,11 @@ def _bare_watts(source: Source, pieces: RayBatches) -> NDArray[np.float64] | Non
     if source.bare_flux is None:
         return None
     parts = [source.bare_flux(pieces.size, pieces.seed(index)) for index in range(pieces.count)]
+    if not np.isfinite(parts).all():
+        raise LumitreeError(
+            f"the flux of the bare emitters of {source.name} is NaN or infinite; look for an emitter "
+            "whose radiance is"
+        )
     return (np.array(parts) * source.frame.scale**2).reshape(-1, BATCHES, 3).mean(axis=0)
 
 
