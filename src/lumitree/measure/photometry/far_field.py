@@ -234,8 +234,8 @@ def _bare_watts(source: Source, pieces: RayBatches) -> NDArray[np.float64] | Non
     parts = [source.bare_flux(pieces.size, pieces.seed(index)) for index in range(pieces.count)]
     if not np.isfinite(parts).all():
         raise LumitreeError(
-            f"the flux of the bare emitters of {source.name} is NaN or infinite; look for an emitter "
-            "whose radiance is"
+            f"the flux of the bare emitters of {source.name} is NaN or infinite; look for an "
+            "emitter whose radiance is"
         )
     return (np.array(parts) * source.frame.scale**2).reshape(-1, BATCHES, 3).mean(axis=0)
 
