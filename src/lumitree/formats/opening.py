@@ -5,7 +5,6 @@ frame is that of a luminaire's file, see `type_c`: x along C = 0, y up, z along 
 """
 
 import dataclasses
-import itertools
 import math
 from typing import Literal
 
@@ -21,8 +20,8 @@ _MAX_SIDE = 1e6
 # Points of the quadrature of a surface. Flat ones are cheap, since all directions share them.
 _NUM_SIDE, _NUM_ROUND, _NUM_DISK, _NUM_ELLIPSOID = 20, 80, 512, 3072
 _NUM_FLAT_SIDE, _NUM_FLAT_DISK = 64, 1 << 14
-# Part of the light that may start outside of an opening, and in how many steps it is left out.
-_OUTSIDE, _CUTS = 0.02, 10
+# Part of the light that may start outside of an opening, and rounds of the search for its box.
+_OUTSIDE, _ROUNDS = 0.02, 4
 # A side shorter than this part of the longest is none; axes that differ by less are a circle.
 _THIN, _ROUND = 1e-3, 0.05
 
@@ -171,68 +170,39 @@ def opening_around(points: Array, flux: Array) -> tuple[Opening, Array]:
         points: [N, 3] where light starts, m.
         flux: [N] of the light, above 0.
     """
-    low, high = _smallest_box(points, flux)
-    centre, sides = (low + high) / 2, high - low
+    # From the middle half of the light outwards, so that a far part with little light is outside.
+    centre = np.array([_quantile(each, flux, 0.5) for each in points.T])
+    half = np.array([_quantile(each, flux, 0.5) for each in np.abs(points - centre).T])
+    low = high = centre
+    for _ in range(_ROUNDS):
+        half = np.maximum(half, max(_THIN * half.max(), 1e-12))
+        away = np.abs((points - centre) / half).max(axis=1)
+        kept = points[away <= _quantile(away, flux, 1 - _OUTSIDE)]
+        low, high = kept.min(axis=0), kept.max(axis=0)
+        centre, half = (low + high) / 2, (high - low) / 2
+    sides = high - low
     thick = sides > _THIN * sides.max()
     if not thick.any():
         return POINT, centre
     # The ellipsoid has the proportions of the box.
-    away = np.linalg.norm((points - centre)[:, thick] / sides[thick], axis=1)
-    order = np.argsort(away)
-    held = np.cumsum(flux[order])
-    diameter = 2 * away[order[np.searchsorted(held, (1 - _OUTSIDE) * held[-1])]]
-    dimensions = int(thick.sum())
+    away = np.linalg.norm((points - centre)[:, thick] / half[thick], axis=1)
+    radius, dimensions = _quantile(away, flux, 1 - _OUTSIDE), int(thick.sum())
     # The volume of the unit ball in its box.
-    volume = {1: 1.0, 2: np.pi / 4, 3: np.pi / 6}[dimensions] * diameter**dimensions
+    volume = {1: 1.0, 2: np.pi / 4, 3: np.pi / 6}[dimensions] * radius**dimensions
     shape: Shape = "box"
     if dimensions > 1 and volume < 1:
-        shape, sides = "ellipsoid", np.minimum(diameter * sides, np.ptp(points, axis=0))
+        shape, sides = "ellipsoid", np.minimum(radius * sides, np.ptp(points, axis=0))
     x, y, z = np.where(thick, sides, 0.0).tolist()
     if shape == "ellipsoid" and abs(x - z) <= _ROUND * (x + z) / 2:
         x = z = (x + z) / 2
     return Opening((x, y, z), shape), centre
 
 
-def _smallest_box(points: Array, flux: Array) -> tuple[Array, Array]:
-    """Lower and upper corner [3] of a box that holds 98 % of the flux.
-
-    Faces are moved inwards one after another, each time the one whose volume is smallest for the
-    light that it leaves out. So that a far part with little light is left out as a whole, this is
-    tried after each of the six faces has been moved as far as helps most, too.
-    """
-    found = [_cut(points, flux, first) for first in (None, *itertools.product(range(3), (1, -1)))]
-    return min(found, key=lambda box: float(np.log(np.maximum(box[1] - box[0], 1e-12)).sum()))
-
-
-def _cut(points: Array, flux: Array, first: tuple[int, int] | None) -> tuple[Array, Array]:
-    """A box that holds 98 % of the flux; `first` is the axis and side (1: lower) to cut first."""
-    step, left = _OUTSIDE / _CUTS * flux.sum(), _CUTS
-    low, high = points.min(axis=0), points.max(axis=0)
-    least = max(_THIN * float((high - low).max()), 1e-12)
-    while left > 0:
-        best, gain = (0, 1, 0.0, left), 0.0
-        cuts = np.arange(1, left + 1)
-        for axis, sign in itertools.product(range(3), (1, -1)) if first is None else (first,):
-            place = sign * points[:, axis]
-            order = np.argsort(place)
-            index = np.searchsorted(np.cumsum(flux[order]), cuts * step, "right")
-            face = place[order[np.minimum(index, len(order) - 1)]]
-            side = high[axis] - low[axis]
-            after = np.maximum(side - (face - place[order[0]]), least)
-            gains = np.log(max(side, least) / after) / (cuts if first is None else 1)
-            if gains.max() > gain:
-                at = int(gains.argmax())
-                best, gain = (axis, sign, float(face[at]), int(cuts[at])), float(gains[at])
-        if gain == 0 and first is None:
-            break
-        if gain > 0:
-            axis, sign, place, cut = best
-            left -= cut
-            inside = sign * points[:, axis] >= place
-            points, flux = points[inside], flux[inside]
-            low, high = points.min(axis=0), points.max(axis=0)
-        first = None
-    return low, high
+def _quantile(values: Array, flux: Array, part: float) -> float:
+    """The smallest of some values [N] up to which there is a part of the flux [N]."""
+    order = np.argsort(values)
+    held = np.cumsum(flux[order])
+    return float(values[order[np.searchsorted(held, part * held[-1])]])
 
 
 def lm63_opening(

@@ -207,6 +207,6 @@ def test_reports_have_glare_ratings_or_say_what_is_missing(folder, monkeypatch, 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_nothing_is_written_of_a_flux_that_is_no_number(folder, monkeypatch, value):
     monkeypatch.setattr(LampRays, "bare_flux", lambda *_: np.full(3, value))
-    with pytest.raises(LumitreeError, match="the bare emitters of .*lamp is NaN or inf"):
+    with pytest.raises(LumitreeError, match=r"the bare emitters of .*lamp is NaN or inf"):
         lumitree.photometry("lamp.xml", ["lamp.ies", "lamp.ldt"], step=15, paths=PATHS)
     assert [each.name for each in folder.iterdir()] == ["lamp.xml"]
