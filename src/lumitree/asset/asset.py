@@ -126,9 +126,9 @@ class Asset:
 
     @property
     def is_photometric(self) -> bool:
-        """Whether its light is that of a photometric file or a ray file, in metres.
+        """Whether a photometric file or a ray file states its light, with lengths in metres.
 
-        Intensities and flux of such a file are absolute: they stay if the lamp is scaled.
+        Its intensities and its flux are absolute: they stay if the lamp is scaled.
         """
         return self.light_field is not None and self.light_field.absolute
 

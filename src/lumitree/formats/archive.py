@@ -16,7 +16,7 @@ MAX_ARCHIVE_BYTES = 256 * 2**20
 # Bytes of all members that are read of one archive and of those inside it.
 _MAX_UNPACKED = 256 * 2**20
 _MAX_MEMBERS = 1 << 14
-# What an entry of the list of members begins with.
+# An entry of the list of members begins with it.
 _ENTRY = b"PK\x01\x02"
 # zipfile unpacks other methods without a limit of memory.
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)

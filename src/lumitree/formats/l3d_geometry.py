@@ -33,7 +33,7 @@ _FILES = (".mtl", ".png", ".jpg", ".jpeg")
 # Begins the names of luminous materials; what follows is the index in a part's `lights`.
 _LIGHT = "lumitree-light-"
 _SEGMENTS = 64
-# Of an OBJ model; triangles in all places of all models.
+# Limits of an OBJ model; triangles in all places of all models.
 _MAX_OBJ_BYTES, _MAX_LINES, _MAX_CORNERS = 32 * 2**20, 1 << 20, 1 << 21
 _MAX_TRIANGLES = 1 << 19
 # Distance of an object's own shape from its plane, in front of it, as a part of its longest side.

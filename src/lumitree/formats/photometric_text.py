@@ -109,7 +109,7 @@ def warn_of_flux(path: str | os.PathLike[str], lumens: float, stated: float, wha
     Args:
         path: of the file.
         lumens: luminous flux of the intensities, lm.
-        stated: that of the file, lm; 0 if it states none.
+        stated: flux that the file states, lm; 0 if it states none.
         what: how the file states it, for the message, such as "where it states 500 lm".
     """
     if min(stated, lumens) > 0 and abs(lumens - stated) > _FLUX_ERROR * stated:

@@ -129,7 +129,7 @@ class _Reader:
         what = f"where it states {stated:g} lm"
         if not stated > 0:
             rated, count = number_of(emitter, "RatedLumens", 0.0), number_of(emitter, "Quantity", 1)
-            # Of one of several lamps, or of all.
+            # The rating is for one of several lamps, or for all.
             stated = min((rated, rated * count), key=lambda each: abs(each - result.lumens))
             what = f"where its lamps are rated at {rated:g} lm"
         warn_of_flux(self._path, result.lumens, stated, what)

@@ -126,7 +126,7 @@ class PlacedLuminaire:
 
 
 def _loaded(placement: Placement, metres: float) -> Luminaire | Asset:
-    """What a placement names; a photometric file, which is in metres, in the unit of the scene."""
+    """The lamp of a placement; a photometric file, which is in metres, in the scene's unit."""
     source = cast(Any, placement.source)
     if not placement.is_baked:
         return load_luminaire(source)

@@ -81,7 +81,7 @@ class Lamp:
         tree.links.new(coordinates.outputs["Normal"], lookup.inputs["Vector"])
         tree.links.new(lookup.outputs["Color"], emission.inputs["Color"])
         tree.links.new(emission.outputs[0], output.inputs["Surface"])
-        # Flux grows as the area of what emits, except that of a photometric file.
+        # Flux grows as the area of what emits, but a photometric file has its flux at any size.
         grown = "" if self.absolute else " * scale * scale"
         drive(data, "energy", self.empty, f"{light['watts']!r} * gain{grown}")
         for channel, factor in enumerate(("red", "green", "blue")):

@@ -55,7 +55,7 @@ def emitter_class() -> type:
 
         @property
         def factor(self):
-            """Factor on the radiance of the asset: `gain`, and that of absolute intensities."""
+            """Factor on the radiance of the asset: `gain`, less for larger absolute light."""
             return self.gain * self.placed.dimming
 
         def light_inside(self):
