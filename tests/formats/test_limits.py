@@ -5,6 +5,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from lumitree.cli import main
 from lumitree.errors import LumitreeError, LumitreeWarning
@@ -106,6 +107,16 @@ def test_limits_of_models(model, message):
     path = gldf(model=l3d(box_obj=model))
     with pytest.warns(LumitreeWarning, match=f"its light without its 3D model: .*{message}"):
         assert bake_gldf(path).geometry is None
+
+
+def test_pixels_of_images_are_counted_before_they_are_decoded():
+    """8192² black pixels are 200 kB of PNG, and 100 bytes of an archive in another one."""
+    image = io.BytesIO()
+    Image.new("L", (8192, 8192)).save(image, "PNG")
+    mtl = "newmtl a\nmap_Kd a.png\n"
+    model = l3d(box_obj=obj(head="mtllib a.mtl\nusemtl a"), a_mtl=mtl, a_png=image.getvalue())
+    with pytest.warns(LumitreeWarning, match="its images have more than 16777216 pixels"):
+        assert bake_gldf(gldf(model=model)).geometry is None
 
 
 def test_triangles_count_in_all_places():

@@ -19,6 +19,7 @@ from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError
 from lumitree.formats.archive import Archive
 from lumitree.formats.l3d import L3d, L3dPart, LightObject
+from lumitree.lamp.importers.images import num_pixels
 from lumitree.lamp.importers.obj.reader import part_names, read_obj
 from lumitree.lamp.importers.overrides import emitting_area
 from lumitree.lamp.meshes import Mesh
@@ -33,9 +34,9 @@ _FILES = (".mtl", ".png", ".jpg", ".jpeg")
 # Begins the names of luminous materials; what follows is the index in a part's `lights`.
 _LIGHT = "lumitree-light-"
 _SEGMENTS = 64
-# Limits of an OBJ model; triangles in all places of all models.
+# Limits of an OBJ model; triangles in all places and pixels of all images of all models.
 _MAX_OBJ_BYTES, _MAX_LINES, _MAX_CORNERS = 32 * 2**20, 1 << 20, 1 << 21
-_MAX_TRIANGLES = 1 << 19
+_MAX_TRIANGLES, _MAX_PIXELS = 1 << 19, 1 << 24
 # Distance of an object's own shape from its plane, in front of it, as a part of its longest side.
 _BEFORE = 2e-3
 
@@ -53,7 +54,7 @@ def l3d_geometry(
 
     Raises:
         LumitreeError: a model is missing, damaged, larger than 32 MiB, 2²⁰ lines or 2²¹ corners of
-            faces; or there are more than 2¹⁹ triangles.
+            faces; or there are more than 2¹⁹ triangles, or 2²⁴ pixels of images.
     """
     return _Builder(archive, model, lumens, folder).build()
 
@@ -65,7 +66,7 @@ class _Builder:
         self._archive, self._model, self._lumens = archive, model, lumens
         self._folder = folder
         self._read: dict[tuple[object, ...], Geometry] = {}
-        self._names, self._triangles = Names("-"), 0
+        self._names, self._triangles, self._pixels = Names("-"), 0, 0
         self._parts: list[Part] = []
         self._materials: dict[str, Material] = {}
         # Of luminous materials: the light emitting object, and the weight of its area.
@@ -165,6 +166,9 @@ class _Builder:
             for name in names:
                 if name.lower().endswith(_FILES) and Path(name).name == name and len(name) < 200:
                     data = self._archive.read(f"{part.folder}/{name}", "a file of an OBJ model")
+                    self._pixels += num_pixels(data)
+                    if self._pixels > _MAX_PIXELS:
+                        raise LumitreeError(f"its images have more than {_MAX_PIXELS} pixels")
                     write_bytes(folder / name, data)
             write_bytes(folder / _LIGHTS, b"".join(_mtl(index) for index, _ in lit))
             libraries = any(name.lower().endswith(".mtl") for name in names)
