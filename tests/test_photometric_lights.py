@@ -1,6 +1,8 @@
 """Photometric files and ray files are taken wherever an asset is."""
 
+import base64
 import dataclasses
+import io
 import json
 from pathlib import Path
 
@@ -22,8 +24,10 @@ from lumitree.formats.type_c import Grid, IntensityDistribution
 from lumitree.lamp.source import LuminaireSource, source_kind
 from lumitree.rendering.asset_cache import open_asset
 from lumitree.rendering.asset_flux import asset_lumens, asset_watts
+from support.fields import uniform_asset
 from support.gldf_files import l3d, product, zipped
 from support.lamps import AREA, scene, sphere
+from support.light_fields import random_light_field
 from support.slow import slow
 from support.tiny_bakes import set_qualities, standard
 from support.tm33_files import tm33
@@ -209,6 +213,17 @@ def test_a_shape_of_a_file_keeps_its_intensities_when_it_is_scaled(mi, appearanc
         gains = [v for k, v in mi.traverse(mi.load_dict({"type": "scene", **lamp})) if "gain" in k]
         assert np.ravel(gains[0]).tolist() == pytest.approx([0.5] * 3)
     assert values == pytest.approx([100 / 36 / 2] * 2, rel=0.04)
+
+
+def test_a_file_keeps_its_flux_when_its_lamp_is_scaled_in_blender(mi):
+    from lumitree.output.blender.script import make_script
+
+    for name, asset in (("file", open_asset("a.ies")), ("lamp", uniform_asset(1.0, [1, 1, 1]))):
+        if name == "lamp":
+            asset = dataclasses.replace(asset, light_field=random_light_field(0))
+        data = make_script(asset, 4, "y").text.split('DATA = """')[1].split('"""')[0]
+        description = np.load(io.BytesIO(base64.b64decode(data)))["description"].tobytes()
+        assert json.loads(description).get("absolute", False) == (name == "file")
 
 
 @pytest.mark.parametrize("scale", [0.1, 1, 7])
