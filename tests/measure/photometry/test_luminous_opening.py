@@ -78,7 +78,9 @@ def measured(mi, tmp_path_factory):
     folder = tmp_path_factory.mktemp("lamp")
     (folder / "lamp.xml").write_text(LAMP)
     files = [folder / "lamp.ies", folder / "lamp.ldt"]
-    return lumitree.photometry(folder / "lamp.xml", files, paths=1 << 16, progress=None), folder
+    return lumitree.photometry(
+        folder / "lamp.xml", files, paths=1 << 20, step=15, progress=None
+    ), folder
 
 
 def test_the_opening_is_where_light_leaves(measured):
